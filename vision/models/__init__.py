@@ -1,1 +1,1 @@
-
+"""The equations of the paper, and the fits to them."""
