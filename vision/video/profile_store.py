@@ -1,0 +1,53 @@
+"""ProfileStore: I(x, t) as it grows, in memory or, past a stated size, in an unlinked temporary file."""
+
+from __future__ import annotations
+
+import tempfile
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+SPILL_BYTES = 1 << 30  # 1 GiB: 140 000 frames of 1920 columns
+
+
+class ProfileStore:
+    """Rows of float32 appended block by block.
+
+    columns: values in a row.  expected: a guess at the number of rows; more or fewer are fine.
+    spill_bytes: above this size the rows live in a temporary file that vanishes with the last array that uses it.
+    """
+
+    def __init__(self, columns: int, *, expected: int | None, spill_bytes: int = SPILL_BYTES) -> None:
+        self._columns = columns
+        self._spill_bytes = spill_bytes
+        self._file: IO[bytes] | None = None
+        self._used = 0
+        self._rows = self._room(max(1, expected or 1024))
+
+    def append(self, rows: NDArray[np.float32]) -> None:
+        """Add `rows` (k, columns) at the end."""
+        needed = self._used + rows.shape[0]
+        if needed > self._rows.shape[0]:
+            self._grow(max(needed, 2 * self._rows.shape[0]))
+        self._rows[self._used : needed] = rows
+        self._used = needed
+
+    def rows(self) -> NDArray[np.float32]:
+        """All rows so far, (n, columns), not copied."""
+        return self._rows[: self._used]
+
+    def _grow(self, capacity: int) -> None:
+        old, in_file = self.rows(), self._file is not None
+        self._rows = self._room(capacity)
+        if not in_file:
+            self._rows[: self._used] = old
+
+    def _room(self, capacity: int) -> NDArray[np.float32]:
+        size = capacity * self._columns * 4
+        if size <= self._spill_bytes and self._file is None:
+            return np.empty((capacity, self._columns), np.float32)
+        if self._file is None:
+            self._file = tempfile.TemporaryFile(prefix="sheetvision-")  # noqa: SIM115  # the array keeps it alive
+        self._file.truncate(size)
+        return np.memmap(self._file, np.float32, "r+", shape=(capacity, self._columns))
