@@ -1,1 +1,1 @@
-
+"""A testing machine's recording becomes stick-slip events."""
