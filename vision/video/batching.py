@@ -17,7 +17,7 @@ BLOCK_FRAMES = 256
 
 @dataclass(frozen=True)
 class Shot:
-    """One frame as a decoder hands it over: whole grey pixels, None where it could not be decoded, its own time."""
+    """One frame as a decoder hands it over: whole grey pixels, None if undecodable, and its own time."""
 
     pixels: NDArray[np.generic] | None
     status: Status = "ok"

@@ -17,10 +17,11 @@ def is_blank(
 ) -> NDArray[np.bool_]:
     """Which readable frames show nothing of what the others show.
 
-    A frame is blank if its profile is constant or saturated throughout, if its contrast (standard deviation along x) is
-    below `NO_CONTRAST` of the recording's median contrast, or if the frame is brighter than usual and its contrast,
-    relative to its level, is below `LOW_CONTRAST` of the median. Dim frames keep their relative contrast and a tenth of
-    the absolute one suffices; motion blur leaves the light's gradient and the edges.
+    A frame is blank if its profile is constant or saturated throughout, if its contrast (standard deviation
+    along x) is below `NO_CONTRAST` of the recording's median contrast, or if the frame is brighter than
+    usual and its contrast, relative to its level, is below `LOW_CONTRAST` of the median. Dim frames keep
+    their relative contrast and a tenth of the absolute one suffices; motion blur leaves the light's
+    gradient and the edges.
 
     Args: profiles, intensity (frame, x); readable (frame).  Returns: bool (frame), False where not readable.
     Fails where more than half of a recording is blank: only constant and saturated frames are then found.
@@ -40,7 +41,7 @@ def is_blank(
 
 
 def _figures(profiles: NDArray[np.float32]) -> tuple[NDArray[np.float64], ...]:
-    """Mean, standard deviation and minimum along x, in chunks: the profiles may be a file larger than memory."""
+    """Mean, standard deviation and minimum along x, in chunks: the profiles may exceed memory."""
     out = np.empty((3, profiles.shape[0]))
     for start in range(0, profiles.shape[0], _CHUNK_ROWS):
         part = profiles[start : start + _CHUNK_ROWS]

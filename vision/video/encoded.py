@@ -24,30 +24,31 @@ _STAMPED = {"matroska", "webm"}  # containers whose times are those of each fram
 class EncodedReader:
     """One video stream of a container, decoded frame by frame.
 
-    A packet that cannot be decoded gives a frame "corrupt"; a number the container skips gives a frame "lost".
+    A packet that cannot be decoded gives a frame "corrupt"; a number the container skips gives a frame
+    "lost".
     Raises: InputError if nothing in the file can be decoded, or a frame has another size than the first.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        with _open(path) as container:
-            stream = _stream(container, path)
+        with open_container(path) as container:
+            stream = video_stream(container, path)
             first = _first_frame(container, stream, path)
             self._dtype = grey.plane(first).dtype.newbyteorder("=")
             self.facts = _facts(container, stream, first)
             self._fixed_rate = stream.average_rate if container.format.name == "avi" else None
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
-        """Frames in file order; frames before `start` are decoded and dropped, as codecs need their forerunners."""
+        """Frames in file order; those before `start` are decoded and dropped: codecs need them."""
         shots = (shot for n, shot in enumerate(self._shots(stop)) if n >= start)
         yield from in_blocks(shots, start=start, rows=rows, columns=columns, dtype=self._dtype)
 
     def sample(self, numbers: Sequence[int]) -> Iterator[NDArray[np.generic]]:
         """The key frame at or before each number; each key frame once."""
-        rate = self.facts.playback_fps or 25.0
-        seen: set[int] = set()
-        with _open(self._path) as container:
-            stream = _stream(container, self._path)
+        seen: set[int | None] = set()
+        with open_container(self._path) as container:
+            stream = video_stream(container, self._path)
+            rate = self.facts.playback_fps or 1 / float(stream.time_base or 1)
             for number in numbers:
                 frame = _near(container, stream, number / rate)
                 if frame is not None and frame.pts not in seen:
@@ -57,8 +58,8 @@ class EncodedReader:
     def _shots(self, stop: int | None) -> Iterator[Shot]:
         """Every frame number once, in order, up to `stop`."""
         number = 0
-        with _open(self._path) as container:
-            stream = _stream(container, self._path)
+        with open_container(self._path) as container:
+            stream = video_stream(container, self._path)
             for pts, frame in _decoded(container, stream):
                 for _ in range(self._skipped(pts, number, stream)):
                     yield Shot(None, "lost")
@@ -68,9 +69,13 @@ class EncodedReader:
                 yield self._shot(frame, pts, stream)
                 number += 1
 
+    def _time_s(self, pts: int | None, stream: av.VideoStream) -> float | None:
+        if not self.facts.stamped or pts is None or stream.time_base is None:
+            return None
+        return float(pts * stream.time_base)
+
     def _shot(self, frame: av.VideoFrame | None, pts: int | None, stream: av.VideoStream) -> Shot:
-        stamped = self.facts.stamped and pts is not None and stream.time_base is not None
-        time_s = float(pts * stream.time_base) if stamped else None  # type: ignore[operator]  # checked above
+        time_s = self._time_s(pts, stream)
         if frame is None or frame.is_corrupt:
             return Shot(None, "corrupt", time_s)
         return Shot(self._checked(frame), "ok", time_s)
@@ -90,7 +95,7 @@ class EncodedReader:
         return pixels
 
 
-def _open(path: Path) -> av.container.InputContainer:
+def open_container(path: Path) -> av.container.InputContainer:
     """The container; InputError where it is none."""
     try:
         container = av.open(str(path))
@@ -116,8 +121,8 @@ def _why_not(path: Path, error: Exception) -> tuple[str, str]:
     )
 
 
-def _stream(container: av.container.InputContainer, path: Path) -> av.VideoStream:
-    """The video stream, set to decode on all cores; InputError where there is none or its codec is unknown."""
+def video_stream(container: av.container.InputContainer, path: Path) -> av.VideoStream:
+    """The video stream, to be decoded on all cores; InputError for none or an unknown codec."""
     if not container.streams.video:
         raise InputError(path, "a video stream", "none (sound or data only)")
     stream = container.streams.video[0]
@@ -163,10 +168,11 @@ def _decoded(
 ) -> Iterator[tuple[int | None, av.VideoFrame | None]]:
     """(pts, frame) in display order; the frame is None where a packet's frame never came out of the decoder.
 
-    Packets that were fed but overtaken by a later frame failed to decode: that holds for every codec and thread count.
+    Packets that were fed but overtaken by a later frame failed to decode: that holds for every codec and
+    thread count.
     """
     waiting: list[int] = []
-    for packet in _packets(container, stream):
+    for packet in video_packets(container, stream):
         if packet is not None and packet.pts is not None:
             waiting.append(packet.pts)
         for frame in _frames_of(packet, stream):
@@ -178,14 +184,16 @@ def _decoded(
     yield from ((pts, None) for pts in sorted(waiting))
 
 
-def _packets(container: av.container.InputContainer, stream: av.VideoStream) -> Iterator[av.Packet | None]:
+def video_packets(
+    container: av.container.InputContainer, stream: av.VideoStream
+) -> Iterator[av.Packet[av.VideoStream] | None]:
     """Packets up to where the file ends or breaks off, then None, which flushes the decoder."""
     with contextlib.suppress(av.error.FFmpegError, OSError):
         yield from (packet for packet in container.demux(stream) if packet.size)
     yield None
 
 
-def _frames_of(packet: av.Packet | None, stream: av.VideoStream) -> list[av.VideoFrame]:
+def _frames_of(packet: av.Packet[av.VideoStream] | None, stream: av.VideoStream) -> list[av.VideoFrame]:
     try:
         return list(stream.codec_context.decode(packet))
     except (av.error.FFmpegError, EOFError):

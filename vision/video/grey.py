@@ -16,7 +16,7 @@ _LIMITED_RANGE = 1  # AVColorRange: 16..235 of 255
 
 
 def luma(rgb: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Grey (rows, columns) of RGB or RGBA (rows, columns, 3 or 4), uint8, uint16 or float32: ITU-R BT.601 luma.
+    """Grey (rows, columns) of RGB or RGBA (rows, columns, 3 or 4) in uint8, uint16 or float32: BT.601 luma.
 
     Integers are rounded, so equal channels come out unchanged.
     """
@@ -24,21 +24,17 @@ def luma(rgb: NDArray[np.generic]) -> NDArray[np.generic]:
 
 
 def plane(frame: av.VideoFrame) -> NDArray[np.generic]:
-    """Grey (rows, columns) of a decoded frame, a view of it where its format keeps luma apart, else `luma`."""
+    """Grey (rows, columns) of a decoded frame: a view where its format keeps luma apart, else `luma`."""
     kind = frame.format
     if kind.is_rgb or kind.has_palette:
         deep = kind.components[0].bits > 8
         return luma(frame.to_ndarray(format="rgb48le" if deep else "rgb24"))
     bits = kind.components[0].bits
-    item = np.dtype(np.uint8 if bits <= 8 else (">u2" if kind.is_big_endian else "<u2"))
-    first = frame.planes[0]
-    if kind.name in _PACKED_LUMA:
-        offset, step = _PACKED_LUMA[kind.name]
-        packed = np.frombuffer(first, np.uint8).reshape(-1, first.line_size)
-        return packed[: frame.height, offset : offset + step * frame.width : step]
-    return np.frombuffer(first, item).reshape(-1, first.line_size // item.itemsize)[
-        : frame.height, : frame.width
-    ]
+    item: np.dtype[np.generic] = np.dtype("u1" if bits <= 8 else ">u2" if kind.is_big_endian else "<u2")
+    stored = frame.planes[0]
+    lines = np.frombuffer(memoryview(stored), item).reshape(-1, stored.line_size // item.itemsize)
+    offset, step = _PACKED_LUMA.get(kind.name, (0, 1))
+    return lines[: frame.height, offset : offset + step * frame.width : step]
 
 
 _PACKED_LUMA = {

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import glob
 import os
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from vision.errors import InputError
 from vision.video.recording import Recording
 from vision.video.source import Reader
+from vision.video.timestamps import read_timestamps
 
 
 def open_video(
@@ -20,9 +25,10 @@ def open_video(
 ) -> Recording:
     """A recording, ready to be read in one pass.
 
-    Args: path, a video file, a TIFF, a folder or a glob of numbered images.  rotate, degrees clockwise (0, 90, 180, 270).
-    frames, half-open range of frame numbers kept.  fps, the camera's rate in Hz.  timestamps, a text file with the
-    time of every frame.  Neither given: the file's own time stamps where it has them, else its playback rate.
+    Args: path, a video file, a TIFF, a folder or a glob of numbered images.  rotate, degrees clockwise (0,
+    90, 180, 270). frames, half-open range of frame numbers kept.  fps, the camera's rate in Hz.
+    timestamps, a text file with the time of every frame.  Neither given: the file's own time stamps where
+    it has them, else its playback rate.
     Raises: InputError if the file cannot be read or an argument does not fit it.
     """
     where = Path(path)
@@ -34,6 +40,7 @@ def open_video(
         raise InputError("--fps and --timestamps", "one of the two", "both")
     reader = _reader(where)
     first, stop = _frame_range(frames, reader.facts.promised, where)
+    times_s, odd = _given_times(timestamps, reader.facts.promised, where)
     return Recording(
         path=where,
         reader=reader,
@@ -41,24 +48,59 @@ def open_video(
         first=first,
         stop=stop,
         given_fps=fps,
-        warnings=reader.facts.warnings,
+        given_times_s=times_s,
+        warnings=(*reader.facts.warnings, *odd),
     )
 
 
 def _reader(path: Path) -> Reader:
-    from vision.video.encoded import EncodedReader
+    """The reader for this kind of file, told by its first bytes."""
+    from vision.video import avi, cine, mjpeg, raw, sequence, stack
 
-    if not path.exists():
-        raise InputError(path, "a video file", "nothing by that name", "check the path")
-    if path.stat().st_size == 0:
+    if path.is_dir() or (not path.exists() and glob.has_magic(str(path))):
+        return sequence.open_sequence(path)
+    _check_file(path)
+    if avi.is_avi(path) and raw.is_raw(layout := avi.read_avi_layout(path)):
+        return raw.open_raw_avi(path, layout)
+    if stack.is_tiff(path):
+        return stack.open_stack(path)
+    if cine.is_cine(path):
+        return cine.open_cine(path)
+    if path.suffix.lower() in sequence.IMAGES:
+        return sequence.open_sequence(path)
+    return mjpeg.open_encoded(path)
+
+
+def _check_file(path: Path) -> None:
+    try:
+        with path.open("rb") as file:
+            head = file.read(1)
+    except OSError as error:
+        found = error.strerror or type(error).__name__
         raise InputError(
-            path, "a video file", "an empty file (0 bytes)", "copy it again from the camera computer"
+            path, "a video, a TIFF, a folder or glob of images", found, "check the path"
+        ) from None
+    if not head:
+        raise InputError(
+            path, "a video", "an empty file (0 bytes)", "copy it again from the camera's computer"
         )
-    return EncodedReader(path)
+
+
+def _given_times(
+    timestamps: str | os.PathLike[str] | None, promised: int | None, path: Path
+) -> tuple[NDArray[np.float64] | None, tuple[str, ...]]:
+    """The time-stamp file's times; InputError where there are not as many as frames."""
+    if timestamps is None:
+        return None, ()
+    times_s, warnings = read_timestamps(Path(timestamps))
+    if promised is not None and times_s.size != promised:
+        found = f"{times_s.size} times"
+        raise InputError(timestamps, f"{promised} times, one per frame of {path.name}", found)
+    return times_s, warnings
 
 
 def _frame_range(frames: slice | None, promised: int | None, path: Path) -> tuple[int, int | None]:
-    """`--frames` as first and stop; InputError where it is no range or none of the file's frames are in it."""
+    """`--frames` as first and stop; InputError where it is no range or holds none of the frames."""
     if frames is None:
         return 0, None
     first = 0 if frames.start is None else int(frames.start)

@@ -15,8 +15,8 @@ _WAIT_S = 0.1  # how soon an abandoned thread notices
 def prefetch(items: Iterator[T], *, depth: int = 2) -> Iterator[T]:
     """The same items in the same order, up to `depth` of them made ahead in one thread.
 
-    Decoders release the interpreter lock, so decoding and reducing share two cores. An exception raised by `items` is
-    raised here, at its place in the order. Abandoning the iterator stops the thread.
+    Decoders release the interpreter lock, so decoding and reducing share two cores. An exception raised by
+    `items` is raised here, at its place in the order. Abandoning the iterator stops the thread.
     """
     ready: queue.Queue[tuple[T] | Exception | None] = queue.Queue(maxsize=depth)
     abandoned = threading.Event()

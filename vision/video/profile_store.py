@@ -14,8 +14,8 @@ SPILL_BYTES = 1 << 30  # 1 GiB: 140 000 frames of 1920 columns
 class ProfileStore:
     """Rows of float32 appended block by block.
 
-    columns: values in a row.  expected: a guess at the number of rows; more or fewer are fine.
-    spill_bytes: above this size the rows live in a temporary file that vanishes with the last array that uses it.
+    columns: values in a row.  expected: a guess at the number of rows; more or fewer are fine. spill_bytes:
+    above this size the rows live in a temporary file that vanishes with the last array that uses it.
     """
 
     def __init__(self, columns: int, *, expected: int | None, spill_bytes: int = SPILL_BYTES) -> None:

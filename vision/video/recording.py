@@ -17,8 +17,8 @@ from vision.video.source import Block, FrameClock, Reader
 class Recording:
     """A `Video`: see `vision.video.source.Video` for what each member means.
 
-    rotate: degrees clockwise, a multiple of 90.  first, stop: frame numbers kept, half-open; stop None is the end.
-    given_fps, given_times_s: the camera's clock as the user states it, which outranks the file's.
+    rotate: degrees clockwise, a multiple of 90.  first, stop: frame numbers kept, half-open; stop None is
+    the end. given_fps, given_times_s: the camera's clock as the user states it, which outranks the file's.
     """
 
     path: Path
@@ -87,7 +87,7 @@ class Recording:
         return np.full(frames.shape, np.nan) if fps is None else frames / fps
 
     def blocks(self, rows: slice | None = None, columns: slice | None = None) -> Iterator[Block]:
-        """One sequential pass, rows and columns cut after rotation. InputError for a cut outside the frame."""
+        """One sequential pass, cut after rotation. InputError for a cut outside the frame."""
         height, width = self.shape
         r = cut(rows, height, what=f"{self.path}: rows")
         c = cut(columns, width, what=f"{self.path}: columns")
@@ -104,7 +104,7 @@ class Recording:
                     yield pixels
 
     def sample(self, count: int) -> Iterator[NDArray[np.generic]]:
-        """Up to `count` readable whole frames spread over the recording; its first ones where it has no length."""
+        """Up to `count` readable whole frames over the recording; its first ones if its length is unknown."""
         last = self.reader.facts.promised or self.reader.facts.about or self.first + count
         last = last if self.stop is None else min(last, self.stop)
         numbers = np.unique(
@@ -147,7 +147,7 @@ def _mirror(span: slice, size: int) -> slice:
 
 
 def _median_rate(times_s: NDArray[np.float64]) -> float | None:
-    """Frames per second from the median interval; None for fewer than two times or a clock that stands still."""
+    """Frames per second from the median interval; None for fewer than two times or a still clock."""
     if times_s.size < 2:
         return None
     step = float(np.nanmedian(np.diff(times_s)))

@@ -1,4 +1,4 @@
-"""Video: what every recording offers, whatever the container; Reader: what one container's code must supply."""
+"""Video: what every recording offers; Reader: what the code for one container must supply."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Block:
 class FrameClock:
     """Where frame times come from.
 
-    kind: "file" (time stamps of the recording itself), "given" (--fps or --timestamps) or "playback" (a container's
-    rate, which need not be the camera's; None fps where the container has none).
+    kind: "file" (time stamps of the recording itself), "given" (--fps or --timestamps) or "playback" (a
+    container's rate, which need not be the camera's; None fps where the container has none).
     """
 
     kind: Literal["file", "given", "playback"]
@@ -45,10 +45,11 @@ class FrameClock:
 class Facts:
     """What a reader knows of its file before any pixel is decoded, in the file's own orientation.
 
-    shape: (rows, columns).  depth_bits: significant bits; 32 for float.  saturation_level: the value of a saturated pixel,
-    None for float.  promised: frames the file says it holds, None without a promise.  about: a guess at their number
-    where none is promised.  times_s: the recording's own time of each frame, where it keeps any.  stamped: own
-    times come with the blocks instead.  warnings: what the user must be told.  notes: how pixels are read.
+    shape: (rows, columns).  depth_bits: significant bits; 32 for float.  saturation_level: the value of a
+    saturated pixel, None for float.  promised: frames the file says it holds, None without a promise.
+    about: a guess at their number where none is promised.  times_s: the recording's own time of each frame,
+    where it keeps any.  stamped: own times come with the blocks instead.  warnings: what the user must be
+    told.  notes: how pixels are read.
     """
 
     shape: tuple[int, int]
@@ -74,16 +75,17 @@ class Reader(Protocol):
         ...
 
     def sample(self, numbers: Sequence[int]) -> Iterator[NDArray[np.generic]]:
-        """Whole readable frames at or near these numbers; fewer where the file cannot be entered in its middle."""
+        """Whole readable frames at or near these numbers; fewer where the file allows no jump."""
         ...
 
 
 class Video(Protocol):
     """A recording, opened: facts at once, pixels in one sequential pass.
 
-    shape: (rows, columns) after rotation.  depth_bits: significant bits per pixel.  saturation_level: the value of a
-    saturated pixel, None for float.  expected: frames the file promises (after --frames), None where it makes
-    no promise.  warnings: what is wrong with the file as far as its headers tell.  Nothing here loads the whole file.
+    shape: (rows, columns) after rotation.  depth_bits: significant bits per pixel.  saturation_level: the
+    value of a saturated pixel, None for float.  expected: frames the file promises (after --frames), None
+    where it makes no promise.  warnings: what is wrong with the file as far as its headers tell.  Nothing
+    here loads the whole file.
     """
 
     @property

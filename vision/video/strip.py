@@ -32,11 +32,13 @@ def strip_profile(
 ) -> xr.DataArray:
     """I(x, t): the mean over the strip's rows, for every frame of the recording.
 
-    Args: rows and columns, half-open, in pixels after rotation; no rows: the whole height.  progress is called with
-    (frames done, frames expected or None) after every block.  spill_bytes: a larger I(x, t) lives in a temporary file.
-    Returns: float32 "intensity" (frame, x) in grey levels. Coordinates: frame (number in the file), x (column), time_s and
-    status on frame: "ok", "blank" (nothing to see), "corrupt" (could not be decoded), "lost" (recorded nowhere); rows of
-    frames that are not "ok" are NaN. Frame counts, clock, strip and warnings are in the attributes.
+    Args: rows and columns, half-open, in pixels after rotation; no rows: the whole height.  progress is
+    called with (frames done, frames expected or None) after every block.  spill_bytes: a larger I(x, t)
+    lives in a temporary file.
+    Returns: float32 "intensity" (frame, x) in grey levels. Coordinates: frame (number in the file), x
+    (column), time_s and status on frame: "ok", "blank" (nothing to see), "corrupt" (could not be decoded),
+    "lost" (recorded nowhere); rows of frames that are not "ok" are NaN. Frame counts, clock, strip and
+    warnings are in the attributes.
     Raises: InputError for rows or columns outside the frame, or when no frame can be used.
     """
     import xarray as xr
@@ -69,7 +71,7 @@ def strip_profile(
 
 
 def reference_frame(video: Video) -> NDArray[np.generic]:
-    """The first readable frame that is not constant, whole, after rotation. InputError where there is none."""
+    """The first readable frame that is not constant, whole, after rotation. InputError for none."""
     for pixels in video.frames():
         if pixels.min() < pixels.max():
             return pixels
@@ -102,12 +104,13 @@ def _reduce(
 def row_means(pixels: NDArray[np.generic]) -> NDArray[np.float32]:
     """Mean over the rows of each frame, (k, rows, columns) to (k, columns).
 
-    Integers are summed exactly, in the narrowest type that cannot overflow, which is three times as fast for 8 bits.
+    Integers are summed exactly, in the narrowest type that cannot overflow, which is three times as fast
+    for 8 bits.
     """
     rows = pixels.shape[1]
     if pixels.dtype.kind == "f":
         return np.asarray(pixels.mean(axis=1, dtype=np.float64), np.float32)
-    top = rows * int(np.iinfo(pixels.dtype).max)
+    top = rows * ((1 << 8 * pixels.dtype.itemsize) - 1)
     wide = np.uint16 if top < 1 << 16 else np.uint32 if top < 1 << 32 else np.uint64
     return np.asarray(np.add.reduce(pixels, axis=1, dtype=wide) / rows, np.float32)
 

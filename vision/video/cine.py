@@ -1,0 +1,161 @@
+"""Phantom .cine: true bit depth and frame times from its header; pixels mapped or, if packed, decoded."""
+
+from __future__ import annotations
+
+import dataclasses
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision.errors import InputError
+from vision.video.mapped import MappedReader
+from vision.video.source import Block, Facts, Reader
+
+_FILE = struct.Struct("<2sHHHiIiIIII8x")
+_BITMAP = struct.Struct("<IiiHHIIiiII")
+_REAL_BITS_AT = 896  # place of RealBPP in the SETUP block
+_TIME_ONLY = 1002  # tag of the block with one 64-bit time per frame, in 2**-32 s
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What the file's first blocks say; offsets are those of frames wholly inside the file."""
+
+    width: int
+    height: int
+    stored_bits: int
+    compression: int
+    real_bits: int
+    promised: int
+    offsets: NDArray[np.int64]
+    times_s: NDArray[np.float64] | None
+
+
+@dataclass(frozen=True)
+class PackedCineReader:
+    """A `Reader` of packed cine frames: decoded by FFmpeg, which widens to 16 bits; narrowed back here."""
+
+    reader: Reader
+    facts: Facts
+
+    @property
+    def _shift(self) -> int:
+        return self.reader.facts.depth_bits - self.facts.depth_bits
+
+    def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
+        """Blocks of the decoder, in the camera's own grey levels."""
+        for block in self.reader.read(start, stop, rows, columns):
+            yield dataclasses.replace(block, pixels=np.right_shift(block.pixels, self._shift))
+
+    def sample(self, numbers: Sequence[int]) -> Iterator[NDArray[np.generic]]:
+        """Whole frames near these numbers, in the camera's own grey levels."""
+        yield from (np.right_shift(pixels, self._shift) for pixels in self.reader.sample(numbers))
+
+
+def is_cine(path: Path) -> bool:
+    """True for a file that starts like a cine."""
+    with path.open("rb") as file:
+        return file.read(4) == b"CI\x2c\x00"
+
+
+def open_cine(path: Path) -> Reader:
+    """A reader with the file's own times (seconds from its first frame).
+
+    Packed frames (10 bits) come as stored: the camera compands them, so they are not linear in light.
+    Source: Vision Research, Cine File Format.  Raises: InputError for a damaged header or no whole frame.
+    """
+    header = _header(path)
+    if not header.offsets.size:
+        raise InputError(
+            path, "at least one whole frame", "none", "the recording was cut short; copy it again"
+        )
+    if header.compression == 0 and header.stored_bits in (8, 16, 24):
+        return _mapped(path, header)
+    from vision.video.encoded import EncodedReader
+
+    decoded = EncodedReader(path)
+    note = {"grey": f"{header.real_bits} bit as stored, companded by the camera, not linear in light"}
+    return PackedCineReader(decoded, _facts(header, note | {"codec": "packed"}))
+
+
+def _mapped(path: Path, header: _Header) -> MappedReader:
+    with path.open("rb") as file:  # each frame starts with the length of its annotation
+        starts = [offset + _number(file.seek(offset) and file.read(4)) for offset in header.offsets.tolist()]
+    size = abs(header.height) * header.width * header.stored_bits // 8
+    inside = np.array(starts, np.int64)
+    inside = inside[inside + size <= path.stat().st_size]
+    return MappedReader(
+        path=path,
+        facts=_facts(header, {"grey": "values as stored", "codec": "uncompressed"}),
+        offsets=inside,
+        row_bytes=header.width * header.stored_bits // 8,
+        dtype=np.dtype("<u2" if header.stored_bits == 16 else "u1"),
+        channels=3 if header.stored_bits == 24 else 1,
+        blue_first=True,
+        bottom_up=header.height > 0,
+    )
+
+
+def _number(four_bytes: bytes | int) -> int:
+    return int.from_bytes(four_bytes, "little") if isinstance(four_bytes, bytes) else 0
+
+
+def _facts(header: _Header, notes: dict[str, str]) -> Facts:
+    return Facts(
+        shape=(abs(header.height), header.width),
+        depth_bits=header.real_bits,
+        saturation_level=float((1 << header.real_bits) - 1),
+        promised=header.promised,
+        times_s=header.times_s,
+        notes={"container": "cine", "pixel_format": f"{header.real_bits} bit", **notes},
+    )
+
+
+def _header(path: Path) -> _Header:
+    data = path.read_bytes() if path.stat().st_size < 1 << 20 else _head(path)
+    try:
+        _, _, _, _, _, _, _, count, bitmap_at, setup_at, images_at = _FILE.unpack_from(data)
+        _, width, height, _, bits, compression, *_ = _BITMAP.unpack_from(data, bitmap_at)
+        real = struct.unpack_from("<I", data, setup_at + _REAL_BITS_AT)[0]
+        whole = min(count, (len(data) - images_at) // 8)
+        offsets = np.frombuffer(data, "<i8", whole, images_at).astype(np.int64)
+        times_s = _times(data, setup_at, images_at, count)
+    except (struct.error, ValueError):
+        raise InputError(path, "a whole cine header", "a file cut short inside it", "copy it again") from None
+    deep = bits if compression == 0 else 10
+    return _Header(
+        width=width,
+        height=height,
+        stored_bits=bits,
+        compression=compression,
+        real_bits=real if 0 < real <= 16 else min(deep, 16),
+        promised=count,
+        offsets=offsets[offsets < path.stat().st_size],
+        times_s=times_s,
+    )
+
+
+def _head(path: Path) -> bytes:
+    """Everything before the first frame."""
+    with path.open("rb") as file:
+        _, _, _, _, _, _, _, count, _, _, images_at = _FILE.unpack(file.read(_FILE.size))
+        file.seek(0)
+        return file.read(images_at + 8 * count)
+
+
+def _times(data: bytes, setup_at: int, images_at: int, count: int) -> NDArray[np.float64] | None:
+    """Seconds of each frame after the first, from the tagged blocks behind SETUP; None without any."""
+    at = setup_at + struct.unpack_from("<H", data, setup_at + 142)[0]
+    while at + 8 <= images_at:
+        length, kind, _ = struct.unpack_from("<IHH", data, at)
+        if kind == _TIME_ONLY and length >= 8 + 8 * count:
+            ticks = np.frombuffer(data, "<u8", count, at + 8)
+            return np.asarray((ticks - ticks[0]).astype(np.int64) / 2.0**32, np.float64)
+        if length < 8:
+            return None
+        at += length
+    return None
