@@ -18,6 +18,7 @@ from vision.video.source import Block, Facts, Reader
 _FILE = struct.Struct("<2sHHHiIiIIII8x")
 _BITMAP = struct.Struct("<IiiHHIIiiII")
 _REAL_BITS_AT = 896  # place of RealBPP in the SETUP block
+_ABSURD = 100  # times the length of the whole recording between two frames
 _TIME_ONLY = 1002  # tag of the block with one 64-bit time per frame, in 2**-32 s
 
 
@@ -154,8 +155,18 @@ def _times(data: bytes, setup_at: int, images_at: int, count: int) -> NDArray[np
         length, kind, _ = struct.unpack_from("<IHH", data, at)
         if kind == _TIME_ONLY and length >= 8 + 8 * count:
             ticks = np.frombuffer(data, "<u8", count, at + 8)
-            return np.asarray((ticks - ticks[0]).astype(np.int64) / 2.0**32, np.float64)
+            return _plausible(np.asarray((ticks - ticks[0]).astype(np.int64) / 2.0**32, np.float64))
         if length < 8:
             return None
         at += length
     return None
+
+
+def _plausible(times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Times with the usual step in place of absurd leaps, as written for a frame that is none."""
+    steps = np.diff(times_s)
+    if not steps.size:
+        return times_s
+    usual = float(np.median(steps))
+    absurd = np.abs(steps) > _ABSURD * usual * times_s.size
+    return np.concatenate([times_s[:1], times_s[0] + np.cumsum(np.where(absurd, usual, steps))])

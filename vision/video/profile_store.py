@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,6 @@ class ProfileStore:
     def __init__(self, columns: int, *, expected: int | None, spill_bytes: int = SPILL_BYTES) -> None:
         self._columns = columns
         self._spill_bytes = spill_bytes
-        self._file: IO[bytes] | None = None
         self._used = 0
         self._rows = self._room(max(1, expected or 1024))
 
@@ -38,16 +36,16 @@ class ProfileStore:
         return self._rows[: self._used]
 
     def _grow(self, capacity: int) -> None:
-        old, in_file = self.rows(), self._file is not None
+        old = self.rows()
         self._rows = self._room(capacity)
-        if not in_file:
-            self._rows[: self._used] = old
+        self._rows[: self._used] = old
 
     def _room(self, capacity: int) -> NDArray[np.float32]:
         size = capacity * self._columns * 4
-        if size <= self._spill_bytes and self._file is None:
+        if size <= self._spill_bytes:
             return np.empty((capacity, self._columns), np.float32)
-        if self._file is None:
-            self._file = tempfile.TemporaryFile(prefix="sheetvision-")  # noqa: SIM115  # the array keeps it alive
-        self._file.truncate(size)
-        return np.memmap(self._file, np.float32, "r+", shape=(capacity, self._columns))
+        with tempfile.TemporaryFile(
+            prefix="sheetvision-"
+        ) as file:  # the mapping keeps it until it is dropped
+            file.truncate(size)
+            return np.memmap(file, np.float32, "r+", shape=(capacity, self._columns))

@@ -18,7 +18,7 @@ from vision.video.batching import Shot, in_blocks
 from vision.video.grey import LUMA_RULE, luma
 from vision.video.mapped import MappedReader
 from vision.video.source import Block, Facts, Reader
-from vision.video.stack_facts import own_times, promised_frames
+from vision.video.stack_facts import is_cut_short, own_times, promised_frames
 
 if TYPE_CHECKING:
     import tifffile
@@ -94,6 +94,7 @@ class CompressedStackReader:
         import tifffile
 
         with tifffile.TiffFile(self.path) as tif, ThreadPoolExecutor(os.cpu_count()) as pool:
+            tif.filehandle.set_lock(True)  # the threads share one file
             wanted = iter(numbers)
             pages = tif.series[0].pages
             while batch := [pages[n] for n in itertools.islice(wanted, _AHEAD)]:
@@ -191,6 +192,7 @@ def _facts(tif: tifffile.TiffFile, shape: tuple[int, int], held: int, path: Path
         saturation_level=None if is_float else float((1 << bits) - 1),
         promised=promised,
         times_s=own_times(tif, promised),
+        warnings=(f"{path.name}: the file was cut short; more pages were to follow",) * is_cut_short(tif),
         notes={
             "container": "tiff",
             "codec": first.compression.name.lower() if hasattr(first.compression, "name") else "uncompressed",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import struct
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +28,16 @@ def promised_frames(tif: tifffile.TiffFile) -> int:
         colour = 1 if tif.pages.first.samplesperpixel > 1 else 0
         return math.prod(shape[: len(shape) - 2 - colour])
     return 0
+
+
+def is_cut_short(tif: tifffile.TiffFile) -> bool:
+    """True where the last page that can be reached names a following one."""
+    last, form, file = tif.pages[-1], tif.tiff, tif.filehandle
+    file.seek(last.offset)
+    tags = int(struct.unpack(form.tagnoformat, file.read(form.tagnosize))[0])
+    file.seek(last.offset + form.tagnosize + tags * form.tagsize)
+    following = file.read(form.offsetsize)
+    return len(following) < form.offsetsize or any(following)
 
 
 def own_times(tif: tifffile.TiffFile, frames: int) -> NDArray[np.float64] | None:

@@ -1,0 +1,218 @@
+import struct
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from film import comb, states, whole, write_avi, write_encoded
+
+from vision.errors import InputError
+from vision.video import open_video, strip_profile
+from vision.video.encoded import EncodedReader
+from vision.video.mjpeg import MjpegReader
+
+DATA = Path(__file__).parents[2] / "../shared/data"
+needs_data = pytest.mark.skipif(not DATA.exists(), reason="real recordings are not here")
+
+
+@pytest.mark.parametrize(
+    ("pix_fmt", "bits", "name"),
+    [("gray", 8, "a.avi"), ("gray10le", 10, "a.mkv"), ("gray12le", 12, "a.mkv"), ("gray16le", 16, "a.avi")],
+)
+def test_ffv1_is_lossless_at_every_depth(tmp_path, pix_fmt, bits, name):
+    """Failure: an archive format loses depth or is scaled on the way in."""
+    frames = comb(rows=32, columns=64, top=(1 << bits) - 1, dtype=np.uint8 if bits == 8 else np.uint16)
+    path = write_encoded(
+        tmp_path / name, frames, codec="ffv1", pix_fmt=pix_fmt, source=pix_fmt, options={"g": "1"}
+    )
+    video = open_video(path)
+    assert np.array_equal(whole(video), frames)
+    assert video.depth_bits == bits
+    assert len(list(video.sample(3))) >= 2
+
+
+def test_rgb_video_follows_the_luma_rule(tmp_path):
+    """Failure: colour recordings become grey by another rule than the one stated."""
+    rng = np.random.default_rng(2)
+    colour = rng.integers(0, 256, (3, 16, 32, 3), dtype=np.uint8)
+    path = write_encoded(tmp_path / "a.mkv", colour, codec="ffv1", pix_fmt="bgr0", source="rgb24")
+    assert np.abs(whole(open_video(path)) - colour @ [0.299, 0.587, 0.114]).max() <= 0.51
+
+
+def test_h264_gives_the_luma_plane(tmp_path):
+    """Failure: limited-range luma is stretched without notice, or B frames come out of order."""
+    frames = comb(count=30, rows=64, columns=96, top=200)
+    options = {"qp": "0", "preset": "ultrafast", "bf": "2"}
+    path = write_encoded(
+        tmp_path / "a.mp4", frames, codec="libx264", pix_fmt="yuv420p", source="gray", options=options
+    )
+    with av.open(str(path)) as file:
+        planes = [np.asarray(memoryview(f.planes[0])) for f in file.decode(video=0)]
+        width = 96
+        truth = np.stack([p.reshape(-1)[: 64 * (p.size // 64)].reshape(64, -1)[:, :width] for p in planes])
+    video = open_video(path)
+    assert np.array_equal(whole(video), truth)
+    assert "limited range" in video.notes["grey"]
+    assert (video.expected, video.clock.kind) == (30, "playback")
+    # still the comb that went in, scaled to 16..235
+    assert np.abs(whole(video).astype(float) - (16 + frames.astype(float) * 219 / 255)).max() <= 2
+
+
+def mjpeg(path, count=12, **size):
+    frames = comb(count=count, rows=48, columns=96, **size)
+    return write_encoded(
+        path, frames, codec="mjpeg", pix_fmt="yuvj420p", source="gray", options={"qscale": "2"}
+    )
+
+
+def test_fast_mjpeg_equals_ffmpeg_but_for_rounding(tmp_path):
+    """Failure: the quick decoder is not the same measurement as the reference decoder."""
+    path = mjpeg(tmp_path / "a.avi")
+    video = open_video(path)
+    assert isinstance(video.reader, MjpegReader)
+    full = slice(0, 48), slice(0, 96)
+    slow = np.concatenate([b.pixels for b in EncodedReader(path).read(0, None, *full)])
+    assert np.abs(whole(video).astype(int) - slow).max() <= 1
+    assert np.mean(whole(video) != slow) < 0.05
+
+
+def test_damaged_mjpeg_frame_is_flagged_and_counted(tmp_path):
+    """Failure: a torn frame is tracked, or dropping it shifts every later time stamp."""
+    path = mjpeg(tmp_path / "a.avi")
+    clean = strip_profile(open_video(path), slice(0, 48))
+    data = bytearray(path.read_bytes())
+    starts = [n for n in range(len(data) - 3) if data[n : n + 3] == b"\xff\xd8\xff"]
+    middle = (starts[5] + starts[6]) // 2
+    data[middle : middle + 200] = b"\xff\xd9" + bytes(198)
+    path.write_bytes(data)
+    strip = strip_profile(open_video(path), slice(0, 48))
+    assert strip.status.values.tolist() == ["ok"] * 5 + ["corrupt"] + ["ok"] * 6
+    assert np.isnan(strip[5]).all()
+    assert np.array_equal(strip[6:], clean[6:])
+    assert (strip.frames_read, strip.frames_corrupt) == (11, 1)
+    assert "corrupt" in strip.warnings
+
+
+def test_damaged_ffv1_frame_is_flagged_and_counted(tmp_path):
+    """Failure: frames behind a damaged one move up by one number."""
+    frames = comb(count=10, rows=32, columns=64)
+    options = {"slicecrc": "1", "level": "3", "g": "1"}
+    path = write_encoded(
+        tmp_path / "a.avi", frames, codec="ffv1", pix_fmt="gray", source="gray", options=options
+    )
+    data = bytearray(path.read_bytes())
+    at, places = data.index(b"movi") + 4, []
+    while data[at : at + 4] == b"00dc":
+        length = struct.unpack_from("<I", data, at + 4)[0]
+        places.append((at + 8, length))
+        at += 8 + length + length % 2
+    start, length = places[4]
+    data[start : start + length] = bytes(255 - b for b in data[start : start + length])
+    path.write_bytes(data)
+    video = open_video(path)
+    assert states(video) == ["ok"] * 4 + ["corrupt"] + ["ok"] * 5
+    assert np.array_equal(whole(video)[5:], frames[5:])
+
+
+def test_truncated_mjpeg_gives_what_it_holds(tmp_path):
+    """Failure: a recording cut by a full disk is refused or its missing end is not mentioned."""
+    path = mjpeg(tmp_path / "a.avi", count=20)
+    data = path.read_bytes()
+    twelfth = [n for n in range(len(data) - 3) if data[n : n + 3] == b"\xff\xd8\xff"][11]
+    path.write_bytes(data[: twelfth + 400])
+    strip = strip_profile(open_video(path), slice(0, 48))
+    assert (strip.frames_expected, strip.frames_read, strip.frames_lost) == (20, 11, 9)
+    assert "missing" in strip.warnings
+
+
+def test_matroska_times_are_its_own(tmp_path):
+    """Failure: a container that stamps every frame is treated as one with a playback rate only."""
+    path = write_encoded(
+        tmp_path / "a.mkv", comb(rows=32), codec="ffv1", pix_fmt="gray", source="gray", fps=30
+    )
+    strip = strip_profile(open_video(path), slice(0, 32))
+    assert strip.clock_kind == "file"
+    assert np.allclose(strip.time_s, np.arange(6) / 30, atol=6e-4)
+
+
+def test_skipped_frames_in_an_encoded_avi_are_lost(tmp_path):
+    """Failure: frames the camera dropped (empty chunks) shift all later times."""
+    path = mjpeg(tmp_path / "b.avi", count=8)
+    with av.open(str(path)) as file:
+        jpegs = [bytes(packet) for packet in file.demux(video=0) if packet.size]
+    raw = [np.frombuffer(j, np.uint8) for j in jpegs]
+    length = max(map(len, jpegs))
+    padded = np.stack([np.pad(j, (0, length - len(j))) for j in raw])[:, None, :]
+    out = write_avi(tmp_path / "a.avi", padded, fourcc=b"MJPG", bits=24, drop=(3,))
+    data = bytearray(out.read_bytes())  # the header's frame size is that of the picture, not of its bytes
+    data[data.index(b"strf") + 12 : data.index(b"strf") + 20] = struct.pack("<ii", 96, 48)
+    out.write_bytes(data)
+    assert states(open_video(out)) == ["ok"] * 3 + ["lost"] + ["ok"] * 4
+
+
+def test_changing_size_is_refused(tmp_path):
+    """Failure: frames of two sizes are averaged into one profile."""
+    one = mjpeg(tmp_path / "b.avi", count=3)
+    two = write_encoded(
+        tmp_path / "c.avi", comb(rows=32, columns=64), codec="mjpeg", pix_fmt="yuvj420p", source="gray"
+    )
+    jpegs = []
+    for path in (one, two):
+        with av.open(str(path)) as file:
+            jpegs += [bytes(packet) for packet in file.demux(video=0) if packet.size]
+    out = tmp_path / "a.mjpeg"
+    out.write_bytes(b"".join(jpegs))
+    with pytest.raises(InputError, match="every frame 96 x 48"):
+        strip_profile(open_video(out), slice(0, 32))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("a.avi", b"", "empty"),
+        ("a.avi", b"this is no video at all\n" * 50, "expected a video"),
+        ("notes.txt", b"this is no video at all\n" * 50, "expected a video"),
+        ("a.avi", bytes(range(256)) * 40, "expected a video"),
+        ("a.avi", b"RIFF\x10\0\0\0AVI LIST", "video stream"),
+        ("a.mp4", b"\0\0\0\x18ftypisom\0\0\2\0isomiso2\0\1\0\0mdat" + bytes(70000), "moov"),
+    ],
+)
+def test_files_that_are_no_video(tmp_path, name, content, says):
+    """Failure: a wrong file ends in a traceback instead of one line that helps."""
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=says) as caught:
+        open_video(path)
+    assert "\n" not in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_missing_file_and_unknown_codec(tmp_path):
+    """Failure: as above, for a mistyped name and for a codec nobody has."""
+    with pytest.raises(InputError, match="No such file"):
+        open_video(tmp_path / "nothing.avi")
+    path = write_avi(tmp_path / "a.avi", comb(), fourcc=b"QZQZ")
+    with pytest.raises(InputError):
+        open_video(path)
+
+
+@needs_data
+def test_released_markers():
+    """Failure: the benchmark recording is not read whole."""
+    strip = strip_profile(open_video(DATA / "released_markers.avi"), slice(0, 40))
+    assert strip.shape == (582, 1200)
+    assert (strip.frames_lost, strip.clock_kind, strip.fps) == (0, "playback", 20.0)
+    assert (strip.status == "ok").all()
+
+
+@needs_data
+def test_striped_beam():
+    """Failure: cine depth, times or the white last frame are got wrong."""
+    video = open_video(DATA / "striped_beam.cine", rotate=90)
+    assert (video.shape, video.depth_bits, video.expected) == ((256, 32), 10, 235)
+    strip = strip_profile(video, slice(0, 256))
+    assert strip.status.values.tolist() == ["ok"] * 234 + ["blank"]
+    assert float(strip.max()) <= 1023
+    assert strip.clock_kind == "file"
+    assert np.allclose(strip.time_s, np.arange(235) * 0.01, atol=1e-6)
+    assert len(list(video.sample(8))) >= 6

@@ -1,0 +1,147 @@
+import tracemalloc
+
+import numpy as np
+import pytest
+from film import comb, write_avi
+
+from vision.errors import InputError
+from vision.video import open_video, reference_frame, strip_profile
+from vision.video.blank import is_blank
+from vision.video.prefetch import prefetch
+from vision.video.profile_store import ProfileStore
+from vision.video.strip import row_means
+
+
+@pytest.mark.parametrize(("dtype", "top"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, 1e4)])
+@pytest.mark.parametrize("rows", [1, 84, 300])
+def test_row_means_are_exact(dtype, top, rows):
+    """Failure: sums overflow their type at some depth or height."""
+    pixels = np.random.default_rng(0).uniform(0.9 * top, top, (3, rows, 20)).astype(dtype)
+    assert np.allclose(row_means(pixels), pixels.mean(axis=1, dtype=np.float64), rtol=1e-6)
+
+
+def test_profile_coordinates(tmp_path):
+    """Failure: columns or frames are counted from the cut instead of from the file."""
+    frames = comb()
+    seen = []
+    video = open_video(write_avi(tmp_path / "a.avi", frames))
+    strip = strip_profile(video, slice(2, 9), columns=slice(10, 30), progress=lambda *n: seen.append(n))
+    assert strip.dims == ("frame", "x")
+    assert (strip.name, strip.dtype) == ("intensity", np.float32)
+    assert strip.x.values.tolist() == list(range(10, 30))
+    assert (strip.strip_z0, strip.strip_z1, strip.strip_how) == (2, 9, "given")
+    assert np.allclose(strip, frames[:, 2:9, 10:30].mean(axis=1), rtol=1e-6)
+    assert seen[-1] == (6, 6)
+
+
+def test_profile_can_be_saved(tmp_path):
+    """Failure: an attribute netCDF cannot hold breaks writing the run."""
+    strip = strip_profile(open_video(write_avi(tmp_path / "a.avi", comb())), slice(0, 12))
+    strip.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
+
+
+def test_spilled_profile_is_the_same(tmp_path):
+    """Failure: a long recording gives other values than a short one, or leaves files behind."""
+    path = write_avi(tmp_path / "a.avi", comb(count=700))
+    kept = strip_profile(open_video(path), slice(0, 12))
+    spilled = strip_profile(open_video(path), slice(0, 12), spill_bytes=1000)
+    assert np.array_equal(kept, spilled)
+
+
+@pytest.mark.parametrize("spill_bytes", [0, 1 << 30])
+@pytest.mark.parametrize("expected", [None, 3, 5000])
+def test_store_grows(expected, spill_bytes):
+    """Failure: rows are lost when a file holds more or fewer frames than promised."""
+    store = ProfileStore(4, expected=expected, spill_bytes=spill_bytes)
+    rows = np.arange(8000, dtype=np.float32).reshape(-1, 4)
+    for part in np.array_split(rows, 13):
+        store.append(part)
+    assert np.array_equal(store.rows(), rows)
+
+
+def test_memory_does_not_grow_with_the_video(tmp_path):
+    """Failure: frames are kept; a 100 GB recording would need 100 GB of memory."""
+    peaks = []
+    for count in (200, 2000):
+        path = write_avi(
+            tmp_path / "a.avi", np.tile(comb(count=10, rows=60, columns=100), (count // 10, 1, 1))
+        )
+        tracemalloc.start()
+        strip_profile(open_video(path), slice(10, 50))
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    profile_bytes = 1800 * 100 * 4
+    assert peaks[1] - peaks[0] < 4 * profile_bytes + (1 << 20)
+
+
+def profiles(count=40):
+    x = np.arange(400)
+    t = np.arange(count)[:, None]
+    rng = np.random.default_rng(5)
+    wave = 100 + 20 * np.cos(2 * np.pi * (x - 0.7 * t) / 20) + 0.02 * x
+    return (wave + rng.normal(0, 0.3, wave.shape)).astype(np.float32)
+
+
+def blanks(profile):
+    return np.flatnonzero(is_blank(profile, np.ones(len(profile), bool), saturation_level=255.0)).tolist()
+
+
+@pytest.mark.parametrize("level", [0.0, 4.0, 128.0, 250.0, 255.0])
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_empty_frames_are_blank(level, noise):
+    """Failure: a white, black or grey frame is tracked as sheets."""
+    profile = profiles()
+    profile[[7, 39]] = np.clip(level + np.random.default_rng(1).normal(0, noise, (2, 400)), 0, 255)
+    assert blanks(profile) == [7, 39]
+
+
+def test_dim_blurred_and_bright_frames_are_not_blank():
+    """Failure: flicker, a dimmed lamp or motion blur costs valid frames."""
+    profile = profiles()
+    profile[3] *= 0.25
+    profile[4] *= 1.4
+    profile[5] = 100 + 0.25 * (profile[5] - 100)
+    assert blanks(profile) == []
+
+
+def test_all_blank_is_bad_input(tmp_path):
+    """Failure: a recording with the lens cap on gives an empty run instead of a message."""
+    path = write_avi(tmp_path / "a.avi", np.full((5, 12, 50), 17, np.uint8))
+    with pytest.raises(InputError, match="shows something"):
+        strip_profile(open_video(path), slice(0, 12))
+    with pytest.raises(InputError, match="shows something"):
+        reference_frame(open_video(path))
+
+
+def test_reference_frame_skips_a_white_start(tmp_path):
+    """Failure: the overview picture is white."""
+    frames = comb()
+    frames[0] = 255
+    assert np.array_equal(reference_frame(open_video(write_avi(tmp_path / "a.avi", frames))), frames[1])
+
+
+def test_prefetch_keeps_order_errors_and_ends():
+    """Failure: blocks are swapped, an error in the reading thread is swallowed, or its thread never ends."""
+    assert list(prefetch(iter(range(50)))) == list(range(50))
+
+    def broken():
+        yield 1
+        raise InputError("a", "b", "c")
+
+    items = prefetch(broken())
+    assert next(items) == 1
+    with pytest.raises(InputError):
+        next(items)
+    closed = []
+
+    def endless():
+        try:
+            while True:
+                yield 0
+        finally:
+            closed.append(True)
+
+    items = prefetch(endless())
+    next(items)
+    items.close()
+    assert closed == [True]

@@ -1,0 +1,224 @@
+import struct
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from film import comb, states, whole
+
+from vision.errors import InputError
+from vision.video import open_video, strip_profile
+from vision.video.mapped import MappedReader
+
+PYLON = "Basler_acA1300-200um__21927848__20200309_175055809_{:04d}.{}"
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"bigtiff": True},
+        {"byteorder": ">"},
+        {"compression": "zlib"},
+        {"compression": "lzw", "predictor": True},
+        {"rowsperstrip": 3},
+        {"tile": (16, 16)},
+        {"ome": True},
+        {"imagej": True},
+        {"metadata": None},
+    ],
+)
+def test_tiff_is_read_exactly(tmp_path, dtype, options):
+    """Failure: some flavour of TIFF loses depth, byte order or pages."""
+    if options.get("predictor") and dtype == np.float32:
+        pytest.skip("another predictor")
+    frames = comb(top=4095 if dtype != np.uint8 else 255, dtype=dtype)
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, frames, photometric="minisblack", **options)
+    video = open_video(path)
+    assert np.array_equal(whole(video), frames)
+    assert video.expected == 6
+    assert next(video.blocks()).pixels.dtype.isnative
+    assert np.array_equal(np.stack(list(video.sample(3)))[-1], frames[-1])
+    if "compression" not in options and "tile" not in options:
+        assert isinstance(video.reader, MappedReader)
+
+
+def test_packed_12_bits(tmp_path):
+    """Failure: 12 bits packed in 12 are read as something else, or called 16 bits."""
+    frame = comb(count=1, top=4095, dtype=np.uint16)[0]
+    bits = np.unpackbits(frame.astype(">u2").view(np.uint8)).reshape(*frame.shape, 16)[..., 4:]
+    data = np.packbits(bits.reshape(frame.shape[0], -1), axis=1).tobytes()
+    tags = [
+        (256, 50),
+        (257, 12),
+        (258, 12),
+        (259, 1),
+        (262, 1),
+        (273, 8),
+        (277, 1),
+        (278, 12),
+        (279, len(data)),
+    ]
+    ifd = struct.pack("<H", len(tags)) + b"".join(
+        struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags
+    )
+    (tmp_path / "a.tif").write_bytes(b"II*\0" + struct.pack("<I", 8 + len(data)) + data + ifd + bytes(4))
+    video = open_video(tmp_path / "a.tif")
+    assert video.depth_bits == 12
+    assert np.array_equal(whole(video)[0], frame)
+
+
+@pytest.mark.parametrize("options", [{}, {"compression": "zlib"}, {"planarconfig": "separate"}])
+def test_colour_tiff_follows_the_luma_rule(tmp_path, options):
+    """Failure: colour stacks become grey by another rule than the one stated, or as three frames."""
+    colour = np.random.default_rng(3).integers(0, 256, (4, 12, 20, 3), dtype=np.uint8)
+    data = np.moveaxis(colour, -1, 1) if options.get("planarconfig") else colour
+    tifffile.imwrite(tmp_path / "a.tif", data, photometric="rgb", **options)
+    video = open_video(tmp_path / "a.tif")
+    assert np.abs(whole(video) - colour @ [0.299, 0.587, 0.114]).max() <= 0.51
+
+
+def test_cut_imagej_stack_gives_what_it_holds(tmp_path):
+    """Failure: one page is read of a stack whose metadata promise many, and nobody is told."""
+    frames = comb(count=10, dtype=np.uint16, top=60000).astype(">u2")
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, frames, imagej=True, metadata={"finterval": 0.04})
+    data = path.read_bytes()
+    path.write_bytes(data[: data.index(frames[6].tobytes()[:40]) + 100])
+    strip = strip_profile(open_video(path), slice(0, 12))
+    assert (strip.frames_expected, strip.frames_read, strip.frames_lost) == (10, 6, 4)
+    assert np.allclose(strip, frames[:6].mean(axis=1), rtol=1e-6)
+    assert "4 are missing" in strip.warnings
+
+
+@pytest.mark.parametrize("options", [{}, {"compression": "zlib"}])
+def test_cut_multi_page_tiff(tmp_path, options):
+    """Failure: a stack cut by a full disk is refused, or read as if it were whole."""
+    frames = comb(count=10)
+    path = tmp_path / "a.tif"
+    with tifffile.TiffWriter(path) as out:
+        for frame in frames:
+            out.write(frame, contiguous=False, metadata=None, **options)
+    whole_file = path.read_bytes()
+    path.write_bytes(whole_file[: int(0.65 * len(whole_file))])
+    strip = strip_profile(open_video(path), slice(0, 12))
+    good = strip[(strip.status == "ok").values]
+    assert 4 <= good.sizes["frame"] <= 7
+    assert np.allclose(good, frames[: len(good)].mean(axis=1), rtol=1e-6)
+    assert strip.warnings != ""
+
+
+def test_times_of_stacks(tmp_path):
+    """Failure: ImageJ's and OME's frame interval is ignored, or taken in the wrong unit."""
+    tifffile.imwrite(tmp_path / "ij.tif", comb(), imagej=True, metadata={"finterval": 0.04, "axes": "TYX"})
+    ome = {"axes": "TYX", "TimeIncrement": 40.0, "TimeIncrementUnit": "ms"}
+    tifffile.imwrite(tmp_path / "a.ome.tif", comb(), metadata=ome)
+    tifffile.imwrite(tmp_path / "none.tif", comb())
+    for name in ("ij.tif", "a.ome.tif"):
+        video = open_video(tmp_path / name)
+        assert video.clock.kind == "file"
+        assert np.allclose(strip_profile(video, slice(0, 12)).time_s, np.arange(6) * 0.04)
+    strip = strip_profile(open_video(tmp_path / "none.tif"), slice(0, 12))
+    assert strip.clock_kind == "playback"
+    assert np.isnan(strip.time_s).all()
+
+
+def test_nan_in_float_frames(tmp_path):
+    """Failure: NaN spreads into positions; it must cost that frame only where it is inside the strip."""
+    frames = comb(dtype=np.float32)
+    frames[2, 5, 7] = np.nan
+    tifffile.imwrite(tmp_path / "a.tif", frames)
+    inside = strip_profile(open_video(tmp_path / "a.tif"), slice(4, 8))
+    assert inside.status.values.tolist() == ["ok", "ok", "corrupt", "ok", "ok", "ok"]
+    outside = strip_profile(open_video(tmp_path / "a.tif"), slice(6, 12))
+    assert (outside.status == "ok").all()
+    tifffile.imwrite(tmp_path / "b.tif", np.full_like(frames, np.nan))
+    with pytest.raises(InputError, match="shows something"):
+        strip_profile(open_video(tmp_path / "b.tif"), slice(0, 12))
+
+
+def test_ambiguous_and_damaged_tiffs_are_refused(tmp_path):
+    """Failure: channels are read as frames, or a torn header ends in a traceback."""
+    tifffile.imwrite(tmp_path / "a.tif", comb().reshape(3, 2, 12, 50), imagej=True, metadata={"axes": "TCYX"})
+    with pytest.raises(InputError, match="one dimension"):
+        open_video(tmp_path / "a.tif")
+    (tmp_path / "b.tif").write_bytes((tmp_path / "a.tif").read_bytes()[:60])
+    (tmp_path / "c.tif").write_bytes(b"II*\0\x08\0\0\0")
+    tifffile.imwrite(tmp_path / "d.tif", comb().astype(np.int16))
+    for name in ("b.tif", "c.tif", "d.tif"):
+        with pytest.raises(InputError):
+            open_video(tmp_path / name)
+
+
+def write_images(folder, frames, suffix="png", numbers=None):
+    folder.mkdir(exist_ok=True)
+    for number, frame in zip(numbers or range(1, len(frames) + 1), frames, strict=True):
+        file = folder / PYLON.format(number, suffix)
+        (tifffile.imwrite if suffix.startswith("tif") else cv2.imwrite)(str(file), frame)
+    return folder
+
+
+@pytest.mark.parametrize("suffix", ["png", "tiff", "bmp"])
+@pytest.mark.parametrize("pattern", [False, True])
+def test_image_sequences_are_read_exactly(tmp_path, suffix, pattern):
+    """Failure: images come in the order 1, 10, 2, or lose depth."""
+    frames = comb(
+        count=12, top=255 if suffix == "bmp" else 60000, dtype=np.uint8 if suffix == "bmp" else np.uint16
+    )
+    folder = write_images(tmp_path / "f", frames, suffix, [*range(9995, 10007)])
+    (folder / "settings.txt").write_text("exposure 3 ms")
+    video = open_video(folder / f"*.{suffix}" if pattern else folder)
+    assert np.array_equal(whole(video), frames)
+
+
+def test_gaps_and_bad_images(tmp_path):
+    """Failure: a missing file moves all later frames up in time, or an unreadable one stops the run."""
+    frames = comb(count=7)
+    folder = write_images(tmp_path / "f", frames, numbers=[3, 4, 7, 8, 9, 10, 11])
+    (folder / PYLON.format(8, "png")).write_bytes(b"")
+    strip = strip_profile(open_video(folder, fps=50), slice(0, 12))
+    assert strip.status.values.tolist() == ["ok", "ok", "lost", "lost", "ok", "corrupt", "ok", "ok", "ok"]
+    assert np.allclose(strip.time_s, np.arange(9) / 50)
+    assert np.array_equal(strip[6], frames[4].mean(axis=0).astype(np.float32))
+    assert (strip.frames_expected, strip.frames_read, strip.frames_lost) == (9, 6, 3)
+
+
+def test_numbers_that_are_no_frame_count(tmp_path):
+    """Failure: names made of clock times promise millions of lost frames."""
+    folder = write_images(
+        tmp_path / "f", comb(), numbers=[20200101, 20200357, 20210001, 20210777, 20230000, 20240000]
+    )
+    video = open_video(folder)
+    assert states(video) == ["ok"] * 6
+    assert "only their order" in video.warnings[0]
+
+
+def test_every_tenth_image(tmp_path):
+    """Failure: a thinned series reads as nine lost frames in ten."""
+    video = open_video(write_images(tmp_path / "f", comb(count=12), numbers=[*range(0, 120, 10)]))
+    assert states(video) == ["ok"] * 12
+    assert "steps of 10" in video.warnings[0]
+
+
+def test_mixed_folders_are_refused(tmp_path):
+    """Failure: two recordings in one folder are woven into one."""
+    folder = write_images(tmp_path / "f", comb())
+    cv2.imwrite(str(folder / "other_0003.png"), comb()[0])
+    with pytest.raises(InputError, match="one image per frame number"):
+        open_video(folder)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="numbered images"):
+        open_video(tmp_path / "empty")
+    write_images(tmp_path / "g", comb())
+    cv2.imwrite(str(tmp_path / "g" / PYLON.format(9, "png")), comb(rows=20)[0])
+    with pytest.raises(InputError, match="50 x 12"):
+        strip_profile(open_video(tmp_path / "g"), slice(0, 12))
+
+
+def test_jpeg_images(tmp_path):
+    """Failure: JPEG series cannot be read, or far from what went in."""
+    frames = comb(rows=32, columns=64)
+    video = open_video(write_images(tmp_path / "f", frames, "jpg"))
+    assert np.abs(whole(video).astype(int) - frames).mean() < 2
