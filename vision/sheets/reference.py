@@ -1,0 +1,160 @@
+"""Which of all candidates are the sheets: the comb that the whole recording agrees on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision.errors import InputError
+from vision.sheets.alignment import MISSING_COST, Candidates, Reference, align
+from vision.sheets.choice import choose_sheets
+from vision.sheets.comb import Comb
+from vision.sheets.segments import Segments
+
+Doubles = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+ROUNDS = 4
+SEGMENTS_ASKED = 384  # the longest, and others spread over the recording
+PRESENT_INSIDE = 0.3  # share of the frames in which a candidate between sheets must be there to be a sheet
+PRESENT_AT_EDGE = 0.04  # and one that may have come in or gone out at the edge of the comb
+
+
+@dataclass(frozen=True)
+class Model:
+    """The comb of sheets: rest positions in one common frame of reference, log contrast, share of frames found."""
+
+    x_px: Doubles
+    log_contrast: Doubles
+    found: Doubles
+    dropped: int
+
+    @property
+    def sheets(self) -> int:
+        """Number of sheets."""
+        return len(self.x_px)
+
+    def only(self, kept: Ints) -> Model:
+        """The comb of these entries."""
+        fewer = self.dropped + self.sheets - len(kept)
+        return Model(self.x_px[kept], self.log_contrast[kept], self.found[kept], fewer)
+
+    def reference(self, x_px: Doubles, comb: Comb, width_px: int) -> Reference:
+        """This comb expected at x_px (lists, N)."""
+        seldom = np.clip(-np.log(np.clip(1 - self.found, 1e-3, 1)), 1.0, MISSING_COST)
+        half = comb.fwhm_px / 2
+        return Reference(x_px, self.log_contrast, seldom, comb.pitch_px, (half, width_px - 1 - half))
+
+
+def build_model(segments: Segments, comb: Comb, *, width_px: int, sheets: int | None, source: str) -> Model:
+    """The comb that most frames agree on, from the longest undisturbed segment outwards.
+
+    All candidates of a seed segment are taken for sheets; segments from the whole recording are aligned with it;
+    candidates that many frames show and the comb lacks are added, and those that few show are dropped; then what is
+    too near to a brighter neighbour for the spacing of the comb, or lies far outside it, is dropped as dust. With
+    `sheets` given, the most convincing such comb of that many.
+
+    Raises: InputError where there is no candidate at all, or fewer ridges than `sheets`.
+    """
+    chosen = _representative(segments)
+    candidates, weight = segments.candidates.take(chosen), segments.length[chosen].astype(np.float64)
+    if not np.isfinite(candidates.x_px).any():
+        raise InputError(source, "upright ridges", "none in any frame", "check --strip, --rotate and --ridges")
+    model = _seed(segments)
+    for _ in range(ROUNDS):
+        grown = _revise(model, candidates, weight, comb, width_px)
+        settled = grown.sheets == model.sheets
+        model = grown
+        if settled:
+            break
+    if sheets is not None and model.sheets < sheets:
+        raise InputError(source, f"{sheets} ridges (--sheets)", f"{model.sheets}", "give the number that is in view")
+    return model.only(choose_sheets(model.x_px, model.log_contrast, model.found, comb.pitch_px, sheets))
+
+
+def _representative(segments: Segments) -> Ints:
+    order = np.argsort(-segments.length, kind="stable")
+    spread = np.linspace(0, len(order) - 1, SEGMENTS_ASKED // 2).astype(int)
+    return np.asarray(np.unique(np.r_[order[: SEGMENTS_ASKED // 2], spread]), np.int64)
+
+
+def _seed(segments: Segments) -> Model:
+    """The longest segment of the commonest count (counted in frames)."""
+    x = segments.candidates.x_px
+    count = np.isfinite(x).sum(axis=1)
+    frames = np.bincount(count, weights=segments.length)
+    frames[0] = 0
+    of_count = np.flatnonzero(count == np.argmax(frames))
+    seed = of_count[np.argmax(segments.length[of_count])]
+    real = np.isfinite(x[seed])
+    return Model(x[seed][real], segments.candidates.log_contrast[seed][real], np.ones(real.sum()), 0)
+
+
+def _revise(model: Model, candidates: Candidates, weight: Doubles, comb: Comb, width_px: int) -> Model:
+    """Add what many segments show and the comb lacks, drop what few show; positions and contrasts anew."""
+    rest = np.broadcast_to(model.x_px, (len(weight), model.sheets))
+    match = align(candidates, model.reference(rest, comb, width_px)).match
+    x, log_contrast = (_of_match(values, match) for values in (candidates.x_px, candidates.log_contrast))
+    moved = x - model.x_px
+    found = np.where(np.isfinite(x), weight[:, None], 0).sum(axis=0) / weight.sum()
+    entries = [
+        (model.x_px + _nan_median(moved - _nan_median(moved, axis=1)[:, None]), _nan_median(log_contrast), found)
+    ]
+    entries.append(_strangers(model, candidates, match, weight))
+    x_px, contrast, share = (np.concatenate(column) for column in zip(*entries, strict=True))
+    order = np.argsort(x_px)
+    x_px, contrast, share = x_px[order], contrast[order], share[order]
+    keep = share >= np.where(_at_ends(share), PRESENT_AT_EDGE, PRESENT_INSIDE)
+    return Model(x_px[keep], contrast[keep], share[keep], 0)
+
+
+def _at_ends(share: Doubles) -> NDArray[np.bool_]:
+    """Entries outside all those that are surely sheets."""
+    sure = np.flatnonzero(share >= 0.5)
+    number = np.arange(len(share))
+    return (number < sure[0]) | (number > sure[-1]) if len(sure) else np.zeros(len(share), bool)
+
+
+def _strangers(
+    model: Model, candidates: Candidates, match: Ints, weight: Doubles
+) -> tuple[Doubles, Doubles, Doubles]:
+    """Unpaired candidates, gathered by the place they have between the sheets: position, log contrast, share.
+
+    Place is the number of the next sheet to the left plus the fraction of the spacing; one stranger per interval and
+    round is taken in, the one that most frames show.
+    """
+    x = candidates.x_px
+    taken = np.zeros(x.shape, bool)
+    rows, sheet = np.nonzero(match >= 0)
+    taken[rows, match[rows, sheet]] = True
+    list_, column = np.nonzero(np.isfinite(x) & ~taken)
+    expected = _place(x[list_, column], _of_match(x, match)[list_], model.x_px)
+    interval = np.searchsorted(model.x_px, expected)
+    share = np.bincount(interval, weights=weight[list_], minlength=model.sheets + 1) / weight.sum()
+    many = np.flatnonzero(share >= PRESENT_AT_EDGE)
+    mine = [interval == i for i in many]
+    position = np.array([np.median(expected[m]) for m in mine])
+    contrast = np.array([np.median(candidates.log_contrast[list_[m], column[m]]) for m in mine])
+    lists = np.array([weight[np.unique(list_[m])].sum() for m in mine]) / weight.sum()
+    return position, contrast, lists
+
+
+def _place(x: Doubles, sheet_x: Doubles, rest: Doubles) -> Doubles:
+    """Positions x carried back to the rest frame with the displacement of the nearest sheet found, (points,)."""
+    distance = np.where(np.isfinite(sheet_x), np.abs(sheet_x - x[:, None]), np.inf)
+    nearest = np.argmin(distance, axis=1)
+    shift = (sheet_x - rest)[np.arange(len(x)), nearest]
+    return np.asarray(x - np.nan_to_num(shift), np.float64)
+
+
+def _of_match(values: Doubles, match: Ints) -> Doubles:
+    """Values of the candidates paired with each sheet, NaN where missing, (lists, N)."""
+    return np.where(match >= 0, np.take_along_axis(values, np.maximum(match, 0), axis=1), np.nan)
+
+
+def _nan_median(values: Doubles, axis: int = 0) -> Doubles:
+    """Median without NaN; 0 where there is nothing."""
+    masked = np.ma.masked_invalid(values)
+    return np.asarray(np.ma.median(masked, axis=axis).filled(0.0), np.float64)
