@@ -52,4 +52,4 @@ def _saturated(load: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 def usable(flags: NDArray[np.str_]) -> NDArray[np.bool_]:
     """Samples that can be measured on: good ones and those after a gap."""
-    return (flags == "ok") | (flags == "gap")
+    return np.isin(flags, ("ok", "gap"))

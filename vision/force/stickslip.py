@@ -1,0 +1,105 @@
+"""Stick-slip events: one row per stick, from its valley to its peak."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vision.errors import InputError
+from vision.force.corners import Corners, find_corners
+from vision.force.flags import usable
+from vision.force.measure import CENTRAL, Signal, measure
+from vision.force.noise import noise_sigma, spikes
+from vision.force.recording import is_compression
+from vision.force.slips import Slips, find_slips
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+_FAST_MM_MIN = 5.0
+_MARKED = ("gap", "nan", "saturated", "repeated", "backwards")
+
+
+def find_stick_slip(
+    force: xr.Dataset,
+    *,
+    threshold_N: float | None = None,
+    machine_stiffness_N_per_mm: float | None = None,
+    two_slopes: bool | None = None,
+) -> pd.DataFrame:
+    """Stick-slip events of a recording, one row per complete stick: valley (v), peak (p), next valley.
+
+    The initial elastic loading has a peak but no valley, and what follows the last slip no peak: neither is a
+    row; the first slip is in the attributes.  Lengths and stiffness are NaN where d is not known.
+
+    Args: force, as from `read_force`.  threshold_N, smallest drop; found if absent (`find_slips`).
+    machine_stiffness_N_per_mm, corrects d for the machine's own stretch, d - F/K_machine; off by default.
+    two_slopes, fits K1 up to a knee and K2 after it; by default from 5 mm/min on.
+
+    Returns: event, t_v_s, t_p_s, d_v_mm, d_p_mm, F_v_N and F_p_N (stick line through the central 80 %
+    extended to valley and peak), dF_N = F_p - F_v, stick_length_um = d_p - d_v, slip_length_um = next d_v
+    - d_p (0 where the slip is shorter than a sample), K_N_per_mm with K_err_N_per_mm (slope of the central
+    half), F_v_raw_N and F_p_raw_N (extremes, spikes aside), K30_N_per_mm and K70_N_per_mm (other central
+    parts), K1_N_per_mm, K2_N_per_mm, knee, knee_gain (two slopes), slip_time_s, samples, flag ("ok" or
+    what is wrong within the stick: gap, nan, saturated, repeated, backwards, few, falling).  attrs:
+    noise_N, threshold_N, threshold_how, period_samples, spikes, chain, first_slip_s, first_slip_N,
+    last_slip_s and the arguments.
+
+    Raises InputError for a load in compression or where there are not two slips.  Source: paper, stick-slip
+    features; the detection notes.
+    """
+    signal = _prepare(force)
+    about = str(force.attrs.get("path", "force recording"))
+    if is_compression(signal.load):
+        raise InputError(
+            about,
+            "a pull (positive load)",
+            f"a median load of {np.median(signal.load):.3g}",
+            "if tension counts negative on this machine give --force-columns load=-NAME",
+        )
+    slips = find_slips(signal.clean, signal.sigma, threshold=threshold_N)
+    if slips.edge.size < 2:
+        raise InputError(
+            about,
+            "at least two slips",
+            f"{slips.edge.size} drops above {slips.threshold:.3g} (noise {signal.sigma:.2g})",
+            "lower --force-threshold if smaller drops are slips",
+        )
+    corners = find_corners(signal.clean, slips.edge, signal.sigma)
+    speed = float(force.attrs.get("speed_mm_min", np.nan))
+    fast = speed >= _FAST_MM_MIN if two_slopes is None else two_slopes
+    events = measure(signal, corners, fast, 1 / (machine_stiffness_N_per_mm or np.inf))
+    return _with_facts(events, signal, slips, corners, machine_stiffness_N_per_mm)
+
+
+def _with_facts(
+    events: pd.DataFrame, signal: Signal, slips: Slips, corners: Corners, machine_stiffness: float | None
+) -> pd.DataFrame:
+    first, last = np.interp(corners.peak[[0, -1]], np.arange(signal.time.size), signal.time)
+    events.attrs |= {
+        "noise_N": signal.sigma,
+        "threshold_N": slips.threshold,
+        "threshold_how": slips.threshold_how,
+        "period_samples": slips.period,
+        "spikes": int(signal.is_spike.sum()),
+        "chain": corners.chain,
+        "first_slip_s": float(first),
+        "first_slip_N": float(signal.clean[max(int(corners.peak[0]), 0)]),
+        "last_slip_s": float(last),
+        "machine_stiffness_N_per_mm": machine_stiffness or float("nan"),
+        "central_part": CENTRAL,
+    }
+    return events
+
+
+def _prepare(force: xr.Dataset) -> Signal:
+    count = force.sizes["time_s"]
+    flags = np.asarray(force["flag"].values, dtype=str) if "flag" in force else np.full(count, "ok")
+    good = usable(flags)
+    time, travel, load = (force[name].to_numpy()[good].astype(float) for name in ("time_s", "d_mm", "load_N"))
+    sigma = noise_sigma(load)
+    is_spike, clean = spikes(load, sigma)
+    damage = {word: np.cumsum(flags == word)[good] for word in _MARKED if np.any(flags == word)}
+    return Signal(time, travel, load, clean, is_spike, sigma, damage)
