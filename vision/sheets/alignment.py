@@ -30,7 +30,15 @@ STAY_COST = 4.0  # for the whole comb together to have moved by half a pitch or 
 MISSING_COST = 6.0
 STRANGER_COST = 7.0  # for a candidate as bright as the sheets; fainter ones are cheaper
 # steps (sheets, candidates) from one pair to the next: neighbours, missing sheets, strangers, some of both
-STEPS = ((1, 1), *((a, 1) for a in range(2, 9)), *((1, b) for b in range(2, 5)), (2, 2), (2, 3), (3, 2), (3, 3))
+STEPS = (
+    (1, 1),
+    *((a, 1) for a in range(2, 9)),
+    *((1, b) for b in range(2, 5)),
+    (2, 2),
+    (2, 3),
+    (3, 2),
+    (3, 3),
+)
 
 
 @dataclass(frozen=True)
@@ -106,7 +114,9 @@ def _align_batch(candidates: Candidates, reference: Reference) -> Alignment:
     turned = (pair[::-1, :, ::-1], -candidates.x_px[:, ::-1], -reference.x_px[:, ::-1])  # seen in a mirror
     backward = _pass(*turned, reference.pitch_px)[0][::-1, :, ::-1]
     real = np.isfinite(pair)
-    through = np.where(real, forward + backward - np.where(real, pair, 0.0), np.inf)  # best alignment with this pair
+    through = np.where(
+        real, forward + backward - np.where(real, pair, 0.0), np.inf
+    )  # best alignment with this pair
     match = _trace(forward, origin)
     return Alignment(match, _margins(through, match))
 
@@ -130,7 +140,9 @@ def _pair_costs(candidates: Candidates, reference: Reference) -> Doubles:
 
 def _typical_difference(candidates: Candidates, reference: Reference) -> Doubles:
     """Flicker: how much brighter, in logarithm, each list is than the reference, (lists,)."""
-    upper = np.nanquantile(candidates.log_contrast, 0.6, axis=1) if candidates.x_px.size else np.zeros(0)
+    count = np.isfinite(candidates.log_contrast).sum(axis=1)
+    place = np.maximum(0, (0.6 * (count - 1)).astype(np.int64))
+    upper = np.take_along_axis(np.sort(candidates.log_contrast, axis=1), place[:, None], axis=1)[:, 0]
     return np.asarray(np.nan_to_num(upper - np.quantile(reference.log_contrast, 0.6)), np.float64)
 
 

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 Doubles = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-UNEVEN_COST = 3.0  # per unit of the logarithm of spacing over pitch: dust halfway between two sheets costs two sheets
+UNEVEN_COST = (
+    3.0  # per unit of the logarithm of spacing over pitch: dust halfway between two sheets costs two sheets
+)
 CONTRAST_WORTH = 0.4  # per unit of the logarithm of contrast: dust is often fainter, but so are some sheets
 LEAST_WORTH = 0.3
 MOVES = 0.7  # px rms: neighbours that move this much tell what stands still
@@ -29,10 +31,10 @@ def choose_sheets(
     """
     worth = 1 + found + CONTRAST_WORTH * np.maximum(log_contrast - np.median(log_contrast), -2.5)
     worth = np.maximum(worth, LEAST_WORTH)
-    cost = _uneven_cost(x_px, pitch_px)
     if sheets is None:
-        return _best_chain(worth, cost)
-    return _best_chain_of(sheets, worth, cost)
+        return _best_chain(worth, _uneven_cost(x_px, _local_pitch(x_px, pitch_px)))
+    # the pitch was measured on that many ridges, so strangers among the entries have not spoilt it
+    return _best_chain_of(sheets, worth, _uneven_cost(x_px, np.full(len(x_px), pitch_px)))
 
 
 def standing_still(moved_px: Doubles) -> NDArray[np.bool_]:
@@ -55,22 +57,21 @@ def standing_still(moved_px: Doubles) -> NDArray[np.bool_]:
     return np.asarray(sure & (own < STILL**2 * power), bool)
 
 
-def _uneven_cost(x_px: Doubles, pitch_px: float) -> Doubles:
+def _uneven_cost(x_px: Doubles, local: Doubles) -> Doubles:
     """Cost of having entry j next after entry i, (i, j); inf where j is not to the right of i."""
     gap = x_px[None, :] - x_px[:, None]
-    local = _local_pitch(x_px, pitch_px)
     local = (local[None, :] + local[:, None]) / 2
     return np.where(gap > 0, UNEVEN_COST * np.abs(np.log(np.where(gap > 0, gap, 1.0) / local)), np.inf)
 
 
 def _local_pitch(x_px: Doubles, pitch_px: float) -> Doubles:
-    """Median spacing of the nine entries around each, within a factor 1.5 of the pitch."""
+    """Median spacing of the nine entries around each, within a quarter of the pitch."""
     from scipy.ndimage import median_filter
 
     if len(x_px) < 6:
         return np.full(len(x_px), pitch_px)
     smooth = median_filter(np.diff(x_px), size=9, mode="nearest")
-    return np.clip(np.r_[smooth, smooth[-1]], pitch_px / 1.5, 1.5 * pitch_px)
+    return np.clip(np.r_[smooth, smooth[-1]], 0.75 * pitch_px, 1.25 * pitch_px)
 
 
 def _best_chain(worth: Doubles, cost: Doubles) -> Ints:

@@ -17,10 +17,16 @@ Polarity = Literal["bright", "dark"]
 
 SAMPLE_FRAMES = 48
 NOISE_FACTOR = 7.0  # least prominence of a ridge, in standard deviations of the smoothed noise
-FAINT_SHARE = 0.08  # and in the typical ridge's prominence: a fifth of the others' contrast passes with room to spare
+FAINT_SHARE = (
+    0.08  # and in the typical ridge's prominence: a fifth of the others' contrast passes with room to spare
+)
 SMOOTHING_SHARE = 0.2  # smoothing before the search, in FWHM: hardly widens the ridge, quells the noise
-DARK_WIDTH_RATIO = 0.9  # ridges are dark where the dark stripes are narrower than the bright ones by this factor
-REACH_SHARE = 1.7  # surroundings a ridge must stand out from, in FWHM on either side: a Gaussian is over by then
+DARK_WIDTH_RATIO = (
+    0.9  # ridges are dark where the dark stripes are narrower than the bright ones by this factor
+)
+REACH_SHARE = (
+    1.7  # surroundings a ridge must stand out from, in FWHM on either side: a Gaussian is over by then
+)
 WIDTH_SPREAD = 1.6  # widths within this factor of each other are one kind of ridge
 FWHM = 2.3548  # of a Gaussian, in standard deviations
 
@@ -105,7 +111,9 @@ def describe_comb(
     names: tuple[Polarity, ...] = ("bright", "dark") if polarity == "auto" else (polarity,)
     found = [comb for name in names if (comb := _measure(sample, name, noise, sheets)) is not None]
     if not found:
-        raise InputError(source, "upright ridges", "no ridge above the noise", "check --strip, --rotate and --ridges")
+        raise InputError(
+            source, "upright ridges", "no ridge above the noise", "check --strip, --rotate and --ridges"
+        )
     if len(found) == 2 and found[1].fwhm_px >= DARK_WIDTH_RATIO * found[0].fwhm_px:
         return found[0]
     return found[-1]

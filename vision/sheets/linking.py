@@ -17,7 +17,9 @@ from vision.sheets.segments import Segments, split_segments
 Doubles = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-FRAMES_PER_REST = 32  # frames whose median position is "where the sheet was", robust against slips and ringing
+FRAMES_PER_REST = (
+    32  # frames whose median position is "where the sheet was", robust against slips and ringing
+)
 ROUNDS = 2
 
 
@@ -33,7 +35,9 @@ class Links:
     model: Model
 
 
-def link(ridges: Ridges, comb: Comb, *, width_px: int, sheets: int | None = None, source: str = "the strip") -> Links:
+def link(
+    ridges: Ridges, comb: Comb, *, width_px: int, sheets: int | None = None, source: str = "the strip"
+) -> Links:
     """Pair the candidates of all frames with the sheets.
 
     Frames are first joined to segments in which nothing can be mistaken; one comb is found that most of the recording

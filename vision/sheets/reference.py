@@ -61,7 +61,9 @@ def build_model(segments: Segments, comb: Comb, *, width_px: int, sheets: int | 
     chosen = _representative(segments)
     candidates, weight = segments.candidates.take(chosen), segments.length[chosen].astype(np.float64)
     if not np.isfinite(candidates.x_px).any():
-        raise InputError(source, "upright ridges", "none in any frame", "check --strip, --rotate and --ridges")
+        raise InputError(
+            source, "upright ridges", "none in any frame", "check --strip, --rotate and --ridges"
+        )
     model = _seed(segments)
     for _ in range(ROUNDS):
         grown = _revise(model, candidates, weight, comb, width_px)
@@ -70,7 +72,9 @@ def build_model(segments: Segments, comb: Comb, *, width_px: int, sheets: int | 
         if settled:
             break
     if sheets is not None and model.sheets < sheets:
-        raise InputError(source, f"{sheets} ridges (--sheets)", f"{model.sheets}", "give the number that is in view")
+        raise InputError(
+            source, f"{sheets} ridges (--sheets)", f"{model.sheets}", "give the number that is in view"
+        )
     return model.only(choose_sheets(model.x_px, model.log_contrast, model.found, comb.pitch_px, sheets))
 
 
@@ -100,7 +104,11 @@ def _revise(model: Model, candidates: Candidates, weight: Doubles, comb: Comb, w
     moved = x - model.x_px
     found = np.where(np.isfinite(x), weight[:, None], 0).sum(axis=0) / weight.sum()
     entries = [
-        (model.x_px + _nan_median(moved - _nan_median(moved, axis=1)[:, None]), _nan_median(log_contrast), found)
+        (
+            model.x_px + _nan_median(moved - _nan_median(moved, axis=1)[:, None]),
+            _nan_median(log_contrast),
+            found,
+        )
     ]
     entries.append(_strangers(model, candidates, match, weight))
     x_px, contrast, share = (np.concatenate(column) for column in zip(*entries, strict=True))

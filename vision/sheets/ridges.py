@@ -72,7 +72,10 @@ def _find_block(profile: Floats, start: int, comb: Comb) -> _Found:
     fwhm = np.sqrt(np.maximum(facts["widths"] ** 2 - (FWHM * comb.smoothing_px) ** 2, 0.25))
     keep = (fwhm >= NARROWEST_SHARE * comb.fwhm_px) & (fwhm <= WIDEST_SHARE * comb.fwhm_px)
     keep &= (x > 0) & (x < walled.shape[1] - 1)
-    return _Found(frame[keep] + start, x[keep] - 1, facts["prominences"][keep], fwhm[keep])
+    flattened = np.hypot(
+        1, FWHM * comb.smoothing_px / comb.fwhm_px
+    )  # what smoothing takes off a Gaussian's height
+    return _Found(frame[keep] + start, x[keep] - 1, facts["prominences"][keep] * flattened, fwhm[keep])
 
 
 def _padded(parts: list[_Found], frames: int) -> Ridges:

@@ -34,7 +34,9 @@ class Starts(NamedTuple):
     x: NDArray[np.int64]
 
 
-def paper_vertex(profile: NDArray[np.floating], starts: Starts, *, window_px: int = 9, search_px: int = 3) -> Fit:
+def paper_vertex(
+    profile: NDArray[np.floating], starts: Starts, *, window_px: int = 9, search_px: int = 3
+) -> Fit:
     """Vertex of the least-squares parabola through `window_px` pixels centred on the brightest one.
 
     The publication's method, exactly (appendix B): the brightest pixel is looked for within `search_px` of the
@@ -57,7 +59,13 @@ def paper_vertex(profile: NDArray[np.floating], starts: Starts, *, window_px: in
         noise = np.hypot(
             1 / np.sqrt((offsets**2).sum()), 2 * vertex / np.sqrt(_quadratic_norm(offsets))
         ) / np.abs(2 * curvature)
-    bad = at_end | (brightest == 0) | (brightest == 2 * search_px) | ~(curvature < 0) | ~(np.abs(vertex) <= half)
+    bad = (
+        at_end
+        | (brightest == 0)
+        | (brightest == 2 * search_px)
+        | ~(curvature < 0)
+        | ~(np.abs(vertex) <= half)
+    )
     return Fit(np.where(bad, np.nan, centre + vertex), np.where(bad, np.nan, noise))
 
 

@@ -1,0 +1,106 @@
+"""The symmetry axis, and each sheet's side and number counted from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision.sheets.noise import position_noise
+
+Doubles = NDArray[np.float64]
+
+SURE = 4.0  # standard errors by which motion must speak for a side
+SLACK = (
+    0.02  # of all the motion: splits this close to the best one are equal, and the most even of them is taken
+)
+
+
+@dataclass(frozen=True)
+class Numbering:
+    """axis_px: the symmetry axis.  how: "given", or found from "motion" or "geometry".  side: −1 left, +1 right of the
+    axis, (N,).  n: from the centre outwards, from 1, (N,).
+    """
+
+    axis_px: float
+    how: Literal["given", "motion", "geometry"]
+    side: NDArray[np.int64]
+    n: NDArray[np.int64]
+
+
+def number_sheets(x_px: Doubles, *, axis_px: float | None = None) -> Numbering:
+    """Side and n of every sheet.
+
+    The sheets on either side move against each other: in a stick phase both inwards, in a slip both outwards. The axis
+    is put where the motion changes sign, as far as the motion is significant; the stiff centre hardly moves, so among
+    equally good places the most even split is taken. Without significant motion, that is the middle of the comb. With
+    one side in view all sheets move alike, and the axis lies outside, beyond the end that moves least. A sheet that
+    stands on the axis itself (odd number) counts as the first on the right.
+
+    Args: x_px (frame, N), NaN where missing, sheets in order.  axis_px: given by the user.
+    Returns: Numbering. Where the axis lies outside the picture, n counts from the sheet in view nearest to it.
+    """
+    place = np.ma.median(np.ma.masked_invalid(x_px), axis=0).filled(np.nan)
+    if axis_px is not None:
+        return _numbered(axis_px, "given", int(np.searchsorted(place, axis_px)), len(place))
+    split, how = _split_by_motion(x_px)
+    return _numbered(_axis(place, split), how, split, len(place))
+
+
+def _numbered(
+    axis_px: float, how: Literal["given", "motion", "geometry"], split: int, sheets: int
+) -> Numbering:
+    index = np.arange(sheets)
+    right = index >= split
+    n = np.where(right, index - split + 1, split - index)
+    return Numbering(float(axis_px), how, np.where(right, 1, -1).astype(np.int64), n.astype(np.int64))
+
+
+def _split_by_motion(x_px: Doubles) -> tuple[int, Literal["motion", "geometry"]]:
+    """Number of sheets left of the axis."""
+    sheets = x_px.shape[1]
+    opening, error = _opening(x_px)
+    if sheets < 3 or not (np.abs(opening[[0, -1]]) > SURE * error[[0, -1]]).all():
+        return sheets // 2, "geometry"
+    total = np.r_[0, np.cumsum(opening)]
+    contrast = total[-1] - 2 * total  # right of the split less left of it
+    good = np.flatnonzero(
+        contrast >= contrast.max() - SLACK * np.abs(opening).sum() - np.sqrt((error**2).sum())
+    )
+    return int(good[np.argmin(np.abs(good - sheets // 2))]), "motion"
+
+
+def _opening(x_px: Doubles) -> tuple[Doubles, Doubles]:
+    """How far each sheet steps when the comb's ends step apart by one pixel, and the standard error.
+
+    The distance between the ends does not feel vibration or drift of the camera, so neither do these slopes, as long
+    as the two are unrelated. Where both ends step the same way (one side in view), the larger one leads.
+    """
+    step = np.diff(x_px, axis=0)
+    known = np.isfinite(step)
+    step = np.where(known, step, 0.0)
+    ends = known[:, 0] & known[:, -1]
+    apart = np.where(ends, step[:, -1] - step[:, 0], 0.0)
+    noise = np.nan_to_num(position_noise(x_px), nan=1.0) * np.sqrt(2)
+    apart = np.where(np.abs(apart) > 5 * noise[[0, -1]].max(), apart, 0.0)  # slips only: noise is no motion
+    power = float((apart**2).sum())
+    if power == 0:
+        return np.zeros(x_px.shape[1]), np.full(x_px.shape[1], np.inf)
+    return (apart @ step) / power, noise / np.sqrt(power)
+
+
+def _axis(place: Doubles, split: int) -> float:
+    """Middle between the innermost sheets, from the three innermost pairs; half a spacing beyond the end if one-sided."""
+    sheets = len(place)
+    spacing = float(np.median(np.diff(place))) if sheets > 1 else 0.0
+    if split == 0:
+        return float(place[0] - spacing / 2)
+    if split == sheets:
+        return float(place[-1] + spacing / 2)
+    pairs = min(3, split, sheets - split)
+    inner = np.r_[place[split - pairs : split], place[split : split + pairs]]
+    if sheets % 2 and split == sheets // 2:
+        return float(place[split] - 0.01 * spacing)  # the middle sheet stands on the axis
+    return float(inner.mean())

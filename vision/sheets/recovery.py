@@ -1,0 +1,133 @@
+"""Where each sheet is seen in each frame, faint glimpses included, and why it is not where it is not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision.sheets.comb import Comb
+from vision.sheets.linking import Links, fill_rows
+from vision.sheets.ridges import Ridges, find_ridges
+
+Doubles = NDArray[np.float64]
+
+DOUBT = 3.0  # nats: odds below 20 to 1
+GLIMPSE_REACH = 0.3  # of the pitch: a faint ridge this near to where a missing sheet must be is that sheet
+GLIMPSE_CONTRAST = 0.2  # of the sheet's usual contrast
+TEAR = 0.6  # of the pitch: neighbours' steps differ by less, even in a slip
+FAR = 0.45  # of the pitch, from the resting place
+LEAST_SEEN = 0.5  # of the sheets: below this a frame does not tell where a missing one must be
+MERGED = 0.8  # of the ridge width: two sheets this near to each other are one ridge
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """start_px: whole pixel of the ridge, NaN where flag is not "ok"; contrast, grey levels; fwhm_px; flag: "ok",
+    "missing", "merged", "edge" or "doubtful". All (frame, N).
+    """
+
+    start_px: Doubles
+    contrast: Doubles
+    fwhm_px: Doubles
+    flag: NDArray[np.str_]
+
+
+def sightings(profile: NDArray[np.float32], ridges: Ridges, links: Links, comb: Comb) -> Sightings:
+    """Candidates paired with sheets, and for sheets that went missing a second, closer look.
+
+    Where a missing sheet must be follows from its neighbours' displacement in the same frame. A ridge there that was
+    too faint for the first search is taken if it reaches a fifth of the sheet's usual contrast. Positions whose
+    identity is not certain (margin below 3 nats, or a sheet far from home that tore away from its neighbours between
+    two frames) are flagged "doubtful" and not given.
+    """
+    doubtful = (links.match >= 0) & ~(links.margin >= DOUBT)
+    doubtful |= _torn(np.where(links.match >= 0, _paired(ridges.x_px, links), np.nan), links.rest_px, comb)
+    sure = (links.match >= 0) & ~doubtful
+    table = [_paired(values, links) for values in (ridges.x_px, ridges.contrast, ridges.fwhm_px)]
+    start, contrast, fwhm = (np.where(sure, values, np.nan) for values in table)
+    expected = _expected(start, links.rest_px)
+    rows, sheet, values = _glimpses(profile, start, contrast, expected, doubtful, comb)
+    start[rows, sheet], contrast[rows, sheet], fwhm[rows, sheet] = values
+    flag = np.where(np.isfinite(start), "ok", "missing").astype("<U8")
+    flag[_merged(start, expected, comb)] = "merged"
+    half = comb.fwhm_px / 2
+    outside = (expected < half) | (expected > profile.shape[1] - 1 - half)
+    flag[(flag != "ok") & outside] = "edge"
+    flag[doubtful] = "doubtful"
+    seen = flag == "ok"
+    return Sightings(*(np.where(seen, v, np.nan) for v in (start, contrast, fwhm)), flag)
+
+
+def _torn(x: Doubles, rest: Doubles, comb: Comb) -> NDArray[np.bool_]:
+    """Sheets that between two frames moved otherwise than a neighbour by most of a pitch, and are far from home there.
+
+    A slip moves neighbours alike, however far. What does not is a wrong identity, or as good as one.
+    """
+    step = np.diff(x, axis=0)
+    tear = np.abs(np.diff(step, axis=1)) > TEAR * comb.pitch_px
+    none = np.zeros((len(tear), 1), bool)
+    either = np.hstack([tear, none]) | np.hstack([none, tear])
+    first = np.zeros((1, x.shape[1]), bool)
+    around = np.vstack([either, first]) | np.vstack([first, either])
+    return np.asarray(around & (np.abs(x - rest) > FAR * comb.pitch_px), bool)
+
+
+def _paired(values: NDArray[np.float32], links: Links) -> Doubles:
+    return np.take_along_axis(values.astype(np.float64), np.maximum(links.match, 0), axis=1)
+
+
+def _expected(start: Doubles, rest: Doubles) -> Doubles:
+    """Where each sheet must be in each frame: its resting place moved as its neighbours are; NaN with few in view."""
+    moved = fill_rows(start - rest, np.median(rest, axis=0))
+    enough = np.isfinite(start).mean(axis=1) >= LEAST_SEEN
+    return np.where(enough[:, None], rest + moved, np.nan)
+
+
+def _glimpses(
+    profile: NDArray[np.float32],
+    start: Doubles,
+    contrast: Doubles,
+    expected: Doubles,
+    doubtful: NDArray[np.bool_],
+    comb: Comb,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], tuple[Doubles, ...]]:
+    """Faint ridges where missing sheets must be: frame, sheet, and (x, contrast, width) of each."""
+    wanted = np.isnan(start) & np.isfinite(expected) & ~doubtful
+    rows = np.flatnonzero(wanted.any(axis=1))
+    if not len(rows):
+        nothing = np.zeros(0, np.int64)
+        return nothing, nothing, (np.zeros(0),) * 3
+    faint = find_ridges(profile[rows], replace(comb, contrast=0.0))
+    row, sheet = np.nonzero(wanted[rows])
+    frame = rows[row]
+    distance = np.abs(faint.x_px[row] - expected[frame, sheet][:, None])
+    distance = np.where(np.isfinite(distance), distance, np.inf)
+    best = np.argmin(distance, axis=1)
+    x, height, width = (v[row, best].astype(np.float64) for v in (faint.x_px, faint.contrast, faint.fwhm_px))
+    usual = np.ma.median(np.ma.masked_invalid(contrast), axis=0).filled(0.0)[sheet]
+    near = np.take_along_axis(distance, best[:, None], axis=1)[:, 0] <= GLIMPSE_REACH * comb.pitch_px
+    own = np.nan_to_num(np.abs(start[frame] - x[:, None]), nan=np.inf).min(axis=1, initial=np.inf)
+    keep = near & (height >= GLIMPSE_CONTRAST * usual) & (own > 0.5 * comb.fwhm_px)
+    keep &= _first_of_each(frame, x, keep)
+    return frame[keep], sheet[keep], (x[keep], height[keep], width[keep])
+
+
+def _first_of_each(frame: NDArray[np.int64], x: Doubles, keep: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """No ridge is given to two sheets: True for the entries whose (frame, x) no kept entry has in common."""
+    _, which, counts = np.unique(
+        np.stack([frame[keep], x[keep]]), axis=1, return_inverse=True, return_counts=True
+    )
+    alone = np.ones(len(frame), bool)
+    alone[keep] = counts[which.ravel()] == 1
+    return alone
+
+
+def _merged(start: Doubles, expected: Doubles, comb: Comb) -> NDArray[np.bool_]:
+    """Missing sheets that must be within a ridge's width of a neighbour that is seen, and those neighbours."""
+    gone = np.isnan(start) & np.isfinite(expected)
+    close = np.abs(np.diff(np.where(gone, expected, start), axis=1)) < MERGED * comb.fwhm_px
+    pair = close & (gone[:, 1:] ^ gone[:, :-1])
+    none = np.zeros((len(start), 1), bool)
+    return np.hstack([pair, none]) | np.hstack([none, pair])
