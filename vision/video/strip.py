@@ -14,6 +14,7 @@ from vision.video.prefetch import prefetch
 from vision.video.profile_store import SPILL_BYTES, ProfileStore
 from vision.video.recording import cut
 from vision.video.source import Block, Video
+from vision.video.strip_find import Strip, find_strip, measure_strip
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -32,7 +33,7 @@ def strip_profile(
 ) -> xr.DataArray:
     """I(x, t): the mean over the strip's rows, for every frame of the recording.
 
-    Args: rows and columns, half-open, in pixels after rotation; no rows: the whole height.  progress is
+    Args: rows and columns, half-open, in pixels after rotation; no rows: `find_strip`.  progress is
     called with (frames done, frames expected or None) after every block.  spill_bytes: a larger I(x, t)
     lives in a temporary file.
     Returns: float32 "intensity" (frame, x) in grey levels. Coordinates: frame (number in the file), x
@@ -43,9 +44,10 @@ def strip_profile(
     """
     import xarray as xr
 
-    height, width = video.shape
-    z = cut(rows, height, what=f"{video.path}: strip rows")
+    _, width = video.shape
     x = cut(columns, width, what=f"{video.path}: columns")
+    strip = find_strip(video, columns=x) if rows is None else measure_strip(video, rows, columns=x)
+    z = strip.rows
     intensity, numbers, codes, times_s = _reduce(video, z, x, progress, spill_bytes)
     blank = is_blank(intensity, codes == 0, saturation_level=video.saturation_level)
     codes[blank] = 3
@@ -54,8 +56,6 @@ def strip_profile(
         raise InputError(
             video.path, "at least one frame that shows something", f"none in {codes.size} frames"
         )
-    found: dict[str, Any] = {"strip_z0": z.start, "strip_z1": z.stop, "tilt_deg": float("nan")}
-    found["strip_how"] = "all rows" if rows is None else "given"
     return xr.DataArray(
         intensity,
         dims=("frame", "x"),
@@ -66,7 +66,7 @@ def strip_profile(
             "status": ("frame", _STATUS[codes]),
         },
         name="intensity",
-        attrs=_attributes(video, codes) | found,
+        attrs=_attributes(video, strip, codes),
     )
 
 
@@ -120,7 +120,7 @@ def _codes(block: Block) -> NDArray[np.int8]:
     return np.array([places[status] for status in block.status], np.int8)
 
 
-def _attributes(video: Video, codes: NDArray[np.int8]) -> dict[str, Any]:
+def _attributes(video: Video, strip: Strip, codes: NDArray[np.int8]) -> dict[str, Any]:
     read = int(np.isin(codes, (0, 3)).sum())
     expected = codes.size if video.expected is None else video.expected
     clock = video.clock
@@ -131,6 +131,11 @@ def _attributes(video: Video, codes: NDArray[np.int8]) -> dict[str, Any]:
         "rotate": video.rotate,
         "depth_bits": video.depth_bits,
         "saturation_level": float("nan") if video.saturation_level is None else video.saturation_level,
+        "strip_z0": strip.rows.start,
+        "strip_z1": strip.rows.stop,
+        "strip_how": strip.how,
+        "strip_clarity": strip.clarity,
+        "tilt_deg": strip.tilt_deg,
         "clock_kind": clock.kind,
         "fps": float("nan") if clock.fps is None else clock.fps,
         "frames_expected": expected,
@@ -138,7 +143,7 @@ def _attributes(video: Video, codes: NDArray[np.int8]) -> dict[str, Any]:
         "frames_lost": max(expected, codes.size) - read,
         "frames_blank": int((codes == 3).sum()),
         "frames_corrupt": int((codes == 1).sum()),
-        "warnings": "\n".join((*video.warnings, *_count_warnings(video, codes))),
+        "warnings": "\n".join((*video.warnings, *strip.warnings, *_count_warnings(video, codes))),
         **video.notes,
     }
 

@@ -1,0 +1,158 @@
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vision.errors import InputError
+from vision.video import find_strip, measure_strip, open_video, strip_profile
+from vision.video.tilt import lean_px, ridge_width_px
+
+DATA = Path(__file__).parents[2] / "../shared/data"
+HEIGHT, WIDTH, CLAMP, LABEL = 240, 960, slice(0, 20), slice(205, 230)
+SHARP = (60, 180)  # rows between which the scene is in focus
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Frames that are already there, as a video."""
+
+    pixels: np.ndarray
+    path: Path = Path("scene")
+
+    @property
+    def shape(self):
+        return self.pixels.shape[1:]
+
+    def sample(self, count):
+        return iter(self.pixels[:count])
+
+    def frames(self):
+        return iter(self.pixels)
+
+
+def scene(*, pitch=20.0, fwhm=7.0, dark=False, tilt_deg=0.0, bow_px=0.0, noise=3.0, defocus=0.25, label=True):
+    """Ridges with paper texture, in focus in `SHARP`, under a black clamp and over a striped label."""
+    rng = np.random.default_rng(0)
+    z, x = np.arange(HEIGHT)[:, None], np.arange(WIDTH)[None]
+    width = fwhm / 2.355 + defocus * np.maximum(0, np.maximum(SHARP[0] - z, z - SHARP[1]))
+    texture = 1 + 0.1 * rng.standard_normal((HEIGHT, WIDTH))
+    bow = bow_px * (x / (WIDTH / 2) - 1) * ((z - np.mean(SHARP)) / 60) ** 2
+    frames = []
+    for t in range(4):
+        place = x - np.tan(np.radians(tilt_deg)) * (z - HEIGHT / 2) - bow - 0.7 * t
+        phase = (place + pitch / 2) % pitch - pitch / 2
+        ridge = np.exp(-(phase**2) / 2 / width**2) * fwhm / 2.355 / width
+        frame = (90 + (-50 if dark else 60) * ridge) * texture * (0.9 + 0.2 * x / WIDTH)
+        frame[CLAMP] = 12
+        if label:
+            frame[LABEL, 100:300] = np.where(x[0, 100:300] // 12 % 2, 250, 5)
+        frames.append(np.clip(frame + rng.normal(0, noise, frame.shape), 0, 255).astype(np.uint8))
+    return Scene(np.array(frames))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"dark": True},
+        {"pitch": 8, "fwhm": 4},
+        {"pitch": 40, "fwhm": 14},
+        {"noise": 25},
+        {"tilt_deg": 0.5},
+        {"tilt_deg": -1},
+        {"label": False},
+    ],
+)
+def test_rows_in_focus_are_found_and_their_lean_measured(options):
+    """Failure: blurred rows, the clamp or the label are averaged in, or the reported tilt is not true."""
+    strip = find_strip(scene(**options))
+    assert strip.how == "found"
+    assert 44 <= strip.rows.start <= 70
+    assert 170 <= strip.rows.stop <= 196
+    assert abs(strip.tilt_deg - options.get("tilt_deg", 0.0)) < 0.05
+    assert strip.clarity > 0.9
+
+
+def test_wide_ridges_avoid_clamp_and_label():
+    """Failure: few wide ridges lose against the label's edges."""
+    strip = find_strip(scene(pitch=160, fwhm=30, defocus=0.5))
+    assert strip.rows.start >= 20
+    assert strip.rows.stop <= 222
+    assert strip.rows.stop - strip.rows.start > 100
+    assert abs(strip.tilt_deg) < 0.25
+
+
+def test_bowed_ridges_get_a_lower_strip():
+    """Failure: rows where the outer sheets curve away are averaged in and blur the sheets that move most."""
+    heights = []
+    for bow_px in (0.0, 3.0, 8.0):
+        rows = find_strip(scene(bow_px=bow_px, defocus=0.0, label=False)).rows
+        assert abs((rows.start + rows.stop) / 2 - 120) < (15 if bow_px else 30)
+        heights.append(rows.stop - rows.start)
+    assert heights[0] > 210
+    assert heights[0] > 1.15 * heights[1] > 1.3 * heights[2]
+
+
+def test_leaning_too_far_is_told_and_the_wrong_rows_are_worse():
+    """Failure: a lean that smears the ridges goes unsaid; or an upright comb raises a false alarm."""
+    leaning = find_strip(scene(tilt_deg=1.5))
+    assert "lean by +1.5" in leaning.warnings[0] or "lean by +1.4" in leaning.warnings[0]
+    assert find_strip(scene()).warnings == ()
+    blurred = measure_strip(scene(), slice(186, 204))
+    assert blurred.clarity < find_strip(scene()).clarity
+
+
+@pytest.mark.parametrize("content", ["noise", "constant", "stripes along x"])
+def test_nothing_to_find(content):
+    """Failure: rows are picked out of noise and called a strip."""
+    rng = np.random.default_rng(3)
+    pixels = {
+        "noise": rng.integers(0, 255, (4, 120, 400)),
+        "constant": np.full((4, 120, 400), 90),
+        "stripes along x": np.broadcast_to(rng.integers(0, 255, (120, 1)), (4, 120, 400)),
+    }[content].astype(np.uint8)
+    strip = find_strip(Scene(pixels))
+    assert (strip.how, strip.rows) == ("all rows", slice(0, 120))
+    assert np.isnan(strip.tilt_deg)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3, 40])
+def test_low_frames(rows):
+    """Failure: recordings already cropped to the strip, even to one row, break the search."""
+    pixels = scene(label=False).pixels[:, 100 : 100 + rows]
+    strip = find_strip(Scene(pixels))
+    assert strip.rows.stop - strip.rows.start >= (36 if rows == 40 else min(rows, 2))
+
+
+@pytest.mark.parametrize("lean", [-0.31, 0.0, 0.07, 0.4])
+def test_lean_of_known_shear(lean):
+    """Failure: tilt has the wrong sign or size, or slips to the next pitch."""
+    x, band = np.arange(500), np.arange(20)[:, None]
+    bands = np.cos(2 * np.pi * (x - lean * (band - 9.5)) / 12.5)[None]
+    assert abs(lean_px(bands) - lean) < 0.005
+
+
+@pytest.mark.parametrize("fwhm", [6, 10, 14, 30])
+def test_ridge_width(fwhm):
+    """Failure: the warning about leaning ridges measures them against a wrong width."""
+    x = np.arange(960)
+    profile = np.exp(-(((x % 160) - 80) ** 2) * 4 * np.log(2) / fwhm**2)
+    assert abs(ridge_width_px(np.gradient(profile)[None]) - fwhm) < 0.15 * fwhm + 1
+
+
+def test_given_rows_outside_the_frame():
+    """Failure: a strip outside the frame is silently cut to it."""
+    with pytest.raises(InputError, match="within 0:240"):
+        measure_strip(scene(), slice(200, 260))
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="real recordings are not here")
+def test_real_recordings():
+    """Failure: the strip misses the markers' discs, or runs over the black blot on the striped beam."""
+    discs = find_strip(open_video(DATA / "released_markers.avi")).rows
+    assert discs.start >= 10
+    assert discs.stop <= 38
+    beam = strip_profile(open_video(DATA / "striped_beam.cine", rotate=90))
+    assert (beam.strip_how, beam.strip_z1 <= 136 or beam.strip_z0 >= 164) == ("found", True)
+    assert abs(beam.tilt_deg) < 0.2
