@@ -1,1 +1,1 @@
-
+"""I(x, t) becomes x(n, t)."""

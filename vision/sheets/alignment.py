@@ -1,9 +1,14 @@
-"""Which candidate is which sheet: order-preserving alignment of many candidate lists with a comb, all at once.
+"""Which candidate is which sheet: order-preserving alignment of many candidate lists with a comb, all at
+once.
 
-A dynamic programme finds, for each list, the cheapest way to pair candidates with sheets when order never changes,
-sheets may be missing and candidates may be no sheet at all. Costs are negative log-likelihoods, so that a difference
-of 3 means odds of 20. What speaks for a pairing, in the order of weight: all sheets and no stranger accounted for
-(count, edges); spacings that change little between neighbours (a displacement smooth in n); the brightness of each
+A dynamic programme finds, for each list, the cheapest way to pair candidates with sheets when order never
+changes,
+sheets may be missing and candidates may be no sheet at all. Costs are negative log-likelihoods, so that a
+difference
+of 3 means odds of 20. What speaks for a pairing, in the order of weight: all sheets and no stranger
+accounted for
+(count, edges); spacings that change little between neighbours (a displacement smooth in n); the brightness
+of each
 sheet; and, weakly, staying where it was (still centre) — weakly because a whole comb may jump by pitches.
 """
 
@@ -45,7 +50,8 @@ STEPS = (
 class Reference:
     """The comb that candidates are aligned with.
 
-    x_px: expected positions, (lists, N).  log_contrast: (N,).  missing_cost: (N,), small for sheets often unseen.
+    x_px: expected positions, (lists, N).  log_contrast: (N,).  missing_cost: (N,), small for sheets often
+    unseen.
     pitch_px: typical spacing.  width_px: of the picture, sheets expected outside it are missing for nothing.
     """
 
@@ -70,8 +76,10 @@ class Candidates:
 
 @dataclass(frozen=True)
 class Alignment:
-    """match: candidate of each sheet, −1 where missing, (lists, N).  margin: how much dearer the cheapest alignment is
-    that pairs this sheet or this candidate otherwise, nats, inf where there is none, NaN where missing, (lists, N).
+    """match: candidate of each sheet, −1 where missing, (lists, N).  margin: how much dearer the cheapest
+    alignment is
+    that pairs this sheet or this candidate otherwise, nats, inf where there is none, NaN where missing,
+    (lists, N).
     """
 
     match: Ints
@@ -81,7 +89,8 @@ class Alignment:
 def align(candidates: Candidates, reference: Reference) -> Alignment:
     """Cheapest order-preserving pairing of each candidate list with the sheets, and how sure it is.
 
-    Lists are independent of each other; all work is vectorised over them. Source: Needleman & Wunsch 1970, with the
+    Lists are independent of each other; all work is vectorised over them. Source: Needleman & Wunsch 1970,
+    with the
     spacing to the previous pair as the cost of a step; margins from the forward and backward passes together.
     """
     count = np.isfinite(candidates.x_px).sum(axis=1)
@@ -122,7 +131,8 @@ def _align_batch(candidates: Candidates, reference: Reference) -> Alignment:
 
 
 def _pair_costs(candidates: Candidates, reference: Reference) -> Doubles:
-    """Cost of pairing, less that of leaving sheet and candidate alone, (N, lists, K); inf where there is no candidate."""
+    """Cost of pairing, less that of leaving sheet and candidate alone, (N, lists, K); inf where there is no
+    candidate."""
     sheets, pitch = reference.x_px.shape[1], reference.pitch_px
     brightness = candidates.log_contrast - _typical_difference(candidates, reference)[:, None]
     off = brightness[None] - reference.log_contrast[:, None, None]
@@ -146,8 +156,9 @@ def _typical_difference(candidates: Candidates, reference: Reference) -> Doubles
     return np.asarray(np.nan_to_num(upper - np.quantile(reference.log_contrast, 0.6)), np.float64)
 
 
-def _pass(pair: Doubles, x: Doubles, sheet_x: Doubles, pitch: float) -> tuple[Doubles, Ints]:
-    """Cost of the best alignment ending with each pair, (N, lists, K), and the step it came by (−1: its first)."""
+def _pass(pair: Doubles, x: Doubles, sheet_x: Doubles, pitch: float) -> tuple[Doubles, NDArray[np.int8]]:
+    """Cost of the best alignment ending with each pair, (N, lists, K), and the step it came by (−1: its
+    first)."""
     best = np.full_like(pair, np.inf)
     origin = np.full(pair.shape, -1, np.int8)
     for n, (low, high) in enumerate(_band(pair)):
@@ -170,7 +181,8 @@ def _pass(pair: Doubles, x: Doubles, sheet_x: Doubles, pitch: float) -> tuple[Do
 
 
 def _band(pair: Doubles) -> Iterator[tuple[int, int]]:
-    """Candidates worth a look for each sheet: as many to the left of it as there are sheets, give or take BAND."""
+    """Candidates worth a look for each sheet: as many to the left of it as there are sheets, give or take
+    BAND."""
     sheets, _, count = pair.shape
     least = int(np.isfinite(pair[0]).sum(axis=1).min())
     low, high = min(0, least - sheets) - BAND, max(count - least, count - sheets) + BAND
@@ -180,7 +192,8 @@ def _band(pair: Doubles) -> Iterator[tuple[int, int]]:
 
 
 def _spacing_cost(change: Doubles, spread: float | np.floating) -> Doubles:
-    """Quadratic for small changes of a spacing, then linear, then constant (Huber, capped); a NaN ends there too."""
+    """Quadratic for small changes of a spacing, then linear, then constant (Huber, capped); a NaN ends there
+    too."""
     size = np.abs(change)
     size /= spread
     near = np.minimum(size, SPACING_KNEE)
@@ -188,7 +201,7 @@ def _spacing_cost(change: Doubles, spread: float | np.floating) -> Doubles:
     return np.fmin(cost, SPACING_LIMIT)
 
 
-def _trace(forward: Doubles, origin: Ints) -> Ints:
+def _trace(forward: Doubles, origin: NDArray[np.int8]) -> Ints:
     """Candidate of each sheet in the best alignment of each list, −1 where missing, (lists, N)."""
     sheets, lists, count = forward.shape
     match = np.full((lists, sheets), -1, np.int64)
@@ -206,7 +219,8 @@ def _trace(forward: Doubles, origin: Ints) -> Ints:
 
 
 def _margins(through: Doubles, match: Ints) -> Doubles:
-    """Cost of the best alignment that pairs the sheet, or its candidate, otherwise, less that of the best of all."""
+    """Cost of the best alignment that pairs the sheet, or its candidate, otherwise, less that of the best of
+    all."""
     sheets, lists, _ = through.shape
     list_, sheet = np.nonzero(match >= 0)
     candidate = match[list_, sheet]

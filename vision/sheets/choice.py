@@ -23,8 +23,10 @@ def choose_sheets(
 ) -> Ints:
     """Numbers of the entries that together make the best comb.
 
-    Each entry counts for its presence and contrast, each spacing against its departure from the local pitch; a dynamic
-    programme over the entries in order finds the chain worth most, of exactly `sheets` entries where that is given. A
+    Each entry counts for its presence and contrast, each spacing against its departure from the local pitch;
+    a dynamic
+    programme over the entries in order finds the chain worth most, of exactly `sheets` entries where that is
+    given. A
     faint sheet in its place is kept, since without it the spacing is double; dust between two sheets is not.
 
     Args: x_px, ascending; log_contrast; found, share of frames; all (entries,).  Returns: ascending numbers.
@@ -38,10 +40,13 @@ def choose_sheets(
 
 
 def standing_still(moved_px: Doubles) -> NDArray[np.bool_]:
-    """Which entries stay where they are while the sheets beside them move: dust on the lens or the sensor, marks.
+    """Which entries stay where they are while the sheets beside them move: dust on the lens or the sensor,
+    marks.
 
-    Each entry's motion is compared with the mean of its two neighbours on either side, over the frames where all are
-    seen. Only where these move together by more than 0.7 px rms is there a verdict; the centre of the comb gives none.
+    Each entry's motion is compared with the mean of its two neighbours on either side, over the frames where
+    all are
+    seen. Only where these move together by more than 0.7 px rms is there a verdict; the centre of the comb
+    gives none.
 
     Args: moved_px (frame, N), displacement from the resting place, NaN where missing.  Returns: (N,).
     """
@@ -71,7 +76,7 @@ def _local_pitch(x_px: Doubles, pitch_px: float) -> Doubles:
     if len(x_px) < 6:
         return np.full(len(x_px), pitch_px)
     smooth = median_filter(np.diff(x_px), size=9, mode="nearest")
-    return np.clip(np.r_[smooth, smooth[-1]], 0.75 * pitch_px, 1.25 * pitch_px)
+    return np.asarray(np.clip(np.r_[smooth, smooth[-1]], 0.75 * pitch_px, 1.25 * pitch_px), np.float64)
 
 
 def _best_chain(worth: Doubles, cost: Doubles) -> Ints:

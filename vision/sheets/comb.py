@@ -35,7 +35,8 @@ FWHM = 2.3548  # of a Gaussian, in standard deviations
 class Comb:
     """Facts about the ridges, found once per recording.
 
-    polarity: bright or dark ridges.  fwhm_px, pitch_px: typical width and spacing.  contrast: typical prominence, grey
+    polarity: bright or dark ridges.  fwhm_px, pitch_px: typical width and spacing.  contrast: typical
+    prominence, grey
     levels.  noise: standard deviation of the profile, grey levels.
     """
 
@@ -67,14 +68,16 @@ class Comb:
 
 
 def noise_floor(noise: float, smoothing_px: float) -> float:
-    """Prominence that noise of standard deviation `noise` does not reach after Gaussian smoothing, grey levels."""
-    return max(1e-6, NOISE_FACTOR * noise / np.sqrt(2 * np.sqrt(np.pi) * max(smoothing_px, 0.3)))
+    """Prominence that noise of standard deviation `noise` does not reach after Gaussian smoothing, grey
+    levels."""
+    return max(1e-6, float(NOISE_FACTOR * noise / np.sqrt(2 * np.sqrt(np.pi) * max(smoothing_px, 0.3))))
 
 
 def profile_noise(profile: Floats) -> float:
     """Standard deviation of the pixel noise of profiles (frame, x), grey levels.
 
-    From sixth differences along x, which a smooth ridge hardly has: median absolute value over all pixels. 0 for a
+    From sixth differences along x, which a smooth ridge hardly has: median absolute value over all pixels. 0
+    for a
     noise-free profile; too small where compression has smoothed the noise.
     """
     kernel = np.array([1, -6, 15, -20, 15, -6, 1], np.float64)[None, :]
@@ -99,8 +102,10 @@ def describe_comb(
 ) -> Comb:
     """Polarity, width, pitch and contrast of the ridges.
 
-    Local extrema of lightly smoothed profiles are ranked by prominence; the strongest (`sheets` per frame where that
-    number is known) are the main ridges, and their medians describe the comb. Left to itself the polarity is that of
+    Local extrema of lightly smoothed profiles are ranked by prominence; the strongest (`sheets` per frame
+    where that
+    number is known) are the main ridges, and their medians describe the comb. Left to itself the polarity is
+    that of
     the narrower stripes; ties are bright.
 
     Args: profile (frame, x), grey levels, at least one frame without NaN.  Returns: Comb.
@@ -132,11 +137,10 @@ def _measure(sample: Floats, polarity: Polarity, noise: float, sheets: int | Non
 
     sigma = 1.0
     line = smoothed(sample if polarity == "bright" else -sample, sigma)
-    walled = np.pad(line, ((0, 0), (1, 1)), constant_values=np.float32(-1e30))
+    walled = np.pad(line, ((0, 0), (1, 1)), constant_values=line.min())
     at, facts = find_peaks(walled.ravel(), prominence=noise_floor(noise, sigma), width=0.0, rel_height=0.5)
     prominence, frame = facts["prominences"], at // walled.shape[1]
-    sane = prominence < 1e20  # the tallest ridge of a frame has only the walls below it
-    strong = sane & (prominence >= 0.3 * _upper(prominence[sane]))
+    strong = prominence >= 0.3 * _upper(prominence)
     width, main = _commonest_width(facts["widths"], np.where(strong, prominence, 0.0), frame, sheets)
     if not main.any():
         return None
@@ -151,7 +155,8 @@ def _commonest_width(
 ) -> tuple[float, NDArray[np.bool_]]:
     """Width of the kind of ridge with the most prominence in all, and which entries are of that kind.
 
-    Narrow ones win ties (the sum is divided by the root of the width): the gap between two ridges is not a ridge.
+    Narrow ones win ties (the sum is divided by the root of the width): the gap between two ridges is not a
+    ridge.
     """
     tried = np.geomspace(1.5, max(2.0, float(widths.max(initial=2.0))), 40)
     kinds = (strength > 0) & (np.abs(np.log(np.maximum(widths, 0.1) / tried[:, None])) < np.log(WIDTH_SPREAD))

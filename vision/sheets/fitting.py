@@ -22,7 +22,8 @@ FRAMES_PER_BLOCK = 512
 
 
 def choose_window(comb: Comb, asked: int | Literal["auto"] | None) -> int:
-    """Fit window in px, odd: as asked; 9 where ridges are 6–14 px wide; else 1.4 times their width, at least 5.
+    """Fit window in px, odd: as asked; 9 where ridges are 6–14 px wide; else 1.4 times their width, at least
+    5.
 
     Raises: InputError for an even window or one below 3.
     """
@@ -68,9 +69,11 @@ def _one_block(profile: NDArray[np.float32], starts: Starts, fit: FitName, windo
 def locking_error(
     x_px: Doubles, bright: NDArray[np.float32], start_px: Doubles, window_px: int, comb: Comb
 ) -> Doubles:
-    """How far positions of the paper's fit lie from where the sliding slope is zero, px, (frame, N), 0 where unknown.
+    """How far positions of the paper's fit lie from where the sliding slope is zero, px, (frame, N), 0 where
+    unknown.
 
-    The paper's fit locks to whole pixels by more than the noise; this is that error, as the recording itself shows it.
+    The paper's fit locks to whole pixels by more than the noise; this is that error, as the recording itself
+    shows it.
     """
     free, _ = fit_sheets(bright, start_px, fit="sliding", window_px=window_px, comb=comb)
     return np.nan_to_num(np.abs(x_px - free), nan=0.0)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from vision.sheets.alignment import Alignment, align
 from vision.sheets.choice import standing_still
 from vision.sheets.comb import Comb
+from vision.sheets.medians import nan_median
 from vision.sheets.reference import Model, build_model
 from vision.sheets.ridges import Ridges
 from vision.sheets.segments import Segments, split_segments
@@ -25,7 +26,8 @@ ROUNDS = 2
 
 @dataclass(frozen=True)
 class Links:
-    """match: candidate of each sheet in each frame, −1 where missing, (frame, N).  margin: nats by which this identity
+    """match: candidate of each sheet in each frame, −1 where missing, (frame, N).  margin: nats by which
+    this identity
     beats the next, (frame, N).  rest_px: where each sheet was around that time, (frame, N).  model: the comb.
     """
 
@@ -40,8 +42,10 @@ def link(
 ) -> Links:
     """Pair the candidates of all frames with the sheets.
 
-    Frames are first joined to segments in which nothing can be mistaken; one comb is found that most of the recording
-    agrees on; then all segments are aligned with that comb at once, and again with each sheet expected where it was
+    Frames are first joined to segments in which nothing can be mistaken; one comb is found that most of the
+    recording
+    agrees on; then all segments are aligned with that comb at once, and again with each sheet expected where
+    it was
     found around that time. No frame depends on the one before, so a mistake cannot spread.
 
     Args: ridges, candidates per frame; comb; width_px, of the profile; sheets, their number where known.
@@ -83,13 +87,14 @@ def _positions(ridges: Ridges, match: Ints) -> Doubles:
 
 
 def _resting_places(x_px: Doubles, model: Model) -> Doubles:
-    """Median position of each sheet over about thirty frames, on every frame; gaps filled from neighbours and time."""
-    frames, sheets = x_px.shape
+    """Median position of each sheet over about thirty frames, on every frame; gaps filled from neighbours
+    and time."""
+    frames = len(x_px)
     blocks = max(1, round(frames / FRAMES_PER_REST))
     edges = np.linspace(0, frames, blocks + 1).astype(int)
     size = int(np.diff(edges).max())
     index = np.minimum(edges[:-1, None] + np.arange(size), edges[1:, None] - 1)
-    moved = np.ma.median(np.ma.masked_invalid(x_px[index] - model.x_px), axis=1).filled(np.nan)
+    moved = nan_median(x_px[index] - model.x_px, axis=1)
     moved = fill_rows(fill_rows(moved, model.x_px).T, np.arange(blocks, dtype=np.float64)).T
     at = np.searchsorted(edges[1:], np.arange(frames), side="right")
     return np.asarray(model.x_px + np.nan_to_num(moved)[np.minimum(at, blocks - 1)], np.float64)

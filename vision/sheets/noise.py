@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from vision.sheets.medians import nan_median
 from vision.sheets.subpixel import Starts, gather
 
 Doubles = NDArray[np.float64]
@@ -19,11 +20,15 @@ def intensity_noise(
 ) -> Doubles:
     """Standard deviation of the profile's noise around each sheet, grey levels.
 
-    Second differences in time of the pixels around a ridge hold its noise, its motion and its flicker; motion and
-    flicker (level, brightness, first and second derivative of the ridge) are fitted and taken off, the rest is noise.
-    Unlike a figure taken along x it does not mistake paper texture for noise, and knows that bright ridges are noisier.
+    Second differences in time of the pixels around a ridge hold its noise, its motion and its flicker;
+    motion and
+    flicker (level, brightness, first and second derivative of the ridge) are fitted and taken off, the rest
+    is noise.
+    Unlike a figure taken along x it does not mistake paper texture for noise, and knows that bright ridges
+    are noisier.
 
-    Args: profile (frame, x); x_px, positions (frame, N), NaN where missing; fallback, for sheets seen in fewer than
+    Args: profile (frame, x); x_px, positions (frame, N), NaN where missing; fallback, for sheets seen in
+    fewer than
     eight groups of three frames.  Returns: (N,).  Source: median over the groups, so slips do not count.
     """
     half = max(half_px, 5)
@@ -39,23 +44,26 @@ def intensity_noise(
     variance = _residual_variance(before + after - 2 * now, (before + now + after) / 3)
     variance = variance.reshape(len(middle), -1) / 6
     known = np.isfinite(variance).sum(axis=0) >= LEAST_TRIPLES
-    typical = np.ma.median(np.ma.masked_invalid(variance), axis=0).filled(np.nan)
+    typical = nan_median(variance, axis=0)
     return np.asarray(np.where(known, np.sqrt(typical), fallback), np.float64)
 
 
 def position_noise(x_px: Doubles) -> Doubles:
-    """Standard deviation of the positions from frame to frame, px, as measured: (N,), NaN for fewer than eight triples.
+    """Standard deviation of the positions from frame to frame, px, as measured: (N,), NaN for fewer than
+    eight triples.
 
-    From second differences in time, so that a steady creep does not count, less their median over the sheets, so that
-    vibration of the camera does not either (with five sheets or more); median absolute value, so slips do not.
+    From second differences in time, so that a steady creep does not count, less their median over the
+    sheets, so that
+    vibration of the camera does not either (with five sheets or more); median absolute value, so slips do
+    not.
     """
     second = x_px[2:] - 2 * x_px[1:-1] + x_px[:-2]
     if x_px.shape[1] >= 5 and len(second):
-        second = second - np.ma.median(np.ma.masked_invalid(second), axis=1).filled(0.0)[:, None]
+        second = second - np.nan_to_num(nan_median(second, axis=1))[:, None]
     known = np.isfinite(second).sum(axis=0) >= LEAST_TRIPLES
     if not len(second):
         return np.full(x_px.shape[1], np.nan)
-    typical = np.ma.median(np.ma.masked_invalid(np.abs(second)), axis=0).filled(np.nan)
+    typical = nan_median(np.abs(second), axis=0)
     return np.asarray(np.where(known, typical / NORMAL_MEDIAN / np.sqrt(6), np.nan), np.float64)
 
 
@@ -69,7 +77,8 @@ def _triples(x_px: Doubles) -> NDArray[np.int64]:
 
 
 def _residual_variance(change: Doubles, mean: Doubles) -> Doubles:
-    """Variance of what is left of `change` (points, pixels) when the mean ridge's own changes are fitted and removed."""
+    """Variance of what is left of `change` (points, pixels) when the mean ridge's own changes are fitted and
+    removed."""
     inner = mean[:, 1:-1]
     basis = np.stack(
         [

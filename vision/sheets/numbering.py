@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from vision.sheets.medians import nan_median
 from vision.sheets.noise import position_noise
 
 Doubles = NDArray[np.float64]
@@ -20,7 +21,8 @@ SLACK = (
 
 @dataclass(frozen=True)
 class Numbering:
-    """axis_px: the symmetry axis.  how: "given", or found from "motion" or "geometry".  side: −1 left, +1 right of the
+    """axis_px: the symmetry axis.  how: "given", or found from "motion" or "geometry".  side: −1 left, +1
+    right of the
     axis, (N,).  n: from the centre outwards, from 1, (N,).
     """
 
@@ -33,16 +35,21 @@ class Numbering:
 def number_sheets(x_px: Doubles, *, axis_px: float | None = None) -> Numbering:
     """Side and n of every sheet.
 
-    The sheets on either side move against each other: in a stick phase both inwards, in a slip both outwards. The axis
-    is put where the motion changes sign, as far as the motion is significant; the stiff centre hardly moves, so among
-    equally good places the most even split is taken. Without significant motion, that is the middle of the comb. With
-    one side in view all sheets move alike, and the axis lies outside, beyond the end that moves least. A sheet that
+    The sheets on either side move against each other: in a stick phase both inwards, in a slip both
+    outwards. The axis
+    is put where the motion changes sign, as far as the motion is significant; the stiff centre hardly moves,
+    so among
+    equally good places the most even split is taken. Without significant motion, that is the middle of the
+    comb. With
+    one side in view all sheets move alike, and the axis lies outside, beyond the end that moves least. A
+    sheet that
     stands on the axis itself (odd number) counts as the first on the right.
 
     Args: x_px (frame, N), NaN where missing, sheets in order.  axis_px: given by the user.
-    Returns: Numbering. Where the axis lies outside the picture, n counts from the sheet in view nearest to it.
+    Returns: Numbering. Where the axis lies outside the picture, n counts from the sheet in view nearest to
+    it.
     """
-    place = np.ma.median(np.ma.masked_invalid(x_px), axis=0).filled(np.nan)
+    place = nan_median(x_px, axis=0)
     if axis_px is not None:
         return _numbered(axis_px, "given", int(np.searchsorted(place, axis_px)), len(place))
     split, how = _split_by_motion(x_px)
@@ -75,7 +82,8 @@ def _split_by_motion(x_px: Doubles) -> tuple[int, Literal["motion", "geometry"]]
 def _opening(x_px: Doubles) -> tuple[Doubles, Doubles]:
     """How far each sheet steps when the comb's ends step apart by one pixel, and the standard error.
 
-    The distance between the ends does not feel vibration or drift of the camera, so neither do these slopes, as long
+    The distance between the ends does not feel vibration or drift of the camera, so neither do these slopes,
+    as long
     as the two are unrelated. Where both ends step the same way (one side in view), the larger one leads.
     """
     step = np.diff(x_px, axis=0)
@@ -92,7 +100,8 @@ def _opening(x_px: Doubles) -> tuple[Doubles, Doubles]:
 
 
 def _axis(place: Doubles, split: int) -> float:
-    """Middle between the innermost sheets, from the three innermost pairs; half a spacing beyond the end if one-sided."""
+    """Middle between the innermost sheets, from the three innermost pairs; half a spacing beyond the end if
+    one-sided."""
     sheets = len(place)
     spacing = float(np.median(np.diff(place))) if sheets > 1 else 0.0
     if split == 0:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from vision.sheets.comb import Comb
 from vision.sheets.linking import Links, fill_rows
+from vision.sheets.medians import nan_median
 from vision.sheets.ridges import Ridges, find_ridges
 
 Doubles = NDArray[np.float64]
@@ -24,7 +25,8 @@ MERGED = 0.8  # of the ridge width: two sheets this near to each other are one r
 
 @dataclass(frozen=True)
 class Sightings:
-    """start_px: whole pixel of the ridge, NaN where flag is not "ok"; contrast, grey levels; fwhm_px; flag: "ok",
+    """start_px: whole pixel of the ridge, NaN where flag is not "ok"; contrast, grey levels; fwhm_px; flag:
+    "ok",
     "missing", "merged", "edge" or "doubtful". All (frame, N).
     """
 
@@ -37,9 +39,12 @@ class Sightings:
 def sightings(profile: NDArray[np.float32], ridges: Ridges, links: Links, comb: Comb) -> Sightings:
     """Candidates paired with sheets, and for sheets that went missing a second, closer look.
 
-    Where a missing sheet must be follows from its neighbours' displacement in the same frame. A ridge there that was
-    too faint for the first search is taken if it reaches a fifth of the sheet's usual contrast. Positions whose
-    identity is not certain (margin below 3 nats, or a sheet far from home that tore away from its neighbours between
+    Where a missing sheet must be follows from its neighbours' displacement in the same frame. A ridge there
+    that was
+    too faint for the first search is taken if it reaches a fifth of the sheet's usual contrast. Positions
+    whose
+    identity is not certain (margin below 3 nats, or a sheet far from home that tore away from its neighbours
+    between
     two frames) are flagged "doubtful" and not given.
     """
     doubtful = (links.match >= 0) & ~(links.margin >= DOUBT)
@@ -57,21 +62,36 @@ def sightings(profile: NDArray[np.float32], ridges: Ridges, links: Links, comb: 
     flag[(flag != "ok") & outside] = "edge"
     flag[doubtful] = "doubtful"
     seen = flag == "ok"
-    return Sightings(*(np.where(seen, v, np.nan) for v in (start, contrast, fwhm)), flag)
+    start, contrast, fwhm = (np.where(seen, values, np.nan) for values in (start, contrast, fwhm))
+    return Sightings(start, contrast, fwhm, flag)
 
 
 def _torn(x: Doubles, rest: Doubles, comb: Comb) -> NDArray[np.bool_]:
-    """Sheets that between two frames moved otherwise than a neighbour by most of a pitch, and are far from home there.
+    """Sheets that between two frames moved otherwise than a neighbour by most of a pitch, and are far from
+    home there.
 
     A slip moves neighbours alike, however far. What does not is a wrong identity, or as good as one.
     """
     step = np.diff(x, axis=0)
-    tear = np.abs(np.diff(step, axis=1)) > TEAR * comb.pitch_px
-    none = np.zeros((len(tear), 1), bool)
-    either = np.hstack([tear, none]) | np.hstack([none, tear])
+    from_left = np.abs(step - _shifted(_last_seen(step), 1)) > TEAR * comb.pitch_px
+    from_right = np.abs(step - _shifted(_last_seen(step[:, ::-1])[:, ::-1], -1)) > TEAR * comb.pitch_px
+    either = from_left | from_right
     first = np.zeros((1, x.shape[1]), bool)
     around = np.vstack([either, first]) | np.vstack([first, either])
     return np.asarray(around & (np.abs(x - rest) > FAR * comb.pitch_px), bool)
+
+
+def _last_seen(values: Doubles) -> Doubles:
+    """NaN replaced by the last value before it in the row."""
+    number = np.where(np.isfinite(values), np.arange(values.shape[1]), 0)
+    return np.asarray(np.take_along_axis(values, np.maximum.accumulate(number, axis=1), axis=1), np.float64)
+
+
+def _shifted(values: Doubles, by: int) -> Doubles:
+    """Each row moved by one place, the end left open by NaN."""
+    moved = np.roll(values, by, axis=1)
+    moved[:, 0 if by > 0 else -1] = np.nan
+    return moved
 
 
 def _paired(values: NDArray[np.float32], links: Links) -> Doubles:
@@ -79,7 +99,8 @@ def _paired(values: NDArray[np.float32], links: Links) -> Doubles:
 
 
 def _expected(start: Doubles, rest: Doubles) -> Doubles:
-    """Where each sheet must be in each frame: its resting place moved as its neighbours are; NaN with few in view."""
+    """Where each sheet must be in each frame: its resting place moved as its neighbours are; NaN with few in
+    view."""
     moved = fill_rows(start - rest, np.median(rest, axis=0))
     enough = np.isfinite(start).mean(axis=1) >= LEAST_SEEN
     return np.where(enough[:, None], rest + moved, np.nan)
@@ -106,7 +127,7 @@ def _glimpses(
     distance = np.where(np.isfinite(distance), distance, np.inf)
     best = np.argmin(distance, axis=1)
     x, height, width = (v[row, best].astype(np.float64) for v in (faint.x_px, faint.contrast, faint.fwhm_px))
-    usual = np.ma.median(np.ma.masked_invalid(contrast), axis=0).filled(0.0)[sheet]
+    usual = np.nan_to_num(nan_median(contrast, axis=0))[sheet]
     near = np.take_along_axis(distance, best[:, None], axis=1)[:, 0] <= GLIMPSE_REACH * comb.pitch_px
     own = np.nan_to_num(np.abs(start[frame] - x[:, None]), nan=np.inf).min(axis=1, initial=np.inf)
     keep = near & (height >= GLIMPSE_CONTRAST * usual) & (own > 0.5 * comb.fwhm_px)
@@ -125,9 +146,10 @@ def _first_of_each(frame: NDArray[np.int64], x: Doubles, keep: NDArray[np.bool_]
 
 
 def _merged(start: Doubles, expected: Doubles, comb: Comb) -> NDArray[np.bool_]:
-    """Missing sheets that must be within a ridge's width of a neighbour that is seen, and those neighbours."""
+    """Missing sheets that must be within a ridge's width of a neighbour that is seen, and those
+    neighbours."""
     gone = np.isnan(start) & np.isfinite(expected)
     close = np.abs(np.diff(np.where(gone, expected, start), axis=1)) < MERGED * comb.fwhm_px
     pair = close & (gone[:, 1:] ^ gone[:, :-1])
     none = np.zeros((len(start), 1), bool)
-    return np.hstack([pair, none]) | np.hstack([none, pair])
+    return np.asarray(np.hstack([pair, none]) | np.hstack([none, pair]), bool)

@@ -11,6 +11,7 @@ from vision.errors import InputError
 from vision.sheets.alignment import MISSING_COST, Candidates, Reference, align
 from vision.sheets.choice import choose_sheets
 from vision.sheets.comb import Comb
+from vision.sheets.medians import nan_median
 from vision.sheets.segments import Segments
 
 Doubles = NDArray[np.float64]
@@ -24,7 +25,8 @@ PRESENT_AT_EDGE = 0.04  # and one that may have come in or gone out at the edge 
 
 @dataclass(frozen=True)
 class Model:
-    """The comb of sheets: rest positions in one common frame of reference, log contrast, share of frames found."""
+    """The comb of sheets: rest positions in one common frame of reference, log contrast, share of frames
+    found."""
 
     x_px: Doubles
     log_contrast: Doubles
@@ -51,9 +53,12 @@ class Model:
 def build_model(segments: Segments, comb: Comb, *, width_px: int, sheets: int | None, source: str) -> Model:
     """The comb that most frames agree on, from the longest undisturbed segment outwards.
 
-    All candidates of a seed segment are taken for sheets; segments from the whole recording are aligned with it;
-    candidates that many frames show and the comb lacks are added, and those that few show are dropped; then what is
-    too near to a brighter neighbour for the spacing of the comb, or lies far outside it, is dropped as dust. With
+    All candidates of a seed segment are taken for sheets; segments from the whole recording are aligned with
+    it;
+    candidates that many frames show and the comb lacks are added, and those that few show are dropped; then
+    what is
+    too near to a brighter neighbour for the spacing of the comb, or lies far outside it, is dropped as dust.
+    With
     `sheets` given, the most convincing such comb of that many.
 
     Raises: InputError where there is no candidate at all, or fewer ridges than `sheets`.
@@ -105,8 +110,8 @@ def _revise(model: Model, candidates: Candidates, weight: Doubles, comb: Comb, w
     found = np.where(np.isfinite(x), weight[:, None], 0).sum(axis=0) / weight.sum()
     entries = [
         (
-            model.x_px + _nan_median(moved - _nan_median(moved, axis=1)[:, None]),
-            _nan_median(log_contrast),
+            model.x_px + nan_median(moved - nan_median(moved, axis=1)[:, None]),
+            nan_median(log_contrast),
             found,
         )
     ]
@@ -130,7 +135,8 @@ def _strangers(
 ) -> tuple[Doubles, Doubles, Doubles]:
     """Unpaired candidates, gathered by the place they have between the sheets: position, log contrast, share.
 
-    Place is the number of the next sheet to the left plus the fraction of the spacing; one stranger per interval and
+    Place is the number of the next sheet to the left plus the fraction of the spacing; one stranger per
+    interval and
     round is taken in, the one that most frames show.
     """
     x = candidates.x_px
@@ -150,7 +156,8 @@ def _strangers(
 
 
 def _place(x: Doubles, sheet_x: Doubles, rest: Doubles) -> Doubles:
-    """Positions x carried back to the rest frame with the displacement of the nearest sheet found, (points,)."""
+    """Positions x carried back to the rest frame with the displacement of the nearest sheet found,
+    (points,)."""
     distance = np.where(np.isfinite(sheet_x), np.abs(sheet_x - x[:, None]), np.inf)
     nearest = np.argmin(distance, axis=1)
     shift = (sheet_x - rest)[np.arange(len(x)), nearest]
@@ -160,9 +167,3 @@ def _place(x: Doubles, sheet_x: Doubles, rest: Doubles) -> Doubles:
 def _of_match(values: Doubles, match: Ints) -> Doubles:
     """Values of the candidates paired with each sheet, NaN where missing, (lists, N)."""
     return np.where(match >= 0, np.take_along_axis(values, np.maximum(match, 0), axis=1), np.nan)
-
-
-def _nan_median(values: Doubles, axis: int = 0) -> Doubles:
-    """Median without NaN; 0 where there is nothing."""
-    masked = np.ma.masked_invalid(values)
-    return np.asarray(np.ma.median(masked, axis=axis).filled(0.0), np.float64)

@@ -22,7 +22,8 @@ WIDEST_SHARE = 2.5  # wider is the background between ridges
 class Ridges:
     """Candidate ridges of every frame, left to right, padded with NaN to the largest count K.
 
-    x_px: whole-pixel position (frame, K), NaN where there is no further ridge.  contrast: prominence, grey levels
+    x_px: whole-pixel position (frame, K), NaN where there is no further ridge.  contrast: prominence, grey
+    levels
     (frame, K).  fwhm_px: width at half prominence, smoothing taken off (frame, K).
     """
 
@@ -46,8 +47,10 @@ class _Found(NamedTuple):
 def find_ridges(profile: Floats, comb: Comb) -> Ridges:
     """Candidate ridges of every frame.
 
-    A ridge is a local maximum of the lightly smoothed profile (a minimum where ridges are dark) whose prominence
-    within its surroundings passes `comb.threshold`; shoulders have none, and what is much narrower than a ridge is
+    A ridge is a local maximum of the lightly smoothed profile (a minimum where ridges are dark) whose
+    prominence
+    within its surroundings passes `comb.threshold`; shoulders have none, and what is much narrower than a
+    ridge is
     dust. Faint sheets pass: whether a candidate is a sheet is decided by linking, from all frames together.
 
     Args: profile, grey levels (frame, x); frames of NaN hold no ridge.  comb: width, polarity and threshold.

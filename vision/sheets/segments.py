@@ -24,7 +24,8 @@ LEAST_CHANGE = 0.2  # natural logarithm
 class Segments:
     """Runs of frames with equally many candidates, none of which moves far between frames.
 
-    start, length: first frame and number of frames, (segments,).  candidates: their mean position and log contrast.
+    start, length: first frame and number of frames, (segments,).  candidates: their mean position and log
+    contrast.
     """
 
     start: Ints
@@ -39,9 +40,12 @@ class Segments:
 def split_segments(ridges: Ridges, pitch_px: float) -> Segments:
     """Cut the recording where a candidate comes, goes or jumps.
 
-    Inside a segment the k-th candidate of one frame is the k-th of the next: counts are equal and every step is
-    below 0.3 of the spacing to the nearer neighbour (or of the pitch, if smaller). A comb that jumps by a whole pitch
-    so that one sheet leaves the picture as another enters looks still; its brightnesses change, and so it is cut.
+    Inside a segment the k-th candidate of one frame is the k-th of the next: counts are equal and every step
+    is
+    below 0.3 of the spacing to the nearer neighbour (or of the pitch, if smaller). A comb that jumps by a
+    whole pitch
+    so that one sheet leaves the picture as another enters looks still; its brightnesses change, and so it is
+    cut.
     """
     x = ridges.x_px.astype(np.float64)
     room = np.fmin(_spacing(x), pitch_px)
@@ -69,7 +73,7 @@ def _spacing(x: Doubles) -> Doubles:
     """Distance to the nearer neighbour, inf where there is none."""
     gap = np.nan_to_num(np.diff(x, axis=1), nan=np.inf)
     end = np.full((len(x), 1), np.inf)
-    return np.minimum(np.hstack([end, gap]), np.hstack([gap, end]))
+    return np.asarray(np.minimum(np.hstack([end, gap]), np.hstack([gap, end])), np.float64)
 
 
 def _means(values: Doubles, start: Ints, length: Ints) -> Doubles:

@@ -1,7 +1,8 @@
 """Ridge positions to a hundredth of a pixel, one function per fit, each with its error.
 
 All take the profile (frame, x) and whole-pixel starting points, and return positions in px (pixel centres at
-integers) and the error that one grey level of white pixel noise would give them. Ridges are bright: pass the negative
+integers) and the error that one grey level of white pixel noise would give them. Ridges are bright: pass the
+negative
 profile for dark ones.
 """
 
@@ -19,7 +20,8 @@ Doubles = NDArray[np.float64]
 class Fit(NamedTuple):
     """Positions and what they rest on, one entry per starting point.
 
-    x_px: position, NaN where the fit has no answer.  err_per_noise: px of position error (standard deviation) per grey
+    x_px: position, NaN where the fit has no answer.  err_per_noise: px of position error (standard
+    deviation) per grey
     level of white noise in the profile.
     """
 
@@ -39,11 +41,14 @@ def paper_vertex(
 ) -> Fit:
     """Vertex of the least-squares parabola through `window_px` pixels centred on the brightest one.
 
-    The publication's method, exactly (appendix B): the brightest pixel is looked for within `search_px` of the
-    start, a second-degree polynomial is fitted around it, its vertex is the position. Equals `numpy.polyfit` to
+    The publication's method, exactly (appendix B): the brightest pixel is looked for within `search_px` of
+    the
+    start, a second-degree polynomial is fitted around it, its vertex is the position. Equals `numpy.polyfit`
+    to
     rounding. It locks to whole pixels (50–190 mpx peak to peak), which `sliding_vertex` does not.
 
-    NaN where the window leaves the frame, the brightest pixel lies at the end of the search, the parabola has no
+    NaN where the window leaves the frame, the brightest pixel lies at the end of the search, the parabola
+    has no
     maximum, or its vertex lies outside the window.
     """
     half = window_px // 2
@@ -73,11 +78,14 @@ def sliding_vertex(profile: NDArray[np.floating], starts: Starts, *, window_px: 
     """Ridge positions where the slope of the least-squares parabola is zero.
 
     A parabola fitted to `window_px` pixels has, at its centre, a slope that is one fixed linear filter of the
-    profile. A ridge lies where that slope falls through zero as the window slides, so unlike the vertex of a window
-    pinned to the brightest pixel the result does not lock to whole pixels. Between pixels the slope is interpolated
+    profile. A ridge lies where that slope falls through zero as the window slides, so unlike the vertex of a
+    window
+    pinned to the brightest pixel the result does not lock to whole pixels. Between pixels the slope is
+    interpolated
     by the cubic through its four neighbours; of several zeros the one nearest the start counts.
 
-    NaN where the slope does not fall through zero within half a window of the start, or the window leaves the frame.
+    NaN where the slope does not fall through zero within half a window of the start, or the window leaves
+    the frame.
     Source: paper, appendix B; Savitzky & Golay 1964.
     """
     half, width = window_px // 2, profile.shape[1]
@@ -98,9 +106,12 @@ def template_shift(
 ) -> Fit:
     """Positions by matching each ridge to its own mean shape.
 
-    For each shape (one per sheet) the pixels of all its ridges, each shifted by its first position, give the mean
-    profile and its derivative at any fraction of a pixel (a smoothing spline through all of them). One Gauss-Newton
-    step then fits shift, brightness and background together, twice over; residuals of the shift are taken out in the
+    For each shape (one per sheet) the pixels of all its ridges, each shifted by its first position, give the
+    mean
+    profile and its derivative at any fraction of a pixel (a smoothing spline through all of them). One
+    Gauss-Newton
+    step then fits shift, brightness and background together, twice over; residuals of the shift are taken
+    out in the
     mean over all of a sheet's ridges, so a template never moves a sheet's mean position.
 
     Args: shape, which template each start belongs to (points,); x_px, first positions, from `sliding_vertex`.
@@ -151,7 +162,8 @@ def _slope(profile: NDArray[np.floating], window_px: int) -> NDArray[np.float32]
 def _nearest(
     left: NDArray[np.int64], slope: NDArray[np.float32], start: NDArray[np.int64], reach: int
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Of the pixels just left of a zero, the one whose zero is nearest each start, and whether it is within reach."""
+    """Of the pixels just left of a zero, the one whose zero is nearest each start, and whether it is within
+    reach."""
     if not len(left):
         return np.zeros_like(start), np.zeros(len(start), bool)
     zero = left + slope[left] / (slope[left].astype(np.float64) - slope[left + 1])
@@ -162,7 +174,8 @@ def _nearest(
 
 
 def _cubic_zero(four: Doubles) -> tuple[Doubles, Doubles]:
-    """Zero in [0, 1] of the cubic through values at −1, 0, 1, 2, and its derivative there; Newton from the chord."""
+    """Zero in [0, 1] of the cubic through values at −1, 0, 1, 2, and its derivative there; Newton from the
+    chord."""
     a, b, c, d = four.T
     cubic = np.stack([(-a + 3 * b - 3 * c + d) / 6, (a - 2 * b + c) / 2, c - b / 2 - a / 3 - d / 6, b])
     with np.errstate(divide="ignore", invalid="ignore"):

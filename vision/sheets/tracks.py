@@ -12,6 +12,7 @@ from vision.errors import InputError
 from vision.sheets.comb import Comb, describe_comb
 from vision.sheets.fitting import FitName, choose_window, fit_sheets, locking_error
 from vision.sheets.linking import Links, link
+from vision.sheets.medians import nan_median
 from vision.sheets.noise import intensity_noise, position_noise
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.recovery import Sightings, sightings
@@ -49,17 +50,24 @@ def track_sheets(
 
     Args:
         strip: I(x, t) from `vision.strip_profile`, (frame, x), with coordinates x (px), time_s and status.
-        ridges: polarity of the ridges.  sheets: number in view, found if None.  axis_px: symmetry axis, found if None.
+        ridges: polarity of the ridges.  sheets: number in view, found if None.  axis_px: symmetry axis,
+        found if None.
         fit: "sliding", "paper" (the publication's, exactly) or "template".
-        window_px: odd fit window; None is 9 where the ridges are 6–14 px wide, else, as with "auto", it follows their
+        window_px: odd fit window; None is 9 where the ridges are 6–14 px wide, else, as with "auto", it
+        follows their
             width.
 
-    Returns: Dataset with x_px, x_err_px and flag (frame, sheet); side, n, x_mean_px, found, fwhm_px, snr, x_noise_px
-        (sheet); time_s (frame). x_px is NaN wherever flag is not "ok": "missing" (no ridge there), "merged" (two sheets
-        in one ridge), "edge" (outside the picture or too near its edge), "doubtful" (identity not certain), "unfit"
-        (the fit has no answer), or the frame's own "blank", "corrupt", "lost". What was found by itself is in attrs.
+    Returns: Dataset with x_px, x_err_px and flag (frame, sheet); side, n, x_mean_px, found, fwhm_px, snr,
+    x_noise_px
+        (sheet); time_s (frame). x_px is NaN wherever flag is not "ok": "missing" (no ridge there), "merged"
+        (two sheets
+        in one ridge), "edge" (outside the picture or too near its edge), "doubtful" (identity not certain),
+        "unfit"
+        (the fit has no answer), or the frame's own "blank", "corrupt", "lost". What was found by itself is
+        in attrs.
 
-    Raises: InputError for a constant picture, no ridges, fewer ridges than `sheets`, an axis outside all reason.
+    Raises: InputError for a constant picture, no ridges, fewer ridges than `sheets`, an axis outside all
+    reason.
     """
     source = str(strip.attrs.get("source", "the strip"))
     profile = np.asarray(strip.values, np.float32)
@@ -112,16 +120,16 @@ def _dataset(
             ),
         ),
         "flag": (("frame", "sheet"), flag, _about("ok, or why there is no position")),
-        "x_mean_px": (sheet, median_or_nan(x), _about("median position", "px")),
+        "x_mean_px": (sheet, nan_median(x), _about("median position", "px")),
         "found": (sheet, ok.mean(axis=0), _about("share of the frames with a position", "1")),
         "fwhm_px": (
             sheet,
-            median_or_nan(np.where(ok, found.seen.fwhm_px, np.nan)),
+            nan_median(np.where(ok, found.seen.fwhm_px, np.nan)),
             _about("width of the ridge", "px"),
         ),
         "snr": (
             sheet,
-            median_or_nan(contrast) / np.maximum(found.noise, 1e-12),
+            nan_median(contrast) / np.maximum(found.noise, 1e-12),
             _about("contrast over noise", "1"),
         ),
         "x_noise_px": (
@@ -169,8 +177,3 @@ def _facts(found: _Found, numbering: Numbering, flag: NDArray[np.str_]) -> dict[
 
 def _about(long_name: str, units: str = "") -> dict[str, str]:
     return {"long_name": long_name} | ({"units": units} if units else {})
-
-
-def median_or_nan(values: Doubles) -> Doubles:
-    """Median over frames of what is not NaN, (N,); NaN for a sheet that has nothing."""
-    return np.asarray(np.ma.median(np.ma.masked_invalid(values), axis=0).filled(np.nan), np.float64)
