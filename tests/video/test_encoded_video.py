@@ -135,6 +135,20 @@ def test_matroska_times_are_its_own(tmp_path):
     assert np.allclose(strip.time_s, np.arange(6) / 30, atol=6e-4)
 
 
+def test_cut_matroska_is_told(tmp_path):
+    """Failure: a container that promises no frame count loses its end without a word."""
+    frames = comb(count=40, rows=32)
+    path = write_encoded(
+        tmp_path / "a.mkv", frames, codec="ffv1", pix_fmt="gray", source="gray", options={"g": "1"}
+    )
+    assert strip_profile(open_video(path), slice(0, 32)).warnings == ""
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    strip = strip_profile(open_video(path), slice(0, 32))
+    assert 15 <= strip.frames_read <= 25
+    assert np.allclose(strip[:15], frames[:15].mean(axis=1), rtol=1e-6)
+    assert "missing" in strip.warnings
+
+
 def test_skipped_frames_in_an_encoded_avi_are_lost(tmp_path):
     """Failure: frames the camera dropped (empty chunks) shift all later times."""
     path = mjpeg(tmp_path / "b.avi", count=8)

@@ -145,6 +145,7 @@ def _first_frame(container: av.container.InputContainer, stream: av.VideoStream,
 
 def _facts(container: av.container.InputContainer, stream: av.VideoStream, first: av.VideoFrame) -> Facts:
     rate = stream.average_rate
+    stamped = bool(_STAMPED & set(container.format.name.split(",")))
     duration_s = None if container.duration is None else container.duration / av.time_base
     return Facts(
         shape=(first.height, first.width),
@@ -153,7 +154,8 @@ def _facts(container: av.container.InputContainer, stream: av.VideoStream, first
         promised=stream.frames or None,
         about=round(duration_s * float(rate)) if rate and duration_s else None,
         playback_fps=float(rate) if rate else None,
-        stamped=bool(_STAMPED & set(container.format.name.split(","))),
+        stamped=stamped,
+        duration_s=duration_s if stamped else None,
         notes={
             "container": container.format.name,
             "codec": stream.codec_context.name,

@@ -55,6 +55,11 @@ class Recording:
         return max(0, (promised if self.stop is None else min(promised, self.stop)) - self.first)
 
     @property
+    def duration_s(self) -> float | None:
+        """How long the file says it lasts by its own clock; None if it does not, or for a part of it."""
+        return self.reader.facts.duration_s if self.stop is None and self.clock.kind == "file" else None
+
+    @property
     def clock(self) -> FrameClock:
         """The clock in use: given, else the file's own, else the playback rate."""
         facts = self.reader.facts

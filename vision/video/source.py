@@ -47,9 +47,9 @@ class Facts:
 
     shape: (rows, columns).  depth_bits: significant bits; 32 for float.  saturation_level: the value of a
     saturated pixel, None for float.  promised: frames the file says it holds, None without a promise.
-    about: a guess at their number where none is promised.  times_s: the recording's own time of each frame,
-    where it keeps any.  stamped: own times come with the blocks instead.  warnings: what the user must be
-    told.  notes: how pixels are read.
+    about: a guess at their number where none is promised.  duration_s: how long it says it lasts, if frames
+    carry times.  times_s: the recording's own time of each frame, where it keeps any.  stamped: own times
+    come with the blocks instead.  warnings: what the user must be told.  notes: how pixels are read.
     """
 
     shape: tuple[int, int]
@@ -57,6 +57,7 @@ class Facts:
     saturation_level: float | None
     promised: int | None
     about: int | None = None
+    duration_s: float | None = None
     playback_fps: float | None = None
     times_s: NDArray[np.float64] | None = None
     stamped: bool = False
@@ -84,8 +85,8 @@ class Video(Protocol):
 
     shape: (rows, columns) after rotation.  depth_bits: significant bits per pixel.  saturation_level: the
     value of a saturated pixel, None for float.  expected: frames the file promises (after --frames), None
-    where it makes no promise.  warnings: what is wrong with the file as far as its headers tell.  Nothing
-    here loads the whole file.
+    where it makes no promise.  duration_s: how long the file says it lasts by its own clock.  warnings:
+    what is wrong with the file as far as its headers tell.  Nothing here loads the whole file.
     """
 
     @property
@@ -106,6 +107,8 @@ class Video(Protocol):
     def warnings(self) -> tuple[str, ...]: ...  # noqa: D102
     @property
     def rotate(self) -> int: ...  # noqa: D102
+    @property
+    def duration_s(self) -> float | None: ...  # noqa: D102
 
     def times(self, frames: NDArray[np.int64]) -> NDArray[np.float64]:
         """Seconds of each frame number; NaN where unknown."""

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 Progress = Callable[[int, int | None], None]
+_EARLY_STEPS = 3.5  # frame intervals between the last frame and the stated end that are no cause for alarm
 _STATUS = np.array(["ok", "corrupt", "lost", "blank"])
 
 
@@ -56,6 +57,7 @@ def strip_profile(
         raise InputError(
             video.path, "at least one frame that shows something", f"none in {codes.size} frames"
         )
+    warnings = (*video.warnings, *strip.warnings, *_count_warnings(video, codes), *_early_end(video, times_s))
     return xr.DataArray(
         intensity,
         dims=("frame", "x"),
@@ -66,7 +68,7 @@ def strip_profile(
             "status": ("frame", _STATUS[codes]),
         },
         name="intensity",
-        attrs=_attributes(video, strip, codes),
+        attrs=_attributes(video, strip, codes) | {"warnings": "\n".join(warnings)},
     )
 
 
@@ -143,7 +145,6 @@ def _attributes(video: Video, strip: Strip, codes: NDArray[np.int8]) -> dict[str
         "frames_lost": max(expected, codes.size) - read,
         "frames_blank": int((codes == 3).sum()),
         "frames_corrupt": int((codes == 1).sum()),
-        "warnings": "\n".join((*video.warnings, *strip.warnings, *_count_warnings(video, codes))),
         **video.notes,
     }
 
@@ -161,3 +162,14 @@ def _count_warnings(video: Video, codes: NDArray[np.int8]) -> list[str]:
         if which.size:
             warnings.append(f"{name}: {which.size} frame(s) {what}, the first at place {which[0]}")
     return warnings
+
+
+def _early_end(video: Video, times_s: NDArray[np.float64]) -> list[str]:
+    """A warning where frames stop well before the file says it ends."""
+    if video.duration_s is None or times_s.size < 2:
+        return []
+    missing_s = video.duration_s - float(times_s[-1])
+    if not missing_s > _EARLY_STEPS * float(np.median(np.diff(times_s))):
+        return []
+    name = video.path.name
+    return [f"{name}: the file should last {video.duration_s:.3f} s, its last {missing_s:.3f} s are missing"]

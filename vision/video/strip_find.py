@@ -22,6 +22,7 @@ _SEGMENT_PX = 64  # judged apart along x, so that what one place adds can be lim
 _CAP = 0.65  # quantile of the segments above which slope does not count: ridges fill over a third
 _HEIGHT_POWER = 0.5  # a row is worth adding if it brings 3/4 of the strip's own slope
 _SLOPE_SIGMA_PX = 1.5  # smoothing of the slope: below the narrowest ridge, above pixel noise
+_HALF = np.float32(0.5)
 _MIN_CLARITY = 0.3  # odd and even rows that agree less than this show no ridges
 
 
@@ -120,7 +121,7 @@ def _slopes(video: Video, rows: slice, columns: slice, band_rows: int) -> _Slope
     slope = np.empty_like(odd_even)
     gaussian_filter1d(odd_even, _SLOPE_SIGMA_PX, axis=-1, order=1, mode="nearest", output=slope)
     odd, even = slope[:, 0], slope[:, 1]
-    return _Slopes((odd + even) / 2, (odd - even) / 2, band_rows)
+    return _Slopes((odd + even) * _HALF, (odd - even) * _HALF, band_rows)
 
 
 def _odd_even(frame: NDArray[np.generic], band_rows: int) -> NDArray[np.float32]:
