@@ -74,7 +74,7 @@ def realistic(
     compliance=0.0,
     seed=0,
 ) -> Test:
-    """A traction test after the paper: peaks by Eq. 1, drops 0.34 of the normal force, stiffness of M_eff sheets.
+    """A test after the paper: peaks by Eq. 1, drops 0.34 of the normal force, stiffness of M_eff sheets.
 
     compliance: mm/N of the machine, in series.
     """
@@ -102,7 +102,17 @@ def realistic(
         knots_f.extend(f)
         t, peak, d = t_v + length / v_mm_s, f_v + rise, d_v + length
         rows.append((t_v, t, d_v, d, f_v, peak, rise, length * 1e3, k_all, k))
-    columns = ["t_v_s", "t_p_s", "d_v_mm", "d_p_mm", "F_v_N", "F_p_N", "dF_N", "stick_length_um", "K_N_per_mm"]
+    columns = [
+        "t_v_s",
+        "t_p_s",
+        "d_v_mm",
+        "d_p_mm",
+        "F_v_N",
+        "F_p_N",
+        "dF_N",
+        "stick_length_um",
+        "K_N_per_mm",
+    ]
     truth = pd.DataFrame(rows, columns=[*columns, "K_sample_N_per_mm"])
     knots_t.append(t + slip_s)
     knots_f.append(peak * 0.7)

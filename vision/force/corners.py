@@ -17,7 +17,7 @@ _UNRESOLVED = 0.4
 # The same two distances of an exponential tail, end over onset: ln 5 / ln 1.8.
 _EXPONENTIAL = 2.74
 _CLEAR_SIGMAS = 20.0
-_REACH = 0.25
+_REACH = 0.3
 
 
 @dataclass(frozen=True)
@@ -44,16 +44,22 @@ def find_corners(y: Floats, edge: Ints, sigma: float) -> Corners:
     """
     high, middle, low = _crossings(y, edge)
     onset, end = _resolved(middle - high), _resolved(low - middle)
-    usual_onset, usual_end = float(np.nanmedian(onset)), float(np.nanmedian(end))
+    usual_onset, usual_end = _usual(onset), _usual(end)
     chain = 0.0
     if usual_end > usual_onset:
         ratio = usual_end / max(usual_onset, 1e-9)
         chain = float(np.clip((ratio - 1) / (_EXPONENTIAL - 1), 0.0, 1.0))
-    clear = stick_drops(y, edge) > _CLEAR_SIGMAS * sigma
+    clear = (stick_drops(y, edge) > _CLEAR_SIGMAS * sigma) & np.isfinite(onset) & np.isfinite(end)
     onset = np.where(clear, onset, usual_onset) * (1 - chain) / _HALF_COSINE
     end = np.where(clear, np.minimum(end, usual_end * 2), usual_end)
     end = np.where(chain > 0, onset, end / _HALF_COSINE)
-    return Corners(middle - onset, middle + end, chain)
+    last = y.size - 1.0
+    return Corners(np.clip(middle - onset, 0, last), np.clip(middle + end, 0, last), chain)
+
+
+def _usual(distance: Floats) -> float:
+    known = distance[np.isfinite(distance)]
+    return float(np.median(known)) if known.size else 0.0
 
 
 def _resolved(distance: Floats) -> Floats:
@@ -80,10 +86,27 @@ def _crossings(y: Floats, edge: Ints) -> tuple[Floats, Floats, Floats]:
         after.mean_y[row] + after.slope[row] * (x - after.mean_x[row]),
     )
     u = (y[index] - base) / drop[row]
-    middle = _last_above(u, row, index, 0.5, edge.size, np.full(edge.size, np.inf))
+    middle = _half_way(u, row, index, edge.size)
+    # A slip cut short by the next one may never pass half-way: then the steepest drop stands for its middle.
+    middle = np.where(np.isfinite(middle), middle, edge - 0.5)
     high = _last_above(u, row, index, 0.9, edge.size, middle)
     low = _first_below(u, row, index, 0.1, edge.size, middle)
     return high, middle, low
+
+
+def _half_way(u: Floats, row: Ints, index: Ints, rows: int) -> Floats:
+    """The likeliest place of a step from 1 to 0: where the sum of u - 0.5 so far is largest; NaN at a
+    window's end.
+
+    A single crossing of 0.5 would be thrown off by the first outlier when the drop is a few times the noise.
+    """
+    so_far = np.cumsum(u - 0.5)
+    largest = np.full(rows, -np.inf)
+    np.maximum.at(largest, row, so_far)
+    best = np.flatnonzero((so_far == largest[row]) & np.r_[row[1:] == row[:-1], False])
+    first = np.full(rows, u.size, dtype=np.int64)
+    np.minimum.at(first, row[best], best)
+    return _interpolated(u, index, 0.5, np.where(first < u.size, first, -1))
 
 
 def _last_above(u: Floats, row: Ints, index: Ints, level: float, rows: int, until: Floats) -> Floats:

@@ -1,0 +1,215 @@
+"""Stick-slip events against recordings whose slips are known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+from tests.force.sawtooth import Test, plain, realistic, recording
+from vision.errors import InputError
+from vision.force.detection import detection_limit
+from vision.force.recording import read_force
+from vision.force.stickslip import find_stick_slip
+
+REAL = Path(__file__).parents[2] / "../shared/data"
+
+
+def matched(events: pd.DataFrame, truth: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Events and true sticks whose peaks lie within a fifth of a stick, in the same order."""
+    apart = np.abs(events["t_p_s"].to_numpy()[:, None] - truth["t_p_s"].to_numpy())
+    nearest = apart.argmin(axis=1)
+    near = apart.min(axis=1) < 0.2 * (truth["t_p_s"] - truth["t_v_s"]).to_numpy()[nearest]
+    return events[near].reset_index(drop=True), truth.iloc[nearest[near]].reset_index(drop=True)
+
+
+def median_ratio(test: Test, column: str, **options: float) -> float:
+    events, truth = matched(find_stick_slip(test.force, **options), test.truth)
+    return float((events[column] / truth[column]).median())
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("samples", [30, 100])
+def test_recall_and_false_events_at_six_sigma(samples: int, seed: int) -> None:
+    """A failure means the stated detection (98 % found, 1 % false at ΔF = 6 σ) is not reached."""
+    test = plain(sticks=300, samples=samples, snr=6, seed=seed)
+    events = find_stick_slip(test.force)
+    right, _ = matched(events, test.truth)
+    assert len(right) >= 0.98 * len(test.truth)
+    assert len(events) - len(right) <= 0.01 * len(events)
+
+
+def test_noise_alone_gives_no_events() -> None:
+    """A failure means events are made of noise; a rising ramp is the hardest case."""
+    rng = np.random.default_rng(5)
+    time = np.arange(20000) * 0.01
+    force = recording(time, 50 + 0.2 * time + rng.standard_normal(time.size), 13 + time / 60, 1.0)
+    with pytest.raises(InputError, match="at least two slips; found 0"):
+        find_stick_slip(force)
+
+
+def test_a_threshold_too_low_or_high_fails() -> None:
+    """A failure means `threshold_N` does nothing, so the recall above would prove nothing about it."""
+    test = plain(sticks=100, samples=30, snr=6, seed=2)
+    with pytest.raises(InputError, match="lower --force-threshold"):
+        find_stick_slip(test.force, threshold_N=12)
+    assert find_stick_slip(test.force, threshold_N=3).attrs["threshold_how"] == "given"
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"d1": 18.0, "rate": 100.0, "noise": 0.5},
+        {"rate": 1000.0, "tau": 0.01, "noise": 0.5},
+        {"speed": 0.5, "rate": 50.0, "d1": 14.0},
+        {"speed": 10.0, "rate": 1000.0, "tau": 0.001},
+    ],
+)
+def test_lengths_drops_and_stiffness_of_a_traction_test(settings: dict[str, float]) -> None:
+    """A failure means Λ_st, ΔF or K is off by more than the stated 3 % at the median."""
+    test = realistic(**settings)
+    events, truth = matched(find_stick_slip(test.force), test.truth)
+    assert len(events) == len(test.truth)
+    for column in ("stick_length_um", "dF_N", "K_N_per_mm"):
+        assert (events[column] / truth[column]).median() == pytest.approx(1, abs=0.03), column
+    assert (events["F_p_N"] - truth["F_p_N"]).abs().median() < 0.02 * truth["dF_N"].median()
+    assert (events["flag"] == "ok").all()
+
+
+def test_stiffness_errors_are_honest() -> None:
+    """A failure means K_err_N_per_mm would mislead every weighted fit of K."""
+    test = realistic(softening=0.0, tau=0.0)
+    events, truth = matched(find_stick_slip(test.force), test.truth)
+    pulls = (events["K_N_per_mm"] - truth["K_N_per_mm"]) / events["K_err_N_per_mm"]
+    assert 0.8 < pulls.std() < 1.2
+    assert abs(pulls.mean()) < 0.3
+
+
+def test_initial_loading_is_no_event() -> None:
+    """A failure means the first rise, which has no valley, is passed off as a stick of its full height."""
+    test = realistic()
+    events = find_stick_slip(test.force)
+    first_peak = test.truth["t_v_s"][0] - 0.001
+    assert events["t_v_s"][0] == pytest.approx(test.truth["t_v_s"][0], abs=0.01)
+    assert events.attrs["first_slip_s"] == pytest.approx(first_peak, abs=0.01)
+    assert events["dF_N"].max() < 0.6 * events.attrs["first_slip_N"]
+
+
+def test_spikes_are_not_slips() -> None:
+    """A failure means impulsive noise makes events, moves peaks or bends stick lines."""
+    test = realistic()
+    rng = np.random.default_rng(3)
+    load = test.force["load_N"].to_numpy().copy()
+    hit = rng.choice(load.size, size=load.size // 100, replace=False)
+    load[hit] += rng.choice([-1, 1], hit.size) * rng.uniform(5, 60, hit.size)
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load)))
+    right, truth = matched(events, test.truth)
+    assert len(events) == len(right) == len(test.truth)
+    assert (right["K_N_per_mm"] / truth["K_N_per_mm"]).median() == pytest.approx(1, abs=0.01)
+    assert events.attrs["spikes"] > 0.8 * hit.size
+
+
+def test_machine_compliance_is_corrected_only_when_asked() -> None:
+    """A failure means K is silently the machine's and the sample's in series, or the correction is wrong."""
+    test = realistic(compliance=1e-5, softening=0.0)
+    truth = Test(test.force, test.truth.assign(K_N_per_mm=test.truth["K_sample_N_per_mm"]))
+    assert median_ratio(truth, "K_N_per_mm", machine_stiffness_N_per_mm=1e5) == pytest.approx(1, abs=0.005)
+    assert median_ratio(truth, "K_N_per_mm") < 0.98
+
+
+def test_machine_compliance_shortens_sticks_and_lengthens_slips() -> None:
+    """A failure means d is corrected at one corner only."""
+    events = find_stick_slip(realistic().force)
+    corrected = find_stick_slip(realistic().force, machine_stiffness_N_per_mm=1e5)
+    taken = events["stick_length_um"] - corrected["stick_length_um"]
+    np.testing.assert_allclose(taken, events["dF_N"] * 1e-2, rtol=1e-6)
+    assert (corrected["slip_length_um"] > events["slip_length_um"]).all()
+
+
+def test_two_slopes_of_fast_pulls() -> None:
+    """A failure means the double stiffness of fast pulls is not measured, or seen where it is not."""
+    test = plain(sticks=40, samples=200, snr=400, jitter=0.0, scatter=0.0)
+    load = test.force["load_N"].to_numpy().copy()
+    time = test.force["time_s"].to_numpy()
+    stick = np.searchsorted(test.truth["t_v_s"], time, side="right") - 1
+    phase = np.where(stick >= 0, (time - test.truth["t_v_s"].to_numpy()[stick]) / 2.0, 0.0)
+    inside = (phase > 0) & (phase < 1)
+    load = load + np.where(inside, np.where(phase < 0.4, 100 * phase, 100 * 0.4 * (1 - phase) / 0.6), 0.0)
+    bent = find_stick_slip(test.force.assign(load_N=("time_s", load)), two_slopes=True)
+    rise = 400 / (2.0 / 60)
+    assert bent["K1_N_per_mm"].median() == pytest.approx(rise * 1.25, rel=0.03)
+    assert bent["K2_N_per_mm"].median() == pytest.approx(rise * (1 - 40 / 240), rel=0.03)
+    assert bent["knee_gain"].median() > 10
+    straight = find_stick_slip(test.force, two_slopes=True)
+    assert straight["knee_gain"].median() < 1.2
+    assert find_stick_slip(test.force)["K1_N_per_mm"].isna().all()
+
+
+def test_damaged_sticks_are_flagged() -> None:
+    """A failure means a stick with a hole or a clipped peak is taken for a good one."""
+    test = realistic()
+    begin, end = test.truth["t_v_s"][10], test.truth["t_p_s"][10]
+    time = test.force["time_s"].to_numpy()
+    inside = (time > begin + 0.3 * (end - begin)) & (time < begin + 0.5 * (end - begin))
+    flags = np.where(inside, "nan", "ok")
+    events = find_stick_slip(test.force.assign(flag=("time_s", flags)))
+    assert events["flag"][10] == "nan"
+    assert (events["flag"].drop(index=10) == "ok").all()
+
+
+def test_force_without_travel_gives_times_and_drops() -> None:
+    """A failure means a recording without displacement or speed is useless, or gets invented lengths."""
+    test = realistic()
+    events = find_stick_slip(test.force.assign(d_mm=test.force["d_mm"] * np.nan))
+    assert len(events) == len(test.truth)
+    assert events["dF_N"].notna().all()
+    assert events[["stick_length_um", "K_N_per_mm", "d_v_mm"]].isna().all().all()
+
+
+def test_compression_is_refused() -> None:
+    """A failure means a recording with the sign turned gives sawteeth upside down."""
+    force = plain().force
+    with pytest.raises(InputError, match=r"a pull.*load=-NAME"):
+        find_stick_slip(force.assign(load_N=-force["load_N"]))
+
+
+def test_detection_limit_lies_where_detection_fails() -> None:
+    """A failure means the stated smallest slip is not the smallest slip."""
+    test = realistic(d1=14.0, noise=0.5)
+    limit = detection_limit(test.force, find_stick_slip(test.force), injected=20)
+    assert 2 <= limit.attrs["limit_N"] / 0.5 <= 7
+    assert limit["recall"].iloc[0] < 0.2
+    assert limit["recall"].iloc[-1] == 1
+
+
+@pytest.fixture(scope="module")
+def slow_friction() -> xr.Dataset:
+    path = REAL / "paper_on_paper_k168Nm_v42.mat"
+    if not path.is_file():
+        pytest.skip("the recording is not here")
+    return read_force(path, speed_mm_min=2.52)
+
+
+def test_paper_on_paper_slow(slow_friction: xr.Dataset) -> None:
+    """A failure means real sawteeth with impulsive noise are misread; K is the spring's over the weight."""
+    events = find_stick_slip(slow_friction)
+    assert 230 <= len(events) <= 270
+    assert events["K_N_per_mm"].median() == pytest.approx(0.61, abs=0.02)
+    assert (events["flag"] == "ok").all()
+    # Five of the largest slips, read off a plot.
+    seen = np.array([207.6, 211.9, 221.4, 227.9, 219.3])
+    assert np.abs(events["t_p_s"].to_numpy()[:, None] - seen).min(axis=0).max() < 0.15
+
+
+def test_paper_on_paper_fast() -> None:
+    """A failure means irregular, rounded events give nonsense; the spring is the same as in the slow pull."""
+    path = REAL / "paper_on_paper_k168Nm_v1100.mat"
+    if not path.is_file():
+        pytest.skip("the recording is not here")
+    events = find_stick_slip(read_force(path, speed_mm_min=66))
+    assert 100 <= len(events) <= 140
+    assert events["K_N_per_mm"].median() == pytest.approx(0.62, abs=0.04)
+    assert (events["dF_N"] > 0).all()
