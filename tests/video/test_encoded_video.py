@@ -58,6 +58,32 @@ def test_h264_gives_the_luma_plane(tmp_path):
     assert np.abs(whole(video).astype(float) - (16 + frames.astype(float) * 219 / 255)).max() <= 2
 
 
+def test_reordered_frames_in_an_avi_are_all_there(tmp_path):
+    """Failure: AVI stores decoding times only; taken for display times they lose and invent frames."""
+    frames = comb(count=30, rows=64, columns=96, top=200)
+    options = {"qp": "0", "preset": "ultrafast", "bf": "2"}
+    path = write_encoded(
+        tmp_path / "a.avi", frames, codec="libx264", pix_fmt="yuv420p", source="gray", options=options
+    )
+    assert states(open_video(path)) == ["ok"] * 30
+
+
+def test_truncated_h264_and_damage(tmp_path):
+    """Failure: frames that lean on a damaged one are tracked as if they were real."""
+    frames = comb(count=20, rows=64, columns=96)
+    options = {"g": "5", "bf": "0"}
+    path = write_encoded(
+        tmp_path / "a.mp4", frames, codec="libx264", pix_fmt="yuv420p", source="gray", options=options
+    )
+    data = bytearray(path.read_bytes())
+    start = data.index(b"mdat") + 900
+    data[start : start + 300] = bytes(300)
+    path.write_bytes(data)
+    found = states(open_video(path))
+    assert len(found) == 20
+    assert 1 <= found.count("corrupt") <= 6
+
+
 def mjpeg(path, count=12, **size):
     frames = comb(count=count, rows=48, columns=96, **size)
     return write_encoded(

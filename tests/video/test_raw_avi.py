@@ -125,6 +125,8 @@ def test_part_of_the_video(tmp_path):
     assert strip.frame.values.tolist() == [3, 4, 5, 6]
     assert np.allclose(strip.time_s, [0.3, 0.4, 0.5, 0.6])
     assert (strip.frames_expected, strip.clock_kind, strip.fps) == (4, "given", 10.0)
+    assert open_video(tmp_path / "a.avi", frames=slice(3, 9)).warnings == ()
+    assert "has 9" in open_video(tmp_path / "a.avi", frames=slice(3, 90)).warnings[0]
 
 
 def test_bad_requests_are_named(tmp_path):

@@ -10,6 +10,7 @@ import av
 import av.container
 import av.error
 import numpy as np
+from av.codec.codec import Properties
 from numpy.typing import NDArray
 
 from vision.errors import InputError
@@ -174,16 +175,24 @@ def _decoded(
     thread count.
     """
     waiting: list[int] = []
+    timed = _has_display_times(container, stream)
     for packet in video_packets(container, stream):
-        if packet is not None and packet.pts is not None:
+        if timed and packet is not None and packet.pts is not None:
             waiting.append(packet.pts)
         for frame in _frames_of(packet, stream):
             if frame.pts is not None:
                 overtaken = sorted(pts for pts in waiting if pts < frame.pts)
                 waiting = [pts for pts in waiting if pts > frame.pts]
                 yield from ((pts, None) for pts in overtaken)
-            yield frame.pts, frame
+            yield (frame.pts if timed else None), frame
     yield from ((pts, None) for pts in sorted(waiting))
+
+
+def _has_display_times(container: av.container.InputContainer, stream: av.VideoStream) -> bool:
+    """False where times are those of decoding: AVI knows no others; they mislead where order differs."""
+    return (
+        container.format.name != "avi" or not stream.codec_context.codec.properties & Properties.REORDER.value
+    )
 
 
 def video_packets(

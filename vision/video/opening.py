@@ -49,7 +49,7 @@ def open_video(
         stop=stop,
         given_fps=fps,
         given_times_s=times_s,
-        warnings=(*reader.facts.warnings, *odd),
+        warnings=(*reader.facts.warnings, *odd, *_beyond(stop, reader.facts.promised)),
     )
 
 
@@ -97,6 +97,13 @@ def _given_times(
         found = f"{times_s.size} times"
         raise InputError(timestamps, f"{promised} times, one per frame of {path.name}", found)
     return times_s, warnings
+
+
+def _beyond(stop: int | None, promised: int | None) -> tuple[str, ...]:
+    """A warning where more frames are asked for than there are."""
+    if stop is None or promised is None or stop <= promised:
+        return ()
+    return (f"--frames: asked for frames up to {stop}, the file has {promised}",)
 
 
 def _frame_range(frames: slice | None, promised: int | None, path: Path) -> tuple[int, int | None]:

@@ -1,0 +1,61 @@
+import struct
+
+import numpy as np
+import pytest
+from film import comb, states, whole
+
+from vision.errors import InputError
+from vision.video import open_video, strip_profile
+from vision.video.mapped import MappedReader
+
+
+def write_cine(path, frames, *, real_bits, rate=1000.0, odd_time=None):
+    """An unpacked cine: bottom row first, one time per frame, annotations of any length."""
+    count, height, width = frames.shape
+    setup = bytearray(1024)
+    setup[140:144] = struct.pack("<2sH", b"ST", len(setup))
+    setup[896:900] = struct.pack("<I", real_bits)
+    ticks = (np.arange(count) / rate * 2**32).astype("<u8") + np.uint64(1_700_000_000 << 32)
+    if odd_time is not None:
+        ticks[odd_time] += np.uint64(10**7 << 32)
+    times = struct.pack("<IHH", 8 + 8 * count, 1002, 0) + ticks.tobytes()
+    images_at = 44 + 40 + len(setup) + len(times)
+    blobs = [struct.pack("<I", 8 + n) + bytes(n) + bytes(4) + f[::-1].tobytes() for n, f in enumerate(frames)]
+    places = images_at + 8 * count + np.concatenate([[0], np.cumsum([len(b) for b in blobs[:-1]])])
+    head = struct.pack("<2sHHHiIiIIII8s", b"CI", 44, 0, 1, 0, count, 0, count, 44, 84, images_at, bytes(8))
+    bits = 8 * frames.itemsize
+    bitmap = struct.pack("<IiiHHIIiiII", 40, width, height, 1, bits, 0, frames[0].nbytes, 0, 0, 0, 0)
+    path.write_bytes(head + bitmap + setup + times + places.astype("<i8").tobytes() + b"".join(blobs))
+    return path
+
+
+@pytest.mark.parametrize(("dtype", "bits"), [(np.uint8, 8), (np.uint16, 12), (np.uint16, 14)])
+def test_unpacked_cine_is_read_exactly(tmp_path, dtype, bits):
+    """Failure: values are scaled, the depth is that of the container, or rows are upside down."""
+    frames = comb(top=(1 << bits) - 1, dtype=dtype)
+    video = open_video(write_cine(tmp_path / "a.cine", frames, real_bits=bits))
+    assert isinstance(video.reader, MappedReader)
+    assert np.array_equal(whole(video), frames)
+    assert (video.depth_bits, video.saturation_level, video.clock.kind) == (bits, (1 << bits) - 1, "file")
+    assert abs(video.clock.fps - 1000) < 0.01
+
+
+def test_absurd_times_are_replaced(tmp_path):
+    """Failure: one foreign frame stretches the time axis to months."""
+    video = open_video(write_cine(tmp_path / "a.cine", comb(), real_bits=8, odd_time=5))
+    assert np.allclose(video.times(np.arange(6)), np.arange(6) / 1000, atol=1e-6)
+
+
+def test_cut_cine_gives_what_it_holds(tmp_path):
+    """Failure: a cine saved over a broken network is refused, or its missing frames go unsaid."""
+    frames = comb(count=9)
+    path = write_cine(tmp_path / "a.cine", frames, real_bits=8)
+    path.write_bytes(path.read_bytes()[: -3 * frames[0].nbytes])
+    strip = strip_profile(open_video(path), slice(0, 12))
+    assert (strip.frames_expected, strip.frames_read) == (9, 6)
+    assert "3 are missing" in strip.warnings
+    assert states(open_video(path)) == ["ok"] * 6
+    for length in (20, 60, 900, 1300):
+        path.write_bytes(path.read_bytes()[:length])
+        with pytest.raises(InputError):
+            open_video(path)
