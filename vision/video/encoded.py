@@ -10,7 +10,6 @@ import av
 import av.container
 import av.error
 import numpy as np
-from av.codec.codec import Properties
 from numpy.typing import NDArray
 
 from vision.errors import InputError
@@ -19,6 +18,7 @@ from vision.video.batching import Shot, in_blocks
 from vision.video.source import Block, Facts
 
 _NOT_VIDEO = {"tty", "image2", "txt"}  # containers that swallow any text or picture
+_REORDERS = 8  # AV_CODEC_PROP_REORDER
 _STAMPED = {"matroska", "webm"}  # containers whose times are those of each frame, not of a rate
 
 
@@ -190,9 +190,7 @@ def _decoded(
 
 def _has_display_times(container: av.container.InputContainer, stream: av.VideoStream) -> bool:
     """False where times are those of decoding: AVI knows no others; they mislead where order differs."""
-    return (
-        container.format.name != "avi" or not stream.codec_context.codec.properties & Properties.REORDER.value
-    )
+    return container.format.name != "avi" or not stream.codec_context.codec.properties & _REORDERS
 
 
 def video_packets(

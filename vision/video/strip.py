@@ -48,16 +48,13 @@ def strip_profile(
     _, width = video.shape
     x = cut(columns, width, what=f"{video.path}: columns")
     strip = find_strip(video, columns=x) if rows is None else measure_strip(video, rows, columns=x)
-    z = strip.rows
-    intensity, numbers, codes, times_s = _reduce(video, z, x, progress, spill_bytes)
-    blank = is_blank(intensity, codes == 0, saturation_level=video.saturation_level)
-    codes[blank] = 3
+    intensity, numbers, codes, times_s = _reduce(video, strip.rows, x, progress, spill_bytes)
+    codes[is_blank(intensity, codes == 0, saturation_level=video.saturation_level)] = 3
     intensity[codes > 0] = np.nan
     if not (codes == 0).any():
         raise InputError(
             video.path, "at least one frame that shows something", f"none in {codes.size} frames"
         )
-    warnings = (*video.warnings, *strip.warnings, *_count_warnings(video, codes), *_early_end(video, times_s))
     return xr.DataArray(
         intensity,
         dims=("frame", "x"),
@@ -68,7 +65,7 @@ def strip_profile(
             "status": ("frame", _STATUS[codes]),
         },
         name="intensity",
-        attrs=_attributes(video, strip, codes) | {"warnings": "\n".join(warnings)},
+        attrs=_attributes(video, strip, codes) | {"warnings": _warnings(video, strip, codes, times_s)},
     )
 
 
@@ -147,6 +144,12 @@ def _attributes(video: Video, strip: Strip, codes: NDArray[np.int8]) -> dict[str
         "frames_corrupt": int((codes == 1).sum()),
         **video.notes,
     }
+
+
+def _warnings(video: Video, strip: Strip, codes: NDArray[np.int8], times_s: NDArray[np.float64]) -> str:
+    """Everything the user must be told, one line each."""
+    frames = (*_count_warnings(video, codes), *_early_end(video, times_s))
+    return "\n".join((*video.warnings, *strip.warnings, *frames))
 
 
 def _count_warnings(video: Video, codes: NDArray[np.int8]) -> list[str]:
