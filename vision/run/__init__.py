@@ -1,1 +1,1 @@
-
+"""The run folder: all of it or none, with where everything came from."""

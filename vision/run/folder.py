@@ -1,0 +1,89 @@
+"""A run folder appears whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from vision.errors import InputError
+
+MARK = "run.json"  # what makes a folder a run folder
+
+
+def check_target(target: Path, *, overwrite: bool) -> None:
+    """Refuse early what would fail late: an existing folder, one that is no run, a place that cannot be
+    written.
+
+    Raises: InputError.
+    """
+    if target.exists() and not overwrite:
+        raise InputError(target, "a new folder", "one that exists", "give --overwrite or another --out")
+    if target.exists() and not (target.is_dir() and (not any(target.iterdir()) or (target / MARK).is_file())):
+        raise InputError(
+            target, "a run folder to overwrite", "something else (no run.json in it)", "give another --out"
+        )
+    parent = _existing_parent(target)
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise InputError(target, "a place that can be written", f"{parent} is not", "give another --out")
+
+
+@contextmanager
+def run_folder(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """A temporary folder beside `target` that takes its place when everything in it is written.
+
+    If anything goes wrong, an interrupt included, the temporary folder is removed and an earlier run stays
+    as it was.
+
+    Raises: InputError where the target exists or cannot be written, or the disk is full.
+    """
+    check_target(target, overwrite=overwrite)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        made = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+    except OSError as error:
+        raise _unwritable(target, error) from error
+    try:
+        yield made
+        made.chmod(0o777 & ~_umask())
+        _replace(made, target)
+    except OSError as error:
+        raise _unwritable(target, error) from error
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+def _replace(made: Path, target: Path) -> None:
+    """Put `made` in the place of `target`; an earlier run is removed only when the new one stands."""
+    if not target.exists():
+        made.rename(target)
+        return
+    old = Path(tempfile.mkdtemp(prefix=f".{target.name}.old.", dir=target.parent))
+    earlier = target.rename(old / target.name)
+    try:
+        made.rename(target)
+    except OSError:
+        earlier.rename(target)
+        raise
+    finally:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _existing_parent(path: Path) -> Path:
+    return next(parent for parent in path.absolute().parents if parent.exists())
+
+
+def _unwritable(target: Path, error: OSError) -> InputError:
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    found = "a full disk" if full else str(error.strerror or error).lower()
+    return InputError(target, "a place that can be written", found, "nothing was written; give another --out")

@@ -1,0 +1,77 @@
+"""Where the numbers come from: inputs, versions, parameters, counts, warnings, timings."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import math
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+PACKAGES = ("av", "h5netcdf", "numpy", "opencv-python-headless", "pandas", "scipy", "tifffile", "xarray")
+CHUNK_BYTES = 1 << 22
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter's value and where it came from."""
+
+    value: Any
+    how: Literal["given", "config", "default", "found"]
+
+
+def versions() -> dict[str, str]:
+    """Versions of sheetvision, Python and the libraries that touch the numbers."""
+    import vision
+
+    known = {name: _version(name) for name in PACKAGES}
+    return {"sheetvision": vision.__version__, "python": platform.python_version(), **known}
+
+
+def _version(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def describe_input(path: Path) -> dict[str, Any]:
+    """Path, size and SHA-256 of an input; of a folder or a glob, those of its files in order, hashed as
+    one."""
+    digest, size = hashlib.sha256(), 0
+    for file in _files(path):
+        with file.open("rb") as stream:
+            while chunk := stream.read(CHUNK_BYTES):
+                digest.update(chunk)
+                size += len(chunk)
+    return {"path": str(path), "size_bytes": size, "sha256": digest.hexdigest()}
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_dir():
+        return sorted(file for file in path.iterdir() if file.is_file())
+    return [path] if path.exists() else sorted(path.parent.glob(path.name))
+
+
+def write_run_json(folder: Path, facts: Mapping[str, Any]) -> None:
+    """run.json: strict JSON, null for what is not a number."""
+    text = json.dumps(_plain(facts), indent=2, ensure_ascii=False, allow_nan=False)
+    (folder / "run.json").write_text(text + "\n", encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, Parameter):
+        return {"value": _plain(value.value), "how": value.how}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if hasattr(value, "item"):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if isinstance(value, (bool, int, float, str, type(None))) else str(value)

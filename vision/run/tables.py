@@ -1,0 +1,73 @@
+"""tracks.csv, tracks.nc and sheets.csv."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+ROWS_PER_CHUNK = 500_000  # of tracks.csv, so that memory does not grow with the recording
+
+
+def write_tracks_csv(tracks: xr.Dataset, path: Path, *, pixel_size_um: float | None) -> None:
+    """One row per frame and sheet, every one, frame after frame; lengths to 1e-4 px, empty where there is
+    none."""
+    sheets = max(1, tracks.sizes["sheet"])
+    step = max(1, ROWS_PER_CHUNK // sheets)
+    for start in range(0, tracks.sizes["frame"], step):
+        part = tracks.isel(frame=slice(start, start + step))
+        table = tracks_table(part, pixel_size_um=pixel_size_um)
+        table.to_csv(
+            path, mode="w" if start == 0 else "a", header=start == 0, index=False, lineterminator="\n"
+        )
+
+
+def tracks_table(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> pd.DataFrame:
+    """The tracks as a long table: frame, time_s, index, side, n, x_px, x_err_px, x_um, flag."""
+    import pandas as pd
+
+    frames, sheets = tracks.sizes["frame"], tracks.sizes["sheet"]
+    x = tracks["x_px"].values.ravel()
+    return pd.DataFrame(
+        {
+            "frame": np.repeat(tracks["frame"].values, sheets),
+            "time_s": np.repeat(tracks["time_s"].values.round(9), sheets),
+            "index": np.tile(tracks["sheet"].values, frames),
+            "side": np.tile(tracks["side"].values, frames),
+            "n": np.tile(tracks["n"].values, frames),
+            "x_px": x.round(4),
+            "x_err_px": tracks["x_err_px"].values.ravel().round(5),
+            "x_um": np.full(x.shape, np.nan) if pixel_size_um is None else (x * pixel_size_um).round(4),
+            "flag": tracks["flag"].values.ravel(),
+        }
+    )
+
+
+def sheets_table(tracks: xr.Dataset) -> pd.DataFrame:
+    """One row per sheet: index, side, n, x_mean_px, found, fwhm_px, snr, x_noise_px."""
+    import pandas as pd
+
+    digits = {"x_mean_px": 4, "found": 5, "fwhm_px": 2, "snr": 1, "x_noise_px": 5}
+    who = {"index": tracks["sheet"].values, "side": tracks["side"].values, "n": tracks["n"].values}
+    return pd.DataFrame(who | {name: tracks[name].values.round(places) for name, places in digits.items()})
+
+
+def write_tracks_nc(tracks: xr.Dataset, path: Path, *, pixel_size_um: float | None) -> None:
+    """netCDF-4 with CF units and long names; x_um only where the pixel size is known; flags as characters."""
+    data = tracks.assign_coords(index=("sheet", tracks["sheet"].values, {"long_name": "index from the left"}))
+    data["frame"].attrs["long_name"] = "frame number"
+    data["sheet"].attrs["long_name"] = "sheet, counted from the left"
+    if pixel_size_um is not None:
+        about = {"long_name": "position of the sheet", "units": "um"}
+        data = data.assign(x_um=(("frame", "sheet"), data["x_px"].values * pixel_size_um, about))
+    data.attrs = {"Conventions": "CF-1.11", "title": "positions of sheets, x(n,t)"} | data.attrs
+    packed: dict[str, dict[str, Any]] = {
+        str(name): {"zlib": True, "complevel": 1} for name in data.data_vars if data[name].ndim == 2
+    }
+    packed["flag"] |= {"dtype": "S1", "char_dim_name": "flag_length"}
+    data.to_netcdf(path, engine="h5netcdf", encoding=packed)
