@@ -1,0 +1,141 @@
+"""Fits of the paper's models give back what the events were made with."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from vision.errors import InputError
+from vision.models import equations
+from vision.models.fits import Assembly, fit_models
+
+TRUTH = {"mu": 0.89, "t0_N": 4.0, "amplitude": 0.34, "n_hat_N": 0.57, "modulus_GPa": 3.8}
+
+
+def events(
+    *, seed=0, count=200, d1=18.0, mu=0.89, n_hat=0.57, scatter=0.015, jitter=0.07, k_error=0.02
+) -> pd.DataFrame:
+    """Events whose peaks follow Eq. 1 + 4 N, with the scatter of a real test."""
+    rng = np.random.default_rng(seed)
+    d = np.linspace(13.05, d1, count)
+    k = equations.assembly_stiffness(d, mu=mu, n_hat_N=n_hat, modulus_GPa=3.8)
+    drop = 0.34 * equations.total_normal_force(d, mu=mu) * (1 + jitter * rng.standard_normal(count))
+    d_p = d + drop / k
+    error = k_error * k * rng.uniform(0.5, 1.5, count)
+    return pd.DataFrame(
+        {
+            "d_v_mm": d,
+            "d_p_mm": d_p,
+            "F_p_N": (equations.traction(d_p, mu=mu) + 4) * (1 + scatter * rng.standard_normal(count)),
+            "dF_N": drop,
+            "K_N_per_mm": k + error * rng.standard_normal(count),
+            "K_err_N_per_mm": error,
+            "flag": "ok",
+        }
+    )
+
+
+def test_pulls_are_those_of_honest_errors() -> None:
+    """A failure means a fitted parameter is biased or its stated error is not its real one."""
+    pulls = []
+    for seed in range(40):
+        fits = fit_models(events(seed=seed))
+        found = {name: getattr(fits, name) for name in TRUTH}
+        pulls.append([(found[name].value - true) / found[name].error for name, true in TRUTH.items()])
+    pulls_by_name = np.array(pulls)
+    assert np.all(np.abs(pulls_by_name.mean(axis=0)) < 0.5)
+    spread = pulls_by_name.std(axis=0)
+    assert np.all((spread > 0.7) & (spread < 1.35))
+
+
+def test_exact_events_give_exact_parameters() -> None:
+    """A failure means an equation or a unit is wrong, not a matter of noise."""
+    fits = fit_models(events(scatter=0, jitter=0, k_error=1e-9))
+    for name, true in TRUTH.items():
+        assert getattr(fits, name).value == pytest.approx(true, rel=2e-3), name
+    assert fits.scale_mm.value == pytest.approx(19.09, abs=0.02)
+    np.testing.assert_allclose(fits.effective_sheets([13.0, 18.0]), [14.12, 5.98], atol=0.03)
+    assert fits.bending_mm.value == pytest.approx(3.47, abs=0.05)
+
+
+def test_wrong_model_shows_in_the_goodness_of_fit() -> None:
+    """A failure means χ²/dof says "good" for peaks that do not follow Eq. 1."""
+    made = events()
+    straight = made.assign(
+        F_p_N=300 - 15 * (made["d_p_mm"] - 13) + np.random.default_rng(1).normal(0, 1, len(made))
+    )
+    assert fit_models(made).goodness["peaks"].chi2_dof < 1.4
+    assert fit_models(straight).goodness["peaks"].chi2_dof > 5
+
+
+def test_wrong_geometry_fails() -> None:
+    """A failure means the sheets' thickness does not matter to the fit, which it must."""
+    fits = fit_models(events(), assembly=Assembly(thickness_mm=0.11))
+    assert abs(fits.mu.value - 0.89) > 20 * fits.mu.error
+
+
+def test_freeing_t_star_says_that_it_is_degenerate() -> None:
+    """A failure means a user reads μ and T* one by one where only their combination is known."""
+    free, fixed = fit_models(events(), free_t_star=True), fit_models(events())
+    assert free.correlation["mu,T_star_N"] < -0.99
+    assert any("degenerate" in note for note in free.notes)
+    assert free.mu.error > 5 * fixed.mu.error
+    assert abs(free.t_star_N.value - 0.003) < 4 * free.t_star_N.error
+
+
+def test_what_was_held_fixed_is_told() -> None:
+    """A failure means models.json hides an assumption, or is no valid JSON."""
+    content = json.loads(json.dumps(fit_models(events()).to_json(), allow_nan=False))
+    assert content["fixed"]["T_star_N"] == 0.003
+    assert content["fixed"]["thickness_mm"] == 0.1
+    assert set(content["mu"]) == {"value", "error"}
+    assert {"T0_N", "A", "N_hat_N", "Y_eff_GPa"} <= set(content)
+    freed = fit_models(events(), free_t_star=True).to_json()
+    assert "T_star_N" in freed
+    assert "T_star_N" not in freed["fixed"]
+
+
+def test_imaging_is_set_against_the_force() -> None:
+    """A failure means the comparison of shells with M_eff is off."""
+    made = events()
+    fits = fit_models(made)
+    shells = pd.DataFrame({"d_v_mm": [13.5, 15.0, 16.0], "stiff_sheets": [14.5, 12.6, np.nan]})
+    compared = fit_models(made, shells).shells
+    assert compared is not None
+    assert compared.compared == 2
+    expected = np.array([14.5, 12.6]) - fits.effective_sheets([13.5, 15.0])
+    assert compared.mean_difference == pytest.approx(expected.mean())
+
+
+def test_beyond_the_last_stiff_sheet() -> None:
+    """A failure means d̂ > 1, which real samples reach, breaks the fit with NaN."""
+    fits = fit_models(events(d1=17.5, n_hat=0.75).query("K_N_per_mm > 0"))
+    assert np.isfinite(fits.n_hat_N.value)
+    assert fits.effective_sheets(30.0) == 0
+
+
+def test_flagged_events_do_not_count() -> None:
+    """A failure means damaged sticks enter the fits."""
+    made = events()
+    spoiled = made.assign(F_p_N=made["F_p_N"].where(made.index % 10 > 0, 1e4))
+    marked = spoiled.assign(flag=np.where(made.index % 10 > 0, "ok", "gap"))
+    assert fit_models(marked).mu.value == pytest.approx(0.89, abs=0.005)
+    assert abs(fit_models(spoiled).mu.value - 0.89) > 0.02
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda made: made.head(4), "at least 6 whole events.*4 of 4"),
+        (lambda made: made.assign(d_v_mm=made["d_v_mm"] - 13.1), "initial separation with --d0"),
+        (lambda made: made.assign(d_p_mm=made["d_p_mm"] + 50), "between 0 and 57 mm"),
+        (lambda made: made.assign(K_N_per_mm=np.nan), "a displacement or --speed"),
+    ],
+)
+def test_events_that_cannot_be_fitted_are_refused(change, message: str) -> None:
+    """A failure means numbers come out of a fit that has no meaning."""
+    with pytest.raises(InputError, match=message):
+        fit_models(change(events()))
