@@ -64,9 +64,8 @@ def test_exact_events_give_exact_parameters() -> None:
 def test_wrong_model_shows_in_the_goodness_of_fit() -> None:
     """A failure means χ²/dof says "good" for peaks that do not follow Eq. 1."""
     made = events()
-    straight = made.assign(
-        F_p_N=300 - 15 * (made["d_p_mm"] - 13) + np.random.default_rng(1).normal(0, 1, len(made))
-    )
+    noise = np.random.default_rng(1).normal(0, 1, len(made))
+    straight = made.assign(F_p_N=300 - 15 * (made["d_p_mm"] - 13) + noise)
     assert fit_models(made).goodness["peaks"].chi2_dof < 1.4
     assert fit_models(straight).goodness["peaks"].chi2_dof > 5
 

@@ -65,14 +65,14 @@ class Column:
     values: NDArray[np.float64] = field(repr=False)
 
 
-def parse_columns(text: str) -> dict[Role, str]:
+def parse_columns(text: str) -> dict[str, str]:
     """The roles of `--force-columns time=Time,load=Load:kN,displacement=3`.
 
     A value is a column's name, or its number counted from 1; `:unit` states the unit, a leading `-` turns
     the sign, and `time=2000Hz` stands for a recording that has a sampling rate and no times.
     Raises InputError.
     """
-    found: dict[Role, str] = {}
+    found: dict[str, str] = {}
     for part in re.split(r",(?=\s*\w+\s*=)", text.strip().strip(",")):
         key, equals, value = part.partition("=")
         role = next((role for role in ROLES if role == key.strip()), None)

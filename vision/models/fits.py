@@ -86,7 +86,7 @@ def compare_shells(fits: ModelFits, shells: pd.DataFrame) -> ModelFits:
 
 def _usable(sticks: pd.DataFrame, assembly: Assembly) -> pd.DataFrame:
     needed = ["d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm"]
-    events = sticks if "flag" not in sticks else sticks[sticks["flag"] == "ok"]
+    events: pd.DataFrame = sticks[sticks["flag"] == "ok"] if "flag" in sticks else sticks
     rising = (events["dF_N"] > 0) & (events["K_N_per_mm"] > 0)
     events = events.loc[rising & np.isfinite(events[needed].to_numpy(float)).all(axis=1)]
     if len(events) < _MIN_EVENTS:
