@@ -14,6 +14,7 @@ from vision.sheets.noise import position_noise
 Doubles = NDArray[np.float64]
 
 SURE = 4.0  # standard errors by which motion must speak for a side
+RIGID = 3.0  # px per px that the ends step apart: what moves more than that moves as a whole
 SLACK = (
     0.02  # of all the motion: splits this close to the best one are equal, and the most even of them is taken
 )
@@ -69,7 +70,8 @@ def _split_by_motion(x_px: Doubles) -> tuple[int, Literal["motion", "geometry"]]
     """Number of sheets left of the axis."""
     sheets = x_px.shape[1]
     opening, error = _opening(x_px)
-    if sheets < 3 or not (np.abs(opening[[0, -1]]) > SURE * error[[0, -1]]).all():
+    sure = (np.abs(opening[[0, -1]]) > SURE * error[[0, -1]]).any()
+    if sheets < 3 or not sure or np.abs(opening).max() > RIGID:
         return sheets // 2, "geometry"
     total = np.r_[0, np.cumsum(opening)]
     contrast = total[-1] - 2 * total  # right of the split less left of it

@@ -48,7 +48,8 @@ def sightings(profile: NDArray[np.float32], ridges: Ridges, links: Links, comb: 
     two frames) are flagged "doubtful" and not given.
     """
     doubtful = (links.match >= 0) & ~(links.margin >= DOUBT)
-    doubtful |= _torn(np.where(links.match >= 0, _paired(ridges.x_px, links), np.nan), links.rest_px, comb)
+    found = np.where(links.match >= 0, _paired(ridges.x_px, links), np.nan)
+    doubtful |= _torn(found, links.rest_px, comb) | _alone(found - links.rest_px, comb)
     sure = (links.match >= 0) & ~doubtful
     table = [_paired(values, links) for values in (ridges.x_px, ridges.contrast, ridges.fwhm_px)]
     start, contrast, fwhm = (np.where(sure, values, np.nan) for values in table)
@@ -72,13 +73,29 @@ def _torn(x: Doubles, rest: Doubles, comb: Comb) -> NDArray[np.bool_]:
 
     A slip moves neighbours alike, however far. What does not is a wrong identity, or as good as one.
     """
-    step = np.diff(x, axis=0)
-    from_left = np.abs(step - _shifted(_last_seen(step), 1)) > TEAR * comb.pitch_px
-    from_right = np.abs(step - _shifted(_last_seen(step[:, ::-1])[:, ::-1], -1)) > TEAR * comb.pitch_px
-    either = from_left | from_right
+    left, right = _unlike_neighbours(np.diff(x, axis=0), comb)
+    either = (left > 0) | (right > 0)
     first = np.zeros((1, x.shape[1]), bool)
     around = np.vstack([either, first]) | np.vstack([first, either])
     return np.asarray(around & (np.abs(x - rest) > FAR * comb.pitch_px), bool)
+
+
+def _alone(moved: Doubles, comb: Comb) -> NDArray[np.bool_]:
+    """Sheets displaced otherwise than both their neighbours (the one they have, at the ends) by most of a
+    pitch."""
+    left, right = _unlike_neighbours(moved, comb)
+    return np.asarray((left + right > 0) & (left >= 0) & (right >= 0), bool)
+
+
+def _unlike_neighbours(moved: Doubles, comb: Comb) -> tuple[NDArray[np.int8], NDArray[np.int8]]:
+    """For the nearest neighbour seen on the left and on the right: 1 if it moved otherwise, −1 if alike, 0
+    if none."""
+    sides = (_shifted(_last_seen(moved), 1), _shifted(_last_seen(moved[:, ::-1])[:, ::-1], -1))
+    unlike = [np.abs(moved - side) for side in sides]
+    left, right = (
+        np.where(np.isfinite(u), np.where(u > TEAR * comb.pitch_px, 1, -1), 0).astype(np.int8) for u in unlike
+    )
+    return left, right
 
 
 def _last_seen(values: Doubles) -> Doubles:
