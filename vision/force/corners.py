@@ -16,6 +16,10 @@ _HALF_COSINE = 0.59
 _UNRESOLVED = 0.4
 # The same two distances of an exponential tail, end over onset: ln 5 / ln 1.8.
 _EXPONENTIAL = 2.74
+# From 50 % to 10 % an exponential tail takes 1.6 time constants: three times that is five.
+_SETTLED = 3.0
+# Shorter from 90 to 10 %, in samples, a slip's own length is not resolved.
+_SHORT = 1.5
 _CLEAR_SIGMAS = 20.0
 _REACH = 0.3
 
@@ -25,11 +29,13 @@ class Corners:
     """Begin (peak) and end (valley) of each slip, in samples, fractions included.
 
     chain: how much of the slips' length is put down to the force chain's response: 0 none, 1 all.
+    settling: samples from a valley until that response has died away (five time constants); 0 without one.
     """
 
     peak: Floats
     valley: Floats
     chain: float
+    settling: float
 
 
 def find_corners(y: Floats, edge: Ints, sigma: float) -> Corners:
@@ -38,9 +44,9 @@ def find_corners(y: Floats, edge: Ints, sigma: float) -> Corners:
     Between the stick lines before (1) and after (0) a slip passes 90, 50 and 10 %; these times, scaled as
     for half a cosine, give its begin and end.  A low-pass in the force chain makes the end lag
     (exponential tail) while the onset stays sharp; that asymmetry, over all slips, tells how much of their
-    length is the chain's, and that part is taken off.  Slips shorter than a sample begin and end at the
-    same instant, half-way between samples. Single times where the drop is over 20 σ, else the recording's
-    median length around the 50 % crossing.
+    length is the chain's, and that part is taken off.  Slips too short for the sampling begin and end at
+    the same instant, where they are half-way.  Each slip's own length is used where its drop is over 20 σ,
+    else the recording's median.
     """
     high, middle, low = _crossings(y, edge)
     onset, end = _resolved(middle - high), _resolved(low - middle)
@@ -49,12 +55,16 @@ def find_corners(y: Floats, edge: Ints, sigma: float) -> Corners:
     if usual_end > usual_onset:
         ratio = usual_end / max(usual_onset, 1e-9)
         chain = float(np.clip((ratio - 1) / (_EXPONENTIAL - 1), 0.0, 1.0))
+    settling = _SETTLED * usual_end * chain
+    if usual_onset + usual_end < _SHORT:
+        onset, end = np.zeros_like(onset), np.zeros_like(end)
+        usual_onset = usual_end = 0.0
     clear = (stick_drops(y, edge) > _CLEAR_SIGMAS * sigma) & np.isfinite(onset) & np.isfinite(end)
     onset = np.where(clear, onset, usual_onset) * (1 - chain) / _HALF_COSINE
     end = np.where(clear, np.minimum(end, usual_end * 2), usual_end)
     end = np.where(chain > 0, onset, end / _HALF_COSINE)
     last = y.size - 1.0
-    return Corners(np.clip(middle - onset, 0, last), np.clip(middle + end, 0, last), chain)
+    return Corners(np.clip(middle - onset, 0, last), np.clip(middle + end, 0, last), chain, settling)
 
 
 def _usual(distance: Floats) -> float:

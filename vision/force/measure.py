@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.force.corners import Corners
-from vision.force.lines import Floats, Ints, Lines, fit_broken_lines, fit_lines, flat_ranges
+from vision.force.lines import Floats, Ints, fit_broken_lines, fit_lines, flat_ranges
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,6 +19,11 @@ _SENSITIVITY = (0.3, 0.7)
 # F_p and F_v come from a line through nearly all of the stick: a shorter one would not reach the ends.
 _EXTRAPOLATED = 0.8
 _FEW_SAMPLES = 10
+# How much of a stick may be given up to the force chain's settling.
+_LONGEST_SETTLING = 0.35
+# Squared residuals of one line over those of two: above this the stick has two slopes.
+_BENT = 1.5
+_TWO_SLOPES = ("K1_N_per_mm", "K2_N_per_mm", "knee", "knee_gain")
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,26 @@ class Signal:
     sigma: float
     damage: dict[str, Ints]
 
+    @property
+    def spikeless(self) -> Floats:
+        """Load with NaN for spikes, so that fits leave them out."""
+        return np.where(self.is_spike, np.nan, self.load)
+
+
+@dataclass(frozen=True)
+class _Sticks:
+    """Valley, settled start and peak of each stick, in samples."""
+
+    v: Floats
+    settled: Floats
+    p: Floats
+
+    def central(self, part: float) -> tuple[Ints, Ints]:
+        """[start, stop) of the central part, without what the force chain's response still bends."""
+        margin = 0.5 * (1 - part) * (self.p - self.v)
+        start = np.ceil(np.maximum(self.v + margin, self.settled))
+        return start.astype(np.int64), np.floor(self.p - margin).astype(np.int64) + 1
+
 
 def measure(signal: Signal, corners: Corners, two_slopes: bool, compliance: float) -> pd.DataFrame:
     """The table, from corners in samples: valley[j] ends slip j, peak[j] begins it.  compliance: mm/N."""
@@ -41,11 +66,10 @@ def measure(signal: Signal, corners: Corners, two_slopes: bool, compliance: floa
 
     index = np.arange(signal.time.size, dtype=float)
     v, p, v_next = corners.valley[:-1], corners.peak[1:], corners.valley[1:]
+    sticks = _Sticks(v, v + np.minimum(corners.settling, _LONGEST_SETTLING * (p - v)), p)
     t_v, t_p, t_next = (np.interp(at, index, signal.time) for at in (v, p, v_next))
-    line = _central(signal, signal.time, v, p, _EXTRAPOLATED)
-    f_v, f_p = line.at(t_v), line.at(t_p)
-    # What the machine itself stretches is taken off at the corners: off every sample it would carry the
-    # noise.
+    f_v, f_p, rising = _ends(signal, sticks, t_v, t_p, two_slopes)
+    # What the machine stretches is taken off at the corners: off every sample it would carry the noise.
     d_v = np.interp(v, index, signal.travel) - compliance * f_v
     d_p = np.interp(p, index, signal.travel) - compliance * f_p
     last = np.interp(v_next[-1:], index, signal.travel) - compliance * signal.clean[int(v_next[-1])]
@@ -61,53 +85,49 @@ def measure(signal: Signal, corners: Corners, two_slopes: bool, compliance: floa
             "dF_N": f_p - f_v,
             "stick_length_um": 1e3 * (d_p - d_v),
             "slip_length_um": 1e3 * (np.r_[d_v[1:], last] - d_p),
-            **_stiffness(signal, v, p, two_slopes, compliance),
+            **_stiffness(signal, sticks, two_slopes, compliance),
             **_raw_extremes(signal, v, p),
             "slip_time_s": t_next - t_p,
             "samples": (p - v).astype(int),
         }
     )
-    return table.assign(flag=_event_flags(signal, v, p, line.slope))
+    return table.assign(flag=_event_flags(signal, v, p, rising))
 
 
-def _central(signal: Signal, x: Floats, v: Floats, p: Floats, part: float) -> Lines:
-    """Lines of load against x through the central part of each stick, spikes left out."""
-    start, stop = _central_range(v, p, part)
-    return fit_lines(x, np.where(signal.is_spike, np.nan, signal.load), start, stop)
+def _ends(
+    signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, two_slopes: bool
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """(F_v, F_p, does the load rise): stick lines extended to the corners, each side of the knee its own."""
+    start, stop = sticks.central(_EXTRAPOLATED)
+    line = fit_lines(signal.time, signal.spikeless, start, stop)
+    f_v, f_p = line.at(t_v), line.at(t_p)
+    if two_slopes:
+        broken = fit_broken_lines(signal.time, signal.spikeless, start, stop)
+        bent = broken.gain > _BENT
+        knee = np.rint(start + np.where(bent, broken.knee, 0.5) * (stop - start)).astype(np.int64)
+        f_v = np.where(bent, fit_lines(signal.time, signal.spikeless, start, knee).at(t_v), f_v)
+        f_p = np.where(bent, fit_lines(signal.time, signal.spikeless, knee, stop).at(t_p), f_p)
+    return f_v, f_p, line.slope > 0
 
 
-def _central_range(v: Floats, p: Floats, part: float) -> tuple[Ints, Ints]:
-    margin = 0.5 * (1 - part) * (p - v)
-    return np.ceil(v + margin).astype(np.int64), np.floor(p - margin).astype(np.int64) + 1
-
-
-def _stiffness(
-    signal: Signal, v: Floats, p: Floats, two_slopes: bool, compliance: float
-) -> dict[str, Floats]:
+def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: float) -> dict[str, Floats]:
     """Slopes of load against d; the machine's compliance, in series, is taken off."""
 
     def sample(slope: Floats) -> Floats:
         with np.errstate(divide="ignore"):
             return np.where(slope * compliance < 1, slope / (1 - slope * compliance), np.nan)
 
-    central, *others = (_central(signal, signal.travel, v, p, part) for part in (CENTRAL, *_SENSITIVITY))
+    travel, load = signal.travel, signal.spikeless
+    central = fit_lines(travel, load, *sticks.central(CENTRAL))
     k = sample(central.slope)
     columns = {"K_N_per_mm": k, "K_err_N_per_mm": central.slope_error * (k / central.slope) ** 2}
-    columns |= {
-        f"K{part:.0%}_N_per_mm".replace("%", ""): sample(line.slope)
-        for part, line in zip(_SENSITIVITY, others, strict=True)
-    }
-    nothing = np.full(v.size, np.nan)
-    if not two_slopes or not np.isfinite(signal.travel).any():
-        return columns | dict.fromkeys(("K1_N_per_mm", "K2_N_per_mm", "knee", "knee_gain"), nothing)
-    start, stop = _central_range(v, p, _EXTRAPOLATED)
-    broken = fit_broken_lines(signal.travel, np.where(signal.is_spike, np.nan, signal.load), start, stop)
-    return columns | {
-        "K1_N_per_mm": sample(broken.first),
-        "K2_N_per_mm": sample(broken.second),
-        "knee": broken.knee,
-        "knee_gain": broken.gain,
-    }
+    for part in _SENSITIVITY:
+        columns[f"K{100 * part:.0f}_N_per_mm"] = sample(fit_lines(travel, load, *sticks.central(part)).slope)
+    if not two_slopes or not np.isfinite(travel).any():
+        return columns | dict.fromkeys(_TWO_SLOPES, np.full(k.size, np.nan))
+    broken = fit_broken_lines(travel, load, *sticks.central(_EXTRAPOLATED))
+    found = sample(broken.first), sample(broken.second), broken.knee, broken.gain
+    return columns | dict(zip(_TWO_SLOPES, found, strict=True))
 
 
 def _raw_extremes(signal: Signal, v: Floats, p: Floats) -> dict[str, Floats]:
@@ -122,10 +142,10 @@ def _raw_extremes(signal: Signal, v: Floats, p: Floats) -> dict[str, Floats]:
     return {"F_v_raw_N": lowest, "F_p_raw_N": highest}
 
 
-def _event_flags(signal: Signal, v: Floats, p: Floats, slope: Floats) -> list[str]:
+def _event_flags(signal: Signal, v: Floats, p: Floats, rising: NDArray[np.bool_]) -> list[str]:
     """What is wrong within each stick, joined by "+"; "ok" where nothing is."""
     last = signal.time.size - 1
     first, final = np.clip(np.floor(v), 0, last).astype(int), np.clip(np.ceil(p), 0, last).astype(int)
     marks = {word: seen[final] > seen[first] for word, seen in signal.damage.items()}
-    marks |= {"few": p - v < _FEW_SAMPLES, "falling": ~(slope > 0)}
+    marks |= {"few": p - v < _FEW_SAMPLES, "falling": ~rising}
     return ["+".join(word for word, mark in marks.items() if mark[k]) or "ok" for k in range(v.size)]

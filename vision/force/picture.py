@@ -40,7 +40,7 @@ def draw_force(
 
     figure = Figure(figsize=(13, 8.5), layout="constrained")
     whole, zoom, peaks, stiffness = figure.subplots(2, 2).ravel()
-    unit = "load" if force["load_N"].attrs.get("units") == "1" else "F (N)"
+    unit = "F / weight" if force["load_N"].attrs.get("units") == "1" else "F (N)"
     good = good_samples(force) if "flag" in force else force
     middle = sticks.iloc[max(len(sticks) // 2 - _ZOOMED_EVENTS // 2, 0) :].head(_ZOOMED_EVENTS)
     pause = 0.15 * float(middle["t_p_s"].iloc[-1] - middle["t_v_s"].iloc[0])
@@ -52,7 +52,14 @@ def draw_force(
     whole.set_title(f"{len(sticks)} events, threshold {sticks.attrs.get('threshold_N', np.nan):.3g}")
     zoom.set_title("peaks, valleys and stick lines")
     _draw_trend(peaks, sticks, "d_p_mm", "F_p_N", unit, peak_model)
-    _draw_trend(stiffness, sticks, "d_v_mm", "K_N_per_mm", "K (N/mm)", stiffness_model)
+    _draw_trend(
+        stiffness,
+        sticks,
+        "d_v_mm",
+        "K_N_per_mm",
+        "K (1/mm)" if unit == "F / weight" else "K (N/mm)",
+        stiffness_model,
+    )
     figure.savefig(path, dpi=110)
 
 
