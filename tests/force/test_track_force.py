@@ -1,0 +1,117 @@
+"""`track force` from a file to a run folder."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.force.sawtooth import Test, realistic
+from vision.command.force import force
+from vision.errors import InputError
+from vision.force.stickslip import find_stick_slip
+from vision.models.fits import fit_models
+
+COLUMNS = [
+    "event",
+    "t_v_s",
+    "t_p_s",
+    "d_v_mm",
+    "d_p_mm",
+    "F_v_N",
+    "F_p_N",
+    "dF_N",
+    "stick_length_um",
+    "slip_length_um",
+    "K_N_per_mm",
+    "K_err_N_per_mm",
+]
+
+
+@pytest.fixture(scope="module")
+def test() -> Test:
+    return realistic(d1=17.5, noise=0.2)
+
+
+@pytest.fixture
+def file(test: Test, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The test as an MTS recording whose crosshead starts at 0, in a fresh working directory."""
+    monkeypatch.chdir(tmp_path)
+    time, load, d = (test.force[name].to_numpy() for name in ("time_s", "load_N", "d_mm"))
+    rows = "\n".join(f"{a:.6f}\t{b:.3f}\t{c:.4f}" for a, b, c in zip(d - 13, load, time, strict=True))
+    path = tmp_path / "pull.txt"
+    path.write_text(f"Crosshead \tLoad \tTime \t\nmm\tN\tsec\n{rows}\n", encoding="utf-8-sig")
+    return path
+
+
+def test_events_of_a_recording_give_back_the_models(test: Test) -> None:
+    """A failure means detection and measurement bend the physics that the fits then find."""
+    fits = fit_models(find_stick_slip(test.force))
+    assert fits.mu.value == pytest.approx(0.89, abs=0.003)
+    assert fits.t0_N.value == pytest.approx(0, abs=0.6)
+    assert fits.amplitude.value == pytest.approx(0.34, rel=0.03)
+    assert fits.n_hat_N.value == pytest.approx(0.57, rel=0.03)
+    assert fits.modulus_GPa.value == pytest.approx(3.8, rel=0.02)
+
+
+def test_run_folder(file: Path, test: Test, capsys: pytest.CaptureFixture[str]) -> None:
+    """A failure means a script that reads the run folder by its agreed names breaks."""
+    assert force(file, d0=13) == 0
+    folder = Path("pull_force")
+    events = pd.read_csv(folder / "events.csv")
+    assert list(events.columns[: len(COLUMNS)]) == COLUMNS
+    assert len(events) == len(test.truth)
+    np.testing.assert_allclose(events["d_v_mm"], test.truth["d_v_mm"], atol=2e-3)
+    models = json.loads((folder / "models.json").read_text(encoding="utf-8"))
+    assert models["mu"]["value"] == pytest.approx(0.89, abs=0.003)
+    run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    assert run["parameters"]["d0_mm"] == {"value": 13, "how": "given"}
+    assert run["force"]["source"] == "displacement"
+    assert len(run["inputs"][0]["sha256"]) == 64
+    assert (folder / "force.png").stat().st_size > 10_000
+    assert "mu 0.89" in capsys.readouterr().out
+
+
+def test_an_existing_run_is_kept(file: Path) -> None:
+    """A failure means results are lost without --overwrite."""
+    force(file, d0=13, quiet=True)
+    with pytest.raises(InputError, match="--overwrite"):
+        force(file, d0=13, quiet=True)
+    assert force(file, d0=13, quiet=True, overwrite=True, detection_limit=True) == 0
+    run = json.loads(Path("pull_force/run.json").read_text(encoding="utf-8"))
+    assert 0.2 < run["detection_limit"]["limit_N"] < 3
+
+
+def test_without_d0_there_are_events_and_no_models(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A failure means the models are fitted to separations that are not known."""
+    assert force(file, quiet=True) == 0
+    assert "no model fits: they need the initial separation, --d0" in capsys.readouterr().err
+    assert "mu" not in json.loads(Path("pull_force/models.json").read_text(encoding="utf-8"))
+
+
+def test_without_speed_or_displacement(file: Path, test: Test, capsys: pytest.CaptureFixture[str]) -> None:
+    """A failure means a missing speed is guessed, or costs the events that need none."""
+    bare = Path("bare.csv")
+    pd.DataFrame({"time (s)": test.force["time_s"], "load (N)": test.force["load_N"]}).to_csv(
+        bare, index=False
+    )
+    assert force(bare, d0=13) == 1
+    assert "no --speed" in capsys.readouterr().err
+    events = pd.read_csv("bare_force/events.csv")
+    assert len(events) == len(test.truth)
+    assert events["stick_length_um"].isna().all()
+    assert force(bare, d0=13, speed=1, out=Path("with_speed"), quiet=True) == 0
+
+
+def test_nothing_is_written_for_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A failure means half a run folder, or a traceback, for a recording without slips."""
+    monkeypatch.chdir(tmp_path)
+    time = np.arange(2000) * 0.01
+    load = 10 + time + np.random.default_rng(0).normal(0, 0.1, time.size)
+    pd.DataFrame({"time (s)": time, "load (N)": load}).to_csv("ramp.csv", index=False)
+    with pytest.raises(InputError, match=r"ramp\.csv: expected at least two slips"):
+        force(Path("ramp.csv"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ramp.csv"]
