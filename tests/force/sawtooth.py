@@ -90,9 +90,10 @@ def realistic(
     while d < d1:
         drop = 0.34 * float(equations.total_normal_force(d, mu=0.89)) * (1 + jitter * rng.standard_normal())
         t_v, f_v, d_v = t + slip_s, peak - drop, d + slip_s * v_mm_s
-        target = float(equations.traction(d_v, mu=0.89)) * (1 + scatter * rng.standard_normal())
-        rise = max(target - f_v, 0.4 * drop)
         k = float(equations.assembly_stiffness(d_v, mu=0.89, n_hat_N=0.57, modulus_GPa=3.8))
+        # The slip happens at the end of the stick, about one drop over K further on.
+        target = float(equations.traction(d_v + drop / k, mu=0.89)) * (1 + scatter * rng.standard_normal())
+        rise = max(target - f_v, 0.4 * drop)
         k_all = 1 / (1 / k + compliance)
         length = rise / k_all
         s = np.linspace(0, 1, 12)
