@@ -28,7 +28,7 @@ COLUMNS = [
     "slip_length_um",
     "K_N_per_mm",
     "K_err_N_per_mm",
-,]
+]
 
 
 @pytest.fixture(scope="module")
