@@ -11,6 +11,7 @@ Ints = NDArray[np.int64]
 UNEVEN_COST = (
     3.0  # per unit of the logarithm of spacing over pitch: dust halfway between two sheets costs two sheets
 )
+EVEN = 0.12  # scatter (standard deviation of the logarithm) of the spacings of an even comb, at most
 CONTRAST_WORTH = 0.4  # per unit of the logarithm of contrast: dust is often fainter, but so are some sheets
 LEAST_WORTH = 0.3
 MOVES = 0.7  # px rms: neighbours that move this much tell what stands still
@@ -31,12 +32,22 @@ def choose_sheets(
 
     Args: x_px, ascending; log_contrast; found, share of frames; all (entries,).  Returns: ascending numbers.
     """
-    worth = 1 + found + CONTRAST_WORTH * np.maximum(log_contrast - np.median(log_contrast), -2.5)
+    worth = 1 + 1.5 * found + CONTRAST_WORTH * np.maximum(log_contrast - np.median(log_contrast), -2.5)
     worth = np.maximum(worth, LEAST_WORTH)
     if sheets is None:
-        return _best_chain(worth, _uneven_cost(x_px, _local_pitch(x_px, pitch_px)))
+        local = _local_pitch(x_px, pitch_px)
+        return _best_chain(worth, _uneven_cost(x_px, local) / _unevenness(x_px, local))
     # the pitch was measured on that many ridges, so strangers among the entries have not spoilt it
     return _best_chain_of(sheets, worth, _uneven_cost(x_px, np.full(len(x_px), pitch_px)))
+
+
+def _unevenness(x_px: Doubles, local: Doubles) -> float:
+    """How much more the spacings scatter than those of an even comb, at least 1: the more, the less they
+    tell."""
+    if len(x_px) < 6:
+        return 1.0
+    off = np.abs(np.log(np.maximum(np.diff(x_px), 1e-3) / local[:-1]))
+    return max(1.0, float(np.median(off)) / 0.6745 / EVEN)
 
 
 def standing_still(moved_px: Doubles) -> NDArray[np.bool_]:

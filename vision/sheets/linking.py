@@ -21,6 +21,7 @@ Ints = NDArray[np.int64]
 FRAMES_PER_REST = (
     32  # frames whose median position is "where the sheet was", robust against slips and ringing
 )
+SEEN_SHARE = 0.25  # of those frames: seen less often, a sheet's place is taken from its neighbours
 ROUNDS = 2
 
 
@@ -94,7 +95,9 @@ def _resting_places(x_px: Doubles, model: Model) -> Doubles:
     edges = np.linspace(0, frames, blocks + 1).astype(int)
     size = int(np.diff(edges).max())
     index = np.minimum(edges[:-1, None] + np.arange(size), edges[1:, None] - 1)
-    moved = nan_median(x_px[index] - model.x_px, axis=1)
+    moved = x_px[index] - model.x_px
+    seldom = np.isfinite(moved).mean(axis=1) < SEEN_SHARE
+    moved = np.where(seldom, np.nan, nan_median(moved, axis=1))
     moved = fill_rows(fill_rows(moved, model.x_px).T, np.arange(blocks, dtype=np.float64)).T
     at = np.searchsorted(edges[1:], np.arange(frames), side="right")
     return np.asarray(model.x_px + np.nan_to_num(moved)[np.minimum(at, blocks - 1)], np.float64)

@@ -17,8 +17,7 @@ Doubles = NDArray[np.float64]
 DOUBT = 3.0  # nats: odds below 20 to 1
 GLIMPSE_REACH = 0.3  # of the pitch: a faint ridge this near to where a missing sheet must be is that sheet
 GLIMPSE_CONTRAST = 0.2  # of the sheet's usual contrast
-TEAR = 0.6  # of the pitch: neighbours' steps differ by less, even in a slip
-FAR = 0.45  # of the pitch, from the resting place
+TEAR = 0.6  # of the pitch: neighbours' displacements differ by less, even in a slip
 LEAST_SEEN = 0.5  # of the sheets: below this a frame does not tell where a missing one must be
 MERGED = 0.8  # of the ridge width: two sheets this near to each other are one ridge
 
@@ -40,16 +39,13 @@ def sightings(profile: NDArray[np.float32], ridges: Ridges, links: Links, comb: 
     """Candidates paired with sheets, and for sheets that went missing a second, closer look.
 
     Where a missing sheet must be follows from its neighbours' displacement in the same frame. A ridge there
-    that was
-    too faint for the first search is taken if it reaches a fifth of the sheet's usual contrast. Positions
-    whose
-    identity is not certain (margin below 3 nats, or a sheet far from home that tore away from its neighbours
-    between
-    two frames) are flagged "doubtful" and not given.
+    that was too faint for the first search is taken if it reaches a fifth of the sheet's usual contrast.
+    Positions whose identity is not certain (margin below 3 nats, or displaced unlike the other sheets) are
+    flagged "doubtful" and not given.
     """
     doubtful = (links.match >= 0) & ~(links.margin >= DOUBT)
     found = np.where(links.match >= 0, _paired(ridges.x_px, links), np.nan)
-    doubtful |= _torn(found, links.rest_px, comb) | _alone(found - links.rest_px, comb)
+    doubtful |= _torn(found - links.rest_px, comb)
     sure = (links.match >= 0) & ~doubtful
     table = [_paired(values, links) for values in (ridges.x_px, ridges.contrast, ridges.fwhm_px)]
     start, contrast, fwhm = (np.where(sure, values, np.nan) for values in table)
@@ -67,48 +63,28 @@ def sightings(profile: NDArray[np.float32], ridges: Ridges, links: Links, comb: 
     return Sightings(start, contrast, fwhm, flag)
 
 
-def _torn(x: Doubles, rest: Doubles, comb: Comb) -> NDArray[np.bool_]:
-    """Sheets that between two frames moved otherwise than a neighbour by most of a pitch, and are far from
-    home there.
+def _torn(moved: Doubles, comb: Comb) -> NDArray[np.bool_]:
+    """Sheets on the smaller side of a tear: neighbours displaced from their resting places by very different
+    amounts, in one frame.
 
-    A slip moves neighbours alike, however far. What does not is a wrong identity, or as good as one.
+    A slip moves neighbours alike, however far; what does not is a wrong identity, or as good as one. Tears
+    cut
+    the sheets of a frame into groups, and all but the largest group are doubtful.
     """
-    left, right = _unlike_neighbours(np.diff(x, axis=0), comb)
-    either = (left > 0) | (right > 0)
-    first = np.zeros((1, x.shape[1]), bool)
-    around = np.vstack([either, first]) | np.vstack([first, either])
-    return np.asarray(around & (np.abs(x - rest) > FAR * comb.pitch_px), bool)
-
-
-def _alone(moved: Doubles, comb: Comb) -> NDArray[np.bool_]:
-    """Sheets displaced otherwise than both their neighbours (the one they have, at the ends) by most of a
-    pitch."""
-    left, right = _unlike_neighbours(moved, comb)
-    return np.asarray((left + right > 0) & (left >= 0) & (right >= 0), bool)
-
-
-def _unlike_neighbours(moved: Doubles, comb: Comb) -> tuple[NDArray[np.int8], NDArray[np.int8]]:
-    """For the nearest neighbour seen on the left and on the right: 1 if it moved otherwise, −1 if alike, 0
-    if none."""
-    sides = (_shifted(_last_seen(moved), 1), _shifted(_last_seen(moved[:, ::-1])[:, ::-1], -1))
-    unlike = [np.abs(moved - side) for side in sides]
-    left, right = (
-        np.where(np.isfinite(u), np.where(u > TEAR * comb.pitch_px, 1, -1), 0).astype(np.int8) for u in unlike
-    )
-    return left, right
+    frames, sheets = moved.shape
+    seen = np.isfinite(moved)
+    before = np.hstack([np.full((frames, 1), np.nan), _last_seen(moved)[:, :-1]])
+    group = np.cumsum(np.abs(moved - before) > TEAR * comb.pitch_px, axis=1)
+    key = (group + sheets * np.arange(frames)[:, None])[seen]
+    size = np.bincount(key, minlength=frames * sheets).reshape(frames, sheets)
+    own = np.take_along_axis(size, group, axis=1)
+    return np.asarray(seen & (own < size.max(axis=1, keepdims=True)), bool)
 
 
 def _last_seen(values: Doubles) -> Doubles:
     """NaN replaced by the last value before it in the row."""
     number = np.where(np.isfinite(values), np.arange(values.shape[1]), 0)
     return np.asarray(np.take_along_axis(values, np.maximum.accumulate(number, axis=1), axis=1), np.float64)
-
-
-def _shifted(values: Doubles, by: int) -> Doubles:
-    """Each row moved by one place, the end left open by NaN."""
-    moved = np.roll(values, by, axis=1)
-    moved[:, 0 if by > 0 else -1] = np.nan
-    return moved
 
 
 def _paired(values: NDArray[np.float32], links: Links) -> Doubles:
