@@ -105,9 +105,8 @@ def bending_length_mm(
     A cantilever of length lambda and inertia eps^3 W / 12 deflected by delta = lambda n eps / d.
     """
     rigidity = 1000 * width_mm * np.asarray(modulus_GPa, float) * thickness_mm**4
-    return np.sqrt(
-        np.asarray(n, float) * rigidity / (4 * np.asarray(d_mm, float) * np.asarray(n_hat_N, float))
-    )
+    lever = 4 * np.asarray(d_mm, float) * np.asarray(n_hat_N, float)
+    return np.asarray(np.sqrt(np.asarray(n, float) * rigidity / lever))
 
 
 def sheet_angle_rad(n: ArrayLike, d_mm: ArrayLike, *, thickness_mm: float = THICKNESS_MM) -> Array:

@@ -1,0 +1,197 @@
+# ruff: noqa: N815 (the unit is part of a name, and newton is N)
+"""The traction test itself: stick-slip events, separation d(t) and force F(t), before any instrument.
+
+The pull starts at time 0 of the machine's clock at d0 with zero force. A first elastic loading ends in slip 0;
+event i is the stick between slips i and i + 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision.experiment.randomness import stream
+from vision.models import equations as eq
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from vision.experiment.settings import Mechanics
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pull:
+    """What the machine did and the sample answered.
+
+    One entry per stick, the initial loading first: it starts at (start_s, d_start_mm, low_N) and ends, in a slip, at
+    (end_s, d_end_mm, high_N). The stick under way when the machine stops is included and has `complete` False.
+    """
+
+    settings: Mechanics
+    start_s: Array
+    end_s: Array
+    d_start_mm: Array
+    d_end_mm: Array
+    low_N: Array
+    high_N: Array
+    stiffness_N_per_mm: Array
+    effective_sheets: Array
+    stop_s: float
+
+    @property
+    def complete(self) -> NDArray[np.bool_]:
+        """Whether each stick ended in a slip before the machine stopped."""
+        return self.end_s <= self.stop_s
+
+    @property
+    def slip_s(self) -> Array:
+        """Times at which slips begin."""
+        return self.end_s[self.complete]
+
+    def separation_mm(self, time_s: Array) -> Array:
+        """d(t) in mm; constant before the pull and after it."""
+        speed = self.settings.speed_mm_min / 60
+        return self.settings.d0_mm + speed * np.clip(time_s, 0, self.stop_s)
+
+    def force_N(self, time_s: Array) -> Array:
+        """F(t) in N, exact; 0 before the pull, and held where the machine stopped."""
+        m = self.settings
+        t = np.clip(time_s, 0, self.stop_s)
+        k = np.clip(np.searchsorted(self.start_s, t, side="right") - 1, 0, None)
+        u = (t - self.start_s[k]) / (self.end_s[k] - self.start_s[k])
+        rise = self.high_N - self.low_N
+        stick = self.low_N[k] + rise[k] * stick_shape(u, m)
+        # Between the end of a stick and the start of the next the force falls as half a cosine.
+        fall = np.clip((t - self.end_s[k]) / m.slip_s, 0, 1)
+        following = np.minimum(k + 1, len(self.low_N) - 1)
+        slip = self.high_N[k] + (self.low_N[following] - self.high_N[k]) * (1 - np.cos(np.pi * fall)) / 2
+        return np.where(u <= 1, stick, slip)
+
+    def events(self) -> pd.DataFrame:
+        """The complete stick-slip events, initial loading left out: the contract's `events.csv`, exact.
+
+        Times on the machine's clock; M_eff beside K. slip_length_um is what the machine moved during the slip.
+        """
+        import pandas as pd
+
+        keep = np.flatnonzero(self.complete)[1:]
+        m = self.settings
+        slip_um = 1000 * m.slip_s * m.speed_mm_min / 60
+        columns = {
+            "event": np.arange(len(keep)),
+            "t_v_s": self.start_s[keep],
+            "t_p_s": self.end_s[keep],
+            "d_v_mm": self.d_start_mm[keep],
+            "d_p_mm": self.d_end_mm[keep],
+            "F_v_N": self.low_N[keep],
+            "F_p_N": self.high_N[keep],
+            "dF_N": (self.high_N - self.low_N)[keep],
+            "stick_length_um": 1000 * (self.d_end_mm - self.d_start_mm)[keep],
+            "slip_length_um": np.full(len(keep), slip_um),
+            "K_N_per_mm": self.stiffness_N_per_mm[keep],
+            "M_eff": self.effective_sheets[keep],
+        }
+        return pd.DataFrame(columns)
+
+
+def stick_shape(u: Array, m: Mechanics) -> Array:
+    """Share of the stick's force rise reached at the share u of its length: 0 to 1.
+
+    The slope falls by `softening` from start to end, its mean and its middle value being one; with an early
+    steeper part it falls at `early_fraction` by `early_stiffness_ratio` instead.
+    """
+    if m.early_stiffness_ratio > 1:
+        later = 1 / (1 + m.early_fraction * (m.early_stiffness_ratio - 1))
+        return later * (u + (m.early_stiffness_ratio - 1) * np.minimum(u, m.early_fraction))
+    return u + m.softening * u * (1 - u) / 2
+
+
+def peak_force_N(d_mm: float, m: Mechanics) -> float:
+    """Force at which the sample slips at d: Eq. 1 and the offset, smaller while the pull builds up."""
+    force = eq.traction(
+        d_mm, mu=m.mu, t_star_N=m.t_star_N, sheets_per_side=m.sheets_per_side, thickness_mm=m.thickness_mm
+    )
+    return (float(force) + m.t0_N) * _built_up(d_mm, m)
+
+
+def pull_apart(m: Mechanics, *, seed: int) -> Pull:
+    """The whole test, event by event.
+
+    An event that starts at d has drop A times the normal force and stiffness K of the equations at d; the drop (and
+    with it the length of the stick, drop / K) varies by `period_jitter`, the peaks by `peak_scatter`. Where the model
+    has no stiff sheet left (M_eff < 1), the pull goes on with one: K would be 0 and the next slip never come.
+    """
+    rng = stream(seed, "mechanics")
+    speed, stop_s = m.speed_mm_min / 60, (m.d_end_mm - m.d0_mm) / (m.speed_mm_min / 60)
+    rows: list[tuple[float, ...]] = []
+    time, d, low = 0.0, m.d0_mm, 0.0
+    while time < stop_s:
+        drop, stiffness, m_eff = _event_at(d, m, jitter=rng.standard_normal())
+        scatter = 1 + m.peak_scatter * rng.standard_normal()
+        length = drop / (stiffness * _mean_slope(m)) if rows else _loading_mm(stiffness, m)
+        length = max(length, _SHORTEST_STICK_MM)
+        high = peak_force_N(d + length, m) * scatter
+        low = max(high - drop, 0.0) if rows else 0.0
+        end = time + length / speed
+        rows.append((time, end, d, d + length, low, high, stiffness, m_eff))
+        time, d = end + m.slip_s, d + length + speed * m.slip_s
+    start, end_s, d_start, d_stop, lows, highs, k, sheets = np.array(rows).T
+    return Pull(
+        settings=m,
+        start_s=start,
+        end_s=end_s,
+        d_start_mm=d_start,
+        d_end_mm=d_stop,
+        low_N=lows,
+        high_N=highs,
+        stiffness_N_per_mm=k,
+        effective_sheets=sheets,
+        stop_s=stop_s,
+    )
+
+
+_SHORTEST_STICK_MM = 2e-4
+
+
+def _event_at(d_mm: float, m: Mechanics, *, jitter: float) -> tuple[float, float, float]:
+    """Force drop (N), stiffness (N/mm) and M_eff of an event that starts at d."""
+    total = eq.total_normal_force(
+        d_mm, mu=m.mu, t_star_N=m.t_star_N, sheets_per_side=m.sheets_per_side, thickness_mm=m.thickness_mm
+    )
+    d_hat = eq.reduced_separation(
+        d_mm,
+        mu=m.mu,
+        n_hat_N=m.n_hat_N,
+        t_star_N=m.t_star_N,
+        sheets_per_side=m.sheets_per_side,
+        thickness_mm=m.thickness_mm,
+    )
+    sheets = float(eq.effective_sheets(d_hat, sheets_per_side=m.sheets_per_side))
+    one = eq.sheet_stiffness(
+        modulus_GPa=m.modulus_GPa, thickness_mm=m.thickness_mm, width_mm=m.width_mm, length_mm=m.length_mm
+    )
+    # A drop never turns negative, however large the jitter asked for.
+    drop = m.amplitude * float(total) * max(1 + m.period_jitter * jitter, 0.1) * _built_up(d_mm, m)
+    return drop, max(sheets, 1.0) * float(one), sheets
+
+
+def _built_up(d_mm: float, m: Mechanics) -> float:
+    return 1 - float(np.exp(-(d_mm - m.d0_mm) / m.buildup_mm)) if m.buildup_mm else 1.0
+
+
+def _mean_slope(m: Mechanics) -> float:
+    """Mean slope of the stick over K, K being the slope of its later (or only) part."""
+    return 1 + m.early_fraction * (m.early_stiffness_ratio - 1) if m.early_stiffness_ratio > 1 else 1.0
+
+
+def _loading_mm(stiffness_N_per_mm: float, m: Mechanics) -> float:
+    """How far the first elastic loading goes: where K (d - d0) meets the force at which the sample slips."""
+    length = 0.0
+    for _ in range(50):
+        length = peak_force_N(m.d0_mm + length, m) / (stiffness_N_per_mm * _mean_slope(m))
+    return length

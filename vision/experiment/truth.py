@@ -1,0 +1,125 @@
+"""What is known about a synthetic test: `truth.nc`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vision.experiment.clocks import camera_time
+from vision.experiment.geometry import strip_slice
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from vision.experiment.scene import Scene
+
+_MEANING = {
+    "x_px": (
+        "px",
+        "true position: mean over the exposure and over the default strip's rows, centroid of the ridge",
+    ),
+    "visible": ("1", "1 where the ridge lies wholly inside the frame"),
+    "time_s": ("s", "camera clock at mid-exposure"),
+    "stamp_s": ("s", "time stamp the camera wrote; stale stamps repeat the one before"),
+    "time_force_s": ("s", "force clock at mid-exposure"),
+    "exposed": ("1", "number of the frame as exposed, lost frames counted"),
+    "d_mm": ("mm", "separation at mid-exposure"),
+    "t_v_video_s": ("s", "start of the stick on the camera clock"),
+    "t_p_video_s": ("s", "end of the stick on the camera clock"),
+    "slip_s": ("s", "start of every slip on the force clock; slip 0 ends the initial loading"),
+    "slip_video_s": ("s", "start of every slip on the camera clock"),
+    "slip_delay_s": ("s", "how much later than the slip each sheet jumps"),
+    "sigma_x_um": ("um", "RMS displacement over the stick"),
+    "sweep_um": ("um", "inward motion over the stick"),
+    "ratio": ("1", "sigma_x over the stick length"),
+    "shell": ("1", "1 where the ratio is below the stiff threshold"),
+    "fwhm_px": ("px", "full width of each ridge at half height"),
+    "height": ("1", "height of each ridge over the gaps, in units of saturation"),
+}
+
+
+def truth_of(scene: Scene) -> xr.Dataset:
+    """Everything known, with dimensions frame, sheet, event and slip.
+
+    Events carry the columns of the contract's `events.csv` (force clock) and M_eff, the initial loading left out.
+    Attributes: every setting as JSON, the rows of the default strip, the clocks, the axis.
+    """
+    import xarray as xr
+
+    data = {**_of_frames(scene), **_of_events(scene), **_of_sheets(scene)}
+    dataset = xr.Dataset(data, coords={"sheet": np.arange(len(scene.comb.n))})
+    for name, (units, meaning) in _MEANING.items():
+        dataset[name].attrs |= {"units": units, "long_name": meaning}
+    dataset["shell"].attrs |= {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "mobile stiff"}
+    dataset.attrs |= _facts(scene)
+    return dataset
+
+
+def _of_frames(scene: Scene) -> dict[str, Any]:
+    times = scene.times
+    x = scene.seen_px(slice(None))
+    reach = scene.looks.fwhm_px
+    inside = (x > reach - 0.5) & (x < scene.experiment.camera.width - 0.5 - reach)
+    return {
+        "x_px": (("frame", "sheet"), x),
+        "visible": (("frame", "sheet"), inside.astype(np.int8)),
+        "time_s": ("frame", times.camera_s),
+        "stamp_s": ("frame", times.stamp_s),
+        "time_force_s": ("frame", times.machine_s),
+        "exposed": ("frame", times.exposed),
+        "d_mm": ("frame", scene.pull.separation_mm(times.machine_s)),
+    }
+
+
+def _of_events(scene: Scene) -> dict[str, Any]:
+    pull, e = scene.pull, scene.experiment
+    events = pull.events()
+    keep = np.flatnonzero(pull.complete)[1:]
+    ratio = scene.motion.ratio[keep]
+    sweep = scene.motion.sweep_px[keep] * e.camera.pixel_size_um
+    slips = np.flatnonzero(pull.complete)
+    following = np.minimum(slips + 1, len(pull.start_s) - 1)
+    both = ("event", "sheet")
+    table = {str(name): ("event", events[name].to_numpy()) for name in events.columns}
+    return table | {
+        "t_v_video_s": ("event", camera_time(events["t_v_s"].to_numpy(), e)),
+        "t_p_video_s": ("event", camera_time(events["t_p_s"].to_numpy(), e)),
+        "slip_s": ("slip", pull.slip_s),
+        "slip_video_s": ("slip", camera_time(pull.slip_s, e)),
+        "slip_delay_s": (("slip", "sheet"), scene.motion.delay_s[following]),
+        "sigma_x_um": (both, sweep / np.sqrt(12)),
+        "sweep_um": (both, sweep),
+        "ratio": (both, ratio),
+        "shell": (both, (ratio < e.sheets.stiff_ratio).astype(np.int8)),
+    }
+
+
+def _of_sheets(scene: Scene) -> dict[str, Any]:
+    comb, looks = scene.comb, scene.looks
+    return {
+        "side": ("sheet", comb.side),
+        "n": ("sheet", comb.n),
+        "fwhm_px": ("sheet", looks.fwhm_px),
+        "height": ("sheet", looks.height),
+    }
+
+
+def _facts(scene: Scene) -> dict[str, Any]:
+    e, rows = scene.experiment, strip_slice(scene.experiment)
+    return {
+        "settings": json.dumps(asdict(e)),
+        "seed": e.seed,
+        "strip_z0": rows.start,
+        "strip_z1": rows.stop,
+        "axis_px": scene.comb.axis_px,
+        "offset_s": e.clocks.offset_s,
+        "drift_ppm": e.clocks.drift_ppm,
+        "pixel_size_um": e.camera.pixel_size_um,
+        "fps": e.camera.fps,
+        "frames_lost": scene.times.lost,
+        "first_slip_s": float(scene.pull.end_s[0]),
+        "positions": "pixel centres at integers; d_v, t_v etc. as in events.csv; shell: ratio below stiff_ratio",
+    }
