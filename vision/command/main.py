@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Sequence
 
@@ -35,6 +36,7 @@ def make_app() -> App:
 
     app = App(name="track", help=HELP, version=f"sheetvision {__version__}", help_format="markdown")
     app.default(track)
+    app.command("vision.command.force:force", name="force")
     app.command("vision.command.simulate:simulate", name="simulate")
     return app
 
@@ -46,6 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def run(arguments: Sequence[str]) -> int:
     """Exit status of a command line: 0 done, 1 with a warning that matters, 2 bad input."""
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # cut files are reported by the reader itself
     app = make_app()
     try:
         status = app(

@@ -1,0 +1,226 @@
+"""`track VIDEO` as typed: files, exit status, messages."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import tifffile
+import xarray as xr
+
+from tests.comb_video import frames_of, positions, write_video
+from vision.command.main import run
+
+FILES = {
+    "tracks.csv",
+    "tracks.nc",
+    "sheets.csv",
+    "kymograph.tif",
+    "kymograph.png",
+    "overview.png",
+    "run.json",
+}
+
+
+@pytest.fixture
+def video(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return write_video(tmp_path / "comb.tif")
+
+
+def test_the_run_folder_holds_the_truth_in_the_contract_s_columns(video, capsys):
+    """A failure means that scripts which read the run folder break, or that its numbers are wrong."""
+    assert run([str(video), "--fps", "20", "--pixel-size", "10"]) == 0
+    folder = Path("comb_tracks")
+    assert {file.name for file in folder.iterdir()} == FILES
+    table = pd.read_csv(folder / "tracks.csv")
+    assert list(table.columns[:9]) == [
+        "frame",
+        "time_s",
+        "index",
+        "side",
+        "n",
+        "x_px",
+        "x_err_px",
+        "x_um",
+        "flag",
+    ]
+    truth = positions()
+    assert len(table) == truth.size
+    np.testing.assert_allclose(table["x_px"].to_numpy().reshape(truth.shape), truth, atol=0.05)
+    np.testing.assert_allclose(table["x_um"], table["x_px"] * 10, atol=1e-3)
+    np.testing.assert_allclose(table["time_s"], table["frame"] / 20)
+    assert table["n"].iloc[:8].tolist() == [4, 3, 2, 1, 1, 2, 3, 4]
+    assert table["side"].iloc[:8].tolist() == [-1] * 4 + [1] * 4
+    sheets = pd.read_csv(folder / "sheets.csv")
+    assert list(sheets.columns[:8]) == [
+        "index",
+        "side",
+        "n",
+        "x_mean_px",
+        "found",
+        "fwhm_px",
+        "snr",
+        "x_noise_px",
+    ]
+    summary = capsys.readouterr().out.splitlines()
+    assert len(summary) == 10
+    assert summary[0].startswith("sheets     8 bright ridges (4 left, 4 right)")
+
+
+def test_tracks_nc_holds_the_same_as_tracks_csv(video):
+    """A failure means that MATLAB or xarray users see other numbers than spreadsheet users."""
+    assert run([str(video), "--quiet"]) == 0
+    table = pd.read_csv("comb_tracks/tracks.csv")
+    with xr.open_dataset("comb_tracks/tracks.nc", engine="h5netcdf") as data:
+        assert data.x_px.dims == ("frame", "sheet")
+        np.testing.assert_allclose(data.x_px.values.ravel(), table.x_px, atol=1e-4)
+        assert data.x_px.attrs["units"] == "px"
+        assert data.x_px.attrs["long_name"]
+        assert (data.flag.astype(str).values == "ok").all()
+        assert data.attrs["fit"] == "sliding"
+
+
+def test_kymograph_tif_opens_calibrated(video):
+    """A failure means that Fiji would show wrong micrometres or seconds."""
+    assert run([str(video), "--quiet", "--fps", "20", "--pixel-size", "10"]) == 0
+    with tifffile.TiffFile("comb_tracks/kymograph.tif") as file:
+        assert file.pages[0].shape == (60, 180)
+        facts = file.imagej_metadata
+        tags = file.pages[0].tags
+        assert facts["unit"] == "micron"
+        assert facts["yunit"] == "sec"
+        assert np.divide(*tags["XResolution"].value) == pytest.approx(0.1)
+        assert np.divide(*tags["YResolution"].value) == pytest.approx(20)
+
+
+def test_run_json_says_what_was_given_and_what_was_found(video):
+    """A failure means that a run cannot be traced back or repeated."""
+    assert run([str(video), "--quiet", "--sheets", "8"]) == 0
+    facts = json.loads(Path("comb_tracks/run.json").read_text())
+    assert facts["parameters"]["sheets"] == {"value": 8, "how": "given"}
+    assert facts["parameters"]["fit"] == {"value": "sliding", "how": "default"}
+    assert facts["found"]["ridges"]["polarity"] == "bright"
+    assert facts["found"]["window_px"] == 9
+    assert facts["frames"]["expected"] == facts["frames"]["read"] == 60
+    assert len(facts["inputs"][0]["sha256"]) == 64
+    assert facts["inputs"][0]["size_bytes"] == video.stat().st_size
+    assert {"numpy", "sheetvision", "python"} <= set(facts["versions"])
+
+
+def test_options_come_from_a_toml_file_and_the_command_line_wins(video, tmp_path):
+    """A failure means that a campaign's settings are not what its file says."""
+    (tmp_path / "run.toml").write_text("pixel-size = 5.0\nfps = 40\n")
+    assert run([str(video), "--quiet", "--config", "run.toml", "--fps", "20"]) == 0
+    parameters = json.loads(Path("comb_tracks/run.json").read_text())["parameters"]
+    assert parameters["pixel_size"] == {"value": 5.0, "how": "config"}
+    assert parameters["fps"] == {"value": 20.0, "how": "given"}
+
+
+def test_a_blank_frame_is_flagged_and_sets_the_exit_status(tmp_path, monkeypatch, capsys):
+    """A failure means that a lost frame goes unnoticed."""
+    monkeypatch.chdir(tmp_path)
+    pixels = frames_of(positions())
+    pixels[30] = 255
+    write_video(tmp_path / "blank.tif", pixels)
+    assert run(["blank.tif", "--quiet"]) == 1
+    assert "1 frame(s) blank" in capsys.readouterr().err
+    table = pd.read_csv("blank_tracks/tracks.csv")
+    gone = table[table.frame == 30]
+    assert (gone.flag == "blank").all()
+    assert gone.x_px.isna().all()
+    assert (table[table.frame != 30].flag == "ok").all()
+
+
+BAD = {
+    "no such file": (["nothing.avi"], "nothing.avi"),
+    "not a video": (["note.txt"], "note.txt"),
+    "empty": (["empty.avi"], "empty.avi"),
+    "strip outside the frame": (["comb.tif", "--strip", "5:99"], "5:99"),
+    "strip is no range": (["comb.tif", "--strip", "rows"], "--strip"),
+    "fewer ridges than asked": (["comb.tif", "--sheets", "9"], "9 ridges"),
+    "even window": (["comb.tif", "--window", "8"], "--window"),
+    "window is no number": (["comb.tif", "--window", "wide"], "--window"),
+    "constant picture": (["flat.tif"], "flat.tif"),
+    "unknown option": (["comb.tif", "--stripe", "1:2"], "--stripe"),
+    "unknown polarity": (["comb.tif", "--ridges", "grey"], "grey"),
+    "rotation": (["comb.tif", "--rotate", "45"], "45"),
+    "unknown option in the file": (["comb.tif", "--config", "bad.toml"], "stripe"),
+    "broken file of options": (["comb.tif", "--config", "note.txt"], "note.txt"),
+    "negative pixel size": (["comb.tif", "--pixel-size", "-1"], "--pixel-size"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_ends_in_one_line_and_status_2(case, video, tmp_path, capsys):
+    """A failure means a traceback, a silent guess or half a result for bad input."""
+    (tmp_path / "note.txt").write_text("This is not a video.\n" * 10)
+    (tmp_path / "empty.avi").write_bytes(b"")
+    (tmp_path / "bad.toml").write_text("stripe = '1:2'\n")
+    write_video(tmp_path / "flat.tif", np.full((5, 12, 60), 90, np.uint8))
+    before = set(tmp_path.iterdir())
+    arguments, named = BAD[case]
+    assert run(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert named in said.err
+    assert set(tmp_path.iterdir()) == before
+
+
+def test_an_earlier_run_is_kept_unless_told_otherwise(video, capsys):
+    """A failure means that results are overwritten."""
+    assert run([str(video), "--quiet"]) == 0
+    stamp = Path("comb_tracks/run.json").read_bytes()
+    assert run([str(video), "--quiet", "--sheets", "8"]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert Path("comb_tracks/run.json").read_bytes() == stamp
+    assert run([str(video), "--quiet", "--sheets", "99", "--overwrite"]) == 2
+    assert Path("comb_tracks/run.json").read_bytes() == stamp
+    assert run([str(video), "--quiet", "--sheets", "8", "--overwrite"]) == 0
+    assert Path("comb_tracks/run.json").read_bytes() != stamp
+
+
+def test_help_names_every_option_of_the_contract(capsys):
+    """A failure means that a promised option is missing from the help."""
+    assert run(["--help"]) == 0
+    said = capsys.readouterr().out
+    for option in [
+        "strip",
+        "columns",
+        "sheets",
+        "ridges",
+        "axis",
+        "fit",
+        "window",
+        "pixel-size",
+        "fps",
+        "timestamps",
+        "frames",
+        "rotate",
+        "config",
+        "out",
+        "overwrite",
+        "quiet",
+        "verbose",
+    ]:
+        assert f"--{option}" in said
+
+
+def test_the_checkout_s_cli_runs_as_a_process(video):
+    """A failure means that `python cli.py` or its exit status is broken."""
+    root = Path(__file__).parents[2]
+    done = subprocess.run(
+        [sys.executable, str(root / "cli.py"), str(video)],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(root)},
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert done.stdout.count("\n") == 10
