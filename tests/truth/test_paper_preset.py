@@ -1,0 +1,64 @@
+"""The publication's test, simulated: all fifty sheets, no identity lost, errors as predicted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vision.experiment import Experiment, profiles
+from vision.sheets.tracks import track_sheets
+
+
+@pytest.fixture(scope="module")
+def paper():
+    """Eight seconds of the paper's test at 60 frames/s: I(x, t) and its truth."""
+    whole = Experiment()
+    return profiles(replace(whole, camera=replace(whole.camera, duration_s=8.0)))
+
+
+def errors(tracks, truth):
+    return tracks["x_px"].values - truth["x_px"].values
+
+
+def test_all_sheets_are_found_and_none_is_swapped(paper):
+    """A failure means that the main job fails on the publication's own kind of video."""
+    strip, truth = paper
+    tracks = track_sheets(strip)
+    assert tracks.sizes["sheet"] == 50
+    assert (tracks["flag"].values == "ok").all()
+    assert np.abs(errors(tracks, truth)).max() < 0.2  # the pitch is 20 px
+    np.testing.assert_array_equal(tracks["side"], truth["side"])
+    np.testing.assert_array_equal(tracks["n"], truth["n"])
+    assert tracks.attrs["axis_px"] == pytest.approx(truth.attrs["axis_px"], abs=2)
+
+
+def test_stated_errors_are_the_true_ones(paper):
+    """A failure means that published error bars would be wrong."""
+    strip, truth = paper
+    tracks = track_sheets(strip)
+    off = errors(tracks, truth)
+    scatter = np.std(off - np.median(off, axis=0), axis=0)  # fixed pattern apart
+    stated = np.median(tracks["x_err_px"].values, axis=0)
+    assert np.median(scatter / stated) == pytest.approx(1, abs=0.15)
+    assert np.median(tracks["x_noise_px"].values / scatter) == pytest.approx(1, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [({"window_px": 3}, "too narrow a window"), ({"ridges": "dark"}, "wrong polarity")],
+)
+def test_a_wrong_setting_does_not_pass(paper, wrong, why):
+    """A failure means that the tests above would pass whatever the program does."""
+    strip, truth = paper
+    right = np.std(errors(track_sheets(strip), truth))
+    tracks = track_sheets(strip, **wrong)
+    same = tracks.sizes["sheet"] == 50
+    assert not same or np.std(errors(tracks, truth)) > 1.5 * right, why
+
+
+def test_the_paper_s_fit_locks_where_the_sliding_one_does_not(paper):
+    """A failure means that the default is no better than the published fit, or the latter is not as published."""
+    strip, truth = paper
+    sliding = np.std(errors(track_sheets(strip), truth))
+    published = np.std(errors(track_sheets(strip, fit="paper"), truth))
+    assert published > 2 * sliding
