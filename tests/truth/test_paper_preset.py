@@ -57,7 +57,7 @@ def test_a_wrong_setting_does_not_pass(paper, wrong, why):
 
 
 def test_the_paper_s_fit_locks_where_the_sliding_one_does_not(paper):
-    """A failure means that the default is no better than the published fit, or the latter is not as published."""
+    """A failure means that the default is no better than the published fit."""
     strip, truth = paper
     sliding = np.std(errors(track_sheets(strip), truth))
     published = np.std(errors(track_sheets(strip, fit="paper"), truth))
