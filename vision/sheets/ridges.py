@@ -14,7 +14,7 @@ from vision.sheets.comb import FWHM, Comb, smoothed
 Floats = NDArray[np.float32]
 
 FRAMES_PER_BLOCK = 256
-NARROWEST_SHARE = 0.25  # of the typical width: narrower is a hot pixel or dust; half-merged ridges look narrow, too
+NARROWEST_SHARE = 0.25  # of the typical width: narrower is a hot pixel; half-merged ridges look narrow, too
 WIDEST_SHARE = 2.5  # wider is the background between ridges
 
 
