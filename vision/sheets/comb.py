@@ -28,6 +28,7 @@ REACH_SHARE = (
     1.7  # surroundings a ridge must stand out from, in FWHM on either side: a Gaussian is over by then
 )
 WIDTH_SPREAD = 1.6  # widths within this factor of each other are one kind of ridge
+ENDS_IN_VIEW = 1.3  # pitches of background beyond the outermost ridge
 FWHM = 2.3548  # of a Gaussian, in standard deviations
 
 
@@ -36,8 +37,8 @@ class Comb:
     """Facts about the ridges, found once per recording.
 
     polarity: bright or dark ridges.  fwhm_px, pitch_px: typical width and spacing.  contrast: typical
-    prominence, grey
-    levels.  noise: standard deviation of the profile, grey levels.
+    prominence, grey levels.  noise: standard deviation of the profile, grey levels.  count: main ridges in a
+    frame.  ends_px: room between the outermost of them and the picture's edges, the smaller of the two.
     """
 
     polarity: Polarity
@@ -45,6 +46,8 @@ class Comb:
     pitch_px: float
     contrast: float
     noise: float
+    count: float
+    ends_px: float
 
     @property
     def sign(self) -> int:
@@ -105,8 +108,7 @@ def describe_comb(
     Local extrema of lightly smoothed profiles are ranked by prominence; the strongest (`sheets` per frame
     where that
     number is known) are the main ridges, and their medians describe the comb. Left to itself the polarity is
-    that of
-    the narrower stripes; ties are bright.
+    that with more ridges where both ends of the comb are in view, else that of the narrower stripes.
 
     Args: profile (frame, x), grey levels, at least one frame without NaN.  Returns: Comb.
     Raises: InputError where no structure rises above the noise.
@@ -119,9 +121,16 @@ def describe_comb(
         raise InputError(
             source, "upright ridges", "no ridge above the noise", "check --strip, --rotate and --ridges"
         )
-    if len(found) == 2 and found[1].fwhm_px >= DARK_WIDTH_RATIO * found[0].fwhm_px:
-        return found[0]
-    return found[-1]
+    return _likelier(*found) if len(found) == 2 else found[0]
+
+
+def _likelier(bright: Comb, dark: Comb) -> Comb:
+    """Of two readings of the same stripes the one with more ridges, where both ends of the comb are in view
+    (between N ridges there are N − 1 gaps); else the one with the narrower ridges; ties are bright."""
+    in_view = all(comb.ends_px > ENDS_IN_VIEW * comb.pitch_px for comb in (bright, dark))
+    if in_view and bright.count != dark.count:
+        return bright if bright.count > dark.count else dark
+    return dark if dark.fwhm_px < DARK_WIDTH_RATIO * bright.fwhm_px else bright
 
 
 def _sample(profile: Floats) -> Floats:
@@ -147,7 +156,10 @@ def _measure(sample: Floats, polarity: Polarity, noise: float, sheets: int | Non
     fwhm = float(np.sqrt(max(width**2 - (FWHM * sigma) ** 2, 1.0)))
     gaps = np.diff(at[main])[np.diff(frame[main]) == 0]
     pitch = float(np.median(gaps)) if len(gaps) else float(sample.shape[1])
-    return Comb(polarity, fwhm, pitch, float(np.median(prominence[main])), noise)
+    x, width = at[main] % walled.shape[1], walled.shape[1]
+    count = float(np.median(np.bincount(frame[main], minlength=len(sample))))
+    ends = float(min(np.quantile(x, 0.01), width - 1 - np.quantile(x, 0.99)))
+    return Comb(polarity, fwhm, pitch, float(np.median(prominence[main])), noise, count, ends)
 
 
 def _commonest_width(

@@ -75,9 +75,11 @@ def _split_by_motion(x_px: Doubles) -> tuple[int, Literal["motion", "geometry"]]
         return sheets // 2, "geometry"
     total = np.r_[0, np.cumsum(opening)]
     contrast = total[-1] - 2 * total  # right of the split less left of it
-    good = np.flatnonzero(
-        contrast >= contrast.max() - SLACK * np.abs(opening).sum() - np.sqrt((error**2).sum())
-    )
+    slack = SLACK * np.abs(opening).sum() + np.sqrt((error**2).sum())
+    good = np.flatnonzero(contrast >= contrast.max() - slack)
+    outside = good[(good == 0) | (good == sheets)]  # all sheets move alike: one side is in view
+    if len(outside):
+        return int(outside[0]), "motion"
     return int(good[np.argmin(np.abs(good - sheets // 2))]), "motion"
 
 
