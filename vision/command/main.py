@@ -24,9 +24,8 @@ Examples:
     track markers.avi --ridges dark --sheets 7
 
 Results go to a new folder, test_tracks beside the working directory: overview.png to look at first, then
-tracks.csv, tracks.nc, sheets.csv, kymograph.tif and run.json. Exit status: 0 done, 1 finished with a warning
-that
-matters, 2 input that cannot be used.
+tracks.csv, tracks.nc, sheets.csv, kymograph.tif and run.json. Exit status: 0 done, 1 finished with a
+warning that matters, 2 input that cannot be used.
 """
 
 

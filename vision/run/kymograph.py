@@ -17,8 +17,7 @@ def write_kymograph_tif(strip: xr.DataArray, path: Path, *, pixel_size_um: float
     """Rows are frames, columns x; 32-bit floats in grey levels, NaN for frames that are not there.
 
     ImageJ metadata hold the size of a pixel: µm (or "pixel") along x and seconds along t; above 4 GiB a
-    plain BigTIFF
-    without them.
+    plain BigTIFF without them.
     """
     import tifffile
 

@@ -2,14 +2,11 @@
 once.
 
 A dynamic programme finds, for each list, the cheapest way to pair candidates with sheets when order never
-changes,
-sheets may be missing and candidates may be no sheet at all. Costs are negative log-likelihoods, so that a
-difference
-of 3 means odds of 20. What speaks for a pairing, in the order of weight: all sheets and no stranger
-accounted for
-(count, edges); spacings that change little between neighbours (a displacement smooth in n); the brightness
-of each
-sheet; and, weakly, staying where it was (still centre) — weakly because a whole comb may jump by pitches.
+changes, sheets may be missing and candidates may be no sheet at all. Costs are negative log-likelihoods,
+so that a difference of 3 means odds of 20. What speaks for a pairing, in the order of weight: all sheets
+and no stranger accounted for (count, edges); spacings that change little between neighbours (a
+displacement smooth in n); the brightness of each sheet; and, weakly, staying where it was (still centre)
+— weakly because a whole comb may jump by pitches.
 """
 
 from __future__ import annotations
@@ -51,8 +48,8 @@ class Reference:
     """The comb that candidates are aligned with.
 
     x_px: expected positions, (lists, N).  log_contrast: (N,).  missing_cost: (N,), small for sheets often
-    unseen.
-    pitch_px: typical spacing.  width_px: of the picture, sheets expected outside it are missing for nothing.
+    unseen. pitch_px: typical spacing.  width_px: of the picture, sheets expected outside it are missing
+    for nothing.
     """
 
     x_px: Doubles
@@ -89,9 +86,9 @@ class Alignment:
 def align(candidates: Candidates, reference: Reference) -> Alignment:
     """Cheapest order-preserving pairing of each candidate list with the sheets, and how sure it is.
 
-    Lists are independent of each other; all work is vectorised over them. Source: Needleman & Wunsch 1970,
-    with the
-    spacing to the previous pair as the cost of a step; margins from the forward and backward passes together.
+    Lists are independent of each other; all work is vectorised over them. Source: Needleman & Wunsch
+    1970, with the spacing to the previous pair as the cost of a step; margins from the forward and
+    backward passes together.
     """
     count = np.isfinite(candidates.x_px).sum(axis=1)
     order = np.argsort(count, kind="stable")  # lists of like length share a narrow band

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 Doubles = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-UNEVEN_COST = (
-    3.0  # per unit of the logarithm of spacing over pitch: dust halfway between two sheets costs two sheets
-)
+# Per unit of the logarithm of spacing over pitch: dust halfway between two sheets costs two sheets
+UNEVEN_COST = 3.0
 EVEN = 0.12  # scatter (standard deviation of the logarithm) of the spacings of an even comb, at most
 CONTRAST_WORTH = 0.4  # per unit of the logarithm of contrast: dust is often fainter, but so are some sheets
 LEAST_WORTH = 0.3
@@ -24,11 +23,10 @@ def choose_sheets(
 ) -> Ints:
     """Numbers of the entries that together make the best comb.
 
-    Each entry counts for its presence and contrast, each spacing against its departure from the local pitch;
-    a dynamic
-    programme over the entries in order finds the chain worth most, of exactly `sheets` entries where that is
-    given. A
-    faint sheet in its place is kept, since without it the spacing is double; dust between two sheets is not.
+    Each entry counts for its presence and contrast, each spacing against its departure from the local
+    pitch; a dynamic programme over the entries in order finds the chain worth most, of exactly `sheets`
+    entries where that is given. A faint sheet in its place is kept, since without it the spacing is
+    double; dust between two sheets is not.
 
     Args: x_px, ascending; log_contrast; found, share of frames; all (entries,).  Returns: ascending numbers.
     """
@@ -54,10 +52,9 @@ def standing_still(moved_px: Doubles) -> NDArray[np.bool_]:
     """Which entries stay where they are while the sheets beside them move: dust on the lens or the sensor,
     marks.
 
-    Each entry's motion is compared with the mean of its two neighbours on either side, over the frames where
-    all are
-    seen. Only where these move together by more than 0.7 px rms is there a verdict; the centre of the comb
-    gives none.
+    Each entry's motion is compared with the mean of its two neighbours on either side, over the frames
+    where all are seen. Only where these move together by more than 0.7 px rms is there a verdict; the
+    centre of the comb gives none.
 
     Args: moved_px (frame, N), displacement from the resting place, NaN where missing.  Returns: (N,).
     """

@@ -17,16 +17,13 @@ Polarity = Literal["bright", "dark"]
 
 SAMPLE_FRAMES = 48
 NOISE_FACTOR = 7.0  # least prominence of a ridge, in standard deviations of the smoothed noise
-FAINT_SHARE = (
-    0.08  # and in the typical ridge's prominence: a fifth of the others' contrast passes with room to spare
-)
+# And in the typical ridge's prominence: a fifth of the others' contrast passes with room to spare
+FAINT_SHARE = 0.08
 SMOOTHING_SHARE = 0.2  # smoothing before the search, in FWHM: hardly widens the ridge, quells the noise
-DARK_WIDTH_RATIO = (
-    0.9  # ridges are dark where the dark stripes are narrower than the bright ones by this factor
-)
-REACH_SHARE = (
-    1.7  # surroundings a ridge must stand out from, in FWHM on either side: a Gaussian is over by then
-)
+# Ridges are dark where the dark stripes are narrower than the bright ones by this factor
+DARK_WIDTH_RATIO = 0.9
+# Surroundings a ridge must stand out from, in FWHM on either side: a Gaussian is over by then
+REACH_SHARE = 1.7
 WIDTH_SPREAD = 1.6  # widths within this factor of each other are one kind of ridge
 ENDS_IN_VIEW = 1.3  # pitches of background beyond the outermost ridge
 FWHM = 2.3548  # of a Gaussian, in standard deviations
@@ -79,9 +76,8 @@ def noise_floor(noise: float, smoothing_px: float) -> float:
 def profile_noise(profile: Floats) -> float:
     """Standard deviation of the pixel noise of profiles (frame, x), grey levels.
 
-    From sixth differences along x, which a smooth ridge hardly has: median absolute value over all pixels. 0
-    for a
-    noise-free profile; too small where compression has smoothed the noise.
+    From sixth differences along x, which a smooth ridge hardly has: median absolute value over all
+    pixels. 0 for a noise-free profile; too small where compression has smoothed the noise.
     """
     kernel = np.array([1, -6, 15, -20, 15, -6, 1], np.float64)[None, :]
     spread = cv2.filter2D(np.ascontiguousarray(profile, np.float32), cv2.CV_32F, kernel)[:, 3:-3]
@@ -106,9 +102,9 @@ def describe_comb(
     """Polarity, width, pitch and contrast of the ridges.
 
     Local extrema of lightly smoothed profiles are ranked by prominence; the strongest (`sheets` per frame
-    where that
-    number is known) are the main ridges, and their medians describe the comb. Left to itself the polarity is
-    that with more ridges where both ends of the comb are in view, else that of the narrower stripes.
+    where that number is known) are the main ridges, and their medians describe the comb. Left to itself
+    the polarity is that with more ridges where both ends of the comb are in view, else that of the
+    narrower stripes.
 
     Args: profile (frame, x), grey levels, at least one frame without NaN.  Returns: Comb.
     Raises: InputError where no structure rises above the noise.

@@ -18,9 +18,8 @@ from vision.sheets.segments import Segments, split_segments
 Doubles = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-FRAMES_PER_REST = (
-    32  # frames whose median position is "where the sheet was", robust against slips and ringing
-)
+# Frames whose median position is "where the sheet was", robust against slips and ringing
+FRAMES_PER_REST = 32
 SEEN_SHARE = 0.25  # of those frames: seen less often, a sheet's place is taken from its neighbours
 ROUNDS = 2
 
@@ -43,11 +42,10 @@ def link(
 ) -> Links:
     """Pair the candidates of all frames with the sheets.
 
-    Frames are first joined to segments in which nothing can be mistaken; one comb is found that most of the
-    recording
-    agrees on; then all segments are aligned with that comb at once, and again with each sheet expected where
-    it was
-    found around that time. No frame depends on the one before, so a mistake cannot spread.
+    Frames are first joined to segments in which nothing can be mistaken; one comb is found that most of
+    the recording agrees on; then all segments are aligned with that comb at once, and again with each
+    sheet expected where it was found around that time. No frame depends on the one before, so a mistake
+    cannot spread.
 
     Args: ridges, candidates per frame; comb; width_px, of the profile; sheets, their number where known.
     Raises: InputError where there are no ridges or fewer than `sheets`.

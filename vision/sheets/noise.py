@@ -21,15 +21,13 @@ def intensity_noise(
     """Standard deviation of the profile's noise around each sheet, grey levels.
 
     Second differences in time of the pixels around a ridge hold its noise, its motion and its flicker;
-    motion and
-    flicker (level, brightness, first and second derivative of the ridge) are fitted and taken off, the rest
-    is noise.
-    Unlike a figure taken along x it does not mistake paper texture for noise, and knows that bright ridges
-    are noisier.
+    motion and flicker (level, brightness, first and second derivative of the ridge) are fitted and taken
+    off, the rest is noise. Unlike a figure taken along x it does not mistake paper texture for noise, and
+    knows that bright ridges are noisier.
 
     Args: profile (frame, x); x_px, positions (frame, N), NaN where missing; fallback, for sheets seen in
-    fewer than
-    eight groups of three frames.  Returns: (N,).  Source: median over the groups, so slips do not count.
+    fewer than eight groups of three frames.  Returns: (N,).  Source: median over the groups, so slips do
+    not count.
     """
     half = max(half_px, 5)
     middle = _triples(x_px)
@@ -53,9 +51,8 @@ def position_noise(x_px: Doubles) -> Doubles:
     eight triples.
 
     From second differences in time, so that a steady creep does not count, less their median over the
-    sheets, so that
-    vibration of the camera does not either (with five sheets or more); median absolute value, so slips do
-    not.
+    sheets, so that vibration of the camera does not either (with five sheets or more); median absolute
+    value, so slips do not.
     """
     second = x_px[2:] - 2 * x_px[1:-1] + x_px[:-2]
     if x_px.shape[1] >= 5 and len(second):

@@ -15,9 +15,8 @@ Doubles = NDArray[np.float64]
 
 SURE = 4.0  # standard errors by which motion must speak for a side
 RIGID = 3.0  # px per px that the ends step apart: what moves more than that moves as a whole
-SLACK = (
-    0.02  # of all the motion: splits this close to the best one are equal, and the most even of them is taken
-)
+# Of all the motion: splits this close to the best one are equal, and the most even of them is taken
+SLACK = 0.02
 
 
 @dataclass(frozen=True)
@@ -37,14 +36,11 @@ def number_sheets(x_px: Doubles, *, axis_px: float | None = None) -> Numbering:
     """Side and n of every sheet.
 
     The sheets on either side move against each other: in a stick phase both inwards, in a slip both
-    outwards. The axis
-    is put where the motion changes sign, as far as the motion is significant; the stiff centre hardly moves,
-    so among
-    equally good places the most even split is taken. Without significant motion, that is the middle of the
-    comb. With
-    one side in view all sheets move alike, and the axis lies outside, beyond the end that moves least. A
-    sheet that
-    stands on the axis itself (odd number) counts as the first on the right.
+    outwards. The axis is put where the motion changes sign, as far as the motion is significant; the
+    stiff centre hardly moves, so among equally good places the most even split is taken. Without
+    significant motion, that is the middle of the comb. With one side in view all sheets move alike, and
+    the axis lies outside, beyond the end that moves least. A sheet that stands on the axis itself (odd
+    number) counts as the first on the right.
 
     Args: x_px (frame, N), NaN where missing, sheets in order.  axis_px: given by the user.
     Returns: Numbering. Where the axis lies outside the picture, n counts from the sheet in view nearest to
@@ -86,9 +82,9 @@ def _split_by_motion(x_px: Doubles) -> tuple[int, Literal["motion", "geometry"]]
 def _opening(x_px: Doubles) -> tuple[Doubles, Doubles]:
     """How far each sheet steps when the comb's ends step apart by one pixel, and the standard error.
 
-    The distance between the ends does not feel vibration or drift of the camera, so neither do these slopes,
-    as long
-    as the two are unrelated. Where both ends step the same way (one side in view), the larger one leads.
+    The distance between the ends does not feel vibration or drift of the camera, so neither do these
+    slopes, as long as the two are unrelated. Where both ends step the same way (one side in view), the
+    larger one leads.
     """
     step = np.diff(x_px, axis=0)
     known = np.isfinite(step)

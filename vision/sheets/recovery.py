@@ -67,9 +67,8 @@ def _torn(moved: Doubles, comb: Comb) -> NDArray[np.bool_]:
     """Sheets on the smaller side of a tear: neighbours displaced from their resting places by very different
     amounts, in one frame.
 
-    A slip moves neighbours alike, however far; what does not is a wrong identity, or as good as one. Tears
-    cut
-    the sheets of a frame into groups, and all but the largest group are doubtful.
+    A slip moves neighbours alike, however far; what does not is a wrong identity, or as good as one.
+    Tears cut the sheets of a frame into groups, and all but the largest group are doubtful.
     """
     frames, sheets = moved.shape
     seen = np.isfinite(moved)

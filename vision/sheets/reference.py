@@ -53,13 +53,10 @@ class Model:
 def build_model(segments: Segments, comb: Comb, *, width_px: int, sheets: int | None, source: str) -> Model:
     """The comb that most frames agree on, from the longest undisturbed segment outwards.
 
-    All candidates of a seed segment are taken for sheets; segments from the whole recording are aligned with
-    it;
-    candidates that many frames show and the comb lacks are added, and those that few show are dropped; then
-    what is
-    too near to a brighter neighbour for the spacing of the comb, or lies far outside it, is dropped as dust.
-    With
-    `sheets` given, the most convincing such comb of that many.
+    All candidates of a seed segment are taken for sheets; segments from the whole recording are aligned
+    with it; candidates that many frames show and the comb lacks are added, and those that few show are
+    dropped; then what is too near to a brighter neighbour for the spacing of the comb, or lies far
+    outside it, is dropped as dust. With `sheets` given, the most convincing such comb of that many.
 
     Raises: InputError where there is no candidate at all, or fewer ridges than `sheets`.
     """
@@ -136,8 +133,7 @@ def _strangers(
     """Unpaired candidates, gathered by the place they have between the sheets: position, log contrast, share.
 
     Place is the number of the next sheet to the left plus the fraction of the spacing; one stranger per
-    interval and
-    round is taken in, the one that most frames show.
+    interval and round is taken in, the one that most frames show.
     """
     x = candidates.x_px
     taken = np.zeros(x.shape, bool)

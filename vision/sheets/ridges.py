@@ -22,9 +22,8 @@ WIDEST_SHARE = 2.5  # wider is the background between ridges
 class Ridges:
     """Candidate ridges of every frame, left to right, padded with NaN to the largest count K.
 
-    x_px: whole-pixel position (frame, K), NaN where there is no further ridge.  contrast: prominence, grey
-    levels
-    (frame, K).  fwhm_px: width at half prominence, smoothing taken off (frame, K).
+    x_px: whole-pixel position (frame, K), NaN where there is no further ridge.  contrast: prominence,
+    grey levels (frame, K).  fwhm_px: width at half prominence, smoothing taken off (frame, K).
     """
 
     x_px: Floats
@@ -48,10 +47,9 @@ def find_ridges(profile: Floats, comb: Comb) -> Ridges:
     """Candidate ridges of every frame.
 
     A ridge is a local maximum of the lightly smoothed profile (a minimum where ridges are dark) whose
-    prominence
-    within its surroundings passes `comb.threshold`; shoulders have none, and what is much narrower than a
-    ridge is
-    dust. Faint sheets pass: whether a candidate is a sheet is decided by linking, from all frames together.
+    prominence within its surroundings passes `comb.threshold`; shoulders have none, and what is much
+    narrower than a ridge is dust. Faint sheets pass: whether a candidate is a sheet is decided by
+    linking, from all frames together.
 
     Args: profile, grey levels (frame, x); frames of NaN hold no ridge.  comb: width, polarity and threshold.
     Source: paper, appendix B (local maxima of I(x)).

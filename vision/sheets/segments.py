@@ -40,12 +40,10 @@ class Segments:
 def split_segments(ridges: Ridges, pitch_px: float) -> Segments:
     """Cut the recording where a candidate comes, goes or jumps.
 
-    Inside a segment the k-th candidate of one frame is the k-th of the next: counts are equal and every step
-    is
-    below 0.3 of the spacing to the nearer neighbour (or of the pitch, if smaller). A comb that jumps by a
-    whole pitch
-    so that one sheet leaves the picture as another enters looks still; its brightnesses change, and so it is
-    cut.
+    Inside a segment the k-th candidate of one frame is the k-th of the next: counts are equal and every
+    step is below 0.3 of the spacing to the nearer neighbour (or of the pitch, if smaller). A comb that
+    jumps by a whole pitch so that one sheet leaves the picture as another enters looks still; its
+    brightnesses change, and so it is cut.
     """
     x = ridges.x_px.astype(np.float64)
     room = np.fmin(_spacing(x), pitch_px)

@@ -1,9 +1,8 @@
 """Ridge positions to a hundredth of a pixel, one function per fit, each with its error.
 
-All take the profile (frame, x) and whole-pixel starting points, and return positions in px (pixel centres at
-integers) and the error that one grey level of white pixel noise would give them. Ridges are bright: pass the
-negative
-profile for dark ones.
+All take the profile (frame, x) and whole-pixel starting points, and return positions in px (pixel centres
+at integers) and the error that one grey level of white pixel noise would give them. Ridges are bright:
+pass the negative profile for dark ones.
 """
 
 from __future__ import annotations
@@ -21,8 +20,7 @@ class Fit(NamedTuple):
     """Positions and what they rest on, one entry per starting point.
 
     x_px: position, NaN where the fit has no answer.  err_per_noise: px of position error (standard
-    deviation) per grey
-    level of white noise in the profile.
+    deviation) per grey level of white noise in the profile.
     """
 
     x_px: Doubles
@@ -41,15 +39,13 @@ def paper_vertex(
 ) -> Fit:
     """Vertex of the least-squares parabola through `window_px` pixels centred on the brightest one.
 
-    The publication's method, exactly (appendix B): the brightest pixel is looked for within `search_px` of
-    the
-    start, a second-degree polynomial is fitted around it, its vertex is the position. Equals `numpy.polyfit`
-    to
-    rounding. It locks to whole pixels (50–190 mpx peak to peak), which `sliding_vertex` does not.
+    The publication's method, exactly (appendix B): the brightest pixel is looked for within `search_px`
+    of the start, a second-degree polynomial is fitted around it, its vertex is the position. Equals
+    `numpy.polyfit` to rounding. It locks to whole pixels (50–190 mpx peak to peak), which
+    `sliding_vertex` does not.
 
     NaN where the window leaves the frame, the brightest pixel lies at the end of the search, the parabola
-    has no
-    maximum, or its vertex lies outside the window.
+    has no maximum, or its vertex lies outside the window.
     """
     half = window_px // 2
     around = np.arange(-search_px, search_px + 1)
@@ -77,12 +73,11 @@ def paper_vertex(
 def sliding_vertex(profile: NDArray[np.floating], starts: Starts, *, window_px: int = 9) -> Fit:
     """Ridge positions where the slope of the least-squares parabola is zero.
 
-    A parabola fitted to `window_px` pixels has, at its centre, a slope that is one fixed linear filter of the
-    profile. A ridge lies where that slope falls through zero as the window slides, so unlike the vertex of a
-    window
-    pinned to the brightest pixel the result does not lock to whole pixels. Between pixels the slope is
-    interpolated
-    by the cubic through its four neighbours; of several zeros the one nearest the start counts.
+    A parabola fitted to `window_px` pixels has, at its centre, a slope that is one fixed linear filter of
+    the profile. A ridge lies where that slope falls through zero as the window slides, so unlike the
+    vertex of a window pinned to the brightest pixel the result does not lock to whole pixels. Between
+    pixels the slope is interpolated by the cubic through its four neighbours; of several zeros the one
+    nearest the start counts.
 
     NaN where the slope does not fall through zero within half a window of the start, or the window leaves
     the frame.
@@ -106,13 +101,11 @@ def template_shift(
 ) -> Fit:
     """Positions by matching each ridge to its own mean shape.
 
-    For each shape (one per sheet) the pixels of all its ridges, each shifted by its first position, give the
-    mean
-    profile and its derivative at any fraction of a pixel (a smoothing spline through all of them). One
-    Gauss-Newton
-    step then fits shift, brightness and background together, twice over; residuals of the shift are taken
-    out in the
-    mean over all of a sheet's ridges, so a template never moves a sheet's mean position.
+    For each shape (one per sheet) the pixels of all its ridges, each shifted by its first position, give
+    the mean profile and its derivative at any fraction of a pixel (a smoothing spline through all of
+    them). One Gauss-Newton step then fits shift, brightness and background together, twice over;
+    residuals of the shift are taken out in the mean over all of a sheet's ridges, so a template never
+    moves a sheet's mean position.
 
     Args: shape, which template each start belongs to (points,); x_px, first positions, from `sliding_vertex`.
     NaN where x_px is NaN, the window leaves the frame, or the step is larger than a pixel.
