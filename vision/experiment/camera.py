@@ -1,12 +1,12 @@
 """The sensor: electrons, noise, grey levels.
 
-A pixel that collects e electrons has variance e + read^2 (photons and read-out); the mean of n rows has that over n.
-Grey level = black level + e / gain, rounded and clipped.
+A pixel that collects e electrons has variance e + read^2 (photons and read-out); the mean of n rows has
+that over n. Grey level = black level + e / gain, rounded and clipped.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +27,7 @@ def electrons_per_level(camera: Camera) -> float:
     return camera.full_well_e / (saturation_level(camera) - camera.black_level)
 
 
-def grey_levels(
-    light: NDArray[np.float32], camera: Camera, rng: np.random.Generator
-) -> NDArray[np.uint8] | NDArray[np.uint16]:
+def grey_levels(light: NDArray[np.float32], camera: Camera, rng: np.random.Generator) -> NDArray[Any]:
     """A frame as written: light (fraction of saturation) becomes noisy, rounded, clipped grey levels."""
     electrons = light * np.float32(camera.full_well_e)
     if camera.noise:

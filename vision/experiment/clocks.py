@@ -1,4 +1,5 @@
-"""When each frame was taken, on the camera's clock and on the machine's; what was lost and what was mis-stamped."""
+"""When each frame was taken, on the camera's clock and on the machine's; what was lost and what was mis-
+stamped."""
 
 from __future__ import annotations
 
@@ -20,8 +21,8 @@ Array = NDArray[np.float64]
 class FrameTimes:
     """One entry per frame that reached the file; times are of mid-exposure.
 
-    camera_s is true camera time, stamp_s what the camera wrote (stale stamps repeat the one before), machine_s the
-    force clock; `exposed` numbers the frames before any were lost.
+    camera_s is true camera time, stamp_s what the camera wrote (stale stamps repeat the one before),
+    machine_s the force clock; `exposed` numbers the frames before any were lost.
     """
 
     camera_s: Array

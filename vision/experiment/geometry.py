@@ -77,7 +77,7 @@ def strip_slice(experiment: Experiment) -> slice:
 
 def rows_from_middle(height: int) -> Array:
     """zeta of every row."""
-    return np.arange(height) - (height - 1) / 2
+    return np.arange(height, dtype=float) - (height - 1) / 2
 
 
 def row_light(experiment: Experiment) -> Array:
@@ -89,11 +89,12 @@ def row_light(experiment: Experiment) -> Array:
 def column_light(experiment: Experiment) -> Array:
     """Relative light of every column."""
     width = experiment.camera.width
-    return 1 + experiment.optics.gradient * (np.arange(width) - (width - 1) / 2) / width
+    return 1 + experiment.optics.gradient * (np.arange(width, dtype=float) - (width - 1) / 2) / width
 
 
 def seen_px(x_px: Array, geometry: Geometry, experiment: Experiment) -> Array:
-    """Where the strip's mean sees a sheet: its shift averaged over the strip's rows, weighted with their light."""
+    """Where the strip's mean sees a sheet: its shift averaged over the strip's rows, weighted with their
+    light."""
     rows = strip_slice(experiment)
     zeta, weight = rows_from_middle(geometry.height)[rows], row_light(experiment)[rows]
     first, second = np.average(zeta, weights=weight), np.average(zeta**2, weights=weight)

@@ -1,8 +1,8 @@
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
 """The traction test itself: stick-slip events, separation d(t) and force F(t), before any instrument.
 
-The pull starts at time 0 of the machine's clock at d0 with zero force. A first elastic loading ends in slip 0;
-event i is the stick between slips i and i + 1.
+The pull starts at time 0 of the machine's clock at d0 with zero force. A first elastic loading ends in
+slip 0; event i is the stick between slips i and i + 1.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ Array = NDArray[np.float64]
 class Pull:
     """What the machine did and the sample answered.
 
-    One entry per stick, the initial loading first: it starts at (start_s, d_start_mm, low_N) and ends, in a slip, at
-    (end_s, d_end_mm, high_N). The stick under way when the machine stops is included and has `complete` False.
+    One entry per stick, the initial loading first: it starts at (start_s, d_start_mm, low_N) and ends,
+    in a slip, at (end_s, d_end_mm, high_N). The stick under way when the machine stops is included and
+    has `complete` False.
     """
 
     settings: Mechanics
@@ -75,7 +76,8 @@ class Pull:
     def events(self) -> pd.DataFrame:
         """The complete stick-slip events, initial loading left out: the contract's `events.csv`, exact.
 
-        Times on the machine's clock; M_eff beside K. slip_length_um is what the machine moved during the slip.
+        Times on the machine's clock; M_eff beside K. slip_length_um is what the machine moved during the
+        slip.
         """
         import pandas as pd
 
@@ -122,9 +124,10 @@ def peak_force_N(d_mm: float, m: Mechanics) -> float:
 def pull_apart(m: Mechanics, *, seed: int) -> Pull:
     """The whole test, event by event.
 
-    An event that starts at d has drop A times the normal force and stiffness K of the equations at d; the drop (and
-    with it the length of the stick, drop / K) varies by `period_jitter`, the peaks by `peak_scatter`. Where the model
-    has no stiff sheet left (M_eff < 1), the pull goes on with one: K would be 0 and the next slip never come.
+    An event that starts at d has drop A times the normal force and stiffness K of the equations at d;
+    the drop (and with it the length of the stick, drop / K) varies by `period_jitter`, the peaks by
+    `peak_scatter`. Where the model has no stiff sheet left (M_eff < 1), the pull goes on with one: K
+    would be 0 and the next slip never come.
     """
     rng = stream(seed, "mechanics")
     speed, stop_s = m.speed_mm_min / 60, (m.d_end_mm - m.d0_mm) / (m.speed_mm_min / 60)

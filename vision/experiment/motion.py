@@ -1,8 +1,8 @@
 """Where every sheet is at every moment, x(n, t), before camera and lens.
 
-In a stick a sheet creeps towards the axis at constant speed; in a slip it jumps back out as half a cosine. The sweep
-of sheet n in one stick is sqrt(12) sigma_x, with sigma_x / (stick length) = outer (rank/M)^p and p such that it
-falls to the stiff threshold at M_eff.
+In a stick a sheet creeps towards the axis at constant speed; in a slip it jumps back out as half a
+cosine. The sweep of sheet n in one stick is sqrt(12) sigma_x, with sigma_x / (stick length) = outer
+(rank/M)^p and p such that it falls to the stiff threshold at M_eff.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Comb:
-    """The ridges at rest, left to right: position, side (-1, +1), n from 1, and distance from the axis in pitches."""
+    """The ridges at rest, left to right: position, side (-1, +1), n from 1, and distance from the axis
+    in pitches."""
 
     axis_px: float
     rest_px: Array
@@ -66,8 +67,9 @@ def deformation_ratio(rank_share: Array, m_eff: Array, sheets: Sheets, m: Mechan
 class Motion:
     """Displacement from rest of every sheet, px, as a function of the machine's time.
 
-    Segment k runs from one slip to the next: every sheet holds for its `delay_s`, jumps within `slip_s` to `outer`
-    and creeps to `inner`. The first segment has no slip. `sweep_px` and `ratio` are (stick, sheet).
+    Segment k runs from one slip to the next: every sheet holds for its `delay_s`, jumps within `slip_s`
+    to `outer` and creeps to `inner`. The first segment has no slip. `sweep_px` and `ratio` are (stick,
+    sheet).
     """
 
     begin_s: Array
@@ -104,7 +106,8 @@ class Motion:
 
 
 def _segment_integral(motion: Motion, k: NDArray[np.int64], tau: Array) -> Array:
-    """Integral of the displacement over the first tau seconds of segments k: hold, half cosine, straight line."""
+    """Integral of the displacement over the first tau seconds of segments k: hold, half cosine, straight
+    line."""
     before, outer, inner = motion.before_px[k], motion.outer_px[k], motion.inner_px[k]
     delay = motion.delay_s[k]
     slip = np.where(k > 0, motion.slip_s, 1e-12)[:, None]

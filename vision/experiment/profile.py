@@ -59,17 +59,18 @@ def _block(
 
 
 def _row_average(scene: Scene) -> scipy.sparse.csr_array:
-    """The matrix (column, cell edge) that turns light summed up to each cell edge into the strip's row mean.
+    """The matrix (column, cell edge) that turns light summed up to each cell edge into the strip's row
+    mean.
 
-    Each pixel's light is that up to its right edge less that up to its left one, read between cell edges, row by
-    row, rows weighted with their light.
+    Each pixel's light is that up to its right edge less that up to its left one, read between cell
+    edges, row by row, rows weighted with their light.
     """
     import scipy.sparse
 
     line, rows = scene.line, strip_slice(scene.experiment)
     weight = row_light(scene.experiment)[rows]
     zeta = rows_from_middle(scene.geometry.height)[rows][:, None]
-    edges = scene.geometry.source_px(np.arange(scene.geometry.width + 1) - 0.5, zeta)
+    edges = scene.geometry.source_px(np.arange(scene.geometry.width + 1, dtype=float) - 0.5, zeta)
     at = np.clip((edges - line.start_px) * line.per_px, 0, line.cells - 1e-9)
     cell = np.floor(at).astype(np.int64)
     share, w = at - cell, np.broadcast_to((weight / weight.sum())[:, None], at.shape)

@@ -1,7 +1,7 @@
 """Independent random numbers for each part of an experiment.
 
-Each part draws from its own stream, derived from the experiment's seed and the part's name, so that a change of one
-part (more texture, say) leaves every other part's numbers as they were.
+Each part draws from its own stream, derived from the experiment's seed and the part's name, so that a
+change of one part (more texture, say) leaves every other part's numbers as they were.
 """
 
 from __future__ import annotations

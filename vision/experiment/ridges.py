@@ -1,7 +1,7 @@
 """The light of ridges, integrated over cells of a line: never sampled at a point.
 
-A ridge is known by the integral of its shape from minus infinity, so the light in any cell is a difference of two
-values and is exact. Every shape has its centroid at zero.
+A ridge is known by the integral of its shape from minus infinity, so the light in any cell is a
+difference of two values and is exact. Every shape has its centroid at zero.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ _SHOULDER_AT_FWHM = 0.85
 
 @dataclass(frozen=True, kw_only=True)
 class Looks:
-    """What each sheet's ridge looks like: width, height (fraction of saturation, negative if dark), shoulder side."""
+    """What each sheet's ridge looks like: width, height (fraction of saturation, negative if dark),
+    shoulder side."""
 
     shape: RidgeShape
     fwhm_px: Array
@@ -67,7 +68,8 @@ def reach_px(looks: Looks) -> float:
 
 
 def light_up_to(u: Array, looks: Looks) -> Array:
-    """Light of each ridge between minus infinity and u px from its centre, in height x px; u is (..., sheet, cell)."""
+    """Light of each ridge between minus infinity and u px from its centre, in height x px; u is (...,
+    sheet, cell)."""
     fwhm, side = looks.fwhm_px[:, None], looks.shoulder_side[:, None]
     if looks.shape == "flat":
         return _flat(u, fwhm, looks.psf_px) * looks.height[:, None]
@@ -94,7 +96,9 @@ def _flat(u: Array, fwhm: Array, psf_px: float) -> Array:
     def double_integral(v: Array) -> Array:
         return np.asarray(v * _normal(v) + np.exp(-(v**2) / 2) / np.sqrt(2 * np.pi))
 
-    return soft * (double_integral((u + fwhm / 2) / soft) - double_integral((u - fwhm / 2) / soft))
+    return np.asarray(
+        soft * (double_integral((u + fwhm / 2) / soft) - double_integral((u - fwhm / 2) / soft))
+    )
 
 
 def light_per_cell(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -80,12 +81,13 @@ class Scene:
         return np.asarray(1 + optics.flicker * wave)
 
     def positions_px(self, frames: slice, *, parts: int = 1) -> Array:
-        """Where the sheets are (part, frame, sheet) averaged over each of `parts` equal parts of the exposure."""
+        """Where the sheets are (part, frame, sheet) averaged over each of `parts` equal parts of the
+        exposure."""
         exposure = self.experiment.camera.exposure_s * (1 + self.experiment.clocks.drift_ppm * 1e-6)
         t = self.times.machine_s[frames]
         edges = np.linspace(-exposure / 2, exposure / 2, parts + 1) if exposure else np.array([-5e-7, 5e-7])
         shift = (self.comb.rest_px + self.sway_px(frames)[:, None])[None]
-        moved = [self.motion.mean_px(t + a, t + b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        moved = [self.motion.mean_px(t + a, t + b) for a, b in pairwise(edges)]
         return shift + np.array(moved)
 
     def seen_px(self, frames: slice) -> Array:
@@ -94,7 +96,8 @@ class Scene:
 
     @cached_property
     def line(self) -> Line:
-        """The line of cells on which ridges are drawn: wider than the frame by what tilt and bow can bring in."""
+        """The line of cells on which ridges are drawn: wider than the frame by what tilt and bow can
+        bring in."""
         if self.geometry.straight:
             return Line(start_px=-0.5, per_px=1, cells=self.geometry.width)
         g = self.geometry
@@ -105,7 +108,8 @@ class Scene:
 
     @cached_property
     def base(self) -> Array:
-        """Light in each cell without ridges: the gaps' level, and the surroundings beyond the sample's edges."""
+        """Light in each cell without ridges: the gaps' level, and the surroundings beyond the sample's
+        edges."""
         from scipy.special import ndtr
 
         optics, comb, line = self.experiment.optics, self.comb, self.line

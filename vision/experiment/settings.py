@@ -50,9 +50,10 @@ class Mechanics:
 class Sheets:
     """Where the ridges are and how far they move.
 
-    count: ridges in view. per_side: ridges on one side of the axis in the whole sample (25, or 50 where both
-    blocks' sheets show); the displacement depends on rank / per_side. outer_ratio: sigma_x / stick length of the
-    outermost; the profile falls to `stiff_ratio` at M_eff. slip_delay_s: spread of the slips of single sheets.
+    count: ridges in view. per_side: ridges on one side of the axis in the whole sample (25, or 50 where
+    both blocks' sheets show); the displacement depends on rank / per_side. outer_ratio: sigma_x / stick
+    length of the outermost; the profile falls to `stiff_ratio` at M_eff. slip_delay_s: spread of the
+    slips of single sheets.
     """
 
     count: int = 50
@@ -128,18 +129,33 @@ class Clocks:
     drift_ppm: float = 50.0
     dropped: float = 0.0
     stale: float = 0.0
-    force_rate_Hz: float = 1000.0
+    force_rate_Hz: float = 200.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoadCell:
-    """The force chain: first-order low-pass, drift, white noise, and the steps in which values are written."""
+    """The force chain: first-order low-pass, drift, white noise, and the steps in which values are
+    written."""
 
     lowpass_s: float = 0.003
     noise_N: float = 0.05
     drift_N: float = 0.2
     quantum_N: float = 0.01
     displacement_quantum_mm: float = 5e-5
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForceFile:
+    """How force.txt is written: layout (mts, instron, zwick, csv), decimal mark, encoding, unit of force.
+
+    video_time adds the camera's clock as a column of its own (mts only).
+    """
+
+    layout: str = "mts"
+    decimal: Literal[".", ","] = "."
+    encoding: Literal["utf-8-sig", "utf-8", "latin-1"] = "utf-8-sig"
+    unit: Literal["N", "kN"] = "N"
+    video_time: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,6 +169,7 @@ class Experiment:
     camera: Camera = field(default_factory=Camera)
     clocks: Clocks = field(default_factory=Clocks)
     load_cell: LoadCell = field(default_factory=LoadCell)
+    force_file: ForceFile = field(default_factory=ForceFile)
 
     def __post_init__(self) -> None:
         for group in (self.mechanics, self.sheets, self.optics, self.camera, self.clocks, self.load_cell):
@@ -161,6 +178,7 @@ class Experiment:
         _check_pull(self.mechanics)
         _check_view(self.sheets, self.optics, self.camera)
         _check_camera(self.camera)
+        _check_force_file(self.force_file)
 
 
 _MAY_BE_NEGATIVE = {
@@ -260,3 +278,12 @@ def _check_camera(camera: Camera) -> None:
     _require(
         camera.black_level < 2**camera.bits - 1, "camera.black_level", "below saturation", camera.black_level
     )
+
+
+def _check_force_file(style: ForceFile) -> None:
+    name = "force_file."
+    choices = {"layout": ("mts", "instron", "zwick", "csv"), "decimal": (".", ","), "unit": ("N", "kN")}
+    choices["encoding"] = ("utf-8-sig", "utf-8", "latin-1")
+    for setting, allowed in choices.items():
+        found = getattr(style, setting)
+        _require(found in allowed, name + setting, " or ".join(allowed), found)

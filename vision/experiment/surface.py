@@ -1,4 +1,5 @@
-"""What lies on the sheets and on the lens: paper texture that travels with its sheet, light, dust, pixel response."""
+"""What lies on the sheets and on the lens: paper texture that travels with its sheet, light, dust, pixel
+response."""
 
 from __future__ import annotations
 

@@ -44,8 +44,8 @@ _MEANING = {
 def truth_of(scene: Scene) -> xr.Dataset:
     """Everything known, with dimensions frame, sheet, event and slip.
 
-    Events carry the columns of the contract's `events.csv` (force clock) and M_eff, the initial loading left out.
-    Attributes: every setting as JSON, the rows of the default strip, the clocks, the axis.
+    Events carry the columns of the contract's `events.csv` (force clock) and M_eff, the initial loading
+    left out. Attributes: every setting as JSON, the rows of the default strip, the clocks, the axis.
     """
     import xarray as xr
 
@@ -121,5 +121,5 @@ def _facts(scene: Scene) -> dict[str, Any]:
         "fps": e.camera.fps,
         "frames_lost": scene.times.lost,
         "first_slip_s": float(scene.pull.end_s[0]),
-        "positions": "pixel centres at integers; d_v, t_v etc. as in events.csv; shell: ratio below stiff_ratio",
+        "positions": "pixel centres at integers",
     }

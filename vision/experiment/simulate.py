@@ -1,0 +1,120 @@
+"""simulate(): the files of a synthetic traction test."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
+
+from vision.errors import InputError
+from vision.experiment.force_file import force_recording, write_force
+from vision.experiment.images import frame_blocks
+from vision.experiment.scene import Scene, make_scene
+from vision.experiment.truth import truth_of
+from vision.experiment.video_files import check_container, write_video
+
+if TYPE_CHECKING:
+    import os
+
+    import xarray as xr
+
+    from vision.experiment.settings import Experiment
+
+Progress = Callable[[int, int | None], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedTest:
+    """The files of one synthetic test."""
+
+    video: Path
+    force: Path
+    truth: Path
+    timestamps: Path
+    frames: int
+    frames_lost: int
+
+
+def simulate(
+    experiment: Experiment,
+    out_dir: str | os.PathLike[str],
+    *,
+    container: str = "raw",
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> SimulatedTest:
+    """Write video.*, force.txt, truth.nc and timestamps.txt (the camera's stamps, s) to a folder.
+
+    Frames are drawn and written in blocks: memory does not grow with the length of the video. The folder
+    appears when everything is in it, or not at all. progress is called with (frames written, frames in
+    all). Raises: InputError for an unknown container, a folder that exists (unless overwrite is given
+    and it holds an earlier synthetic test), or one that cannot be written.
+    """
+    folder = Path(out_dir)
+    check_container(container, experiment.camera)
+    _check_folder(folder, overwrite=overwrite)
+    part = folder.with_name(f".{folder.name}.part")
+    try:
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir(parents=True)
+        scene = make_scene(experiment)
+        made = _write(scene, part, container, progress)
+        if folder.exists():
+            shutil.rmtree(folder)
+        part.rename(folder)
+    except OSError as error:
+        raise InputError(folder, "a folder that can be written", error.strerror or str(error)) from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return SimulatedTest(
+        video=folder / made.name,
+        force=folder / "force.txt",
+        truth=folder / "truth.nc",
+        timestamps=folder / "timestamps.txt",
+        frames=len(scene.times.camera_s),
+        frames_lost=scene.times.lost,
+    )
+
+
+def _write(scene: Scene, folder: Path, container: str, progress: Progress | None) -> Path:
+    experiment, times = scene.experiment, scene.times
+    recording = force_recording(experiment, scene.pull)
+    write_force(folder / "force.txt", recording, experiment.force_file, name="synthetic")
+    (folder / "timestamps.txt").write_text("".join(f"{t:.6f}\n" for t in times.stamp_s), "utf-8")
+    save_truth(truth_of(scene), folder / "truth.nc")
+    blocks = _reported(frame_blocks(scene), len(times.camera_s), progress)
+    return write_video(folder, blocks, experiment.camera, times, container=container)
+
+
+def save_truth(truth: xr.Dataset, path: Path) -> None:
+    """Write the truth as compressed netCDF-4."""
+    packed = {name: {"zlib": True, "shuffle": True} for name in truth.data_vars}
+    truth.to_netcdf(path, engine="h5netcdf", encoding=packed)
+
+
+def _reported(
+    blocks: Iterator[NDArray[Any]], total: int, progress: Progress | None
+) -> Iterator[NDArray[Any]]:
+    done = 0
+    for block in blocks:
+        yield block
+        done += len(block)
+        if progress is not None:
+            progress(done, total)
+
+
+def _check_folder(folder: Path, *, overwrite: bool) -> None:
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise InputError(folder, "a folder", "a file", "choose another name")
+    if not any(folder.iterdir()):
+        return
+    if not (folder / "truth.nc").exists():
+        raise InputError(folder, "a new folder or an earlier synthetic test", "a folder of other things")
+    if not overwrite:
+        raise InputError(folder, "a new folder", "an earlier synthetic test", "use --overwrite to replace it")
