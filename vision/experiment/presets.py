@@ -45,7 +45,7 @@ _PRESETS = {
         load_cell=LoadCell(lowpass_s=0.001),
     ),
     "fresh": Experiment(
-        mechanics=Mechanics(mu=0.9945, period_jitter=0.1, peak_scatter=0.03),
+        mechanics=Mechanics(mu=1.003, period_jitter=0.1, peak_scatter=0.03),
         sheets=Sheets(pitch_px=11.0, pitch_jitter=0.04),
         optics=Optics(fwhm_px=5.5, fwhm_spread=0.03),
         clocks=Clocks(offset_s=6.0),

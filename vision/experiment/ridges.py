@@ -72,11 +72,11 @@ def light_up_to(u: Array, looks: Looks) -> Array:
     sheet, cell)."""
     fwhm, side = looks.fwhm_px[:, None], looks.shoulder_side[:, None]
     if looks.shape == "flat":
-        return _flat(u, fwhm, looks.psf_px) * looks.height[:, None]
+        return np.asarray(_flat(u, fwhm, looks.psf_px) * looks.height[:, None])
     sigma = np.hypot(fwhm / _FWHM_PER_SIGMA, looks.psf_px)
     area = (fwhm / _FWHM_PER_SIGMA * np.sqrt(2 * np.pi)) * looks.height[:, None]
     if looks.shape == "gaussian":
-        return area * _normal(u / sigma)
+        return np.asarray(area * _normal(u / sigma))
     apart = _SHOULDER_AT_FWHM * fwhm * side
     main = _normal((u + _SHOULDER * apart) / sigma)
     bump = _normal((u - (1 - _SHOULDER) * apart) / (0.9 * sigma))

@@ -179,6 +179,7 @@ class Experiment:
         _check_view(self.sheets, self.optics, self.camera)
         _check_camera(self.camera)
         _check_force_file(self.force_file)
+        _check_overlap(self.mechanics, self.camera, self.clocks)
 
 
 _MAY_BE_NEGATIVE = {
@@ -287,3 +288,14 @@ def _check_force_file(style: ForceFile) -> None:
     for setting, allowed in choices.items():
         found = getattr(style, setting)
         _require(found in allowed, name + setting, " or ".join(allowed), found)
+
+
+def _check_overlap(m: Mechanics, camera: Camera, clocks: Clocks) -> None:
+    pull_s = (m.d_end_mm - m.d0_mm) / (m.speed_mm_min / 60)
+    _require(
+        -camera.duration_s < clocks.offset_s < pull_s,
+        "clocks.offset_s",
+        f"a video that sees some of the pull, {-camera.duration_s:g} to {pull_s:g} s",
+        f"{clocks.offset_s:g} s",
+        "set the offset (force clock at video time 0) to suit the speed",
+    )

@@ -1,0 +1,44 @@
+"""Same seed, same data; parts of an experiment are independent of each other."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from vision.experiment import Camera, Experiment, Optics, profiles
+from vision.experiment.images import frame_blocks
+from vision.experiment.scene import make_scene
+
+SHORT = Experiment(camera=Camera(duration_s=0.5, height=20, width=1200))
+
+
+def frames(experiment, workers=2):
+    return np.concatenate(list(frame_blocks(make_scene(experiment), workers=workers)))
+
+
+def test_same_seed_same_pixels_whatever_the_threads():
+    """A failure means a fixture cannot be remade."""
+    once = frames(SHORT)
+    assert np.array_equal(once, frames(SHORT, workers=1))
+    assert not np.array_equal(once, frames(replace(SHORT, seed=1)))
+
+
+def test_a_change_of_one_part_leaves_the_others():
+    """More dust must not move the sheets or change the events."""
+    _, truth = profiles(SHORT)
+    _, dusty = profiles(replace(SHORT, optics=Optics(dust=30, texture=0.15)))
+    assert np.array_equal(truth.x_px, dusty.x_px)
+    assert np.array_equal(truth.F_p_N, dusty.F_p_N)
+
+
+def test_a_longer_video_begins_like_a_shorter_one():
+    """Positions in the frames both have agree, drift (stated over the whole video) left out."""
+    calm = replace(SHORT, optics=Optics(drift_px=0.0))
+    longer = replace(calm, camera=replace(calm.camera, duration_s=1.0))
+    assert np.allclose(profiles(calm)[1].x_px, profiles(longer)[1].x_px[:30])
+
+
+def test_frames_are_made_block_by_block():
+    """Memory is bounded: the first block comes before the rest is drawn, and blocks are small."""
+    full = Experiment(camera=Camera(height=1200, duration_s=3000.0))
+    block = next(frame_blocks(make_scene(replace(full, camera=replace(full.camera, duration_s=10.0)))))
+    assert block.nbytes < 20e6
