@@ -147,6 +147,15 @@ def test_given_rows_outside_the_frame():
         measure_strip(scene(), slice(200, 260))
 
 
+def test_a_comb_that_fills_a_fifth_of_the_width_keeps_all_its_rows():
+    """Failure: the empty width beside the comb decides, and a few rows are taken for a hundred."""
+    rng = np.random.default_rng(4)
+    x = np.arange(1000)
+    ridges = 60 * np.exp(-(((x[:, None] - np.arange(400, 600, 11)) / 2.2) ** 2) / 2).sum(axis=1)
+    frames = 60 + ridges + rng.normal(0, 1, (8, 100, 1000))
+    assert find_strip(Scene(frames)).rows == slice(0, 100)
+
+
 @pytest.mark.skipif(not DATA.exists(), reason="real recordings are not here")
 def test_real_recordings():
     """Failure: the strip misses the markers' discs, or runs over the black blot on the striped beam."""

@@ -19,7 +19,9 @@ SAMPLE_FRAMES = 8
 SMEAR = 0.3  # of a ridge's width: leaning further than this over the strip costs precision
 _BANDS = 96  # the height is judged in this many bands at most
 _SEGMENT_PX = 64  # judged apart along x, so that what one place adds can be limited
-_CAP = 0.65  # quantile of the segments above which slope does not count: ridges fill over a third
+_CAP = 0.65  # quantile of the segments with ridges above which slope does not count
+_LIVE = 0.02  # of the third-strongest segment: the comb need not fill the picture's width
+_OFTEN = 0.75  # quantile over the bands: what a segment shows in many rows, not in a label's few
 _HEIGHT_POWER = 0.5  # a row is worth adding if it brings 3/4 of the strip's own slope
 _SLOPE_SIGMA_PX = 1.5  # smoothing of the slope: below the narrowest ridge, above pixel noise
 _HALF = np.float32(0.5)
@@ -61,9 +63,9 @@ def find_strip(video: Video, *, columns: slice | None = None) -> Strip:
 
     For every run of bands the slope power of its mean profile is measured, free of noise (odd against even
     rows), and times sqrt(height) it is largest where ridges are clear, straight and upright: leaning or
-    bowed ridges blur the mean, clamps and black rows dilute it. Along x the steepest third counts no more
-    than the rest, so labels and marks gain nothing by their strong edges.  Brightness and pitch do not
-    matter, nor does polarity.
+    bowed ridges blur the mean, clamps and black rows dilute it. No place along x counts for more than ridges
+    usually do, so labels and marks gain nothing by their strong edges.  Brightness and pitch do not matter,
+    nor does polarity.
 
     Looks at `SAMPLE_FRAMES` frames.  Returns: the whole height, how="all rows", where nothing is coherent.
     """
@@ -143,18 +145,27 @@ def _best_run(slopes: _Slopes) -> tuple[int, int] | None:
     starts = _segments(slopes.mean.shape[-1])
     noise = np.add.reduceat((slopes.difference**2).sum(axis=0), starts, axis=-1)
     noise_sums = np.concatenate([np.zeros_like(noise[:1]), np.cumsum(noise, axis=0)])
+    live = _live(slopes, starts)
     best, score = None, 0.0
     for first in range(bands):  # over starting bands, not frames; every end at once
         count = np.arange(1, bands - first + 1)[:, np.newaxis]
         total = ((sums[:, first + 1 :] - sums[:, first : first + 1]) ** 2).sum(axis=0)
         power = np.add.reduceat(total, starts, axis=-1) - (noise_sums[first + 1 :] - noise_sums[first])
         each = np.maximum(power / count**2, 0.0)
-        capped = np.minimum(each, np.quantile(each, _CAP, axis=1, keepdims=True)).mean(axis=1)
+        cap = np.quantile(each[:, live], _CAP, axis=1, keepdims=True)
+        capped = np.minimum(each, cap).mean(axis=1)
         scores = capped * count[:, 0] ** _HEIGHT_POWER
         last = int(np.argmax(scores))
         if scores[last] > score and _clarity(slopes, first, first + last + 1) >= _MIN_CLARITY:
             best, score = (first, first + last + 1), float(scores[last])
     return best
+
+
+def _live(slopes: _Slopes, starts: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which segments show ridges in many rows."""
+    power = np.add.reduceat((slopes.mean**2 - slopes.difference**2).sum(axis=0), starts, axis=-1)
+    usual = np.quantile(power, _OFTEN, axis=0)
+    return np.asarray(usual >= _LIVE * np.sort(usual)[-min(3, usual.size)], bool)
 
 
 def _clarity(slopes: _Slopes, first: int, last: int) -> float:
