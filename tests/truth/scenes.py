@@ -1,0 +1,112 @@
+"""Strips I(x, t) drawn from known positions, by formulas of their own (nothing from vision.experiment)."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.special import erf
+
+FWHM = 2.3548  # of a Gaussian, in standard deviations
+CONTRAST = 60.0  # grey levels
+BACKGROUND = 40.0
+
+
+def bound_px(fwhm_px: float, snr: float) -> float:
+    """Cramér–Rao bound for the position of a Gaussian ridge: (1/SNR) √(2 σ_r/√π)."""
+    return float(np.sqrt(2 * fwhm_px / FWHM / np.sqrt(np.pi)) / snr)
+
+
+def comb(
+    frames: int,
+    *,
+    per_side: int = 25,
+    pitch_px: float = 20.0,
+    axis_px: float = 600.0,
+    period: float = 25.0,
+    slip: float = 0.3,
+    uneven: float = 0.0,
+    seed: int = 1,
+) -> NDArray[np.float64]:
+    """Positions (frame, 2·per_side): inwards in every stick, back in one frame.
+
+    The outermost sheets slip by `slip` pitches, those inside by a power law that gives the stiff centre (half
+    of the sheets) a fifth of it.
+    """
+    number = np.r_[-np.arange(per_side, 0, -1), np.arange(1, per_side + 1)]
+    side, n = np.sign(number), np.abs(number)
+    rng = np.random.default_rng(seed)
+    rest = axis_px + side * (n - 0.5) * pitch_px + rng.uniform(-uneven, uneven, len(n)) * pitch_px
+    power = np.log(5) / np.log(2)
+    phase = (np.arange(frames) / period) % 1 - 0.5
+    return np.asarray(rest - side * slip * pitch_px * (n / per_side) ** power * phase[:, None])
+
+
+def ridges(
+    x_px: NDArray[np.float64],
+    *,
+    width: int = 1200,
+    fwhm_px: float | NDArray[np.float64] = 7.0,
+    contrast: float | NDArray[np.float64] = 1.0,
+    flat_px: float = 0.0,
+) -> NDArray[np.float64]:
+    """Sum of ridges of height `contrast` at x_px (frame, N), each averaged over every pixel it covers.
+
+    A ridge is a Gaussian; with `flat_px` a box of that width with edges as soft as the Gaussian. NaN: none.
+    """
+    frames, sheets = x_px.shape
+    sigma = np.broadcast_to(np.asarray(fwhm_px) / FWHM, (sheets,))
+    height = np.broadcast_to(contrast, (frames, sheets))
+    picture = np.zeros((frames, width))
+    reach = int(np.ceil(5 * sigma.max() + flat_px / 2)) + 2
+    for k in range(sheets):
+        column = np.rint(np.nan_to_num(x_px[:, k], nan=-1e6)).astype(int)[:, None] + np.arange(
+            -reach, reach + 1
+        )
+        light = height[:, k, None] * _ridge(column - x_px[:, k, None], sigma[k], flat_px)
+        inside = (column >= 0) & (column < width) & np.isfinite(light)
+        frame = np.broadcast_to(np.arange(frames)[:, None], column.shape)
+        picture[frame[inside], column[inside]] += light[inside]
+    return picture
+
+
+def _ridge(away: NDArray[np.float64], sigma: float, flat_px: float) -> NDArray[np.float64]:
+    if not flat_px:
+        return (
+            np.asarray(_step_up(away + 0.5, sigma) - _step_up(away - 0.5, sigma)) * sigma * np.sqrt(2 * np.pi)
+        )
+    # with soft edges of more than a pixel the mean over a pixel is the value at its centre
+    return np.asarray(_step_up(away + flat_px / 2, sigma) - _step_up(away - flat_px / 2, sigma))
+
+
+def _step_up(at: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+    return np.asarray((1 + erf(at / sigma / np.sqrt(2))) / 2)
+
+
+def strip(
+    light: NDArray[np.float64],
+    *,
+    snr: float = 100.0,
+    sign: int = 1,
+    seed: int = 0,
+    origin: int = 0,
+    status: NDArray[np.str_] | None = None,
+) -> xr.DataArray:
+    """The light as `vision.strip_profile` hands it on: grey levels (frame, x), noise CONTRAST/snr."""
+    noise = np.random.default_rng(seed).normal(0, CONTRAST / snr, light.shape)
+    grey = (BACKGROUND + 100.0 * (sign < 0) + sign * CONTRAST * light + noise).astype(np.float32)
+    return as_strip(grey, origin=origin, status=status)
+
+
+def as_strip(
+    grey: NDArray[np.float32], *, origin: int = 0, status: NDArray[np.str_] | None = None
+) -> xr.DataArray:
+    """Grey levels (frame, x) with the coordinates of a strip; 25 frames per second."""
+    frames, width = grey.shape
+    coords = {
+        "frame": np.arange(frames),
+        "x": np.arange(origin, origin + width),
+        "time_s": ("frame", np.arange(frames) / 25.0),
+        "status": ("frame", np.full(frames, "ok") if status is None else status),
+    }
+    return xr.DataArray(grey, dims=("frame", "x"), coords=coords, attrs={"source": "scene.avi"})
