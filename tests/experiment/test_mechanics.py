@@ -20,7 +20,7 @@ REGULAR = Mechanics(peak_scatter=0.0, period_jitter=0.0)
         (13.7, 156.8, 59.9, 3986, 15.0),
         (15, 81.2, 31.0, 3473, 8.9),
         (17.1, 34.9, 13.3, 2423, 5.5),
-        (17.9, 26.7, 10.15, 1889, 5.37),
+        (18, 25.8, 9.8, 1795, 5.5),
     ],
 )
 def test_events_follow_the_reference_table(d, traction, amplitude, stiffness, length_um):

@@ -7,7 +7,7 @@ import pytest
 
 from vision.experiment.mechanics import pull_apart
 from vision.experiment.motion import comb_at_rest, sheet_motion
-from vision.experiment.settings import Experiment, Mechanics, Sheets
+from vision.experiment.settings import Clocks, Experiment, Mechanics, Sheets
 
 STILL = Sheets(spread_per_mm=0.0)
 
@@ -54,7 +54,7 @@ def test_exposure_average_is_the_mean_of_short_exposures():
 
 def test_sheets_rest_before_the_pull_and_after_it():
     """A video may start before the machine and go on after it."""
-    e = Experiment(mechanics=Mechanics(d_end_mm=13.5))
+    e = Experiment(mechanics=Mechanics(d_end_mm=13.5), clocks=Clocks(offset_s=10.0))
     _, _, motion = moved(e)
     t = np.array([-10.0, -1.0, 30.5, 60.0])
     x = motion.mean_px(t, t + 0.01)

@@ -1,5 +1,6 @@
 """Same seed, same data; parts of an experiment are independent of each other."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -37,8 +38,17 @@ def test_a_longer_video_begins_like_a_shorter_one():
     assert np.allclose(profiles(calm)[1].x_px, profiles(longer)[1].x_px[:30])
 
 
-def test_frames_are_made_block_by_block():
-    """Memory is bounded: the first block comes before the rest is drawn, and blocks are small."""
-    full = Experiment(camera=Camera(height=1200, duration_s=3000.0))
-    block = next(frame_blocks(make_scene(replace(full, camera=replace(full.camera, duration_s=10.0)))))
-    assert block.nbytes < 20e6
+def test_memory_does_not_grow_with_the_video():
+    """A failure means a full test (18 000 frames) would not fit: four times the frames, the same peak."""
+
+    def peak(duration_s):
+        scene = make_scene(replace(SHORT, camera=replace(SHORT.camera, height=60, duration_s=duration_s)))
+        tracemalloc.start()
+        for _ in frame_blocks(scene):
+            pass
+        highest = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return highest
+
+    peak(0.1)
+    assert peak(8.0) < 1.3 * peak(2.5)

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from vision.command.progress import frame_progress
 from vision.errors import InputError
-
-Report = Callable[[int, int | None], None]
 
 
 @Parameter(name="*")
@@ -140,7 +137,7 @@ def simulate(
     experiment = ready_made(preset)
     for changes in (settings_from_toml(toml) if toml else {}, _given(options), dict(map(_pair, set_))):
         experiment = with_settings(experiment, changes)
-    with _progress_bar(quiet=quiet) as progress:
+    with frame_progress("drawing", quiet=quiet) as progress:
         test = make(experiment, directory, container=container, overwrite=overwrite, progress=progress)
     if not quiet:
         lost = f", {test.frames_lost} lost" if test.frames_lost else ""
@@ -167,18 +164,3 @@ def _pair(text: str) -> tuple[str, str]:
     if not equals:
         raise InputError("--set", "GROUP.SETTING=VALUE", text)
     return name.strip(), value.strip()
-
-
-@contextmanager
-def _progress_bar(*, quiet: bool) -> Iterator[Report | None]:
-    """A bar on standard error, where that is a terminal and is wanted."""
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
-
-    columns = ("frames", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("frames", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -60,6 +60,8 @@ class RawAviWriter:
         size = self._stride * self._height
         if self._offsets and self._file.tell() - self._riff_at + size > self._segment_bytes:
             self._close_segment()
+            if len(self._segments) == _SEGMENTS:
+                raise OSError(f"a raw AVI holds at most {_SEGMENTS} parts; use ffv1 or tiff")
             self._riff_at = self._file.tell()
             self._file.write(b"RIFF\0\0\0\0AVIX")
             self._movi_at = self._open_movi()

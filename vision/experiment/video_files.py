@@ -64,7 +64,7 @@ def _encoded(
     """Any PyAV codec; `layout` is the pixel format of the stream."""
     import av
 
-    options = {"libx264": {"crf": "18", "preset": "fast"}, "ffv1": {"level": "3", "slices": "4"}}.get(
+    options = {"libx264": {"crf": "12", "preset": "fast"}, "ffv1": {"level": "3", "slices": "4"}}.get(
         codec, {}
     )
     rate = Fraction(camera.fps).limit_denominator(1000)

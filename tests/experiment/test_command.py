@@ -1,0 +1,48 @@
+"""`track simulate`."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from vision.command.main import run
+
+
+def test_options_toml_and_set_in_that_order(tmp_path, capsys):
+    """The preset gives way to TOML, TOML to options, options to --set."""
+    toml = tmp_path / "a.toml"
+    toml.write_text("[camera]\nfps = 20\nheight = 30\n[optics]\ntilt_deg = 0.0\n", "utf-8")
+    arguments = ["simulate", str(tmp_path / "t"), "--preset", "late", "--toml", str(toml), "--fps", "25"]
+    arguments += ["--duration", "0.4", "--width", "1100", "--seed", "3", "--set", "optics.tilt_deg=0.1"]
+    arguments += ["--exposure", "2", "--set", "sheets.count=40", "--container", "tiff"]
+    assert run(arguments) == 0
+    with xr.open_dataset(tmp_path / "t" / "truth.nc", engine="h5netcdf") as truth:
+        settings = truth.attrs["settings"]
+        assert truth.sizes["frame"] == 10
+        assert truth.sizes["sheet"] == 40
+        assert np.diff(truth.time_s)[0] == pytest.approx(1 / 25)
+    for part in ('"tilt_deg": 0.1', '"height": 30', '"offset_s": 240.0', '"exposure_s": 0.002', '"seed": 3'):
+        assert part in settings
+    out = capsys.readouterr()
+    assert "10 frames of 1100 x 30 px, 40 sheets" in out.out
+    assert out.err == ""
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        ["--sheets", "200"],
+        ["--container", "wmv"],
+        ["--preset", "nice"],
+        ["--d-end", "80"],
+        ["--set", "load_cell.noise_N=-1"],
+        ["--set", "tilt"],
+        ["--toml", "none.toml"],
+    ],
+)
+def test_bad_options_end_with_one_line_and_status_2(tmp_path, capsys, bad):
+    """Never a traceback, nothing left behind."""
+    assert run(["simulate", str(tmp_path / "t"), *bad]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "expected" in error
+    assert not (tmp_path / "t").exists()

@@ -1,0 +1,55 @@
+"""The recordings in fixtures/ can be remade by the commands in their README."""
+
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from vision.command.main import run
+from vision.video import open_video
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+COMMANDS = {
+    Path(words[2]).name: words[3:]
+    for line in (FIXTURES / "README.md").read_text("utf-8").splitlines()
+    if line.startswith("track simulate ") and (words := shlex.split(line))
+}
+
+
+def pixels(folder):
+    (video,) = folder.glob("video*")
+    return np.concatenate([block.pixels for block in open_video(video).blocks()]).astype(int)
+
+
+def test_every_fixture_has_its_command_and_they_are_small():
+    """A folder without a command cannot be remade; large ones do not belong in a repository."""
+    assert {p.name for p in FIXTURES.iterdir() if p.is_dir()} == set(COMMANDS)
+    assert sum(p.stat().st_size for p in FIXTURES.rglob("*") if p.is_file()) < 15e6
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_remade_it_is_the_same(tmp_path, name):
+    """Same truth, same force, same pixels; lossy codecs may change a little with their release."""
+    assert run(["simulate", str(tmp_path / name), *COMMANDS[name], "--quiet"]) == 0
+    old, new = FIXTURES / name, tmp_path / name
+    with xr.open_dataset(old / "truth.nc") as was, xr.open_dataset(new / "truth.nc") as now:
+        xr.testing.assert_allclose(was, now, rtol=1e-9)
+        assert was.attrs["settings"] == now.attrs["settings"]
+    assert (old / "force.txt").read_bytes() == (new / "force.txt").read_bytes()
+    assert (old / "timestamps.txt").read_text() == (new / "timestamps.txt").read_text()
+    difference = pixels(old) - pixels(new)
+    if name in ("hostile", "deep"):
+        assert np.abs(difference).max() <= 1
+        assert (difference != 0).mean() < 1e-4
+    else:
+        assert np.sqrt((difference**2).mean()) < 1
+
+
+def test_a_video_of_another_seed_would_be_noticed(tmp_path):
+    """The comparison above is not blind: noise of another seed differs by more than a level RMS."""
+    arguments = [*COMMANDS["paper"], "--quiet", "--set", "camera.duration_s=0.2", "--set", "seed=9"]
+    assert run(["simulate", str(tmp_path / "x"), *arguments]) == 0
+    other = pixels(tmp_path / "x")
+    assert np.sqrt(((pixels(FIXTURES / "paper")[: len(other)] - other) ** 2).mean()) > 1

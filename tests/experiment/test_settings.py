@@ -1,0 +1,91 @@
+"""Bad settings get one clear line; presets and overrides are what they say."""
+
+import numpy as np
+import pytest
+
+from vision.errors import InputError
+from vision.experiment import Experiment, preset, settings_from_toml, simulate, with_settings
+from vision.experiment.mechanics import pull_apart
+from vision.experiment.motion import comb_at_rest, sheet_motion
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"load_cell.noise_N": -1}, "load_cell.noise_N: expected zero or more; found -1.0"),
+        ({"camera.read_noise_e": -2}, "zero or more"),
+        ({"sheets.count": 200, "sheets.per_side": 200}, "sheets that fit in 1920 px"),
+        ({"sheets.count": 52}, "at most 51"),
+        ({"mechanics.d_end_mm": 60}, "less than the sheet length 57 mm"),
+        ({"mechanics.d_end_mm": 12}, "more than d0"),
+        ({"camera.bits": 20}, "8 to 16"),
+        ({"camera.exposure_s": 1.0}, "at most 1/fps"),
+        ({"camera.fps": float("nan")}, "a finite number"),
+        ({"optics.contrast": 1.5}, "a fraction"),
+        ({"optics.shape": "square"}, "gaussian, flat, shouldered"),
+        ({"mechanics.speed_mm_min": 10}, "sees some of the pull"),
+        ({"camera.gain": 3}, "one of width, height"),
+        ({"lens.f": 3}, "GROUP.SETTING"),
+        ({"camera.width": "wide"}, "a whole number; found wide"),
+        ({"force_file.layout": "word"}, "mts or instron"),
+        ({"seed": -1}, "from 0"),
+    ],
+)
+def test_bad_settings_are_refused_in_one_line(change, says):
+    """The message names the setting, what was expected and what was found."""
+    with pytest.raises(InputError) as caught:
+        with_settings(Experiment(), change)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_preset_and_container_and_existing_folder(tmp_path):
+    """Nothing is written before everything is known to be right."""
+    with pytest.raises(InputError, match="paper, late, fast, fresh, hostile"):
+        preset("nice")
+    with pytest.raises(InputError, match="raw, mjpeg"):
+        simulate(Experiment(), tmp_path / "a", container="wmv")
+    with pytest.raises(InputError, match="at most 8 bits in raw"):
+        simulate(with_settings(Experiment(), {"camera.bits": 12}), tmp_path / "a")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.tex").write_text("x")
+    with pytest.raises(InputError, match="a folder of other things"):
+        simulate(Experiment(), tmp_path / "full", overwrite=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["full"]
+
+
+def test_settings_come_from_toml_in_their_own_types(tmp_path):
+    """A failure means a TOML file is read but not obeyed."""
+    path = tmp_path / "mine.toml"
+    path.write_text('seed = 4\n[camera]\nfps = 25\nbits = 12\n[optics]\npolarity = "dark"\n', "utf-8")
+    e = with_settings(preset("late"), settings_from_toml(path))
+    assert (e.seed, e.camera.fps, e.camera.bits, e.optics.polarity) == (4, 25.0, 12, "dark")
+    assert e.clocks == preset("late").clocks
+    path.write_text("camera = [", "utf-8")
+    with pytest.raises(InputError, match="expected TOML"):
+        settings_from_toml(path)
+    with pytest.raises(InputError, match="readable"):
+        settings_from_toml(tmp_path / "none.toml")
+
+
+def outer_jump_px(e):
+    pull = pull_apart(e.mechanics, seed=e.seed)
+    motion = sheet_motion(e, pull, comb_at_rest(e))
+    seen = (pull.end_s > e.clocks.offset_s) & (pull.end_s < e.clocks.offset_s + e.camera.duration_s)
+    return np.abs(motion.outer_px[1:] - motion.inner_px[:-1])[seen[:-1]].max(axis=1), pull
+
+
+def test_presets_are_what_they_promise():
+    """late: under a pixel; fresh: 600 N and jumps over half a pitch; fast: 10 mm/min with many slips."""
+    jumps, _ = outer_jump_px(preset("late"))
+    assert jumps.max() < 1.5
+    assert np.median(jumps) < 1.05
+    jumps, pull = outer_jump_px(preset("fresh"))
+    assert np.median(jumps) > 0.5 * preset("fresh").sheets.pitch_px
+    assert pull.high_N.max() == pytest.approx(600, rel=0.1)
+    jumps, _ = outer_jump_px(preset("fast"))
+    assert len(jumps) > 40
+    assert preset("fast").mechanics.speed_mm_min == 10
+    jumps, _ = outer_jump_px(preset("paper"))
+    assert 10 < len(jumps) < 40
+    assert 1.5 < np.median(jumps) < 5
