@@ -1,0 +1,146 @@
+"""How far each sheet creeps in each stick, in px, with its error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vision.deformation.common import LEAST_PAIRS, drift, noise_regained, pairs, shaking
+from vision.deformation.creep import Creep, fit_creep, mean_square
+from vision.deformation.frames import Bools, Doubles, Ints, StickFrames
+from vision.deformation.memory import Memory, inflation
+from vision.deformation.noise import Noise, measure_noise
+
+_CURVED = 3.0  # standard errors by which a parabola must differ from a line
+_MANY_FRAMES = 12  # a stick from which noise is told from creep by a cubic, else by a parabola
+_LEAST_CURVED = 6  # positions for a parabola to be tried
+
+
+@dataclass(frozen=True)
+class Amplitude:
+    """Creep of every sheet in every stick, (stick, sheet), px; NaN where `good` is False.
+
+    raw_px: RMS over the usable frames as they are.
+    signed_px: RMS over the whole stick, positive where the sheet goes inwards, with error_px.  sweep_px:
+    inward movement over the stick.  middle_px: x̂.  count: positions used.  uneven: residuals stand out.
+    effective_frames, drift_px: (stick,).  noise_px: (sheet,).  paired: both sides are in view.
+    """
+
+    raw_px: Doubles
+    signed_px: Doubles
+    error_px: Doubles
+    sweep_px: Doubles
+    middle_px: Doubles
+    count: Ints
+    good: Bools
+    uneven: Bools
+    effective_frames: Doubles
+    drift_px: Doubles
+    noise_px: Doubles
+    memory: Memory
+    paired: bool
+
+
+def measure_amplitude(
+    x_px: Doubles,
+    frames: StickFrames,
+    *,
+    predicted_px: Doubles,
+    side: Ints,
+    n: Ints,
+    common_mode: bool = True,
+) -> Amplitude:
+    """Creep from the positions in usable frames, x_px (F, sheet), NaN where there is none.
+
+    predicted_px, side, n: (sheet,).  common_mode: whether to take the camera's movement off.
+    """
+    terms = 4 if np.median(frames.counts) >= _MANY_FRAMES else 3
+    steady, regained = _steadied(x_px, frames, terms) if common_mode else (x_px, np.ones(n.size))
+    line, parabola, close = (fit_creep(steady, frames, terms=k) for k in (2, 3, terms))
+    noise = measure_noise(steady - close.at(frames), close, frames, predicted_px)
+    noise = replace(noise, noise_px=noise.noise_px * np.sqrt(regained))
+    paired = common_mode and pairs(side, n)[0].size >= LEAST_PAIRS
+    creep = _choose(line, parabola, noise, frames, _Moved(side, n, paired))
+    square = creep.slope**2 / 3 + np.where(creep.bend == 0, 0.0, creep.bend**2 - creep.bend_err**2) / 5
+    return Amplitude(
+        raw_px=np.where(line.good, np.sqrt(mean_square(x_px, frames)), np.nan),
+        signed_px=np.asarray(-side * np.sign(creep.slope) * np.sqrt(square), float),
+        error_px=_root_error(creep, square),
+        sweep_px=-2 * side * creep.straight,
+        middle_px=creep.middle,
+        count=line.count,
+        good=line.good,
+        uneven=noise.excess > 1,
+        effective_frames=frames.counts / inflation(noise.memory, frames, 2)[:, 1],
+        drift_px=2 * creep.drift,
+        noise_px=noise.noise_px,
+        memory=noise.memory,
+        paired=paired,
+    )
+
+
+def _steadied(x_px: Doubles, frames: StickFrames, terms: int) -> tuple[Doubles, Doubles]:
+    """Positions without the camera's vibration, and what that took off each sheet's noise variance."""
+    residual = x_px - fit_creep(x_px, frames, terms=terms).at(frames)
+    return x_px - shaking(residual)[:, None], noise_regained(residual)
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """Line or parabola, whichever each sheet asks for, (stick, sheet), without drift, (stick,).
+
+    x = middle + slope u + bend P2(u); bend is 0 for a line.  straight: the line's slope in any case.
+    """
+
+    middle: Doubles
+    slope: Doubles
+    slope_err: Doubles
+    bend: Doubles
+    bend_err: Doubles
+    straight: Doubles
+    drift: Doubles
+
+
+def _choose(line: Creep, parabola: Creep, noise: Noise, frames: StickFrames, moved: _Moved) -> _Chosen:
+    bent_err, line_err = (_errors(fit, noise, frames) for fit in (parabola, line))
+    bend, bend_err, _ = moved.off(parabola.coefficient[..., 2], bent_err[..., 2])
+    curved = (parabola.count >= _LEAST_CURVED) & (np.abs(bend) > _CURVED * bend_err)
+    best = np.where(curved[..., None], parabola.coefficient[..., :2], line.coefficient)
+    best_err = np.where(curved, bent_err[..., 1], line_err[..., 1])
+    slope, slope_err, _ = moved.off(best[..., 1], best_err)
+    straight, _, drift_px = moved.off(line.coefficient[..., 1], line_err[..., 1])
+    bend = np.where(curved, bend, 0.0)
+    return _Chosen(best[..., 0], slope, slope_err, bend, bend_err, straight, drift_px)
+
+
+def _errors(fit: Creep, noise: Noise, frames: StickFrames) -> Doubles:
+    """Standard errors of the coefficients, (stick, sheet, terms)."""
+    terms = fit.coefficient.shape[2]
+    white = np.einsum("eskk->esk", fit.inverse)
+    factor = inflation(noise.memory, frames, terms)[:, None]
+    return np.asarray(np.sqrt(white * factor) * (noise.noise_px * noise.excess)[..., None])
+
+
+def _root_error(creep: _Chosen, square: Doubles) -> Doubles:
+    """Error of √(slope²/3 + bend²/5) to first order."""
+    spread = np.hypot(creep.slope / 3 * creep.slope_err, creep.bend / 5 * creep.bend_err)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        curved = spread / np.sqrt(square)
+    return np.where(creep.bend == 0, creep.slope_err / np.sqrt(3), curved)
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """Takes the camera's drift off a coefficient, if pairs of sheets are in view."""
+
+    side: Ints
+    n: Ints
+    paired: bool
+
+    def off(self, value: Doubles, error: Doubles) -> tuple[Doubles, Doubles, Doubles]:
+        """The coefficient without drift, its error with the drift's, and the drift, (stick,)."""
+        if not self.paired:
+            return value, error, np.zeros(len(value))
+        camera = drift(value, error, self.side, self.n)
+        return value - camera.value[:, None], camera.error_without(error), camera.value

@@ -1,0 +1,99 @@
+"""What the whole comb does together: camera vibration and drift, told from the sheets' own creep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vision.deformation.frames import Doubles, Ints
+from vision.sheets.medians import nan_median
+
+LEAST_SHEETS = 5
+LEAST_PAIRS = 3
+_UNLIKE = 0.2  # share of their creep by which the sheets of a pair are first taken to differ
+_ROUNDS = 4
+
+
+def shaking(residual: Doubles) -> Doubles:
+    """Common movement in each frame that is no creep, px, (F,): the weighted mean residual of all sheets.
+
+    Residuals are to each sheet's own creep, so creep is not in it, however unlike the sides are. Weights
+    are the inverse of each sheet's residual variance.  0 in frames with fewer than five sheets, which would
+    lose too much of their own noise.
+    """
+    weight = _weights(residual)
+    known = np.isfinite(residual) & (weight > 0)
+    enough = known.sum(axis=1) >= LEAST_SHEETS
+    total = (known * weight).sum(axis=1)
+    moved = np.where(known, residual, 0.0) @ weight
+    return np.asarray(np.divide(moved, total, out=np.zeros_like(total), where=enough))
+
+
+def noise_regained(residual: Doubles) -> Doubles:
+    """Factor on each sheet's noise variance for the part that went with the common movement, (sheet,)."""
+    weight = _weights(residual)
+    if (weight > 0).sum() < LEAST_SHEETS:
+        return np.ones(weight.size)
+    return np.asarray(1 / (1 - np.minimum(weight / weight.sum(), 0.5)))
+
+
+def _weights(residual: Doubles) -> Doubles:
+    spread = nan_median(np.abs(residual))
+    usual = nan_median(spread[None], axis=1)[0]
+    floor = 0.1 * usual if usual > 0 else 1.0
+    return np.where(np.isfinite(spread), 1 / np.maximum(spread, floor) ** 2, 0.0)
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Common value of one coefficient of the creep in each stick with its error, px, (stick,).
+
+    Both are 0 where fewer than three pairs of sheets are seen: then nothing is known of the camera's drift.
+    share: weight with which each sheet's pair went into it, (stick, sheet).
+    """
+
+    value: Doubles
+    error: Doubles
+    share: Doubles
+
+    def error_without(self, error: Doubles) -> Doubles:
+        """Errors (stick, sheet) of the coefficients less the drift, of which each sheet is itself a part."""
+        return np.asarray(np.sqrt(error**2 * (1 - self.share) + self.error[:, None] ** 2))
+
+
+def drift(coefficient: Doubles, error: Doubles, side: Ints, n: Ints) -> Drift:
+    """Drift of the camera during each stick, from pairs of sheets left and right of the axis.
+
+    Creep is inwards on both sides, so half the sum of a pair is what moved the camera, up to the pair's
+    asymmetry: a share of its creep, measured from how the pairs disagree.  Where the sides differ, the
+    nearly still inner sheets lead; a difference that all sheets share in equal measure looks like drift.
+
+    Args: coefficient and its error in x to the right, px, (stick, sheet), NaN where unknown; side and n,
+    (sheet,).
+    """
+    left, right = pairs(side, n)
+    middle = (coefficient[:, right] + coefficient[:, left]) / 2
+    inwards = (coefficient[:, left] - coefficient[:, right]) / 2
+    noise = (error[:, right] ** 2 + error[:, left] ** 2) / 4
+    known = np.isfinite(middle) & np.isfinite(noise)
+    known &= known.sum(axis=1, keepdims=True) >= LEAST_PAIRS
+    middle, inwards, noise = (np.where(known, part, 0.0) for part in (middle, inwards, noise))
+    asymmetry = _UNLIKE
+    for _ in range(_ROUNDS):
+        weight = known / np.maximum(noise + (asymmetry * inwards) ** 2, 1e-18)
+        total = weight.sum(axis=1)
+        value = np.divide((weight * middle).sum(axis=1), total, out=np.zeros_like(total), where=total > 0)
+        share = np.divide(weight, total[:, None], out=np.zeros_like(weight), where=known)
+        apart = known * ((middle - value[:, None]) ** 2 - noise * (1 - share))
+        asymmetry = np.sqrt(max(float(apart.sum()), 0.0) / max(float((inwards**2).sum()), 1e-18))
+    of_sheet = np.zeros_like(coefficient)
+    of_sheet[:, left] = of_sheet[:, right] = share
+    return Drift(value, np.sqrt(np.divide(1, total, out=np.zeros_like(total), where=total > 0)), of_sheet)
+
+
+def pairs(side: Ints, n: Ints) -> tuple[Ints, Ints]:
+    """Places of the sheets that stand opposite each other: (left, right)."""
+    left, right = np.flatnonzero(side < 0), np.flatnonzero(side > 0)
+    _, first, second = np.intersect1d(n[left], n[right], return_indices=True)
+    return left[first], right[second]
