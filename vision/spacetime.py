@@ -1,0 +1,211 @@
+"""space_time(): I(x, t) of the whole strip, or of a window around one sheet, fixed or moving with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision.errors import InputError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Sheet = tuple[str, int] | int  # ("right", 23), or the index counted from the left
+Doubles = NDArray[np.float64]
+
+SIDES = {"left": -1, "right": 1}
+
+
+@dataclass(frozen=True)
+class _Place:
+    """One sheet: its index, its name and where it is in every frame, px, NaN where not known."""
+
+    index: int
+    name: str
+    x_px: Doubles
+
+
+def space_time(
+    strip: xr.DataArray,
+    *,
+    around: xr.Dataset | None = None,
+    sheet: Sheet | None = None,
+    width_um: float | None = None,
+    width_px: float | None = None,
+    pixel_size_um: float | None = None,
+    follow: bool = False,
+    frames: slice | None = None,
+    time_s: tuple[float | None, float | None] | None = None,
+) -> xr.DataArray:
+    """Space-time diagram: one row per frame, one column per pixel, no resampling in time.
+
+    A fixed window holds the recording's own grey values; it is centred, to the nearest pixel, on the
+    sheet's median position over the frames shown (the paper's figure). A window that follows has the sheet
+    at x = 0 in every row: rows are shifted by fractions of a pixel with Catmull-Rom's cubic. Where the
+    sheet was not found, the window moves on a straight line between the frames where it was.
+
+    Args: strip, I(x, t) of `strip_profile`.  around, tracks of `track_sheets`, and sheet, ("right", 23) or
+    the index from the left: the window's middle; neither, the whole strip.  width_um or width_px, its
+    width, rounded to whole pixels.  pixel_size_um, µm per pixel; needed for width_um.  follow, move with
+    the sheet.  frames, half-open range of frame numbers; time_s, half-open range of seconds, None for an
+    open end.
+    Returns: float32 "intensity" (frame, x) in grey levels with the strip's coordinates; of the whole strip a
+    view. x is the column
+    number or, where the window follows, px from the sheet. NaN outside the picture and in frames that are
+    not there. x_sheet_px (frame) is the sheet's measured position, NaN where there is none. What was cut is
+    in the attributes: sheet, sheet_index, centre_px, follow, pixel_size_um.
+    Raises: InputError for a sheet, a time or a width that the recording does not have.
+    """
+    part = _part(strip, frames, time_s)
+    about: dict[str, Any] = {} if pixel_size_um is None else {"pixel_size_um": pixel_size_um}
+    if around is None or sheet is None:
+        _refuse_window(around, sheet, width_um, width_px, follow)
+        return part.assign_attrs(about)
+    place = _find(around, sheet, part)
+    width = _width(width_um, width_px, pixel_size_um, part)
+    centre = float(np.nanmedian(place.x_px))
+    values, x = _following(part, place.x_px, width) if follow else _fixed(part, centre, width)
+    diagram = part.isel(x=slice(0, 1)).drop_vars("x").squeeze("x")  # the coordinates along time
+    about |= {"sheet": place.name, "sheet_index": place.index, "centre_px": centre, "follow": int(follow)}
+    return (
+        diagram.expand_dims(x=x, axis=1)
+        .copy(data=values)
+        .assign_coords(x_sheet_px=("frame", place.x_px, {"units": "px", "long_name": "the sheet"}))
+        .assign_attrs(about)
+    )
+
+
+def _refuse_window(
+    around: xr.Dataset | None,
+    sheet: Sheet | None,
+    width_um: float | None,
+    width_px: float | None,
+    follow: bool,
+) -> None:
+    """Half of what a window needs is a mistake, not a wish for the whole strip."""
+    if sheet is not None:
+        raise InputError("space_time", "tracks to find the sheet in", "none", "give around=tracks")
+    if around is not None or width_um is not None or width_px is not None or follow:
+        raise InputError("space_time", "a sheet for the window", "none", 'give sheet=("right", 1)')
+
+
+def _part(
+    strip: xr.DataArray, frames: slice | None, time_s: tuple[float | None, float | None] | None
+) -> xr.DataArray:
+    """The frames asked for, as a view."""
+    numbers = np.asarray(strip["frame"].values)
+    keep = np.ones(numbers.size, bool)
+    if frames is not None:
+        keep &= _within(numbers, frames.start, frames.stop)
+    if time_s is not None:
+        times = np.asarray(strip["time_s"].values, np.float64)
+        if not np.isfinite(times).any():
+            raise InputError("time", "frames with times", "a recording without a clock", "give --fps")
+        keep &= _within(times, *time_s)
+    found = np.flatnonzero(keep)
+    if not found.size:
+        raise InputError("space-time diagram", f"a part of {_extent(strip)}", _asked(frames, time_s))
+    return strip.isel(frame=slice(int(found[0]), int(found[-1]) + 1))
+
+
+def _within(values: NDArray[Any], start: float | None, stop: float | None) -> NDArray[np.bool_]:
+    low, high = -np.inf if start is None else start, np.inf if stop is None else stop
+    return np.asarray((values >= low) & (values < high))
+
+
+def _extent(strip: xr.DataArray) -> str:
+    numbers, times = strip["frame"].values, np.asarray(strip["time_s"].values, np.float64)
+    clock = f" ({np.nanmin(times):.6g} to {np.nanmax(times):.6g} s)" if np.isfinite(times).any() else ""
+    return f"frames {numbers[0]} to {numbers[-1]}{clock}"
+
+
+def _asked(frames: slice | None, time_s: tuple[float | None, float | None] | None) -> str:
+    asked = [] if frames is None else [f"frames {frames.start}:{frames.stop}"]
+    return " and ".join(asked + ([] if time_s is None else [f"time {time_s[0]}:{time_s[1]} s"]))
+
+
+def _find(tracks: xr.Dataset, sheet: Sheet, part: xr.DataArray) -> _Place:
+    """The sheet asked for, over the frames of the part."""
+    side, n = np.asarray(tracks["side"].values), np.asarray(tracks["n"].values)
+    if isinstance(sheet, tuple):
+        match = np.flatnonzero((side == SIDES.get(sheet[0], 0)) & (n == sheet[1]))
+        asked = f"{sheet[0]}:{sheet[1]}"
+    else:
+        match, asked = np.flatnonzero(np.arange(n.size) == sheet), f"index {sheet}"
+    if not match.size:
+        raise InputError("sheet", f"one of {_sheets_there(side, n)}", asked)
+    index = int(match[0])
+    if not np.isin(part["frame"].values, tracks["frame"].values).all():
+        raise InputError("tracks", "positions for every frame of the strip", "fewer frames")
+    x = np.asarray(tracks["x_px"].isel(sheet=index).sel(frame=part["frame"].values).values, np.float64)
+    name = f"{'left' if side[index] < 0 else 'right'}:{n[index]}"
+    if not np.isfinite(x).any():
+        raise InputError(f"sheet {name}", "a position in at least one frame shown", "none")
+    return _Place(index, name, x)
+
+
+def _sheets_there(side: NDArray[Any], n: NDArray[Any]) -> str:
+    parts = [
+        f"{name}:{n[side == sign].min()} to {name}:{n[side == sign].max()}"
+        for name, sign in SIDES.items()
+        if (side == sign).any()
+    ]
+    return ", ".join([*parts, f"index 0 to {n.size - 1}"])
+
+
+def _width(
+    width_um: float | None, width_px: float | None, pixel_size_um: float | None, part: xr.DataArray
+) -> int:
+    """Whole pixels, from 1 to the strip's own width."""
+    if (width_um is None) == (width_px is None):
+        found = "neither" if width_um is None else "both"
+        raise InputError("width", "one of width_um and width_px", found)
+    if width_um is not None:
+        if pixel_size_um is None:
+            raise InputError("width", "a pixel size to turn µm into px", "none", "give --pixel-size or px")
+        width_px = width_um / pixel_size_um
+    most = part.sizes["x"]
+    if not (width_px is not None and 0.5 <= width_px <= most):
+        raise InputError("width", f"1 to {most} px, the strip's width", f"{width_px:.6g} px")
+    return round(width_px)
+
+
+def _fixed(part: xr.DataArray, centre_px: float, width: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Whole columns; NaN where the window hangs over the picture's edge."""
+    first = round(centre_px - (width - 1) / 2)
+    origin, columns = int(part["x"].values[0]), part.sizes["x"]
+    low, high = max(first, origin), min(first + width, origin + columns)
+    values = np.full((part.sizes["frame"], width), np.nan, np.float32)
+    values[:, low - first : high - first] = part.values[:, low - origin : high - origin]
+    return values, np.arange(first, first + width)
+
+
+def _following(part: xr.DataArray, x_px: Doubles, width: int) -> tuple[NDArray[np.float32], Doubles]:
+    """Rows shifted so that the sheet stands at x = 0."""
+    known = np.flatnonzero(np.isfinite(x_px))
+    centre = np.interp(np.arange(x_px.size), known, x_px[known]) - float(part["x"].values[0])
+    offset = np.arange(width, dtype=np.float64) - (width - 1) / 2
+    return _cubic(part.values, centre[:, None] + offset), offset
+
+
+def _cubic(rows: NDArray[np.float32], at: Doubles) -> NDArray[np.float32]:
+    """Values between the pixels of each row by Catmull-Rom's cubic (Keys 1981, a = −1/2).
+
+    Args: rows (k, columns); at (k, w), places in columns.  Returns: (k, w); NaN outside the outermost
+    pixel centres; the outermost pixel is repeated where the cubic looks past it.
+    """
+    last = rows.shape[1] - 1
+    left = np.floor(at).astype(np.int64)
+    f = at - left
+    weights = (
+        ((2 - f) * f - 1) * f / 2,
+        ((3 * f - 5) * f * f + 2) / 2,
+        ((4 - 3 * f) * f + 1) * f / 2,
+        (f - 1) * f * f / 2,
+    )
+    taps = (np.take_along_axis(rows, np.clip(left + k, 0, last), axis=1) for k in (-1, 0, 1, 2))
+    total = sum((weight * tap for weight, tap in zip(weights, taps, strict=True)), np.zeros(at.shape))
+    return np.asarray(np.where((at >= 0) & (at <= last), total, np.nan), np.float32)
