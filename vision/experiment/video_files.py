@@ -71,6 +71,8 @@ def _encoded(
     with av.open(str(path), "w") as file:
         stream: Any = file.add_stream(codec, rate=rate, options=options)
         stream.width, stream.height, stream.pix_fmt = camera.width, camera.height, layout
+        if codec == "libx264":
+            stream.codec_context.thread_count = 1  # more threads, another stream each time
         if codec == "mjpeg":
             stream.codec_context.qmin = stream.codec_context.qmax = 2
             stream.codec_context.color_range = 2
@@ -90,7 +92,7 @@ def _av_frame(pixels: NDArray[Any], layout: str) -> Any:
     from av import VideoFrame
 
     if layout == "yuv420p":
-        return VideoFrame.from_ndarray(pixels, "gray").reformat(format="yuv420p")
+        pixels = np.rint(16 + pixels * (219 / 255)).astype(np.uint8)
     if layout in ("gray", "gray16le"):
         return VideoFrame.from_ndarray(pixels, layout)
     frame = VideoFrame(pixels.shape[1], pixels.shape[0], layout)
