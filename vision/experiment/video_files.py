@@ -26,7 +26,9 @@ def write_video(folder: Path, blocks: Blocks, camera: Camera, times: FrameTimes,
 
     container: raw (Y800 AVI), mjpeg (AVI), h264 (MP4), ffv1 (Matroska, 8 to 16 bit), tiff (BigTIFF where
     large), png (numbered files, lost frames leave gaps). Only ffv1 keeps the times of lost frames; the
-    others run on. Raises: InputError as `check_container`.
+    others run on. The h264 encoder gives the same bytes again only where both sides are multiples of 16:
+    elsewhere its padding is not defined and decoded pixels differ by a level or so.
+    Raises: InputError as `check_container`.
     """
     check_container(container, camera)
     name, write, _ = _CONTAINERS[container]
