@@ -135,7 +135,9 @@ def summary_lines(
 
 
 def _clock(attrs: Mapping[str, Any]) -> str:
-    rate = f"{attrs['fps']:g} frames/s" if np.isfinite(attrs["fps"]) else "no frame rate"
+    if not np.isfinite(attrs["fps"]) and attrs["clock_kind"] == "playback":
+        return "the file holds no frame rate: give the camera's with --fps"
+    rate = f"{attrs['fps']:g} frames/s"
     kinds = {
         "playback": f"{rate} is the file's playback rate: confirm it or give the camera's with --fps",
         "file": f"{rate}, from the recording's own time stamps",

@@ -61,14 +61,20 @@ class Reference:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Candidate lists: x_px and log_contrast, (lists, K), each row ascending in x and padded with NaN."""
+    """Candidate lists: x_px, log_contrast and log_width, (lists, K), each row ascending in x, padded with
+    NaN."""
 
     x_px: Doubles
     log_contrast: Doubles
+    log_width: Doubles
 
     def take(self, rows: Ints) -> Candidates:
         """Some of the lists."""
-        return Candidates(self.x_px[rows], self.log_contrast[rows])
+        return Candidates(self.x_px[rows], self.log_contrast[rows], self.log_width[rows])
+
+    def first(self, count: int) -> Candidates:
+        """The first places of every list."""
+        return Candidates(self.x_px[:, :count], self.log_contrast[:, :count], self.log_width[:, :count])
 
 
 @dataclass(frozen=True)
@@ -114,7 +120,7 @@ def _take(reference: Reference, rows: Ints) -> Reference:
 
 def _align_batch(candidates: Candidates, reference: Reference) -> Alignment:
     longest = max(1, int(np.isfinite(candidates.x_px).sum(axis=1).max(initial=1)))
-    candidates = Candidates(candidates.x_px[:, :longest], candidates.log_contrast[:, :longest])
+    candidates = candidates.first(longest)
     pair = _pair_costs(candidates, reference)
     forward, origin = _pass(pair, candidates.x_px, reference.x_px, reference.pitch_px)
     turned = (pair[::-1, :, ::-1], -candidates.x_px[:, ::-1], -reference.x_px[:, ::-1])  # seen in a mirror

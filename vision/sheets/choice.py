@@ -12,26 +12,33 @@ Ints = NDArray[np.int64]
 UNEVEN_COST = 3.0
 EVEN = 0.12  # scatter (standard deviation of the logarithm) of the spacings of an even comb, at most
 CONTRAST_WORTH = 0.4  # per unit of the logarithm of contrast: dust is often fainter, but so are some sheets
+USUAL_WIDTHS = 0.35  # natural logarithm: ridges differ by this much
+ODD_WIDTH_COST = 3.0  # per unit of the logarithm beyond that
 LEAST_WORTH = 0.3
 MOVES = 0.7  # px rms: neighbours that move this much tell what stands still
 STILL = 0.3  # of the neighbours' motion: what moves less is no sheet
 LEAST_FRAMES = 50
 
 
-def choose_sheets(
-    x_px: Doubles, log_contrast: Doubles, found: Doubles, pitch_px: float, sheets: int | None = None
-) -> Ints:
+def sheet_worth(log_contrast: Doubles, log_width: Doubles, found: Doubles) -> Doubles:
+    """How much speaks for each entry being a sheet, (entries,): presence, contrast, and a width like the
+    others'."""
+    odd = np.maximum(np.abs(log_width - np.median(log_width)) - USUAL_WIDTHS, 0)
+    faint = np.maximum(log_contrast - np.median(log_contrast), -2.5)
+    worth = 1 + 1.5 * found + CONTRAST_WORTH * faint - ODD_WIDTH_COST * odd
+    return np.asarray(np.maximum(worth, LEAST_WORTH), np.float64)
+
+
+def choose_sheets(x_px: Doubles, worth: Doubles, pitch_px: float, sheets: int | None = None) -> Ints:
     """Numbers of the entries that together make the best comb.
 
-    Each entry counts for its presence and contrast, each spacing against its departure from the local
-    pitch; a dynamic programme over the entries in order finds the chain worth most, of exactly `sheets`
-    entries where that is given. A faint sheet in its place is kept, since without it the spacing is
-    double; dust between two sheets is not.
+    Each entry counts for its worth, each spacing against its departure from the local pitch; a dynamic
+    programme over the entries in order finds the chain worth most, of exactly `sheets` entries where that is
+    given. A faint sheet in its place is kept, since without it the spacing is double; dust between two sheets
+    is not.
 
-    Args: x_px, ascending; log_contrast; found, share of frames; all (entries,).  Returns: ascending numbers.
+    Args: x_px, ascending; worth, from `sheet_worth`; both (entries,).  Returns: ascending numbers.
     """
-    worth = 1 + 1.5 * found + CONTRAST_WORTH * np.maximum(log_contrast - np.median(log_contrast), -2.5)
-    worth = np.maximum(worth, LEAST_WORTH)
     if sheets is None:
         local = _local_pitch(x_px, pitch_px)
         return _best_chain(worth, _uneven_cost(x_px, local) / _unevenness(x_px, local))

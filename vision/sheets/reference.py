@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vision.errors import InputError
 from vision.sheets.alignment import MISSING_COST, Candidates, Reference, align
-from vision.sheets.choice import choose_sheets
+from vision.sheets.choice import choose_sheets, sheet_worth
 from vision.sheets.comb import Comb
 from vision.sheets.medians import nan_median
 from vision.sheets.segments import Segments
@@ -25,13 +25,17 @@ PRESENT_AT_EDGE = 0.04  # and one that may have come in or gone out at the edge 
 
 @dataclass(frozen=True)
 class Model:
-    """The comb of sheets: rest positions in one common frame of reference, log contrast, share of frames
-    found."""
+    """The comb of sheets: resting positions, logarithms of contrast and width, share of frames found, all
+    (N,).
+
+    dropped: how many ridges were taken out of it.
+    """
 
     x_px: Doubles
     log_contrast: Doubles
+    log_width: Doubles
     found: Doubles
-    dropped: int
+    dropped: int = 0
 
     @property
     def sheets(self) -> int:
@@ -41,7 +45,9 @@ class Model:
     def only(self, kept: Ints) -> Model:
         """The comb of these entries."""
         fewer = self.dropped + self.sheets - len(kept)
-        return Model(self.x_px[kept], self.log_contrast[kept], self.found[kept], fewer)
+        return Model(
+            self.x_px[kept], self.log_contrast[kept], self.log_width[kept], self.found[kept], dropped=fewer
+        )
 
     def reference(self, x_px: Doubles, comb: Comb, width_px: int) -> Reference:
         """This comb expected at x_px (lists, N)."""
@@ -77,7 +83,8 @@ def build_model(segments: Segments, comb: Comb, *, width_px: int, sheets: int | 
         raise InputError(
             source, f"{sheets} ridges (--sheets)", f"{model.sheets}", "give the number that is in view"
         )
-    return model.only(choose_sheets(model.x_px, model.log_contrast, model.found, comb.pitch_px, sheets))
+    worth = sheet_worth(model.log_contrast, model.log_width, model.found)
+    return model.only(choose_sheets(model.x_px, worth, comb.pitch_px, sheets))
 
 
 def _representative(segments: Segments) -> Ints:
@@ -95,29 +102,29 @@ def _seed(segments: Segments) -> Model:
     of_count = np.flatnonzero(count == np.argmax(frames))
     seed = of_count[np.argmax(segments.length[of_count])]
     real = np.isfinite(x[seed])
-    return Model(x[seed][real], segments.candidates.log_contrast[seed][real], np.ones(real.sum()), 0)
+    own = segments.candidates
+    return Model(x[seed][real], own.log_contrast[seed][real], own.log_width[seed][real], np.ones(real.sum()))
 
 
 def _revise(model: Model, candidates: Candidates, weight: Doubles, comb: Comb, width_px: int) -> Model:
     """Add what many segments show and the comb lacks, drop what few show; positions and contrasts anew."""
     rest = np.broadcast_to(model.x_px, (len(weight), model.sheets))
     match = align(candidates, model.reference(rest, comb, width_px)).match
-    x, log_contrast = (_of_match(values, match) for values in (candidates.x_px, candidates.log_contrast))
+    tables = (candidates.x_px, candidates.log_contrast, candidates.log_width)
+    x, log_contrast, log_width = (_of_match(values, match) for values in tables)
     moved = x - model.x_px
     found = np.where(np.isfinite(x), weight[:, None], 0).sum(axis=0) / weight.sum()
-    entries = [
-        (
-            model.x_px + nan_median(moved - nan_median(moved, axis=1)[:, None]),
-            nan_median(log_contrast),
-            found,
-        )
-    ]
-    entries.append(_strangers(model, candidates, match, weight))
-    x_px, contrast, share = (np.concatenate(column) for column in zip(*entries, strict=True))
-    order = np.argsort(x_px)
-    x_px, contrast, share = x_px[order], contrast[order], share[order]
+    rest_px = model.x_px + nan_median(moved - nan_median(moved, axis=1)[:, None])
+    known = (rest_px, nan_median(log_contrast), nan_median(log_width), found)
+    x_px, contrast, width, share = (
+        np.concatenate(column)
+        for column in zip(known, _strangers(model, candidates, match, weight), strict=True)
+    )
+    everything = Model(x_px, contrast, width, share)
+    everything = everything.only(np.argsort(everything.x_px))
+    share = everything.found
     keep = share >= np.where(_at_ends(share), PRESENT_AT_EDGE, PRESENT_INSIDE)
-    return Model(x_px[keep], contrast[keep], share[keep], 0)
+    return replace(everything.only(np.flatnonzero(keep)), dropped=0)
 
 
 def _at_ends(share: Doubles) -> NDArray[np.bool_]:
@@ -129,8 +136,9 @@ def _at_ends(share: Doubles) -> NDArray[np.bool_]:
 
 def _strangers(
     model: Model, candidates: Candidates, match: Ints, weight: Doubles
-) -> tuple[Doubles, Doubles, Doubles]:
-    """Unpaired candidates, gathered by the place they have between the sheets: position, log contrast, share.
+) -> tuple[Doubles, Doubles, Doubles, Doubles]:
+    """Unpaired candidates by the place they have between the sheets: position, log contrast, log width,
+    share.
 
     Place is the number of the next sheet to the left plus the fraction of the spacing; one stranger per
     interval and round is taken in, the one that most frames show.
@@ -146,9 +154,12 @@ def _strangers(
     many = np.flatnonzero(share >= PRESENT_AT_EDGE)
     mine = [interval == i for i in many]
     position = np.array([np.median(expected[m]) for m in mine])
-    contrast = np.array([np.median(candidates.log_contrast[list_[m], column[m]]) for m in mine])
+    contrast, width = (
+        np.array([np.median(values[list_[m], column[m]]) for m in mine])
+        for values in (candidates.log_contrast, candidates.log_width)
+    )
     lists = np.array([weight[np.unique(list_[m])].sum() for m in mine]) / weight.sum()
-    return position, contrast, lists
+    return position, contrast, width, lists
 
 
 def _place(x: Doubles, sheet_x: Doubles, rest: Doubles) -> Doubles:

@@ -67,7 +67,12 @@ def _find_block(profile: Floats, start: int, comb: Comb) -> _Found:
     walled = np.pad(smoothed(profile * comb.sign, comb.smoothing_px), ((0, 0), (1, 1)), mode="edge")
     walled[:, [0, -1]] += 1  # a wall is no ridge, and what slopes up to it is none either
     at, facts = find_peaks(
-        walled.ravel(), prominence=comb.threshold, width=0.0, rel_height=0.5, wlen=2 * comb.reach_px + 1
+        walled.ravel(),
+        plateau_size=(1, comb.reach_px),  # wider is a flat background, of which no prominence can be told
+        prominence=comb.threshold,
+        width=0.0,
+        rel_height=0.5,
+        wlen=2 * comb.reach_px + 1,
     )
     frame, x = np.divmod(at, walled.shape[1])
     fwhm = np.sqrt(np.maximum(facts["widths"] ** 2 - (FWHM * comb.smoothing_px) ** 2, 0.25))

@@ -55,7 +55,9 @@ def split_segments(ridges: Ridges, pitch_px: float) -> Segments:
     steady = change <= max(LEAST_CHANGE, CHANGE_FACTOR * float(np.median(change)) if len(change) else 0.0)
     start = np.r_[0, 1 + np.flatnonzero(~(same_count & still & steady))].astype(np.int64)
     length = np.diff(np.r_[start, len(x)])
-    candidates = Candidates(_means(x, start, length), _means(log_contrast, start, length))
+    log_width = np.log(ridges.fwhm_px.astype(np.float64))
+    tables = [_means(values, start, length) for values in (x, log_contrast, log_width)]
+    candidates = Candidates(*tables)
     return Segments(start, length, candidates)
 
 

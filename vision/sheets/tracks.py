@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 Doubles = NDArray[np.float64]
 
+LOSSY = frozenset({"h264", "hevc", "mjpeg", "mpeg1video", "mpeg2video", "mpeg4", "vp8", "vp9", "av1", "wmv3"})
+
 
 @dataclass(frozen=True)
 class _Found:
@@ -83,11 +85,22 @@ def track_sheets(
     err = per_noise * noise
     if fit == "paper":
         err = np.hypot(err, locking_error(x, bright, seen.start_px, window, comb))
+    if str(strip.attrs.get("codec", "")) in LOSSY:
+        err = err * _understated(x, err)
     found = _Found(comb, links, seen, x, err, noise, window)
     origin = float(strip["x"].values[0])
     numbering = number_sheets(x, axis_px=None if axis_px is None else axis_px - origin)
     settings = {"ridges_asked": ridges, "sheets_asked": -1 if sheets is None else sheets, "fit": fit}
     return _dataset(strip, found, replace(numbering, axis_px=numbering.axis_px + origin), settings)
+
+
+def _understated(x_px: Doubles, err_px: Doubles) -> Doubles:
+    """Factor, at least 1, by which positions scatter more than the pixel noise explains, (N,).
+
+    Lossy compression wipes out the noise by which errors are judged, and adds artefacts of its own.
+    """
+    factor = position_noise(x_px) / np.maximum(nan_median(err_px), 1e-9)
+    return np.maximum(np.nan_to_num(factor, nan=1.0), 1.0)
 
 
 def _check(profile: NDArray[np.float32], source: str) -> None:
@@ -116,7 +129,9 @@ def _dataset(
             ("frame", "sheet"),
             np.where(ok, found.err_px, np.nan),
             _about(
-                "standard error of x_px: noise of the profile; for the paper's fit also its locking", "px"
+                "standard error of x_px: noise of the profile; for the paper's fit also its locking; for lossy "
+                "video no less than the scatter from frame to frame",
+                "px",
             ),
         ),
         "flag": (("frame", "sheet"), flag, _about("ok, or why there is no position")),
