@@ -129,7 +129,7 @@ def _dataset(
             ("frame", "sheet"),
             np.where(ok, found.err_px, np.nan),
             _about(
-                "standard error of x_px: noise of the profile; for the paper's fit also its locking; for lossy "
+                "standard error of x_px: noise of the profile; also the locking of the paper's fit; "
                 "video no less than the scatter from frame to frame",
                 "px",
             ),
