@@ -129,8 +129,8 @@ def _dataset(
             ("frame", "sheet"),
             np.where(ok, found.err_px, np.nan),
             _about(
-                "standard error of x_px: noise of the profile; also the locking of the paper's fit; "
-                "video no less than the scatter from frame to frame",
+                "standard error of x_px: noise of the profile; also the locking of the paper's fit; for "
+                "lossy video no less than the scatter from frame to frame",
                 "px",
             ),
         ),
