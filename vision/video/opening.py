@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vision.errors import InputError
 from vision.video.recording import Recording
-from vision.video.source import Reader
+from vision.video.source import Facts, Reader
 from vision.video.timestamps import read_timestamps
 
 
@@ -49,7 +49,7 @@ def open_video(
         stop=stop,
         given_fps=fps,
         given_times_s=times_s,
-        warnings=(*reader.facts.warnings, *odd, *_beyond(stop, reader.facts.promised)),
+        warnings=(*reader.facts.warnings, *odd, *_beyond(stop, reader.facts)),
     )
 
 
@@ -99,11 +99,13 @@ def _given_times(
     return times_s, warnings
 
 
-def _beyond(stop: int | None, promised: int | None) -> tuple[str, ...]:
+def _beyond(stop: int | None, facts: Facts) -> tuple[str, ...]:
     """A warning where more frames are asked for than there are."""
-    if stop is None or promised is None or stop <= promised:
+    held = facts.promised or facts.about
+    if stop is None or held is None or stop <= held:
         return ()
-    return (f"--frames: asked for frames up to {stop}, the file has {promised}",)
+    about = "" if facts.promised else "about "
+    return (f"--frames: asked for frames up to {stop}, the file has {about}{held}",)
 
 
 def _frame_range(frames: slice | None, promised: int | None, path: Path) -> tuple[int, int | None]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from vision.errors import InputError
 from vision.video.blank import is_blank
+from vision.video.frame_counts import BLANK, CORRUPT, OK, STATUS, Counts, count_frames
 from vision.video.prefetch import prefetch
 from vision.video.profile_store import SPILL_BYTES, ProfileStore
 from vision.video.recording import cut
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 Progress = Callable[[int, int | None], None]
-_EARLY_STEPS = 3.5  # frame intervals between the last frame and the stated end that are no cause for alarm
-_STATUS = np.array(["ok", "corrupt", "lost", "blank"])
 
 
 def strip_profile(
@@ -49,12 +48,10 @@ def strip_profile(
     x = cut(columns, width, what=f"{video.path}: columns")
     strip = find_strip(video, columns=x) if rows is None else measure_strip(video, rows, columns=x)
     intensity, numbers, codes, times_s = _reduce(video, strip.rows, x, progress, spill_bytes)
-    codes[is_blank(intensity, codes == 0, saturation_level=video.saturation_level)] = 3
-    intensity[codes > 0] = np.nan
-    if not (codes == 0).any():
-        raise InputError(
-            video.path, "at least one frame that shows something", f"none in {codes.size} frames"
-        )
+    codes[is_blank(intensity, codes == OK, saturation_level=video.saturation_level)] = BLANK
+    intensity[codes != OK] = np.nan
+    _check_any(video, codes)
+    counts = count_frames(video, codes, times_s)
     return xr.DataArray(
         intensity,
         dims=("frame", "x"),
@@ -62,10 +59,10 @@ def strip_profile(
             "frame": numbers,
             "x": np.arange(x.start, x.stop, dtype=np.int64),
             "time_s": ("frame", times_s, {"units": "s"}),
-            "status": ("frame", _STATUS[codes]),
+            "status": ("frame", STATUS[codes]),
         },
         name="intensity",
-        attrs=_attributes(video, strip, codes) | {"warnings": _warnings(video, strip, codes, times_s)},
+        attrs=_attributes(video, strip, counts),
     )
 
 
@@ -80,7 +77,7 @@ def reference_frame(video: Video) -> NDArray[np.generic]:
 def _reduce(
     video: Video, rows: slice, columns: slice, progress: Progress | None, spill_bytes: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int8], NDArray[np.float64]]:
-    """One pass: row means, frame numbers, status codes (places in `_STATUS`), times."""
+    """One pass: row means, frame numbers, status codes (places in `STATUS`), times."""
     store = ProfileStore(columns.stop - columns.start, expected=video.expected, spill_bytes=spill_bytes)
     numbers: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
     codes: list[NDArray[np.int8]] = [np.empty(0, np.int8)]
@@ -89,7 +86,9 @@ def _reduce(
     for block in prefetch(video.blocks(rows, columns)):
         means = row_means(block.pixels)
         state = _codes(block)
-        state[(state == 0) & np.isnan(means).any(axis=1)] = 1
+        odd = ~np.isfinite(means).all(axis=1)
+        means[odd] = np.nan  # infinities would spread into sums over frames
+        state[(state == OK) & odd] = CORRUPT
         store.append(means)
         codes.append(state)
         numbers.append(np.arange(block.start, block.start + state.size, dtype=np.int64))
@@ -115,13 +114,23 @@ def row_means(pixels: NDArray[np.generic]) -> NDArray[np.float32]:
 
 
 def _codes(block: Block) -> NDArray[np.int8]:
-    places = {str(name): place for place, name in enumerate(_STATUS)}
+    places = {str(name): place for place, name in enumerate(STATUS)}
     return np.array([places[status] for status in block.status], np.int8)
 
 
-def _attributes(video: Video, strip: Strip, codes: NDArray[np.int8]) -> dict[str, Any]:
-    read = int(np.isin(codes, (0, 3)).sum())
-    expected = codes.size if video.expected is None else video.expected
+def _check_any(video: Video, codes: NDArray[np.int8]) -> None:
+    """InputError where no frame can be used; it says why."""
+    if (codes == OK).any():
+        return
+    if not codes.size:
+        raise InputError(video.path, "frames within --frames", "the file ends before them")
+    names, counts = np.unique(STATUS[codes], return_counts=True)
+    found = ", ".join(f"{count} {name}" for name, count in zip(names, counts, strict=True))
+    advice = "cut NaN off with --columns" if video.saturation_level is None else "check --strip and --columns"
+    raise InputError(video.path, "at least one frame that shows something", f"none ({found})", advice)
+
+
+def _attributes(video: Video, strip: Strip, counts: Counts) -> dict[str, Any]:
     clock = video.clock
     return {
         "units": "grey level",
@@ -137,42 +146,11 @@ def _attributes(video: Video, strip: Strip, codes: NDArray[np.int8]) -> dict[str
         "tilt_deg": strip.tilt_deg,
         "clock_kind": clock.kind,
         "fps": float("nan") if clock.fps is None else clock.fps,
-        "frames_expected": expected,
-        "frames_read": read,
-        "frames_lost": max(expected, codes.size) - read,
-        "frames_blank": int((codes == 3).sum()),
-        "frames_corrupt": int((codes == 1).sum()),
+        "frames_expected": counts.expected,
+        "frames_read": counts.read,
+        "frames_lost": counts.lost,
+        "frames_blank": counts.blank,
+        "frames_corrupt": counts.corrupt,
+        "warnings": "\n".join((*video.warnings, *strip.warnings, *counts.warnings)),
         **video.notes,
     }
-
-
-def _warnings(video: Video, strip: Strip, codes: NDArray[np.int8], times_s: NDArray[np.float64]) -> str:
-    """Everything the user must be told, one line each."""
-    frames = (*_count_warnings(video, codes), *_early_end(video, times_s))
-    return "\n".join((*video.warnings, *strip.warnings, *frames))
-
-
-def _count_warnings(video: Video, codes: NDArray[np.int8]) -> list[str]:
-    """One line for each kind of frame that is not there."""
-    name, warnings = video.path.name, []
-    if video.expected is not None and codes.size < video.expected:
-        missing = video.expected - codes.size
-        warnings.append(
-            f"{name}: {codes.size} of {video.expected} promised frames are in the file; {missing} are missing"
-        )
-    for code, what in ((1, "corrupt and left out"), (2, "lost by the camera"), (3, "blank and left out")):
-        which = np.flatnonzero(codes == code)
-        if which.size:
-            warnings.append(f"{name}: {which.size} frame(s) {what}, the first at place {which[0]}")
-    return warnings
-
-
-def _early_end(video: Video, times_s: NDArray[np.float64]) -> list[str]:
-    """A warning where frames stop well before the file says it ends."""
-    if video.duration_s is None or times_s.size < 2:
-        return []
-    missing_s = video.duration_s - float(times_s[-1])
-    if not missing_s > _EARLY_STEPS * float(np.median(np.diff(times_s))):
-        return []
-    name = video.path.name
-    return [f"{name}: the file should last {video.duration_s:.3f} s, its last {missing_s:.3f} s are missing"]
