@@ -108,6 +108,47 @@ def test_cut_multi_page_tiff(tmp_path, options):
     assert strip.warnings != ""
 
 
+@pytest.mark.parametrize("options", [{}, {"compression": "zlib"}, {"contiguous": True}])
+def test_stack_written_page_by_page(tmp_path, options):
+    """Failure: a stack written in a loop, which has one series a page, is refused or read as one frame."""
+    frames = comb(count=10)
+    with tifffile.TiffWriter(tmp_path / "a.tif") as out:
+        for frame in frames:
+            out.write(frame, **options)
+    assert np.array_equal(whole(open_video(tmp_path / "a.tif")), frames)
+
+
+def test_pages_of_several_sizes_are_refused_by_their_sizes(tmp_path):
+    """Failure: the message names no sizes, or the page that differs is read as noise."""
+    with tifffile.TiffWriter(tmp_path / "a.tif") as out:
+        for n, frame in enumerate(comb(count=6)):
+            out.write(frame if n != 4 else frame[:, :30])
+    with pytest.raises(InputError, match="50 x 12 and 30 x 12"):
+        open_video(tmp_path / "a.tif")
+
+
+def test_cut_plain_stack_gives_what_it_holds(tmp_path):
+    """Failure: of a stack whose page list stood at its lost end, only the first frame is read."""
+    frames = comb(count=10)
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, frames)
+    data = path.read_bytes()
+    path.write_bytes(data[: data.index(frames[6].tobytes()[:40]) + 100])
+    strip = strip_profile(open_video(path), slice(0, 12))
+    assert (strip.frames_expected, strip.frames_read, strip.frames_lost) == (10, 6, 4)
+    assert np.allclose(strip, frames[:6].mean(axis=1), rtol=1e-6)
+
+
+@pytest.mark.filterwarnings("error")
+def test_infinite_pixels_are_corrupt(tmp_path):
+    """Failure: infinity spreads into the recording's contrast and from there into other frames."""
+    frames = comb(dtype=np.float32)
+    frames[2, 5, 7] = np.inf
+    tifffile.imwrite(tmp_path / "a.tif", frames)
+    strip = strip_profile(open_video(tmp_path / "a.tif"), slice(0, 12))
+    assert strip.status.values.tolist() == ["ok", "ok", "corrupt", "ok", "ok", "ok"]
+
+
 def test_times_of_stacks(tmp_path):
     """Failure: ImageJ's and OME's frame interval is ignored, or taken in the wrong unit."""
     tifffile.imwrite(tmp_path / "ij.tif", comb(), imagej=True, metadata={"finterval": 0.04, "axes": "TYX"})

@@ -96,7 +96,7 @@ class CompressedStackReader:
         with tifffile.TiffFile(self.path) as tif, ThreadPoolExecutor(os.cpu_count()) as pool:
             tif.filehandle.set_lock(True)  # the threads share one file
             wanted = iter(numbers)
-            pages = tif.series[0].pages
+            pages = _pages(tif, self.path)
             while batch := [pages[n] for n in itertools.islice(wanted, _AHEAD)]:
                 yield from pool.map(_decode, batch)
 
@@ -130,10 +130,24 @@ def _pages(tif: tifffile.TiffFile, path: Path) -> Sequence[tifffile.TiffPage | t
     ]
     if len(many) > 1:
         raise InputError(path, "one dimension of frames", " ".join(many), "export one channel, one plane")
+    if len(series.pages) == 1 and len(tif.series) > 1:  # written page by page, each its own series
+        return _single_pages(tif, path)
     if len(tif.series) > 1 and len(tif.series[1].pages) == len(series.pages):
-        found = f"{series.shape[-2:]} and {tif.series[1].shape[-2:]}"
-        raise InputError(path, "pages of one size", found, "split the stack")
+        raise InputError(path, "one series of images", str(len(tif.series)), "export one of them")
     return series.pages
+
+
+def _single_pages(
+    tif: tifffile.TiffFile, path: Path
+) -> Sequence[tifffile.TiffPage | tifffile.TiffFrame | None]:
+    """All pages but thumbnails; InputError for images of several sizes."""
+    pages = [page for page in tif.pages if not getattr(page, "is_reduced", False)]  # a TiffFrame never is
+    first = pages[0].shape
+    odd = next((page.shape for page in pages if page.shape != first), None)
+    if odd is not None:
+        found = f"{first[1]} x {first[0]} and {odd[1]} x {odd[0]}"
+        raise InputError(path, "pages of one size", found, "split the stack")
+    return pages
 
 
 def _layout(
@@ -163,7 +177,7 @@ def _offsets(
     if not first.is_memmappable and not (first.is_contiguous and first.compression == 1):
         return None
     frame_bytes, end = first.nbytes, path.stat().st_size
-    if tif.is_imagej and promised_frames(tif) > len(tif.pages):  # one page describes all frames
+    if (tif.is_imagej or tif.is_shaped) and promised_frames(tif) > len(tif.pages):  # one page stands for all
         held = min(promised_frames(tif), (end - first.dataoffsets[0]) // frame_bytes)
         return first.dataoffsets[0] + frame_bytes * np.arange(held, dtype=np.int64)
     if not all(page is not None and len(_spans(page)) == 1 for page in pages):
