@@ -13,6 +13,15 @@ if TYPE_CHECKING:
 
 LEFT_MAP, RIGHT_MAP = "Blues", "Oranges"
 
+# colour on a light and on a dark ground; Okabe & Ito's set, told apart by luminance, dashes and marks as well
+DATA = ("#0072b2", "#56b4e9")
+PEAK = ("#b34700", "#ff9d57")
+VALLEY = ("#008060", "#4fd6ad")
+MODEL = ("#1a1a1a", "#f2f2f2")
+OTHER_MODEL = ("#8a5a83", "#e0a3d6")
+LEFT_ON_GREY, RIGHT_ON_GREY = ("#1e88ff", "#1e88ff"), ("#ff6a00", "#ff6a00")
+QUIET = ("#6b6b6b", "#a8a8a8")
+
 
 @contextmanager
 def picture_style() -> Iterator[None]:
@@ -49,3 +58,28 @@ def axis_of(pixel_size_um: float | None, *, small: bool = False) -> tuple[float,
     if pixel_size_um is None:
         return 1.0, "x (px)"
     return (pixel_size_um, "x (µm)") if small else (pixel_size_um / 1000, "x (mm)")
+
+
+def sheet_inks(tracks: xr.Dataset) -> list[tuple[str, str]]:
+    """Per sheet, its colour on a light and on a dark ground, strongest at the centre on either."""
+    import matplotlib as mpl
+    from matplotlib.colors import to_hex
+
+    side, n = tracks["side"].values, tracks["n"].values
+    outward = (n - 1) / max(1, int(n.max(initial=1)) - 1)
+    maps = [mpl.colormaps[LEFT_MAP if s < 0 else RIGHT_MAP] for s in side]
+    return [
+        (to_hex(chosen(0.95 - 0.45 * float(k))), to_hex(chosen(0.12 + 0.5 * float(k))))
+        for chosen, k in zip(maps, outward, strict=True)
+    ]
+
+
+def ordered_inks(count: int) -> list[tuple[str, str]]:
+    """Colours for an ordered set (sticks from first to last): luminance rises steadily, so grey print keeps
+    the order."""
+    import matplotlib as mpl
+    from matplotlib.colors import to_hex
+
+    shares = np.linspace(0, 1, max(count, 2))[:count]
+    ramp = mpl.colormaps["viridis"]
+    return [(to_hex(ramp(0.82 * float(k))), to_hex(ramp(0.3 + 0.7 * float(k)))) for k in shares]

@@ -1,0 +1,128 @@
+"""A chart on matplotlib axes, for manuscripts and notebooks."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vision.report.chart import Chart, Series
+from vision.report.style import QUIET
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_MOST_LABELS = 26
+_DASHES = (0, (4, 2))
+_MOST_IN_LEGEND = 8
+
+
+def draw_chart(ax: Axes, chart: Chart) -> Axes:
+    """Draw the chart on these axes, colours for a light ground; a second y axis is added where it has one.
+
+    Nothing else of the figure is touched. Returns the same axes.
+    """
+    if chart.picture is not None:
+        _draw_picture(ax, chart)
+    _draw_bands(ax, chart)
+    right: Axes | None = ax.twinx() if chart.y2_label else None
+    for series in chart.series:
+        _draw_series(
+            right if series.axis == "right" and right is not None else ax, series, chart.upright_time
+        )
+    for x in chart.x_lines:
+        ax.axvline(x, color=QUIET[0], lw=1, ls=(0, (6, 4)))
+    _frame_axes(ax, chart)
+    if right is not None:
+        right.set_ylabel(chart.y2_label)
+        right.spines["right"].set_visible(True)
+    _legend(ax, right, chart)
+    return ax
+
+
+def _draw_picture(ax: Axes, chart: Chart) -> None:
+    picture = chart.picture
+    assert picture is not None
+    extent = (picture.left, picture.right, picture.bottom, picture.top)
+    ax.imshow(
+        picture.pixels, cmap="gray", vmin=0, vmax=255, extent=extent, aspect="auto", interpolation="nearest"
+    )
+
+
+def _draw_bands(ax: Axes, chart: Chart) -> None:
+    from matplotlib.patches import Rectangle
+
+    for band in chart.bands:
+        if band.outline:
+            left, right = chart.x_range or ax.get_xlim()
+            box = Rectangle(
+                (left, band.low), right - left, band.high - band.low, fill=False, ec="#d55e00", lw=1.5
+            )
+            ax.add_patch(box)
+        else:
+            ax.axhspan(band.low, band.high, color=QUIET[0], alpha=0.15, lw=0, label=band.label)
+
+
+def _draw_series(ax: Axes, series: Series, upright: bool) -> None:
+    colour = series.ink[0]
+    if series.look == "steps":
+        width = float(series.x[1] - series.x[0]) if len(series.x) > 1 else 1.0
+        ax.bar(series.x, series.y, width, color=colour, alpha=0.5, ec=colour, label=series.label)
+        return
+    if series.low is not None and series.high is not None:
+        ax.vlines(series.x, series.low, series.high, color=colour, lw=0.9)
+    if series.look == "ticks":
+        _number_ticks(ax, series)
+        return
+    look: dict[str, Any] = {"color": colour, "lw": series.width, "ls": _DASHES if series.dashed else "-"}
+    if series.look in ("points", "both"):
+        look |= {"marker": "o", "ms": 3.5, "mfc": "white" if series.hollow else colour, "mew": 0.9}
+    if series.look == "points":
+        look["ls"] = "none"
+    x, y = (series.y, series.x) if upright else (series.x, series.y)
+    ax.plot(x, y, label=series.label, **look)
+
+
+def _number_ticks(ax: Axes, series: Series) -> None:
+    """The text above every tick, thinned to what can be read."""
+    step = max(1, -(-2 * len(series.x) // _MOST_LABELS))
+    box = {"boxstyle": "round,pad=0.12", "fc": "white", "ec": "none", "alpha": 0.75}
+    assert series.low is not None
+    for x, y, text in list(zip(series.x, series.low, series.text, strict=True))[::step]:
+        place: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "bottom"}
+        ax.annotate(text, (x, y), (0, 3), fontsize=7, bbox=box, **place)
+
+
+def _frame_axes(ax: Axes, chart: Chart) -> None:
+    along, across = chart.x_range, chart.y_range
+    if chart.upright_time:
+        ax.set(xlabel=chart.y_label, ylabel=chart.x_label)
+        along, across = across, along
+    else:
+        ax.set(xlabel=chart.x_label, ylabel=chart.y_label)
+    if along is not None and along[1] > along[0]:
+        ax.set_xlim(along)
+    if across is not None and across[1] > across[0]:
+        ax.set_ylim(across[::-1] if chart.downwards or chart.upright_time else across)
+    if chart.picture is None:
+        ax.grid(alpha=0.25)
+
+
+def _legend(ax: Axes, right: Axes | None, chart: Chart) -> None:
+    """A legend of few series; for many sheets only the outermost of each side, which name the tones."""
+    handles, labels = ax.get_legend_handles_labels()
+    if right is not None:
+        more = right.get_legend_handles_labels()
+        handles, labels = handles + more[0], labels + more[1]
+    if chart.switchable and len(labels) > _MOST_IN_LEGEND:
+        numbers = [series.sheet[1] if series.sheet else 0 for series in chart.series]
+        sides = np.array([series.sheet[0] if series.sheet else 0 for series in chart.series])
+        ends = [
+            mine[pick(np.array(numbers)[mine])]
+            for side in (-1, 1)
+            if len(mine := np.flatnonzero(sides == side))
+            for pick in (np.argmin, np.argmax)
+        ]
+        handles, labels = [handles[k] for k in ends], [labels[k] for k in ends]
+    if labels and chart.picture is None:
+        ax.legend(handles, labels, loc="best", fontsize=8, framealpha=0.8, frameon=True, edgecolor="none")

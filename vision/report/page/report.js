@@ -1,0 +1,328 @@
+"use strict";
+/* Draws the page's charts from its own data; nothing is loaded from anywhere. */
+(() => {
+  const page = JSON.parse(document.getElementById("data").textContent);
+  const root = document.documentElement;
+  const dark = () => root.dataset.theme === "dark";
+  const ink = (pair) => pair[dark() ? 1 : 0];
+  const css = (name) => getComputedStyle(root).getPropertyValue(name).trim();
+
+  /* ---- arrays ---- */
+  const blobs = page.blobs.map((text) => {
+    const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+    return new DataView(bytes.buffer);
+  });
+  function decode(array) {
+    if (array.v) return array.v;
+    const view = blobs[array.b], count = view.byteLength / 2, out = new Array(count);
+    for (let i = 0; i < count; i++) {
+      const code = view.getInt16(2 * i, true);
+      out[i] = code === -32768 ? null : array.start + array.slope * i + array.step * code;
+    }
+    return out;
+  }
+  /* One grid for all series: shared as it is, else every point a row of its own, sorted by x. */
+  function grid(chart, arrays) {
+    const all = chart.series.map((s) => [arrays[s.x], arrays[s.y]]);
+    if (chart.oneGrid) return { data: [all[0][0], ...all.map((p) => p[1])], rows: null };
+    const rows = [];
+    all.forEach(([xs], s) => xs.forEach((x, i) => rows.push([x, s, i])));
+    rows.sort((a, b) => a[0] - b[0] || a[1] - b[1] || a[2] - b[2]);
+    const data = [rows.map((r) => r[0]), ...all.map(() => new Array(rows.length).fill(null))];
+    rows.forEach(([, s, i], k) => { data[s + 1][k] = all[s][1][i]; });
+    return { data, rows };
+  }
+  const short = (v) => (v == null || !isFinite(v) ? "–" : String(parseFloat(v.toPrecision(6))));
+
+  /* ---- what uPlot does not draw by itself ---- */
+  function underlay(u, chart, image) {
+    const c = u.ctx, upright = chart.uprightTime, box = u.bbox;
+    const place = (v, key) => u.valToPos(v, key, true);
+    c.save(); c.beginPath(); c.rect(box.left, box.top, box.width, box.height); c.clip();
+    if (image) {
+      const p = chart.picture, keys = upright ? ["y", "x"] : ["x", "y"];
+      const x0 = place(p.left, keys[0]), x1 = place(p.right, keys[0]);
+      const y0 = place(p.top, keys[1]), y1 = place(p.bottom, keys[1]);
+      c.imageSmoothingEnabled = Math.abs(x1 - x0) < image.width;
+      c.drawImage(image, x0, y0, x1 - x0, y1 - y0);
+    }
+    for (const band of chart.bands) {
+      const y0 = place(band.high, "y"), y1 = place(band.low, "y");
+      if (band.outline) {
+        const [l, r] = chart.xRange, x0 = place(l, "x"), x1 = place(r, "x");
+        c.strokeStyle = "#e06a10"; c.lineWidth = 2 * devicePixelRatio;
+        c.strokeRect(x0, Math.min(y0, y1), x1 - x0, Math.abs(y1 - y0));
+      } else {
+        c.fillStyle = dark() ? "rgba(190,195,205,0.18)" : "rgba(100,105,115,0.16)";
+        c.fillRect(box.left, Math.min(y0, y1), box.width, Math.abs(y1 - y0));
+      }
+    }
+    c.strokeStyle = chart.picture ? "#fff" : css("--soft"); c.lineWidth = 1.4 * devicePixelRatio;
+    c.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
+    for (const x of chart.xLines) {
+      const at = place(x, "x");
+      c.beginPath(); c.moveTo(at, box.top); c.lineTo(at, box.top + box.height); c.stroke();
+    }
+    c.restore();
+  }
+  function bars(u, chart, arrays) {
+    const c = u.ctx, box = u.bbox, r = devicePixelRatio;
+    c.save(); c.beginPath(); c.rect(box.left, box.top, box.width, box.height); c.clip();
+    c.font = `${11 * r}px system-ui, sans-serif`; c.textAlign = "center"; c.textBaseline = "bottom";
+    chart.series.forEach((s, k) => {
+      if (s.low === undefined || !u.series[k + 1].show) return;
+      const xs = arrays[s.x], low = arrays[s.low], high = arrays[s.high], key = s.axis === "right" ? "y2" : "y";
+      c.strokeStyle = chart.picture ? s.ink[1] : ink(s.ink); c.lineWidth = 1.3 * r;
+      let last = -Infinity;
+      xs.forEach((x, i) => {
+        if (low[i] == null || high[i] == null) return;
+        const at = u.valToPos(x, "x", true), y0 = u.valToPos(low[i], key, true), y1 = u.valToPos(high[i], key, true);
+        c.beginPath(); c.moveTo(at, y0); c.lineTo(at, y1); c.stroke();
+        if (!s.text) return;
+        const half = c.measureText(s.text[i]).width / 2 + 2 * r, top = Math.min(y0, y1) - 2 * r;
+        if (at - half < last) return;
+        last = at + half;
+        c.fillStyle = "rgba(0,0,0,0.62)"; c.fillRect(at - half, top - 13 * r, 2 * half, 14 * r);
+        c.fillStyle = "#fff"; c.fillText(s.text[i], at, top);
+      });
+    });
+    c.restore();
+  }
+
+  /* ---- one chart ---- */
+  function seriesOf(s, chart) {
+    const points = s.look === "points" || s.look === "both", line = s.look === "line" || s.look === "both";
+    const colour = () => (chart.picture ? s.ink[1] : ink(s.ink));
+    const out = {
+      label: s.label, scale: s.axis === "right" ? "y2" : "y", stroke: colour, width: s.width,
+      dash: s.dashed ? [5, 3] : undefined, spanGaps: !chart.oneGrid, value: (u, v) => short(v),
+      points: { show: points, size: 6, width: 1.3, stroke: colour, fill: s.hollow ? () => css("--card") : colour },
+    };
+    if (s.look === "steps") {
+      out.paths = uPlot.paths.bars({ size: [1, Infinity], align: 0 });
+      out.fill = () => ink(s.ink) + "80";
+    } else if (!line) out.paths = () => null;
+    return out;
+  }
+  function axis(label, extra) {
+    return Object.assign({
+      label, labelSize: 22, labelFont: "13px system-ui, sans-serif", font: "12px system-ui, sans-serif",
+      stroke: () => css("--text"), grid: { stroke: () => css("--line"), width: 1 },
+      ticks: { stroke: () => css("--line"), width: 1 },
+      values: (u, splits) => numbers(splits),
+    }, extra);
+  }
+  function numbers(splits) {
+    const step = splits.length > 1 ? Math.abs(splits[1] - splits[0]) : 1;
+    const digits = Math.max(0, Math.min(9, -Math.floor(Math.log10(step) + 1e-9)));
+    return splits.map((v) => (v == null ? "" : v.toFixed(digits).replace("-", "−")));
+  }
+  const legendOf = (chart) => !chart.switchable && !chart.series.some((s) => s.look === "ticks");
+
+  function scalesOf(chart) {
+    const fixed = (range) => (range ? (u, low, high) => (u.zoomed ? [low, high] : range) : undefined);
+    const x = { time: false, range: xRange(chart) };
+    const y = {};
+    if (chart.yRange) y.range = fixed(chart.yRange);
+    if (chart.uprightTime) { x.ori = 1; x.dir = -1; y.ori = 0; y.range = fixed(chart.yRange); }
+    if (chart.downwards) y.dir = -1;
+    return Object.assign({ x, y }, chart.y2Label ? { y2: {} } : {});
+  }
+  function xRange(chart) {
+    return (u, low, high) => {
+      if (u.zoomed) return [low, high];
+      if (chart.xRange) return chart.xRange;
+      if (low == null) return [0, 1];
+      const edge = chart.series.some((s) => s.look === "line") ? 0 : 0.03;
+      const pad = (high - low) * edge || (high === low ? 0.5 : 0);
+      return [low - pad, high + pad];
+    };
+  }
+  function sizeOf(chart, holder) {
+    const width = Math.max(260, Math.floor(holder.clientWidth));
+    const height = Math.round(Math.max(230, Math.min(620, width * chart.aspect + 60)));
+    return { width, height };
+  }
+  function options(chart, holder, arrays, image, readout) {
+    const both = Boolean(chart.picture);
+    const side = { size: (u, values) => 26 + 7.5 * Math.max(2, ...(values || []).map((v) => v.length)) };
+    const axes = chart.uprightTime
+      ? [axis(chart.xLabel, Object.assign({ side: 3 }, side)), axis(chart.yLabel, { side: 2, space: 70 })]
+      : [axis(chart.xLabel, { space: 60 }), axis(chart.yLabel, side)];
+    if (chart.wholeNumbers) axes[0].incrs = [1, 2, 5, 10, 20, 50, 100, 200, 500];
+    if (both) axes.forEach((a) => { a.grid = { show: false }; });
+    if (chart.y2Label) axes.push(axis(chart.y2Label, Object.assign({ scale: "y2", side: 1, grid: { show: false } }, side)));
+    return Object.assign(sizeOf(chart, holder), {
+      scales: scalesOf(chart), axes,
+      series: [{ label: chart.xLabel, value: (u, v) => short(v) }, ...chart.series.map((s) => seriesOf(s, chart))],
+      legend: { show: legendOf(chart) },
+      focus: chart.switchable ? { alpha: 0.35 } : undefined,
+      cursor: { drag: { x: true, y: both, uni: both ? 20 : undefined, setScale: false }, focus: { prox: chart.switchable ? 24 : -1 },
+        points: { show: !both } },
+      hooks: {
+        drawClear: [(u) => underlay(u, chart, image)],
+        draw: [(u) => { bars(u, chart, arrays); holder.parentElement.dataset.drawn = "yes"; }],
+        setSelect: [(u) => select(u, chart)],
+        setCursor: [(u) => read(u, chart, readout)],
+      },
+    });
+  }
+  function read(u, chart, readout) {
+    if (!chart.switchable) return;
+    const at = u.cursor.idx;
+    if (at == null) { readout.textContent = ""; return; }
+    const near = chart.nearest;
+    const which = near ? `${u.series[near].label}: ${short(u.data[near][at])}` : "";
+    readout.textContent = `${chart.xLabel} ${short(u.data[0][at])}   ${which}`;
+  }
+  function select(u, chart) {
+    const s = u.select, upright = chart.uprightTime;
+    if (s.width < 4 && s.height < 4) return;
+    u.zoomed = true;
+    const pick = (key, vertical) => {
+      const a = u.posToVal(vertical ? s.top : s.left, key);
+      const b = u.posToVal(vertical ? s.top + s.height : s.left + s.width, key);
+      return { min: Math.min(a, b), max: Math.max(a, b) };
+    };
+    const x = pick("x", upright), y = pick("y", !upright);
+    u.batch(() => {
+      if (upright ? s.height > 4 : s.width > 4) u.setScale("x", x);
+      if (chart.picture && (upright ? s.width > 4 : s.height > 4)) u.setScale("y", y);
+    });
+    u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+  }
+  function reset(u) {
+    u.zoomed = false;
+    u.setData(u.data, true);
+  }
+  function zoom(u, factor, shift) {
+    const { min, max } = u.scales.x, half = ((max - min) * factor) / 2, middle = (min + max) / 2 + shift * (max - min);
+    u.zoomed = true;
+    u.setScale("x", { min: middle - half, max: middle + half });
+    if (!u.shared) return;
+    const y = u.scales.y, tall = ((y.max - y.min) * factor) / 2, centre = (y.min + y.max) / 2;
+    u.setScale("y", { min: centre - tall, max: centre + tall });
+  }
+  function button(text, label, action) {
+    const b = document.createElement("button");
+    b.type = "button"; b.textContent = text; b.setAttribute("aria-label", label); b.title = label;
+    b.addEventListener("click", action);
+    return b;
+  }
+
+  /* ---- numbers as a table ---- */
+  const quote = (v) => (/[",\n]/.test(v) ? `"${String(v).replaceAll('"', '""')}"` : v);
+  function table(chart, arrays) {
+    const cell = (v) => (v == null ? "" : v), lines = [];
+    const plain = chart.series.every((s) => s.low === undefined && !s.text);
+    if (chart.oneGrid && plain) {
+      lines.push([chart.xLabel, ...chart.series.map((s) => s.label)].map(quote).join(","));
+      const xs = arrays[chart.series[0].x], ys = chart.series.map((s) => arrays[s.y]);
+      xs.forEach((x, i) => lines.push([x, ...ys.map((y) => cell(y[i]))].map((v) => (typeof v === "number" ? +v.toPrecision(8) : v)).join(",")));
+    } else {
+      lines.push(["series", "quantity", chart.xLabel, "y", "low", "high", "text"].map(quote).join(","));
+      for (const s of chart.series) {
+        const label = s.axis === "right" ? chart.y2Label : chart.yLabel;
+        arrays[s.x].forEach((x, i) => {
+          const row = [s.label, label, x, arrays[s.y][i], ...(s.low === undefined ? ["", ""] : [arrays[s.low][i], arrays[s.high][i]])];
+          lines.push([...row.map(cell), s.text ? s.text[i] : ""].map(quote).join(","));
+        });
+      }
+    }
+    return lines.join("\n") + "\n";
+  }
+  function download(name, text) {
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
+    link.download = name;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  }
+
+  /* ---- sheets on and off ---- */
+  function switches(figure, chart, u) {
+    const box = document.createElement("div"), buttons = [];
+    box.className = "sheets";
+    const show = (wanted) => u.batch(() => buttons.forEach(({ b, k, side }) => {
+      const on = wanted(side, u.series[k].show);
+      b.setAttribute("aria-pressed", on);
+      if (u.series[k].show !== on) u.setSeries(k, { show: on });
+    }));
+    const all = document.createElement("span");
+    all.textContent = "show"; box.append(all);
+    const row = document.createElement("div"); row.className = "row";
+    row.append(button("all", "show all sheets", () => show(() => true)), button("none", "hide all sheets", () => show(() => false)),
+      button("left", "left sheets only", () => show((side) => side < 0)), button("right", "right sheets only", () => show((side) => side > 0)));
+    box.append(row);
+    for (const [side, name] of [[-1, "left n"], [1, "right n"]]) {
+      const mine = chart.series.map((s, k) => ({ s, k: k + 1 })).filter(({ s }) => s.sheet && s.sheet[0] === side).sort((a, b) => a.s.sheet[1] - b.s.sheet[1]);
+      if (!mine.length) continue;
+      const title = document.createElement("span"), line = document.createElement("div");
+      title.textContent = name; line.className = "row";
+      for (const { s, k } of mine) {
+        const b = button(String(s.sheet[1]), `sheet ${s.label}`, () => {
+          const on = !u.series[k].show;
+          b.setAttribute("aria-pressed", on); u.setSeries(k, { show: on });
+        });
+        b.setAttribute("aria-pressed", "true"); b.ink = s.ink; buttons.push({ b, k, side }); line.append(b);
+      }
+      box.append(title, line);
+    }
+    figure.tint = () => buttons.forEach(({ b }) => { b.style.borderBottomColor = ink(b.ink); });
+    figure.tint();
+    figure.querySelector(".plot").before(box);
+  }
+
+  function make(figure, chart, image) {
+    const arrays = chart.arrays.map(decode), holder = figure.querySelector(".plot");
+    const readout = figure.querySelector(".readout");
+    const u = new uPlot(options(chart, holder, arrays, image, readout), grid(chart, arrays).data, holder);
+    u.shared = Boolean(chart.picture) && !chart.uprightTime;
+    const tools = figure.querySelector(".buttons");
+    if (chart.switchable) u.hooks.setSeries = [(self, k) => { chart.nearest = k; }];
+    u.over.addEventListener("dblclick", () => reset(u));
+    tools.append(button("+", "zoom in", () => zoom(u, 0.5, 0)), button("−", "zoom out", () => zoom(u, 2, 0)),
+      button(chart.uprightTime ? "▲" : "◀", "earlier", () => zoom(u, 1, -0.5)), button(chart.uprightTime ? "▼" : "▶", "later", () => zoom(u, 1, 0.5)),
+      button("whole", "show the whole range (double click)", () => reset(u)),
+      button("CSV", "download this figure's numbers", () => download(`${chart.name}.csv`, table(chart, arrays))));
+    if (chart.switchable) switches(figure, chart, u);
+    Object.assign(figure, { plot: u, chart, table: () => table(chart, arrays) });
+    return u;
+  }
+
+  /* ---- light, dark, print, size ---- */
+  const figures = [];
+  const repaint = () => figures.forEach((f) => { if (f.tint) f.tint(); f.plot.redraw(false, true); });
+  const resize = () => figures.forEach((f) => {
+    const size = sizeOf(f.chart, f.querySelector(".plot"));
+    if (size.width !== f.plot.width) f.plot.setSize(size);
+  });
+  function theme(name) { root.dataset.theme = name; repaint(); }
+  const preferred = matchMedia("(prefers-color-scheme: dark)");
+  root.dataset.theme = preferred.matches ? "dark" : "light";
+  preferred.addEventListener("change", () => theme(preferred.matches ? "dark" : "light"));
+  document.querySelector(".theme").addEventListener("click", () => theme(dark() ? "light" : "dark"));
+  let before = "light";
+  addEventListener("beforeprint", () => {
+    before = root.dataset.theme; theme("light");
+    document.querySelectorAll("details").forEach((d) => { d.open = true; });
+    figures.forEach((f) => f.plot.setSize({ width: 660, height: f.plot.height }));
+  });
+  addEventListener("afterprint", () => { theme(before); resize(); });
+  addEventListener("resize", resize);
+  document.querySelectorAll("[data-copy]").forEach((b) => b.addEventListener("click", () => {
+    const text = document.getElementById(b.dataset.copy);
+    getSelection().selectAllChildren(text);
+    document.execCommand("copy");
+    b.textContent = "copied";
+  }));
+
+  document.querySelectorAll("figure[data-chart]").forEach((figure) => {
+    const chart = page.charts[figure.dataset.chart];
+    const ready = (image) => { make(figure, chart, image); figures.push(figure); };
+    if (!chart.picture) { ready(null); return; }
+    const image = new Image();
+    image.onload = () => ready(image);
+    image.src = chart.picture.uri;
+  });
+})();

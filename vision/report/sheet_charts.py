@@ -1,0 +1,276 @@
+"""Figures that need only the video: the frame, the space-time diagram, x(n,t), noise and locking."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision.report.chart import Band, Chart, Doubles, Ink, Picture, Series
+from vision.report.decimate import grey_levels, outline, time_rows
+from vision.report.style import DATA, LEFT_ON_GREY, MODEL, PEAK, RIGHT_ON_GREY, sheet_inks
+from vision.sheets.medians import nan_median
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+MOST_ROWS = 1200  # of a picture in the report
+MOST_POINTS = 1600  # of one sheet in the report
+MOST_POSITIONS = 150_000  # of all sheets together
+_BINS = 20
+
+
+def frame_chart(frame: NDArray[np.generic], tracks: xr.Dataset) -> Chart:
+    """One whole frame with the averaged rows outlined, the sheets' numbers n and the symmetry axis.
+
+    Args: frame (rows, columns), any depth.  tracks, from `track_sheets`, with strip_z0 and strip_z1 in attrs.
+    """
+    rows, columns = frame.shape
+    step = max(1, -(-rows // MOST_ROWS), -(-columns // (2 * MOST_ROWS)))
+    grey = np.asarray(frame, np.float32)[::step, ::step]
+    low, high = np.percentile(grey, (0.5, 99.8))
+    edges = {"left": -0.5, "right": columns - 0.5, "top": -0.5, "bottom": rows - 0.5}
+    z0, z1 = float(tracks.attrs["strip_z0"]), float(tracks.attrs["strip_z1"])
+    x = _first_positions(tracks)
+    known = np.flatnonzero(np.isfinite(x))
+    inks = sheet_inks(tracks)
+    side, n = tracks["side"].values, tracks["n"].values
+    sheets = tuple(
+        Series(
+            label=f"sheets {name} of the axis",
+            x=x[mine],
+            y=np.full(len(mine), (z0 + z1) / 2 - 0.5),
+            low=np.full(len(mine), z0 - 0.5),
+            high=np.full(len(mine), z1 - 0.5),
+            text=tuple(str(k) for k in n[mine]),
+            ink=inks[mine[-1 if which > 0 else 0]],
+            look="ticks",
+        )
+        for which, name in ((-1, "left"), (1, "right"))
+        if len(mine := known[side[known] == which])
+    )
+    return Chart(
+        name="frame",
+        title="The frame, the strip and the numbered sheets",
+        caption=(
+            f"One frame of the recording. The outlined rows {z0:.0f} to {z1:.0f} (half-open) are "
+            "averaged to "
+            "the profile I(x); upright strokes mark the sheets found, with their number n counted from the "
+            "symmetry axis (dashed) outwards."
+        ),
+        x_label="x (px)",
+        y_label="z (px)",
+        series=sheets,
+        picture=Picture(pixels=grey_levels(grey, float(low), float(max(high, low + 1))), **edges),
+        bands=(Band(low=z0 - 0.5, high=z1 - 0.5, label="strip", outline=True),),
+        x_lines=(float(tracks.attrs["axis_px"]),),
+        x_range=(-0.5, columns - 0.5),
+        y_range=(-0.5, rows - 0.5),
+        downwards=True,
+        aspect=float(np.clip(rows / columns, 0.12, 0.75)),
+    )
+
+
+def space_time_chart(strip: xr.DataArray, tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Chart:
+    """I(x, t), time downwards, with the tracks on it.
+
+    Lengths in mm where the pixel size is known, else px. Rows of the picture are means of the frames they
+    stand for; the tracks keep the lowest and highest position of each stretch.
+    """
+    time, time_label = clock_axis(strip)
+    values, x = np.asarray(strip.values, np.float32), strip["x"].values
+    thin = max(1, -(-values.shape[1] // (2 * MOST_ROWS)))
+    rows, edges = time_rows(values[:, ::thin], time, most=MOST_ROWS)
+    low, high = np.nanpercentile(rows, (0.5, 99.5))
+    scale, label = (1.0, "x (px)") if pixel_size_um is None else (pixel_size_um / 1000, "x (mm)")
+    left, right = float(x[0] - 0.5) * scale, float(x[-1] + 0.5) * scale
+    at, shown = decimated_tracks(tracks)
+    per_row = len(values) / len(rows)
+    averaged = f" Each row is the mean of about {per_row:.0f} frames." if per_row > 1.5 else ""
+    return Chart(
+        name="space_time",
+        title="Space-time diagram with the tracks",
+        caption=(
+            "Intensity I(x,t) averaged over the strip's rows, one frame below the other, time downwards; "
+            "the "
+            f"lines are the positions x(n,t).{averaged} kymograph.tif holds every frame."
+        ),
+        x_label=time_label,
+        y_label=label,
+        series=_sheet_series(tracks, at, shown * scale, inks=_on_grey(tracks), width=1.1),
+        picture=Picture(
+            pixels=grey_levels(rows, float(low), float(max(high, low + 1e-6))),
+            left=left,
+            right=right,
+            top=float(edges[0]),
+            bottom=float(edges[-1]),
+        ),
+        x_range=(float(edges[0]), float(edges[-1])),
+        y_range=_comb_range(tracks, left, right, scale),
+        upright_time=True,
+        aspect=0.75,
+    )
+
+
+def displacement_chart(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Chart:
+    """x(n, t) less each sheet's median position; in um where the pixel size is known, else px."""
+    at, shown = decimated_tracks(tracks)
+    scale, unit = (1.0, "px") if pixel_size_um is None else (pixel_size_um, "µm")
+    away = (shown - nan_median(tracks["x_px"].values)) * scale
+    frames = tracks.sizes["frame"]
+    fewer = (
+        f" Drawn are the lowest and highest position in each of {len(at) // 2} stretches of the {frames} "
+        "frames, so that no slip is lost; tracks.csv holds every frame."
+        if len(at) < frames
+        else ""
+    )
+    return Chart(
+        name="displacement",
+        title="x(n,t): displacement of every sheet",
+        caption=(
+            "Position of each sheet less its median over the recording. Left sheets are dashed and blue, "
+            "right "
+            f"ones solid and orange; the tone changes steadily from the centre outwards.{fewer}"
+        ),
+        x_label=clock_axis(tracks)[1],
+        y_label=f"x − median ({unit})",
+        series=_sheet_series(tracks, at, away, inks=sheet_inks(tracks)),
+    )
+
+
+def noise_chart(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Chart:
+    """Noise of every sheet's position, as measured and as predicted from the noise of the profile."""
+    scale, unit = (1.0, "px") if pixel_size_um is None else (pixel_size_um, "µm")
+    signed, order = signed_number(tracks)
+    measured = tracks["x_noise_px"].values[order] * scale
+    predicted = nan_median(tracks["x_err_px"].values)[order] * scale
+    return Chart(
+        name="noise",
+        title="Noise of the positions",
+        caption=(
+            "Filled: scatter of each sheet's position from frame to frame, from second differences in "
+            "time, so "
+            "that creep and shared vibration do not count. Hollow: standard error expected from the "
+            "noise of the "
+            "profile (median over the frames). Where the two disagree, something other than camera noise "
+            "moves "
+            "or blurs that sheet."
+        ),
+        x_label="side · n (left negative)",
+        y_label=f"noise of x ({unit})",
+        series=(
+            Series(label="measured", x=signed, y=measured, ink=DATA, look="points"),
+            Series(label="predicted", x=signed, y=predicted, ink=PEAK, look="points", hollow=True),
+        ),
+        y_range=(0.0, _top(measured, predicted)),
+        whole_numbers=True,
+        aspect=0.4,
+    )
+
+
+def locking_chart(tracks: xr.Dataset) -> Chart:
+    """Histogram of x modulo one pixel: flat unless the fit locks to whole pixels.
+
+    The band is what counting alone allows (two standard deviations) if each sheet counted as one independent
+    position per pixel it passes, which is the least that the motion offers.
+    """
+    x = tracks["x_px"].values
+    known = x[np.isfinite(x)]
+    counts, edges = np.histogram(known % 1.0, bins=_BINS, range=(0, 1))
+    share = counts / max(1, counts.sum()) * _BINS
+    centre = (edges[:-1] + edges[1:]) / 2
+    independent = _independent_positions(x)
+    spread = 2 * np.sqrt(_BINS / max(independent, 1.0))
+    return Chart(
+        name="locking",
+        title="Position modulo one pixel (locking check)",
+        caption=(
+            f"Density of x modulo one pixel over {len(known)} positions; 1 is an even spread. A fit that "
+            "locks to "
+            "whole pixels piles up near 0 or 1 and empties the middle. The band is ± 2 standard "
+            "deviations of "
+            f"chance for {independent:.0f} independent positions (pixels that the sheets pass through)."
+        ),
+        x_label="x modulo 1 px",
+        y_label="density over even spread",
+        series=(
+            Series(label="positions", x=centre, y=share, ink=DATA, look="steps"),
+            Series(label="even spread", x=centre, y=np.ones(_BINS), ink=MODEL, dashed=True),
+        ),
+        bands=(Band(low=max(0.0, 1 - spread), high=1 + spread, label="chance"),),
+        x_range=(0.0, 1.0),
+        y_range=(0.0, float(max(1 + 1.2 * spread, 1.1 * share.max(initial=1)))),
+        aspect=0.4,
+    )
+
+
+def decimated_tracks(tracks: xr.Dataset) -> tuple[Doubles, Doubles]:
+    """Time and positions (points, sheet) in px, few enough for a page."""
+    each = min(MOST_POINTS, max(200, MOST_POSITIONS // max(1, tracks.sizes["sheet"])))
+    return outline(clock_axis(tracks)[0], tracks["x_px"].values, most=each)
+
+
+def clock_axis(data: xr.Dataset | xr.DataArray) -> tuple[Doubles, str]:
+    """Seconds, or frame numbers where the recording has no rising clock; the label says what they are."""
+    time = np.asarray(data["time_s"].values, np.float64)
+    if not np.isfinite(time).all() or (np.diff(time) < 0).any():
+        return np.asarray(data["frame"].values, np.float64), "frame"
+    return time, "t (s, playback rate)" if data.attrs.get("clock_kind") == "playback" else "t (s)"
+
+
+def signed_number(tracks: xr.Dataset) -> tuple[Doubles, NDArray[np.int64]]:
+    """side · n in rising order, and the sheets in that order."""
+    signed = np.asarray(tracks["side"].values * tracks["n"].values, np.float64)
+    order = np.argsort(signed, kind="stable")
+    return signed[order], order
+
+
+def _on_grey(tracks: xr.Dataset) -> list[Ink]:
+    """One strong colour a side, which stands out from any grey."""
+    return [LEFT_ON_GREY if side < 0 else RIGHT_ON_GREY for side in tracks["side"].values]
+
+
+def _sheet_series(
+    tracks: xr.Dataset, at: Doubles, y: Doubles, *, inks: list[Ink], width: float = 1.0
+) -> tuple[Series, ...]:
+    sides, numbers = tracks["side"].values, tracks["n"].values
+    return tuple(
+        Series(
+            label=f"{'left' if side < 0 else 'right'} {n}",
+            x=at,
+            y=column,
+            ink=ink,
+            dashed=bool(side < 0),
+            width=width,
+            sheet=(int(side), int(n)),
+        )
+        for side, n, ink, column in zip(sides, numbers, inks, y.T, strict=True)
+    )
+
+
+def _first_positions(tracks: xr.Dataset) -> Doubles:
+    """Positions in the frame that is shown: the first with any sheet."""
+    seen = np.isfinite(tracks["x_px"].values).any(axis=1)
+    return np.asarray(tracks["x_px"].values[int(np.argmax(seen))], np.float64)
+
+
+def _comb_range(tracks: xr.Dataset, left: float, right: float, scale: float) -> tuple[float, float]:
+    """What to show at first: the comb and two pitches beside it, within the picture."""
+    x = tracks["x_px"].values
+    margin = 2 * float(tracks.attrs["pitch_px"])
+    low, high = (np.nanmin(x) - margin) * scale, (np.nanmax(x) + margin) * scale
+    return max(left, float(low)), min(right, float(high))
+
+
+def _independent_positions(x_px: Doubles) -> float:
+    """Pixels that all sheets pass through together, at least one a sheet."""
+    known = np.isfinite(x_px)
+    low = np.where(known, x_px, np.inf).min(axis=0, initial=np.inf)
+    high = np.where(known, x_px, -np.inf).max(axis=0, initial=-np.inf)
+    return float(np.maximum(high - low, 1.0)[known.any(axis=0)].sum())
+
+
+def _top(*values: Doubles) -> float:
+    """A little above the largest value."""
+    return 1.15 * float(max((np.nanmax(v) for v in values if np.isfinite(v).any()), default=1.0))
