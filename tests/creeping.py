@@ -75,7 +75,7 @@ def make(
     length_s = frames / fps * (1 + jitter * rng.uniform(-1, 1, events))
     begin = 3.3 / fps + np.r_[0, np.cumsum(length_s)]
     stick = stick_um * length_s / (frames / fps)
-    fine = np.linspace(0, 1, 2001)
+    fine = (np.arange(100_000) + 0.5) / 100_000
     sweep = ratio * stick[:, None] / PIXEL_UM / np.std(shape(fine))
     time = np.arange(int((begin[-1] + 3 / fps) * fps)) / fps
     x = 20.0 * (side * (n - 0.5)) + 960 + drift_px_s * time[:, None]

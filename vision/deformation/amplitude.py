@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,8 +10,9 @@ from vision.deformation.common import LEAST_PAIRS, drift, noise_regained, pairs,
 from vision.deformation.creep import Creep, fit_creep, mean_square
 from vision.deformation.frames import Bools, Doubles, Ints, StickFrames
 from vision.deformation.memory import Memory, inflation
-from vision.deformation.noise import Noise, measure_noise
+from vision.deformation.noise import measure_noise
 
+_LOCKING_PX = {"sliding": 0.002, "template": 0.002}  # measured, ridges 6-14 px wide
 _CURVED = 3.0  # standard errors by which a parabola must differ from a line
 _MANY_FRAMES = 12  # a stick from which noise is told from creep by a cubic, else by a parabola
 _LEAST_CURVED = 6  # positions for a parabola to be tried
@@ -49,19 +50,30 @@ def measure_amplitude(
     predicted_px: Doubles,
     side: Ints,
     n: Ints,
+    fit: str = "",
     common_mode: bool = True,
 ) -> Amplitude:
     """Creep from the positions in usable frames, x_px (F, sheet), NaN where there is none.
 
-    predicted_px, side, n: (sheet,).  common_mode: whether to take the camera's movement off.
+    predicted_px, side, n: (sheet,).  fit: how positions were found, as in `track_sheets`.
+    common_mode: whether to take the camera's movement off.
     """
     terms = 4 if np.median(frames.counts) >= _MANY_FRAMES else 3
-    steady, regained = _steadied(x_px, frames, terms) if common_mode else (x_px, np.ones(n.size))
+    shake, regained = _shaking(x_px, frames, terms) if common_mode else (np.zeros(len(x_px)), np.ones(n.size))
+    steady = x_px - shake[:, None]
     line, parabola, close = (fit_creep(steady, frames, terms=k) for k in (2, 3, terms))
     noise = measure_noise(steady - close.at(frames), close, frames, predicted_px)
-    noise = replace(noise, noise_px=noise.noise_px * np.sqrt(regained))
+    noise_px = noise.noise_px * np.sqrt(regained)
     paired = common_mode and pairs(side, n)[0].size >= LEAST_PAIRS
-    creep = _choose(line, parabola, noise, frames, _Moved(side, n, paired))
+    # Without pairs, what of the vibration looks like creep stays: at most as much as if it were white.
+    errors = _Errors(
+        noise_px=noise_px if paired else np.hypot(noise_px, np.std(shake)),
+        excess=noise.excess,
+        locking_px=_locking(fit, predicted_px, noise_px),
+        memory=noise.memory,
+        frames=frames,
+    )
+    creep = _choose(line, parabola, errors, _Moved(side, n, paired))
     square = creep.slope**2 / 3 + np.where(creep.bend == 0, 0.0, creep.bend**2 - creep.bend_err**2) / 5
     return Amplitude(
         raw_px=np.where(line.good, np.sqrt(mean_square(x_px, frames)), np.nan),
@@ -74,16 +86,26 @@ def measure_amplitude(
         uneven=noise.excess > 1,
         effective_frames=frames.counts / inflation(noise.memory, frames, 2)[:, 1],
         drift_px=2 * creep.drift,
-        noise_px=noise.noise_px,
+        noise_px=noise_px,
         memory=noise.memory,
         paired=paired,
     )
 
 
-def _steadied(x_px: Doubles, frames: StickFrames, terms: int) -> tuple[Doubles, Doubles]:
-    """Positions without the camera's vibration, and what that took off each sheet's noise variance."""
+def _shaking(x_px: Doubles, frames: StickFrames, terms: int) -> tuple[Doubles, Doubles]:
+    """The camera's vibration in each frame, and what taking it off does to each sheet's noise variance."""
     residual = x_px - fit_creep(x_px, frames, terms=terms).at(frames)
-    return x_px - shaking(residual)[:, None], noise_regained(residual)
+    return shaking(residual), noise_regained(residual)
+
+
+def _locking(fit: str, predicted_px: Doubles, noise_px: Doubles) -> Doubles:
+    """RMS error of positions that repeats from pixel to pixel, (sheet,), px; 0 for fits not known to lock.
+
+    The publication's fit locks by as much as its predicted error exceeds the scatter from frame to frame.
+    """
+    if fit == "paper":
+        return np.sqrt(np.maximum(np.nan_to_num(predicted_px) ** 2 - noise_px**2, 0))
+    return np.full(noise_px.size, _LOCKING_PX.get(fit, 0.0))
 
 
 @dataclass(frozen=True)
@@ -102,8 +124,8 @@ class _Chosen:
     drift: Doubles
 
 
-def _choose(line: Creep, parabola: Creep, noise: Noise, frames: StickFrames, moved: _Moved) -> _Chosen:
-    bent_err, line_err = (_errors(fit, noise, frames) for fit in (parabola, line))
+def _choose(line: Creep, parabola: Creep, errors: _Errors, moved: _Moved) -> _Chosen:
+    bent_err, line_err = errors.of(parabola), errors.of(line)
     bend, bend_err, _ = moved.off(parabola.coefficient[..., 2], bent_err[..., 2])
     curved = (parabola.count >= _LEAST_CURVED) & (np.abs(bend) > _CURVED * bend_err)
     best = np.where(curved[..., None], parabola.coefficient[..., :2], line.coefficient)
@@ -114,12 +136,31 @@ def _choose(line: Creep, parabola: Creep, noise: Noise, frames: StickFrames, mov
     return _Chosen(best[..., 0], slope, slope_err, bend, bend_err, straight, drift_px)
 
 
-def _errors(fit: Creep, noise: Noise, frames: StickFrames) -> Doubles:
-    """Standard errors of the coefficients, (stick, sheet, terms)."""
-    terms = fit.coefficient.shape[2]
-    white = np.einsum("eskk->esk", fit.inverse)
-    factor = inflation(noise.memory, frames, terms)[:, None]
-    return np.asarray(np.sqrt(white * factor) * (noise.noise_px * noise.excess)[..., None])
+@dataclass(frozen=True)
+class _Errors:
+    """What errors are made of: noise and locking per sheet, (sheet,), excess noise, (stick, sheet)."""
+
+    noise_px: Doubles
+    excess: Doubles
+    locking_px: Doubles
+    memory: Memory
+    frames: StickFrames
+
+    def of(self, fit: Creep) -> Doubles:
+        """Standard errors of the coefficients, (stick, sheet, terms).
+
+        Locking shifts positions by a wave in x, one pixel long, of unknown phase.  A sheet that creeps by
+        2 a runs through it, and its share in P_l is (2 l + 1) j_l(2 pi a) (spherical Bessel functions).
+        """
+        from scipy.special import spherical_jn
+
+        terms = fit.coefficient.shape[2]
+        white = np.einsum("eskk->esk", fit.inverse)
+        factor = inflation(self.memory, self.frames, terms)[:, None]
+        random = np.sqrt(white * factor) * (self.noise_px * self.excess)[..., None]
+        order, phase = np.arange(terms), 2 * np.pi * np.abs(fit.coefficient[..., 1:2])
+        locked = (2 * order + 1) * spherical_jn(order, phase) * self.locking_px[:, None]
+        return np.asarray(np.hypot(random, locked))
 
 
 def _root_error(creep: _Chosen, square: Doubles) -> Doubles:

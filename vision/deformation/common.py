@@ -11,19 +11,24 @@ from vision.sheets.medians import nan_median
 
 LEAST_SHEETS = 5
 LEAST_PAIRS = 3
+_OWN_WAY = 8.0  # typical residuals from the other sheets beyond which one does not move with them
+_STILL_PX = 1e-6  # least typical residual, for positions without noise
 _UNLIKE = 0.2  # share of their creep by which the sheets of a pair are first taken to differ
 _ROUNDS = 4
+_AT_MOST = 9.0  # times the expected variance, so that a sheet that slips alone does not speak for all
 
 
 def shaking(residual: Doubles) -> Doubles:
     """Common movement in each frame that is no creep, px, (F,): the weighted mean residual of all sheets.
 
     Residuals are to each sheet's own creep, so creep is not in it, however unlike the sides are. Weights
-    are the inverse of each sheet's residual variance.  0 in frames with fewer than five sheets, which would
-    lose too much of their own noise.
+    are the inverse of each sheet's residual variance; a sheet that goes its own way in a frame is left out.
+    0 in frames with fewer than five sheets, which would lose too much of their own noise.
     """
-    weight = _weights(residual)
-    known = np.isfinite(residual) & (weight > 0)
+    spread, weight = _spread_and_weight(residual)
+    with np.errstate(invalid="ignore"):
+        away = np.abs(residual - nan_median(residual, axis=1)[:, None])
+        known = (away <= _OWN_WAY * spread) & (weight > 0)
     enough = known.sum(axis=1) >= LEAST_SHEETS
     total = (known * weight).sum(axis=1)
     moved = np.where(known, residual, 0.0) @ weight
@@ -32,17 +37,18 @@ def shaking(residual: Doubles) -> Doubles:
 
 def noise_regained(residual: Doubles) -> Doubles:
     """Factor on each sheet's noise variance for the part that went with the common movement, (sheet,)."""
-    weight = _weights(residual)
+    _, weight = _spread_and_weight(residual)
     if (weight > 0).sum() < LEAST_SHEETS:
         return np.ones(weight.size)
     return np.asarray(1 / (1 - np.minimum(weight / weight.sum(), 0.5)))
 
 
-def _weights(residual: Doubles) -> Doubles:
+def _spread_and_weight(residual: Doubles) -> tuple[Doubles, Doubles]:
+    """Typical residual of each sheet, px, and 1 over its square, (sheet,); the weight is 0 where unknown."""
     spread = nan_median(np.abs(residual))
     usual = nan_median(spread[None], axis=1)[0]
-    floor = 0.1 * usual if usual > 0 else 1.0
-    return np.where(np.isfinite(spread), 1 / np.maximum(spread, floor) ** 2, 0.0)
+    spread = np.maximum(spread, 0.1 * usual if usual > 0 else _STILL_PX)
+    return spread, np.where(np.isfinite(spread), spread**-2, 0.0)
 
 
 @dataclass(frozen=True)
@@ -81,12 +87,13 @@ def drift(coefficient: Doubles, error: Doubles, side: Ints, n: Ints) -> Drift:
     middle, inwards, noise = (np.where(known, part, 0.0) for part in (middle, inwards, noise))
     asymmetry = _UNLIKE
     for _ in range(_ROUNDS):
-        weight = known / np.maximum(noise + (asymmetry * inwards) ** 2, 1e-18)
+        expected = np.maximum(noise + (asymmetry * inwards) ** 2, 1e-18)
+        weight = known / expected
         total = weight.sum(axis=1)
         value = np.divide((weight * middle).sum(axis=1), total, out=np.zeros_like(total), where=total > 0)
         share = np.divide(weight, total[:, None], out=np.zeros_like(weight), where=known)
-        apart = known * ((middle - value[:, None]) ** 2 - noise * (1 - share))
-        asymmetry = np.sqrt(max(float(apart.sum()), 0.0) / max(float((inwards**2).sum()), 1e-18))
+        apart = np.minimum((middle - value[:, None]) ** 2, _AT_MOST * expected) - noise * (1 - share)
+        asymmetry = np.sqrt(max(float(apart[known].sum()), 0.0) / max(float((inwards**2).sum()), 1e-18))
     of_sheet = np.zeros_like(coefficient)
     of_sheet[:, left] = of_sheet[:, right] = share
     return Drift(value, np.sqrt(np.divide(1, total, out=np.zeros_like(total), where=total > 0)), of_sheet)

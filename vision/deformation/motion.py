@@ -55,8 +55,9 @@ def horizontal_deformation(
       frame, and the steady drift shared by left and right.  With one side in view drift cannot be told from
       creep and stays; attrs["camera_movement"] says which.
     - Errors rest on the residuals of each sheet, with their autocorrelation: see `Memory`.  A stick whose own
-      residuals stand out has its error raised ("uneven").  Not in them: errors of the stick length (unless
-      `sticks` has stick_length_err_um) and of the pixel size, and locking of a fit to whole pixels.
+      residuals stand out has its error raised ("uneven").  Locking to whole pixels, which residuals hardly
+      show, is added for the fits of `track_sheets` (attrs["fit"]).  Not in them: errors of the pixel size,
+      and of the stick length unless `sticks` has stick_length_err_um.
 
     Args: tracks, of `track_sheets`.  sticks, of `find_stick_slip`.  clock, of `synchronise`.
     pixel_size_um, or else tracks.attrs["pixel_size_um"].  margin_s: time kept clear of each slip; by
@@ -90,6 +91,7 @@ def horizontal_deformation(
         predicted_px=_predicted(tracks),
         side=tracks["side"].values,
         n=tracks["n"].values,
+        fit=str(tracks.attrs.get("fit", "")),
         common_mode=common_mode,
     )
     settings = {"margin_s": margin_s, "interval_s": interval} | _how(found, common_mode)

@@ -12,6 +12,7 @@ from vision.deformation.memory import Memory, Products, find_memory
 from vision.sheets.medians import nan_median
 
 _PRIOR_DOF = 5.0  # weight of the predicted noise of a sheet against its own residuals
+_LEAST_VARIANCE_PX2 = 1e-12  # of positions without noise: rounding is not to be taken for it
 _ODD = 1e-6  # probability at which a stick's residuals are too large for the sheet's noise
 
 
@@ -47,9 +48,10 @@ def measure_noise(residual: Doubles, creep: Creep, frames: StickFrames, predicte
     expected = dof * (products.left(memory) / np.maximum(products.dof, 1))[:, None]
     variance = _variance(square * usual, expected * usual, dof * usual, predicted_px)
     with np.errstate(divide="ignore", invalid="ignore"):
-        own = square / expected / variance
-    odd = (dof > 0) & _odd(square * np.where(dof > 0, dof / expected, 0), dof, variance)
-    return Noise(np.sqrt(variance), memory, np.where(odd, np.sqrt(np.maximum(own, 1)), 1.0))
+        own = np.where(dof > 0, square / expected / variance, 1.0)
+    odd = _odd(own * dof, dof, np.ones(variance.size))
+    excess = np.where(odd, np.sqrt(np.maximum(own, 1)), 1.0)
+    return Noise(np.sqrt(variance), memory, excess)
 
 
 def _typical(square: Doubles, dof: Ints) -> Doubles:
@@ -58,9 +60,7 @@ def _typical(square: Doubles, dof: Ints) -> Doubles:
 
     each = nan_median(np.where(dof > 0, square / chi2.median(np.maximum(dof, 1)), np.nan))
     overall = float(nan_median(each[None], axis=1)[0])
-    if not overall > 0:  # without a trace of noise, or without frames, any scale will do
-        overall = 1.0
-    return np.maximum(np.where(np.isfinite(each), each, overall), 1e-6 * overall)
+    return np.maximum(np.where(np.isfinite(each), each, np.nan_to_num(overall)), _LEAST_VARIANCE_PX2)
 
 
 def _odd(square: Doubles, dof: Ints, variance: Doubles) -> Bools:
@@ -80,4 +80,5 @@ def _variance(square: Doubles, expected: Doubles, dof: Ints, predicted_px: Doubl
     prior = shape * measured.sum() / max(float((per_unit * shape).sum()), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
         own = np.where(per_unit > 0, measured / per_unit, prior)
-    return np.asarray((weight * own + _PRIOR_DOF * prior) / (weight + _PRIOR_DOF))
+    steadied = (weight * own + _PRIOR_DOF * prior) / (weight + _PRIOR_DOF)
+    return np.asarray(np.maximum(steadied, _LEAST_VARIANCE_PX2))

@@ -1,0 +1,334 @@
+"""σ_x/Λ_st against made tracks with known creep: bias, stated error, and what is left out or taken off."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from creeping import PIXEL_UM, Clock, make, profile, relaxing, straight
+
+from vision.deformation import horizontal_deformation, stick_displacement
+from vision.errors import InputError
+
+NOISE_FREE = {"noise_px": 0.0}
+
+
+def uniform(sweep_px, stick_um, *, events=40, sheets=10):
+    """True ratios, all alike, of a linear sweep."""
+    return np.full((events, sheets), sweep_px * PIXEL_UM / np.sqrt(12) / stick_um)
+
+
+def errors(made, motion):
+    """(measured - true ratio, stated error) where there is a ratio."""
+    wrong = motion["ratio"].to_numpy() - made.ratio
+    known = np.isfinite(wrong)
+    return wrong[known], motion["ratio_err"].to_numpy()[known]
+
+
+def measure(made, **options):
+    return horizontal_deformation(made.tracks, made.sticks, Clock(), **options)
+
+
+def test_a_noise_free_sweep_gives_its_length_over_root_12():
+    """A failure means that the definition itself is wrong: sign, mean, RMS, or the ends of the stick."""
+    made = make(profile([10.0, 6.0, 4.0]), frames=30.3, **NOISE_FREE)
+    motion = measure(made)
+    np.testing.assert_allclose(motion["ratio"], made.ratio, atol=1e-6)
+    np.testing.assert_allclose(motion["sweep_um"], made.sweep_px * PIXEL_UM, atol=1e-4)
+    np.testing.assert_allclose(motion["sigma_x_corrected_um"] * np.sqrt(12), motion["sweep_um"], atol=1e-4)
+    rest = 20.0 * made.tracks["side"] * (made.tracks["n"] - 0.5) + 960
+    np.testing.assert_allclose(motion["x_hat_px"] - rest, 0, atol=1e-5)
+    assert (motion["flag"] == "ok").all()
+
+
+CASES = list(itertools.product((0.3, 1.0, 5.0), (8, 25, 100), (0.02, 0.08), (0.0, 0.6)))
+
+
+@pytest.mark.parametrize(("sweep", "frames", "noise", "rho"), CASES)
+def test_the_ratio_is_right_and_so_is_its_error(sweep, frames, noise, rho):
+    """A failure means ratios that are off by more than 0.01 on average, or errors that cannot be believed."""
+    stick_um = sweep * PIXEL_UM / np.sqrt(12) / 0.15
+    made = make(uniform(sweep, stick_um), stick_um=stick_um, frames=frames, noise_px=noise, rho=rho)
+    wrong, stated = errors(made, measure(made))
+    assert wrong.size == made.ratio.size
+    assert abs(wrong.mean()) < 0.01
+    assert 0.60 < np.mean(np.abs(wrong) < stated) < 0.75
+
+
+@pytest.mark.parametrize("strength", [0.2, 1.0])
+@pytest.mark.parametrize("sweep", [0.3, 3.0])
+def test_creep_that_slows_down(strength, sweep):
+    """A failure means that only straight sweeps are measured rightly: real sticks soften."""
+    stick_um = sweep * PIXEL_UM / np.sqrt(12) / 0.15
+    ratio = uniform(sweep, stick_um)
+    made = make(ratio, stick_um=stick_um, noise_px=0.04, rho=0.5, shape=relaxing(strength))
+    wrong, stated = errors(made, measure(made))
+    assert abs(wrong.mean()) < 0.01
+    assert 0.60 < np.mean(np.abs(wrong) < stated) < 0.75
+
+
+def test_noise_inflates_the_raw_figure():
+    """The raw σ_x must read too high on late sticks, or the correction has nothing to correct."""
+    made = make(uniform(0.3, 7.7), stick_um=7.7, frames=27, noise_px=0.08)
+    motion = measure(made)
+    raw = motion["sigma_x_um"] / motion["stick_length_um"] - made.ratio
+    assert raw.mean() > 0.03
+    assert abs(errors(made, motion)[0].mean()) < 0.005
+
+
+@pytest.mark.parametrize("frames", [8, 30])
+def test_noise_and_its_memory_are_found_in_short_sticks(frames):
+    """A failure means that removing the creep passes for removing the noise's memory or size."""
+    made = make(uniform(1.0, 20.0), frames=frames, noise_px=0.05, rho=0.6)
+    motion = measure(made)
+    assert motion["noise_um"].mean() / PIXEL_UM == pytest.approx(0.05, rel=0.08)
+    assert motion.attrs["noise_rho"] == pytest.approx(0.6, abs=0.1)
+    assert motion.attrs["noise_share"] > 0.9
+
+
+def test_errors_that_forget_the_memory_are_too_small():
+    """Errors as for white noise must fail here, or the test of the stated error could not notice them."""
+    made = make(uniform(0.3, 20.0), frames=60, noise_px=0.05, rho=0.6)
+    motion = measure(made)
+    wrong, stated = errors(made, motion)
+    as_white = stated * np.sqrt(
+        np.repeat(motion["effective_frames"], 20).to_numpy() / motion["frames"].to_numpy().ravel()
+    )
+    assert np.mean(np.abs(wrong) < as_white) < 0.55
+    assert 0.60 < np.mean(np.abs(wrong) < stated) < 0.75
+
+
+def test_white_noise_on_top_of_slow_noise():
+    """A failure means that half-white noise is taken for white or for all slow, and errors are off."""
+    made = make(uniform(0.3, 20.0), frames=60, noise_px=0.04, white_px=0.04, rho=0.7)
+    motion = measure(made)
+    wrong, stated = errors(made, motion)
+    assert motion.attrs["noise_share"] == pytest.approx(0.5, abs=0.15)
+    assert 0.60 < np.mean(np.abs(wrong) < stated) < 0.75
+
+
+def test_a_noisy_sheet_has_its_own_error():
+    """A failure means that one blurred sheet borrows the precision of its neighbours."""
+    made = make(uniform(0.5, 20.0, events=60), noise_px=0.02)
+    extra = 0.08 * np.random.default_rng(5).standard_normal(made.tracks.sizes["frame"])
+    made.tracks["x_px"][:, 3] += extra
+    motion = measure(made)
+    assert motion["noise_um"][3] / PIXEL_UM == pytest.approx(np.hypot(0.02, 0.08), rel=0.1)
+    assert motion["noise_um"][4] / PIXEL_UM == pytest.approx(0.02, rel=0.1)
+    assert (motion["ratio_err"][:, 3] > 3 * motion["ratio_err"][:, 4]).all()
+
+
+def test_frames_that_hold_a_slip_are_left_out():
+    """A failure means blurred frames are used: with 8 frames a stick they shrink every sweep."""
+    made = make(uniform(3.0, 40.0), stick_um=40.0, frames=8, noise_px=0.02)
+    careful, careless = measure(made), measure(made, margin_s=-1 / 120)
+    assert abs(errors(made, careful)[0].mean()) < 0.002
+    assert abs(errors(made, careless)[0].mean()) > 0.01
+    assert careful["frames_left_out"].median() >= 1
+
+
+def test_an_uncertain_clock_keeps_more_frames_away():
+    """A failure means that the clock's error is ignored when frames next to a slip are left out."""
+    made = make(uniform(1.0, 20.0), frames=20)
+    sure = measure(made)
+    unsure = horizontal_deformation(made.tracks, made.sticks, Clock(residual_ms=17.0))
+    assert (unsure["frames_left_out"] >= sure["frames_left_out"] + 1).all()
+    shifted = horizontal_deformation(made.tracks, made.sticks, Clock(residual_ms=17.0, offset_s=5.015))
+    assert abs(errors(made, shifted)[0].mean()) < 0.005
+
+
+@pytest.mark.parametrize("movement", [{"drift_px_s": 0.3}, {"vibration_px": 0.15}])
+def test_camera_movement_is_taken_off(movement):
+    """A failure means that a camera that shakes or drifts passes for sheets that move."""
+    made = make(profile(np.full(40, 6.0)), stick_um=10.0, noise_px=0.02, **movement)
+    wrong, stated = errors(made, measure(made))
+    assert abs(wrong.mean()) < 0.003
+    assert 0.60 < np.mean(np.abs(wrong) < stated) < 0.75
+    careless, _ = errors(made, measure(made, common_mode=False))
+    assert careless.std() > 1.5 * wrong.std()
+
+
+def test_one_side_in_view_says_that_drift_is_unknown():
+    """A failure means that a drift is invented, or errors ignore it, where only one side is seen."""
+    made = make(profile(np.full(20, 6.0)), noise_px=0.02, vibration_px=0.1)
+    right = made.tracks.isel(sheet=slice(25, 50))
+    motion = horizontal_deformation(right, made.sticks, Clock())
+    assert motion.attrs["camera_movement"] == "vibration taken off, drift unknown"
+    assert (motion["drift_um"] == 0).all()
+    wrong = motion["ratio"].to_numpy() - made.ratio[:, 25:]
+    assert np.mean(np.abs(wrong) < motion["ratio_err"].to_numpy()) > 0.60
+    assert measure(made).attrs["camera_movement"] == "vibration and drift taken off"
+
+
+def test_sides_that_differ_are_not_made_alike():
+    """A failure means that a left side that creeps half as much again is averaged with the right one."""
+    made = make(profile(np.full(30, 8.0)), noise_px=0.02)
+    left = (made.tracks["side"] < 0).to_numpy()
+    rest = 20.0 * made.tracks["side"] * (made.tracks["n"] - 0.5) + 960
+    x = made.tracks["x_px"].where(~left, rest + 1.5 * (made.tracks["x_px"] - rest))
+    motion = horizontal_deformation(made.tracks.assign(x_px=x), made.sticks, Clock())
+    truth = made.ratio * np.where(left, 1.5, 1.0)
+    wrong = motion["ratio"].to_numpy() - truth
+    assert np.abs(wrong.mean(axis=0)).max() < 0.01
+
+
+def test_missing_positions_and_lost_frames():
+    """A failure means that gaps shift the result or make errors dishonest."""
+    made = make(uniform(1.0, 20.0), noise_px=0.05, rho=0.5, missing=0.1, lost=0.1)
+    wrong, stated = errors(made, measure(made))
+    assert abs(wrong.mean()) < 0.005
+    assert 0.60 < np.mean(np.abs(wrong) < stated) < 0.75
+
+
+def test_fewer_than_four_frames_give_nothing():
+    """A failure means that a figure is made up from too few frames, or a good sheet dropped too."""
+    made = make(uniform(1.0, 20.0, events=5), frames=20)
+    x = made.tracks["x_px"].to_numpy()
+    x[:, 2] = np.nan
+    x[:26, 4] = np.nan
+    motion = measure(made)
+    assert (motion["flag"][:, 2] == "few").all()
+    assert motion["flag"][0, 4] == "few"
+    assert (motion["flag"][2:, 4] == "ok").all()
+    few = motion["flag"] == "few"
+    for name in ("ratio", "ratio_err", "sigma_x_um", "sigma_x_corrected_um", "sweep_um"):
+        assert np.isnan(motion[name].to_numpy()[few]).all()
+        assert np.isfinite(motion[name].to_numpy()[~few]).all()
+    short = make(uniform(1.0, 20.0, events=5), frames=4)
+    assert (measure(short)["flag"] == "few").all()
+
+
+def test_a_sheet_that_slips_by_itself_has_a_larger_error():
+    """A failure means that a jump within a stick passes for creep with the error of a quiet sheet."""
+    made = make(uniform(0.5, 20.0, events=20), noise_px=0.02)
+    quiet = measure(made)
+    inside = 5 + made.tracks["time_s"].to_numpy() > made.sticks["t_v_s"][7] + 0.2
+    made.tracks["x_px"][:, 6] += np.where(inside, 0.6, 0.0)
+    motion = measure(made)
+    assert motion["flag"][7, 6] == "uneven"
+    assert motion["ratio_err"][7, 6] > 3 * quiet["ratio_err"][7, 6]
+    others = np.delete(motion["ratio_err"].to_numpy(), 7, axis=0)
+    np.testing.assert_allclose(others, np.delete(quiet["ratio_err"].to_numpy(), 7, axis=0), rtol=0.1)
+
+
+def test_negative_measurements_are_0_and_said_so():
+    """A failure means that noise passes for movement of a still sheet."""
+    made = make(np.c_[np.zeros((60, 5)), np.full((60, 5), 0.3)], noise_px=0.05)
+    motion = measure(made)
+    still = motion.sel(sheet=motion["n"] <= 5)
+    assert abs(still["ratio_signed"].mean()) < 0.002
+    below = still["flag"] == "below_noise"
+    assert 0.4 < below.mean() < 0.6
+    assert (still["ratio"].to_numpy()[below] == 0).all()
+    assert (still["ratio"] >= 0).all()
+
+
+def test_a_sheet_that_surely_moves_outwards_keeps_its_size():
+    """A failure means that a large displacement is reported as none because of its direction."""
+    ratio = np.full((10, 10), 0.2)
+    ratio[:, 4] = -0.2
+    motion = measure(make(ratio, noise_px=0.02))
+    outward = motion.sel(sheet=motion["n"] == 5)
+    assert (outward["flag"] == "outward").all()
+    np.testing.assert_allclose(outward["ratio"], 0.2, atol=0.02)
+    assert (outward["sweep_um"] < 0).all()
+
+
+def test_stale_time_stamps_are_left_out():
+    """A failure means that a frame with its neighbour's time bends the creep or stops the fit."""
+    made = make(uniform(2.0, 20.0), noise_px=0.02)
+    time = made.tracks["time_s"].to_numpy().copy()
+    stale = np.arange(5, time.size, 11)
+    time[stale] = time[stale - 1]
+    time[3] = np.nan
+    stamped = replace(made, tracks=made.tracks.assign_coords(time_s=("frame", time)))
+    motion = measure(stamped)
+    assert motion["frames"].mean() < measure(made)["frames"].mean() - 1
+    assert abs(errors(stamped, motion)[0].mean()) < 0.003
+
+
+def test_only_sticks_inside_the_video_are_rows():
+    """A failure means that sticks the camera did not see get figures, or others lose theirs."""
+    made = make(uniform(1.0, 20.0, events=12))
+    part = replace(made, tracks=made.tracks.isel(frame=slice(60, 200)))
+    motion = measure(part)
+    time = 5 + part.tracks["time_s"].to_numpy()
+    inside = (made.sticks["t_v_s"] > time[0]) & (made.sticks["t_p_s"] < time[-1])
+    assert list(motion["event"]) == list(made.sticks["event"][inside])
+    np.testing.assert_allclose(motion["d_v_mm"], made.sticks["d_v_mm"][inside])
+
+
+def test_nothing_given_is_changed():
+    """A failure means that a stage writes into its input."""
+    made = make(uniform(1.0, 20.0, events=4), missing=0.1)
+    tracks, sticks = made.tracks.copy(deep=True), made.sticks.copy()
+    measure(made)
+    assert tracks.identical(made.tracks)
+    assert sticks.equals(made.sticks)
+
+
+def test_displacement_over_one_stick():
+    """A failure means that the figure of δx(t) shows another stick, another origin or another scale."""
+    made = make(uniform(2.0, 20.0, events=5), **NOISE_FREE)
+    motion = measure(made)
+    delta = stick_displacement(made.tracks, motion, Clock(), event=2)
+    stick = made.sticks.loc[2]
+    length = stick["t_p_s"] - stick["t_v_s"]
+    assert 0 <= delta["since_s"].min() < 1 / 60
+    assert length - 1 / 60 < delta["since_s"].max() <= length
+    expected = -made.tracks["side"] * PIXEL_UM * made.sweep_px[2] * (delta["since_s"] / length - 0.5)
+    np.testing.assert_allclose(delta[1:-1], expected.transpose("frame", "sheet")[1:-1], atol=1e-3)
+    with pytest.raises(InputError, match="one inside the video"):
+        stick_displacement(made.tracks, motion, Clock(), event=99)
+
+
+def refused(made, clock=None, **options):
+    with pytest.raises(InputError) as problem:
+        horizontal_deformation(made.tracks, made.sticks, clock or Clock(), **options)
+    assert "\n" not in str(problem.value)
+    return str(problem.value)
+
+
+def test_what_cannot_be_used_is_refused_in_one_line():
+    """A failure means a traceback or a guess where the user must be told what to give."""
+    made = make(uniform(1.0, 20.0, events=4))
+    bare = replace(made, tracks=made.tracks.assign_attrs(pixel_size_um=np.nan))
+    assert "--pixel-size" in refused(bare)
+    assert "--pixel-size" in refused(made, pixel_size_um=-1.0)
+    assert "--offset" in refused(made, Clock(status="ambiguous"))
+    assert "made.avi" in refused(made, Clock(offset_s=500.0))
+    assert "--fps" in refused(
+        replace(
+            made,
+            tracks=made.tracks.assign_coords(time_s=("frame", np.full(made.tracks.sizes["frame"], np.nan))),
+        )
+    )
+    assert "--speed" in refused(replace(made, sticks=made.sticks.assign(stick_length_um=np.nan)))
+    assert "no stick phase" in refused(replace(made, sticks=made.sticks.iloc[:0]))
+
+
+def test_pixel_size_given_or_from_the_tracks():
+    """A failure means that a pixel size is ignored."""
+    made = make(uniform(1.0, 20.0, events=4))
+    bare = replace(made, tracks=made.tracks.drop_attrs())
+    assert measure(bare, pixel_size_um=PIXEL_UM)["ratio"].equals(measure(made)["ratio"])
+    np.testing.assert_allclose(measure(made, pixel_size_um=20.0)["ratio"], 2 * measure(made)["ratio"])
+
+
+def test_a_stick_without_length_has_no_ratio():
+    """A failure means that an unknown stick length gives a figure, or takes others with it."""
+    made = make(uniform(1.0, 20.0, events=4))
+    made.sticks.loc[1, "stick_length_um"] = np.nan
+    motion = measure(made)
+    assert (motion["flag"][1] == "no_length").all()
+    assert np.isnan(motion["ratio"][1]).all()
+    assert np.isfinite(motion["sigma_x_corrected_um"]).all()
+    assert np.isfinite(motion["ratio"][[0, 2, 3]]).all()
+
+
+def test_error_of_the_stick_length_counts_where_it_is_known():
+    """A failure means that an uncertain stick length passes for a certain one."""
+    made = make(uniform(5.0, 20.0, events=4), noise_px=0.02, shape=straight)
+    made.sticks["stick_length_err_um"] = 0.1 * made.sticks["stick_length_um"]
+    motion = measure(made)
+    np.testing.assert_allclose(motion["ratio_err"] / motion["ratio"], 0.1, rtol=0.05)
