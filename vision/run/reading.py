@@ -1,0 +1,171 @@
+"""A finished run folder, read back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision.errors import InputError
+from vision.run.folder import MARK
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+AGAIN = "run track again"
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run folder: facts, what run.json says; tracks, x(n, t) as `track_sheets` gave it, None for a run of
+    a force recording alone.
+    """
+
+    folder: Path
+    facts: Mapping[str, Any]
+    tracks: xr.Dataset | None
+
+    @property
+    def pixel_size_um(self) -> float | None:
+        """µm per pixel as the run was told; None where it was not."""
+        value = self._parameter("pixel_size")
+        return None if value is None else float(value)
+
+    @property
+    def first_column(self) -> int:
+        """Column of the video at which the strip begins."""
+        first = str(self._parameter("columns") or "").partition(":")[0].strip()
+        return int(first) if first.isdigit() else 0
+
+    def _parameter(self, name: str) -> Any:
+        return self.facts.get("parameters", {}).get(name, {}).get("value")
+
+
+def is_run(folder: Path) -> bool:
+    """Whether this is a run folder and no folder of images."""
+    return (folder / MARK).is_file()
+
+
+def check_mark(target: Path, mark: str) -> None:
+    """Keep results from being overwritten by something made from them: a run folder at `target` must be of
+    the same kind, with `mark` in its run.json.
+
+    Raises: InputError.
+    """
+    if is_run(target) and mark not in read_json(target / MARK):
+        raise InputError(target, f"a folder of {mark} to overwrite", "another run", "give another --out")
+
+
+def read_run(folder: Path) -> Run:
+    """Facts and tracks of a run folder.  Raises: InputError if it is none, or a file in it is damaged."""
+    if not is_run(folder):
+        found = "no run.json in it" if folder.is_dir() else "no such folder"
+        raise InputError(folder, "a run folder of track", found, "give the folder that track wrote")
+    facts = read_json(folder / MARK)
+    tracks = folder / "tracks.nc"
+    return Run(folder, facts, _read_tracks(tracks) if tracks.exists() else None)
+
+
+def tracks_of(run: Run) -> xr.Dataset:
+    """The tracks of a run that has some.  Raises: InputError."""
+    if run.tracks is None:
+        raise InputError(run.folder, "a run of a video", "no tracks.nc in it", "give the run of a video")
+    return run.tracks
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """One JSON object.  Raises: InputError."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(path, "JSON as track writes it", str(error), AGAIN) from error
+    if not isinstance(content, dict):
+        raise InputError(path, "a JSON object", f"a {type(content).__name__}", AGAIN)
+    return content
+
+
+def read_table(run: Run, name: str) -> pd.DataFrame | None:
+    """One of the run's CSV tables; None where the run has none.  Raises: InputError for a damaged one."""
+    import pandas as pd
+
+    path = run.folder / f"{name}.csv"
+    if not path.exists():
+        return None
+    try:
+        return pd.read_csv(path)
+    except (OSError, ValueError) as error:
+        raise InputError(path, "a table as track writes it", str(error), AGAIN) from error
+
+
+def read_strip(run: Run) -> xr.DataArray:
+    """I(x, t) from kymograph.tif, with the coordinates and attributes `strip_profile` gave it.
+
+    The values stay on disk and are read where they are used. A frame's status is "ok" wherever its row has
+    values, else the flag of its sheets.
+    Raises: InputError where the file is missing, damaged, or does not fit the tracks.
+    """
+    import xarray as xr
+
+    tracks, path = tracks_of(run), run.folder / "kymograph.tif"
+    values = _map_tif(path)
+    frames = tracks.sizes["frame"]
+    if values.ndim != 2 or len(values) != frames:
+        raise InputError(path, f"{frames} rows, one per frame of tracks.nc", f"shape {values.shape}", AGAIN)
+    first = run.first_column
+    flags = tracks["flag"].values[:, 0]
+    return xr.DataArray(
+        values,
+        dims=("frame", "x"),
+        coords={
+            "frame": tracks["frame"].values,
+            "x": np.arange(first, first + values.shape[1], dtype=np.int64),
+            "time_s": ("frame", tracks["time_s"].values, {"units": "s"}),
+            "status": ("frame", np.where(np.isfinite(values[:, 0]), "ok", flags)),
+        },
+        name="intensity",
+        attrs=tracks.attrs | {"units": "grey level", "long_name": "mean intensity of the strip"},
+    )
+
+
+def slip_times_s(run: Run) -> NDArray[np.float64] | None:
+    """When the slips begin, in the video's seconds: the events' peaks moved by the run's clock.
+
+    None where the run has no events, or its clocks are ambiguous: a slip in the wrong place is worse than
+    none.
+    """
+    events, clock = read_table(run, "events"), run.folder / "clock.json"
+    if events is None or not clock.exists():
+        return None
+    facts = read_json(clock)
+    if facts.get("status") not in ("ok", "given"):
+        return None
+    peaks = events["t_p_s"].to_numpy(np.float64)
+    drift = 1 + 1e-6 * float(facts.get("drift_ppm") or 0.0)
+    video_s = (peaks - float(facts["offset_s"])) / drift
+    return np.asarray(video_s[np.isfinite(video_s)])
+
+
+def _read_tracks(path: Path) -> xr.Dataset:
+    import xarray as xr
+
+    try:
+        with xr.open_dataset(path, engine="h5netcdf") as data:
+            tracks = data.load()
+        return tracks.assign(flag=tracks["flag"].astype(str))
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(path, "tracks as track writes them", str(error), AGAIN) from error
+
+
+def _map_tif(path: Path) -> NDArray[np.float32]:
+    import tifffile
+
+    try:
+        return np.asarray(tifffile.memmap(path, mode="r"))
+    except (OSError, ValueError, tifffile.TiffFileError) as error:
+        raise InputError(path, "a space-time diagram as track writes it", str(error), AGAIN) from error
