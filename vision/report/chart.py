@@ -68,7 +68,9 @@ class Band:
 class Chart:
     """A figure: numbers, labels with units, and a caption that says what is seen and how it was computed.
 
-    x_range, y_range: what is shown at first, None for all there is.  x_lines: dashed upright lines.
+    x_range, y_range: what is shown of all there is, None for everything.  first_view: the part of x that is
+    shown until the reader asks for the whole.  y2_label: a second y axis; its series go below those of the
+    first, so that neither hides the other.  x_lines: dashed upright lines.
     downwards: y grows downwards, as in a picture.  whole_numbers: x counts something.  upright_time: the
     series' x runs down the page and their y across it, as in a space-time diagram.  aspect: height over
     width of the plotted area.
@@ -85,6 +87,7 @@ class Chart:
     bands: tuple[Band, ...] = ()
     x_lines: tuple[float, ...] = ()
     x_range: tuple[float, float] | None = None
+    first_view: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
     downwards: bool = False
     whole_numbers: bool = False

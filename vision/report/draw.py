@@ -36,6 +36,7 @@ def draw_chart(ax: Axes, chart: Chart) -> Axes:
     if right is not None:
         right.set_ylabel(chart.y2_label)
         right.spines["right"].set_visible(True)
+        _one_above_the_other(ax, right, chart)
     _legend(ax, right, chart)
     return ax
 
@@ -94,7 +95,7 @@ def _number_ticks(ax: Axes, series: Series) -> None:
 
 
 def _frame_axes(ax: Axes, chart: Chart) -> None:
-    along, across = chart.x_range, chart.y_range
+    along, across = chart.first_view or chart.x_range, chart.y_range
     if chart.upright_time:
         ax.set(xlabel=chart.y_label, ylabel=chart.x_label)
         along, across = across, along
@@ -106,6 +107,17 @@ def _frame_axes(ax: Axes, chart: Chart) -> None:
         ax.set_ylim(across[::-1] if chart.downwards or chart.upright_time else across)
     if chart.picture is None:
         ax.grid(alpha=0.25)
+
+
+def _one_above_the_other(ax: Axes, right: Axes, chart: Chart) -> None:
+    """Ranges of the two y axes, from what is in view, such that neither curve hides the other."""
+    for own, side, below, above in ((ax, "left", 1.15, 0.05), (right, "right", 0.05, 1.15)):
+        mine = [series for series in chart.series if series.axis == side]
+        low, high = ax.get_xlim()
+        seen = np.concatenate([s.y[(s.x >= low) & (s.x <= high) & np.isfinite(s.y)] for s in mine])
+        if seen.size:
+            span = float(np.ptp(seen)) or 1.0
+            own.set_ylim(float(seen.min()) - below * span, float(seen.max()) + above * span)
 
 
 def _legend(ax: Axes, right: Axes | None, chart: Chart) -> None:

@@ -79,6 +79,7 @@ def _chart_data(chart: Chart, store: Store) -> dict[str, Any]:
         "xLines": chart.x_lines,
         "xRange": chart.x_range,
         "yRange": chart.y_range,
+        "firstView": chart.first_view,
         "downwards": chart.downwards,
         "uprightTime": chart.upright_time,
         "aspect": chart.aspect,

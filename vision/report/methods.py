@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import vision
+from vision.report.numbers import plus_minus
 from vision.report.results import RunResults
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+    from vision.clock import Clock
+    from vision.models.fits_result import ModelFits
 
 PAPER = (
     "A. Plati, F. Restagno, C. Poulard, Stick-slip dynamics in an interleaved system with self-amplified "
@@ -15,7 +24,16 @@ PAPER = (
 
 def methods(results: RunResults) -> list[str]:
     """Paragraphs that say what was done, every number the one used in this run."""
-    return [_video(results), _tracking(results)]
+    paragraphs = [_video(results), _tracking(results)]
+    if results.force is not None and results.sticks is not None:
+        paragraphs.append(_stick_phases(results.force, results.sticks))
+    if results.clock is not None and results.clock.status != "ambiguous":
+        paragraphs.append(_clocks(results.clock))
+    if results.motion is not None:
+        paragraphs.append(_deformation(results.motion, results.threshold))
+    if results.fits is not None:
+        paragraphs.append(_models(results.fits))
+    return paragraphs
 
 
 def citation(results: RunResults) -> list[str]:
@@ -63,4 +81,66 @@ def _tracking(results: RunResults) -> str:
         "the symmetry "
         f"axis at {t['axis_px']:.1f} px ({axis}).{told} The analysis was done with sheetvision "
         f"{vision.__version__}."
+    )
+
+
+def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
+    speed = float(force.attrs.get("speed_mm_min", math.nan))
+    pulled = f" at {speed:.3g} mm/min" if math.isfinite(speed) else ""
+    facts = sticks.attrs
+    return (
+        f"The traction force was recorded while the blocks were pulled apart{pulled}. Slips are drops of "
+        "more than "
+        f"{facts['threshold_N']:.3g} N ({facts['threshold_how']}; noise {facts['noise_N']:.2g} N), "
+        "placed at the "
+        f"steepest fall; {len(sticks)} stick phases were found. Peak and valley forces F_p and F_v are "
+        "those of "
+        "the line through the central 80 % of each stick, extended to its ends; the stiffness K is the "
+        "slope of "
+        f"the central {100 * facts['central_part']:.0f} %."
+    )
+
+
+def _clocks(clock: Clock) -> str:
+    if clock.status == "given":
+        source = {"given": "a given offset", "video time column": "the camera's time kept by the machine"}
+        how = f"were aligned by {source.get(clock.how, clock.how)}"
+    else:
+        how = (
+            f"were aligned on {clock.matched} slips seen in both (log-likelihood {clock.margin:.0f} "
+            "above the "
+            f"next alignment, median residual {clock.residual_ms:.2g} ms)"
+        )
+    return (
+        f"The clocks of camera and testing machine {how}: offset {clock.offset_s:.4f} s, drift "
+        f"{clock.drift_ppm:.0f} ppm."
+    )
+
+
+def _deformation(motion: xr.Dataset, threshold: float) -> str:
+    margin = float(motion.attrs.get("margin_s", math.nan))
+    kept = f", frames within {1000 * margin:.0f} ms of a slip left out" if math.isfinite(margin) else ""
+    return (
+        f"For each of {motion.sizes['event']} stick phases inside the video{kept}, the displacement of a "
+        "sheet is δx = "
+        "x − x̂ with x̂ its mean over the stick, and σ_x its root mean square, with the camera's noise "
+        "and what "
+        "all sheets share taken off. A sheet counts as stiff where σ_x over the stick length is below "
+        f"{threshold:g}."
+    )
+
+
+def _models(fits: ModelFits) -> str:
+    given = fits.assembly
+    return (
+        "Peak forces were fitted with Eq. 1 of the publication and a constant offset, stick-slip "
+        "amplitudes with A "
+        f"times the total normal force, and K with M_eff K_eff, for {given.sheets_per_side} sheets a side "
+        f"{given.thickness_mm:g} mm thick and {given.width_mm:g} mm wide, {given.length_mm:g} mm from "
+        "clamp to end, "
+        f"and T* = {1000 * fits.t_star_N.value:.3g} mN: μ = {plus_minus(fits.mu.value, fits.mu.error)}, "
+        "A = "
+        f"{plus_minus(fits.amplitude.value, fits.amplitude.error)}, N̂ = "
+        f"{plus_minus(fits.n_hat_N.value, fits.n_hat_N.error)} N, Y_eff = "
+        f"{plus_minus(fits.modulus_GPa.value, fits.modulus_GPa.error)} GPa (standard errors)."
     )

@@ -66,7 +66,7 @@ def frame_chart(frame: NDArray[np.generic], tracks: xr.Dataset) -> Chart:
         bands=(Band(low=z0 - 0.5, high=z1 - 0.5, label="strip", outline=True),),
         x_lines=(float(tracks.attrs["axis_px"]),),
         x_range=(-0.5, columns - 0.5),
-        y_range=(-0.5, rows - 0.5),
+        y_range=(min(-0.5, z0 - 0.15 * rows), rows - 0.5),  # room for the numbers
         downwards=True,
         aspect=float(np.clip(rows / columns, 0.12, 0.75)),
     )

@@ -6,8 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vision.report.numbers import percent, plus_minus
 from vision.report.results import RunResults
 from vision.run.summary import flag_counts, noise_figures, warnings_that_matter
+
+_END_ROWS = 6  # rows of the shell table, three sticks of two sides, that stand for either end of the video
 
 
 @dataclass(frozen=True)
@@ -22,7 +25,8 @@ class Answer:
 
 def answers(results: RunResults) -> list[Answer]:
     """The boxes, most important first."""
-    return [_sheets(results), _noise(results), _frames(results)]
+    boxes = (_sheets, _sticks, _shell, _clocks, _friction, _noise, _frames)
+    return [answer for box in boxes if (answer := box(results)) is not None]
 
 
 def subtitle(results: RunResults) -> str:
@@ -55,9 +59,54 @@ def _sheets(results: RunResults) -> Answer:
     )
 
 
+def _sticks(results: RunResults) -> Answer | None:
+    if results.force is None or results.sticks is None:
+        return None
+    inside = 0 if results.motion is None else results.motion.sizes["event"]
+    whole = int((results.sticks["flag"] == "ok").sum())
+    detail = f"of {len(results.sticks)} in the force recording, {whole} of them without a flag"
+    return Answer("stick phases in the video", str(inside), detail, doubt=inside == 0)
+
+
+def _shell(results: RunResults) -> Answer | None:
+    """First and last size of the shell: medians over the first and the last few sticks of both sides."""
+    if results.shells is None:
+        return None
+    known = results.shells[results.shells["stiff_sheets"].notna()].sort_values("d_v_mm")
+    if known.empty:
+        return Answer("stiff shell", "not known", "too few sheets with a known deformation", doubt=True)
+    ends = known.head(_END_ROWS), known.tail(_END_ROWS)
+    first, last = (f"{end['stiff_sheets'].astype(float).median():.3g}" for end in ends)
+    d_mm = known["d_v_mm"]
+    size = first if first == last else f"{first} → {last}"
+    where = f"from d = {d_mm.min():.2f} to {d_mm.max():.2f} mm" if d_mm.notna().any() else "d not known"
+    return Answer("stiff shell", f"{size} sheets a side", f"σ_x/Λ_st below {results.threshold:g}, {where}")
+
+
+def _clocks(results: RunResults) -> Answer | None:
+    clock = results.clock
+    if clock is None:
+        return None
+    told = f"drift {clock.drift_ppm:+.0f} ppm, {clock.matched} slips matched"
+    spread = f", residual {clock.residual_ms:.2g} ms" if np.isfinite(clock.residual_ms) else ""
+    doubt = clock.status == "ambiguous"
+    value = "ambiguous" if doubt else f"offset {clock.offset_s:.4f} s"
+    why = {"ok": "", "given": f" ({clock.how})", "ambiguous": f"; likeliest offset {clock.offset_s:.3f} s"}
+    return Answer("clocks", value, told + spread + why[clock.status], doubt=doubt)
+
+
+def _friction(results: RunResults) -> Answer | None:
+    fits = results.fits
+    if fits is None:
+        return None
+    modulus = f"Y_eff = {fits.modulus_GPa.value:.3g} GPa"
+    detail = f"N̂ = {fits.n_hat_N.value:.3g} N, A = {fits.amplitude.value:.3g}, {modulus}"
+    return Answer("friction coefficient", f"μ = {plus_minus(fits.mu.value, fits.mu.error)}", detail)
+
+
 def _noise(results: RunResults) -> Answer:
     figures = noise_figures(results.tracks, results.pixel_size_um)
-    length = "" if results.pixel_size_um is None else f" = {figures['measured_um']:.3g} µm"
+    length = "" if results.pixel_size_um is None else f" = {figures['measured_um']:.2g} µm"
     return Answer(
         "noise of a position",
         f"{figures['measured_px']:.2g} px{length}",
@@ -75,8 +124,3 @@ def _frames(results: RunResults) -> Answer:
     return Answer(
         "frames", f"{a['frames_read']} of {a['frames_expected']} read", told, doubt=any(bad.values())
     )
-
-
-def percent(share: float) -> str:
-    """A share as a percentage that does not round 99.96 up to 100."""
-    return f"{np.floor(1000 * share) / 10:g} %"

@@ -68,6 +68,7 @@
   function bars(u, chart, arrays) {
     const c = u.ctx, box = u.bbox, r = devicePixelRatio;
     c.save(); c.beginPath(); c.rect(box.left, box.top, box.width, box.height); c.clip();
+    c.setLineDash([]);
     c.font = `${11 * r}px system-ui, sans-serif`; c.textAlign = "center"; c.textBaseline = "bottom";
     chart.series.forEach((s, k) => {
       if (s.low === undefined || !u.series[k + 1].show) return;
@@ -90,13 +91,14 @@
   }
 
   /* ---- one chart ---- */
+  const crowded = (s, chart) => { const a = chart.arrays[s.x]; return !a.v || a.v.length > 250; };
   function seriesOf(s, chart) {
     const points = s.look === "points" || s.look === "both", line = s.look === "line" || s.look === "both";
     const colour = () => (chart.picture ? s.ink[1] : ink(s.ink));
     const out = {
       label: s.label, scale: s.axis === "right" ? "y2" : "y", stroke: colour, width: s.width,
       dash: s.dashed ? [5, 3] : undefined, spanGaps: !chart.oneGrid, value: (u, v) => short(v),
-      points: { show: points, size: 6, width: 1.3, stroke: colour, fill: s.hollow ? () => css("--card") : colour },
+      points: { show: points, size: (s.hollow ? 8 : 5.5) * (crowded(s, chart) ? 0.75 : 1), width: 1.3, stroke: colour, fill: s.hollow ? () => css("--card") : colour },
     };
     if (s.look === "steps") {
       out.paths = uPlot.paths.bars({ size: [1, Infinity], align: 0 });
@@ -114,7 +116,8 @@
   }
   function numbers(splits) {
     const step = splits.length > 1 ? Math.abs(splits[1] - splits[0]) : 1;
-    const digits = Math.max(0, Math.min(9, -Math.floor(Math.log10(step) + 1e-9)));
+    let digits = 0;
+    while (digits < 9 && Math.abs(step * 10 ** digits - Math.round(step * 10 ** digits)) > 1e-6 * step * 10 ** digits) digits++;
     return splits.map((v) => (v == null ? "" : v.toFixed(digits).replace("-", "−")));
   }
   const legendOf = (chart) => !chart.switchable && !chart.series.some((s) => s.look === "ticks");
@@ -126,7 +129,10 @@
     if (chart.yRange) y.range = fixed(chart.yRange);
     if (chart.uprightTime) { x.ori = 1; x.dir = -1; y.ori = 0; y.range = fixed(chart.yRange); }
     if (chart.downwards) y.dir = -1;
-    return Object.assign({ x, y }, chart.y2Label ? { y2: {} } : {});
+    if (!chart.y2Label) return { x, y };
+    /* two quantities, one above the other: neither hides the other */
+    y.range = (u, low, high) => [low - 1.15 * (high - low || 1), high + 0.05 * (high - low || 1)];
+    return { x, y, y2: { range: (u, low, high) => [low - 0.05 * (high - low || 1), high + 1.15 * (high - low || 1)] } };
   }
   function xRange(chart) {
     return (u, low, high) => {
@@ -285,6 +291,7 @@
       button(chart.uprightTime ? "▲" : "◀", "earlier", () => zoom(u, 1, -0.5)), button(chart.uprightTime ? "▼" : "▶", "later", () => zoom(u, 1, 0.5)),
       button("whole", "show the whole range (double click)", () => reset(u)),
       button("CSV", "download this figure's numbers", () => download(`${chart.name}.csv`, table(chart, arrays))));
+    if (chart.firstView) { u.zoomed = true; u.setScale("x", { min: chart.firstView[0], max: chart.firstView[1] }); }
     if (chart.switchable) switches(figure, chart, u);
     Object.assign(figure, { plot: u, chart, table: () => table(chart, arrays) });
     return u;

@@ -1,0 +1,18 @@
+"""Numbers as text: no more digits than they are worth."""
+
+from __future__ import annotations
+
+import math
+
+
+def percent(share: float) -> str:
+    """A share as a percentage that does not round 99.96 up to 100."""
+    return f"{math.floor(1000 * share) / 10:g} %"
+
+
+def plus_minus(value: float, error: float) -> str:
+    """A value and its standard error, rounded to the error's second digit; four digits without an error."""
+    if not math.isfinite(error) or error <= 0:
+        return f"{value:.4g}"
+    digits = max(0, 1 - math.floor(math.log10(error)))
+    return f"{value:.{digits}f} ± {error:.{digits}f}"

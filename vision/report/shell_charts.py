@@ -1,0 +1,146 @@
+"""Figures of the deformation: one stick, sigma_x over the stick length, and the stiff shell."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vision.deformation import stick_displacement
+from vision.report.chart import Band, Chart, Series
+from vision.report.sheet_charts import signed_number
+from vision.report.style import DATA, MODEL, PEAK, ordered_inks, sheet_inks
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+    from vision.clock import Clock
+    from vision.models.fits_result import ModelFits
+
+_SHOWN_STICKS = 5
+_CURVE = 300
+
+
+def stick_chart(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event: int | None = None) -> Chart:
+    """Displacement of all sheets over one stick.
+
+    Args: as given to and returned by `horizontal_deformation`.  event, its number; the one with most frames
+    if None. Raises InputError for an event that is not in `motion`.
+    """
+    if event is None:
+        event = int(motion["event"].values[int(np.argmax(motion["frames"].to_numpy().sum(axis=1)))])
+    away = stick_displacement(tracks, motion, clock, event=event)
+    stick = motion.sel(event=event)
+    inks, since = sheet_inks(tracks), away["since_s"].to_numpy()
+    series = tuple(
+        Series(
+            label=f"{'left' if side < 0 else 'right'} {n}",
+            x=since,
+            y=column,
+            ink=ink,
+            dashed=bool(side < 0),
+            sheet=(int(side), int(n)),
+        )
+        for side, n, ink, column in zip(
+            tracks["side"].values, tracks["n"].values, inks, away.to_numpy().T, strict=True
+        )
+    )
+    return Chart(
+        name="stick",
+        title=f"One stick phase: event {event}, d = {float(stick['d_v_mm']):.2f} mm",
+        caption=(
+            "Displacement δx = x − x̂ of every sheet while the force rises from valley to peak, x̂ its "
+            "mean over the "
+            f"stick; positive to the right. Stick length Λ_st = {float(stick['stick_length_um']):.1f} "
+            "µm. As measured: "
+            "noise and camera movement are in it. Left sheets dashed; the tone changes steadily outwards."
+        ),
+        x_label="t − t_v (s)",
+        y_label="δx (µm)",
+        series=series,
+    )
+
+
+def ratio_chart(motion: xr.Dataset, *, threshold: float = 0.1) -> Chart:
+    """sigma_x over stick length against the sheet's number for a few separations, with standard errors."""
+    known = np.isfinite(motion["ratio"].to_numpy()).any(axis=1)
+    places = np.flatnonzero(known)
+    chosen = (
+        places[np.unique(np.linspace(0, len(places) - 1, _SHOWN_STICKS).astype(int))]
+        if len(places)
+        else places
+    )
+    signed, order = signed_number(motion)
+    inks = ordered_inks(len(chosen))
+    d_v = motion["d_v_mm"].to_numpy()
+    series = []
+    for k, (ink, place) in enumerate(zip(inks, chosen, strict=True)):
+        value, error = (motion[name].to_numpy()[place, order] for name in ("ratio", "ratio_err"))
+        series.append(
+            Series(
+                label=f"d_v = {d_v[place]:.2f} mm",
+                x=signed,
+                y=value,
+                low=np.maximum(value - error, 0),
+                high=value + error,
+                ink=ink,
+                look="both",
+                hollow=k % 2 == 1,
+                width=1.0,
+            )
+        )
+    return Chart(
+        name="ratio",
+        title="Horizontal deformation against sheet number",
+        caption=(
+            "σ_x/Λ_st: RMS displacement over a stick, camera noise and common movement taken off, over "
+            "the length of "
+            "the stick, with standard errors; sticks spread over the video, later ones brighter, every "
+            "other one "
+            f"hollow. Shaded: below {threshold:g}, where a sheet counts as stiff."
+        ),
+        x_label="side · n (left negative)",
+        y_label="σ_x / Λ_st",
+        series=tuple(series),
+        bands=(Band(low=0.0, high=threshold, label=f"stiff (below {threshold:g})"),),
+        whole_numbers=True,
+    )
+
+
+def shells_chart(shells: pd.DataFrame, fits: ModelFits | None = None) -> Chart:
+    """Number of stiff sheets a side against d, with its interval, and M_eff of the force."""
+    known = shells[shells["stiff_sheets"].notna()].sort_values("d_v_mm")
+    series = []
+    for side, name, ink in ((-1, "left", DATA), (1, "right", PEAK)):
+        mine = known[known["side"] == side]
+        if mine.empty:
+            continue
+        size, low, high = (
+            mine[column].to_numpy(float) for column in ("stiff_sheets", "stiff_low", "stiff_high")
+        )
+        x = mine["d_v_mm"].to_numpy(float)
+        label, hollow = f"{name} side", side < 0
+        series.append(
+            Series(label=label, x=x, y=size, ink=ink, look="points", low=low, high=high, hollow=hollow)
+        )
+    told = ""
+    if fits is not None and not known.empty:
+        d = np.linspace(float(known["d_v_mm"].min()), float(known["d_v_mm"].max()), _CURVE)
+        series.append(
+            Series(label="M_eff (force)", x=d, y=fits.effective_sheets(d), ink=MODEL, dashed=True, width=2.0)
+        )
+        told = " Dashed: M_eff = M √(1 − d̂), which the stiffness of the force recording implies on its own."
+    return Chart(
+        name="shells",
+        title="Size of the stiff shell",
+        caption=(
+            "Sheets a side, from the centre, whose σ_x/Λ_st is below the threshold, one point a stick "
+            "and side (left "
+            f"hollow), with the interval that the errors allow.{told}"
+        ),
+        x_label="d_v (mm)",
+        y_label="stiff sheets a side",
+        y_range=(0.0, 1.15 * float(known["stiff_high"].max()) + 1) if len(known) else None,
+        series=tuple(series),
+    )
