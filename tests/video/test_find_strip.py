@@ -3,6 +3,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
+from film import comb
 
 from vision.errors import InputError
 from vision.video import find_strip, measure_strip, open_video, strip_profile
@@ -165,3 +167,16 @@ def test_real_recordings():
     beam = strip_profile(open_video(DATA / "striped_beam.cine", rotate=90))
     assert (beam.strip_how, beam.strip_z1 <= 136 or beam.strip_z0 >= 164) == ("found", True)
     assert abs(beam.tilt_deg) < 0.2
+
+
+def test_pixels_without_a_value_do_not_hide_the_strip(tmp_path):
+    """Failure: one NaN in a registered stack, or its empty border, and no strip is found."""
+    frames = comb(count=8, rows=60, columns=200).astype(np.float32)
+    frames[:, :20] = np.nan
+    frames[3, 40, 100] = np.inf
+    tifffile.imwrite(tmp_path / "a.tif", frames)
+    strip = find_strip(open_video(tmp_path / "a.tif"))
+    assert strip.how == "found"
+    assert strip.rows.start >= 20
+    tifffile.imwrite(tmp_path / "b.tif", np.full_like(frames, np.nan))
+    assert find_strip(open_video(tmp_path / "b.tif")).how == "all rows"

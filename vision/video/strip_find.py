@@ -130,6 +130,8 @@ def _odd_even(frame: NDArray[np.generic], band_rows: int) -> NDArray[np.float32]
     """Means of each band's odd and even rows, (2, band, x); rows that fill no band are left out."""
     bands = frame.shape[0] // band_rows
     pixels = np.asarray(frame[: bands * band_rows], np.float32).reshape(bands, band_rows, -1)
+    if frame.dtype.kind == "f":  # a pixel without a value shows no ridge; as NaN it would hide all others
+        pixels = np.nan_to_num(pixels, nan=0.0, posinf=0.0, neginf=0.0)
     return np.stack([pixels[:, 0::2].mean(axis=1), pixels[:, 1::2].mean(axis=1)])
 
 
