@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import logging
+import signal
 import sys
 from collections.abc import Sequence
+from typing import Any
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, UnusedCliTokensError
 
+from vision.command.console import complain
 from vision.command.track import track
 from vision.errors import InputError
 
@@ -33,7 +36,13 @@ def make_app() -> App:
     """The application; heavy imports wait until a command runs."""
     from vision import __version__
 
-    app = App(name="track", help=HELP, version=f"sheetvision {__version__}", help_format="markdown")
+    app = App(
+        name="track",
+        help=HELP,
+        version=f"sheetvision {__version__}",
+        help_format="markdown",
+        suppress_keyboard_interrupt=False,
+    )
     app.default(track)
     app.command("vision.command.force:force", name="force")
     app.command("vision.command.simulate:simulate", name="simulate")
@@ -41,30 +50,53 @@ def make_app() -> App:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit with its status; never a traceback for bad input."""
+    """Run the command line and exit with its status; never a traceback for bad input.
+
+    Being told to stop (a closed terminal, a batch system's time limit) ends a run as Ctrl-C does.
+    """
+    for name in ("SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), _interrupt)
     sys.exit(run(sys.argv[1:] if arguments is None else list(arguments)))
+
+
+def _interrupt(number: int, frame: Any) -> None:
+    raise KeyboardInterrupt
 
 
 def run(arguments: Sequence[str]) -> int:
     """Exit status of a command line: 0 done, 1 with a warning that matters, 2 bad input."""
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # cut files are reported by the reader itself
-    app = make_app()
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # a home that cannot be written is no concern
     try:
-        status = app(
+        status = make_app()(
             list(arguments) or ["--help"],
             exit_on_error=False,
             print_error=False,
             result_action="return_value",
         )
-    except InputError as error:
-        return _complain(str(error), 2)
-    except CycloptsError as error:
-        return _complain(" ".join(str(error).split()) + " (track --help lists the options)", 2)
+    except (InputError, CycloptsError, OSError, MemoryError) as error:
+        complain(_one_line(error))
+        return 2
     except KeyboardInterrupt:
-        return _complain("interrupted; nothing was written", 130)
+        complain("interrupted; no half-written run folder is left")
+        return 130
     return status if isinstance(status, int) else 0
 
 
-def _complain(message: str, status: int) -> int:
-    sys.stderr.write(f"track: {message}\n")
-    return status
+def _one_line(error: Exception) -> str:
+    """What went wrong, where, and what to do."""
+    if isinstance(error, UnusedCliTokensError):
+        extra = " ".join(error.unused_tokens or ())
+        error = InputError(
+            extra, "one input", "more", "quote a glob of images; track --help lists the options"
+        )
+    elif isinstance(error, CycloptsError):
+        return " ".join(str(error).split()) + " (track --help lists the options)"
+    elif isinstance(error, OSError):
+        about = error.filename if isinstance(error.filename, str) else "the recording"
+        found = (error.strerror or str(error)).lower()
+        error = InputError(about, "a file or folder that can be used", found, "check the path and its rights")
+    elif isinstance(error, MemoryError):
+        error = InputError("memory", "room for the recording", "too little", "take a part of it (--frames)")
+    return str(error)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import importlib.metadata
 import json
 import math
 import platform
-from collections.abc import Mapping
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -39,22 +42,55 @@ def _version(name: str) -> str:
         return "unknown"
 
 
-def describe_input(path: Path) -> dict[str, Any]:
-    """Path, size and SHA-256 of an input; of a folder or a glob, those of its files in order, hashed as
-    one."""
+def describe_input(path: Path, *, stop: threading.Event | None = None) -> dict[str, Any]:
+    """Path, size and SHA-256 of an input; of a folder or a glob, those of its files in order, hashed as one.
+
+    stop: once set, reading ends and the result is meaningless.  Raises: OSError for a file that is gone.
+    """
     digest, size = hashlib.sha256(), 0
     for file in _files(path):
         with file.open("rb") as stream:
-            while chunk := stream.read(CHUNK_BYTES):
+            while (chunk := stream.read(CHUNK_BYTES)) and not (stop and stop.is_set()):
                 digest.update(chunk)
                 size += len(chunk)
     return {"path": str(path), "size_bytes": size, "sha256": digest.hexdigest()}
 
 
+@contextmanager
+def described_meanwhile(path: Path) -> Iterator[Callable[[], dict[str, Any]]]:
+    """`describe_input` in a thread while the recording is decoded; yields a function that waits for it.
+
+    A checksum needs every byte, tracking only the strip's: for large files it is the longer of the two.
+    Leaving the block before the end stops the thread.
+    """
+    stop, found, failed = threading.Event(), [], []
+
+    def work() -> None:
+        try:
+            found.append(describe_input(path, stop=stop))
+        except OSError as error:  # raised where the result is asked for
+            failed.append(error)
+
+    def result() -> dict[str, Any]:
+        worker.join()
+        if failed:
+            raise failed[0]
+        return found[0]
+
+    worker = threading.Thread(target=work, daemon=True)
+    worker.start()
+    try:
+        yield result
+    finally:
+        stop.set()
+
+
 def _files(path: Path) -> list[Path]:
     if path.is_dir():
         return sorted(file for file in path.iterdir() if file.is_file())
-    return [path] if path.exists() else sorted(path.parent.glob(path.name))
+    if path.exists():
+        return [path]
+    return sorted(Path(name) for name in glob.glob(str(path)))  # noqa: PTH207  # may be absolute
 
 
 def write_run_json(folder: Path, facts: Mapping[str, Any]) -> None:

@@ -58,7 +58,10 @@ def sheets_table(tracks: xr.Dataset) -> pd.DataFrame:
 
 
 def write_tracks_nc(tracks: xr.Dataset, path: Path, *, pixel_size_um: float | None) -> None:
-    """netCDF-4 with CF units and long names; x_um only where the pixel size is known; flags as characters."""
+    """netCDF-4 with CF units and long names; x_um only where the pixel size is known; flags as characters.
+
+    Made in memory, because HDF5 crashes the process when a disk fills up.  Raises: OSError.
+    """
     data = tracks.assign_coords(index=("sheet", tracks["sheet"].values, {"long_name": "index from the left"}))
     data["frame"].attrs["long_name"] = "frame number"
     data["sheet"].attrs["long_name"] = "sheet, counted from the left"
@@ -70,4 +73,4 @@ def write_tracks_nc(tracks: xr.Dataset, path: Path, *, pixel_size_um: float | No
         str(name): {"zlib": True, "complevel": 1} for name in data.data_vars if data[name].ndim == 2
     }
     packed["flag"] |= {"dtype": "S1", "char_dim_name": "flag_length"}
-    data.to_netcdf(path, engine="h5netcdf", encoding=packed)
+    path.write_bytes(data.to_netcdf(engine="h5netcdf", encoding=packed))

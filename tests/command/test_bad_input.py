@@ -1,0 +1,282 @@
+"""`track VIDEO` against a hostile world, as processes: one clear line, no traceback, nothing half-written."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from tests.comb_video import frames_of, positions, write_video
+from tests.video.film import write_avi, write_encoded
+from vision.command.main import run
+
+ROOT = Path(__file__).parents[2]
+COMMAND = [sys.executable, str(ROOT / "cli.py")]
+PLACE = os.environ | {"PYTHONPATH": str(ROOT)}
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return frames_of(positions())
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def video(place, frames):
+    return write_video(place / "comb.tif", frames)
+
+
+def start(*arguments, **options):
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "env": PLACE}
+    return subprocess.Popen([*COMMAND, *map(str, arguments)], **(pipes | options))
+
+
+def finish(*arguments, **options):
+    """Exit status, standard output and standard error of a process."""
+    process = start(*arguments, **options)
+    out, err = process.communicate(timeout=60)
+    return process.returncode, out, err
+
+
+def refused(capsys, *arguments):
+    """The one line with which a command is refused."""
+    before = set(Path.cwd().rglob("*"))
+    assert run([str(a) for a in arguments]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert said.err.startswith("track: ")
+    assert set(Path.cwd().rglob("*")) == before
+    return said.err
+
+
+# --- files that are no recordings ---------------------------------------------------------------
+
+
+def note(path, frames):
+    path.write_text("This is not a video.\n" * 100)
+
+
+def nothing(path, frames):
+    path.write_bytes(b"")
+
+
+def noise(path, frames):
+    path.write_bytes(np.random.default_rng(0).bytes(50_000))
+
+
+def noise_behind(magic):
+    def make(path, frames):
+        path.write_bytes(magic + np.random.default_rng(0).bytes(50_000))
+
+    return make
+
+
+def unknown_codec(path, frames):
+    write_avi(path, frames, fourcc=b"QZQZ")
+
+
+def mp4_without_index(path, frames):
+    write_encoded(path, frames, codec="libx264", pix_fmt="yuv420p", source="gray")
+    path.write_bytes(path.read_bytes()[: int(0.6 * path.stat().st_size)])
+
+
+def flat(path, frames):
+    write_video(path, np.full_like(frames, 90))
+
+
+def no_ridges(path, frames):
+    write_video(path, np.random.default_rng(0).normal(100, 2, frames.shape).astype(np.uint8))
+
+
+def all_nan(path, frames):
+    write_video(path, np.full(frames.shape, np.nan, np.float32))
+
+
+def sizes_change(path, frames):
+    with tifffile.TiffWriter(path) as out:
+        for n, frame in enumerate(frames[:9]):
+            out.write(frame if n != 7 else frame[:, :100])
+
+
+def folder_of_text(path, frames):
+    path.mkdir()
+    (path / "a.txt").write_text("x")
+
+
+def folder_of_several_sizes(path, frames):
+    path.mkdir()
+    for n, frame in enumerate(frames[:9]):
+        cv2.imwrite(str(path / f"a_{n:04d}.png"), frame if n != 7 else frame[:, :90])
+
+
+NO_RECORDING = {
+    "text": (note, "note.avi", "a video"),
+    "empty": (nothing, "empty.avi", "0 bytes"),
+    "random bytes": (noise, "noise.mp4", "a video"),
+    "random bytes after an AVI's first twelve": (noise_behind(b"RIFF\0\0\0\0AVI "), "n.avi", "video stream"),
+    "random bytes after a TIFF's first four": (noise_behind(b"II*\0"), "n.tif", "TIFF"),
+    "random bytes after a cine's first four": (noise_behind(b"CI\x2c\0"), "n.cine", "cine header"),
+    "codec nobody has": (unknown_codec, "u.avi", "codec"),
+    "MP4 without its index": (mp4_without_index, "cut.mp4", "without its index"),
+    "constant image": (flat, "flat.tif", "shows something"),
+    "no ridges": (no_ridges, "noise.tif", "ridges"),
+    "NaN throughout": (all_nan, "nan.tif", "60 corrupt"),
+    "pages of several sizes": (sizes_change, "s.tif", "180 x 12 and 100 x 12"),
+    "folder without images": (folder_of_text, "texts", "images"),
+    "images of several sizes": (folder_of_several_sizes, "images", "90 x 12"),
+}
+
+
+@pytest.mark.parametrize("case", NO_RECORDING)
+def test_what_is_no_recording_is_refused_in_one_line(case, place, frames, capsys):
+    """A failure means a traceback, a silent guess, or a message that does not say what is wrong."""
+    make, name, expected = NO_RECORDING[case]
+    make(place / name, frames)
+    said = refused(capsys, name)
+    assert name in said
+    assert expected in said
+
+
+# --- arguments that do not fit ------------------------------------------------------------------
+
+ARGUMENTS = {
+    "strip outside": (["--strip", "5:99"], "0:12"),
+    "empty strip": (["--strip", "5:5"], "--strip"),
+    "columns outside": (["--columns", "170:190"], "0:180"),
+    "columns too few": (["--columns", "50:54"], "columns"),
+    "too many sheets": (["--sheets", "9"], "found 8"),
+    "frames behind the end": (["--frames", "100:200"], "below 60"),
+    "one number for frames": (["--frames", "5"], "A:B"),
+    "frame rate nan": (["--fps", "nan"], "--fps"),
+    "pixel size 0": (["--pixel-size", "0"], "--pixel-size"),
+    "second video": (["other.tif"], "one input"),
+    "times that are not there": (["--timestamps", "none.txt"], "none.txt"),
+    "out is a file": (["--out", "comb.tif"], "comb.tif"),
+    "out below a file": (["--out", "comb.tif/run"], "comb.tif"),
+    "out is the working directory": (["--out", ".", "--overwrite"], "run folder"),
+    "out has too long a name": (["--out", "x" * 300], "name too long"),
+    "video has too long a name": (["y" * 300], "y" * 300),
+    "folder of nothing given as out": (["--out", "/proc/none/run"], "/proc/none"),
+}
+
+
+@pytest.mark.parametrize("case", ARGUMENTS)
+def test_arguments_that_do_not_fit_are_refused_in_one_line(case, video, capsys):
+    """A failure means that a mistyped option is guessed at or ends in a traceback."""
+    arguments, expected = ARGUMENTS[case]
+    first = [] if case.startswith("video has") else [video]
+    assert expected in refused(capsys, *first, *arguments)
+
+
+def test_frames_beyond_the_end_give_what_there_is(video, capsys):
+    """A failure means that a generous --frames loses the run, or that its shortness is not told."""
+    assert run([str(video), "--quiet", "--frames", "50:200"]) == 1
+    assert "the file has 60" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["a b [é](1).tif", "1 €'$x.tif", "-dash.tif"])
+def test_odd_names_work(name, place, frames, capsys):
+    """A failure means that brackets are taken for a glob, or a space or accent stops the run."""
+    write_video(place / name, frames)
+    assert run([f"./{name}", "--quiet", "--out", "run"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("kind", ["tif", "avi", "png"])
+def test_one_frame_is_enough(kind, place, frames):
+    """A failure means that a single picture, the first thing a user tries, cannot be measured."""
+    path = place / f"one.{kind}"
+    if kind == "png":
+        cv2.imwrite(str(path), frames[0])
+    elif kind == "avi":
+        write_avi(path, frames[:1])
+    else:
+        write_video(path, frames[:1])
+    assert run([str(path), "--quiet"]) == 0
+
+
+def test_results_may_lie_among_the_images(place, frames):
+    """A failure means that a folder of images is spoilt as input by its own results."""
+    (place / "images").mkdir()
+    for n, frame in enumerate(frames[:20]):
+        cv2.imwrite(str(place / "images" / f"a_{n:04d}.png"), frame)
+    for extra in ([], ["--overwrite"]):
+        assert run(["images", "--quiet", "--out", "images/run", *extra]) == 0
+
+
+# --- the machine ------------------------------------------------------------------------------------
+
+
+def limited(size):
+    """A process whose files can be no larger, as on a disk that fills up."""
+    return {"preexec_fn": lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))}
+
+
+@pytest.mark.parametrize("size", [4_000, 15_000, 30_000, 45_000])
+def test_a_write_that_fails_leaves_nothing(size, video):
+    """A failure means half a run folder, a traceback, or a crash of HDF5 when the disk is full."""
+    status, out, err = finish(video, "--quiet", **limited(size))
+    assert (status, out) == (2, "")
+    assert err.count("\n") == 1
+    assert "a place that can be written" in err
+    assert [p.name for p in video.parent.iterdir()] == [video.name]
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_an_interrupted_run_leaves_nothing(sent, place, frames):
+    """A failure means that Ctrl-C, a closed terminal or a time limit leaves rubbish or looks like success."""
+    write_video(place / "long.tif", np.tile(frames, (40, 6, 4)))
+    process = start("long.tif")
+    until = time.monotonic() + 30
+    while not any(p.name.startswith(".long") for p in place.iterdir()) and time.monotonic() < until:
+        time.sleep(0.01)  # until the run folder is being written
+    process.send_signal(sent)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert (out, err.count("\n")) == ("", 1)
+    assert "interrupted" in err
+    assert [p.name for p in place.iterdir()] == ["long.tif"]
+
+
+def test_a_reader_that_leaves_is_no_failure(video):
+    """A failure means a traceback, or a false status, from `track … | head -1`."""
+    for script in ('"$@" | head -1', '"$@" | true', '"$@" >&-'):
+        shell = ["bash", "-o", "pipefail", "-c", script, "bash", *COMMAND, str(video), "--overwrite"]
+        done = subprocess.run(shell, capture_output=True, text=True, env=PLACE, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+    assert (video.parent / "comb_tracks" / "run.json").exists()
+
+
+def test_two_runs_into_one_folder_keep_one_of_them_whole(video):
+    """A failure means that a run silently replaces another's results, or that the two are mixed."""
+    both = [start(video, "--quiet", "--out", "run") for _ in range(2)]
+    said = [process.communicate(timeout=60)[1] for process in both]
+    assert sorted(process.returncode for process in both) == [0, 2], said
+    assert "a new folder" in "".join(said) or "not empty" in "".join(said)
+    assert sorted(p.name for p in video.parent.iterdir()) == ["comb.tif", "run"]
+    assert len(list(Path("run").iterdir())) == 7
+
+
+def test_a_run_that_may_not_be_replaced_stays(video, capsys):
+    """A failure means that --overwrite hides or destroys an earlier run it cannot replace."""
+    if os.name != "posix" or os.geteuid() == 0:
+        pytest.skip("rights bind no root")
+    assert run([str(video), "--quiet"]) == 0
+    Path("comb_tracks").chmod(0o555)
+    try:
+        assert "read-only" in refused(capsys, video, "--overwrite")
+    finally:
+        Path("comb_tracks").chmod(0o755)
