@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter as Option
 
+from vision.command.finish import Run, report, write
 from vision.command.options import choice, merge, number, parse_range
 from vision.command.progress import frame_progress
+from vision.command.pull import analyse, read_recording
 from vision.errors import InputError
 from vision.run.provenance import Parameter
-
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from vision.video import Video
 
 DEFAULTS: dict[str, Any] = {
     "strip": "auto",
@@ -33,6 +28,13 @@ DEFAULTS: dict[str, Any] = {
     "timestamps": None,
     "frames": None,
     "rotate": 0,
+    "force": None,
+    "speed": None,
+    "d0": None,
+    "force_columns": None,
+    "force_threshold": None,
+    "offset": None,
+    "threshold": 0.1,
 }
 
 
@@ -52,6 +54,13 @@ def track(
     timestamps: Path | None = None,
     frames: str | None = None,
     rotate: Literal[0, 90, 180, 270] | None = None,
+    force: Path | None = None,
+    speed: float | None = None,
+    d0: float | None = None,
+    force_columns: str | None = None,
+    force_threshold: float | None = None,
+    offset: float | None = None,
+    threshold: float | None = None,
     config: Path | None = None,
     out: Path | None = None,
     overwrite: Annotated[bool, Option(negative="")] = False,
@@ -89,6 +98,20 @@ def track(
         Part of the video, A:B.
     rotate
         Turn each frame clockwise first, for sheets that move along y.
+    force
+        Force recording of the testing machine; adds events, clocks, σ_x/Λ_st and shells.
+    speed
+        Pulling speed V in mm/min, where no displacement is recorded.
+    d0
+        Initial separation in mm, added to the crosshead.
+    force_columns
+        Columns of the recording, as in time=Time,load=Load:kN,displacement=3.
+    force_threshold
+        Smallest drop that is a slip, N; found from the noise if not given.
+    offset
+        Force clock at video time 0, s, if known; found from the slips if not given.
+    threshold
+        σ_x/Λ_st below which a sheet is stiff.
     config
         TOML file with any of these options; the command line wins.
     out
@@ -105,9 +128,9 @@ def track(
     options = merge({name: value for name, value in locals().items() if name in DEFAULTS}, DEFAULTS, config)
     target = out or Path(f"{_name(video)}_tracks")
     check_target(target, overwrite=overwrite)
-    recording, profile, tracks, seconds = _measure(video, options, quiet=quiet)
-    _write(target, recording, profile, tracks, options, seconds, overwrite=overwrite)
-    return _report(target, profile, tracks, options, quiet=quiet, verbose=verbose)
+    run = _measure(video, options, quiet=quiet)
+    write(run, target, overwrite=overwrite)
+    return report(run, target, quiet=quiet, verbose=verbose)
 
 
 def _name(video: Path) -> str:
@@ -116,12 +139,11 @@ def _name(video: Path) -> str:
     return "".join(c for c in name if c not in '*?[]<>|:"') or "video"
 
 
-def _measure(
-    video: Path, options: dict[str, Parameter], *, quiet: bool
-) -> tuple[Video, xr.DataArray, xr.Dataset, dict[str, float]]:
-    """Read and track; wall-clock seconds of either."""
+def _measure(video: Path, options: dict[str, Parameter], *, quiet: bool) -> Run:
+    """Read, track and, with a force recording, analyse."""
     value = {name: option.value for name, option in options.items()}
-    settings = _track_settings(value)
+    settings = track_settings(value)
+    force = read_recording(value)  # before the long work: its columns may not be recognised
     started = time.perf_counter()
     from vision.sheets.tracks import track_sheets
     from vision.video import open_video, strip_profile
@@ -138,10 +160,13 @@ def _measure(
         profile = strip_profile(recording, rows, columns=columns, progress=progress)
     read = time.perf_counter()
     tracks = track_sheets(profile, **settings)
-    return recording, profile, tracks, {"reading": read - started, "tracking": time.perf_counter() - read}
+    tracked = time.perf_counter()
+    pull = None if force is None else analyse(force, tracks, value)
+    seconds = {"reading": read - started, "tracking": tracked - read, "force": time.perf_counter() - tracked}
+    return Run(recording, profile, tracks, options, seconds, pull)
 
 
-def _track_settings(value: dict[str, Any]) -> dict[str, Any]:
+def track_settings(value: dict[str, Any]) -> dict[str, Any]:
     """Arguments of `track_sheets`; InputError for values no recording could fit."""
     number(value["pixel_size"], "--pixel-size", least=1e-6)
     window = value["window"]
@@ -156,61 +181,3 @@ def _track_settings(value: dict[str, Any]) -> dict[str, Any]:
         "fit": choice(value["fit"], "--fit", ("sliding", "paper", "template")),
         "window_px": window,
     }
-
-
-def _write(
-    target: Path,
-    recording: Video,
-    profile: xr.DataArray,
-    tracks: xr.Dataset,
-    options: dict[str, Parameter],
-    seconds: dict[str, float],
-    *,
-    overwrite: bool,
-) -> None:
-    """The run folder, whole."""
-    from vision.report.overview import write_kymograph_png, write_overview
-    from vision.run.folder import run_folder
-    from vision.run.kymograph import write_kymograph_tif
-    from vision.run.provenance import write_run_json
-    from vision.run.summary import run_facts
-    from vision.run.tables import sheets_table, write_tracks_csv, write_tracks_nc
-    from vision.video import reference_frame
-
-    started = time.perf_counter()
-    size = options["pixel_size"].value
-    with run_folder(target, overwrite=overwrite) as folder:
-        write_tracks_csv(tracks, folder / "tracks.csv", pixel_size_um=size)
-        write_tracks_nc(tracks, folder / "tracks.nc", pixel_size_um=size)
-        sheets_table(tracks).to_csv(folder / "sheets.csv", index=False, lineterminator="\n")
-        write_kymograph_tif(profile, folder / "kymograph.tif", pixel_size_um=size)
-        write_kymograph_png(folder / "kymograph.png", profile, pixel_size_um=size)
-        write_overview(
-            folder / "overview.png", reference_frame(recording), profile, tracks, pixel_size_um=size
-        )
-        seconds["writing"] = time.perf_counter() - started
-        command = shlex.join(["track", *sys.argv[1:]])
-        write_run_json(folder, run_facts(command, recording.path, profile, tracks, options, seconds))
-
-
-def _report(
-    target: Path,
-    profile: xr.DataArray,
-    tracks: xr.Dataset,
-    options: dict[str, Parameter],
-    *,
-    quiet: bool,
-    verbose: bool,
-) -> int:
-    """Summary to standard output, warnings to standard error; the exit status."""
-    from vision.run.summary import findings, summary_lines, warnings_that_matter
-
-    warnings = warnings_that_matter(profile, tracks)
-    for line in warnings:
-        sys.stderr.write(f"track: warning: {line}\n")
-    if not quiet:
-        lines = summary_lines(target, profile, tracks, options)
-        if verbose:
-            lines += [f"{name:>22}  {value}" for name, value in findings(profile, tracks).items()]
-        sys.stdout.write("\n".join(lines) + "\n")
-    return 1 if warnings else 0

@@ -1,0 +1,169 @@
+"""The machine's side of a run: the force recording meets the tracks."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vision.command.options import number
+from vision.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+    from vision.clock import Clock
+    from vision.models.fits_result import ModelFits
+
+
+@dataclass
+class Pull:
+    """What came of the force recording, as far as it got.
+
+    problem: why it got no further; what was found before that stays.  warnings: what must be said.
+    """
+
+    force: xr.Dataset
+    sticks: pd.DataFrame | None = None
+    clock: Clock | None = None
+    motion: xr.Dataset | None = None
+    shells: pd.DataFrame | None = None
+    fits: ModelFits | None = None
+    threshold: float = 0.1
+    problem: str = ""
+    warnings: list[str] = field(default_factory=list)
+
+
+def read_recording(value: Mapping[str, Any]) -> xr.Dataset | None:
+    """The force recording named by --force; None without one.  Raises: InputError."""
+    number(value["threshold"], "--threshold", least=1e-6)
+    if value["force"] is None:
+        return None
+    from vision.force.columns import parse_columns
+    from vision.force.recording import read_force
+
+    columns = parse_columns(value["force_columns"]) if value["force_columns"] else None
+    return read_force(
+        Path(value["force"]),
+        speed_mm_min=number(value["speed"], "--speed", least=1e-9),
+        d0_mm=number(value["d0"], "--d0", least=0),
+        columns=columns,
+    )
+
+
+def analyse(force: xr.Dataset, tracks: xr.Dataset, value: Mapping[str, Any]) -> Pull:
+    """Events, models, clocks, deformation and shells, one after the other as far as the data go.
+
+    A stage that the data do not allow ends the analysis with its reason in `problem`; nothing is raised for
+    input that does not fit, because the tracking is already done and must be kept.
+    """
+    pull = Pull(force, threshold=float(value["threshold"]))
+    pull.warnings += [line for line in str(force.attrs["warnings"]).split("\n") if line]
+    try:
+        _fill(pull, tracks, value)
+    except InputError as error:
+        pull.problem = str(error)
+    return pull
+
+
+def _fill(pull: Pull, tracks: xr.Dataset, value: Mapping[str, Any]) -> None:
+    """Stage after stage; what is there when one of them raises InputError stays."""
+    from vision.clock import synchronise
+    from vision.deformation import horizontal_deformation
+    from vision.force.stickslip import find_stick_slip
+    from vision.shells import classify_shells
+
+    sticks = pull.sticks = find_stick_slip(pull.force, threshold_N=value["force_threshold"])
+    pull.fits = _models(pull, sticks)
+    clock = pull.clock = synchronise(tracks, pull.force, sticks, offset_s=value["offset"])
+    pull.warnings += list(clock.warnings)
+    motion = pull.motion = horizontal_deformation(tracks, sticks, clock, pixel_size_um=value["pixel_size"])
+    model = pull.fits.effective_sheets if pull.fits else None
+    pull.shells = classify_shells(motion, threshold=pull.threshold, effective_sheets=model)
+
+
+def _models(pull: Pull, sticks: pd.DataFrame) -> ModelFits | None:
+    """The fits to the force alone; None, with a warning, where they cannot be made."""
+    from vision.models.fits import fit_models
+
+    if math.isnan(pull.force.attrs["d0_mm"]):
+        pull.warnings.append("no model fits: they need the initial separation, --d0")
+        return None
+    try:
+        return fit_models(sticks)
+    except InputError as error:
+        pull.warnings.append(f"no model fits: {error}")
+        return None
+
+
+def write_pull(pull: Pull, folder: Path) -> None:
+    """events.csv, models.json, clock.json, deformation.csv and shells.csv, those that there are."""
+    from vision.shells import deformation_table
+
+    if pull.sticks is not None:
+        _table(pull.sticks, folder / "events.csv")
+    if pull.fits is not None:
+        _json(pull.fits.to_json(), folder / "models.json")
+    if pull.clock is not None:
+        _json(pull.clock.to_json(), folder / "clock.json")
+    if pull.motion is not None:
+        _table(deformation_table(pull.motion, threshold=pull.threshold), folder / "deformation.csv")
+    if pull.shells is not None:
+        _table(pull.shells, folder / "shells.csv")
+
+
+def _table(table: pd.DataFrame, path: Path) -> None:
+    table.to_csv(path, index=False, float_format="%.9g", lineterminator="\n")
+
+
+def _json(content: Mapping[str, Any], path: Path) -> None:
+    text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def pull_facts(pull: Pull) -> dict[str, Any]:
+    """For run.json: what the recording was read as, the events' thresholds, the clocks."""
+    told = {key: value for key, value in pull.force.attrs.items() if key not in ("notes", "warnings")}
+    facts: dict[str, Any] = {"force": told, "force_problem": pull.problem}
+    if pull.sticks is not None:
+        facts["events"] = {"found": len(pull.sticks), **pull.sticks.attrs}
+    if pull.clock is not None:
+        facts["clock"] = pull.clock.to_json()
+    return facts
+
+
+def pull_lines(pull: Pull) -> list[str]:
+    """For the summary: events, clocks, stick phases in the video, shells."""
+    lines = []
+    if pull.sticks is not None:
+        middle = pull.sticks.median(numeric_only=True)
+        lines.append(
+            f"events     {len(pull.sticks)} stick-slip events; median ΔF {middle['dF_N']:.3g} N, "
+            f"Λ_st {middle['stick_length_um']:.3g} µm, K {middle['K_N_per_mm']:.4g} N/mm"
+        )
+    if pull.fits is not None:
+        fits = pull.fits
+        lines.append(
+            f"models     μ {_estimate(fits.mu)}, A {_estimate(fits.amplitude)}, N̂ {_estimate(fits.n_hat_N)} N"
+        )
+    if pull.clock is not None:
+        clock = pull.clock
+        lines.append(
+            f"clocks     {clock.status}: offset {clock.offset_s:.4f} s, drift {clock.drift_ppm:.0f} ppm, "
+            f"{clock.matched} slips matched to {clock.residual_ms:.1f} ms"
+        )
+    if pull.shells is not None and pull.motion is not None:
+        size = pull.shells["stiff_sheets"].astype(float)
+        lines.append(
+            f"shells     {pull.motion.sizes['event']} stick phases in the video; stiff sheets a side "
+            f"{size.median():.0f} ({size.min():.0f} to {size.max():.0f})"
+        )
+    return lines
+
+
+def _estimate(estimate: Any) -> str:
+    return f"{estimate.value:.3g} ± {estimate.error:.1g}"
