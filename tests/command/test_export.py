@@ -1,0 +1,91 @@
+"""`track export` as typed, on a run made by `track`."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.comb_video import positions, write_video
+from vision.command.main import run
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made")
+    video = write_video(folder / "comb.tif")
+    target = folder / "comb_tracks"
+    assert run([str(video), "--fps", "20", "--pixel-size", "10", "--quiet", "--out", str(target)]) == 0
+    return target
+
+
+@pytest.fixture
+def there(made, tmp_path, monkeypatch):
+    shutil.copytree(made, tmp_path / "comb_tracks")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+WRITTEN = {
+    "csv": "comb_tracks_csv",
+    "parquet": "comb_tracks_parquet",
+    "xlsx": "comb_tracks.xlsx",
+    "mat": "comb_tracks.mat",
+    "trackpy": "comb_tracks_trackpy.csv",
+    "napari": "comb_tracks_napari.csv",
+}
+
+
+@pytest.mark.parametrize("to", WRITTEN)
+def test_every_format_of_a_real_run_is_written_and_named(there, to, capsys):
+    """A failure means that a promised format does not work on what `track` writes."""
+    pytest.importorskip({"xlsx": "openpyxl", "parquet": "pyarrow"}.get(to, "pandas"))
+    assert run(["export", "comb_tracks", "--to", to]) == 0
+    said = capsys.readouterr()
+    assert WRITTEN[to] in said.out
+    assert said.err == ""
+    assert {p.name for p in there.iterdir()} == {"comb_tracks", WRITTEN[to]}
+
+
+def test_the_truth_comes_out_in_µm(there):
+    """A failure means that exported positions are not those of the sheets."""
+    assert run(["export", "comb_tracks", "--to", "csv", "--quiet", "--out", "wide"]) == 0
+    wide = pd.read_csv("wide/positions.csv")
+    truth = positions()
+    np.testing.assert_allclose(wide.filter(like="_um"), 10 * truth, atol=0.5)
+    np.testing.assert_allclose(wide["right_4_um"], 10 * truth[:, 7], atol=0.5)
+    assert np.abs(wide["right_3_um"] - 10 * truth[:, 7]).min() > 100
+
+
+BAD = {
+    "no such run": (["nothing", "--to", "csv"], "nothing"),
+    "a folder that is no run": (["empty", "--to", "csv"], "run.json"),
+    "unknown format": (["comb_tracks", "--to", "spss"], "spss"),
+    "no format": (["comb_tracks"], "--to"),
+    "inside the run": (["comb_tracks", "--to", "mat", "--out", "comb_tracks/x.mat"], "outside the run"),
+    "a file in the way": (["comb_tracks", "--to", "mat", "--out", "note.txt"], "--overwrite"),
+    "a folder in the way": (["comb_tracks", "--to", "mat", "--out", "empty", "--overwrite"], "a folder"),
+    "a file where a folder goes": (["comb_tracks", "--to", "csv", "--out", "note.txt/x"], "note.txt"),
+    "damaged tracks": (["broken", "--to", "mat"], "tracks.nc"),
+    "damaged events": (["odd", "--to", "mat"], "events.csv"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_ends_in_one_line_and_status_2(case, there, capsys):
+    """A failure means a traceback, a silent guess or half a result for bad input."""
+    (there / "empty").mkdir()
+    (there / "note.txt").write_text("years of work")
+    for name in ("broken", "odd"):
+        shutil.copytree("comb_tracks", name)
+    Path("broken/tracks.nc").write_bytes(b"\x89HDF cut")
+    Path("odd/events.csv").write_bytes(b"")
+    before = {p: p.stat().st_mtime_ns for p in there.rglob("*")}
+    arguments, named = BAD[case]
+    assert run(["export", *arguments]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert named in said.err
+    assert {p: p.stat().st_mtime_ns for p in there.rglob("*")} == before

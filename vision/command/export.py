@@ -1,0 +1,58 @@
+"""`track export RUN`: tables of a finished run in another program's format."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter as Option
+
+
+def export(
+    run: Path,
+    /,
+    *,
+    to: Literal["csv", "xlsx", "parquet", "mat", "trackpy", "napari"],
+    out: Path | None = None,
+    overwrite: Annotated[bool, Option(negative="")] = False,
+    quiet: Annotated[bool, Option(negative="")] = False,
+) -> int:
+    """Tables of a finished run in another program's format.
+
+    csv and parquet: a folder with a file for each table. xlsx: one worksheet for each. mat: matrices and
+    structs for MATLAB. trackpy: x, y, frame, particle. napari: track_id, t, y, x. The unit is the last part
+    of a column's name; trackpy and napari have px.
+
+    Positions whose flag is not ok are empty in csv, xlsx and parquet, NaN in mat, and left out for trackpy
+    and napari.
+
+    Examples:
+
+        track export test_tracks --to xlsx
+
+        track export test_tracks --to mat --out for_matlab.mat
+
+    Parameters
+    ----------
+    run
+        Run folder.
+    to
+        Format.
+    out
+        File or folder; the run's name with the format's ending in the working directory by default.
+    overwrite
+        Replace an earlier export.
+    quiet
+        No summary.
+    """
+    from vision.run.export import export_run
+    from vision.run.reading import read_run
+
+    exported = export_run(read_run(run), to, out=out, overwrite=overwrite)
+    for note in exported.notes:
+        sys.stderr.write(f"track: {note}\n")
+    if not quiet:
+        folder = "/" if exported.target.is_dir() else ""
+        sys.stdout.write(f"{to} -> {exported.target}{folder}\n")
+    return 0
