@@ -18,6 +18,7 @@ LEAST_WORTH = 0.3
 MOVES = 0.7  # px rms: neighbours that move this much tell what stands still
 STILL = 0.3  # of the neighbours' motion: what moves less is no sheet
 LEAST_FRAMES = 50
+ODD_SPACING = 0.25  # natural logarithm: what is at the end and spaced so may be no sheet
 
 
 def sheet_worth(log_contrast: Doubles, log_width: Doubles, found: Doubles) -> Doubles:
@@ -55,26 +56,40 @@ def _unevenness(x_px: Doubles, local: Doubles) -> float:
     return max(1.0, float(np.median(off)) / 0.6745 / EVEN)
 
 
-def standing_still(moved_px: Doubles) -> NDArray[np.bool_]:
+def standing_still(moved_px: Doubles, rest_px: Doubles) -> NDArray[np.bool_]:
     """Which entries stay where they are while the sheets beside them move: dust on the lens or the sensor,
     marks.
 
-    Each entry's motion is compared with the mean of its two neighbours on either side, over the frames
-    where all are seen. Only where these move together by more than 0.7 px rms is there a verdict; the
-    centre of the comb gives none.
+    A sheet moves at least as much as its neighbours on one of its sides: motion grows outwards. So each entry
+    is compared with the smaller of the motions to its left and to its right (each the mean of two
+    neighbours), as far as these go the same way. Only where that is more than 0.7 px rms is there a
+    verdict. The centre of the comb gives none; its ends only where their spacing is not the comb's.
 
-    Args: moved_px (frame, N), displacement from the resting place, NaN where missing.  Returns: (N,).
+    Args: moved_px (frame, N), displacement from the resting place, NaN where missing; rest_px (N,), where
+    that is.  Returns: (N,).
     """
-    padded = np.pad(moved_px, ((0, 0), (2, 2)), constant_values=np.nan)
-    around = np.stack([padded[:, i : i + moved_px.shape[1]] for i in (0, 1, 3, 4)])
-    seen = np.isfinite(around)
-    mean = np.where(seen, around, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
-    both = seen.any(axis=0) & np.isfinite(moved_px)
-    power = np.where(both, mean**2, 0.0).sum(axis=0)
+    left, right = _beside(moved_px), _beside(moved_px[:, ::-1])[:, ::-1]
+    gap = np.diff(rest_px)
+    odd = np.abs(np.log(gap / np.median(gap))) > ODD_SPACING if len(gap) > 1 else np.zeros(2, bool)
+    if odd[0]:
+        left[:, 0] = right[:, 0]
+    if odd[-1]:
+        right[:, -1] = left[:, -1]
+    common = np.where(left * right > 0, np.minimum(np.abs(left), np.abs(right)), 0.0)
+    both = np.isfinite(left) & np.isfinite(right) & np.isfinite(moved_px)
+    power = np.where(both, common**2, 0.0).sum(axis=0)
     own = np.where(both, np.nan_to_num(moved_px) ** 2, 0.0).sum(axis=0)
     frames = both.sum(axis=0)
     sure = (frames >= LEAST_FRAMES) & (power > frames * MOVES**2)
     return np.asarray(sure & (own < STILL**2 * power), bool)
+
+
+def _beside(moved_px: Doubles) -> Doubles:
+    """Mean motion of the two entries before each in its row, NaN where neither is seen."""
+    padded = np.pad(moved_px, ((0, 0), (2, 0)), constant_values=np.nan)
+    pair = np.stack([padded[:, :-2], padded[:, 1:-1]])
+    count = np.isfinite(pair).sum(axis=0)
+    return np.asarray(np.where(count, np.nan_to_num(pair).sum(axis=0) / np.maximum(count, 1), np.nan))
 
 
 def _uneven_cost(x_px: Doubles, local: Doubles) -> Doubles:

@@ -71,7 +71,7 @@ def _without_marks(model: Model, match: Ints, ridges: Ridges, sheets: int | None
     if sheets is not None:
         return model, match
     x = _positions(ridges, match)
-    still = standing_still(x - _resting_places(x, model))
+    still = standing_still(x - _resting_places(x, model), model.x_px)
     return model.only(np.flatnonzero(~still)), match[:, ~still]
 
 
