@@ -38,7 +38,7 @@ def comb(
     rng = np.random.default_rng(seed)
     rest = axis_px + side * (n - 0.5) * pitch_px + rng.uniform(-uneven, uneven, len(n)) * pitch_px
     power = np.log(5) / np.log(2)
-    phase = (np.arange(frames) / period) % 1 - 0.5
+    phase = ((np.arange(frames) / period) % 1 - 0.5) / (1 - 1 / period)  # falls by 1 in a slip
     return np.asarray(rest - side * slip * pitch_px * (n / per_side) ** power * phase[:, None])
 
 
