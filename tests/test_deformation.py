@@ -160,6 +160,15 @@ def test_one_side_in_view_says_that_drift_is_unknown():
     assert measure(made).attrs["camera_movement"] == "vibration and drift taken off"
 
 
+def test_six_sheets_are_enough():
+    """A failure means that errors forget how much of six sheets' noise goes into what they have in common."""
+    made = make(uniform(1.0, 20.0, events=300, sheets=3), noise_px=0.05, vibration_px=0.1)
+    motion = measure(made)
+    wrong, stated = errors(made, motion)
+    assert motion["noise_um"].mean() / PIXEL_UM == pytest.approx(0.05, rel=0.03)
+    assert np.sqrt(np.mean((wrong / stated) ** 2)) == pytest.approx(1.0, abs=0.05)
+
+
 def test_sides_that_differ_are_not_made_alike():
     """A failure means that a left side that creeps half as much again is averaged with the right one."""
     made = make(profile(np.full(30, 8.0)), noise_px=0.02)
@@ -170,6 +179,10 @@ def test_sides_that_differ_are_not_made_alike():
     truth = made.ratio * np.where(left, 1.5, 1.0)
     wrong = motion["ratio"].to_numpy() - truth
     assert np.abs(wrong.mean(axis=0)).max() < 0.01
+    late = 5 + made.tracks["time_s"].to_numpy() > made.sticks["t_v_s"][7] + 0.2
+    x[:, 6] += np.where(late, 6.0, 0.0)
+    jumped = horizontal_deformation(made.tracks.assign(x_px=x), made.sticks, Clock())
+    np.testing.assert_allclose(jumped["ratio_err"][20:, 8:], motion["ratio_err"][20:, 8:], rtol=0.02)
 
 
 def test_missing_positions_and_lost_frames():
@@ -198,15 +211,29 @@ def test_fewer_than_four_frames_give_nothing():
     assert (measure(short)["flag"] == "few").all()
 
 
+def test_a_stick_seen_only_at_its_start_gives_nothing():
+    """A failure means that most of a sweep is guessed from the little of it that was seen."""
+    made = make(uniform(1.0, 20.0, events=5), frames=40)
+    since = 5 + made.tracks["time_s"].to_numpy() - made.sticks["t_v_s"][2]
+    gap = (since > 0.25) & (since < 0.7)
+    motion = measure(replace(made, tracks=made.tracks.isel(frame=np.flatnonzero(~gap))))
+    assert (motion["frames"][2] > 4).all()
+    assert (motion["flag"][2] == "few").all()
+    assert (motion["flag"][[0, 1, 4]] == "ok").all()
+
+
 def test_a_sheet_that_slips_by_itself_has_a_larger_error():
     """A failure means that a jump within a stick passes for creep with the error of a quiet sheet."""
     made = make(uniform(0.5, 20.0, events=20), noise_px=0.02)
     quiet = measure(made)
     inside = 5 + made.tracks["time_s"].to_numpy() > made.sticks["t_v_s"][7] + 0.2
-    made.tracks["x_px"][:, 6] += np.where(inside, 0.6, 0.0)
+    made.tracks["x_px"][:, 6] += np.where(inside, 3.0, 0.0)
     motion = measure(made)
     assert motion["flag"][7, 6] == "uneven"
     assert motion["ratio_err"][7, 6] > 3 * quiet["ratio_err"][7, 6]
+    assert (np.delete(motion["flag"].to_numpy()[7], 6) == "ok").all()
+    neighbours = np.delete((motion["ratio"] - quiet["ratio"])[7].to_numpy(), 6)
+    assert np.abs(neighbours).max() < quiet["ratio_err"][7].min()
     others = np.delete(motion["ratio_err"].to_numpy(), 7, axis=0)
     np.testing.assert_allclose(others, np.delete(quiet["ratio_err"].to_numpy(), 7, axis=0), rtol=0.1)
 

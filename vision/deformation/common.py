@@ -15,7 +15,6 @@ _OWN_WAY = 8.0  # typical residuals from the other sheets beyond which one does 
 _STILL_PX = 1e-6  # least typical residual, for positions without noise
 _UNLIKE = 0.2  # share of their creep by which the sheets of a pair are first taken to differ
 _ROUNDS = 4
-_AT_MOST = 9.0  # times the expected variance, so that a sheet that slips alone does not speak for all
 
 
 def shaking(residual: Doubles) -> Doubles:
@@ -87,13 +86,14 @@ def drift(coefficient: Doubles, error: Doubles, side: Ints, n: Ints) -> Drift:
     middle, inwards, noise = (np.where(known, part, 0.0) for part in (middle, inwards, noise))
     asymmetry = _UNLIKE
     for _ in range(_ROUNDS):
-        expected = np.maximum(noise + (asymmetry * inwards) ** 2, 1e-18)
-        weight = known / expected
+        weight = known / np.maximum(noise + (asymmetry * inwards) ** 2, 1e-18)
         total = weight.sum(axis=1)
         value = np.divide((weight * middle).sum(axis=1), total, out=np.zeros_like(total), where=total > 0)
         share = np.divide(weight, total[:, None], out=np.zeros_like(weight), where=known)
-        apart = np.minimum((middle - value[:, None]) ** 2, _AT_MOST * expected) - noise * (1 - share)
-        asymmetry = np.sqrt(max(float(apart[known].sum()), 0.0) / max(float((inwards**2).sum()), 1e-18))
+        apart = (middle - value[:, None]) ** 2 - noise * (1 - share)
+        asymmetry = np.sqrt(
+            max(float(apart[known].sum()), 0.0) / max(float((inwards[known] ** 2).sum()), 1e-18)
+        )
     of_sheet = np.zeros_like(coefficient)
     of_sheet[:, left] = of_sheet[:, right] = share
     return Drift(value, np.sqrt(np.divide(1, total, out=np.zeros_like(total), where=total > 0)), of_sheet)

@@ -1,0 +1,252 @@
+"""Stiff shells against made tracks whose shells are known."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from creeping import Clock, make, profile
+
+from vision.deformation import horizontal_deformation
+from vision.errors import InputError
+from vision.models.fits_result import Assembly
+from vision.shells import classify_shells, deformation_table, judge_sheets, with_model
+
+DEFORMATION = (
+    "event,index,side,n,sigma_x_um,sigma_x_corrected_um,sweep_um,stick_length_um,"
+    "ratio,ratio_err,p_stiff,shell"
+)
+SHELLS = "event,d_v_mm,side,stiff_sheets,stiff_low,stiff_high,M_eff_model"
+# Stick length (um), frames a stick and M_eff along a test: early, middle, late, and late at 5 mm/min.
+STAGES = [(27, 100, (12, 14.5)), (12.6, 45, (7, 10)), (7.7, 27, (3, 6)), (12.6, 9, (7, 10))]
+
+
+def measured(ratio, **options):
+    made = make(ratio, **options)
+    return made, horizontal_deformation(made.tracks, made.sticks, Clock())
+
+
+def stage(stick_um, frames, m_eff, *, noise_px, rho=0.0, events=60):
+    between = np.random.default_rng(1).uniform(*m_eff, events)
+    return measured(profile(between), stick_um=stick_um, frames=frames, noise_px=noise_px, rho=rho, seed=3)
+
+
+def true_sizes(made):
+    """Stiff sheets, one figure per event and side, in the table's order."""
+    return np.repeat((made.ratio < 0.1).sum(axis=1) // 2, 2)
+
+
+def ideal(ratio, error):
+    """What `horizontal_deformation` would return for ratios (event, n) on the right, measured perfectly."""
+    made = make(np.full(ratio.shape, 0.2), noise_px=0.02)
+    right = made.tracks.isel(sheet=slice(ratio.shape[1], None))
+    motion = horizontal_deformation(right, made.sticks, Clock())
+    known = (("event", "sheet"), ratio)
+    return motion.assign(ratio=known, ratio_signed=known, ratio_err=(known[0], np.full(ratio.shape, error)))
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5])
+@pytest.mark.parametrize("noise", [0.02, 0.05])
+@pytest.mark.parametrize("where", STAGES)
+def test_shell_within_one_sheet(where, noise, rho):
+    """A failure means that more than a tenth of the shells are off by over one sheet, or their intervals."""
+    made, motion = stage(*where, noise_px=noise, rho=rho)
+    shells, truth = classify_shells(motion), true_sizes(made)
+    assert np.mean(np.abs(shells["stiff_sheets"].astype(float) - truth) <= 1) >= 0.9
+    inside = (shells["stiff_low"] <= truth) & (truth <= shells["stiff_high"])
+    assert inside.mean() >= 0.87
+    assert shells["monotone"].mean() > 0.97
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5])
+def test_intervals_hold_where_noise_is_at_its_worst(rho):
+    """A failure means that intervals are too narrow just where sizes become uncertain."""
+    made, motion = stage(12.6, 9, (7, 10), noise_px=0.08, rho=rho)
+    shells, truth = classify_shells(motion), true_sizes(made)
+    assert ((shells["stiff_low"] <= truth) & (truth <= shells["stiff_high"])).mean() >= 0.87
+    assert (shells["stiff_high"] - shells["stiff_low"]).mean() > 2
+
+
+def test_the_raw_figure_misses_a_shell_of_eight():
+    """A shell of 8 must read wrong without the noise correction, or the correction is not needed."""
+    made, motion = measured(profile(np.full(40, 8.5)), stick_um=7.7, frames=27, noise_px=0.08)
+    assert (true_sizes(made) == 8).all()
+    raw = (motion["sigma_x_um"] / motion["stick_length_um"]).to_numpy()
+    raw_sizes = (raw[:, motion["side"] > 0] < 0.1).sum(axis=1)
+    assert np.median(raw_sizes) <= 5
+    shells = classify_shells(motion)
+    assert np.median(shells["stiff_sheets"].astype(float)) == 8
+    assert np.mean(np.abs(shells["stiff_sheets"].astype(float) - 8) <= 1) >= 0.9
+
+
+def test_p_stiff_is_a_probability():
+    """A failure means that of the sheets called 80 % stiff, it is not four in five that are."""
+    ratio = np.random.default_rng(4).uniform(0, 0.25, (100, 25))
+    made, motion = measured(ratio, stick_um=12.6, frames=12, noise_px=0.05)
+    p = judge_sheets(motion)["p_stiff"].to_numpy().ravel()
+    stiff = (made.ratio < 0.1).ravel()
+    for low, high in ((0.0, 0.1), (0.1, 0.35), (0.35, 0.65), (0.65, 0.9), (0.9, 1.0)):
+        group = (p >= low) & (p <= high)
+        assert group.sum() > 100
+        assert stiff[group].mean() == pytest.approx(p[group].mean(), abs=0.07)
+
+
+def test_what_cannot_be_told_is_undetermined():
+    """A failure means that a sheet at the threshold, or one never seen, is called stiff or mobile."""
+    made, motion = measured(np.tile([0.02, 0.1, 0.3, 0.4, 0.5], (60, 1)), stick_um=20.0, noise_px=0.05)
+    motion["ratio_signed"][:, 0] = np.nan
+    judged = judge_sheets(motion)
+    share = {n: (judged["shell"].sel(sheet=motion["n"] == n) == "undetermined").mean() for n in (1, 2, 3)}
+    assert share[1] == 0
+    assert share[2] > 0.6
+    assert share[3] == 0
+    assert (judged["shell"][:, 0] == "undetermined").all()
+    assert np.isnan(judged["p_stiff"].to_numpy()[:, 0]).all()
+    assert set(judged["shell"].sel(sheet=motion["n"] == 1).to_numpy().ravel()) == {"stiff"}
+    assert "p_stiff" not in motion
+    assert made.ratio.shape == judged["shell"].shape
+
+
+def test_one_misread_sheet_does_not_cut_a_shell():
+    """A failure means that one sheet that reads high by chance ends the shell there."""
+    ratio = profile([9.0, 9.0, 9.0])
+    ratio[:, 3] += 0.06
+    shells = classify_shells(ideal(ratio, 0.03))
+    assert shells["monotone"].all()
+    assert (shells["stiff_sheets"] - 8).abs().max() <= 1
+
+
+def test_well_measured_sheets_lead():
+    """A failure means that a blurred sheet has the same say in the shell's size as sharp ones."""
+    ratio, error = profile([8.5]), np.full((1, 25), 0.005)
+    ratio[:, 4], error[:, 4] = 0.4, 0.3
+    shells = classify_shells(ideal(ratio, error))
+    assert shells["monotone"].all()
+    assert (shells["stiff_sheets"] == 8).all()
+
+
+def test_a_ratio_that_surely_falls_with_n_is_counted_sheet_by_sheet():
+    """A failure means that a mobile sheet deep inside, well measured, is averaged away."""
+    ratio = profile([9.5, 9.5, 9.5])
+    ratio[:, 3] = 0.3
+    shells = classify_shells(ideal(ratio, 0.01))
+    assert not shells["monotone"].any()
+    assert (shells["stiff_sheets"] == 8).all()
+
+
+def test_few_known_sheets_give_no_size_and_gaps_count():
+    """A failure means a size from nothing, or a shell that shrinks because a sheet was not seen."""
+    ratio = profile(np.full(4, 8.5))
+    ratio[1, 2:] = np.nan
+    ratio[2, 3:5] = np.nan
+    ratio[3] = np.nan
+    shells = classify_shells(ideal(ratio, 0.01))
+    assert list(shells["stiff_sheets"].isna()) == [False, True, False, True]
+    assert list(shells["sheets_known"]) == [25, 2, 23, 0]
+    assert shells["stiff_sheets"][2] == 8
+    assert shells["stiff_low"][1] is pd.NA
+
+
+def test_breakpoint_needs_no_threshold():
+    """A failure means that the alternative boundary is not where the creep sets in."""
+    n = np.arange(1, 26)
+    knees = np.array([4.0, 8.0, 13.5, 20.0])
+    ratio = 0.05 + 0.03 * np.maximum(n - knees[:, None], 0)
+    shells = classify_shells(
+        ideal(ratio + 0.005 * np.random.default_rng(2).standard_normal(ratio.shape), 0.005)
+    )
+    np.testing.assert_allclose(shells["stiff_breakpoint"], knees, atol=1.0)
+    flat = classify_shells(ideal(np.tile(0.3 - 0.005 * n, (3, 1)), 0.005))
+    assert flat["stiff_breakpoint"].isna().all()
+
+
+def test_all_stiff_or_all_mobile():
+    """A failure means that a shell cannot be empty or whole."""
+    shells = classify_shells(ideal(np.array([[0.01] * 10, [0.4] * 10]), 0.01))
+    assert list(shells["stiff_sheets"]) == [10, 0]
+    assert list(shells["stiff_low"]) == [10, 0]
+    assert list(shells["stiff_high"]) == [10, 0]
+
+
+def test_threshold_moves_the_boundary():
+    """A failure means that the threshold is ignored."""
+    made, motion = measured(profile(np.full(10, 8.0)), stick_um=27.0, frames=60, noise_px=0.02)
+    for threshold in (0.05, 0.1, 0.25):
+        sizes = classify_shells(motion, threshold=threshold)["stiff_sheets"].astype(float)
+        truth = (made.ratio < threshold).sum(axis=1) // 2
+        np.testing.assert_allclose(sizes, np.repeat(truth, 2), atol=1)
+
+
+def test_a_sheet_that_moves_outwards_is_mobile():
+    """A failure means that direction decides what is stiff, and a wrong axis makes all sheets stiff."""
+    _, motion = measured(-profile(np.full(10, 8.0)), stick_um=20.0, noise_px=0.02)
+    shells = classify_shells(motion)
+    outward = motion["flag"] == "outward"
+    assert outward.mean() > 0.8
+    assert (judge_sheets(motion)["shell"].to_numpy()[outward & (motion["ratio"] > 0.2)] == "mobile").all()
+    np.testing.assert_allclose(shells["stiff_sheets"].astype(float), 7, atol=1)
+
+
+def test_tables_have_the_columns_people_read():
+    """A failure means that scripts that read deformation.csv or shells.csv break, or find rows of another."""
+    made, motion = measured(profile([8.0, 6.0]), noise_px=0.03)
+    table, shells = deformation_table(motion), classify_shells(motion)
+    assert ",".join(table.columns[:12]) == DEFORMATION
+    assert ",".join(shells.columns[:7]) == SHELLS
+    assert list(table["event"]) == [0] * 50 + [1] * 50
+    assert list(table["index"][:50]) == list(range(50))
+    row = table[(table["event"] == 1) & (table["index"] == 37)].iloc[0]
+    here = motion.sel(event=1, sheet=37)
+    assert (row["side"], row["n"]) == (1, 13)
+    assert row["ratio"] == here["ratio"]
+    assert row["ratio"] == pytest.approx(row["sigma_x_corrected_um"] / row["stick_length_um"])
+    assert row["stick_length_um"] == made.sticks["stick_length_um"][1]
+    assert list(zip(shells["event"], shells["side"], strict=True)) == [(0, -1), (0, 1), (1, -1), (1, 1)]
+    np.testing.assert_allclose(shells["d_v_mm"][::2], made.sticks["d_v_mm"])
+
+
+def test_the_forces_figure_stands_beside_imagings():
+    """A failure means that M_eff is not that of the row's own d_v, or that an input was written into."""
+    _, motion = measured(profile([8.0, 6.0]), noise_px=0.03)
+    plain = classify_shells(motion)
+    full = with_model(plain, lambda d_mm: 2 * d_mm)
+    assert plain["M_eff_model"].isna().all()
+    np.testing.assert_allclose(full["M_eff_model"], 2 * plain["d_v_mm"])
+    pd.testing.assert_frame_equal(full, classify_shells(motion, effective_sheets=lambda d_mm: 2 * d_mm))
+
+
+def test_the_model_fits_take_the_table():
+    """A failure means that the fits cannot read the shells they are to be compared with."""
+    from vision.models.fits import fit_models
+
+    _, motion = measured(profile([8.0, 6.0, 5.0]), noise_px=0.03)
+    shells = classify_shells(motion)
+    shells.loc[0, ["stiff_sheets", "stiff_low", "stiff_high"]] = pd.NA
+    fits = fit_models(_force_events(), shells, assembly=Assembly())
+    assert fits.shells is not None
+    assert fits.shells.compared == 5
+    assert np.isfinite(with_model(shells, fits.effective_sheets)["M_eff_model"]).all()
+
+
+def _force_events():
+    from vision.models import equations
+
+    d = np.linspace(13.2, 17.0, 12)
+    return pd.DataFrame(
+        {
+            "d_v_mm": d,
+            "d_p_mm": d + 0.01,
+            "F_p_N": equations.traction(d + 0.01, mu=0.89),
+            "dF_N": equations.stick_slip_amplitude(d, mu=0.89),
+            "K_N_per_mm": equations.assembly_stiffness(d, mu=0.89, n_hat_N=0.57, modulus_GPa=3.8),
+            "K_err_N_per_mm": 20.0,
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    "options", [{"threshold": 0.0}, {"threshold": np.nan}, {"certainty": 0.5}, {"certainty": 1}]
+)
+def test_impossible_settings_are_refused(options):
+    """A failure means a table of nonsense from a threshold or certainty that cannot be meant."""
+    _, motion = measured(profile([8.0]), noise_px=0.03)
+    with pytest.raises(InputError, match="expected"):
+        classify_shells(motion, **options)
