@@ -56,12 +56,19 @@ def grey_of(value, ax):
 
 def test_axes_are_in_mm_and_s_with_pixels_centred(ax):
     """A failure means that lengths or times read off the picture are wrong, or half a pixel off."""
-    draw_space_time(ax, diagram_of(pixel_size_um=10.0))
+    draw_space_time(ax, diagram_of(pixel_size_um=80.0))
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("x (mm)", "t (s)")
-    np.testing.assert_allclose(ax.get_xlim(), (1.995, 2.195))
+    np.testing.assert_allclose(ax.get_xlim(), (15.96, 17.56))
     np.testing.assert_allclose(ax.get_ylim(), (2.975, -0.025))  # time downwards
     np.testing.assert_allclose(shown(ax, 1.5), grey_of(30.5, ax), atol=2)
     assert np.abs(shown(ax, 1.5) - grey_of(29.5, ax)).min() > 3  # a row off would be seen
+
+
+def test_a_strip_below_a_millimetre_is_in_µm(ax):
+    """A failure means an axis of zeros and thousandths."""
+    draw_space_time(ax, diagram_of(pixel_size_um=0.1))
+    assert ax.get_xlabel() == "x (µm)"
+    np.testing.assert_allclose(ax.get_xlim(), (19.95, 21.95))
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import tifffile
+import xarray as xr
 
 from tests.comb_video import frames_of, positions, write_video
 from vision.command.main import run
@@ -158,7 +159,17 @@ def test_a_lost_frame_is_empty_and_sets_the_exit_status(there, capsys):
     assert run(["blank.tif", "--quiet"]) == 1
     capsys.readouterr()
     assert run(["kymograph", "blank_tracks", *SHEET, "--quiet"]) == 1
-    assert "right:4: not found in 1 of 60" in capsys.readouterr().err
+    assert "1 of 60 frames shown are empty" in capsys.readouterr().err
+
+
+def test_frames_without_the_sheet_are_counted(there, capsys):
+    """A failure means that a window around a guessed place passes for a measured one."""
+    with xr.open_dataset("comb_tracks/tracks.nc", engine="h5netcdf") as data:
+        tracks = data.load()
+    tracks["x_px"][20:23, COLUMN] = np.nan
+    tracks.to_netcdf("comb_tracks/tracks.nc", engine="h5netcdf")
+    assert run(["kymograph", "comb_tracks", *SHEET, "--quiet"]) == 1
+    assert "right:4: not found in 3 of 60" in capsys.readouterr().err
 
 
 def test_uneven_times_are_said(there, capsys):

@@ -152,10 +152,13 @@ def _warnings(diagrams: list[xr.DataArray]) -> list[str]:
 
     off = unevenness_s(diagrams[0]["time_s"].values)
     lines = [f"frame times are uneven: the TIFF's time axis is off by up to {off:.3g} s"] if off else []
+    there = diagrams[0]["status"] == "ok"
+    if empty := int((~there).sum()):
+        lines.append(f"{empty} of {there.size} frames shown are empty")
     for diagram in diagrams:
-        if "sheet" in diagram.attrs and (gone := int(diagram["x_sheet_px"].isnull().sum())):
+        if "sheet" in diagram.attrs and (gone := int((diagram["x_sheet_px"].isnull() & there).sum())):
             name = diagram.attrs["sheet"]
-            lines.append(f"sheet {name}: not found in {gone} of {len(diagram)} frames shown")
+            lines.append(f"sheet {name}: not found in {gone} of {there.size} frames shown")
     return lines
 
 

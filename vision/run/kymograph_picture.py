@@ -23,6 +23,7 @@ GAP = 1.5  # frame intervals between two rows: more is a gap and left empty
 MOST_LINES = 40  # slips with a line across; more are marked at the edge alone
 SLIP_COLOUR, EMPTY_COLOUR = "#d55e00", "#cfe3f5"
 ROWS_PER_INCH = 75
+UM_PER_MM = 1000
 ROWS_AT_ONCE = 256  # of a page, averaged at a time
 
 
@@ -91,31 +92,34 @@ def grey_limits(diagrams: Sequence[xr.DataArray]) -> Limits:
 
 
 def _mark(ax: Axes, slips_s: Doubles) -> None:
-    """A pointer at both edges for each slip, and a thin line across while they are few."""
-    for place, marker in ((0.0, ">"), (1.0, "<")):
+    """A pointer at both edges for each slip and a thin line across; short ticks alone where they are many."""
+    few = slips_s.size <= MOST_LINES
+    look: dict[str, Any] = {"ms": 5, "mec": "white", "mew": 0.5} if few else {"ms": 9, "mew": 0.6}
+    for place, pointer in ((0.0, ">"), (1.0, "<")):
         ax.plot(
             np.full(slips_s.size, place),
             slips_s,
-            marker,
+            pointer if few else "_",
             color=SLIP_COLOUR,
-            ms=5,
-            mec="white",
-            mew=0.5,
             transform=ax.get_yaxis_transform(),
             clip_on=False,
             zorder=3,
+            **look,
         )
-    if slips_s.size <= MOST_LINES:
+    if few:
         ax.hlines(slips_s, *ax.get_xlim(), color=SLIP_COLOUR, lw=0.7, ls=(0, (4, 4)))
 
 
 def _columns(diagram: xr.DataArray) -> tuple[Doubles, str]:
-    """Edges of the columns, and the label: mm along the strip, µm within a window, px without a scale."""
+    """Edges of the columns, and their label: mm, or µm below 1 mm and in a window; px without a scale."""
     x = np.asarray(diagram["x"].values, np.float64)
     edges = np.append(x - 0.5, x[-1] + 0.5)
     size = diagram.attrs.get("pixel_size_um")
     if "sheet" not in diagram.attrs:
-        return (edges, "x (px)") if size is None else (edges * size / 1000, "x (mm)")
+        if size is None:
+            return edges, "x (px)"
+        wide = size * x.size >= UM_PER_MM
+        return (edges * size / UM_PER_MM, "x (mm)") if wide else (edges * size, "x (µm)")
     name = "x − x(n,t)"
     if not diagram.attrs["follow"]:
         edges, name = edges - diagram.attrs["centre_px"], "x − x₀"
@@ -127,7 +131,7 @@ def _title(diagram: xr.DataArray) -> str:
         return "Space-time diagram of the strip"
     side, n = diagram.attrs["sheet"].split(":")
     size, centre = diagram.attrs.get("pixel_size_um"), diagram.attrs["centre_px"]
-    place = f"{centre:.1f} px" if size is None else f"{centre * size / 1000:.2f} mm"
+    place = f"{centre:.1f} px" if size is None else f"{centre * size / UM_PER_MM:.2f} mm"
     return f"{side}, n = {n}" + ("" if diagram.attrs["follow"] else f"\nx₀ = {place}")
 
 
