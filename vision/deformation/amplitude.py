@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from vision.deformation.common import LEAST_PAIRS, drift, noise_regained, pairs,
 from vision.deformation.creep import Creep, fit_creep, mean_square
 from vision.deformation.frames import Bools, Doubles, Ints, StickFrames
 from vision.deformation.memory import Memory, inflation
-from vision.deformation.noise import measure_noise
+from vision.deformation.noise import Noise, measure_noise
 
 _LOCKING_PX = {"sliding": 0.002, "template": 0.002}  # measured, ridges 6-14 px wide
 _CURVED = 3.0  # standard errors by which a parabola must differ from a line
@@ -58,25 +58,32 @@ def measure_amplitude(
     predicted_px, side, n: (sheet,).  fit: how positions were found, as in `track_sheets`.
     common_mode: whether to take the camera's movement off.
     """
+    paired = common_mode and pairs(side, n)[0].size >= LEAST_PAIRS
     terms = 4 if np.median(frames.counts) >= _MANY_FRAMES else 3
     shake, regained = _shaking(x_px, frames, terms) if common_mode else (np.zeros(len(x_px)), np.ones(n.size))
     steady = x_px - shake[:, None]
     line, parabola, close = (fit_creep(steady, frames, terms=k) for k in (2, 3, terms))
     noise = measure_noise(steady - close.at(frames), close, frames, predicted_px)
-    noise_px = noise.noise_px * np.sqrt(regained)
-    paired = common_mode and pairs(side, n)[0].size >= LEAST_PAIRS
+    noise = replace(noise, noise_px=noise.noise_px * np.sqrt(regained))
     # Without pairs, what of the vibration looks like creep stays: at most as much as if it were white.
-    errors = _Errors(
-        noise_px=noise_px if paired else np.hypot(noise_px, np.std(shake)),
-        excess=noise.excess,
-        locking_px=_locking(fit, predicted_px, noise_px),
-        memory=noise.memory,
-        frames=frames,
-    )
+    stays_px = 0.0 if paired else float(np.std(shake))
+    errors = _Errors(noise, stays_px, _locking(fit, predicted_px, noise.noise_px), frames)
     creep = _choose(line, parabola, errors, _Moved(side, n, paired))
+    return _amplitude(creep, line, noise, frames, np.sqrt(mean_square(x_px, frames)), side, paired)
+
+
+def _amplitude(
+    creep: _Chosen,
+    line: Creep,
+    noise: Noise,
+    frames: StickFrames,
+    raw_px: Doubles,
+    side: Ints,
+    paired: bool,
+) -> Amplitude:
     square = creep.slope**2 / 3 + np.where(creep.bend == 0, 0.0, creep.bend**2 - creep.bend_err**2) / 5
     return Amplitude(
-        raw_px=np.where(line.good, np.sqrt(mean_square(x_px, frames)), np.nan),
+        raw_px=np.where(line.good, raw_px, np.nan),
         signed_px=np.asarray(-side * np.sign(creep.slope) * np.sqrt(square), float),
         error_px=_root_error(creep, square),
         sweep_px=-2 * side * creep.straight,
@@ -86,7 +93,7 @@ def measure_amplitude(
         uneven=noise.excess > 1,
         effective_frames=frames.counts / inflation(noise.memory, frames, 2)[:, 1],
         drift_px=2 * creep.drift,
-        noise_px=noise_px,
+        noise_px=noise.noise_px,
         memory=noise.memory,
         paired=paired,
     )
@@ -138,12 +145,11 @@ def _choose(line: Creep, parabola: Creep, errors: _Errors, moved: _Moved) -> _Ch
 
 @dataclass(frozen=True)
 class _Errors:
-    """What errors are made of: noise and locking per sheet, (sheet,), excess noise, (stick, sheet)."""
+    """What errors are made of: noise, vibration that stays, px, and locking per sheet, px, (sheet,)."""
 
-    noise_px: Doubles
-    excess: Doubles
+    noise: Noise
+    stays_px: float
     locking_px: Doubles
-    memory: Memory
     frames: StickFrames
 
     def of(self, fit: Creep) -> Doubles:
@@ -156,8 +162,9 @@ class _Errors:
 
         terms = fit.coefficient.shape[2]
         white = np.einsum("eskk->esk", fit.inverse)
-        factor = inflation(self.memory, self.frames, terms)[:, None]
-        random = np.sqrt(white * factor) * (self.noise_px * self.excess)[..., None]
+        factor = inflation(self.noise.memory, self.frames, terms)[:, None]
+        noise_px = np.hypot(self.noise.noise_px, self.stays_px) * self.noise.excess
+        random = np.sqrt(white * factor) * noise_px[..., None]
         order, phase = np.arange(terms), 2 * np.pi * np.abs(fit.coefficient[..., 1:2])
         locked = (2 * order + 1) * spherical_jn(order, phase) * self.locking_px[:, None]
         return np.asarray(np.hypot(random, locked))

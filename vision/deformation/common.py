@@ -15,6 +15,7 @@ _OWN_WAY = 8.0  # typical residuals from the other sheets beyond which one does 
 _STILL_PX = 1e-6  # least typical residual, for positions without noise
 _UNLIKE = 0.2  # share of their creep by which the sheets of a pair are first taken to differ
 _ROUNDS = 4
+_NOISY = 9.0  # times the usual variance: such pairs (one slipped by itself) say nothing of asymmetry
 
 
 def shaking(residual: Doubles) -> Doubles:
@@ -84,6 +85,7 @@ def drift(coefficient: Doubles, error: Doubles, side: Ints, n: Ints) -> Drift:
     known = np.isfinite(middle) & np.isfinite(noise)
     known &= known.sum(axis=1, keepdims=True) >= LEAST_PAIRS
     middle, inwards, noise = (np.where(known, part, 0.0) for part in (middle, inwards, noise))
+    asked = known & (noise <= _NOISY * np.median(noise[known])) if known.any() else known
     asymmetry = _UNLIKE
     for _ in range(_ROUNDS):
         weight = known / np.maximum(noise + (asymmetry * inwards) ** 2, 1e-18)
@@ -92,7 +94,7 @@ def drift(coefficient: Doubles, error: Doubles, side: Ints, n: Ints) -> Drift:
         share = np.divide(weight, total[:, None], out=np.zeros_like(weight), where=known)
         apart = (middle - value[:, None]) ** 2 - noise * (1 - share)
         asymmetry = np.sqrt(
-            max(float(apart[known].sum()), 0.0) / max(float((inwards[known] ** 2).sum()), 1e-18)
+            max(float(apart[asked].sum()), 0.0) / max(float((inwards[asked] ** 2).sum()), 1e-18)
         )
     of_sheet = np.zeros_like(coefficient)
     of_sheet[:, left] = of_sheet[:, right] = share
