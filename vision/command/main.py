@@ -16,20 +16,21 @@ from vision.errors import InputError
 
 HELP = """Follow every sheet of a stick-slip video to a hundredth of a pixel.
 
-Examples:
+The results go to a new folder, test_tracks in the working directory: overview.png to look at first, then
+tracks.csv, tracks.nc, sheets.csv, kymograph.tif and run.json. Try:
 
     track test.avi --pixel-size 10 --fps 60
-
     track test.avi --strip 60:144 --sheets 50 --out results
-
     track beam.cine --rotate 90
-
     track markers.avi --ridges dark --sheets 7
+    track 'frames/*.tiff' --fps 60
 
-Results go to a new folder, test_tracks beside the working directory: overview.png to look at first, then
-tracks.csv, tracks.nc, sheets.csv, kymograph.tif and run.json. Exit status: 0 done, 1 finished with a
-warning that matters, 2 input that cannot be used.
+Exit status: 0 done, 1 finished with a warning that matters, 2 input that cannot be used.
 """
+SUBCOMMANDS = {  # a module and a function of that name each
+    "force": "Stick-slip events, stiffness and model fits from a force recording alone.",
+    "simulate": "A synthetic traction test with known truth, to try things on.",
+}
 
 
 def make_app() -> App:
@@ -44,8 +45,8 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
     )
     app.default(track)
-    app.command("vision.command.force:force", name="force")
-    app.command("vision.command.simulate:simulate", name="simulate")
+    for name, what in SUBCOMMANDS.items():
+        app.command(f"vision.command.{name}:{name}", name=name, help=what)
     return app
 
 
