@@ -1,0 +1,93 @@
+"""Whether the best alignment may be believed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vision.clock.search import find_alignments
+from vision.clock.trains import ALONE, DRIFT_PPM, Clocks, Fit, Trains
+
+LEAST_MARGIN = 6.0
+_LEAST_LIKELIHOOD = 12.0
+_LEAST_MATCHED = 6
+_LARGEST_SCALE = 1.5
+_WANDER = 3.0  # standard errors of the correlation of one residual with the next
+_CHANCE = 3.0  # standard deviations of the likelihood of shifts of an even train
+_SIMILAR = 0.5  # of the slips: alternatives with fewer in common are no shifts
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """The alignments of two trains, best first, and what is against the first ("" where nothing is).
+
+    margin: log-likelihood of the best over the next; inf where it is the only one.
+    """
+
+    trains: Trains
+    clocks: Clocks
+    fit: Fit
+    margin: float
+    doubt: str
+
+    def errors(self) -> tuple[float, float]:
+        """Standard errors of the best clock: at the centre of its slips, s, and of its drift."""
+        paired = self.fit.partner[0] >= 0
+        weight = (self.trains.error_s[paired] * self.fit.scale[0]) ** -2.0
+        if not paired.any():
+            return float("nan"), float("nan")
+        away = self.trains.video_s[paired] - self.clocks.centre_s[0]
+        drift = 1 / np.sqrt((weight * away**2).sum() + (1e-6 * DRIFT_PPM) ** -2)
+        return float(1 / np.sqrt(weight.sum())), float(drift)
+
+
+def align(trains: Trains) -> Alignment:
+    """Find the alignments and judge the best.
+
+    It is believed only where its log-likelihood exceeds the next one's by 6, and:
+    - it pairs enough slips to be no coincidence of unrelated recordings;
+    - the residuals are what the slips' errors allow and do not wander: unrelated even trains drift through
+      each other smoothly;
+    - the lead over shifts of similar overlap exceeds what slips missed at random on both sides give an even
+      train: with shares p and q of the force's and the camera's slips paired, the number of pairs of a
+      wrong shift scatters by sqrt(n p (1 - p) (1 - q)).
+    """
+    clocks, fit = find_alignments(trains)
+    margin = float(fit.likelihood[0] - fit.likelihood[1]) if len(fit.likelihood) > 1 else float("inf")
+    return Alignment(trains, clocks, fit, margin, _doubt(trains, fit, margin))
+
+
+def _doubt(trains: Trains, fit: Fit, margin: float) -> str:
+    if fit.matched[0] < _LEAST_MATCHED or fit.likelihood[0] < _LEAST_LIKELIHOOD:
+        return f"{fit.matched[0]} slips in common are too few to tell from chance"
+    if margin <= LEAST_MARGIN:
+        return f"the next alignment fits nearly as well (margin {margin:.1f}, {LEAST_MARGIN:g} needed)"
+    if _lead_over_shifts(fit) <= _chance_of_shifts(trains, fit):
+        return "slips missed on both sides could explain the lead over shifts by whole slips"
+    if fit.scale[0] > _LARGEST_SCALE:
+        return "the slips of the two recordings lie further apart than their errors allow"
+    return (
+        "the residuals wander: the clocks do not differ by an offset and a rate"
+        if _wanders(fit, trains)
+        else ""
+    )
+
+
+def _lead_over_shifts(fit: Fit) -> float:
+    shifts = fit.likelihood[1:][fit.force[1:] >= _SIMILAR * fit.force[0]]
+    return float(fit.likelihood[0] - shifts.max(initial=-np.inf))
+
+
+def _chance_of_shifts(trains: Trains, fit: Fit) -> float:
+    matched, force, video = int(fit.matched[0]), int(fit.force[0]), int(fit.video[0])
+    p, q = (matched + 1) / (force + 2), (matched + 1) / (video + 2)
+    scatter = np.sqrt(max(force * p * (1 - p) * (1 - q), 0.0))
+    return float(_CHANCE * scatter * (np.median(trains.earned()) - 2 * ALONE))
+
+
+def _wanders(fit: Fit, trains: Trains) -> bool:
+    """Whether neighbouring residuals are alike beyond chance (von Neumann's ratio)."""
+    z = (fit.residual_s[0] / trains.error_s)[fit.partner[0] >= 0]
+    alike = 1 - np.sum(np.diff(z) ** 2) / (2 * max(np.sum(z**2), np.finfo(float).tiny))
+    return bool(alike * np.sqrt(len(z)) > _WANDER)
