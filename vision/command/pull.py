@@ -81,6 +81,8 @@ def _fill(pull: Pull, tracks: xr.Dataset, value: Mapping[str, Any]) -> None:
     pull.fits = _models(pull, sticks)
     clock = pull.clock = synchronise(tracks, pull.force, sticks, offset_s=value["offset"])
     pull.warnings += list(clock.warnings)
+    if clock.status == "ambiguous":  # its warning says so; frames cannot be told to stick phases
+        return
     motion = pull.motion = horizontal_deformation(tracks, sticks, clock, pixel_size_um=value["pixel_size"])
     model = pull.fits.effective_sheets if pull.fits else None
     pull.shells = classify_shells(motion, threshold=pull.threshold, effective_sheets=model)

@@ -1,0 +1,85 @@
+"""`track VIDEO --force FILE` as typed, on the bundled recordings."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+from vision.command.main import run
+
+PAPER = Path(__file__).parents[2] / "fixtures" / "paper"
+VIDEO = [
+    str(PAPER / "video.avi"),
+    "--timestamps",
+    str(PAPER / "timestamps.txt"),
+    "--pixel-size",
+    "10",
+    "--out",
+    "run",
+]
+FORCE = ["--force", str(PAPER / "force.txt"), "--d0", "13"]
+
+
+@pytest.fixture(autouse=True)
+def there(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    with xr.open_dataset(PAPER / "truth.nc", engine="h5netcdf") as data:
+        return data.load()
+
+
+def test_with_the_offset_known_ratios_and_shells_are_those_of_the_truth(truth, capsys):
+    """A failure means that the tables of the publication's main result are wrong or missing."""
+    assert run([*VIDEO, *FORCE, "--offset", str(truth.attrs["offset_s"])]) == 0
+    table = pd.read_csv("run/deformation.csv")
+    columns = (
+        "event,index,side,n,sigma_x_um,sigma_x_corrected_um,sweep_um,stick_length_um,ratio,ratio_err,p_stiff"
+    )
+    assert list(table.columns[:12]) == [*columns.split(","), "shell"]
+    events = pd.read_csv("run/events.csv")
+    first = "event,t_v_s,t_p_s,d_v_mm,d_p_mm,F_v_N,F_p_N,dF_N,stick_length_um,slip_length_um,K_N_per_mm,K_err_N_per_mm"
+    assert list(events.columns[:12]) == first.split(",")
+    start = events.set_index("event")["t_v_s"][table["event"].unique()].to_numpy()
+    same = np.abs(start[:, None] - truth["t_v_s"].values).argmin(axis=1)
+    ratio = table.pivot_table(index="event", columns="index", values="ratio", dropna=False).to_numpy()
+    assert np.nanmedian(np.abs(ratio - truth["ratio"].values[same])) < 0.01
+    shells = pd.read_csv("run/shells.csv")
+    assert list(
+        shells.columns[:7]
+    ) == "event,d_v_mm,side,stiff_sheets,stiff_low,stiff_high,M_eff_model".split(",")
+    assert (shells["stiff_sheets"] - shells["M_eff_model"]).abs().max() < 2
+    assert {"offset_s", "drift_ppm", "residual_ms", "matched", "status"} <= set(
+        json.loads(Path("run/clock.json").read_text())
+    )
+    assert "stiff sheets a side 13" in capsys.readouterr().out
+
+
+def test_few_slips_are_called_ambiguous_and_nothing_is_guessed(capsys):
+    """A failure means that a clock shifted by an event could pass for the right one."""
+    assert run([*VIDEO, *FORCE]) == 1
+    assert "ambiguous" in capsys.readouterr().err
+    assert json.loads(Path("run/clock.json").read_text())["status"] == "ambiguous"
+    assert not Path("run/deformation.csv").exists()
+    assert len(pd.read_csv("run/tracks.csv")) == 300 * 50
+
+
+def test_a_recording_that_does_not_fit_keeps_the_tracks(capsys):
+    """A failure means that an hour of tracking is thrown away for a wrong offset."""
+    assert run([*VIDEO, *FORCE, "--offset", "100000"]) == 2
+    assert "the tracks are kept in run" in capsys.readouterr().err
+    assert Path("run/tracks.csv").exists()
+    assert Path("run/events.csv").exists()
+    assert json.loads(Path("run/run.json").read_text())["force_problem"]
+
+
+def test_a_recording_that_cannot_be_read_is_said_before_the_work(capsys):
+    """A failure means that a wrong file is noticed only after the video was read."""
+    assert run([*VIDEO, "--force", str(PAPER / "truth.nc")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not Path("run").exists()
