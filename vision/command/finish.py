@@ -5,9 +5,10 @@ from __future__ import annotations
 import shlex
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from vision.command.console import complain, say
 from vision.run.provenance import Parameter
@@ -41,8 +42,11 @@ class Run:
         return None if value is None else float(value)
 
 
-def write(run: Run, target: Path, *, overwrite: bool) -> None:
-    """The run folder, whole or not at all.  Raises: InputError where it cannot be written."""
+def write(run: Run, target: Path, describe: Callable[[], dict[str, Any]], *, overwrite: bool) -> None:
+    """The run folder, whole or not at all.
+
+    describe: waits for the video's size and checksum.  Raises: InputError where it cannot be written.
+    """
     from vision.report.overview import write_kymograph_png, write_overview
     from vision.run.folder import run_folder
     from vision.run.kymograph import write_kymograph_tif
@@ -50,17 +54,19 @@ def write(run: Run, target: Path, *, overwrite: bool) -> None:
     from vision.video import reference_frame
 
     started, size = time.perf_counter(), run.pixel_size_um
+    frame = reference_frame(run.recording)
     with run_folder(target, overwrite=overwrite) as folder:
         write_tracks_csv(run.tracks, folder / "tracks.csv", pixel_size_um=size)
         write_tracks_nc(run.tracks, folder / "tracks.nc", pixel_size_um=size)
         sheets_table(run.tracks).to_csv(folder / "sheets.csv", index=False, lineterminator="\n")
         write_kymograph_tif(run.profile, folder / "kymograph.tif", pixel_size_um=size)
         write_kymograph_png(folder / "kymograph.png", run.profile, pixel_size_um=size)
-        frame = reference_frame(run.recording)
         write_overview(folder / "overview.png", frame, run.profile, run.tracks, pixel_size_um=size)
         _write_pull(run, folder)
         run.seconds["writing"] = time.perf_counter() - started
-        _write_facts(run, folder)
+        inputs = [describe()]
+        run.seconds["waiting for the checksum"] = time.perf_counter() - started - run.seconds["writing"]
+        _write_facts(run, inputs, folder)
 
 
 def _write_pull(run: Run, folder: Path) -> None:
@@ -70,13 +76,13 @@ def _write_pull(run: Run, folder: Path) -> None:
         write_pull(run.pull, folder)
 
 
-def _write_facts(run: Run, folder: Path) -> None:
+def _write_facts(run: Run, inputs: list[dict[str, Any]], folder: Path) -> None:
     from vision.command.pull import pull_facts
     from vision.run.provenance import describe_input, write_run_json
     from vision.run.summary import run_facts
 
     command = shlex.join(["track", *sys.argv[1:]])
-    facts = run_facts(command, run.recording.path, run.profile, run.tracks, run.options, run.seconds)
+    facts = run_facts(command, inputs, run.profile, run.tracks, run.options, run.seconds)
     if run.pull is not None:
         facts |= pull_facts(run.pull)
         facts["warnings"] += run.pull.warnings

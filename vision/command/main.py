@@ -1,4 +1,4 @@
-"""The console command: one default action, subcommands loaded when they are called."""
+"""The console command: one default action and subcommands; heavy imports wait until one of them runs."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ from typing import Any
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
 from vision.command.console import complain
+from vision.command.export import export
+from vision.command.force import force
+from vision.command.kymograph import kymograph
+from vision.command.simulate import simulate
 from vision.command.track import track
 from vision.errors import InputError
 
@@ -27,14 +31,10 @@ tracks.csv, tracks.nc, sheets.csv, kymograph.tif and run.json. Try:
 
 Exit status: 0 done, 1 finished with a warning that matters, 2 input that cannot be used.
 """
-SUBCOMMANDS = {  # a module and a function of that name each
-    "force": "Stick-slip events, stiffness and model fits from a force recording alone.",
-    "simulate": "A synthetic traction test with known truth, to try things on.",
-}
 
 
 def make_app() -> App:
-    """The application; heavy imports wait until a command runs."""
+    """The application with all its commands."""
     from vision import __version__
 
     app = App(
@@ -45,8 +45,8 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
     )
     app.default(track)
-    for name, what in SUBCOMMANDS.items():
-        app.command(f"vision.command.{name}:{name}", name=name, help=what)
+    for command in (force, simulate, kymograph, export):
+        app.command(command)
     return app
 
 

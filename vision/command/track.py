@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,6 +16,7 @@ from vision.command.pull import analyse, read_recording
 from vision.errors import InputError
 from vision.run.provenance import Parameter
 
+SWITCH = Option(negative="", show_default=False)
 DEFAULTS: dict[str, Any] = {
     "strip": "auto",
     "columns": None,
@@ -63,9 +65,9 @@ def track(
     threshold: float | None = None,
     config: Path | None = None,
     out: Path | None = None,
-    overwrite: Annotated[bool, Option(negative="")] = False,
-    quiet: Annotated[bool, Option(negative="")] = False,
-    verbose: Annotated[bool, Option(negative="")] = False,
+    overwrite: Annotated[bool, SWITCH] = False,
+    quiet: Annotated[bool, SWITCH] = False,
+    verbose: Annotated[bool, SWITCH] = False,
 ) -> int:
     """Track every sheet of a video: positions x(n,t), their errors, pictures and tables in a new folder.
 
@@ -115,7 +117,7 @@ def track(
     config
         TOML file with any of these options; the command line wins.
     out
-        Run folder; <video name>_tracks in the working directory by default.
+        Run folder; for NAME.avi, NAME_tracks in the working directory by default.
     overwrite
         Replace an earlier run folder.
     quiet
@@ -124,19 +126,24 @@ def track(
         All of run.json's findings in the summary.
     """
     from vision.run.folder import check_target
+    from vision.run.provenance import described_meanwhile
 
     options = merge({name: value for name, value in locals().items() if name in DEFAULTS}, DEFAULTS, config)
     target = out or Path(f"{_name(video)}_tracks")
     check_target(target, overwrite=overwrite)
-    run = _measure(video, options, quiet=quiet)
-    write(run, target, overwrite=overwrite)
+    with described_meanwhile(video) as describe:
+        run = _measure(video, options, quiet=quiet)
+        write(run, target, describe, overwrite=overwrite)
     return report(run, target, quiet=quiet, verbose=verbose)
 
 
 def _name(video: Path) -> str:
-    """Base name of the run folder."""
-    name = video.stem if video.suffix else video.name
-    return "".join(c for c in name if c not in '*?[]<>|:"') or "video"
+    """Base name of the run folder: the file's or folder's own; of a pattern what is no wildcard."""
+    whole = video.absolute() if video.name else video.resolve()
+    if whole.exists():
+        return whole.name if whole.is_dir() else whole.stem
+    plain = "".join(c for c in whole.stem if c not in '*?[]<>|:"').strip("_-. ")
+    return plain or whole.parent.name or "video"
 
 
 def _measure(video: Path, options: dict[str, Parameter], *, quiet: bool) -> Run:
@@ -156,6 +163,7 @@ def _measure(video: Path, options: dict[str, Parameter], *, quiet: bool) -> Run:
         timestamps=None if value["timestamps"] is None else Path(value["timestamps"]),
     )
     rows, columns = parse_range(value["strip"], "--strip"), parse_range(value["columns"], "--columns")
+    _check_width(settings, recording.shape[1])
     with frame_progress("reading", quiet=quiet) as progress:
         profile = strip_profile(recording, rows, columns=columns, progress=progress)
     read = time.perf_counter()
@@ -181,3 +189,13 @@ def track_settings(value: dict[str, Any]) -> dict[str, Any]:
         "fit": choice(value["fit"], "--fit", ("sliding", "paper", "template")),
         "window_px": window,
     }
+
+
+def _check_width(settings: Mapping[str, Any], width: int) -> None:
+    """InputError for a length in px that is far beyond a picture of this width."""
+    axis, window = settings["axis_px"], settings["window_px"]
+    if axis is not None and not -width <= axis <= 2 * width:
+        found, advice = f"{axis:g}", "give it in px, counted from the left"
+        raise InputError("--axis", f"a column within or near the picture's {width}", found, advice)
+    if isinstance(window, int) and window > width:
+        raise InputError("--window", f"at most the picture's {width} columns", str(window), "try auto")

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from vision.errors import InputError
+
 PACKAGES = ("av", "h5netcdf", "numpy", "opencv-python-headless", "pandas", "scipy", "tifffile", "xarray")
 CHUNK_BYTES = 1 << 22
 
@@ -61,7 +63,8 @@ def described_meanwhile(path: Path) -> Iterator[Callable[[], dict[str, Any]]]:
     """`describe_input` in a thread while the recording is decoded; yields a function that waits for it.
 
     A checksum needs every byte, tracking only the strip's: for large files it is the longer of the two.
-    Leaving the block before the end stops the thread.
+    Leaving the block before the end stops the thread.  Raises: InputError, from that function, for an input
+    that can no longer be read.
     """
     stop, found, failed = threading.Event(), [], []
 
@@ -74,7 +77,8 @@ def described_meanwhile(path: Path) -> Iterator[Callable[[], dict[str, Any]]]:
     def result() -> dict[str, Any]:
         worker.join()
         if failed:
-            raise failed[0]
+            why = (failed[0].strerror or str(failed[0])).lower()
+            raise InputError(path, "an input that stays there until the end", why)
         return found[0]
 
     worker = threading.Thread(target=work, daemon=True)

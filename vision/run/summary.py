@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vision.run.provenance import Parameter, describe_input, versions
+from vision.run.provenance import Parameter, versions
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -54,13 +54,13 @@ def findings(profile: xr.DataArray, tracks: xr.Dataset) -> dict[str, Any]:
 
 def run_facts(
     command: str,
-    video: Path,
+    inputs: Sequence[Mapping[str, Any]],
     profile: xr.DataArray,
     tracks: xr.Dataset,
     options: Mapping[str, Parameter],
     seconds: Mapping[str, float],
 ) -> dict[str, Any]:
-    """Everything run.json holds."""
+    """Everything run.json holds.  inputs: from `describe_input`."""
     known = ("frames_expected", "frames_read", "frames_lost", "frames_blank", "frames_corrupt")
     parts = {
         "strip_z0",
@@ -78,7 +78,7 @@ def run_facts(
         "versions": versions(),
         "parameters": options,
         "found": findings(profile, tracks),
-        "inputs": [describe_input(video)],
+        "inputs": list(inputs),
         "recording": {k: v for k, v in profile.attrs.items() if k not in parts and k not in known},
         "frames": {name.removeprefix("frames_"): profile.attrs[name] for name in known},
         "positions": flag_counts(tracks),
@@ -115,12 +115,13 @@ def summary_lines(
     flags = flag_counts(tracks)
     other = ", ".join(f"{count} {name}" for name, count in flags.items() if name != "ok") or "none missing"
     tilt = "" if not np.isfinite(a["tilt_deg"]) else f", lean {a['tilt_deg']:+.2f}°"
-    bad = ", ".join(f"{a[f'frames_{name}']} {name}" for name in ("lost", "blank", "corrupt"))
+    corrupt = f" ({a['frames_corrupt']} of them corrupt)" if a["frames_corrupt"] else ""
     origin = "given" if t["axis_how"] == "given" else f"found from {t['axis_how']}"
     return [
         f"sheets     {t['sheets']} {t['ridges']} ridges ({(side < 0).sum()} left, {(side > 0).sum()} right)"
         f"; {t['ridges_dropped']} other ridges left out",
-        f"frames     {a['frames_read']} of {a['frames_expected']} read; {bad}",
+        f"frames     {a['frames_read']} of {a['frames_expected']} read; {a['frames_lost']} lost{corrupt}, "
+        f"{a['frames_blank']} blank",
         f"positions  {flags.get('ok', 0)} measured; {other}",
         f"noise      {noise['measured_px']:.4f} px{length} measured, "
         f"{noise['predicted_px']:.4f} px predicted",

@@ -1,0 +1,81 @@
+"""`track --help`: complete, narrow and quick."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.comb_video import write_video
+from vision.command.main import HELP, run
+
+ROOT = Path(__file__).parents[2]
+HEAVY = {"pandas", "xarray", "matplotlib", "scipy", "skimage", "cv2", "av", "tifffile", "h5py"}
+EXAMPLES = [line.strip() for line in HELP.splitlines() if line.startswith("    track ")]
+
+
+@pytest.mark.parametrize("command", [[], ["force"], ["simulate"], ["kymograph"], ["export"]])
+def test_help_fits_a_terminal_of_80_columns(command, capsys, monkeypatch):
+    """A failure means that help wraps into a mess, or that a command is without words of its own."""
+    monkeypatch.setenv("COLUMNS", "80")
+    assert run([*command, "--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert len(lines[2].strip()) > 30
+
+
+def test_help_shows_examples_and_every_command(capsys):
+    """A failure means that the examples are swallowed, or that a command is a bare name."""
+    assert run(["--help"]) == 0
+    said = capsys.readouterr().out
+    assert len(EXAMPLES) >= 4
+    for example in EXAMPLES:
+        assert example in said
+    for command in ("export", "force", "kymograph", "simulate"):
+        assert re.search(rf"{command} +[A-Z]\w+", said), command
+    assert "NAME_tracks" in said
+
+
+@pytest.mark.parametrize("example", EXAMPLES)
+def test_examples_have_no_option_that_does_not_exist(example, tmp_path, monkeypatch, capsys):
+    """A failure means that the first command a reader copies is refused."""
+    monkeypatch.chdir(tmp_path)
+    arguments = shlex.split(example)[1:]
+    assert run([str(tmp_path / "none" / Path(arguments[0]).name), *arguments[1:]]) == 2
+    assert re.search(r"No such file|found none", capsys.readouterr().err)
+
+
+def test_help_loads_nothing_heavy():
+    """A failure means that `track --help` takes seconds."""
+    code = (
+        f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
+        "from vision.command.main import run; run(['--help'])\n"
+        f"print(sorted({HEAVY!r} & set(sys.modules)), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("given", "folder"),
+    [
+        ("a.b.tif", "a.b_tracks"),
+        ("set [1].tif", "set [1]_tracks"),
+        ("frames.v2", "frames.v2_tracks"),
+        ("frames.v2/*.tif", "frames.v2_tracks"),
+        ("frames.v2/cam_*.tif", "cam_tracks"),
+        (".", "here_tracks"),
+    ],
+)
+def test_the_run_folder_is_named_after_the_video(given, folder, tmp_path, monkeypatch):
+    """A failure means that results go to a folder nobody looks for, such as `_tracks`."""
+    place = tmp_path / "here"
+    (place / "frames.v2").mkdir(parents=True)
+    monkeypatch.chdir(place)
+    write_video(place / (given if given in ("a.b.tif", "set [1].tif") else "frames.v2/cam_1.tif"))
+    if given == ".":
+        (place / "frames.v2" / "cam_1.tif").rename(place / "cam_1.tif")
+    assert run([given, "--quiet"]) == 0
+    assert (place / folder / "run.json").exists()
