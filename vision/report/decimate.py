@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 Doubles = NDArray[np.float64]
 
 _COLUMNS_AT_ONCE = 16  # so that memory stays at a few copies of some columns
+_ROWS_AT_ONCE = 64  # of an image, likewise
 
 
 def outline(x: Doubles, y: NDArray[np.floating], *, most: int) -> tuple[Doubles, Doubles]:
@@ -68,29 +69,35 @@ def time_rows(
 ) -> tuple[NDArray[np.float32], Doubles]:
     """Rows of an image at even steps of time, each the mean of its frames.
 
-    Args: values (frames, columns), NaN rows for lost frames; time (frames,), rising.
+    A row between two frames of an uneven clock takes the row before it.
+
+    Args: values (frames, columns), NaN rows for lost frames, read in parts; time (frames,), rising.
     Returns: rows (k, columns), NaN where no frame lies; the k + 1 edges in time.
     """
     count = min(most, len(time))
     half = 0.5 * (time[-1] - time[0]) / max(1, count - 1) or 0.5
     edges = np.linspace(time[0] - half, time[-1] + half, count + 1)
-    first = np.searchsorted(time, edges[:-1])
-    last = np.searchsorted(time, edges[1:])
-    known = np.isfinite(values).all(axis=1)
-    filled = np.where(known[:, None], values, 0).astype(np.float32)
-    starts = np.minimum(first, len(time) - 1)
-    total = np.add.reduceat(filled, starts, axis=0)
-    frames = np.add.reduceat(known.astype(np.int64), starts)
-    rows = np.full(total.shape, np.nan, np.float32)
-    good = (last > first) & (frames > 0)
-    rows[good] = total[good] / frames[good, None]
-    return _fill_single(rows, last > first), edges
-
-
-def _fill_single(rows: NDArray[np.float32], has_frame: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """A row that fell between two frames of an uneven clock takes the row before it."""
+    place = np.searchsorted(time, edges)
+    rows = np.empty((count, values.shape[1]), np.float32)
+    for start in range(0, count, _ROWS_AT_ONCE):
+        ends = place[start : start + _ROWS_AT_ONCE + 1]
+        rows[start : start + _ROWS_AT_ONCE] = _row_means(values[ends[0] : ends[-1]], ends - ends[0])
+    has_frame = np.diff(place) > 0
     lone = np.flatnonzero(~has_frame[1:] & has_frame[:-1]) + 1
     rows[lone] = rows[lone - 1]
+    return rows, edges
+
+
+def _row_means(values: NDArray[np.floating], ends: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Means of the known frames between neighbouring ends, (len(ends) - 1, columns); NaN for none."""
+    rows = np.full((len(ends) - 1, values.shape[1]), np.nan, np.float32)
+    known = np.isfinite(values).all(axis=1)
+    filled = np.flatnonzero(np.diff(ends) > 0)
+    if filled.size:
+        total = np.add.reduceat(np.where(known[:, None], values, 0), ends[filled], axis=0, dtype=np.float64)
+        frames = np.add.reduceat(known.astype(np.int64), ends[filled])
+        good = frames > 0
+        rows[filled[good]] = total[good] / frames[good, None]
     return rows
 
 

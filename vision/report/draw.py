@@ -12,7 +12,7 @@ from vision.report.style import QUIET
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_MOST_LABELS = 26
+_MOST_LABELS = 30  # side by side
 _DASHES = (0, (4, 2))
 _MOST_IN_LEGEND = 8
 
@@ -24,6 +24,8 @@ def draw_chart(ax: Axes, chart: Chart) -> Axes:
     """
     if chart.picture is not None:
         _draw_picture(ax, chart)
+    if chart.x_range is not None and not chart.upright_time:
+        ax.set_xlim(chart.x_range)
     _draw_bands(ax, chart)
     right: Axes | None = ax.twinx() if chart.y2_label else None
     for series in chart.series:
@@ -66,12 +68,12 @@ def _draw_bands(ax: Axes, chart: Chart) -> None:
 
 def _draw_series(ax: Axes, series: Series, upright: bool) -> None:
     colour = series.ink[0]
+    if series.low is not None and series.high is not None:
+        ax.vlines(series.x, series.low, series.high, color=colour, lw=0.9)
     if series.look == "steps":
         width = float(series.x[1] - series.x[0]) if len(series.x) > 1 else 1.0
         ax.bar(series.x, series.y, width, color=colour, alpha=0.5, ec=colour, label=series.label)
         return
-    if series.low is not None and series.high is not None:
-        ax.vlines(series.x, series.low, series.high, color=colour, lw=0.9)
     if series.look == "ticks":
         _number_ticks(ax, series)
         return
@@ -85,8 +87,10 @@ def _draw_series(ax: Axes, series: Series, upright: bool) -> None:
 
 
 def _number_ticks(ax: Axes, series: Series) -> None:
-    """The text above every tick, thinned to what can be read."""
-    step = max(1, -(-2 * len(series.x) // _MOST_LABELS))
+    """The text above every tick, thinned to what can be read; the axes' x range must be set."""
+    low, high = ax.get_xlim()
+    pitch = float(np.median(np.diff(series.x))) if len(series.x) > 1 else high - low
+    step = max(1, int(np.ceil((high - low) / _MOST_LABELS / max(pitch, 1e-9))))
     box = {"boxstyle": "round,pad=0.12", "fc": "white", "ec": "none", "alpha": 0.75}
     assert series.low is not None
     for x, y, text in list(zip(series.x, series.low, series.text, strict=True))[::step]:

@@ -104,9 +104,8 @@ def clock_chart(
         name="clocks",
         title="Clock check: force and sheets on one time axis",
         caption=(
-            "Force (solid, left, above) and mean outward displacement of the sheets (dashed, right, "
-            "below) on the "
-            "force clock, "
+            "Force (solid, left, above) and mean outward displacement of all sheets (dashed, right, below) "
+            "on the force clock, "
             f"t_force = {clock.offset_s:.4f} s + (1 {clock.drift_ppm:+.0f} ppm) t_video. Zoom in to one "
             "slip: the "
             f"steps must fall together. {clock.matched} slips matched, median residual "
@@ -117,7 +116,7 @@ def clock_chart(
         x_label="t (s, force clock)",
         first_view=_some_sticks(t_video, sticks),
         y_label=_force_label(force, "F"),
-        y2_label=f"mean outward displacement ({unit})",
+        y2_label=f"outward motion ({unit})",
         series=(
             Series(label="force", x=t_force, y=load[:, 0], ink=QUIET),
             Series(label="sheets", x=t_video, y=opened[:, 0], ink=DATA, dashed=True, axis="right"),

@@ -88,10 +88,15 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
     speed = float(force.attrs.get("speed_mm_min", math.nan))
     pulled = f" at {speed:.3g} mm/min" if math.isfinite(speed) else ""
     facts = sticks.attrs
+    how = {
+        "noise": "a multiple of the noise",
+        "gap": "where the sizes of the drops leave a gap above the noise",
+        "given": "as given",
+    }[facts["threshold_how"]]
     return (
         f"The traction force was recorded while the blocks were pulled apart{pulled}. Slips are drops of "
         "more than "
-        f"{facts['threshold_N']:.3g} N ({facts['threshold_how']}; noise {facts['noise_N']:.2g} N), "
+        f"{facts['threshold_N']:.3g} N ({how}; the noise is {facts['noise_N']:.2g} N), "
         "placed at the "
         f"steepest fall; {len(sticks)} stick phases were found. Peak and valley forces F_p and F_v are "
         "those of "
