@@ -137,6 +137,23 @@ def test_long_recordings_are_averaged_not_thinned(ax, monkeypatch):
     assert np.isnan(rows[3])
 
 
+def test_the_picture_says_what_its_marks_are(tmp_path):
+    """A failure means marks of unknown origin, or a note on marks that are not there."""
+    path, slips = tmp_path / "k.svg", np.array([1.0])
+    write_space_time_picture(path, [diagram_of(**WINDOW)], slips_s=slips, slips_from="the sheets")
+    assert "orange: slips, from the sheets" in path.read_text()
+    write_space_time_picture(path, [diagram_of(**WINDOW)], slips_s=slips[:0])
+    assert "orange" not in path.read_text()
+
+
+@pytest.mark.parametrize("panels", [1, 2, 5, 12])
+def test_any_number_of_panels_fits(tmp_path, panels):
+    """A failure means panels crushed to nothing (the layout warns, and warnings are errors here)."""
+    for frames in (1, 2, 60, 3000):
+        diagrams = [diagram_of(frames, **WINDOW)] * panels
+        write_space_time_picture(tmp_path / "k.png", diagrams, slips_s=np.array([1.0]))
+
+
 def test_panels_share_one_grey_scale_and_the_file_s_ending_is_its_kind(tmp_path):
     """A failure means that brightness cannot be compared between panels, or an unreadable file."""
     low, high = grey_limits([diagram_of(), diagram_of() * 2])

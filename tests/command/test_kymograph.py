@@ -133,7 +133,28 @@ def test_slips_are_moved_to_the_video_s_clock_where_it_is_sure(there, status, kn
     else:
         assert found is None
     assert run(["kymograph", "comb_tracks"]) == 0
-    assert ("3 in the part shown" if known else "not known") in capsys.readouterr().out
+    # without a sure clock the two jumps of the film are seen by the sheets alone
+    marked = "3 in the part shown, from the force" if known else "2 in the part shown, from the sheets"
+    assert marked in capsys.readouterr().out
+
+
+def test_without_a_force_the_sheets_own_jumps_are_marked(there, capsys):
+    """A failure means no marks, or marks at the wrong frames, in a run without force."""
+    for part, jumps in (("0:19", 0), ("0:22", 1), ("0:60", 2), ("22:38", 0), ("42:60", 0)):
+        assert run(["kymograph", "comb_tracks", "--frames", part, "--overwrite"]) == 0
+        assert f"{jumps} in the part shown, from the sheets" in capsys.readouterr().out
+    assert run(["kymograph", "comb.tif"]) == 0
+    assert "not known" in capsys.readouterr().out  # no sheet asked for, so none tracked
+
+
+def test_jumps_are_not_marked_where_outward_is_a_guess(there, capsys):
+    """A failure means marks in a recording whose sheets need not move outwards at all."""
+    still = np.repeat(positions()[:1], 60, axis=0)
+    write_video(there / "still.tif", frames_of(still))
+    assert run(["kymograph", "still.tif", *SHEET, "--fps", "20"]) == 0
+    assert "not known" in capsys.readouterr().out
+    assert run(["kymograph", "still.tif", *SHEET, "--fps", "20", "--axis", "90", "--overwrite"]) == 0
+    assert "0 in the part shown" in capsys.readouterr().out
 
 
 def test_run_json_traces_the_diagram_back(there):

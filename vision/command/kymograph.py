@@ -57,8 +57,8 @@ def kymograph(
 ) -> int:
     """Space-time diagrams: the whole strip, or windows around sheets, side by side.
 
-    Writes a 16-bit TIFF for each, which Fiji opens in µm and s, and one picture with axes; slips are marked
-    where a run knows them.
+    Writes a 16-bit TIFF for each, which Fiji opens in µm and s, and one picture with axes. Slips are marked:
+    those of a run's force recording, else the common outward steps of the sheets.
 
     Examples:
 
@@ -202,15 +202,15 @@ def _about(diagram: xr.DataArray) -> dict[str, Any]:
 
 
 def _slips(source: Source, diagram: xr.DataArray) -> str:
-    """How many slips are marked, or why none is."""
+    """How many slips are marked and what they were taken from, or why none is."""
     from vision.run.kymograph import frame_step_s
 
-    if source.slips_s is None:
-        return "not known: they take a run with --force whose clocks agree"
-    times = diagram["time_s"].values
+    if source.slips is None:
+        return "not known: without a force they take tracked sheets and a symmetry axis"
+    times, slips_s = diagram["time_s"].values, source.slips.times_s
     half = frame_step_s(times) / 2
-    seen = (source.slips_s >= times[0] - half) & (source.slips_s <= times[-1] + half)
-    return f"{seen.sum()} in the part shown"
+    seen = (slips_s >= times[0] - half) & (slips_s <= times[-1] + half)
+    return f"{seen.sum()} in the part shown, from {source.slips.how}"
 
 
 def _write(
@@ -229,10 +229,12 @@ def _write(
     from vision.run.provenance import write_run_json
 
     names = [f"kymograph_{d.attrs.get('sheet', 'strip').replace(':', '')}.tif" for d in diagrams]
+    slips = source.slips
+    marks: dict[str, Any] = {} if slips is None else {"slips_s": slips.times_s, "slips_from": slips.how}
     with run_folder(target, overwrite=overwrite) as folder:
         for name, diagram in zip(names, diagrams, strict=True):
             write_space_time_tif(diagram, folder / name, pixel_size_um=source.pixel_size_um)
-        write_space_time_picture(folder / f"kymograph.{picture}", diagrams, slips_s=source.slips_s)
+        write_space_time_picture(folder / f"kymograph.{picture}", diagrams, **marks)
         write_run_json(folder, {**facts, "seconds": {"total": clock.perf_counter() - started}})
     return [*names, f"kymograph.{picture}"]
 

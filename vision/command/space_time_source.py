@@ -40,14 +40,22 @@ class VideoOptions:
 
 
 @dataclass(frozen=True)
+class Slips:
+    """Times on the video's clock, and what they were taken from."""
+
+    times_s: NDArray[np.float64]
+    how: str
+
+
+@dataclass(frozen=True)
 class Source:
-    """strip, I(x, t).  tracks, where sheets are known.  slips_s, their times on the video's clock, None where
-    not known.  files, what was read.  warnings, what is wrong with it.
+    """strip, I(x, t).  tracks, where sheets are known.  slips, None where not known.  files, what was read.
+    warnings, what is wrong with it.
     """
 
     strip: xr.DataArray
     tracks: xr.Dataset | None
-    slips_s: NDArray[np.float64] | None
+    slips: Slips | None
     pixel_size_um: float | None
     files: tuple[Path, ...]
     warnings: tuple[str, ...]
@@ -75,7 +83,7 @@ def from_run(
     return Source(
         strip=strip,
         tracks=run.tracks,
-        slips_s=slip_times_s(run),
+        slips=_slips(run.tracks, slip_times_s(run)),
         pixel_size_um=run.pixel_size_um if pixel_size_um is None else pixel_size_um,
         files=tuple(folder / name for name in files if (folder / name).exists()),
         warnings=(),
@@ -121,4 +129,21 @@ def from_video(
         tracks = track_sheets(strip, ridges=reading.ridges or "auto", sheets=sheets, axis_px=reading.axis)
         warnings = warnings_that_matter(strip, tracks)
     given = () if reading.timestamps is None else (reading.timestamps,)
-    return Source(strip, tracks, None, pixel_size_um, (path, *given), tuple(warnings))
+    return Source(strip, tracks, _slips(tracks, None), pixel_size_um, (path, *given), tuple(warnings))
+
+
+def _slips(tracks: xr.Dataset | None, force_s: NDArray[np.float64] | None) -> Slips | None:
+    """The force's slips where its clock is sure, else the sheets' common outward steps.
+
+    None where the axis was only guessed from the sheets' places: which way is outward is not known then.
+    """
+    from vision.clock import video_slips
+
+    if force_s is not None:
+        return Slips(force_s, "the force")
+    if tracks is None or tracks.attrs["axis_how"] == "geometry":
+        return None
+    try:
+        return Slips(video_slips(tracks)["time_s"].to_numpy(), "the sheets' common steps")
+    except InputError:  # too few frames, or none with a time: nothing to mark
+        return None

@@ -28,11 +28,16 @@ ROWS_AT_ONCE = 256  # of a page, averaged at a time
 
 
 def write_space_time_picture(
-    path: Path, diagrams: Sequence[xr.DataArray], *, slips_s: Doubles | None = None
+    path: Path,
+    diagrams: Sequence[xr.DataArray],
+    *,
+    slips_s: Doubles | None = None,
+    slips_from: str = "the force",
 ) -> None:
     """One panel per diagram of `space_time`, side by side, with one time axis and one grey scale for all.
 
-    The kind of picture is the file name's ending: png, pdf or svg.
+    slips_s, times on the recording's clock, taken from `slips_from`. The kind of picture is the file name's
+    ending: png, pdf or svg.
     """
     from matplotlib.figure import Figure
 
@@ -48,10 +53,9 @@ def write_space_time_picture(
             draw_space_time(ax, diagram, slips_s=slips_s, limits=limits)
             ax.label_outer()
             ax.xaxis.set_tick_params(labelbottom=True)
-        if slips_s is not None:
-            figure.supxlabel(
-                "orange: slips, from the force", color=SLIP_COLOUR, fontsize=8, x=0.99, ha="right"
-            )
+        if slips_s is not None and slips_s.size:
+            about = f"orange: slips, from {slips_from}"
+            figure.supxlabel(about, color=SLIP_COLOUR, fontsize=8, x=0.99, ha="right")
         figure.savefig(path, dpi=150)
 
 
@@ -93,6 +97,8 @@ def grey_limits(diagrams: Sequence[xr.DataArray]) -> Limits:
 
 def _mark(ax: Axes, slips_s: Doubles) -> None:
     """A pointer at both edges for each slip and a thin line across; short ticks alone where they are many."""
+    if not slips_s.size:  # nothing drawn would still take room in the layout
+        return
     few = slips_s.size <= MOST_LINES
     look: dict[str, Any] = {"ms": 5, "mec": "white", "mew": 0.5} if few else {"ms": 9, "mew": 0.6}
     for place, pointer in ((0.0, ">"), (1.0, "<")):
