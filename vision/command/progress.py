@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def frame_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[[int, int | None], None] | None]:
-    """A function to call with (frames done, frames expected or None); None where nobody watches."""
+    """A function to call with (frames done, frames in all or None); None where nobody watches."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -27,7 +27,7 @@ def frame_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[[int,
     with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None)
 
-        def show(done: int, expected: int | None) -> None:
-            bar.update(task, completed=done, total=expected)
+        def show(done: int, in_all: int | None) -> None:
+            bar.update(task, completed=done, total=in_all)
 
         yield show

@@ -55,6 +55,14 @@ class Recording:
         return max(0, (promised if self.stop is None else min(promised, self.stop)) - self.first)
 
     @property
+    def about(self) -> int | None:
+        """`expected`, or a guess from length and rate where nothing is promised; None without either."""
+        if self.expected is not None or self.reader.facts.about is None:
+            return self.expected
+        held = self.reader.facts.about
+        return max(0, (held if self.stop is None else min(held, self.stop)) - self.first)
+
+    @property
     def duration_s(self) -> float | None:
         """How long the file says it lasts by its own clock; None if it does not, or for a part of it."""
         return self.reader.facts.duration_s if self.stop is None and self.clock.kind == "file" else None

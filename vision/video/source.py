@@ -100,6 +100,8 @@ class Video(Protocol):
     @property
     def expected(self) -> int | None: ...  # noqa: D102
     @property
+    def about(self) -> int | None: ...  # noqa: D102
+    @property
     def clock(self) -> FrameClock: ...  # noqa: D102
     @property
     def notes(self) -> dict[str, str]: ...  # noqa: D102

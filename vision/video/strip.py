@@ -34,7 +34,7 @@ def strip_profile(
     """I(x, t): the mean over the strip's rows, for every frame of the recording.
 
     Args: rows and columns, half-open, in pixels after rotation; no rows: `find_strip`.  progress is
-    called with (frames done, frames expected or None) after every block.  spill_bytes: a larger I(x, t)
+    called with (frames done, frames in all or None) after every block.  spill_bytes: a larger I(x, t)
     lives in a temporary file.
     Returns: float32 "intensity" (frame, x) in grey levels. Coordinates: frame (number in the file), x
     (column), time_s and status on frame: "ok", "blank" (nothing to see), "corrupt" (could not be decoded),
@@ -78,7 +78,7 @@ def _reduce(
     video: Video, rows: slice, columns: slice, progress: Progress | None, spill_bytes: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int8], NDArray[np.float64]]:
     """One pass: row means, frame numbers, status codes (places in `STATUS`), times."""
-    store = ProfileStore(columns.stop - columns.start, expected=video.expected, spill_bytes=spill_bytes)
+    store = ProfileStore(columns.stop - columns.start, expected=video.about, spill_bytes=spill_bytes)
     numbers: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
     codes: list[NDArray[np.int8]] = [np.empty(0, np.int8)]
     times: list[NDArray[np.float64]] = [np.empty(0)]
@@ -95,7 +95,7 @@ def _reduce(
         times.append(video.times(numbers[-1]) if block.times_s is None else block.times_s)
         done += state.size
         if progress is not None:
-            progress(done, video.expected)
+            progress(done, video.about)
     return store.rows(), np.concatenate(numbers), np.concatenate(codes), np.concatenate(times)
 
 
