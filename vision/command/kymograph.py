@@ -84,7 +84,7 @@ def kymograph(
         No progress bar and no summary.
     """
     from vision.run.folder import check_target
-    from vision.run.reading import check_mark, is_run
+    from vision.run.reading import check_mark
 
     started = clock.perf_counter()
     cut = cut or CutOptions()
@@ -92,25 +92,32 @@ def kymograph(
     target = out or Path(f"{video_or_run.stem if video_or_run.suffix else video_or_run.name}_kymograph")
     check_target(target, overwrite=overwrite)
     check_mark(target, MARK)
-    columns, size = parse_range(cut.columns, "--columns"), wishes.pop("pixel_size_um")
-    if is_run(video_or_run):
-        source = from_run(video_or_run, reading, columns=columns, pixel_size_um=size)
-    else:
-        # a video's frames are cut while it is read, a run's afterwards
-        source = from_video(
-            video_or_run,
-            reading or VideoOptions(),
-            frames=wishes.pop("frames"),
-            columns=columns,
-            pixel_size_um=size,
-            track=bool(wishes["sheets"]),
-            quiet=quiet,
-        )
+    source = _source(video_or_run, cut, reading, wishes, quiet=quiet)
     diagrams = _diagrams(source, **wishes)
     warnings = [*source.warnings, *_warnings(diagrams)]
     facts = _facts(cut, reading, source, diagrams, warnings)
     files = _write(target, overwrite, picture, source, diagrams, facts, started)
     return _report(target, files, source, diagrams, warnings, quiet=quiet)
+
+
+def _source(
+    path: Path, cut: CutOptions, reading: VideoOptions | None, wishes: dict[str, Any], *, quiet: bool
+) -> Source:
+    """The run, or the video; of a video the frames are cut while it is read, so that wish is fulfilled."""
+    from vision.run.reading import is_run
+
+    columns, size = parse_range(cut.columns, "--columns"), wishes.pop("pixel_size_um")
+    if is_run(path):
+        return from_run(path, reading, columns=columns, pixel_size_um=size)
+    return from_video(
+        path,
+        reading or VideoOptions(),
+        frames=wishes.pop("frames"),
+        columns=columns,
+        pixel_size_um=size,
+        track=bool(wishes["sheets"]),
+        quiet=quiet,
+    )
 
 
 def _wishes(cut: CutOptions) -> dict[str, Any]:
