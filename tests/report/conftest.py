@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from vision.clock.result import Clock
+from vision.clock import Clock
 from vision.deformation import horizontal_deformation
 from vision.experiment import Camera, Experiment, profiles
 from vision.experiment.force_file import force_recording, write_force

@@ -65,6 +65,12 @@
     }
     c.restore();
   }
+  /* Every how many-th sheet has room for its number. */
+  function labelStep(u, c, xs, text) {
+    const wide = Math.max(...text.map((t) => c.measureText(t).width)) + 5 * devicePixelRatio;
+    const span = Math.abs(u.valToPos(xs[xs.length - 1], "x", true) - u.valToPos(xs[0], "x", true));
+    return Math.max(1, Math.ceil(wide / Math.max(1, span / Math.max(1, xs.length - 1))));
+  }
   function bars(u, chart, arrays) {
     const c = u.ctx, box = u.bbox, r = devicePixelRatio;
     c.save(); c.beginPath(); c.rect(box.left, box.top, box.width, box.height); c.clip();
@@ -74,15 +80,13 @@
       if (s.low === undefined || !u.series[k + 1].show) return;
       const xs = arrays[s.x], low = arrays[s.low], high = arrays[s.high], key = s.axis === "right" ? "y2" : "y";
       c.strokeStyle = chart.picture ? s.ink[1] : ink(s.ink); c.lineWidth = 1.3 * r;
-      let last = -Infinity;
+      const step = s.text ? labelStep(u, c, xs, s.text) : 0;
       xs.forEach((x, i) => {
         if (low[i] == null || high[i] == null) return;
         const at = u.valToPos(x, "x", true), y0 = u.valToPos(low[i], key, true), y1 = u.valToPos(high[i], key, true);
         c.beginPath(); c.moveTo(at, y0); c.lineTo(at, y1); c.stroke();
-        if (!s.text) return;
+        if (!s.text || (Number(s.text[i]) - 1) % step) return;
         const half = c.measureText(s.text[i]).width / 2 + 2 * r, top = Math.min(y0, y1) - 2 * r;
-        if (at - half < last) return;
-        last = at + half;
         c.fillStyle = "rgba(0,0,0,0.62)"; c.fillRect(at - half, top - 13 * r, 2 * half, 14 * r);
         c.fillStyle = "#fff"; c.fillText(s.text[i], at, top);
       });

@@ -1,0 +1,221 @@
+"""The page in a real browser: every figure draws, zoom and switches work, nothing leaves the page."""
+
+import csv
+import io
+import os
+import re
+import shutil
+
+import pytest
+
+from vision.report.html import write_report
+from vision.report.sections import sections_of
+
+playwright = pytest.importorskip("playwright.sync_api")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with playwright.sync_playwright() as driver:
+        options = ["--no-sandbox", "--disable-background-networking"]
+        opened = driver.chromium.launch(executable_path=CHROMIUM, args=options)
+        yield opened
+        opened.close()
+
+
+@pytest.fixture(scope="module")
+def report(pulled, tmp_path_factory):
+    return write_report(tmp_path_factory.mktemp("page") / "report.html", pulled)
+
+
+class Visit:
+    """An open page, with everything it complained about or asked for."""
+
+    def __init__(self, browser, path, **look):
+        self.context = browser.new_context(**{"viewport": {"width": 1280, "height": 900}} | look)
+        self.page = self.context.new_page()
+        self.complaints, self.requests = [], []
+        self.page.on("console", lambda message: self.complaints.append(message.text))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.goto(path.as_uri())
+        self.page.wait_for_function(
+            "[...document.querySelectorAll('figure[data-chart]')].every((f) => f.dataset.drawn === 'yes')"
+        )
+
+    def range_of(self, name, scale="x"):
+        return self.page.evaluate(
+            "([name, scale]) => { const s = document.getElementById(name).plot.scales[scale];"
+            " return [s.min, s.max]; }",
+            [name, scale],
+        )
+
+    def click(self, name, label):
+        self.page.locator(f"#{name}").get_by_label(label, exact=True).click()
+
+    def wait_range(self, name, test):
+        self.page.wait_for_function(
+            f"() => {{ const s = document.getElementById('{name}').plot.scales.x; return {test}; }}"
+        )
+
+
+@pytest.fixture
+def visit(browser, report):
+    opened = Visit(browser, report)
+    yield opened
+    opened.context.close()
+
+
+def inked(visit, name):
+    """Different colours in the figure's canvas: an empty one has next to none."""
+    return visit.page.evaluate(
+        """(name) => {
+          const canvas = document.querySelector(`#${name} canvas`);
+          const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+          const seen = new Set();
+          for (let i = 0; i < data.length; i += 4) {
+            if (data[i + 3] > 200) seen.add((data[i] << 16) | (data[i + 1] << 8) | data[i + 2]);
+          }
+          return seen.size;
+        }""",
+        name,
+    )
+
+
+def test_every_figure_draws_without_complaint_or_request(visit, pulled, report):
+    """A failure means an empty figure, a script error, or a page that asks the network."""
+    names = [chart.name for section in sections_of(pulled) for chart in section.charts]
+    assert visit.page.locator("figure[data-drawn=yes]").count() == len(names)
+    assert visit.complaints == []
+    assert [url for url in visit.requests if not url.startswith("data:")] == [report.as_uri()]
+    assert {name: inked(visit, name) for name in names if inked(visit, name) < 8} == {}
+
+
+def test_the_page_could_not_ask_the_network_if_it_tried(visit):
+    """A failure means that a script that strayed into the page could send the data away."""
+    refused = visit.page.evaluate("fetch('http://127.0.0.1:9/').then(() => 'sent', (error) => error.name)")
+    assert refused == "TypeError"
+    assert any("Content Security Policy" in line for line in visit.complaints)
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
+def test_the_page_fits_its_window(browser, report, width, scheme):
+    """A failure means that a phone shows a page cut off at the right, or in the wrong colours."""
+    visit = Visit(browser, report, viewport={"width": width, "height": 900}, color_scheme=scheme)
+    assert visit.page.evaluate("document.documentElement.scrollWidth") <= width
+    assert visit.page.evaluate("document.documentElement.dataset.theme") == scheme
+    assert visit.complaints == []
+    if folder := os.environ.get("SHEETVISION_SCREENSHOTS"):
+        visit.page.screenshot(path=f"{folder}/report_{width}_{scheme}.png", full_page=True)
+    visit.context.close()
+
+
+def test_dragging_zooms_and_the_button_shows_the_whole_again(visit):
+    """A failure means that a single slip cannot be looked at."""
+    low, high = visit.range_of("displacement")
+    box = visit.page.locator("#displacement .u-over").bounding_box()
+    visit.page.locator("#displacement").scroll_into_view_if_needed()
+    box = visit.page.locator("#displacement .u-over").bounding_box()
+    middle = box["y"] + box["height"] / 2
+    visit.page.mouse.move(box["x"] + 0.25 * box["width"], middle)
+    visit.page.mouse.down()
+    visit.page.mouse.move(box["x"] + 0.5 * box["width"], middle, steps=5)
+    visit.page.mouse.up()
+    visit.wait_range("displacement", f"s.max - s.min < {0.3 * (high - low)}")
+    start, stop = visit.range_of("displacement")
+    assert start == pytest.approx(low + 0.25 * (high - low), abs=0.02 * (high - low))
+    assert stop == pytest.approx(low + 0.5 * (high - low), abs=0.02 * (high - low))
+    visit.click("displacement", "show the whole range (double click)")
+    visit.wait_range("displacement", f"Math.abs(s.max - {high}) < 1e-6 && Math.abs(s.min - {low}) < 1e-6")
+
+
+def test_buttons_zoom_where_there_is_no_mouse(visit):
+    """A failure means that a phone's reader cannot zoom."""
+    low, high = visit.range_of("clocks")
+    visit.click("clocks", "zoom in")
+    visit.wait_range("clocks", f"s.max - s.min < {0.6 * (high - low)}")
+    start, _ = visit.range_of("clocks")
+    visit.click("clocks", "later")
+    visit.wait_range("clocks", f"s.min > {start}")
+    visit.click("clocks", "show the whole range (double click)")
+    visit.wait_range("clocks", f"s.max - s.min >= {high - low}")
+
+
+def test_the_space_time_diagram_zooms_in_both_directions(visit):
+    """A failure means that one sheet cannot be looked at closely."""
+    visit.page.locator("#space_time").scroll_into_view_if_needed()
+    time, x = visit.range_of("space_time"), visit.range_of("space_time", "y")
+    box = visit.page.locator("#space_time .u-over").bounding_box()
+    visit.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.2 * box["height"])
+    visit.page.mouse.down()
+    visit.page.mouse.move(box["x"] + 0.8 * box["width"], box["y"] + 0.6 * box["height"], steps=5)
+    visit.page.mouse.up()
+    visit.wait_range("space_time", f"s.max - s.min < {0.5 * (time[1] - time[0])}")
+    zoomed = visit.range_of("space_time")
+    assert zoomed[0] == pytest.approx(time[0] + 0.2 * (time[1] - time[0]), rel=0.05)  # time runs down
+    zoomed = visit.range_of("space_time", "y")
+    assert zoomed[1] - zoomed[0] == pytest.approx(0.3 * (x[1] - x[0]), rel=0.05)
+
+
+def shown(visit):
+    return visit.page.evaluate(
+        "document.getElementById('displacement')"
+        ".plot.series.slice(1).filter((s) => s.show).map((s) => s.label)"
+    )
+
+
+def test_sheets_switch_on_and_off(visit):
+    """A failure means that one sheet cannot be seen alone among fifty."""
+    assert len(shown(visit)) == 50
+    visit.click("displacement", "hide all sheets")
+    assert shown(visit) == []
+    visit.click("displacement", "sheet right 23")
+    assert shown(visit) == ["right 23"]
+    button = visit.page.locator("#displacement").get_by_label("sheet right 23", exact=True)
+    assert button.get_attribute("aria-pressed") == "true"
+    visit.click("displacement", "left sheets only")
+    assert set(shown(visit)) == {f"left {n}" for n in range(1, 26)}
+    visit.click("displacement", "show all sheets")
+    assert len(shown(visit)) == 50
+
+
+def test_each_figure_hands_out_its_numbers(visit, pulled):
+    """A failure means that the numbers behind a figure cannot be had, or are others."""
+    with visit.page.expect_download() as waiting:
+        visit.click("displacement", "download this figure's numbers")
+    assert waiting.value.suggested_filename == "displacement.csv"
+    rows = list(csv.reader(io.StringIO(waiting.value.path().read_text(encoding="utf-8"))))
+    assert rows[0][:2] == ["t (s)", "left 25"]
+    assert len(rows) == 1 + pulled.tracks.sizes["frame"]
+    x = pulled.tracks["x_px"].values[:, -1]
+    away = 10 * (x[17] - float(pulled.tracks["x_px"][:, -1].median()))
+    assert float(rows[18][-1]) == pytest.approx(away, abs=0.01)
+    tables = visit.page.evaluate(
+        "[...document.querySelectorAll('figure[data-chart]')].map((f) => f.table().split('\\n').length)"
+    )
+    assert min(tables) > 3
+
+
+def test_the_theme_button_repaints_the_figures(visit):
+    """A failure means dark curves on a dark ground."""
+    sample = "document.querySelector('#noise canvas').toDataURL()"
+    before = visit.page.evaluate(sample)
+    visit.page.locator(".theme").click()
+    assert visit.page.evaluate("document.documentElement.dataset.theme") == "dark"
+    visit.page.wait_for_function(f"(before) => {sample} !== before", arg=before)
+    assert visit.complaints == []
+
+
+def test_it_prints_light_and_whole(browser, report, tmp_path):
+    """A failure means a black or cut-off printout."""
+    visit = Visit(browser, report, color_scheme="dark")
+    visit.page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    assert visit.page.evaluate("document.documentElement.dataset.theme") == "light"
+    assert visit.page.evaluate("document.getElementById('force').plot.width") <= 700
+    visit.page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+    assert visit.page.evaluate("document.documentElement.dataset.theme") == "dark"
+    printed = visit.page.pdf(path=str(tmp_path / "report.pdf"), format="A4")
+    assert len(re.findall(rb"/Type\s*/Page\b", printed)) >= 6
+    visit.context.close()
