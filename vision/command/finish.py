@@ -14,7 +14,9 @@ from vision.command.console import complain, say
 from vision.run.provenance import Parameter
 
 if TYPE_CHECKING:
+    import numpy as np
     import xarray as xr
+    from numpy.typing import NDArray
 
     from vision.command.pull import Pull
     from vision.video import Video
@@ -66,7 +68,7 @@ def write(run: Run, target: Path, describe: Callable[[], dict[str, Any]], *, ove
         run.seconds["writing"] = time.perf_counter() - started
         inputs = [describe()]
         run.seconds["waiting for the checksum"] = time.perf_counter() - started - run.seconds["writing"]
-        _write_facts(run, inputs, folder)
+        _write_report(run, frame, _write_facts(run, inputs, folder), folder)
 
 
 def _write_pull(run: Run, folder: Path) -> None:
@@ -76,7 +78,8 @@ def _write_pull(run: Run, folder: Path) -> None:
         write_pull(run.pull, folder)
 
 
-def _write_facts(run: Run, inputs: list[dict[str, Any]], folder: Path) -> None:
+def _write_facts(run: Run, inputs: list[dict[str, Any]], folder: Path) -> dict[str, Any]:
+    """run.json, and what it holds."""
     from vision.command.pull import pull_facts
     from vision.run.provenance import describe_input, write_run_json
     from vision.run.summary import run_facts
@@ -88,6 +91,31 @@ def _write_facts(run: Run, inputs: list[dict[str, Any]], folder: Path) -> None:
         facts["warnings"] += run.pull.warnings
         facts["inputs"].append(describe_input(Path(run.options["force"].value)))
     write_run_json(folder, facts)
+    return facts
+
+
+def _write_report(run: Run, frame: NDArray[np.generic], facts: dict[str, Any], folder: Path) -> None:
+    """report.html, and its figures for a manuscript in figures/."""
+    from vision.report.figures import write_figures
+    from vision.report.html import write_report
+    from vision.report.results import RunResults
+
+    pull = run.pull
+    machine: dict[str, Any] = {}
+    if pull is not None:
+        names = ("force", "sticks", "clock", "motion", "shells", "fits", "threshold")
+        machine = {name: getattr(pull, name) for name in names}
+        machine["notes"] = (pull.problem,) if pull.problem else ()
+    results = RunResults(
+        profile=run.profile,
+        tracks=run.tracks,
+        frame=frame,
+        facts=facts,
+        pixel_size_um=run.pixel_size_um,
+        **machine,
+    )
+    write_report(folder / "report.html", results)
+    write_figures(folder / "figures", results)
 
 
 def report(run: Run, target: Path, *, quiet: bool, verbose: bool) -> int:

@@ -64,7 +64,7 @@ def frame_chart(frame: NDArray[np.generic], tracks: xr.Dataset) -> Chart:
         series=sheets,
         picture=Picture(pixels=grey_levels(grey, float(low), float(max(high, low + 1))), **edges),
         bands=(Band(low=z0 - 0.5, high=z1 - 0.5, label="strip", outline=True),),
-        x_lines=(float(tracks.attrs["axis_px"]),),
+        x_lines=tuple(x for x in (float(tracks.attrs["axis_px"]),) if np.isfinite(x)),
         x_range=(-0.5, columns - 0.5),
         y_range=(min(-0.5, z0 - 0.15 * rows), rows - 0.5),  # room for the numbers
         downwards=True,
