@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 _LEAST_SLIPS = 4
 _LISTED = 5
 _LEAST_ERROR_S = 0.001  # how long a slip takes
-# The load cell's low-pass makes the steepest drop late by up to about this share of a sampling interval.
-_LAG = 0.3
 _CONTRADICTION = 3.0  # standard errors of the slips' own answer, and of one slip
 
 
@@ -110,7 +108,7 @@ def _from_slips(tracks: xr.Dataset, force: xr.Dataset, sticks: pd.DataFrame) -> 
             f"{len(seen)} slips that fit none of its {len(drops)} at any offset",
             "check whether the two files belong together, or give --offset",
         )
-    return _decided(found, _LAG * float(drops.attrs["interval_s"]))
+    return _decided(found, float(drops.attrs["lag_s"]))
 
 
 def _decided(found: Alignment, lag_s: float) -> Clock:

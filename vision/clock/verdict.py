@@ -15,6 +15,10 @@ _LEAST_MATCHED = 6
 _LARGEST_SCALE = 1.5
 _WANDER = 3.0  # standard errors of the correlation of one residual with the next
 _CHANCE = 3.0  # standard deviations of the likelihood of shifts of an even train
+_NEIGHBOURS = 9
+# Of deviations from a running median of nine, which follows the values themselves; measured.
+_MAD_TO_SIGMA = 1.85
+_SINGLE = 0.5  # in the logarithm of an interval: what differs more has slips missing or false
 _SIMILAR = 0.5  # of the slips: alternatives with fewer in common are no shifts
 
 
@@ -49,6 +53,7 @@ def align(trains: Trains) -> Alignment:
     - it pairs enough slips to be no coincidence of unrelated recordings;
     - the residuals are what the slips' errors allow and do not wander: unrelated even trains drift through
       each other smoothly;
+    - the intervals are uneven enough to tell a shift by one slip;
     - the lead over shifts of similar overlap exceeds what slips missed at random on both sides give an even
       train: with shares p and q of the force's and the camera's slips paired, the number of pairs of a
       wrong shift scatters by sqrt(n p (1 - p) (1 - q)).
@@ -60,11 +65,13 @@ def align(trains: Trains) -> Alignment:
 
 def _doubt(trains: Trains, fit: Fit, margin: float) -> str:
     if fit.matched[0] < _LEAST_MATCHED or fit.likelihood[0] < _LEAST_LIKELIHOOD:
-        return f"{fit.matched[0]} slips in common are too few to tell from chance"
+        return f"the {fit.matched[0]} slips in common are too few, or fit too loosely, to tell from chance"
     if margin <= LEAST_MARGIN:
         return f"the next alignment fits nearly as well (margin {margin:.1f}, {LEAST_MARGIN:g} needed)"
     if _lead_over_shifts(fit) <= _chance_of_shifts(trains, fit):
         return "slips missed on both sides could explain the lead over shifts by whole slips"
+    if _told_by_intervals(trains, fit) <= max(LEAST_MARGIN, _chance_of_shifts(trains, fit)):
+        return "the slips are so even that their times do not tell a shift by one slip"
     if fit.scale[0] > _LARGEST_SCALE:
         return "the slips of the two recordings lie further apart than their errors allow"
     return (
@@ -84,6 +91,23 @@ def _chance_of_shifts(trains: Trains, fit: Fit) -> float:
     p, q = (matched + 1) / (force + 2), (matched + 1) / (video + 2)
     scatter = np.sqrt(max(force * p * (1 - p) * (1 - q), 0.0))
     return float(_CHANCE * scatter * (np.median(trains.earned()) - 2 * ALONE))
+
+
+def _told_by_intervals(trains: Trains, fit: Fit) -> float:
+    """By how much a shift by one slip lowers the likelihood through the unevenness of the intervals alone.
+
+    It moves each slip by how far one interval differs from its neighbours.
+    """
+    from scipy.ndimage import median_filter
+
+    paired = np.unique(fit.partner[0][fit.partner[0] >= 0])
+    interval = np.diff(trains.force_s[paired])
+    local = median_filter(interval, _NEIGHBOURS, mode="nearest")
+    single = np.abs(np.log(interval / local)) < _SINGLE
+    uneven = _MAD_TO_SIGMA * float(np.median(np.abs(interval - local)[single]))
+    error = trains.typical_error_s * fit.scale[0]
+    most = np.median(trains.earned()) - 2 * ALONE
+    return float(len(interval) * min(0.5 * (uneven / error) ** 2, 0.5 * most))
 
 
 def _wanders(fit: Fit, trains: Trains) -> bool:
