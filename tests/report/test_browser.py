@@ -201,10 +201,13 @@ def test_each_figure_hands_out_its_numbers(visit, pulled):
 def test_the_theme_button_repaints_the_figures(visit):
     """A failure means dark curves on a dark ground."""
     sample = "document.querySelector('#noise canvas').toDataURL()"
-    before = visit.page.evaluate(sample)
+    mark = "getComputedStyle(document.querySelectorAll('#force .u-marker')[4]).borderColor"
+    before, black = visit.page.evaluate(sample), visit.page.evaluate(mark)
     visit.page.locator(".theme").click()
     assert visit.page.evaluate("document.documentElement.dataset.theme") == "dark"
     visit.page.wait_for_function(f"(before) => {sample} !== before", arg=before)
+    assert black == "rgb(26, 26, 26)"  # the model's curve, in the legend
+    assert visit.page.evaluate(mark) == "rgb(242, 242, 242)"
     assert visit.complaints == []
 
 

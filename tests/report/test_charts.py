@@ -172,6 +172,14 @@ def test_an_ambiguous_clock_says_so(pulled):
     assert "one way only" not in chart.caption
 
 
+def test_a_given_offset_without_slips_claims_no_agreement(pulled):
+    """A failure means that a clock nobody checked is reported as checked, or as 'nan ms'."""
+    unchecked = {"status": "given", "how": "given", "matched": 0, "residual_ms": np.nan, "margin": np.nan}
+    chart = force_charts.clock_chart(pulled.force, pulled.tracks, replace(pulled.clock, **unchecked))
+    assert "No slip was matched. The offset was not found from the slips (given)." in chart.caption
+    assert "nan" not in chart.caption
+
+
 def test_one_stick_shows_inward_motion_of_its_size(pulled):
     """A failure means that δx(t) is that of another stick, sheet or sign."""
     chart = shell_charts.stick_chart(pulled.tracks, pulled.motion, pulled.clock)

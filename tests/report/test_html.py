@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.report.made import make_profile, make_tracks, sawtooth
+from vision.report import figures
 from vision.report.html import write_report
 from vision.report.results import RunResults
 from vision.report.sections import sections_of
@@ -158,3 +159,15 @@ def test_sheets_never_found_and_frames_never_seen_do_not_break_the_page(tmp_path
     frame = np.zeros((40, 180), np.uint8)
     page = page_of(RunResults(profile=profile, tracks=tracks, frame=frame), tmp_path)
     assert "positions missing" in page
+
+
+def test_a_run_that_found_no_position_at_all_says_so(tmp_path):
+    """A failure means a traceback in place of the page that would show what went wrong."""
+    tracks = make_tracks(np.full((300, 7), np.nan)).assign_attrs(axis_px=float("nan"))
+    tracks = tracks.assign(x_noise_px=("sheet", np.full(7, np.nan)))
+    results = RunResults(profile=make_profile(tracks, 180), tracks=tracks, frame=np.eye(40, 180))
+    page = page_of(results, tmp_path)
+    assert "not known" in page
+    assert re.search(r'class="doubt"><div class="what">sheets tracked', page)
+    assert "nan" not in page.split('id="methods">')[1].split("</blockquote>")[0]
+    figures.write_figures(tmp_path / "figures", results)

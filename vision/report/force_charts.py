@@ -27,6 +27,7 @@ MOST_SAMPLES = 30_000  # of force or opening on the clocks' axis
 _SHOWN_STICKS = 5
 _FIRST_STICKS = 10
 _CURVE = 300
+_AMBIGUOUS = "The clocks agree in more than one way: this is only the likeliest."
 _AFTER_SLIP = 2  # samples of the next stick, so that the slip is seen to its end
 
 
@@ -52,8 +53,8 @@ def pull_chart(force: xr.Dataset, sticks: pd.DataFrame | None = None, fits: Mode
         d_model = np.linspace(*fits.d_mm, _CURVE)
         series.append(_curve("Eq. 1 + T0", d_model, fits.peak_force_N(d_model), MODEL))
         told = (
-            f" Dashed: Eq. 1 fitted to the peaks, μ = {plus_minus(fits.mu.value, fits.mu.error)} with T* = "
-            f"{1000 * fits.t_star_N.value:g} mN and an offset T0 = "
+            f" Dashed: Eq. 1 fitted to the peaks, μ = {plus_minus(fits.mu.value, fits.mu.error)} with T* "
+            f"= {1000 * fits.t_star_N.value:g} mN and an offset T0 = "
             f"{plus_minus(fits.t0_N.value, fits.t0_N.error)} N."
         )
     return Chart(
@@ -61,8 +62,8 @@ def pull_chart(force: xr.Dataset, sticks: pd.DataFrame | None = None, fits: Mode
         title="Force against separation" if known else "Force against time",
         caption=(
             "Traction force as recorded (lowest and highest of each small step), with the peaks (filled) "
-            "and valleys "
-            f"(hollow) of the stick phases, from lines fitted to each stick and extended to its ends.{told}"
+            "and valleys (hollow) of the stick phases, from lines fitted to each stick and extended to "
+            f"its ends.{told}"
         ),
         x_label="d (mm)" if known else "t (s, force clock)",
         y_label=_force_label(force, "F"),
@@ -90,29 +91,14 @@ def clock_chart(
     near = (good["time_s"] > time[0] - margin) & (good["time_s"] < time[-1] + margin)
     part = good.isel(time_s=np.flatnonzero(near.to_numpy())) if near.any() else good
     t_force, load = outline(part["time_s"].to_numpy(), part["load_N"].to_numpy()[:, None], most=MOST_SAMPLES)
-    sure = {
-        "ok": f"The two agree in one way only (by {clock.margin:.0f} in log-likelihood over the next).",
-        "given": f"The offset was not found from the slips ({clock.how}).",
-        "ambiguous": "",
-    }[clock.status]
-    doubt = (
-        "The clocks agree in more than one way: this is only the likeliest."
-        if clock.status == "ambiguous"
-        else ""
-    )
     return Chart(
         name="clocks",
         title="Clock check: force and sheets on one time axis",
         caption=(
             "Force (solid, left, above) and mean outward displacement of all sheets (dashed, right, below) "
-            "on the force clock, "
-            f"t_force = {clock.offset_s:.4f} s + (1 {clock.drift_ppm:+.0f} ppm) t_video. Zoom in to one "
-            "slip: the "
-            f"steps must fall together. {clock.matched} slips matched, median residual "
-            f"{clock.residual_ms:.2g} ms, "
-            f"{clock.unmatched_video} seen only in the video and {clock.unmatched_force} only in the "
-            f"force. {sure}"
-        ).strip(),
+            f"on the force clock, t_force = {clock.offset_s:.4f} s + (1 {clock.drift_ppm:+.0f} ppm) t_video. "
+            f"Zoom in to one slip: the steps must fall together. {_matches(clock)}"
+        ),
         x_label="t (s, force clock)",
         first_view=_some_sticks(t_video, sticks),
         y_label=_force_label(force, "F"),
@@ -121,8 +107,24 @@ def clock_chart(
             Series(label="force", x=t_force, y=load[:, 0], ink=QUIET),
             Series(label="sheets", x=t_video, y=opened[:, 0], ink=DATA, dashed=True, axis="right"),
         ),
-        notes=(doubt,) if doubt else (),
+        notes=(_AMBIGUOUS,) if clock.status == "ambiguous" else (),
     )
+
+
+def _matches(clock: Clock) -> str:
+    """How well the clocks agree, and how sure that is."""
+    told = (
+        f"{clock.matched} slips matched, median residual {clock.residual_ms:.2g} ms, {clock.unmatched_video} "
+        f"seen only in the video and {clock.unmatched_force} only in the force."
+        if np.isfinite(clock.residual_ms)
+        else "No slip was matched."
+    )
+    sure = {
+        "ok": f" The two agree in one way only (by {clock.margin:.0f} in log-likelihood over the next).",
+        "given": f" The offset was not found from the slips ({clock.how}).",
+        "ambiguous": "",
+    }
+    return told + sure[clock.status]
 
 
 def _some_sticks(t_video: Doubles, sticks: pd.DataFrame | None) -> tuple[float, float] | None:
@@ -158,9 +160,9 @@ def sticks_chart(force: xr.Dataset, sticks: pd.DataFrame) -> Chart:
         name="sticks",
         title="Single stick-slip events",
         caption=(
-            "Force above the valley against separation beyond the valley, samples as recorded, for events "
-            "spread over the test; later ones brighter. The slope of the central half is K, the height ΔF, "
-            "the length Λ_st. A drop at the very start is the end of the slip before."
+            "Force above the valley against separation beyond the valley, samples as recorded, for "
+            "events spread over the test; later ones brighter. The slope of the central half is K, the "
+            "height ΔF, the length Λ_st. A drop at the very start is the end of the slip before."
         ),
         x_label="d − d_v (µm)",
         y_label=_force_label(force, "F − F_v"),
@@ -182,8 +184,8 @@ def drops_chart(sticks: pd.DataFrame, fits: ModelFits | None = None) -> Chart:
         )
         series.append(_curve("A × normal force", d, drop, MODEL))
         told = (
-            " Dashed: A times the normal force summed over the sheets (Eq. 2), "
-            f"A = {plus_minus(fits.amplitude.value, fits.amplitude.error)}."
+            " Dashed: A times the normal force summed over the sheets (Eq. 2), A = "
+            f"{plus_minus(fits.amplitude.value, fits.amplitude.error)}."
         )
     return Chart(
         name="drops",
@@ -208,11 +210,8 @@ def stiffness_chart(sticks: pd.DataFrame, fits: ModelFits | None = None) -> Char
         series.append(Series(label="∝ (L + d)⁻¹", x=d, y=longer, ink=OTHER_MODEL, width=2.0))
         told = (
             f" Dashed: M_eff K_eff with N̂ = {plus_minus(fits.n_hat_N.value, fits.n_hat_N.error)} N and "
-            "Y_eff = "
-            f"{plus_minus(fits.modulus_GPa.value, fits.modulus_GPa.error)} GPa. Solid: (L + d)⁻¹ from "
-            "the same "
-            "start, which "
-            "is what lengthening alone would do."
+            f"Y_eff = {plus_minus(fits.modulus_GPa.value, fits.modulus_GPa.error)} GPa. Solid: (L + d)⁻¹ "
+            "from the same start, which is what lengthening alone would do."
         )
     return Chart(
         name="stiffness",

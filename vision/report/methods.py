@@ -52,9 +52,9 @@ def _video(results: RunResults) -> str:
     scale = "" if results.pixel_size_um is None else f" at {results.pixel_size_um:g} µm per pixel"
     rows = int(a["strip_z1"]) - int(a["strip_z0"])
     return (
-        f"The edges of the sheets were recorded at {speed}{scale}, {a['depth_bits']} bits deep. In each of "
-        f"{a['frames_read']} frames the intensity was averaged over {rows} rows (rows {a['strip_z0']} to "
-        f"{a['strip_z1']}, {'given' if a['strip_how'] == 'given' else 'found from the picture'}) to a "
+        f"The edges of the sheets were recorded at {speed}{scale}, {a['depth_bits']} bits deep. In each "
+        f"of {a['frames_read']} frames the intensity was averaged over {rows} rows (rows {a['strip_z0']} "
+        f"to {a['strip_z1']}, {'given' if a['strip_how'] == 'given' else 'found from the picture'}) to a "
         "profile I(x,t)."
     )
 
@@ -72,14 +72,13 @@ def _tracking(results: RunResults) -> str:
         if noise > 0
         else ""
     )
-    axis = "given" if t["axis_how"] == "given" else f"found from {t['axis_how']}"
+    origin = "given" if t["axis_how"] == "given" else f"found from {t['axis_how']}"
+    axis = f" at {t['axis_px']:.1f} px ({origin})" if math.isfinite(t["axis_px"]) else ""
     return (
         f"The {t['sheets']} sheets appear as {t['ridges']} ridges {t['ridge_fwhm_px']:.1f} px wide and "
         f"{t['pitch_px']:.1f} px apart. Their positions x(n,t) were placed {how}; identities were kept "
-        "through slips "
-        "from the order of the sheets, their spacing and their brightness, and n counts outwards from "
-        "the symmetry "
-        f"axis at {t['axis_px']:.1f} px ({axis}).{told} The analysis was done with sheetvision "
+        "through slips from the order of the sheets, their spacing and their brightness, and n counts "
+        f"outwards from the symmetry axis{axis}.{told} The analysis was done with sheetvision "
         f"{vision.__version__}."
     )
 
@@ -95,14 +94,10 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
     }[facts["threshold_how"]]
     return (
         f"The traction force was recorded while the blocks were pulled apart{pulled}. Slips are drops of "
-        "more than "
-        f"{facts['threshold_N']:.3g} N ({how}; the noise is {facts['noise_N']:.2g} N), "
-        "placed at the "
-        f"steepest fall; {len(sticks)} stick phases were found. Peak and valley forces F_p and F_v are "
-        "those of "
-        "the line through the central 80 % of each stick, extended to its ends; the stiffness K is the "
-        "slope of "
-        f"the central {100 * facts['central_part']:.0f} %."
+        f"more than {facts['threshold_N']:.3g} N ({how}; the noise is {facts['noise_N']:.2g} N), placed "
+        f"at the steepest fall; {len(sticks)} stick phases were found. Peak and valley forces F_p and F_v "
+        "are those of the line through the central 80 % of each stick, extended to its ends; the "
+        f"stiffness K is the slope of the central {100 * facts['central_part']:.0f} %."
     )
 
 
@@ -112,9 +107,8 @@ def _clocks(clock: Clock) -> str:
         how = f"were aligned by {source.get(clock.how, clock.how)}"
     else:
         how = (
-            f"were aligned on {clock.matched} slips seen in both (log-likelihood {clock.margin:.0f} "
-            "above the "
-            f"next alignment, median residual {clock.residual_ms:.2g} ms)"
+            f"were aligned on {clock.matched} slips seen in both (log-likelihood {clock.margin:.0f} above "
+            f"the next alignment, median residual {clock.residual_ms:.2g} ms)"
         )
     return (
         f"The clocks of camera and testing machine {how}: offset {clock.offset_s:.4f} s, drift "
@@ -127,11 +121,9 @@ def _deformation(motion: xr.Dataset, threshold: float) -> str:
     kept = f", frames within {1000 * margin:.0f} ms of a slip left out" if math.isfinite(margin) else ""
     return (
         f"For each of {motion.sizes['event']} stick phases inside the video{kept}, the displacement of a "
-        "sheet is δx = "
-        "x − x̂ with x̂ its mean over the stick, and σ_x its root mean square, with the camera's noise "
-        "and what "
-        "all sheets share taken off. A sheet counts as stiff where σ_x over the stick length is below "
-        f"{threshold:g}."
+        "sheet is δx = x − x̂ with x̂ its mean over the stick, and σ_x its root mean square, with the "
+        "camera's noise and what all sheets share taken off. A sheet counts as stiff where σ_x over the "
+        f"stick length is below {threshold:g}."
     )
 
 
@@ -139,12 +131,10 @@ def _models(fits: ModelFits) -> str:
     given = fits.assembly
     return (
         "Peak forces were fitted with Eq. 1 of the publication and a constant offset, stick-slip "
-        "amplitudes with A "
-        f"times the total normal force, and K with M_eff K_eff, for {given.sheets_per_side} sheets a side "
-        f"{given.thickness_mm:g} mm thick and {given.width_mm:g} mm wide, {given.length_mm:g} mm from "
-        "clamp to end, "
-        f"and T* = {1000 * fits.t_star_N.value:.3g} mN: μ = {plus_minus(fits.mu.value, fits.mu.error)}, "
-        "A = "
+        "amplitudes with A times the total normal force, and K with M_eff K_eff, for "
+        f"{given.sheets_per_side} sheets a side {given.thickness_mm:g} mm thick and {given.width_mm:g} mm "
+        f"wide, {given.length_mm:g} mm from clamp to end, and T* = {1000 * fits.t_star_N.value:.3g} mN: μ "
+        f"= {plus_minus(fits.mu.value, fits.mu.error)}, A = "
         f"{plus_minus(fits.amplitude.value, fits.amplitude.error)}, N̂ = "
         f"{plus_minus(fits.n_hat_N.value, fits.n_hat_N.error)} N, Y_eff = "
         f"{plus_minus(fits.modulus_GPa.value, fits.modulus_GPa.error)} GPa (standard errors)."

@@ -101,8 +101,7 @@ def _missing_motion(r: RunResults) -> list[str]:
     if r.clock.status == "ambiguous":
         return [
             "Deformation and shells: the clocks agree in more than one way, so no stick phase can be "
-            "placed in the "
-            "video (--offset)."
+            "placed in the video (--offset)."
         ]
     if r.motion is None or not r.motion.sizes["event"]:
         return ["Deformation and shells: no stick phase was measured inside the video."]

@@ -54,10 +54,9 @@ def frame_chart(frame: NDArray[np.generic], tracks: xr.Dataset) -> Chart:
         name="frame",
         title="The frame, the strip and the numbered sheets",
         caption=(
-            f"One frame of the recording. The outlined rows {z0:.0f} to {z1:.0f} (half-open) are "
-            "averaged to "
-            "the profile I(x); upright strokes mark the sheets found, with their number n counted from the "
-            "symmetry axis (dashed) outwards."
+            f"One frame of the recording. The outlined rows {z0:.0f} to {z1:.0f} (half-open) are averaged "
+            "to the profile I(x); upright strokes mark the sheets found, with their number n counted "
+            "from the symmetry axis (dashed) outwards."
         ),
         x_label="x (px)",
         y_label="z (px)",
@@ -93,8 +92,7 @@ def space_time_chart(strip: xr.DataArray, tracks: xr.Dataset, *, pixel_size_um: 
         title="Space-time diagram with the tracks",
         caption=(
             "Intensity I(x,t) averaged over the strip's rows, one frame below the other, time downwards; "
-            "the "
-            f"lines are the positions x(n,t).{averaged} kymograph.tif holds every frame."
+            f"the lines are the positions x(n,t).{averaged} kymograph.tif holds every frame."
         ),
         x_label=time_label,
         y_label=label,
@@ -130,8 +128,7 @@ def displacement_chart(tracks: xr.Dataset, *, pixel_size_um: float | None = None
         title="x(n,t): displacement of every sheet",
         caption=(
             "Position of each sheet less its median over the recording. Left sheets are dashed and blue, "
-            "right "
-            f"ones solid and orange; the tone changes steadily from the centre outwards.{fewer}"
+            f"right ones solid and orange; the tone changes steadily from the centre outwards.{fewer}"
         ),
         x_label=clock_axis(tracks)[1],
         y_label=f"x − median ({unit})",
@@ -150,12 +147,9 @@ def noise_chart(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Ch
         title="Noise of the positions",
         caption=(
             "Filled: scatter of each sheet's position from frame to frame, from second differences in "
-            "time, so "
-            "that creep and shared vibration do not count. Hollow: standard error expected from the "
-            "noise of the "
-            "profile (median over the frames). Where the two disagree, something other than camera noise "
-            "moves "
-            "or blurs that sheet."
+            "time, so that creep and shared vibration do not count. Hollow: standard error expected from "
+            "the noise of the profile (median over the frames). Where the two disagree, something other "
+            "than camera noise moves or blurs that sheet."
         ),
         x_label="side · n (left negative)",
         y_label=f"noise of x ({unit})",
@@ -184,8 +178,8 @@ def locking_chart(tracks: xr.Dataset) -> Chart:
         caption=(
             f"Density of x modulo one pixel over {np.isfinite(x).sum()} positions; 1 is an even spread. A "
             "fit that locks to whole pixels piles up near 0 and 1 and empties the middle, in all sheets "
-            "alike. Band: two standard errors about 1, from the scatter between sheets; it is wide where the "
-            "sheets move by less than a pixel."
+            "alike. Band: two standard errors about 1, from the scatter between sheets; it is wide where "
+            "the sheets move by less than a pixel."
         ),
         x_label="x modulo 1 px",
         y_label="density over even spread",
@@ -271,6 +265,8 @@ def _first_positions(tracks: xr.Dataset) -> Doubles:
 def _comb_range(tracks: xr.Dataset, left: float, right: float, scale: float) -> tuple[float, float]:
     """What to show at first: the comb and two pitches beside it, within the picture."""
     x = tracks["x_px"].values
+    if not np.isfinite(x).any():
+        return left, right
     margin = 2 * float(tracks.attrs["pitch_px"])
     low, high = (np.nanmin(x) - margin) * scale, (np.nanmax(x) + margin) * scale
     return max(left, float(low)), min(right, float(high))

@@ -51,10 +51,9 @@ def stick_chart(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event: 
         title=f"One stick phase: event {event}, d = {float(stick['d_v_mm']):.2f} mm",
         caption=(
             "Displacement δx = x − x̂ of every sheet while the force rises from valley to peak, x̂ its "
-            "mean over the "
-            f"stick; positive to the right. Stick length Λ_st = {float(stick['stick_length_um']):.1f} "
-            "µm. As measured: "
-            "noise and camera movement are in it. Left sheets dashed; the tone changes steadily outwards."
+            "mean over the stick; positive to the right. Stick length Λ_st = "
+            f"{float(stick['stick_length_um']):.1f} µm. As measured: noise and camera movement are in it. "
+            "Left sheets dashed; the tone changes steadily outwards."
         ),
         x_label="t − t_v (s)",
         y_label="δx (µm)",
@@ -95,10 +94,9 @@ def ratio_chart(motion: xr.Dataset, *, threshold: float = 0.1) -> Chart:
         title="Horizontal deformation against sheet number",
         caption=(
             "σ_x/Λ_st: RMS displacement over a stick, camera noise and common movement taken off, over "
-            "the length of "
-            "the stick, with standard errors; sticks spread over the video, later ones brighter, every "
-            "other one "
-            f"hollow. Shaded: below {threshold:g}, where a sheet counts as stiff."
+            "the length of the stick, with standard errors; sticks spread over the video, later ones "
+            f"brighter, every other one hollow. Shaded: below {threshold:g}, where a sheet counts as "
+            "stiff."
         ),
         x_label="side · n (left negative)",
         y_label="σ_x / Λ_st",
@@ -136,8 +134,7 @@ def shells_chart(shells: pd.DataFrame, fits: ModelFits | None = None) -> Chart:
         title="Size of the stiff shell",
         caption=(
             "Sheets a side, from the centre, whose σ_x/Λ_st is below the threshold, one point a stick "
-            "and side (left "
-            f"hollow), with the interval that the errors allow.{told}"
+            f"and side (left hollow), with the interval that the errors allow.{told}"
         ),
         x_label="d_v (mm)",
         y_label="stiff sheets a side",

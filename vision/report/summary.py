@@ -106,6 +106,10 @@ def _friction(results: RunResults) -> Answer | None:
 
 def _noise(results: RunResults) -> Answer:
     figures = noise_figures(results.tracks, results.pixel_size_um)
+    if not np.isfinite(figures["measured_px"]):
+        return Answer(
+            "noise of a position", "not known", "too few positions in a row to measure it", doubt=True
+        )
     length = "" if results.pixel_size_um is None else f" = {figures['measured_um']:.2g} µm"
     return Answer(
         "noise of a position",

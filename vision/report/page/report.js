@@ -279,8 +279,20 @@
       box.append(title, line);
     }
     figure.tint = () => buttons.forEach(({ b }) => { b.style.borderBottomColor = ink(b.ink); });
-    figure.tint();
     figure.querySelector(".plot").before(box);
+  }
+
+  /* The legend's marks show colour, dashes and hollow points alike, so that grey print keeps them apart. */
+  function key(figure, chart) {
+    const marks = [...figure.querySelectorAll(".u-legend .u-series")].slice(1).map((row) => row.querySelector(".u-marker"));
+    chart.series.forEach((s, k) => {
+      const points = s.look === "points" || s.look === "both" || s.look === "steps";
+      Object.assign(marks[k].style, {
+        border: `2px ${s.dashed ? "dashed" : "solid"} ${ink(s.ink)}`,
+        background: points && !s.hollow ? ink(s.ink) : "transparent",
+        borderRadius: s.look === "points" || s.look === "both" ? "50%" : "0",
+      });
+    });
   }
 
   function make(figure, chart, image) {
@@ -297,6 +309,8 @@
       button("CSV", "download this figure's numbers", () => download(`${chart.name}.csv`, table(chart, arrays))));
     if (chart.firstView) { u.zoomed = true; u.setScale("x", { min: chart.firstView[0], max: chart.firstView[1] }); }
     if (chart.switchable) switches(figure, chart, u);
+    else if (legendOf(chart)) figure.tint = () => key(figure, chart);
+    if (figure.tint) figure.tint();
     Object.assign(figure, { plot: u, chart, table: () => table(chart, arrays) });
     return u;
   }
