@@ -45,7 +45,7 @@ def main() -> None:
     lines = [
         "# Accuracy of positions",
         "",
-        f"RMS error in thousandths of a pixel at a profile SNR of {SNR:.0f}, pitch {PITCH_PX:.0f} px, window 9 px;",
+        f"RMS error in thousandths of a pixel; profile SNR {SNR:.0f}, pitch {PITCH_PX:.0f} px, window 9 px;",
         "in brackets its ratio to the Cramér–Rao bound (1/SNR) √(2σ_r/√π); and the locking to whole pixels,",
         f"peak to peak, without noise. {FRAMES} frames of seven sheets that cross three pixels.",
         "",

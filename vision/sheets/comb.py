@@ -121,11 +121,14 @@ def describe_comb(
 
 
 def _likelier(bright: Comb, dark: Comb) -> Comb:
-    """Of two readings of the same stripes the one with more ridges, where both ends of the comb are in view
-    (between N ridges there are N − 1 gaps); else the one with the narrower ridges; ties are bright."""
+    """Of two readings of the same stripes the likelier one; ties are bright.
+
+    Where both ends of the comb are in view, that with more ridges (between N ridges there are N − 1 gaps), as
+    long as dark ones are also narrower; else the one with the narrower ridges.
+    """
     in_view = all(comb.ends_px > ENDS_IN_VIEW * comb.pitch_px for comb in (bright, dark))
     if in_view and bright.count != dark.count:
-        return bright if bright.count > dark.count else dark
+        return dark if dark.count > bright.count and dark.fwhm_px < bright.fwhm_px else bright
     return dark if dark.fwhm_px < DARK_WIDTH_RATIO * bright.fwhm_px else bright
 
 
