@@ -1,0 +1,39 @@
+"""The gallery's scripts run as a reader would run them, and draw something."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+PROJECT = Path(__file__).parents[2]
+SCRIPTS = sorted((PROJECT / "docs" / "gallery").glob("*.py"))
+
+
+def test_the_gallery_has_its_three_scripts():
+    """A failure means that a script was lost or renamed, and is no longer run by the test below."""
+    names = [path.stem for path in SCRIPTS]
+    assert names == ["track_one_video", "what_would_my_camera_resolve", "with_force"]
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_a_script_of_the_gallery_draws_its_picture(script, tmp_path):
+    """A failure means that an example which readers copy no longer works or warns (-W error), or draws an empty page."""
+    from matplotlib.image import imread
+
+    done = subprocess.run(
+        [sys.executable, "-W", "error", script, tmp_path],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(PROJECT)},
+        capture_output=True,
+        text=True,
+        check=False,  # the assertion below shows what the script complained of
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    picture = imread(tmp_path / f"{script.stem}.png")
+    assert picture.shape[0] > 400
+    assert picture.shape[1] > 800
+    assert np.ptp(picture[..., :3]) > 0.9
