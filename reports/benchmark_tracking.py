@@ -72,8 +72,8 @@ def main() -> None:
         f"| loop: `find_peaks` + `numpy.polyfit` + `trackpy.link` | {min(loop):,.0f} | "
         f"{statistics.median(loop):,.0f} | {max(loop):,.0f} |",
         "",
-        f"Ratio of the medians: {ratio:.0f}. Measured on {os.cpu_count()} cores ({platform.machine()}), Python",
-        f"{platform.python_version()}, numpy {np.__version__}; {RUNS} runs after a first one; the loop on "
+        f"Ratio of the medians: {ratio:.0f}. Measured on {os.cpu_count()} cores ({platform.machine()}),",
+        f"Python {platform.python_version()}, numpy {np.__version__}; {RUNS} runs after a first one; the loop on "
         f"{RIVAL_FRAMES} frames.",
         "",
         "Made by `python reports/benchmark_tracking.py`.",
