@@ -73,8 +73,8 @@ def main() -> None:
         f"{statistics.median(loop):,.0f} | {max(loop):,.0f} |",
         "",
         f"Ratio of the medians: {ratio:.0f}. Measured on {os.cpu_count()} cores ({platform.machine()}),",
-        f"Python {platform.python_version()}, numpy {np.__version__}; {RUNS} runs after a first one; the loop on "
-        f"{RIVAL_FRAMES} frames.",
+        f"Python {platform.python_version()}, numpy {np.__version__}; {RUNS} runs after a first one;",
+        f"the loop on {RIVAL_FRAMES} frames.",
         "",
         "Made by `python reports/benchmark_tracking.py`.",
     ]
