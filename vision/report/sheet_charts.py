@@ -32,11 +32,34 @@ def frame_chart(frame: NDArray[np.generic], tracks: xr.Dataset) -> Chart:
     low, high = np.percentile(grey, (0.5, 99.8))
     edges = {"left": -0.5, "right": columns - 0.5, "top": -0.5, "bottom": rows - 0.5}
     z0, z1 = float(tracks.attrs["strip_z0"]), float(tracks.attrs["strip_z1"])
+    return Chart(
+        name="frame",
+        title="The frame, the strip and the numbered sheets",
+        caption=(
+            f"One frame of the recording. The outlined rows {z0:.0f} to {z1:.0f} (half-open) are averaged "
+            "to the profile I(x); upright strokes mark the sheets found, with their number n counted "
+            "from the symmetry axis (dashed) outwards."
+        ),
+        x_label="x (px)",
+        y_label="z (px)",
+        series=_numbered_strokes(tracks, z0, z1),
+        picture=Picture(pixels=grey_levels(grey, float(low), float(max(high, low + 1))), **edges),
+        bands=(Band(low=z0 - 0.5, high=z1 - 0.5, label="strip", outline=True),),
+        x_lines=tuple(x for x in (float(tracks.attrs["axis_px"]),) if np.isfinite(x)),
+        x_range=(-0.5, columns - 0.5),
+        y_range=(min(-0.5, z0 - 0.15 * rows), rows - 0.5),  # room for the numbers
+        downwards=True,
+        aspect=float(np.clip(rows / columns, 0.12, 0.75)),
+    )
+
+
+def _numbered_strokes(tracks: xr.Dataset, z0: float, z1: float) -> tuple[Series, ...]:
+    """Upright strokes from row z0 to z1 at every sheet seen, with n as text; one series a side."""
     x = _first_positions(tracks)
     known = np.flatnonzero(np.isfinite(x))
     inks = sheet_inks(tracks)
     side, n = tracks["side"].values, tracks["n"].values
-    sheets = tuple(
+    return tuple(
         Series(
             label=f"sheets {name} of the axis",
             x=x[mine],
@@ -49,25 +72,6 @@ def frame_chart(frame: NDArray[np.generic], tracks: xr.Dataset) -> Chart:
         )
         for which, name in ((-1, "left"), (1, "right"))
         if len(mine := known[side[known] == which])
-    )
-    return Chart(
-        name="frame",
-        title="The frame, the strip and the numbered sheets",
-        caption=(
-            f"One frame of the recording. The outlined rows {z0:.0f} to {z1:.0f} (half-open) are averaged "
-            "to the profile I(x); upright strokes mark the sheets found, with their number n counted "
-            "from the symmetry axis (dashed) outwards."
-        ),
-        x_label="x (px)",
-        y_label="z (px)",
-        series=sheets,
-        picture=Picture(pixels=grey_levels(grey, float(low), float(max(high, low + 1))), **edges),
-        bands=(Band(low=z0 - 0.5, high=z1 - 0.5, label="strip", outline=True),),
-        x_lines=tuple(x for x in (float(tracks.attrs["axis_px"]),) if np.isfinite(x)),
-        x_range=(-0.5, columns - 0.5),
-        y_range=(min(-0.5, z0 - 0.15 * rows), rows - 0.5),  # room for the numbers
-        downwards=True,
-        aspect=float(np.clip(rows / columns, 0.12, 0.75)),
     )
 
 
@@ -96,7 +100,7 @@ def space_time_chart(strip: xr.DataArray, tracks: xr.Dataset, *, pixel_size_um: 
         ),
         x_label=time_label,
         y_label=label,
-        series=_sheet_series(tracks, at, shown * scale, inks=_on_grey(tracks), width=1.1),
+        series=sheet_series(tracks, at, shown * scale, inks=_on_grey(tracks), width=1.1),
         picture=Picture(
             pixels=grey_levels(rows, float(low), float(max(high, low + 1e-6))),
             left=left,
@@ -132,7 +136,7 @@ def displacement_chart(tracks: xr.Dataset, *, pixel_size_um: float | None = None
         ),
         x_label=clock_axis(tracks)[1],
         y_label=f"x − median ({unit})",
-        series=_sheet_series(tracks, at, away, inks=sheet_inks(tracks)),
+        series=sheet_series(tracks, at, away, inks=sheet_inks(tracks)),
     )
 
 
@@ -238,9 +242,10 @@ def _on_grey(tracks: xr.Dataset) -> list[Ink]:
     return [LEFT_ON_GREY if side < 0 else RIGHT_ON_GREY for side in tracks["side"].values]
 
 
-def _sheet_series(
+def sheet_series(
     tracks: xr.Dataset, at: Doubles, y: Doubles, *, inks: list[Ink], width: float = 1.0
 ) -> tuple[Series, ...]:
+    """One curve a sheet, left ones dashed. at (points,); y (points, sheet), in the order of the tracks."""
     sides, numbers = tracks["side"].values, tracks["n"].values
     return tuple(
         Series(

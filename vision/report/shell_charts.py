@@ -8,7 +8,7 @@ import numpy as np
 
 from vision.deformation import stick_displacement
 from vision.report.chart import Band, Chart, Series
-from vision.report.sheet_charts import signed_number
+from vision.report.sheet_charts import sheet_series, signed_number
 from vision.report.style import DATA, MODEL, PEAK, ordered_inks, sheet_inks
 
 if TYPE_CHECKING:
@@ -32,20 +32,7 @@ def stick_chart(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event: 
         event = int(motion["event"].values[int(np.argmax(motion["frames"].to_numpy().sum(axis=1)))])
     away = stick_displacement(tracks, motion, clock, event=event)
     stick = motion.sel(event=event)
-    inks, since = sheet_inks(tracks), away["since_s"].to_numpy()
-    series = tuple(
-        Series(
-            label=f"{'left' if side < 0 else 'right'} {n}",
-            x=since,
-            y=column,
-            ink=ink,
-            dashed=bool(side < 0),
-            sheet=(int(side), int(n)),
-        )
-        for side, n, ink, column in zip(
-            tracks["side"].values, tracks["n"].values, inks, away.to_numpy().T, strict=True
-        )
-    )
+    series = sheet_series(tracks, away["since_s"].to_numpy(), away.to_numpy(), inks=sheet_inks(tracks))
     return Chart(
         name="stick",
         title=f"One stick phase: event {event}, d = {float(stick['d_v_mm']):.2f} mm",
@@ -63,6 +50,25 @@ def stick_chart(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event: 
 
 def ratio_chart(motion: xr.Dataset, *, threshold: float = 0.1) -> Chart:
     """sigma_x over stick length against the sheet's number for a few separations, with standard errors."""
+    return Chart(
+        name="ratio",
+        title="Horizontal deformation against sheet number",
+        caption=(
+            "σ_x/Λ_st: RMS displacement over a stick, camera noise and common movement taken off, over "
+            "the length of the stick, with standard errors; sticks spread over the video, later ones "
+            f"brighter, every other one hollow. Shaded: below {threshold:g}, where a sheet counts as "
+            "stiff."
+        ),
+        x_label="side · n (left negative)",
+        y_label="σ_x / Λ_st",
+        series=_ratios(motion),
+        bands=(Band(low=0.0, high=threshold, label=f"stiff (below {threshold:g})"),),
+        whole_numbers=True,
+    )
+
+
+def _ratios(motion: xr.Dataset) -> tuple[Series, ...]:
+    """The ratio of a few sticks from first to last, with standard errors."""
     known = np.isfinite(motion["ratio"].to_numpy()).any(axis=1)
     places = np.flatnonzero(known)
     chosen = (
@@ -89,21 +95,7 @@ def ratio_chart(motion: xr.Dataset, *, threshold: float = 0.1) -> Chart:
                 width=1.0,
             )
         )
-    return Chart(
-        name="ratio",
-        title="Horizontal deformation against sheet number",
-        caption=(
-            "σ_x/Λ_st: RMS displacement over a stick, camera noise and common movement taken off, over "
-            "the length of the stick, with standard errors; sticks spread over the video, later ones "
-            f"brighter, every other one hollow. Shaded: below {threshold:g}, where a sheet counts as "
-            "stiff."
-        ),
-        x_label="side · n (left negative)",
-        y_label="σ_x / Λ_st",
-        series=tuple(series),
-        bands=(Band(low=0.0, high=threshold, label=f"stiff (below {threshold:g})"),),
-        whole_numbers=True,
-    )
+    return tuple(series)
 
 
 def shells_chart(shells: pd.DataFrame, fits: ModelFits | None = None) -> Chart:
