@@ -1,0 +1,90 @@
+"""`track` on recordings of real things; skipped where they are absent."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from vision.command.main import run
+
+DATA = Path(__file__).parents[2] / "../shared/data"
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the recordings are not here")
+
+
+def tracked(folder, name, *arguments):
+    """Exit status, positions (frame, sheet), flags (frame, sheet) and run.json."""
+    status = run([str(DATA / name), "--quiet", "--out", str(folder / "run"), *arguments])
+    table = pd.read_csv(folder / "run" / "tracks.csv")
+    facts = json.loads((folder / "run" / "run.json").read_text())
+    wide = table.pivot_table(index="frame", columns="index", values="x_px", dropna=False)
+    flags = table["flag"].to_numpy().reshape(wide.shape)
+    return status, wide.to_numpy(), flags, facts
+
+
+def scatter(spacing, shift, slow):
+    """Standard deviation about a quadratic in the shift (perspective and lens), over the slow frames."""
+    fitted = np.polynomial.Polynomial.fit(shift[slow], spacing[slow], 2)
+    return np.std(spacing[slow] - fitted(shift[slow]))
+
+
+@pytest.fixture(scope="module")
+def markers(tmp_path_factory):
+    arguments = ("--ridges", "dark", "--sheets", "7")
+    return tracked(tmp_path_factory.mktemp("markers"), "released_markers.avi", *arguments)
+
+
+def test_all_markers_are_kept_through_the_releases(markers):
+    """A failure means that a sudden slip of up to 92 px between two frames costs a marker or its identity."""
+    status, x, flags, facts = markers
+    assert status == 0
+    assert x.shape == (582, 7)
+    assert (flags == "ok").all()
+    assert np.abs(np.diff(x, axis=0)).max() > 80  # the releases are there
+    spacing = np.diff(x, axis=1)
+    assert np.abs(spacing - np.median(spacing, axis=0)).max() < 3  # on one stiff floor: a swap would be 160
+    assert facts["found"]["window_px"] > 15  # markers are ~30 px wide: the window follows
+
+
+def test_the_markers_spacing_scatters_by_less_than_0_08_px(markers):
+    """A failure means that positions of wide, flat-bottomed ridges in lossy video are worse than stated."""
+    _, x, _, _ = markers
+    step = np.median(np.diff(x, axis=0), axis=1)
+    slow = np.r_[False, np.abs(step) < 2]
+    shift = np.median(x - x[0], axis=1)
+    assert slow.sum() > 300
+    scatters = [scatter(spacing, shift, slow) for spacing in np.diff(x, axis=1).T]
+    assert np.median(scatters) <= 0.08
+    assert np.median([scatter(s, shift, ~slow) for s in np.diff(x, axis=1).T]) > 0.08  # motion blur
+
+
+def test_the_beam_s_white_frame_is_rejected_and_its_motion_is_common(tmp_path):
+    """A failure means that a white frame is tracked, or that motion of a hundredth of a pixel is noise."""
+    status, x, flags, facts = tracked(tmp_path, "striped_beam.cine", "--rotate", "90")
+    assert status == 1
+    assert facts["frames"]["blank"] == 1
+    assert "1 frame(s) blank" in " ".join(facts["warnings"])
+    assert (flags[-1] == "blank").all()
+    assert (flags[:-1] == "ok").all()
+    assert x.shape[1] >= 3
+    motion = x[:-1] - x[:-1].mean(axis=0)
+    together = np.corrcoef(motion.T)[np.triu_indices(x.shape[1], 1)]
+    assert together.min() > 0.97
+    assert 0.005 < motion.std() < 0.02
+
+
+def test_sarcomeres_are_followed_with_doubts_flagged(tmp_path):
+    """A failure means that a comb that drifts and merges is given with false certainty, or not at all."""
+    status, x, flags, facts = tracked(tmp_path, "sarcomeres.avi", "--rotate", "90", "--strip", "190:211")
+    assert status == 1
+    assert "in doubt" in " ".join(facts["warnings"])
+    known = np.isfinite(x)
+    assert np.array_equal(known, flags == "ok")
+    assert 25 <= x.shape[1] <= 45
+    assert known.mean() > 0.4
+    assert {"doubtful", "merged"} <= set(flags.ravel())
+    for row, there in zip(x, known, strict=True):
+        assert (np.diff(row[there]) > 0).all()
+    astray = np.abs(x - np.nanmedian(x, axis=0)) > 30
+    assert astray.sum() < 0.005 * known.sum()  # discs move by less than 15 px
