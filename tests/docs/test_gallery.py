@@ -20,7 +20,7 @@ def test_the_gallery_has_its_three_scripts():
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 def test_a_script_of_the_gallery_draws_its_picture(script, tmp_path):
-    """A failure means that an example which readers copy no longer works or warns (-W error), or draws an empty page."""
+    """A failure means that an example which readers copy fails, warns (-W error) or draws an empty page."""
     from matplotlib.image import imread
 
     done = subprocess.run(

@@ -71,9 +71,9 @@ def rheometer_friction(torque_N_mm: ArrayLike, *, load_N: ArrayLike, radius_mm: 
 def modulus_from_offset(
     offset_N: ArrayLike, *, thickness_mm: float = THICKNESS_MM, width_mm: float = WIDTH_MM
 ) -> Array:
-    """Young's modulus in GPa from a push-pull branch F = k D + F0, Y = |F0| / (eps W).
+    """Young's modulus in GPa from a push-pull branch F = k D + F0, Y = abs(F0) / (eps W).
 
-    D is the clamp distance and D0 = -F0/k the strip's free length, so k D0 = |F0|. The paper prints
+    D is the clamp distance and D0 = -F0/k the strip's free length, so k D0 = abs(F0). The paper prints
     D0 = k/F0, which has the wrong dimension.
     """
     return np.asarray(np.abs(np.asarray(offset_N, float)) / (thickness_mm * width_mm) / 1000)

@@ -52,24 +52,22 @@ def track_sheets(
 
     Args:
         strip: I(x, t) from `vision.strip_profile`, (frame, x), with coordinates x (px), time_s and status.
-        ridges: polarity of the ridges.  sheets: number in view, found if None.  axis_px: symmetry axis,
-        found if None.
+        ridges: polarity of the ridges.
+        sheets: number in view, found if None.
+        axis_px: symmetry axis, found if None.
         fit: "sliding", "paper" (the publication's, exactly) or "template".
         window_px: odd fit window; None is 9 where the ridges are 6–14 px wide, else, as with "auto", it
-        follows their
-            width.
+            follows their width.
 
-    Returns: Dataset with x_px, x_err_px and flag (frame, sheet); side, n, x_mean_px, found, fwhm_px, snr,
-    x_noise_px
-        (sheet); time_s (frame). x_px is NaN wherever flag is not "ok": "missing" (no ridge there), "merged"
-        (two sheets
-        in one ridge), "edge" (outside the picture or too near its edge), "doubtful" (identity not certain),
-        "unfit"
-        (the fit has no answer), or the frame's own "blank", "corrupt", "lost". What was found by itself is
-        in attrs.
+    Returns:
+        Dataset with x_px, x_err_px and flag (frame, sheet); side, n, x_mean_px, found, fwhm_px, snr,
+        x_noise_px (sheet); time_s (frame). x_px is NaN wherever flag is not "ok": "missing" (no ridge there),
+        "merged" (two sheets in one ridge), "edge" (outside the picture or too near its edge), "doubtful"
+        (identity not certain), "unfit" (the fit has no answer), or the frame's own "blank", "corrupt",
+        "lost". What was found by itself is in attrs.
 
-    Raises: InputError for a constant picture, no ridges, fewer ridges than `sheets`, an axis outside all
-    reason.
+    Raises:
+        InputError: for a constant picture, no ridges, fewer ridges than `sheets`, an axis outside all reason.
     """
     source = str(strip.attrs.get("source", "the strip"))
     profile = np.asarray(strip.values, np.float32)
