@@ -31,6 +31,12 @@ BRIGHTNESS_LIMIT = 4.0
 STAY_COST = 4.0  # for the whole comb together to have moved by half a pitch or more
 MISSING_COST = 6.0
 STRANGER_COST = 7.0  # for a candidate as bright as the sheets; fainter ones are cheaper
+OUTSIDE_COST = 0.5  # for a sheet missing whose place is outside the picture
+CROSSING_COST = (
+    2.0  # for one that the comb's own displacement takes there, or one not known yet that comes in
+)
+MOST_CROSSING = 3  # sheets that cross an edge of the picture in one displacement
+EDGE_REACH = 1.5  # pitches between the comb's end and the picture's: nearer, more sheets may be outside
 # steps (sheets, candidates) from one pair to the next: neighbours, missing sheets, strangers, some of both
 STEPS = (
     (1, 1),
@@ -49,7 +55,7 @@ class Reference:
 
     x_px: expected positions, (lists, N).  log_contrast: (N,).  missing_cost: (N,), small for sheets often
     unseen. pitch_px: typical spacing.  width_px: of the picture, sheets expected outside it are missing
-    for nothing.
+    for nothing.  open_ended: whether there may be more sheets beyond the first and the last.
     """
 
     x_px: Doubles
@@ -57,6 +63,19 @@ class Reference:
     missing_cost: Doubles
     pitch_px: float
     width_px: tuple[float, float]
+    open_ended: bool = True
+
+    def mirrored(self) -> Reference:
+        """The comb with left and right exchanged."""
+        low, high = self.width_px
+        return Reference(
+            -self.x_px[:, ::-1],
+            self.log_contrast[::-1],
+            self.missing_cost[::-1],
+            self.pitch_px,
+            (-high, -low),
+            self.open_ended,
+        )
 
 
 @dataclass(frozen=True)
@@ -115,27 +134,33 @@ def _take(reference: Reference, rows: Ints) -> Reference:
         reference.missing_cost,
         reference.pitch_px,
         reference.width_px,
+        reference.open_ended,
     )
 
 
 def _align_batch(candidates: Candidates, reference: Reference) -> Alignment:
     longest = max(1, int(np.isfinite(candidates.x_px).sum(axis=1).max(initial=1)))
     candidates = candidates.first(longest)
-    pair = _pair_costs(candidates, reference)
-    forward, origin = _pass(pair, candidates.x_px, reference.x_px, reference.pitch_px)
-    turned = (pair[::-1, :, ::-1], -candidates.x_px[:, ::-1], -reference.x_px[:, ::-1])  # seen in a mirror
-    backward = _pass(*turned, reference.pitch_px)[0][::-1, :, ::-1]
+    pair, missing, stranger = _pair_costs(candidates, reference)
+    left = _outside(candidates.x_px, reference, missing, stranger)
+    right = _outside(-candidates.x_px[:, ::-1], reference.mirrored(), missing[:, ::-1], stranger[:, ::-1])[
+        ::-1, :, ::-1
+    ]
+    forward, origin = _pass(pair, left, candidates.x_px, reference.x_px, reference.pitch_px)
+    turned = (pair[::-1, :, ::-1], right[::-1, :, ::-1])  # seen in a mirror
+    mirrored_x = -candidates.x_px[:, ::-1], -reference.x_px[:, ::-1]
+    backward = _pass(*turned, *mirrored_x, reference.pitch_px)[0][::-1, :, ::-1]
     real = np.isfinite(pair)
     through = np.where(
         real, forward + backward - np.where(real, pair, 0.0), np.inf
     )  # best alignment with this pair
-    match = _trace(forward, origin)
+    match = _trace(forward + right, origin)
     return Alignment(match, _margins(through, match))
 
 
-def _pair_costs(candidates: Candidates, reference: Reference) -> Doubles:
-    """Cost of pairing, less that of leaving sheet and candidate alone, (N, lists, K); inf where there is no
-    candidate."""
+def _pair_costs(candidates: Candidates, reference: Reference) -> tuple[Doubles, Doubles, Doubles]:
+    """Cost of pairing, less that of leaving sheet and candidate alone, (N, lists, K), inf where there is no
+    candidate; and these two, (lists, N) and (lists, K)."""
     sheets, pitch = reference.x_px.shape[1], reference.pitch_px
     brightness = candidates.log_contrast - _typical_difference(candidates, reference)[:, None]
     off = brightness[None] - reference.log_contrast[:, None, None]
@@ -146,9 +171,31 @@ def _pair_costs(candidates: Candidates, reference: Reference) -> Doubles:
     stranger = STRANGER_COST * np.clip(faint, 0.3, 1.0)
     low, high = reference.width_px
     inside = (reference.x_px > low) & (reference.x_px < high)
-    missing = np.where(inside, reference.missing_cost, 0.5)
+    missing = np.where(inside, reference.missing_cost, OUTSIDE_COST)
     cost -= stranger[None] + missing.T[:, :, None]
-    return np.where(np.isfinite(cost), cost, np.inf)
+    return np.where(np.isfinite(cost), cost, np.inf), missing, stranger
+
+
+def _outside(x: Doubles, reference: Reference, missing: Doubles, stranger: Doubles) -> Doubles:
+    """What an alignment that begins with each pair is spared, (N, lists, K), zero or less.
+
+    Sheets further to the left that are then expected outside the picture are missing for little, and where
+    the comb may go on beyond its first sheet, candidates to the left of that are sheets not known yet.
+    """
+    sheet_x, low = reference.x_px, reference.width_px[0]
+    spared = np.maximum(missing - CROSSING_COST, 0)[:, :MOST_CROSSING]
+    spared = np.pad(np.cumsum(spared, axis=1), ((0, 0), (1, 0)))
+    rows, most = np.arange(len(x))[:, None], spared.shape[1] - 1
+    out = np.zeros((sheet_x.shape[1], *x.shape))
+    for n in range(min(2 * BAND, sheet_x.shape[1])):
+        moved = np.nan_to_num(x) - sheet_x[:, n, None]
+        gone = (sheet_x[:, None, : min(n, most)] + moved[:, :, None] < low).sum(axis=2)
+        out[n] = -spared[rows, gone]
+    if reference.open_ended:
+        goes_on = sheet_x[:, 0] < low + EDGE_REACH * reference.pitch_px
+        unknown = np.maximum(np.nan_to_num(stranger) - CROSSING_COST, 0)[:, :MOST_CROSSING].cumsum(axis=1)
+        out[0, :, 1 : MOST_CROSSING + 1] -= np.where(goes_on[:, None], unknown, 0.0)[:, : x.shape[1] - 1]
+    return out
 
 
 def _typical_difference(candidates: Candidates, reference: Reference) -> Doubles:
@@ -159,13 +206,15 @@ def _typical_difference(candidates: Candidates, reference: Reference) -> Doubles
     return np.asarray(np.nan_to_num(upper - np.quantile(reference.log_contrast, 0.6)), np.float64)
 
 
-def _pass(pair: Doubles, x: Doubles, sheet_x: Doubles, pitch: float) -> tuple[Doubles, NDArray[np.int8]]:
+def _pass(
+    pair: Doubles, first_pair: Doubles, x: Doubles, sheet_x: Doubles, pitch: float
+) -> tuple[Doubles, NDArray[np.int8]]:
     """Cost of the best alignment ending with each pair, (N, lists, K), and the step it came by (−1: its
-    first)."""
+    first); first_pair, cost of beginning with each."""
     best = np.full_like(pair, np.inf)
     origin = np.full(pair.shape, -1, np.int8)
     for n, (low, high) in enumerate(_band(pair)):
-        row = np.zeros((pair.shape[1], high - low))
+        row = np.array(first_pair[n, :, low:high])
         step = np.full(row.shape, -1, np.int8)
         for code, (a, b) in enumerate(STEPS):
             first = max(low, b)  # the pair before has a candidate, too

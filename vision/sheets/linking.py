@@ -13,7 +13,7 @@ from vision.sheets.comb import Comb
 from vision.sheets.medians import nan_median
 from vision.sheets.reference import Model, build_model
 from vision.sheets.ridges import Ridges
-from vision.sheets.segments import Segments, split_segments
+from vision.sheets.segments import split_segments
 
 Doubles = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -50,20 +50,24 @@ def link(
     Args: ridges, candidates per frame; comb; width_px, of the profile; sheets, their number where known.
     Raises: InputError where there are no ridges or fewer than `sheets`.
     """
-    segments = split_segments(ridges, comb.pitch_px)
+    segments = split_segments(ridges, comb, width_px=width_px)
     model = build_model(segments, comb, width_px=width_px, sheets=sheets, source=source)
-    of_frame = segments.of_frames()
-    rest = np.broadcast_to(model.x_px, (len(of_frame), model.sheets))
-    match = _align_segments(segments, model, comb, rest, width_px).match[of_frame]
-    model, match = _without_marks(model, match, ridges, sheets)
+
+    def aligned(model: Model, rest: Doubles) -> Alignment:
+        middle = rest[segments.start + segments.length // 2]
+        reference = model.reference(middle, comb, width_px, open_ended=sheets is None)
+        return align(segments.candidates, reference)
+
+    match = aligned(model, np.broadcast_to(model.x_px, (len(ridges.x_px), model.sheets))).match
+    model, match = _without_marks(model, segments.in_frames(match, ridges.count), ridges, sheets)
     for _ in range(ROUNDS):
         rest = _resting_places(_positions(ridges, match), model)
-        alignment = _align_segments(segments, model, comb, rest, width_px)
-        settled = np.array_equal(alignment.match[of_frame], match)
-        match = alignment.match[of_frame]
-        if settled:
+        alignment = aligned(model, rest)
+        before, match = match, segments.in_frames(alignment.match, ridges.count)
+        if np.array_equal(before, match):
             break
-    return Links(match, alignment.margin[of_frame], rest, model)
+    margin = np.where(match >= 0, alignment.margin[segments.of_frames()], np.nan)
+    return Links(match, margin, rest, model)
 
 
 def _without_marks(model: Model, match: Ints, ridges: Ridges, sheets: int | None) -> tuple[Model, Ints]:
@@ -73,11 +77,6 @@ def _without_marks(model: Model, match: Ints, ridges: Ridges, sheets: int | None
     x = _positions(ridges, match)
     still = standing_still(x - _resting_places(x, model), model.x_px)
     return model.only(np.flatnonzero(~still)), match[:, ~still]
-
-
-def _align_segments(segments: Segments, model: Model, comb: Comb, rest: Doubles, width_px: int) -> Alignment:
-    middle = segments.start + segments.length // 2
-    return align(segments.candidates, model.reference(rest[middle], comb, width_px))
 
 
 def _positions(ridges: Ridges, match: Ints) -> Doubles:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from vision.sheets.alignment import CROSSING_COST, EDGE_REACH, STAY_COST
 from vision.sheets.comb import Comb
 from vision.sheets.linking import Links, fill_rows
 from vision.sheets.medians import nan_median
@@ -15,6 +16,8 @@ from vision.sheets.ridges import Ridges, find_ridges
 Doubles = NDArray[np.float64]
 
 DOUBT = 3.0  # nats: odds below 20 to 1
+# in a comb without ends that leaps by pitches: what staying and edges alone can bring, and a little
+LEAP_DOUBT = STAY_COST + 2 * CROSSING_COST + 1.0
 GLIMPSE_REACH = 0.3  # of the pitch: a faint ridge this near to where a missing sheet must be is that sheet
 GLIMPSE_CONTRAST = 0.2  # of the sheet's usual contrast
 TEAR = 0.6  # of the pitch: neighbours' displacements differ by less, even in a slip
@@ -40,12 +43,13 @@ def sightings(profile: NDArray[np.float32], ridges: Ridges, links: Links, comb: 
 
     Where a missing sheet must be follows from its neighbours' displacement in the same frame. A ridge there
     that was too faint for the first search is taken if it reaches a fifth of the sheet's usual contrast.
-    Positions whose identity is not certain (margin below 3 nats, or displaced unlike the other sheets) are
-    flagged "doubtful" and not given.
+    Positions whose identity is not certain (margin below 3 nats, displaced unlike the other sheets, or in a
+    comb without ends that leapt by pitches) are flagged "doubtful" and not given.
     """
     doubtful = (links.match >= 0) & ~(links.margin >= DOUBT)
     found = np.where(links.match >= 0, _paired(ridges.x_px, links), np.nan)
     doubtful |= _torn(found - links.rest_px, comb)
+    doubtful |= _leapt(found, links, comb, profile.shape[1])
     sure = (links.match >= 0) & ~doubtful
     table = [_paired(values, links) for values in (ridges.x_px, ridges.contrast, ridges.fwhm_px)]
     start, contrast, fwhm = (np.where(sure, values, np.nan) for values in table)
@@ -78,6 +82,23 @@ def _torn(moved: Doubles, comb: Comb) -> NDArray[np.bool_]:
     size = np.bincount(key, minlength=frames * sheets).reshape(frames, sheets)
     own = np.take_along_axis(size, group, axis=1)
     return np.asarray(seen & (own < size.max(axis=1, keepdims=True)), bool)
+
+
+def _leapt(x: Doubles, links: Links, comb: Comb, width_px: int) -> NDArray[np.bool_]:
+    """Frames in which a comb that fills the picture stands whole pitches from where it mostly does.
+
+    With neither end in view, only brightness tells such a leap from none: what rests on less is doubtful.
+    """
+    seen = np.flatnonzero(np.isfinite(x).any(axis=1))
+    step = np.nan_to_num(nan_median(np.diff(x[seen], axis=0), axis=1)) / comb.pitch_px
+    leap = np.where(np.abs(step) > TEAR, np.rint(step), 0).astype(np.int64)
+    place = np.zeros(len(x), np.int64)
+    place[seen[1:]] = np.cumsum(leap)
+    values, counts = np.unique(place[seen], return_counts=True)
+    usual = values[np.argmax(counts)] if len(values) else 0
+    reach = EDGE_REACH * comb.pitch_px
+    filled = (links.rest_px[:, 0] < reach) & (links.rest_px[:, -1] > width_px - 1 - reach)
+    return np.asarray((filled & (place != usual))[:, None] & (links.margin < LEAP_DOUBT), bool)
 
 
 def _last_seen(values: Doubles) -> Doubles:

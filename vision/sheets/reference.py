@@ -49,11 +49,12 @@ class Model:
             self.x_px[kept], self.log_contrast[kept], self.log_width[kept], self.found[kept], dropped=fewer
         )
 
-    def reference(self, x_px: Doubles, comb: Comb, width_px: int) -> Reference:
+    def reference(self, x_px: Doubles, comb: Comb, width_px: int, *, open_ended: bool = True) -> Reference:
         """This comb expected at x_px (lists, N)."""
         seldom = np.clip(-np.log(np.clip(1 - self.found, 1e-3, 1)), 1.0, MISSING_COST)
         half = comb.fwhm_px / 2
-        return Reference(x_px, self.log_contrast, seldom, comb.pitch_px, (half, width_px - 1 - half))
+        inside = (half, width_px - 1 - half)
+        return Reference(x_px, self.log_contrast, seldom, comb.pitch_px, inside, open_ended)
 
 
 def build_model(segments: Segments, comb: Comb, *, width_px: int, sheets: int | None, source: str) -> Model:

@@ -1,0 +1,78 @@
+"""Combs that fill the picture: only brightness and motion tell their sheets apart, or nothing does."""
+
+import numpy as np
+import pytest
+from identity_cases import FRAMES, brightness, jumps
+from scenes import comb, ridges, strip
+
+from vision.sheets.tracks import track_sheets
+
+PITCH = 20.0
+
+
+def cropped(moved, *, slip=0.4, equal=False):
+    """50 sheets in a picture that holds 48, moved as a whole."""
+    x = comb(FRAMES, slip=slip, axis_px=480) + moved
+    return x, strip(ridges(x, width=960, contrast=1.0 if equal else brightness()))
+
+
+def wrong_positions(tracks, truth):
+    """Positions of other sheets, whichever sheet the counting began with (the first may never be seen)."""
+    given, x = tracks.flag.values == "ok", tracks.x_px.values
+    padded = np.pad(truth, ((0, 0), (3, 3)), constant_values=np.nan)
+    starts = range(padded.shape[1] - x.shape[1] + 1)
+    errors = (np.abs(x - padded[:, i : i + x.shape[1]]) for i in starts)
+    return min(int((given & ~(error < PITCH / 2)).sum()) for error in errors)
+
+
+MOTIONS = {
+    "drift 3 px": np.linspace(-3, 3, FRAMES)[:, None],
+    "drift 16 px": np.linspace(-8, 8, FRAMES)[:, None],
+    "drift 60 px": np.linspace(-30, 30, FRAMES)[:, None],
+    "drift 120 px": np.linspace(-60, 60, FRAMES)[:, None],
+    "jumps of half a pitch": jumps(0.5, -0.5),
+    "jumps of a pitch": jumps(1, -1),
+    "jumps of two pitches": jumps(2, -2),
+}
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_brightness_tells_sheets_of_a_cropped_comb(name):
+    """A failure means the count of sheets in view outweighs their looks, with the ends out of view."""
+    truth, picture = cropped(MOTIONS[name])
+    tracks = track_sheets(picture)
+    assert wrong_positions(tracks, truth) == 0
+    assert (tracks.flag == "ok").values.mean() > 0.85
+
+
+@pytest.mark.parametrize("slip", [0.4, 0.85])
+def test_equal_sheets_of_a_cropped_comb_keep_their_numbers_through_slips(slip):
+    """A failure means slips swap equally bright sheets where the ends of the comb are out of view."""
+    truth, picture = cropped(0.0, slip=slip, equal=True)
+    tracks = track_sheets(picture)
+    assert wrong_positions(tracks, truth) == 0
+    assert (tracks.flag == "ok").values.mean() > 0.98
+
+
+@pytest.mark.parametrize("name", ["drift 16 px", "drift 60 px", "drift 120 px", "jumps of half a pitch"])
+def test_equal_sheets_of_a_cropped_moving_comb_are_doubted_rather_than_swapped(name):
+    """Which sheet is which is hardly to be known here: what is said without doubt must be right."""
+    truth, picture = cropped(MOTIONS[name], equal=True)
+    tracks = track_sheets(picture)
+    assert wrong_positions(tracks, truth) <= 0.002 * truth.size
+    assert (tracks.flag == "doubtful").any()
+
+
+def test_a_jump_that_cannot_be_seen_is_not_made_up():
+    """Equal sheets, ends out of view, jumps of exactly a pitch: the comb looks still, and is given so."""
+    _, picture = cropped(MOTIONS["jumps of a pitch"], equal=True)
+    step = np.diff(track_sheets(picture).x_px.values, axis=0)
+    assert np.nanmax(np.abs(np.nanmedian(step, axis=1))) < 0.5 * PITCH
+
+
+def test_an_even_comb_with_an_end_in_view_needs_no_doubt():
+    """The same jumps are told by one end in view: a failure means ends do not anchor identity."""
+    truth = comb(FRAMES, slip=0.4, axis_px=480)[:, 4:] + jumps(1, -1)
+    tracks = track_sheets(strip(ridges(truth, width=960)))
+    assert wrong_positions(tracks, truth) == 0
+    assert (tracks.flag == "ok").values.mean() > 0.85
