@@ -129,7 +129,7 @@ def track(
     from vision.run.provenance import described_meanwhile
 
     options = merge({name: value for name, value in locals().items() if name in DEFAULTS}, DEFAULTS, config)
-    target = out or Path(f"{_name(video)}_tracks")
+    target = out or Path(f"{run_name(video)}_tracks")
     check_target(target, overwrite=overwrite)
     with described_meanwhile(video) as describe:
         run = _measure(video, options, quiet=quiet)
@@ -137,7 +137,7 @@ def track(
     return report(run, target, quiet=quiet, verbose=verbose)
 
 
-def _name(video: Path) -> str:
+def run_name(video: Path) -> str:
     """Base name of the run folder: the file's or folder's own; of a pattern what is no wildcard."""
     whole = video.absolute() if video.name else video.resolve()
     if whole.exists():
