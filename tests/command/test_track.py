@@ -22,6 +22,8 @@ FILES = {
     "kymograph.tif",
     "kymograph.png",
     "overview.png",
+    "report.html",
+    "figures",
     "run.json",
 }
 
