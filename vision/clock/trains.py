@@ -17,7 +17,7 @@ Ints = NDArray[np.int64]
 
 # A pair earns at most this, however sharp both times are.  Without a cap one slip more at the end of an even
 # train would decide between shifts by a whole event, and which slip is the first or last one seen is chance.
-_MOST_PER_PAIR = 2.5
+_MOST_PER_PAIR = 3.2
 _SEEN = 0.75  # share of the slips that either side is taken to see
 PAIRED, ALONE = float(2 * np.log(_SEEN)), float(np.log(1 - _SEEN))
 DRIFT_PPM = 1500.0  # standard deviation of the prior on the drift
@@ -46,7 +46,8 @@ class Trains:
 
     def earned(self) -> Doubles:
         """What a pair without residual earns over a slip at any time, (video slips,)."""
-        even = np.log(self.period_s / (self.error_s * np.sqrt(2 * np.pi)))
+        # The 1 is what an unrelated slip would cost for being there at all (rate times time, per slip).
+        even = 1 + np.log(self.period_s / (self.error_s * np.sqrt(2 * np.pi)))
         return np.asarray(np.clip(even, 0.0, _MOST_PER_PAIR) + PAIRED)
 
 

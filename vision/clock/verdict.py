@@ -10,15 +10,13 @@ from vision.clock.search import find_alignments
 from vision.clock.trains import ALONE, DRIFT_PPM, Clocks, Fit, Trains
 
 LEAST_MARGIN = 6.0
-_LEAST_LIKELIHOOD = 12.0
+_LEAST_LIKELIHOOD = 18.0
 _LEAST_MATCHED = 6
 _LARGEST_SCALE = 1.5
 _WANDER = 3.0  # standard errors of the correlation of one residual with the next
 _CHANCE = 3.0  # standard deviations of the likelihood of shifts of an even train
-_NEIGHBOURS = 9
-# Of deviations from a running median of nine, which follows the values themselves; measured.
-_MAD_TO_SIGMA = 1.85
-_SINGLE = 0.5  # in the logarithm of an interval: what differs more has slips missing or false
+_MAD_TO_SIGMA = 1.4826
+_ALIKE = 0.5  # in the logarithm of neighbouring intervals: what differs more has slips missing or false
 _SIMILAR = 0.5  # of the slips: alternatives with fewer in common are no shifts
 
 
@@ -96,15 +94,15 @@ def _chance_of_shifts(trains: Trains, fit: Fit) -> float:
 def _told_by_intervals(trains: Trains, fit: Fit) -> float:
     """By how much a shift by one slip lowers the likelihood through the unevenness of the intervals alone.
 
-    It moves each slip by how far one interval differs from its neighbours.
+    It moves each slip by how far one interval differs from the usual one; neighbours give the scatter, so that a
+    trend is no evidence.
     """
-    from scipy.ndimage import median_filter
-
     paired = np.unique(fit.partner[0][fit.partner[0] >= 0])
     interval = np.diff(trains.force_s[paired])
-    local = median_filter(interval, _NEIGHBOURS, mode="nearest")
-    single = np.abs(np.log(interval / local)) < _SINGLE
-    uneven = _MAD_TO_SIGMA * float(np.median(np.abs(interval - local)[single]))
+    change = np.abs(np.diff(interval))[np.abs(np.diff(np.log(interval))) < _ALIKE]
+    if not len(change):
+        return 0.0
+    uneven = _MAD_TO_SIGMA * float(np.median(change)) / np.sqrt(2)
     error = trains.typical_error_s * fit.scale[0]
     most = np.median(trains.earned()) - 2 * ALONE
     return float(len(interval) * min(0.5 * (uneven / error) ** 2, 0.5 * most))

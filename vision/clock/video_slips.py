@@ -60,8 +60,8 @@ def video_slips(tracks: xr.Dataset) -> pd.DataFrame:
     pattern = _first_pattern(np.asarray(tracks["n"].values, np.float64))
     noise = _noise(steps.moved_px)
     for _ in range(_ROUNDS):
-        above, error = _common(steps, pattern, noise)
-        first, last = _runs(above, error)
+        above, error, creep = _common(steps, pattern, noise)
+        first, last = _runs(above, error, creep)
         pattern = _pattern(steps, pattern, first, last)
     time_s, error_s, share = _placed(steps.time_s, above, first, last)
     table = pd.DataFrame(
@@ -109,8 +109,8 @@ def _noise(moved_px: Doubles) -> Doubles:
     return np.asarray(np.maximum(np.where(np.isfinite(noise), noise, np.inf), floor))
 
 
-def _common(steps: _Steps, pattern: Doubles, noise: Doubles) -> tuple[Doubles, Doubles]:
-    """Size of the pattern in each movement above the creep, and its standard error, (F-1,).
+def _common(steps: _Steps, pattern: Doubles, noise: Doubles) -> tuple[Doubles, Doubles, float]:
+    """(size of the pattern in each movement above the creep, its standard error, the creep), (F-1,) each.
 
     A uniform shift of all sheets is fitted along.
     """
@@ -126,11 +126,11 @@ def _common(steps: _Steps, pattern: Doubles, noise: Doubles) -> tuple[Doubles, D
         error = np.sqrt(np.where(both, uu / (pp * uu - pu**2), 1 / pp))
     useful = np.isfinite(size) & np.isfinite(error)
     if not useful.any():
-        return np.zeros_like(size), np.full_like(error, np.inf)
+        return np.zeros_like(size), np.full_like(error, np.inf), 0.0
     creep, scatter = _shortest_half(size[useful])
     # The sheets' own noise does not explain all, such as paper that gives way unevenly.
     error = error * max(scatter, 1e-9) / np.median(error[useful])
-    return np.where(useful, size - creep, 0.0), np.where(useful, error, np.inf)
+    return np.where(useful, size - creep, 0.0), np.where(useful, error, np.inf), creep
 
 
 def _shortest_half(values: Doubles) -> tuple[float, float]:
@@ -145,18 +145,39 @@ def _shortest_half(values: Doubles) -> tuple[float, float]:
     return float(ordered[k : k + half + 1].mean()), _MAD_TO_SIGMA / 2 * float(length[k])
 
 
-def _runs(above: Doubles, error: Doubles) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First and last movement of each step."""
-    part = above > _PART * error
+def _runs(above: Doubles, error: Doubles, creep: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First and last movement of each step.
+
+    In a stick the sheets creep inwards, or rest where the machine does: only what goes outwards is a step.
+    """
+    outward = above + min(creep, 0.0)
+    part = outward > _PART * error
     edges = np.diff(np.r_[0, part.astype(np.int8), 0])
     first, last = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
     height = _sums(above, first, last)
-    clear = height > _CLEAR * error[first]
+    sudden = np.maximum.reduceat(np.r_[outward, -np.inf], np.stack([first, last + 1], axis=1).ravel())[::2]
+    padded = np.r_[0.0, above, 0.0]
+    clear = (sudden > _CLEAR * error[first]) & (
+        np.minimum(padded[first], padded[last + 2]) > -_UNDONE * height
+    )
     if clear.any():
         clear &= height > _SMALL * np.percentile(height[clear], 90)
-    padded = np.r_[0.0, above, 0.0]
-    clear &= (padded[first] > -_UNDONE * height) & (padded[last + 2] > -_UNDONE * height)
-    return first[clear], last[clear]
+    return _completed(above, error, first[clear], last[clear])
+
+
+def _completed(
+    above: Doubles, error: Doubles, first: NDArray[np.int64], last: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Steps of one movement with the neighbour that shows another part, though it be less than the creep.
+
+    A part is more than the next movement further away: there may be no creep at all before a slip.
+    """
+    single, least = first == last, _PART * error[first]
+    padded = np.maximum(np.r_[0.0, 0.0, above, 0.0, 0.0], 0.0)
+    before, after = padded[first + 1] - padded[first], padded[last + 3] - padded[last + 4]
+    earlier = single & (before > least) & (before >= after)
+    later = single & (after > least) & (after > before)
+    return first - earlier, last + later
 
 
 def _sums(values: Doubles, first: NDArray[np.int64], last: NDArray[np.int64]) -> Doubles:

@@ -1,0 +1,135 @@
+"""Slips with known times as a camera and a load cell see them, for tests of the clocks alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from scipy.signal import lfilter
+
+from tests.force.sawtooth import recording
+from vision.clock.trains import Trains
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two trains, and the clock between them: t_force = offset_s + rate t_video."""
+
+    trains: Trains
+    offset_s: float
+    rate: float
+
+    def error_s(self, alignment) -> float:
+        """By how much the best alignment is off at the centre of its slips."""
+        centre = alignment.clocks.centre_s[0]
+        return float(alignment.clocks.middle_s[0] - self.offset_s - self.rate * centre)
+
+
+def slip_times(rng, count, *, period_s=0.5, jitter=0.07, trend=0.0):
+    """Slips whose intervals scatter by `jitter` and change by `trend`, relatively, from one to the next."""
+    usual = period_s * np.exp(trend * np.arange(count))
+    return np.cumsum(usual * np.maximum(1 + jitter * rng.standard_normal(count), 0.2))
+
+
+def damaged(rng, times, missed, false):
+    """The same with a share missed and false ones among them."""
+    kept = times[rng.random(len(times)) >= missed]
+    return np.sort(np.r_[kept, rng.uniform(times[0], times[-1], rng.poisson(false * len(times)))])
+
+
+def seen_by_camera(rng, times, frame_s, lost=0.0):
+    """(middle, standard error) of the gap between the frames around each slip; a share of frames is lost."""
+    frames = np.arange(times[0] - 1 - frame_s * rng.random(), times[-1] + 1, frame_s)
+    frames = frames[rng.random(len(frames)) >= lost]
+    after = np.unique(np.clip(np.searchsorted(frames, times), 1, len(frames) - 1))
+    return 0.5 * (frames[after] + frames[after - 1]), (frames[after] - frames[after - 1]) / np.sqrt(12)
+
+
+def pair(
+    rng,
+    *,
+    video=100,
+    force=None,
+    missed=(0.0, 0.0),
+    false=(0.0, 0.0),
+    frame_s=0.05,
+    drift_ppm=50.0,
+    lost=0.0,
+    unrelated=False,
+    **pattern,
+) -> Pair:
+    """Trains of `video` and `force` slips, the shorter a random part of the longer.
+
+    missed and false: shares, camera first.  unrelated: the camera's slips are those of another test.
+    """
+    force = video if force is None else force
+    slips = slip_times(rng, max(video, force), **pattern)
+    first_v, first_f = (rng.integers(0, len(slips) - count + 1) for count in (video, force))
+    at_camera = slips[first_v : first_v + video]
+    if unrelated:
+        at_camera = slip_times(rng, video, **pattern)
+    offset, rate = rng.uniform(-30, 30), 1 + 1e-6 * drift_ppm
+    camera = (damaged(rng, at_camera, missed[0], false[0]) - offset) / rate
+    middle, error = seen_by_camera(rng, camera, frame_s, lost)
+    machine = damaged(rng, slips[first_f : first_f + force], missed[1], false[1])
+    machine = np.sort(machine + 0.001 * rng.standard_normal(len(machine)))
+    return Pair(Trains(middle, np.hypot(error, 0.0014), machine), offset, rate)
+
+
+def tracks(
+    rng,
+    slips_s,
+    *,
+    stop_s,
+    frame_s=0.05,
+    exposure_s=0.004,
+    noise_px=0.05,
+    jump_px=3.0,
+    per_side=10,
+    sides=(-1, 1),
+    missing=0.05,
+    lost=0.0,
+    shake_px=0.1,
+    drift_px=1.0,
+) -> xr.Dataset:
+    """x(n, t): sheets that creep inwards and jump outwards at the slips, outer ones by `jump_px`.
+
+    With noise, missing positions, lost frames, and a picture that shakes and drifts as a whole.
+    """
+    time = np.arange(0.5 * frame_s, stop_s, frame_s)
+    time = time[rng.random(len(time)) >= lost]
+    side = np.repeat(sides, per_side)
+    n = np.concatenate([np.arange(per_side, 0, -1) if s < 0 else np.arange(1, per_side + 1) for s in sides])
+    begin, end = time - exposure_s / 2, time + exposure_s / 2
+    # Mean over the exposure of the number of slips so far, and the creep that undoes them on average.
+    slips = np.clip((end[:, None] - slips_s) / exposure_s, 0, 1).sum(axis=1)
+    knots = np.r_[begin[0] - 1, slips_s, end[-1] + 1]
+    creep = np.interp(time, knots, np.r_[0.0, np.arange(1, len(slips_s) + 1), len(slips_s) + 1.0])
+    outward = jump_px * (n / per_side) ** 2 * (slips - creep)[:, None]
+    picture = shake_px * rng.standard_normal((len(time), 1)) + np.linspace(0, drift_px, len(time))[:, None]
+    x = 500 + side * (20 * n + outward) + picture + noise_px * rng.standard_normal(outward.shape)
+    x[rng.random(x.shape) < missing] = np.nan
+    coords = {"time_s": ("frame", time), "side": ("sheet", side), "n": ("sheet", n)}
+    return xr.Dataset({"x_px": (("frame", "sheet"), x)}, coords, {"source": "film.avi", "clock_kind": "given"})
+
+
+def sawtooth(rng, slips_s, *, stop_s, rate_hz=200.0, lowpass_s=0.003, drop_N=30.0, noise_N=0.05) -> xr.Dataset:
+    """A recording whose load drops at the slips, through a first-order low-pass, and rises in between."""
+    fine = int(np.ceil(2000.0 / rate_hz))
+    time = np.arange(0, stop_s, 1 / (rate_hz * fine))
+    knots = np.r_[0.0, slips_s, stop_s]
+    share = np.interp(time, knots, np.arange(len(knots)))
+    load = 100 + drop_N * (share - np.floor(share))
+    alpha = 1 - np.exp(-1 / (rate_hz * fine * lowpass_s))
+    load = lfilter([alpha], [1, alpha - 1], load - load[0])[::fine] + load[0]
+    load = load + noise_N * rng.standard_normal(len(load))
+    return recording(time[::fine], load, 13 + time[::fine] / 60, 1.0)
+
+
+def sticks_of(slips_s) -> pd.DataFrame:
+    """The event table of a recording with these slips, corners exact."""
+    table = pd.DataFrame({"t_v_s": slips_s[:-1] + 0.001, "t_p_s": slips_s[1:]})
+    table.attrs["first_slip_s"] = float(slips_s[0])
+    return table

@@ -1,0 +1,125 @@
+"""Slips as the camera and as the load cell see them, against known times."""
+
+import numpy as np
+import pytest
+
+from tests.slip_trains import sawtooth, slip_times, sticks_of, tracks
+from vision.clock import force_slips, video_slips
+from vision.errors import InputError
+
+STOP_S = 60.0
+FRAME_S = 0.05
+
+
+@pytest.fixture(scope="module")
+def slips_s():
+    times = 1.0 + slip_times(np.random.default_rng(0), 150, period_s=0.61)
+    return times[times < STOP_S - 1]
+
+
+def against(found_s, true_s):
+    """found minus true for each found one."""
+    nearest = np.abs(found_s[:, None] - true_s).argmin(axis=1)
+    return found_s - true_s[nearest]
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        {},
+        {"lost": 0.03},
+        {"missing": 0.4},
+        {"noise_px": 0.15, "jump_px": 1.5},
+        {"sides": (1,), "shake_px": 0.02},
+        {"shake_px": 0.5, "drift_px": 40.0},
+        {"exposure_s": 0.03},
+        {"frame_s": 0.2, "missing": 0.0},
+    ],
+)
+def test_every_slip_is_seen_and_nothing_else(scene, slips_s):
+    """A failure means that shaking, lost frames or missing sheets are taken for slips, or hide them."""
+    found = video_slips(tracks(np.random.default_rng(1), slips_s, stop_s=STOP_S, **scene))
+    off = against(found["time_s"].to_numpy(), slips_s)
+    assert len(found) == pytest.approx(len(slips_s), rel=0.03)
+    assert np.abs(off / found["error_s"]).max() < 4
+    assert np.sqrt(np.mean((off / found["error_s"]) ** 2)) == pytest.approx(1, abs=0.35)
+
+
+def test_a_slip_between_two_frames_is_placed_in_the_middle(slips_s):
+    """A failure means a bias of the clocks by part of a frame."""
+    found = video_slips(tracks(np.random.default_rng(2), slips_s, stop_s=STOP_S))
+    off = against(found["time_s"].to_numpy(), slips_s)
+    assert np.std(off) == pytest.approx(FRAME_S / np.sqrt(12), rel=0.15)
+    assert abs(np.mean(off)) < 3 * FRAME_S / np.sqrt(12 * len(off))
+
+
+def test_a_long_exposure_places_slips_to_a_part_of_a_frame(slips_s):
+    """A failure means that what a frame taken during a slip tells about its time is thrown away."""
+    found = video_slips(tracks(np.random.default_rng(3), slips_s, stop_s=STOP_S, exposure_s=0.048))
+    off = against(found["time_s"].to_numpy(), slips_s)
+    assert np.std(off) < 0.1 * FRAME_S
+    assert found.attrs["share_exposed"] == pytest.approx(0.96, abs=0.15)
+
+
+def test_common_shaking_without_slips_is_no_slip():
+    """A failure means that noise alone sets the clocks."""
+    still = tracks(np.random.default_rng(4), np.array([1e3]), stop_s=STOP_S, shake_px=2.0)
+    assert len(video_slips(still)) < 4
+
+
+def test_inward_steps_and_bad_single_frames_are_no_slips(slips_s):
+    """A failure means that a blurred frame, or sheets that are pushed together, count as slips."""
+    seen = tracks(np.random.default_rng(5), slips_s, stop_s=STOP_S)
+    turned = seen.assign_coords(side=-seen["side"])
+    assert len(video_slips(turned)) < 0.05 * len(slips_s)
+    bad = np.arange(7, seen.sizes["frame"] - 5, 101)
+    x = seen["x_px"].values.copy()
+    x[bad] += 20.0 * seen["side"].values
+    found = video_slips(seen.assign(x_px=(("frame", "sheet"), x)))
+    assert len(found) == pytest.approx(len(slips_s), abs=len(bad) / 2)
+
+
+def test_stale_time_stamps_do_not_misplace_slips(slips_s):
+    """A failure means that a camera that repeats a time stamp spoils the clocks."""
+    rng = np.random.default_rng(6)
+    seen = tracks(rng, slips_s, stop_s=STOP_S)
+    time = seen["time_s"].values.copy()
+    stale = np.flatnonzero(rng.random(len(time) - 1) < 0.05) + 1
+    time[stale] = time[stale - 1]
+    found = video_slips(seen.assign_coords(time_s=("frame", time)))
+    off = against(found["time_s"].to_numpy(), slips_s)
+    assert len(found) > 0.95 * len(slips_s)
+    assert np.abs(off / found["error_s"]).max() < 4
+
+
+def test_frames_without_times_are_refused(slips_s):
+    """A failure means a traceback where a user forgot --fps."""
+    seen = tracks(np.random.default_rng(7), slips_s, stop_s=STOP_S)
+    with pytest.raises(InputError, match=r"film\.avi: expected a time for each frame.*--fps"):
+        video_slips(seen.assign_coords(time_s=("frame", np.full(seen.sizes["frame"], np.nan))))
+    with pytest.raises(InputError, match="at least 3 frames"):
+        video_slips(seen.isel(frame=slice(0, 2)))
+
+
+@pytest.mark.parametrize(("rate_hz", "lowpass_s"), [(200, 0.003), (1000, 0.003), (100, 0.01), (200, 0.0003)])
+def test_force_slips_are_free_of_the_chain_s_delay(rate_hz, lowpass_s, slips_s):
+    """A failure means that the load cell's low-pass shifts all clocks by its time constant."""
+    force = sawtooth(np.random.default_rng(8), slips_s, stop_s=STOP_S, rate_hz=rate_hz, lowpass_s=lowpass_s)
+    found = force_slips(force, sticks_of(slips_s))
+    assert len(found) == len(slips_s)
+    bias = np.mean(found["time_s"].to_numpy() - slips_s)
+    assert abs(bias) < 1e-3 + 0.2 * lowpass_s
+    assert abs(bias) < 3 * found.attrs["lag_s"]
+
+
+def test_without_the_correction_they_are_late(slips_s):
+    """A failure means that the test above would pass without the correction."""
+    force = sawtooth(np.random.default_rng(9), slips_s, stop_s=STOP_S, lowpass_s=0.01)
+    found = force_slips(force, sticks_of(slips_s))
+    assert np.mean(found["time_s"].to_numpy() + found.attrs["delay_s"] - slips_s) > 7e-3
+
+
+def test_no_sticks_no_slips(slips_s):
+    """A failure means a traceback where a recording has no events."""
+    force = sawtooth(np.random.default_rng(10), slips_s, stop_s=STOP_S)
+    assert len(force_slips(force, sticks_of(slips_s).iloc[:0])) == 0
