@@ -1,3 +1,5 @@
+import errno
+import os
 import tracemalloc
 
 import numpy as np
@@ -145,3 +147,23 @@ def test_prefetch_keeps_order_errors_and_ends():
     next(items)
     items.close()
     assert closed == [True]
+
+
+def test_a_full_disk_for_a_long_recording_is_told(monkeypatch):
+    """Failure: the process is killed hours into a recording, as the mapped file finds no room."""
+
+    def full(*arguments):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
+    with pytest.raises(InputError, match=r"GiB for I\(x, t\).*no space left"):
+        ProfileStore(100, expected=1000, spill_bytes=1000)
+
+
+def test_an_absurd_promise_takes_no_room():
+    """Failure: a damaged header that promises 4 thousand million frames ends as out of memory."""
+    store = ProfileStore(1920, expected=2**32 - 1, spill_bytes=1 << 16)
+    for n in range(20):
+        store.append(np.full((8, 1920), n, np.float32))
+    assert store.rows().nbytes == 20 * 8 * 1920 * 4
+    assert (store.rows()[::8, 0] == np.arange(20)).all()
