@@ -112,10 +112,14 @@ def tracks(
     x = 500 + side * (20 * n + outward) + picture + noise_px * rng.standard_normal(outward.shape)
     x[rng.random(x.shape) < missing] = np.nan
     coords = {"time_s": ("frame", time), "side": ("sheet", side), "n": ("sheet", n)}
-    return xr.Dataset({"x_px": (("frame", "sheet"), x)}, coords, {"source": "film.avi", "clock_kind": "given"})
+    return xr.Dataset(
+        {"x_px": (("frame", "sheet"), x)}, coords, {"source": "film.avi", "clock_kind": "given"}
+    )
 
 
-def sawtooth(rng, slips_s, *, stop_s, rate_hz=200.0, lowpass_s=0.003, drop_N=30.0, noise_N=0.05) -> xr.Dataset:
+def sawtooth(
+    rng, slips_s, *, stop_s, rate_hz=200.0, lowpass_s=0.003, drop_N=30.0, noise_N=0.05
+) -> xr.Dataset:
     """A recording whose load drops at the slips, through a first-order low-pass, and rises in between."""
     fine = int(np.ceil(2000.0 / rate_hz))
     time = np.arange(0, stop_s, 1 / (rate_hz * fine))

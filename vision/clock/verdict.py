@@ -94,8 +94,8 @@ def _chance_of_shifts(trains: Trains, fit: Fit) -> float:
 def _told_by_intervals(trains: Trains, fit: Fit) -> float:
     """By how much a shift by one slip lowers the likelihood through the unevenness of the intervals alone.
 
-    It moves each slip by how far one interval differs from the usual one; neighbours give the scatter, so that a
-    trend is no evidence.
+    It moves each slip by how far one interval differs from the usual one; neighbours give the scatter, so
+    that a trend is no evidence.
     """
     paired = np.unique(fit.partner[0][fit.partner[0] >= 0])
     interval = np.diff(trains.force_s[paired])

@@ -1,0 +1,219 @@
+"""synchronise(): tracks and a force recording in, one clock or an honest refusal out."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from tests.slip_trains import sawtooth, slip_times, sticks_of, tracks
+from vision.clock import Clock, synchronise
+from vision.errors import InputError
+from vision.experiment import preset, with_settings
+from vision.experiment.force_file import force_recording, write_force
+from vision.experiment.scene import make_scene
+from vision.experiment.truth import truth_of
+from vision.force.recording import read_force
+from vision.force.stickslip import find_stick_slip
+
+STOP_S, OFFSET_S, FRAME_S = 120.0, 31.25, 0.05
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """(tracks, force, sticks) of 70 s of video that starts 31.25 s into a recording of two minutes."""
+    rng = np.random.default_rng(0)
+    slips = 2.0 + slip_times(rng, 200, period_s=0.61)
+    slips = slips[slips < STOP_S - 1]
+    seen = tracks(rng, slips[(slips > OFFSET_S) & (slips < OFFSET_S + 70)] - OFFSET_S, stop_s=70.0)
+    return seen, sawtooth(rng, slips, stop_s=STOP_S), sticks_of(slips)
+
+
+def off_s(clock, offset_s=OFFSET_S, at_s=35.0):
+    return float(clock.to_force_s(at_s)) - offset_s - at_s
+
+
+def test_slips_set_the_clock(recorded):
+    """A failure means that frames and forces are put together wrongly."""
+    clock = synchronise(*recorded)
+    assert (clock.status, clock.how, clock.warnings) == ("ok", "events", ())
+    assert abs(off_s(clock)) < 3e-3
+    assert abs(off_s(clock)) < 4e-3 * clock.error_ms
+    assert abs(clock.drift_ppm) < 4 * clock.drift_err_ppm
+    assert clock.matched > 100
+    assert clock.unmatched_video + clock.unmatched_force <= 2
+    assert clock.residual_ms == pytest.approx(1e3 * FRAME_S / 4, rel=0.3)
+    assert clock.margin > 6
+
+
+def test_nothing_given_is_changed(recorded):
+    """A failure means that a later stage sees altered tracks or events."""
+    before = [part.copy(deep=True) for part in recorded]
+    synchronise(*recorded)
+    xr.testing.assert_identical(before[0], recorded[0])
+    xr.testing.assert_identical(before[1], recorded[1])
+    assert before[2].equals(recorded[2])
+
+
+def test_an_offset_that_is_given_decides_and_is_compared(recorded):
+    """A failure means that a hardware trigger is overruled, or that a wrong one goes unnoticed."""
+    right = synchronise(*recorded, offset_s=OFFSET_S)
+    assert (right.offset_s, right.drift_ppm, right.status, right.how) == (OFFSET_S, 0.0, "given", "given")
+    assert right.warnings == ()
+    assert right.matched > 100
+    wrong = synchronise(*recorded, offset_s=OFFSET_S + 0.3)
+    assert wrong.offset_s == OFFSET_S + 0.3
+    assert "the slips say that the force clock is 31.2" in wrong.warnings[0]
+
+
+def test_a_given_offset_needs_no_slips(recorded):
+    """A failure means that a video of one stick cannot be used with a trigger."""
+    seen, force, sticks = recorded
+    clock = synchronise(seen.isel(frame=slice(0, 20)), force, sticks, offset_s=OFFSET_S)
+    assert clock.status == "given"
+    assert clock.matched == 0
+    assert np.isnan(clock.residual_ms)
+
+
+def with_video_time(force, *, rate=0.999958, first_s=8.0853, every=7):
+    """The column as MTS writes it: repeated until the next frame arrives."""
+    video = rate * force["time_s"].to_numpy() + first_s
+    stale = video[np.arange(len(video)) // every * every]
+    return force.assign(video_time_s=("time_s", stale))
+
+
+def test_a_column_of_video_times_decides(recorded):
+    """A failure means that the machine's own note of the camera's clock is not used, or read backwards."""
+    seen, force, sticks = recorded
+    later = seen.assign_coords(time_s=seen["time_s"] + OFFSET_S + 8.0853)
+    clock = synchronise(later, with_video_time(force), sticks)
+    assert (clock.status, clock.how) == ("given", "video time column")
+    assert clock.offset_s == pytest.approx(-8.0853 / 0.999958, abs=1e-4)
+    assert clock.drift_ppm == pytest.approx(42.0, abs=0.5)
+    assert clock.warnings == ()
+
+
+def test_outliers_in_the_column_do_not_matter(recorded):
+    """A failure means that a few bad rows tilt the clock."""
+    seen, force, sticks = recorded
+    column = with_video_time(force)
+    bad = column["video_time_s"].to_numpy().copy()
+    bad[100:130], bad[5000:5003] = np.nan, 1e4
+    later = seen.assign_coords(time_s=seen["time_s"] + OFFSET_S + 8.0853)
+    clock = synchronise(later, column.assign(video_time_s=("time_s", bad)), sticks)
+    assert clock.drift_ppm == pytest.approx(42.0, abs=1)
+
+
+def test_a_column_that_is_no_clock_is_passed_over_and_said(recorded):
+    """A failure means that a constant or foreign column sets the clocks."""
+    seen, force, sticks = recorded
+    clock = synchronise(seen, with_video_time(force, rate=0.0), sticks)
+    assert clock.how == "events"
+    assert "not usable" in clock.warnings[0]
+
+
+@pytest.mark.parametrize("offset_s", [-100.0, 500.0])
+def test_a_video_outside_the_recording_is_one_clear_line(recorded, offset_s):
+    """A failure means a traceback or empty tables where a wrong file was given."""
+    with pytest.raises(
+        InputError, match="--offset: expected a video within the force recording, 0 to 12"
+    ) as e:
+        synchronise(*recorded, offset_s=offset_s)
+    assert "\n" not in str(e.value)
+
+
+def test_a_recording_of_another_part_is_not_believed(recorded):
+    """A failure means that a video without overlap gets a clock."""
+    seen, force, sticks = recorded
+    early = sticks.iloc[:40]
+    early.attrs |= sticks.attrs
+    try:
+        clock = synchronise(seen, force.isel(time_s=force["time_s"] < 26), early)
+    except InputError:
+        return
+    assert clock.status == "ambiguous"
+
+
+def test_even_slips_are_ambiguous_with_candidates():
+    """A failure means that a shift by one slip is chosen by chance and called certain."""
+    rng = np.random.default_rng(1)
+    slips = np.arange(2.0, STOP_S - 1, 0.613)
+    seen = tracks(rng, slips[(slips > 30) & (slips < 60)] - 30, stop_s=30.0)
+    clock = synchronise(seen, sawtooth(rng, slips, stop_s=STOP_S), sticks_of(slips))
+    assert clock.status == "ambiguous"
+    assert "ambiguous" in clock.warnings[0]
+    assert len(clock.candidates) > 1
+    steps = np.diff(np.sort([c.offset_s for c in clock.candidates]))
+    np.testing.assert_allclose(steps / 0.613, np.rint(steps / 0.613), atol=0.1)
+
+
+def test_too_few_slips_are_refused(recorded):
+    """A failure means a clock from nothing, or a traceback."""
+    seen, force, sticks = recorded
+    with pytest.raises(InputError, match=r"film\.avi: expected at least 4 slips.*--offset"):
+        synchronise(seen.isel(frame=slice(0, 25)), force, sticks)
+    with pytest.raises(InputError, match="expected at least 4 slips"):
+        synchronise(seen, force, sticks.iloc[:0])
+
+
+def test_a_playback_rate_is_said(recorded):
+    """A failure means that a file's nominal rate passes for the camera's clock without a word."""
+    seen, force, sticks = recorded
+    clock = synchronise(seen.assign_attrs(clock_kind="playback"), force, sticks)
+    assert "--fps" in clock.warnings[0]
+
+
+def test_json_has_the_agreed_names(recorded):
+    """A failure means that scripts outside cannot read clock.json."""
+    written = json.loads(json.dumps(synchronise(*recorded).to_json(), allow_nan=False))
+    names = {"offset_s", "drift_ppm", "residual_ms", "matched", "unmatched_video", "unmatched_force"}
+    assert names | {"margin", "status"} <= set(written)
+    given = synchronise(*recorded, offset_s=OFFSET_S).to_json()
+    assert given["margin"] is None
+    assert given["status"] == "given"
+
+
+def test_there_and_back():
+    """A failure means that times on the two clocks do not belong together."""
+    clock = Clock(
+        offset_s=12.0,
+        drift_ppm=3000.0,
+        residual_ms=1.0,
+        matched=9,
+        unmatched_video=0,
+        unmatched_force=0,
+        margin=9.0,
+        status="ok",
+        how="events",
+    )
+    np.testing.assert_allclose(clock.to_force_s([0.0, 10.0, np.nan]), [12.0, 22.03, np.nan])
+    np.testing.assert_allclose(clock.to_video_s(clock.to_force_s([0.0, 10.0])), [0.0, 10.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "allowed_s"),
+    [
+        ("paper", {}, 0.002),
+        ("paper", {"camera.fps": 20, "camera.duration_s": 60}, 0.004),
+        ("late", {}, 0.002),
+        ("fast", {}, 0.002),
+        ("hostile", {"camera.duration_s": 40}, 0.013),  # its sheets slip up to 20 ms after one another
+    ],
+)
+def test_simulated_tests_with_physics(name, changes, allowed_s, tmp_path):
+    """A failure means that what works on bare trains does not on a whole test."""
+    experiment = with_settings(preset(name), changes)
+    scene = make_scene(experiment)
+    truth = truth_of(scene)
+    write_force(tmp_path / "f.txt", force_recording(experiment, scene.pull), experiment.force_file, name="s")
+    force = read_force(tmp_path / "f.txt")
+    rng = np.random.default_rng(2)
+    x = truth["x_px"].values + 0.05 * rng.standard_normal(truth["x_px"].shape)
+    coords = {"time_s": ("frame", truth["stamp_s"].values), "side": truth["side"], "n": truth["n"]}
+    clock = synchronise(xr.Dataset({"x_px": (("frame", "sheet"), x)}, coords), force, find_stick_slip(force))
+    middle = float(truth["time_s"].mean())
+    clocks = experiment.clocks
+    error = clock.to_force_s(middle) - clocks.offset_s - (1 + 1e-6 * clocks.drift_ppm) * middle
+    assert clock.status == "ok"
+    assert abs(error) < allowed_s
+    assert clock.drift_ppm == pytest.approx(clocks.drift_ppm, abs=4 * clock.drift_err_ppm + 20)
