@@ -1,4 +1,4 @@
-"""From a video of interleaved sheets and a force recording to x(n,t), σ_x/Λ_st and shells: the pipeline in ten names.
+"""From a video of interleaved sheets and a force recording to x(n,t), σ_x/Λ_st and shells, in ten names.
 
 Each name is loaded from its room when it is first used; everything else is reached through its module.
 """
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from vision.force.recording import read_force
     from vision.force.stickslip import find_stick_slip
     from vision.models.fits import fit_models
-    from vision.shells import classify_shells
     from vision.sheets.tracks import track_sheets
+    from vision.shells import classify_shells
     from vision.spacetime import space_time
     from vision.video import open_video, strip_profile
 
