@@ -72,6 +72,7 @@ def track_sheets(
     source = str(strip.attrs.get("source", "the strip"))
     profile = np.asarray(strip.values, np.float32)
     _check(profile, source)
+    _check_axis(axis_px, strip)
     comb = describe_comb(profile, polarity=ridges, sheets=sheets, source=source)
     candidates = find_ridges(profile, comb)
     links = link(candidates, comb, width_px=profile.shape[1], sheets=sheets, source=source)
@@ -109,6 +110,19 @@ def _check(profile: NDArray[np.float32], source: str) -> None:
         raise InputError(source, "at least 8 columns", f"{profile.shape[1]}", "check --columns and --rotate")
     if float(np.ptp(good, axis=1).max()) == 0:
         raise InputError(source, "a picture with ridges", "a constant one", "check --strip and --columns")
+
+
+def _check_axis(axis_px: float | None, strip: xr.DataArray) -> None:
+    """With one side in view the axis lies outside the picture, but no further than the picture is wide."""
+    first, last = float(strip["x"].values[0]), float(strip["x"].values[-1])
+    wide = last - first
+    if axis_px is not None and not first - wide <= axis_px <= last + wide:
+        raise InputError(
+            "--axis",
+            f"a column near the picture ({first:.0f} to {last:.0f} px)",
+            f"{axis_px:g}",
+            "give it in px",
+        )
 
 
 def _dataset(
