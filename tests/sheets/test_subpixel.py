@@ -1,0 +1,94 @@
+"""Each fit on single ridges: the publication's to the last digit, the sliding one without locking."""
+
+import numpy as np
+import pytest
+from scenes import ridges, strip
+
+from vision.errors import InputError
+from vision.sheets.comb import Comb
+from vision.sheets.fitting import choose_window
+from vision.sheets.subpixel import Starts, paper_vertex, sliding_vertex, template_shift
+from vision.sheets.tracks import track_sheets
+
+PLACES = np.linspace(49.5, 51.5, 201)
+
+
+def one_ridge(places=PLACES, *, fwhm_px=7.0, snr=1e6, seed=0):
+    """One ridge in 100 columns, at another place in every frame; and where to start."""
+    profile = strip(ridges(places[:, None], width=100, fwhm_px=fwhm_px), snr=snr, seed=seed).values
+    return profile, Starts(np.arange(len(places)), np.rint(places).astype(np.int64))
+
+
+@pytest.mark.parametrize("window", [5, 9, 13])
+def test_the_papers_fit_is_polyfit(window):
+    """A failure means `--fit paper` is not the publication's method."""
+    profile, starts = one_ridge(snr=50)
+    half = window // 2
+    expected = []
+    for line, start in zip(profile.astype(np.float64), starts.x, strict=True):
+        peak = start - 3 + int(np.argmax(line[start - 3 : start + 4]))
+        square, slope, _ = np.polyfit(np.arange(-half, half + 1), line[peak - half : peak + half + 1], 2)
+        expected.append(peak - slope / (2 * square))
+    x = paper_vertex(profile, starts, window_px=window).x_px
+    np.testing.assert_allclose(x, expected, rtol=0, atol=1e-9)
+
+
+def test_sliding_is_where_the_slope_of_the_parabola_is_zero():
+    """A failure means the sliding fit solves another equation than it says."""
+    profile, starts = one_ridge(snr=200)
+    x = sliding_vertex(profile, starts, window_px=9).x_px
+    offsets = np.arange(-4, 5)
+    for line, place in zip(profile.astype(np.float64)[::20], x[::20], strict=True):
+        centre = np.arange(int(place) - 1, int(place) + 3)
+        slope = [np.polyfit(offsets, line[c - 4 : c + 5], 2)[1] for c in centre]
+        cubic = np.polyfit(centre - int(place), slope, 3)
+        assert np.polyval(cubic, place - int(place)) == pytest.approx(0, abs=1e-4)
+
+
+@pytest.mark.parametrize("fwhm", [6.0, 8.0])
+def test_without_noise_only_the_papers_fit_locks(fwhm):
+    """A failure means a bias that depends on the fraction of the pixel, which no averaging takes away."""
+    profile, starts = one_ridge(fwhm_px=fwhm)
+    assert np.ptp(sliding_vertex(profile, starts).x_px - PLACES) < 0.002
+    assert 0.1 < np.ptp(paper_vertex(profile, starts).x_px - PLACES) < 0.22
+
+
+def test_a_template_never_moves_the_mean():
+    """A failure means positions with a template cannot be compared with those without."""
+    profile, starts = one_ridge(snr=50)
+    first = sliding_vertex(profile, starts).x_px
+    x = template_shift(profile, starts, np.zeros(len(first), np.int64), first, half_px=6).x_px
+    assert x.mean() == pytest.approx(first.mean(), abs=1e-3)
+    assert np.std(x - PLACES) < np.std(first - PLACES)
+
+
+@pytest.mark.parametrize("place", [1.0, 97.0])
+def test_windows_that_leave_the_picture_give_nothing(place):
+    """A failure means positions are made up from pixels that do not exist."""
+    profile, starts = one_ridge(np.full(3, place))
+    assert np.isnan(sliding_vertex(profile, starts).x_px).all()
+    assert np.isnan(paper_vertex(profile, starts).x_px).all()
+
+
+def test_without_a_ridge_there_is_no_position():
+    """A failure means flat or rising grey gives positions."""
+    for line in (np.full(100, 50.0), np.arange(100.0), -((np.arange(100) - 120.0) ** 2)):
+        profile = line[None].astype(np.float32)
+        starts = Starts(np.zeros(1, np.int64), np.array([50]))
+        assert np.isnan(sliding_vertex(profile, starts).x_px).all()
+        assert np.isnan(paper_vertex(profile, starts).x_px).all()
+
+
+@pytest.mark.parametrize(("fwhm", "expected"), [(3, 5), (6, 9), (9, 9), (14, 9), (20, 29)])
+def test_the_window_follows_the_width_outside_6_to_14_px(fwhm, expected):
+    """A failure means the publication's window is used where it does not fit, or not where it does."""
+    comb = Comb("bright", fwhm, pitch_px=60.0, contrast=50.0, noise=1.0, count=10.0, ends_px=60.0)
+    assert choose_window(comb, None) == expected
+
+
+@pytest.mark.parametrize("window", [8, 1, -3])
+def test_impossible_windows_are_refused(window):
+    """A failure means an even window shifts every position by half a pixel without a word."""
+    picture = strip(ridges(np.tile([30.0, 60.0], (5, 1)), width=100))
+    with pytest.raises(InputError, match="odd number"):
+        track_sheets(picture, window_px=window)
