@@ -4,6 +4,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+import tifffile
 from film import comb, write_avi
 
 from vision.errors import InputError
@@ -167,3 +168,11 @@ def test_an_absurd_promise_takes_no_room():
         store.append(np.full((8, 1920), n, np.float32))
     assert store.rows().nbytes == 20 * 8 * 1920 * 4
     assert (store.rows()[::8, 0] == np.arange(20)).all()
+
+
+def test_a_recording_shows_itself_in_one_line(tmp_path):
+    """Failure: a notebook shows addresses in memory in place of the recording's size and rate."""
+    tifffile.imwrite(tmp_path / "stack.tif", comb(6, 12, 50), photometric="minisblack")
+    assert repr(open_video(tmp_path / "stack.tif", fps=25)) == (
+        "<stack.tif: 6 frames of 50 x 12 px, 8 bit, 25 frames/s (given)>"
+    )

@@ -13,7 +13,7 @@ from vision.errors import InputError
 from vision.video.source import Block, FrameClock, Reader
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(repr=False, frozen=True, kw_only=True)
 class Recording:
     """A `Video`: see `vision.video.source.Video` for what each member means.
 
@@ -29,6 +29,12 @@ class Recording:
     given_fps: float | None = None
     given_times_s: NDArray[np.float64] | None = None
     warnings: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        count = "an unknown number of" if self.expected is None else self.expected
+        rate = "" if self.clock.fps is None else f", {self.clock.fps:g} frames/s ({self.clock.kind})"
+        rows, columns = self.shape
+        return f"<{self.path.name}: {count} frames of {columns} x {rows} px, {self.depth_bits} bit{rate}>"
 
     @property
     def shape(self) -> tuple[int, int]:
