@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.sheets.medians import nan_median
-from vision.sheets.noise import position_noise
+from vision.sheets.noise import NORMAL_MEDIAN, position_noise
 
 Doubles = NDArray[np.float64]
 
 SURE = 4.0  # standard errors by which motion must speak for a side
 RIGID = 3.0  # px per px that the ends step apart: what moves more than that moves as a whole
-# Of all the motion: splits this close to the best one are equal, and the most even of them is taken
+# Of all the motion: splits this close to the best one are equal, and the middle one is taken
 SLACK = 0.02
+SHAKEN = 0.25  # of that slack: vibration that may bring this much moves the middle of the equal splits
 
 
 @dataclass(frozen=True)
@@ -36,11 +37,12 @@ def number_sheets(x_px: Doubles, *, axis_px: float | None = None) -> Numbering:
     """Side and n of every sheet.
 
     The sheets on either side move against each other: in a stick phase both inwards, in a slip both
-    outwards. The axis is put where the motion changes sign, as far as the motion is significant; the
-    stiff centre hardly moves, so among equally good places the most even split is taken. Without
-    significant motion, that is the middle of the comb. With one side in view all sheets move alike, and
-    the axis lies outside, beyond the end that moves least. A sheet that stands on the axis itself (odd
-    number) counts as the first on the right.
+    outwards. The axis is put where the motion changes sign. The stiff centre hardly moves, so several
+    places are equally good; as both sides move alike, the axis is in the middle of these. It is in the
+    middle of the comb if that is within half a sheet, if a shaking camera leaves it open, or without
+    significant motion. With one side in view all sheets move alike, and the axis lies outside, beyond the
+    end that moves least. A sheet that stands on the axis itself (odd number) counts as the first on the
+    right.
 
     Args: x_px (frame, N), NaN where missing, sheets in order.  axis_px: given by the user.
     Returns: Numbering. Where the axis lies outside the picture, n counts from the sheet in view nearest to
@@ -65,7 +67,7 @@ def _numbered(
 def _split_by_motion(x_px: Doubles) -> tuple[int, Literal["motion", "geometry"]]:
     """Number of sheets left of the axis."""
     sheets = x_px.shape[1]
-    opening, error = _opening(x_px)
+    opening, error, shake = _opening(x_px)
     sure = (np.abs(opening[[0, -1]]) > SURE * error[[0, -1]]).any()
     if sheets < 3 or not sure or np.abs(opening).max() > RIGID:
         return sheets // 2, "geometry"
@@ -76,11 +78,16 @@ def _split_by_motion(x_px: Doubles) -> tuple[int, Literal["motion", "geometry"]]
     outside = good[(good == 0) | (good == sheets)]  # all sheets move alike: one side is in view
     if len(outside):
         return int(outside[0]), "motion"
-    return int(good[np.argmin(np.abs(good - sheets // 2))]), "motion"
+    middle, even = (good[0] + good[-1]) / 2, sheets // 2
+    shaken = shake * len(good) > SHAKEN * slack
+    if shaken or abs(middle - sheets / 2) <= 0.5:
+        return even, "motion"
+    return int(np.floor(middle) if middle > even else np.ceil(middle)), "motion"
 
 
-def _opening(x_px: Doubles) -> tuple[Doubles, Doubles]:
-    """How far each sheet steps when the comb's ends step apart by one pixel, and the standard error.
+def _opening(x_px: Doubles) -> tuple[Doubles, Doubles, float]:
+    """How far each sheet steps when the comb's ends step apart by one pixel, the standard error, and that
+    which vibration gives all sheets together.
 
     The distance between the ends does not feel vibration or drift of the camera, so neither do these
     slopes, as long as the two are unrelated. Where both ends step the same way (one side in view), the
@@ -95,8 +102,10 @@ def _opening(x_px: Doubles) -> tuple[Doubles, Doubles]:
     apart = np.where(np.abs(apart) > 5 * noise[[0, -1]].max(), apart, 0.0)  # slips only: noise is no motion
     power = float((apart**2).sum())
     if power == 0:
-        return np.zeros(x_px.shape[1]), np.full(x_px.shape[1], np.inf)
-    return (apart @ step) / power, noise / np.sqrt(power)
+        return np.zeros(x_px.shape[1]), np.full(x_px.shape[1], np.inf), 0.0
+    common = nan_median(np.where(known, step, np.nan), axis=1)
+    shaking = float(np.nan_to_num(nan_median(np.abs(common)))) / NORMAL_MEDIAN
+    return (apart @ step) / power, noise / np.sqrt(power), shaking / float(np.sqrt(power))
 
 
 def _axis(place: Doubles, split: int) -> float:

@@ -1,0 +1,88 @@
+"""Axis, side and n: from the motion where there is any, else from the middle."""
+
+import numpy as np
+import pytest
+from scenes import comb, ridges, strip
+
+from vision.sheets.tracks import track_sheets
+
+PITCH = 20.0
+
+
+def tracked(truth, *, width=1200, **options):
+    return track_sheets(strip(ridges(truth, width=width)), **options)
+
+
+def numbered(left, right):
+    """n of so many sheets on either side."""
+    return np.r_[np.arange(left, 0, -1), np.arange(1, right + 1)]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_even_comb(seed):
+    """A failure means the axis of the usual picture is found elsewhere than in its middle."""
+    tracks = tracked(comb(200, slip=0.6, uneven=0.1, seed=seed))
+    assert abs(tracks.attrs["axis_px"] - 600) < PITCH / 2
+    np.testing.assert_array_equal(tracks.side, np.repeat([-1, 1], 25))
+    np.testing.assert_array_equal(tracks.n, numbered(25, 25))
+
+
+@pytest.mark.parametrize("cut", [2, 5, 9])
+def test_asymmetric_crop_is_told_by_the_motion(cut):
+    """A failure means n counts from the middle of the picture instead of from the axis of the blocks."""
+    tracks = tracked(comb(300, slip=0.85)[:, cut:])
+    assert tracks.attrs["axis_how"] == "motion"
+    assert abs(tracks.attrs["axis_px"] - 600) < PITCH / 2
+    assert int((tracks.side == -1).sum()) == 25 - cut
+
+
+def test_without_motion_an_asymmetric_crop_is_taken_for_even():
+    """The test above would pass by geometry alone if this one did not give another axis."""
+    tracks = tracked(np.broadcast_to(comb(1)[:, 9:], (100, 41)))
+    assert tracks.attrs["axis_how"] == "geometry"
+    assert abs(tracks.attrs["axis_px"] - 600) > 2 * PITCH
+
+
+def test_odd_number():
+    """A failure means one sheet too many or too few changes every n of a side."""
+    truth = comb(200, slip=0.6)[:, 1:]
+    tracks = tracked(truth)
+    assert abs(tracks.attrs["axis_px"] - 600) < 0.55 * PITCH
+    assert set(np.unique(tracks.side)) == {-1, 1}
+    assert len(np.unique(np.stack([tracks.side, tracks.n]), axis=1).T) == 49
+
+
+@pytest.mark.parametrize("right", [True, False])
+def test_one_side_in_view(right):
+    """A failure means half of one block's sheets are counted as the other block's."""
+    truth = comb(300, slip=0.85)
+    tracks = tracked(truth[:, 25:] if right else truth[:, :25])
+    assert (tracks.side == (1 if right else -1)).all()
+    np.testing.assert_array_equal(tracks.n, numbered(0, 25) if right else numbered(25, 0))
+    assert abs(tracks.attrs["axis_px"] - 600) < PITCH
+
+
+@pytest.mark.parametrize("axis", [520.0, 600.0, 701.0])
+def test_a_given_axis_is_kept(axis):
+    """A failure means the user is overruled."""
+    truth = comb(60)
+    tracks = tracked(truth, axis_px=axis)
+    assert tracks.attrs["axis_px"] == axis
+    assert tracks.attrs["axis_how"] == "given"
+    np.testing.assert_array_equal(tracks.side, np.where(np.median(truth, axis=0) < axis, -1, 1))
+    left = int((np.median(truth, axis=0) < axis).sum())
+    np.testing.assert_array_equal(tracks.n, numbered(left, 50 - left))
+
+
+def test_vibration_does_not_move_the_axis():
+    """A failure means a shaking camera decides which side a sheet is on."""
+    truth = comb(300, slip=0.6) + np.random.default_rng(1).normal(0, 1.0, (300, 1))
+    assert abs(tracked(truth).attrs["axis_px"] - 600) < PITCH / 2
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_hardly_any_sheets_are_numbered_all_the_same(count):
+    """A failure means a close-up of a few sheets crashes or leaves sheets without a number."""
+    tracks = tracked(comb(60, per_side=4, axis_px=150)[:, 4 - count // 2 :][:, :count], width=300)
+    assert tracks.sizes["sheet"] == count
+    assert np.isin(tracks.side, [-1, 1]).all() and (tracks.n >= 1).all()
