@@ -222,6 +222,16 @@ def _() -> Case:
     return Case(x, strip(light), least_found=0.97)
 
 
+@case("dust on the sensor beside a faint sheet")
+def _() -> Case:
+    x = comb(FRAMES, slip=0.6)
+    level = brightness()
+    level[4] = 0.2
+    grain = np.full((FRAMES, 1), float(np.median(x[:, 4])) + 10)
+    light = ridges(x, contrast=level) + _dust(grain, np.array([0.4]))
+    return Case(x, strip(light), least_found=0.98)
+
+
 @case("dust that travels with the paper")
 def _() -> Case:
     x = comb(FRAMES, slip=0.6)
