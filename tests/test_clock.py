@@ -116,7 +116,7 @@ def test_a_column_that_is_no_clock_is_passed_over_and_said(recorded):
 def test_a_video_outside_the_recording_is_one_clear_line(recorded, offset_s):
     """A failure means a traceback or empty tables where a wrong file was given."""
     with pytest.raises(
-        InputError, match="--offset: expected a video within the force recording, 0 to 12"
+        InputError, match="--offset: expected a video within the force recording, 0 to 119"
     ) as e:
         synchronise(*recorded, offset_s=offset_s)
     assert "\n" not in str(e.value)

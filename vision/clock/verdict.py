@@ -10,7 +10,7 @@ from vision.clock.search import find_alignments
 from vision.clock.trains import ALONE, DRIFT_PPM, Clocks, Fit, Trains
 
 LEAST_MARGIN = 6.0
-_LEAST_LIKELIHOOD = 18.0
+_LEAST_LIKELIHOOD, _CLEAR_LIKELIHOOD = 14.0, 20.0
 _LEAST_MATCHED = 6
 _LARGEST_SCALE = 1.5
 _WANDER = 3.0  # standard errors of the correlation of one residual with the next
@@ -47,7 +47,8 @@ class Alignment:
 def align(trains: Trains) -> Alignment:
     """Find the alignments and judge the best.
 
-    It is believed only where its log-likelihood exceeds the next one's by 6, and:
+    It is believed only where its log-likelihood exceeds the next one's by 6 (12 where it is not itself far
+    above that of unrelated slips, and more where the slips lie further apart than their errors say), and:
     - it pairs enough slips to be no coincidence of unrelated recordings;
     - the residuals are what the slips' errors allow and do not wander: unrelated even trains drift through
       each other smoothly;
@@ -64,8 +65,9 @@ def align(trains: Trains) -> Alignment:
 def _doubt(trains: Trains, fit: Fit, margin: float) -> str:
     if fit.matched[0] < _LEAST_MATCHED or fit.likelihood[0] < _LEAST_LIKELIHOOD:
         return f"the {fit.matched[0]} slips in common are too few, or fit too loosely, to tell from chance"
-    if margin <= LEAST_MARGIN:
-        return f"the next alignment fits nearly as well (margin {margin:.1f}, {LEAST_MARGIN:g} needed)"
+    needed = LEAST_MARGIN * fit.scale[0] ** 2 * (1 if fit.likelihood[0] >= _CLEAR_LIKELIHOOD else 2)
+    if margin <= needed:
+        return f"the next alignment fits nearly as well (margin {margin:.1f}, {needed:.3g} needed)"
     if _lead_over_shifts(fit) <= _chance_of_shifts(trains, fit):
         return "slips missed on both sides could explain the lead over shifts by whole slips"
     if _told_by_intervals(trains, fit) <= max(LEAST_MARGIN, _chance_of_shifts(trains, fit)):
