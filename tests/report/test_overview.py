@@ -8,7 +8,9 @@ import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from vision.report.overview import draw_displacements, draw_frame, draw_kymograph, time_axis, write_overview
+from vision.report.axes import position_unit, time_axis
+from vision.report.kymograph import draw_kymograph
+from vision.report.overview import draw_displacements, draw_frame, write_overview
 
 
 def scene(*, sheets=7, frames=40, rows=60, columns=400, times_s=None, nothing_found=False):
@@ -74,21 +76,15 @@ def test_no_two_sheet_numbers_overlap(sheets):
     assert all(a.x1 <= b.x0 for a, b in itertools.pairwise(boxes))
 
 
-def test_a_gap_in_time_is_a_gap_in_the_picture():
-    """A failure means that after lost frames the tracks lie beside the ridges they belong to."""
+def test_tracks_lie_on_their_ridges_also_after_a_gap():
+    """A failure means that after lost frames, or in mm, the tracks lie beside the ridges they belong to."""
     times_s = np.arange(40) / 25
     times_s[20:] += 2.0
     _, strip, tracks = scene(times_s=times_s)
-    ax = draw_kymograph(Figure().subplots(), strip, tracks, pixel_size_um=None)
-    image = ax.images[0]
-    shown, (_, _, bottom, top) = image.get_array(), image.get_extent()
-    middle = np.linspace(top, bottom, 2 * len(shown) + 1)[1::2]
-    empty = np.ma.getmaskarray(np.ma.masked_invalid(shown)).all(axis=1)
-    assert empty[(middle > 0.9) & (middle < 2.7)].all()
-    assert not empty[middle < 0.75].any()
-    assert not empty[middle > 2.85].any()
-    last = np.asarray(shown[-1])
-    assert np.array_equal(last, strip.values[-1])
+    ax = draw_kymograph(Figure().subplots(), strip.assign_attrs(pixel_size_um=10.0), tracks=tracks)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x (mm)", "t (s)")
+    np.testing.assert_allclose([line.get_xdata() for line in ax.lines], tracks["x_px"].values.T / 100)
+    assert all(np.array_equal(line.get_ydata(), times_s) for line in ax.lines)
 
 
 def test_the_legend_hides_no_line():
@@ -105,7 +101,7 @@ def test_the_legend_hides_no_line():
 def test_a_single_frame_is_seen_as_dots():
     """A failure means that the positions of a single picture are drawn as nothing."""
     _, strip, tracks = scene(frames=1)
-    ax = draw_kymograph(Figure().subplots(), strip, tracks, pixel_size_um=None)
+    ax = draw_kymograph(Figure().subplots(), strip, tracks=tracks)
     assert all(line.get_marker() == "o" for line in ax.lines)
 
 
@@ -114,3 +110,22 @@ def test_a_clock_that_runs_backwards_is_not_an_axis():
     _, strip, _ = scene(times_s=np.r_[np.arange(20.0), np.arange(20.0)])
     time, label = time_axis(strip)
     assert (label, time[-1]) == ("frame", 39)
+
+
+def test_one_repeated_time_does_not_cost_the_clock():
+    """A failure means that a single stamp written twice turns seconds into frame numbers."""
+    times_s = np.arange(40) / 25
+    times_s[11] = times_s[10]
+    _, strip, tracks = scene(times_s=times_s)
+    assert time_axis(strip)[1] == "t (s)"
+    assert time_axis(scene(times_s=np.zeros(40))[1])[1] == "frame"
+    ax = draw_kymograph(Figure().subplots(), strip, tracks=tracks)
+    FigureCanvasAgg(ax.figure).draw()
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"), [(None, (1.0, "px")), (0.5, (0.5, "µm")), (10.0, (0.01, "mm"))]
+)
+def test_positions_are_in_the_unit_that_suits_the_picture(size, expected):
+    """A failure means lengths that are off by a thousand, or an axis of zeros."""
+    assert position_unit(size, 400) == expected

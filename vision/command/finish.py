@@ -49,10 +49,12 @@ def write(run: Run, target: Path, describe: Callable[[], dict[str, Any]], *, ove
 
     describe: waits for the video's size and checksum.  Raises: InputError where it cannot be written.
     """
-    from vision.report.overview import write_kymograph_png, write_overview
+    from vision.report.kymograph import write_kymograph_picture
+    from vision.report.overview import write_overview
     from vision.run.folder import run_folder
     from vision.run.kymograph import write_kymograph_tif
     from vision.run.tables import sheets_table, write_tracks_csv, write_tracks_nc
+    from vision.spacetime import space_time
     from vision.video import reference_frame
 
     started, size = time.perf_counter(), run.pixel_size_um
@@ -62,7 +64,7 @@ def write(run: Run, target: Path, describe: Callable[[], dict[str, Any]], *, ove
         write_tracks_nc(run.tracks, folder / "tracks.nc", pixel_size_um=size)
         sheets_table(run.tracks).to_csv(folder / "sheets.csv", index=False, lineterminator="\n")
         write_kymograph_tif(run.profile, folder / "kymograph.tif", pixel_size_um=size)
-        write_kymograph_png(folder / "kymograph.png", run.profile, pixel_size_um=size)
+        write_kymograph_picture(folder / "kymograph.png", [space_time(run.profile, pixel_size_um=size)])
         write_overview(folder / "overview.png", frame, run.profile, run.tracks, pixel_size_um=size)
         _write_pull(run, folder)
         run.seconds["writing"] = time.perf_counter() - started

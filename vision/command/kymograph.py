@@ -230,9 +230,9 @@ def _write(
     started: float,
 ) -> list[str]:
     """The folder, whole; names of the TIFFs in it."""
+    from vision.report.kymograph import write_kymograph_picture
     from vision.run.folder import run_folder
     from vision.run.kymograph import write_space_time_tif
-    from vision.run.kymograph_picture import write_space_time_picture
     from vision.run.provenance import write_run_json
 
     names = [f"kymograph_{d.attrs.get('sheet', 'strip').replace(':', '')}.tif" for d in diagrams]
@@ -241,7 +241,7 @@ def _write(
     with run_folder(target, overwrite=overwrite) as folder:
         for name, diagram in zip(names, diagrams, strict=True):
             write_space_time_tif(diagram, folder / name, pixel_size_um=source.pixel_size_um)
-        write_space_time_picture(folder / f"kymograph.{picture}", diagrams, **marks)
+        write_kymograph_picture(folder / f"kymograph.{picture}", diagrams, **marks)
         write_run_json(folder, {**facts, "seconds": {"total": clock.perf_counter() - started}})
     return [*names, f"kymograph.{picture}"]
 

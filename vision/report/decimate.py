@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -78,27 +80,33 @@ def time_rows(
     half = 0.5 * (time[-1] - time[0]) / max(1, count - 1) or 0.5
     edges = np.linspace(time[0] - half, time[-1] + half, count + 1)
     place = np.searchsorted(time, edges)
-    rows = np.empty((count, values.shape[1]), np.float32)
-    for start in range(0, count, _ROWS_AT_ONCE):
-        ends = place[start : start + _ROWS_AT_ONCE + 1]
-        rows[start : start + _ROWS_AT_ONCE] = _row_means(values[ends[0] : ends[-1]], ends - ends[0])
+    rows = mean_rows(values, place)
     has_frame = np.diff(place) > 0
     lone = np.flatnonzero(~has_frame[1:] & has_frame[:-1]) + 1
     rows[lone] = rows[lone - 1]
     return rows, edges
 
 
-def _row_means(values: NDArray[np.floating], ends: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Means of the known frames between neighbouring ends, (len(ends) - 1, columns); NaN for none."""
+def mean_rows(values: NDArray[np.floating], ends: NDArray[np.integer[Any]]) -> NDArray[np.float32]:
+    """Means of the known values between neighbouring ends, (len(ends) - 1, columns); NaN for none.
+
+    values are read in parts, so that memory does not grow with the recording.
+    """
     rows = np.full((len(ends) - 1, values.shape[1]), np.nan, np.float32)
-    known = np.isfinite(values).all(axis=1)
-    filled = np.flatnonzero(np.diff(ends) > 0)
-    if filled.size:
-        total = np.add.reduceat(np.where(known[:, None], values, 0), ends[filled], axis=0, dtype=np.float64)
-        frames = np.add.reduceat(known.astype(np.int64), ends[filled])
-        good = frames > 0
-        rows[filled[good]] = total[good] / frames[good, None]
+    for start in range(0, len(rows), _ROWS_AT_ONCE):
+        part = ends[start : start + _ROWS_AT_ONCE + 1]
+        filled = np.flatnonzero(np.diff(part) > 0)
+        if filled.size:
+            rows[start + filled] = _means(values[part[0] : part[-1]], part[filled] - part[0])
     return rows
+
+
+def _means(values: NDArray[np.floating], starts: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+    """Means of the known values from each start to the next, the last to the end."""
+    known = np.isfinite(values)
+    total = np.add.reduceat(np.where(known, values, 0), starts, axis=0, dtype=np.float64)
+    count = np.add.reduceat(known, starts, axis=0, dtype=np.int32)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
 def grey_levels(values: NDArray[np.floating], low: float, high: float) -> NDArray[np.uint8]:

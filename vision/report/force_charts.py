@@ -8,10 +8,10 @@ import numpy as np
 
 from vision.force.recording import good_samples
 from vision.models import equations
+from vision.report.axes import displacement_unit, time_axis
 from vision.report.chart import Chart, Doubles, Series
 from vision.report.decimate import outline, outline_by_x
 from vision.report.numbers import plus_minus
-from vision.report.sheet_charts import clock_axis
 from vision.report.style import DATA, MODEL, OTHER_MODEL, PEAK, QUIET, VALLEY, ordered_inks
 from vision.sheets.medians import nan_median
 
@@ -83,8 +83,8 @@ def clock_chart(
 
     With `sticks`, a few of them in the middle of the video are shown at first.
     """
-    time = clock.to_force_s(clock_axis(tracks)[0])
-    scale, unit = (1.0, "px") if pixel_size_um is None else (pixel_size_um, "µm")
+    time = clock.to_force_s(time_axis(tracks)[0])
+    scale, unit = displacement_unit(pixel_size_um)
     t_video, opened = outline(time, opening_px(tracks)[:, None] * scale, most=MOST_SAMPLES)
     good = good_samples(force) if "flag" in force else force
     margin = 0.1 * float(time[-1] - time[0])

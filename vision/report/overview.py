@@ -8,19 +8,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vision.report.axes import displacement_unit, time_axis
 from vision.report.decimate import outline
-from vision.report.style import axis_of, picture_style, sheet_colours
+from vision.report.kymograph import dots, draw_kymograph
+from vision.report.style import picture_style, sheet_colours
+from vision.spacetime import space_time
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.patches import Rectangle
 
-MOST_ROWS = 1500  # of a space-time diagram on a page; more would only be averaged by the screen
 MOST_LABELS = 26
 LABELS_ACROSS = 50  # that would fill the width of the page
 MOST_POINTS = 6000  # of a line on a page; extremes are kept
-FEW_FRAMES = 60  # that need dots to be seen: a line has no point of its own
 
 
 def write_overview(
@@ -43,18 +44,8 @@ def write_overview(
         tall = float(np.clip(12.5 * rows / columns, 2.0, 5))
         top, middle, bottom = figure.subplots(3, 1, height_ratios=[tall, 6, 5])
         draw_frame(top, frame, strip, tracks)
-        draw_kymograph(middle, strip, tracks, pixel_size_um=pixel_size_um)
+        draw_kymograph(middle, space_time(strip, pixel_size_um=pixel_size_um), tracks=tracks)
         draw_displacements(bottom, tracks, pixel_size_um=pixel_size_um)
-        figure.savefig(path, dpi=110)
-
-
-def write_kymograph_png(path: Path, strip: xr.DataArray, *, pixel_size_um: float | None) -> None:
-    """The strip's space-time diagram with axes."""
-    from matplotlib.figure import Figure
-
-    with picture_style():
-        figure = Figure(figsize=(13, 8), layout="constrained")
-        draw_kymograph(figure.subplots(), strip, None, pixel_size_um=pixel_size_um)
         figure.savefig(path, dpi=110)
 
 
@@ -76,66 +67,18 @@ def draw_frame(ax: Axes, frame: NDArray[np.generic], strip: xr.DataArray, tracks
     return ax
 
 
-def draw_kymograph(
-    ax: Axes, strip: xr.DataArray, tracks: xr.Dataset | None, *, pixel_size_um: float | None
-) -> Axes:
-    """I(x, t), time downwards; with tracks drawn on it where given. White where frames are missing."""
-    time, time_label = time_axis(strip)
-    values, half = _even_rows(strip.values, time)
-    scale, x_label = axis_of(pixel_size_um)
-    x = strip["x"].values
-    known = values[np.isfinite(values)]
-    low, high = np.percentile(known, (0.5, 99.5)) if known.size else (0.0, 1.0)
-    left, right, bottom, top = (x[0] - 0.5) * scale, (x[-1] + 0.5) * scale, time[-1] + half, time[0] - half
-    look: Any = {"cmap": "gray", "aspect": "auto", "interpolation": "nearest"}
-    ax.imshow(values, vmin=low, vmax=max(high, low + 1e-6), extent=(left, right, bottom, top), **look)
-    if tracks is not None:
-        dots = _dots(len(time))
-        for x_px, colour in zip(tracks["x_px"].values.T, sheet_colours(tracks), strict=True):
-            ax.plot(x_px * scale, time, lw=0.7, color=colour, **dots)
-    ax.set(xlabel=x_label, ylabel=time_label, xlim=(left, right), ylim=(bottom, top))
-    ax.set_title(
-        "Space-time diagram of the strip" + (" with the tracks" if tracks is not None else ""), loc="left"
-    )
-    return ax
-
-
-def _even_rows(values: NDArray[np.float32], time: NDArray[np.float64]) -> tuple[NDArray[np.float32], float]:
-    """Rows of a picture whose time runs evenly, and half the time of a row.
-
-    Each row is the frame nearest to its time, NaN where that is further than a frame's own time: a gap in
-    the time stamps is a gap in the picture.
-    """
-    frames = len(time)
-    if frames == 1:
-        return values, 0.5
-    usual = float(np.median(np.diff(time)))
-    rows = min(MOST_ROWS, round((time[-1] - time[0]) / usual) + 1)
-    wanted = np.linspace(time[0], time[-1], rows)
-    after = np.clip(np.searchsorted(time, wanted), 1, frames - 1)
-    nearest = np.where(wanted - time[after - 1] < time[after] - wanted, after - 1, after)
-    out = np.array(values[nearest])
-    out[np.abs(time[nearest] - wanted) > usual] = np.nan
-    return out, 0.5 * float(time[-1] - time[0]) / (rows - 1)
-
-
-def _dots(frames: int) -> dict[str, Any]:
-    """Markers for a line of few points."""
-    return {"marker": "o", "ms": 2.5} if frames <= FEW_FRAMES else {}
-
-
 def draw_displacements(ax: Axes, tracks: xr.Dataset, *, pixel_size_um: float | None) -> Axes:
     """x(n, t) less its mean for every sheet; one hue per side, dark at the centre."""
     time, time_label = time_axis(tracks)
-    scale, x_label = axis_of(pixel_size_um, small=True)
+    scale, unit = displacement_unit(pixel_size_um)
     x = tracks["x_px"].values
     known = np.isfinite(x)
     mean = np.where(known, x, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
     short, lines = outline(time, (x - mean) * scale, most=MOST_POINTS)
     for line, colour in zip(lines.T, sheet_colours(tracks), strict=True):
-        ax.plot(short, line, lw=0.8, color=colour, **_dots(len(short)))
+        ax.plot(short, line, lw=0.8, color=colour, **dots(len(short)))
     _name_sides(ax, tracks)
-    ax.set(xlabel=time_label, ylabel=x_label.replace("x", "x − mean", 1))
+    ax.set(xlabel=time_label, ylabel=f"x − mean ({unit})")
     if time[-1] > time[0]:
         ax.set_xlim(time[0], time[-1])
     if not known.any():
@@ -175,15 +118,6 @@ def _first_row(tracks: xr.Dataset) -> NDArray[np.float64]:
     """Positions in the frame that is shown: the first with most sheets."""
     known = np.isfinite(tracks["x_px"].values).sum(axis=1)
     return np.asarray(tracks["x_px"].values[int(np.argmax(known > 0))], np.float64)
-
-
-def time_axis(data: xr.Dataset | xr.DataArray) -> tuple[NDArray[np.float64], str]:
-    """Seconds, or frame numbers where the clock is unknown or runs backwards; the label says if it is a
-    playback rate."""
-    time = np.asarray(data["time_s"].values, np.float64)
-    if not (np.isfinite(time).all() and (np.diff(time) > 0).all()):
-        return np.asarray(data["frame"].values, np.float64), "frame"
-    return time, "t (s, playback rate)" if data.attrs.get("clock_kind") == "playback" else "t (s)"
 
 
 def _rectangle(x: float, y: float, width: float, height: float) -> Rectangle:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from vision.report.axes import displacement_unit, position_unit, time_axis
 from vision.report.chart import Band, Chart, Doubles, Ink, Picture, Series
 from vision.report.decimate import grey_levels, outline, time_rows
 from vision.report.style import DATA, LEFT_ON_GREY, MODEL, PEAK, RIGHT_ON_GREY, sheet_inks
@@ -78,15 +79,15 @@ def _numbered_strokes(tracks: xr.Dataset, z0: float, z1: float) -> tuple[Series,
 def space_time_chart(strip: xr.DataArray, tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Chart:
     """I(x, t), time downwards, with the tracks on it.
 
-    Lengths in mm where the pixel size is known, else px. Rows of the picture are means of the frames they
-    stand for; the tracks keep the lowest and highest position of each stretch.
+    Lengths in mm (µm for less than 1 mm) where the pixel size is known, else px. Rows of the picture are
+    means of the frames they stand for; the tracks keep the lowest and highest position of each stretch.
     """
-    time, time_label = clock_axis(strip)
+    time, time_label = time_axis(strip)
     values, x = np.asarray(strip.values, np.float32), strip["x"].values
     thin = max(1, -(-values.shape[1] // (2 * MOST_ROWS)))
     rows, edges = time_rows(values[:, ::thin], time, most=MOST_ROWS)
     low, high = np.nanpercentile(rows, (0.5, 99.5))
-    scale, label = (1.0, "x (px)") if pixel_size_um is None else (pixel_size_um / 1000, "x (mm)")
+    scale, unit = position_unit(pixel_size_um, x.size)
     left, right = float(x[0] - 0.5) * scale, float(x[-1] + 0.5) * scale
     at, shown = decimated_tracks(tracks)
     per_row = len(values) / len(rows)
@@ -99,7 +100,7 @@ def space_time_chart(strip: xr.DataArray, tracks: xr.Dataset, *, pixel_size_um: 
             f"the lines are the positions x(n,t).{averaged} kymograph.tif holds every frame."
         ),
         x_label=time_label,
-        y_label=label,
+        y_label=f"x ({unit})",
         series=sheet_series(tracks, at, shown * scale, inks=_on_grey(tracks), width=1.1),
         picture=Picture(
             pixels=grey_levels(rows, float(low), float(max(high, low + 1e-6))),
@@ -118,7 +119,7 @@ def space_time_chart(strip: xr.DataArray, tracks: xr.Dataset, *, pixel_size_um: 
 def displacement_chart(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Chart:
     """x(n, t) less each sheet's median position; in um where the pixel size is known, else px."""
     at, shown = decimated_tracks(tracks)
-    scale, unit = (1.0, "px") if pixel_size_um is None else (pixel_size_um, "µm")
+    scale, unit = displacement_unit(pixel_size_um)
     away = (shown - nan_median(tracks["x_px"].values)) * scale
     frames = tracks.sizes["frame"]
     fewer = (
@@ -134,7 +135,7 @@ def displacement_chart(tracks: xr.Dataset, *, pixel_size_um: float | None = None
             "Position of each sheet less its median over the recording. Left sheets are dashed and blue, "
             f"right ones solid and orange; the tone changes steadily from the centre outwards.{fewer}"
         ),
-        x_label=clock_axis(tracks)[1],
+        x_label=time_axis(tracks)[1],
         y_label=f"x − median ({unit})",
         series=sheet_series(tracks, at, away, inks=sheet_inks(tracks)),
     )
@@ -142,7 +143,7 @@ def displacement_chart(tracks: xr.Dataset, *, pixel_size_um: float | None = None
 
 def noise_chart(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Chart:
     """Noise of every sheet's position, as measured and as predicted from the noise of the profile."""
-    scale, unit = (1.0, "px") if pixel_size_um is None else (pixel_size_um, "µm")
+    scale, unit = displacement_unit(pixel_size_um)
     signed, order = signed_number(tracks)
     measured = tracks["x_noise_px"].values[order] * scale
     predicted = nan_median(tracks["x_err_px"].values)[order] * scale
@@ -219,15 +220,7 @@ def _density_modulo_one(x_px: Doubles) -> tuple[Doubles, float]:
 def decimated_tracks(tracks: xr.Dataset) -> tuple[Doubles, Doubles]:
     """Time and positions (points, sheet) in px, few enough for a page."""
     each = min(MOST_POINTS, max(200, MOST_POSITIONS // max(1, tracks.sizes["sheet"])))
-    return outline(clock_axis(tracks)[0], tracks["x_px"].values, most=each)
-
-
-def clock_axis(data: xr.Dataset | xr.DataArray) -> tuple[Doubles, str]:
-    """Seconds, or frame numbers where the recording has no rising clock; the label says what they are."""
-    time = np.asarray(data["time_s"].values, np.float64)
-    if not np.isfinite(time).all() or (np.diff(time) < 0).any():
-        return np.asarray(data["frame"].values, np.float64), "frame"
-    return time, "t (s, playback rate)" if data.attrs.get("clock_kind") == "playback" else "t (s)"
+    return outline(time_axis(tracks)[0], tracks["x_px"].values, most=each)
 
 
 def signed_number(tracks: xr.Dataset) -> tuple[Doubles, NDArray[np.int64]]:

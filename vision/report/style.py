@@ -53,13 +53,6 @@ def sheet_colours(tracks: xr.Dataset) -> list[tuple[float, float, float]]:
     return [(float(r), float(g), float(b)) for r, g, b in rgb]
 
 
-def axis_of(pixel_size_um: float | None, *, small: bool = False) -> tuple[float, str]:
-    """Factor from px and label of an x axis: mm (µm for displacements) where the pixel size is known."""
-    if pixel_size_um is None:
-        return 1.0, "x (px)"
-    return (pixel_size_um, "x (µm)") if small else (pixel_size_um / 1000, "x (mm)")
-
-
 def sheet_inks(tracks: xr.Dataset) -> list[tuple[str, str]]:
     """Per sheet, its colour on a light and on a dark ground, strongest at the centre on either."""
     import matplotlib as mpl

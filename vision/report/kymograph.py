@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.report.overview import MOST_ROWS, time_axis
-from vision.report.style import picture_style
+from vision.report.axes import UM_PER_MM, position_unit, time_axis
+from vision.report.decimate import mean_rows
+from vision.report.style import picture_style, sheet_colours
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -19,15 +20,15 @@ if TYPE_CHECKING:
 Doubles = NDArray[np.float64]
 Limits = tuple[float, float]
 
+MOST_ROWS = 1500  # on a page; more would only be averaged by the screen
 GAP = 1.5  # frame intervals between two rows: more is a gap and left empty
 MOST_LINES = 40  # slips with a line across; more are marked at the edge alone
 SLIP_COLOUR, EMPTY_COLOUR = "#d55e00", "#cfe3f5"
 ROWS_PER_INCH = 75
-UM_PER_MM = 1000
-ROWS_AT_ONCE = 256  # of a page, averaged at a time
+FEW_FRAMES = 60  # that need dots to be seen: a line has no point of its own
 
 
-def write_space_time_picture(
+def write_kymograph_picture(
     path: Path,
     diagrams: Sequence[xr.DataArray],
     *,
@@ -50,7 +51,7 @@ def write_space_time_picture(
         panels = figure.subplots(1, len(diagrams), sharey=True, squeeze=False)[0]
         limits = grey_limits(diagrams)
         for ax, diagram in zip(panels, diagrams, strict=True):
-            draw_space_time(ax, diagram, slips_s=slips_s, limits=limits)
+            draw_kymograph(ax, diagram, slips_s=slips_s, limits=limits)
             ax.label_outer()
             ax.xaxis.set_tick_params(labelbottom=True)
         if slips_s is not None and slips_s.size:
@@ -59,13 +60,19 @@ def write_space_time_picture(
         figure.savefig(path, dpi=150)
 
 
-def draw_space_time(
-    ax: Axes, diagram: xr.DataArray, *, slips_s: Doubles | None = None, limits: Limits | None = None
+def draw_kymograph(
+    ax: Axes,
+    diagram: xr.DataArray,
+    *,
+    tracks: xr.Dataset | None = None,
+    slips_s: Doubles | None = None,
+    limits: Limits | None = None,
 ) -> Axes:
     """I(x, t) with time downwards; what is not there is pale blue, slips are orange.
 
     Args: diagram, of `space_time`, with pixel_size_um in its attributes where lengths are to be in µm or mm;
-    slips_s, times on the recording's clock; limits, grey levels of black and white.
+    tracks, of `track_sheets`, drawn on the whole strip; slips_s, times on the recording's clock; limits, grey
+    levels of black and white.
     Long diagrams are averaged over rows to what a page can show. Gaps in the frames' times stay gaps.
     """
     import matplotlib as mpl
@@ -76,13 +83,26 @@ def draw_space_time(
     x, x_label = _columns(diagram)
     grey = mpl.colormaps["gray"].with_extremes(bad=EMPTY_COLOUR)
     ax.pcolorfast(x, edges, np.ma.masked_invalid(values), cmap=grey, vmin=low, vmax=high)
+    if tracks is not None:
+        _draw_tracks(ax, tracks, time, diagram)
     ax.set(xlabel=x_label, ylabel=time_label, xlim=(x[0], x[-1]), ylim=(edges[-1], edges[0]))
-    ax.set_title(_title(diagram), loc="left")
+    ax.set_title(_title(diagram) + (" with the tracks" if tracks is not None else ""), loc="left")
     if "sheet" in diagram.attrs:
         ax.locator_params(axis="x", nbins=4, prune="both")
     if slips_s is not None and time_label != "frame":
         _mark(ax, slips_s[(slips_s >= edges[0]) & (slips_s <= edges[-1])])
     return ax
+
+
+def _draw_tracks(ax: Axes, tracks: xr.Dataset, time: Doubles, diagram: xr.DataArray) -> None:
+    scale, _ = position_unit(diagram.attrs.get("pixel_size_um"), diagram.sizes["x"])
+    for x_px, colour in zip(tracks["x_px"].values.T, sheet_colours(tracks), strict=True):
+        ax.plot(x_px * scale, time, lw=0.7, color=colour, **dots(len(time)))
+
+
+def dots(frames: int) -> dict[str, Any]:
+    """Markers for a line of few points."""
+    return {"marker": "o", "ms": 2.5} if frames <= FEW_FRAMES else {}
 
 
 def grey_limits(diagrams: Sequence[xr.DataArray]) -> Limits:
@@ -122,10 +142,8 @@ def _columns(diagram: xr.DataArray) -> tuple[Doubles, str]:
     edges = np.append(x - 0.5, x[-1] + 0.5)
     size = diagram.attrs.get("pixel_size_um")
     if "sheet" not in diagram.attrs:
-        if size is None:
-            return edges, "x (px)"
-        wide = size * x.size >= UM_PER_MM
-        return (edges * size / UM_PER_MM, "x (mm)") if wide else (edges * size, "x (µm)")
+        scale, unit = position_unit(size, x.size)
+        return edges * scale, f"x ({unit})"
     name = "x − x(n,t)"
     if not diagram.attrs["follow"]:
         edges, name = edges - diagram.attrs["centre_px"], "x − x₀"
@@ -159,15 +177,5 @@ def _averaged(values: NDArray[np.float32], time: Doubles) -> tuple[NDArray[np.fl
     k = -(-len(values) // MOST_ROWS)
     if k == 1:
         return values, time
-    block = k * ROWS_AT_ONCE
-    means = [_means(values[start : start + block], k) for start in range(0, len(values), block)]
-    return np.concatenate(means), _means(time[:, None], k)[:, 0]
-
-
-def _means(values: NDArray[Any], k: int) -> NDArray[Any]:
-    """Means of k rows at a time, of fewer at the end, leaving NaN out."""
-    starts = np.arange(0, len(values), k)
-    known = np.isfinite(values)
-    count = np.add.reduceat(known, starts, axis=0, dtype=np.int32)
-    total = np.add.reduceat(np.where(known, values, 0), starts, axis=0, dtype=np.float64)
-    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan), values.dtype)
+    ends = np.append(np.arange(0, len(values), k), len(values))
+    return mean_rows(values, ends), np.add.reduceat(time, ends[:-1]) / np.diff(ends)
