@@ -11,7 +11,8 @@ _MOST_DRIFT = 4000e-6
 _CANDIDATES = 100
 _LEAST_COMMON = 3
 _BIN = 1.5  # errors of a slip; a vote counts for its bin and both neighbours
-_ROUNDS = (2.0, 1.5, 1.2, 1.0, 1.0, 1.0)  # widening of the errors, refit after refit
+_COARSE = 1 / 60  # of a period: finer bins only cost time, the refits narrow down
+_WIDE, _ROUNDS, _FINAL = 1.4, 4, 2  # bins the errors are widened to, rounds to narrow them down, and after
 _DOUBTFUL = 2.5  # errors at which a pair is as likely false as true
 
 
@@ -49,7 +50,7 @@ def vote(trains: Trains) -> Clocks:
     """
     centre = 0.5 * (trains.video_s[0] + trains.video_s[-1])
     span = min(np.ptp(trains.video_s), np.ptp(trains.force_s))
-    width = _BIN * trains.typical_error_s
+    width = _bin_s(trains)
     count = int(np.ceil(_MOST_DRIFT * span / width)) * 2 + 1
     drifts = np.linspace(-_MOST_DRIFT, _MOST_DRIFT, count)
     low = trains.force_s[0] - centre - (1 + _MOST_DRIFT) * np.ptp(trains.video_s)
@@ -62,6 +63,10 @@ def vote(trains: Trains) -> Clocks:
     chosen = _summits(score)
     middle = low + centre + width * (chosen + 0.5)
     return Clocks(middle, best[chosen], np.full(len(chosen), centre))
+
+
+def _bin_s(trains: Trains) -> float:
+    return max(_BIN * trains.typical_error_s, _COARSE * trains.period_s)
 
 
 def _score(trains: Trains, scaled: Doubles, low: float, width: float, bins: int) -> Doubles:
@@ -102,7 +107,8 @@ def refit(trains: Trains, clocks: Clocks) -> Clocks:
     The errors start wide and narrow down.  The drift is held by its prior, so that few slips do not bend it.
     """
     v, weight0 = trains.video_s, trains.error_s**-2.0
-    for widening in _ROUNDS:
+    wide = _WIDE * _bin_s(trains) / trains.typical_error_s
+    for widening in np.r_[np.geomspace(wide, 1.0, _ROUNDS), np.ones(_FINAL)]:
         mapped = clocks.map(v)
         target = trains.force_s[nearest(trains.force_s, mapped)]
         z2 = ((mapped - target) / (widening * trains.error_s)) ** 2
