@@ -8,11 +8,14 @@ import numpy as np
 
 from vision.deformation.common import LEAST_PAIRS, drift, noise_regained, pairs, shaking
 from vision.deformation.creep import Creep, fit_creep, mean_square
+from vision.deformation.errors import Errors
 from vision.deformation.frames import Bools, Doubles, Ints, StickFrames
+from vision.deformation.locking import let_go
 from vision.deformation.memory import Memory, inflation
 from vision.deformation.noise import Noise, measure_noise
+from vision.deformation.pattern import pattern_px
 
-_LOCKING_PX = {"sliding": 0.002, "template": 0.002}  # measured, ridges 6-14 px wide
+_SCALE = 0.002  # of the creep: bowed sheets and the lens magnify unequally over the view
 _CURVED = 3.0  # standard errors by which a parabola must differ from a line
 _MANY_FRAMES = 12  # a stick from which noise is told from creep by a cubic, else by a parabola
 _LEAST_CURVED = 6  # positions for a parabola to be tried
@@ -50,24 +53,31 @@ def measure_amplitude(
     predicted_px: Doubles,
     side: Ints,
     n: Ints,
-    fit: str = "",
+    pull: Doubles,
+    pixels: bool = False,
     common_mode: bool = True,
 ) -> Amplitude:
     """Creep from the positions in usable frames, x_px (F, sheet), NaN where there is none.
 
-    predicted_px, side, n: (sheet,).  fit: how positions were found, as in `track_sheets`.
-    common_mode: whether to take the camera's movement off.
+    predicted_px, side, n: (sheet,).  pull: towards whole pixels, (sheet,), see `locking`.  pixels: whether
+    positions come from a picture, so that unequal pixels are among their errors.  common_mode: whether to
+    take the camera's movement off.
     """
     paired = common_mode and pairs(side, n)[0].size >= LEAST_PAIRS
     terms = 4 if np.median(frames.counts) >= _MANY_FRAMES else 3
-    shake, regained = _shaking(x_px, frames, terms) if common_mode else (np.zeros(len(x_px)), np.ones(n.size))
-    steady = x_px - shake[:, None]
+    freed = let_go(x_px, pull, frames, terms)
+    shake, regained = (
+        _shaking(freed, frames, terms) if common_mode else (np.zeros(len(x_px)), np.ones(n.size))
+    )
+    steady = freed - shake[:, None]
     line, parabola, close = (fit_creep(steady, frames, terms=k) for k in (2, 3, terms))
     noise = measure_noise(steady - close.at(frames), close, frames, predicted_px)
     noise = replace(noise, noise_px=noise.noise_px * np.sqrt(regained))
     # Without pairs, what of the vibration looks like creep stays: at most as much as if it were white.
     stays_px = 0.0 if paired else float(np.std(shake))
-    errors = _Errors(noise, stays_px, _locking(fit, predicted_px, noise.noise_px), frames)
+    errors = Errors(noise, stays_px, np.zeros(n.size), frames)
+    if pixels:
+        errors = replace(errors, pattern_px=pattern_px(close, errors.of(close), noise), scale=_SCALE)
     creep = _choose(line, parabola, errors, _Moved(side, n, paired))
     return _amplitude(creep, line, noise, frames, np.sqrt(mean_square(x_px, frames)), side, paired)
 
@@ -105,16 +115,6 @@ def _shaking(x_px: Doubles, frames: StickFrames, terms: int) -> tuple[Doubles, D
     return shaking(residual), noise_regained(residual)
 
 
-def _locking(fit: str, predicted_px: Doubles, noise_px: Doubles) -> Doubles:
-    """RMS error of positions that repeats from pixel to pixel, (sheet,), px; 0 for fits not known to lock.
-
-    The publication's fit locks by as much as its predicted error exceeds the scatter from frame to frame.
-    """
-    if fit == "paper":
-        return np.sqrt(np.maximum(np.nan_to_num(predicted_px) ** 2 - noise_px**2, 0))
-    return np.full(noise_px.size, _LOCKING_PX.get(fit, 0.0))
-
-
 @dataclass(frozen=True)
 class _Chosen:
     """Line or parabola, whichever each sheet asks for, (stick, sheet), without drift, (stick,).
@@ -131,7 +131,7 @@ class _Chosen:
     drift: Doubles
 
 
-def _choose(line: Creep, parabola: Creep, errors: _Errors, moved: _Moved) -> _Chosen:
+def _choose(line: Creep, parabola: Creep, errors: Errors, moved: _Moved) -> _Chosen:
     bent_err, line_err = errors.of(parabola), errors.of(line)
     bend, bend_err, _ = moved.off(parabola.coefficient[..., 2], bent_err[..., 2])
     curved = (parabola.count >= _LEAST_CURVED) & (np.abs(bend) > _CURVED * bend_err)
@@ -141,33 +141,6 @@ def _choose(line: Creep, parabola: Creep, errors: _Errors, moved: _Moved) -> _Ch
     straight, _, drift_px = moved.off(line.coefficient[..., 1], line_err[..., 1])
     bend = np.where(curved, bend, 0.0)
     return _Chosen(best[..., 0], slope, slope_err, bend, bend_err, straight, drift_px)
-
-
-@dataclass(frozen=True)
-class _Errors:
-    """What errors are made of: noise, vibration that stays, px, and locking per sheet, px, (sheet,)."""
-
-    noise: Noise
-    stays_px: float
-    locking_px: Doubles
-    frames: StickFrames
-
-    def of(self, fit: Creep) -> Doubles:
-        """Standard errors of the coefficients, (stick, sheet, terms).
-
-        Locking shifts positions by a wave in x, one pixel long, of unknown phase.  A sheet that creeps by
-        2 a runs through it, and its share in P_l is (2 l + 1) j_l(2 pi a) (spherical Bessel functions).
-        """
-        from scipy.special import spherical_jn
-
-        terms = fit.coefficient.shape[2]
-        white = np.einsum("eskk->esk", fit.inverse)
-        factor = inflation(self.noise.memory, self.frames, terms)[:, None]
-        noise_px = np.hypot(self.noise.noise_px, self.stays_px) * self.noise.excess
-        random = np.sqrt(white * factor) * noise_px[..., None]
-        order, phase = np.arange(terms), 2 * np.pi * np.abs(fit.coefficient[..., 1:2])
-        locked = (2 * order + 1) * spherical_jn(order, phase) * self.locking_px[:, None]
-        return np.asarray(np.hypot(random, locked))
 
 
 def _root_error(creep: _Chosen, square: Doubles) -> Doubles:

@@ -98,7 +98,10 @@ def drift(coefficient: Doubles, error: Doubles, side: Ints, n: Ints) -> Drift:
         )
     of_sheet = np.zeros_like(coefficient)
     of_sheet[:, left] = of_sheet[:, right] = share
-    return Drift(value, np.sqrt(np.divide(1, total, out=np.zeros_like(total), where=total > 0)), of_sheet)
+    random = np.divide(1, total, out=np.zeros_like(total), where=total > 0)
+    # Sheets numbered one off on one side: then all pairs differ the same way.
+    shared = asymmetry * (share * inwards).sum(axis=1)
+    return Drift(value, np.sqrt(random + shared**2), of_sheet)
 
 
 def pairs(side: Ints, n: Ints) -> tuple[Ints, Ints]:

@@ -9,6 +9,7 @@ import numpy as np
 from vision.deformation.amplitude import Amplitude, measure_amplitude
 from vision.deformation.dataset import as_dataset
 from vision.deformation.frames import Doubles, frames_of_sticks
+from vision.deformation.locking import pull
 from vision.errors import InputError
 
 if TYPE_CHECKING:
@@ -55,9 +56,11 @@ def horizontal_deformation(
       frame, and the steady drift shared by left and right.  With one side in view drift cannot be told from
       creep and stays; attrs["camera_movement"] says which.
     - Errors rest on the residuals of each sheet, with their autocorrelation: see `Memory`.  A stick whose own
-      residuals stand out has its error raised ("uneven").  Locking to whole pixels, which residuals hardly
-      show, is added for the fits of `track_sheets` (attrs["fit"]).  Not in them: errors of the pixel size,
-      and of the stick length unless `sticks` has stick_length_err_um.
+      residuals stand out has its error raised ("uneven").  For tracks of `track_sheets` they hold what
+      repeats from stick to stick: unequal pixels (see `pattern`) and unequal magnification.  The
+      publication's fit (attrs["fit"]) is let go from whole pixels first (see `locking`), except in
+      `sigma_x_um`.  Not in them: the error of the pixel size, and of the stick length unless `sticks` has
+      stick_length_err_um.
 
     Args: tracks, of `track_sheets`.  sticks, of `find_stick_slip`.  clock, of `synchronise`.
     pixel_size_um, or else tracks.attrs["pixel_size_um"].  margin_s: time kept clear of each slip; by
@@ -91,7 +94,8 @@ def horizontal_deformation(
         predicted_px=_predicted(tracks),
         side=tracks["side"].values,
         n=tracks["n"].values,
-        fit=str(tracks.attrs.get("fit", "")),
+        pull=_pull(tracks),
+        pixels="fit" in tracks.attrs,
         common_mode=common_mode,
     )
     settings = {"margin_s": margin_s, "interval_s": interval} | _how(found, common_mode)
@@ -139,6 +143,13 @@ def _predicted(tracks: xr.Dataset) -> Doubles:
     if "x_err_px" not in tracks:
         return np.full(tracks.sizes["sheet"], np.nan)
     return nan_median(np.asarray(tracks["x_err_px"].values, float))
+
+
+def _pull(tracks: xr.Dataset) -> Doubles:
+    """Share by which the fit pulls positions towards whole pixels, (sheet,)."""
+    if tracks.attrs.get("fit") != "paper" or "x_err_px" not in tracks:
+        return np.zeros(tracks.sizes["sheet"])
+    return pull(*(np.asarray(tracks[name].values, float) for name in ("x_px", "x_err_px")))
 
 
 def _how(found: Amplitude, common_mode: bool) -> dict[str, object]:
