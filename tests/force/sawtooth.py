@@ -97,6 +97,10 @@ def realistic(
         k_all = 1 / (1 / k + compliance)
         length = rise / k_all
         s = np.linspace(0, 1, 12)
+        # A slip is half a swing of a block on a spring.
+        swing = np.linspace(0, 1, 12)[1:-1]
+        knots_t.extend(t + swing * slip_s)
+        knots_f.extend(peak - drop * (1 - np.cos(np.pi * swing)) / 2)
         # Chord slope k_all, tangent k_all at mid-stick, softer towards the peak.
         f = f_v + rise * (s + softening / 2 * s * (1 - s))
         knots_t.extend(t_v + s * length / v_mm_s)

@@ -6,65 +6,138 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vision.force.lines import Floats, Ints, flat_ranges
-from vision.force.slips import stick_drops, stick_lines
+from vision.force.chain import Tails, Undelayed
+from vision.force.lines import Bools, Floats, Ints, fit_broken_lines, flat_ranges
+from vision.force.slips import stick_lines, stick_middles
 
 # A slip of a spring-block is half a cosine: its 90 % and 10 % crossings lie 0.59 of half its length from
 # the middle.
 _HALF_COSINE = 0.59
+_STRAIGHT = 0.8
 # An instantaneous drop between two samples, joined by a line, crosses 90 % and 50 % this many samples apart.
 _UNRESOLVED = 0.4
-# The same two distances of an exponential tail, end over onset: ln 5 / ln 1.8.
-_EXPONENTIAL = 2.74
-# From 50 % to 10 % an exponential tail takes 1.6 time constants: three times that is five.
-_SETTLED = 3.0
 # Shorter from 90 to 10 %, in samples, a slip's own length is not resolved.
 _SHORT = 1.5
+# Samples by which a corner may be off: a sudden slip may last up to two, the length of others is blurred.
+_SUDDEN, _SAMPLED = 0.5, 0.25
+# Half a cosine is an assumption: a corner may be off by this part of a slip's length.
+_SHAPE = 0.05
 _CLEAR_SIGMAS = 20.0
 _REACH = 0.3
+# Clear of a slip is what lies this many times its half length from its middle.
+_CLEAR = 1.2
+# Squared residuals of one line over those of two: above this a stick has two slopes.
+_BENT = 1.5
 
 
 @dataclass(frozen=True)
 class Corners:
     """Begin (peak) and end (valley) of each slip, in samples, fractions included.
 
-    chain: how much of the slips' length is put down to the force chain's response: 0 none, 1 all.
-    settling: samples from a valley until that response has died away (five time constants); 0 without one.
+    middle: half-way down.  drop: height between the stick lines.  error: standard error of one corner's
+    place.  bent: whether the stick before and after has two slopes, one more than slips.
     """
 
     peak: Floats
     valley: Floats
-    chain: float
-    settling: float
+    middle: Floats
+    drop: Floats
+    error: Floats
+    bent: Bools
+
+    def tails(self) -> Tails:
+        """The stretches between slips, clear of them, for the force chain's time constant."""
+        # The chain delays the end of a slip, not its onset.
+        own = np.maximum(_CLEAR * (self.middle - self.peak), 1.0)
+        return Tails(
+            start=np.ceil(self.middle + own).astype(np.int64)[:-1],
+            stop=np.floor(self.middle - own).astype(np.int64)[1:],
+            middle=self.middle[:-1],
+            valley=self.valley[:-1],
+            peak=self.peak[1:],
+            drop=self.drop[:-1],
+        )
 
 
-def find_corners(y: Floats, edge: Ints, sigma: float) -> Corners:
-    """Begin and end of the slips at the given edges.
+def find_corners(signal: Undelayed, *, two_slopes: bool) -> Corners:
+    """Begin and end of the slips of a recording.
 
     Between the stick lines before (1) and after (0) a slip passes 90, 50 and 10 %; these times, scaled as
-    for half a cosine, give its begin and end.  A low-pass in the force chain makes the end lag
-    (exponential tail) while the onset stays sharp; that asymmetry, over all slips, tells how much of their
-    length is the chain's, and that part is taken off.  Slips too short for the sampling begin and end at
-    the same instant, where they are half-way.  Each slip's own length is used where its drop is over 20 σ,
-    else the recording's median.
+    for half a cosine, give its begin and end.  Slips too short for the sampling begin and end at the same
+    instant, where they are half-way.  Each slip's own length is used where its drop is over 20 σ, else the
+    recording's median.
+
+    Args: two_slopes, whether the stick lines may have a knee.
     """
-    high, middle, low = _crossings(y, edge)
-    onset, end = _resolved(middle - high), _resolved(low - middle)
+    base = _Baselines.of(signal.load, signal.edge, two_slopes)
+    high, middle, low = _crossings(signal.load, signal.edge, base)
+    onset, end = (_resolved(part, signal.width) for part in (middle - high, low - middle))
     usual_onset, usual_end = _usual(onset), _usual(end)
-    chain = 0.0
-    if usual_end > usual_onset:
-        ratio = usual_end / max(usual_onset, 1e-9)
-        chain = float(np.clip((ratio - 1) / (_EXPONENTIAL - 1), 0.0, 1.0))
-    settling = _SETTLED * usual_end * chain
-    if usual_onset + usual_end < _SHORT:
-        onset, end = np.zeros_like(onset), np.zeros_like(end)
-        usual_onset = usual_end = 0.0
-    clear = (stick_drops(y, edge) > _CLEAR_SIGMAS * sigma) & np.isfinite(onset) & np.isfinite(end)
-    onset = np.where(clear, onset, usual_onset) * (1 - chain) / _HALF_COSINE
-    end = np.where(clear, np.minimum(end, usual_end * 2), usual_end)
-    end = np.where(chain > 0, onset, end / _HALF_COSINE)
-    last = y.size - 1.0
-    return Corners(np.clip(middle - onset, 0, last), np.clip(middle + end, 0, last), chain, settling)
+    sudden = usual_onset + usual_end < _SHORT
+    if sudden:
+        onset, end, usual_onset, usual_end = np.zeros_like(onset), np.zeros_like(end), 0.0, 0.0
+    clear = (base.drop > _CLEAR_SIGMAS * signal.sigma) & np.isfinite(onset) & np.isfinite(end)
+    onset = _half(np.where(clear, onset, usual_onset), base.before_slope, base.drop)
+    end = _half(np.where(clear, np.minimum(end, usual_end * 2), usual_end), base.after_slope, base.drop)
+    middle = middle - signal.late
+    last = signal.load.size - 1.0
+    return Corners(
+        peak=np.clip(middle - onset, 0, last),
+        valley=np.clip(middle + end, 0, last),
+        middle=middle,
+        drop=base.drop,
+        bent=base.bent,
+        error=_errors(signal, base.drop, usual_onset + usual_end, sudden),
+    )
+
+
+def _half(distance: Floats, slope: Floats, drop: Floats) -> Floats:
+    """Half a slip's length from the distance of a crossing.
+
+    The drop between the stick lines is the slip's own and what the lines rise meanwhile, which is straight.
+    """
+    half = distance / _HALF_COSINE
+    for _ in range(2):
+        straight = np.clip(2 * slope * half / np.maximum(drop, np.finfo(float).tiny), 0, 1)
+        half = distance / (_HALF_COSINE + (_STRAIGHT - _HALF_COSINE) * np.nan_to_num(straight))
+    return half
+
+
+def _errors(signal: Undelayed, drop: Floats, length: float, sudden: bool) -> Floats:
+    """Standard error of a corner's place: noise over the slip's slope there, and the sampling."""
+    unsure = np.hypot(signal.width * (_SUDDEN if sudden else _SAMPLED), _SHAPE * length / _HALF_COSINE)
+    steepest = np.pi / 2 * np.maximum(drop, signal.sigma) / max(length / _HALF_COSINE, signal.width)
+    return np.hypot(signal.sigma / steepest, unsure)
+
+
+@dataclass(frozen=True)
+class _Baselines:
+    """The stick line before and after each edge: value half a sample before it, slope, and the drop."""
+
+    before: Floats
+    before_slope: Floats
+    after: Floats
+    after_slope: Floats
+    bent: Bools
+
+    @property
+    def drop(self) -> Floats:
+        return self.before - self.after
+
+    @classmethod
+    def of(cls, y: Floats, edge: Ints, two_slopes: bool) -> _Baselines:
+        lines = stick_lines(y, edge)
+        here = np.asarray(edge - 0.5, dtype=float)
+        # Each stick between a slip at its begin and one at its end; the first and the last lack one of them.
+        begin, end = np.insert(here, 0, np.nan), np.append(here, np.nan)
+        at_begin, at_end, early, late = lines.at(begin), lines.at(end), lines.slope, lines.slope
+        bent = np.zeros(edge.size + 1, dtype=bool)
+        if two_slopes:
+            broken = fit_broken_lines(np.arange(y.size, dtype=float), y, *stick_middles(edge, y.size))
+            bent = (broken.gain > _BENT) & (broken.first > 0) & (broken.second > 0)
+            at_begin, early = np.where(bent, [broken.first_at(begin), broken.first], [at_begin, early])
+            at_end, late = np.where(bent, [broken.second_at(end), broken.second], [at_end, late])
+        return cls(at_end[:-1], late[:-1], at_begin[1:], early[1:], bent)
 
 
 def _usual(distance: Floats) -> float:
@@ -72,30 +145,22 @@ def _usual(distance: Floats) -> float:
     return float(np.median(known)) if known.size else 0.0
 
 
-def _resolved(distance: Floats) -> Floats:
-    """A distance between crossings without what sampling alone makes of a sudden drop."""
-    return np.sqrt(np.maximum(distance**2 - _UNRESOLVED**2, 0.0))
+def _resolved(distance: Floats, width: int) -> Floats:
+    """A distance between crossings without what sampling and smoothing alone make of a sudden drop."""
+    return np.sqrt(np.maximum(distance**2 - (_UNRESOLVED * width) ** 2, 0.0))
 
 
-def _crossings(y: Floats, edge: Ints) -> tuple[Floats, Floats, Floats]:
+def _crossings(y: Floats, edge: Ints, base: _Baselines) -> tuple[Floats, Floats, Floats]:
     """Where the signal falls through 90, 50 and 10 % of the way between the stick lines around each edge."""
     bounds = np.r_[0, edge, y.size]
     length = np.diff(bounds)
     start = edge - np.maximum((_REACH * length[:-1]).astype(np.int64), 2)
     stop = np.minimum(edge + np.maximum((_REACH * length[1:]).astype(np.int64), 2), y.size - 1)
     row, index = flat_ranges(np.maximum(start, 0), stop)
-    lines = stick_lines(y, edge)
-    before, after = lines.take(slice(None, -1)), lines.take(slice(1, None))
-    here = np.asarray(edge - 0.5, dtype=float)
-    drop = before.at(here) - after.at(here)
     # One line each side of the edge, at the distance of the drop there: lines of different slope never cross.
-    x = index.astype(float)
-    base = np.where(
-        index < edge[row],
-        before.mean_y[row] + before.slope[row] * (x - before.mean_x[row]) - drop[row],
-        after.mean_y[row] + after.slope[row] * (x - after.mean_x[row]),
-    )
-    u = (y[index] - base) / drop[row]
+    slope = np.where(index < edge[row], base.before_slope[row], base.after_slope[row])
+    line = base.after[row] + slope * (index - edge[row] + 0.5)
+    u = (y[index] - line) / base.drop[row]
     middle = _half_way(u, row, index, edge.size)
     # A slip cut short by the next one may never pass half-way: then the steepest drop stands for its middle.
     middle = np.where(np.isfinite(middle), middle, edge - 0.5)
@@ -141,5 +206,5 @@ def _first_below(u: Floats, row: Ints, index: Ints, level: float, rows: int, sin
 
 def _interpolated(u: Floats, index: Ints, level: float, at: Ints) -> Floats:
     here = np.maximum(at, 0)
-    part = (u[here] - level) / np.maximum(u[here] - u[np.minimum(here + 1, u.size - 1)], np.finfo(float).tiny)
+    part = (u[here] - level) / np.maximum(u[here] - u[np.minimum(here + 1, u.size - 1)], 1e-9)
     return np.where(at >= 0, index[here] + part, np.nan)

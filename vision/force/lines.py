@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 
 def flat_ranges(start: Ints, stop: Ints) -> tuple[Ints, Ints]:
@@ -43,6 +45,11 @@ class Lines:
         return np.asarray(noise * np.sqrt(1 / self.count + (x - self.mean_x) ** 2 / self.sxx))
 
     @property
+    def squares(self) -> Floats:
+        """Sums of squared residuals, without a lag."""
+        return np.asarray(self.spread**2 * np.maximum(self.count - 2, 1))
+
+    @property
     def slope_error(self) -> Floats:
         """Standard error of the slopes, from the residuals."""
         return self.spread / np.sqrt(self.sxx)
@@ -52,63 +59,123 @@ class Lines:
         return Lines(*(getattr(self, part.name)[rows] for part in fields(self)))
 
 
-def fit_lines(x: Floats, y: Floats, start: Ints, stop: Ints) -> Lines:
-    """Lines through (x, y) over [start, stop), one per row; NaN in y is left out."""
+def fit_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: float = 0.0) -> Lines:
+    """Lines through (x, y) over [start, stop), one per row; NaN in y is left out.
+
+    lag: time constant, in samples, of a first-order low-pass that y went through.  An exponential of free
+    height then takes up what it still had to catch up with, and the line is the one before the low-pass.
+    """
     row, index = flat_ranges(start, stop)
     keep = np.isfinite(y[index]) & np.isfinite(x[index])
     row, index = row[keep], index[keep]
-
-    def total(values: Floats) -> Floats:
-        return np.bincount(row, weights=values, minlength=start.size).astype(float)
-
-    count = np.bincount(row, minlength=start.size).astype(float)
+    rows = _Rows(row, start.size, least=4 if lag else 3)
     with np.errstate(divide="ignore", invalid="ignore"):
-        count[count < 3] = np.nan
-        mean_x, mean_y = total(x[index]) / count, total(y[index]) / count
+        mean_x, mean_y = rows.mean(x[index]), rows.mean(y[index])
         dx, dy = x[index] - mean_x[row], y[index] - mean_y[row]
-        sxx = total(dx * dx)
+        if lag:
+            mean_x = mean_x - lag * rows.total(dx * index) / rows.total(
+                (index - rows.mean(index)[row]) * index
+            )
+            tail = np.exp(-(index - start[row]) / lag)
+            mean_tail = rows.mean(tail)
+            tail -= mean_tail[row]
+            height_x, height_y = (rows.total(part * tail) / rows.total(tail**2) for part in (dx, dy))
+            dx, dy = dx - height_x[row] * tail, dy - height_y[row] * tail
+        sxx = rows.total(dx * dx)
         sxx[sxx <= 0] = np.nan
-        slope = total(dx * dy) / sxx
-        spread = np.sqrt(total((dy - slope[row] * dx) ** 2) / np.maximum(count - 2, 1))
-    return Lines(slope, mean_x, mean_y, sxx, spread, count)
+        slope = rows.total(dx * dy) / sxx
+        if lag:
+            mean_y = mean_y - (height_y - slope * height_x) * mean_tail
+        spread = np.sqrt(
+            rows.total((dy - slope[row] * dx) ** 2) / np.maximum(rows.count - (3 if lag else 2), 1)
+        )
+    return Lines(slope, mean_x, mean_y, sxx, spread, rows.count)
+
+
+class _Rows:
+    """Sums over the samples of each row; the count is NaN for rows of fewer than `least`."""
+
+    def __init__(self, row: Ints, rows: int, least: int) -> None:
+        self.row = row
+        self.count = np.bincount(row, minlength=rows).astype(float)
+        self.count[self.count < least] = np.nan
+
+    def total(self, values: NDArray[Any]) -> Floats:
+        return np.bincount(self.row, weights=values, minlength=self.count.size).astype(float)
+
+    def mean(self, values: NDArray[Any]) -> Floats:
+        return np.asarray(self.total(values) / self.count)
 
 
 @dataclass(frozen=True)
 class BrokenLines:
     """Continuous two-slope lines: slope `first` up to `knee` (fraction of the stretch), then `second`.
 
-    gain: how many times smaller the squared residual is than a single line's; about 1 where one line does.
+    low, span: the stretches in x.  level: value at low.  gain: how many times smaller the squared residual
+    is than a single line's; about 1 where one line does.
     """
 
     first: Floats
     second: Floats
     knee: Floats
+    low: Floats
+    span: Floats
+    level: Floats
     gain: Floats
+
+    @property
+    def knee_x(self) -> Floats:
+        """Where the slope changes."""
+        return self.low + self.knee * self.span
+
+    def first_at(self, x: Floats) -> Floats:
+        """The first line's values, extended."""
+        return self.level + self.first * (x - self.low)
+
+    def second_at(self, x: Floats) -> Floats:
+        """The second line's values, extended."""
+        return self.first_at(self.knee_x) + self.second * (x - self.knee_x)
 
 
 _KNEES = np.linspace(0.15, 0.85, 15)
 _NO_KNEE = 2.0
 
 
-def fit_broken_lines(x: Floats, y: Floats, start: Ints, stop: Ints) -> BrokenLines:
-    """The best of 15 knees between 15 and 85 % of each stretch; NaN with fewer than 12 samples."""
+def fit_broken_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: float = 0.0) -> BrokenLines:
+    """The best of 15 knees between 15 and 85 % of each stretch; NaN with fewer than 12 samples.
+
+    lag: as in `fit_lines`.
+    """
     row, index = flat_ranges(start, stop)
     keep = np.isfinite(y[index]) & np.isfinite(x[index])
     row, index = row[keep], index[keep]
     low, span = _extent(x[index], row, start.size)
     u = (x[index] - low[row]) / span[row]
-    straight, _ = _hinges(u, y[index], row, start.size, _NO_KNEE)
-    fits = [_hinges(u, y[index], row, start.size, knee) for knee in _KNEES]
+    late = lag / np.maximum(stop - start - 1.0, 1.0)
+    tail = np.exp(-(index - start[row]) / lag) if lag else np.zeros_like(u)
+    hinges = _Hinges(u, y[index], row, tail, late)
+    straight, _ = hinges.fit(_NO_KNEE)
+    fits = [hinges.fit(knee) for knee in _KNEES]
     squares = np.array([square for square, _ in fits])
     best = np.argmin(squares, axis=0)
     chosen = best, np.arange(start.size)
-    slopes = np.array([slope for _, slope in fits])[chosen] / span[:, np.newaxis]
+    level, slope, change = np.moveaxis(np.array([solution for _, solution in fits])[chosen][:, :3], 1, 0)
     return BrokenLines(
-        slopes[:, 0],
-        slopes.sum(axis=1),
-        np.where(np.isfinite(span), _KNEES[best], np.nan),
-        straight / np.maximum(squares[chosen], np.finfo(float).tiny),
+        first=slope / span,
+        second=(slope + change) / span,
+        knee=np.where(np.isfinite(span), _KNEES[best], np.nan),
+        low=low,
+        span=span,
+        level=level + slope * late,
+        gain=straight / np.maximum(squares[chosen], np.finfo(float).tiny),
     )
+
+
+def lagged_hinge(t: Floats, tau: Floats | float) -> Floats:
+    """max(0, t) after a first-order low-pass of time constant tau (in the unit of t)."""
+    late = np.maximum(t, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(np.greater(tau, 0), late + tau * np.expm1(-late / tau), late)
 
 
 def _extent(x: Floats, row: Ints, rows: int) -> tuple[Floats, Floats]:
@@ -121,14 +188,35 @@ def _extent(x: Floats, row: Ints, rows: int) -> tuple[Floats, Floats]:
     return np.where(good, low, 0.0), span
 
 
-def _hinges(u: Floats, y: Floats, row: Ints, rows: int, knee: float) -> tuple[Floats, Floats]:
-    """(sum of squares left, [slope, its change at the knee]) of y = a + b u + c max(0, u - knee)."""
-    design = np.stack([np.ones_like(u), u, np.maximum(0.0, u - knee)], axis=1)
-    design[~np.isfinite(u)] = 0.0
-    matrix = np.zeros((rows, 3, 3))
-    right = np.zeros((rows, 3))
-    np.add.at(matrix, row, design[:, :, np.newaxis] * design[:, np.newaxis, :])
-    np.add.at(right, row, design * y[:, np.newaxis])
-    solution = (np.linalg.pinv(matrix, hermitian=True) @ right[:, :, np.newaxis])[:, :, 0]
-    residual = y - np.sum(design * solution[row], axis=1)
-    return np.bincount(row, weights=residual**2, minlength=rows).astype(float), solution[:, 1:]
+def bend_squares(x: Floats, y: Floats, start: Ints, stop: Ints, knee_x: Floats) -> Floats:
+    """Squared residuals of a continuous line with a knee at knee_x in each stretch, which has 12 samples."""
+    row, index = flat_ranges(start, stop)
+    low, span = _extent(x[index], row, start.size)
+    u, zero = (x[index] - low[row]) / span[row], np.zeros(start.size)
+    hinges = _Hinges(u, y[index], row, np.zeros_like(u), zero)
+    return hinges.fit(((knee_x - low) / span)[row])[0]
+
+
+@dataclass(frozen=True)
+class _Hinges:
+    """y = a + b u + c max(0, u - knee) + tail, u from 0 to 1 in each row; late: the lag in u, (rows,)."""
+
+    u: Floats
+    y: Floats
+    row: Ints
+    tail: Floats
+    late: Floats
+
+    def fit(self, knee: float | Floats) -> tuple[Floats, Floats]:
+        """(sum of squares left, (a, b, c, tail)) of every row."""
+        rows = self.late.size
+        hinge = lagged_hinge(self.u - knee, self.late[self.row])
+        design = np.stack([np.ones_like(self.u), self.u, hinge, self.tail], axis=1)
+        design[~np.isfinite(self.u)] = 0.0
+        matrix = np.zeros((rows, 4, 4))
+        right = np.zeros((rows, 4))
+        np.add.at(matrix, self.row, design[:, :, np.newaxis] * design[:, np.newaxis, :])
+        np.add.at(right, self.row, design * self.y[:, np.newaxis])
+        solution = (np.linalg.pinv(matrix, hermitian=True) @ right[:, :, np.newaxis])[:, :, 0]
+        residual = self.y - np.sum(design * solution[self.row], axis=1)
+        return np.bincount(self.row, weights=residual**2, minlength=rows).astype(float), solution

@@ -9,7 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.force.corners import Corners
-from vision.force.lines import Floats, Ints, fit_broken_lines, fit_lines, flat_ranges
+from vision.force.lines import (
+    Bools,
+    BrokenLines,
+    Floats,
+    Ints,
+    Lines,
+    fit_broken_lines,
+    fit_lines,
+    flat_ranges,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,10 +28,6 @@ _SENSITIVITY = (0.3, 0.7)
 # F_p and F_v come from a line through nearly all of the stick: a shorter one would not reach the ends.
 _EXTRAPOLATED = 0.8
 _FEW_SAMPLES = 10
-# How much of a stick may be given up to the force chain's settling.
-_LONGEST_SETTLING = 0.35
-# Squared residuals of one line over those of two: above this the stick has two slopes.
-_BENT = 1.5
 _TWO_SLOPES = ("K1_N_per_mm", "K2_N_per_mm", "knee", "knee_gain")
 
 
@@ -40,6 +45,11 @@ class Signal:
     damage: dict[str, Ints]
 
     @property
+    def interval_s(self) -> float:
+        """From sample to sample, at the median."""
+        return float(np.median(np.diff(self.time)))
+
+    @property
     def spikeless(self) -> Floats:
         """Load with NaN for spikes, so that fits leave them out."""
         return np.where(self.is_spike, np.nan, self.load)
@@ -47,28 +57,40 @@ class Signal:
 
 @dataclass(frozen=True)
 class _Sticks:
-    """Valley, settled start and peak of each stick, in samples."""
+    """Valley and peak of each stick, in samples, and the force chain's time constant."""
 
     v: Floats
-    settled: Floats
     p: Floats
+    lag: float
 
     def central(self, part: float) -> tuple[Ints, Ints]:
-        """[start, stop) of the central part, without what the force chain's response still bends."""
+        """[start, stop) of the central part."""
         margin = 0.5 * (1 - part) * (self.p - self.v)
-        start = np.ceil(np.maximum(self.v + margin, self.settled))
-        return start.astype(np.int64), np.floor(self.p - margin).astype(np.int64) + 1
+        return np.ceil(self.v + margin).astype(np.int64), np.floor(self.p - margin).astype(np.int64) + 1
+
+    def lines(self, x: Floats, y: Floats, part: float) -> Lines:
+        """Straight lines through the central part."""
+        return fit_lines(x, y, *self.central(part), lag=self.lag)
+
+    def broken(self, x: Floats, y: Floats) -> BrokenLines:
+        """Lines with a knee through nearly all of each stick."""
+        return fit_broken_lines(x, y, *self.central(_EXTRAPOLATED), lag=self.lag)
 
 
-def measure(signal: Signal, corners: Corners, two_slopes: bool, compliance: float) -> pd.DataFrame:
-    """The table, from corners in samples: valley[j] ends slip j, peak[j] begins it.  compliance: mm/N."""
+def measure(
+    signal: Signal, corners: Corners, lag: float, two_slopes: bool, compliance: float
+) -> pd.DataFrame:
+    """The table, from corners in samples: valley[j] ends slip j, peak[j] begins it.
+
+    lag: the force chain's time constant in samples.  compliance: of the machine, mm/N.
+    """
     import pandas as pd
 
     index = np.arange(signal.time.size, dtype=float)
     v, p, v_next = corners.valley[:-1], corners.peak[1:], corners.valley[1:]
-    sticks = _Sticks(v, v + np.minimum(corners.settling, _LONGEST_SETTLING * (p - v)), p)
+    sticks = _Sticks(v, p, lag)
     t_v, t_p, t_next = (np.interp(at, index, signal.time) for at in (v, p, v_next))
-    f_v, f_p, rising = _ends(signal, sticks, t_v, t_p, two_slopes)
+    f_v, f_p, rising = _ends(signal, sticks, t_v, t_p, corners.bent[1:-1])
     # What the machine stretches is taken off at the corners: off every sample it would carry the noise.
     d_v = np.interp(v, index, signal.travel) - compliance * f_v
     d_p = np.interp(p, index, signal.travel) - compliance * f_p
@@ -87,6 +109,10 @@ def measure(signal: Signal, corners: Corners, two_slopes: bool, compliance: floa
             "slip_length_um": 1e3 * (np.r_[d_v[1:], last] - d_p),
             **_stiffness(signal, sticks, two_slopes, compliance),
             **_raw_extremes(signal, v, p),
+            "stick_length_err_um": 1e3
+            * (d_p - d_v)
+            / (p - v)
+            * np.hypot(corners.error[:-1], corners.error[1:]),
             "slip_time_s": t_next - t_p,
             "samples": (p - v).astype(int),
         }
@@ -95,18 +121,15 @@ def measure(signal: Signal, corners: Corners, two_slopes: bool, compliance: floa
 
 
 def _ends(
-    signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, two_slopes: bool
+    signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, bent: Bools
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """(F_v, F_p, does the load rise): stick lines extended to the corners, each side of the knee its own."""
-    start, stop = sticks.central(_EXTRAPOLATED)
-    line = fit_lines(signal.time, signal.spikeless, start, stop)
+    line = sticks.lines(signal.time, signal.spikeless, _EXTRAPOLATED)
     f_v, f_p = line.at(t_v), line.at(t_p)
-    if two_slopes:
-        broken = fit_broken_lines(signal.time, signal.spikeless, start, stop)
-        bent = broken.gain > _BENT
-        knee = np.rint(start + np.where(bent, broken.knee, 0.5) * (stop - start)).astype(np.int64)
-        f_v = np.where(bent, fit_lines(signal.time, signal.spikeless, start, knee).at(t_v), f_v)
-        f_p = np.where(bent, fit_lines(signal.time, signal.spikeless, knee, stop).at(t_p), f_p)
+    if bent.any():
+        broken = sticks.broken(signal.time, signal.spikeless)
+        f_v = np.where(bent, broken.first_at(t_v), f_v)
+        f_p = np.where(bent, broken.second_at(t_p), f_p)
     return f_v, f_p, line.slope > 0
 
 
@@ -118,14 +141,14 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
             return np.where(slope * compliance < 1, slope / (1 - slope * compliance), np.nan)
 
     travel, load = signal.travel, signal.spikeless
-    central = fit_lines(travel, load, *sticks.central(CENTRAL))
+    central = sticks.lines(travel, load, CENTRAL)
     k = sample(central.slope)
     columns = {"K_N_per_mm": k, "K_err_N_per_mm": central.slope_error * (k / central.slope) ** 2}
     for part in _SENSITIVITY:
-        columns[f"K{100 * part:.0f}_N_per_mm"] = sample(fit_lines(travel, load, *sticks.central(part)).slope)
+        columns[f"K{100 * part:.0f}_N_per_mm"] = sample(sticks.lines(travel, load, part).slope)
     if not two_slopes or not np.isfinite(travel).any():
         return columns | dict.fromkeys(_TWO_SLOPES, np.full(k.size, np.nan))
-    broken = fit_broken_lines(travel, load, *sticks.central(_EXTRAPOLATED))
+    broken = sticks.broken(travel, load)
     found = sample(broken.first), sample(broken.second), broken.knee, broken.gain
     return columns | dict(zip(_TWO_SLOPES, found, strict=True))
 

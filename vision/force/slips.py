@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.force.lines import Floats, Ints, Lines, fit_lines
+from vision.force.lines import Bools, Floats, Ints, Lines, bend_squares, fit_lines
 
 _WIDTH_OF_PERIOD = 0.15
 _CANDIDATE_Z = 5.5
 _SPLIT_Z = 5.0
+_LEAST_FOR_KNEE = 12
 _THRESHOLD_SIGMAS = 4.0
 _GAP_FACTOR = 3.0
 _EVENTS_PER_STRETCH = 20
@@ -42,7 +43,8 @@ def find_slips(y: Floats, sigma: float, *, threshold: float | None = None) -> Sl
     """Slips of a spike-free sawtooth with white noise `sigma`.
 
     A step filter as wide as 0.15 periods (found stretch by stretch) proposes drops.  Neighbouring sticks are
-    joined where one straight line fits both as well as two, or where what lies between two drops falls.
+    joined where one line, straight or with a knee, fits both as well as two, or where what lies between two
+    drops falls.
     What stays is kept where the lines on both sides, extended to the drop, differ by the threshold: unless
     given 4 σ of one sample, or the middle of the widest gap in the logarithm of the drops where one parts
     small ones from the rest.  Drops are measured between fitted lines, so 4 σ here is stricter than 6 σ
@@ -63,10 +65,15 @@ def find_slips(y: Floats, sigma: float, *, threshold: float | None = None) -> Sl
 
 def stick_lines(y: Floats, edge: Ints, part: float = _LINE_PART) -> Lines:
     """Lines through the middle `part` of the stretches between edges: one more than there are edges."""
-    bounds = np.r_[0, edge, y.size]
+    return fit_lines(np.arange(y.size, dtype=float), y, *stick_middles(edge, y.size, part))
+
+
+def stick_middles(edge: Ints, size: int, part: float = _LINE_PART) -> tuple[Ints, Ints]:
+    """[start, stop) of the middle `part` of each stretch between edges."""
+    bounds = np.r_[0, edge, size]
     length = np.diff(bounds)
     margin = np.minimum((0.5 * (1 - part) * length).astype(np.int64), np.maximum(length - 3, 0) // 2)
-    return fit_lines(np.arange(y.size, dtype=float), y, bounds[:-1] + margin, bounds[1:] - margin)
+    return bounds[:-1] + margin, bounds[1:] - margin
 
 
 def _step(y: Floats, half: Ints) -> Floats:
@@ -97,7 +104,7 @@ def _peaks(y: Floats, half: Ints, sigma: float) -> Ints:
 
 def _edges(y: Floats, period: Floats, sigma: float) -> Ints:
     half = np.clip(np.rint(_WIDTH_OF_PERIOD * period), 2, None).astype(np.int64)
-    return _whole(y, _significant(y, _peaks(y, half, sigma), sigma))
+    return _slips_only(y, _whole(y, _significant(y, _peaks(y, half, sigma), sigma)), sigma)
 
 
 def _first_period(y: Floats, sigma: float) -> Floats:
@@ -160,6 +167,39 @@ def _whole(y: Floats, edge: Ints) -> Ints:
         drop = np.nan_to_num(stick_drops(y, edge), nan=-np.inf)
         edge = np.delete(edge, np.where(drop[falling] < drop[falling + 1], falling, falling + 1))
     return edge
+
+
+def _slips_only(y: Floats, edge: Ints, sigma: float) -> Ints:
+    """Joins what a line with a knee, without any drop, fits as well as two lines.
+
+    The load never falls at a knee, but lines that meet a little before an edge lie apart at it.
+    """
+    x = np.arange(y.size, dtype=float)
+    doubtful = np.arange(edge.size)
+    while doubtful.size:
+        bounds = np.r_[0, edge, y.size]
+        low, at, high = bounds[doubtful], edge[doubtful], bounds[doubtful + 2]
+        knee = _is_knee(x, y, low, at, high, sigma)
+        # One of two neighbours at a time: the other may be a slip once they are joined.
+        gone = doubtful[knee]
+        gone = gone[np.diff(gone, prepend=-2) > 1]
+        beside = np.setdiff1d(np.r_[gone - 1, gone + 1], gone)
+        beside = beside[(beside >= 0) & (beside < edge.size)]
+        doubtful = beside - np.searchsorted(gone, beside)
+        edge = np.delete(edge, gone)
+    return edge
+
+
+def _is_knee(x: Floats, y: Floats, low: Ints, edge: Ints, high: Ints, sigma: float) -> Bools:
+    """Whether a line with a knee fits [low, high) about as well as one line before and one after the edge."""
+    before, after = fit_lines(x, y, low, edge), fit_lines(x, y, edge, high)
+    here = np.asarray(edge - 0.5, dtype=float)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        meet = here - (before.at(here) - after.at(here)) / (before.slope - after.slope)
+    knee = (meet > low) & (meet < high) & (high - low >= _LEAST_FOR_KNEE)
+    squares = bend_squares(x, y, low[knee], high[knee], meet[knee])
+    knee[knee] = squares - (before.squares + after.squares)[knee] < _SPLIT_Z**2 * sigma**2
+    return np.asarray(knee)
 
 
 def _split_gain(a: Lines, b: Lines) -> Floats:

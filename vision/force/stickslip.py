@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vision.errors import InputError
+from vision.force.chain import time_constant, undelayed
 from vision.force.corners import Corners, find_corners
 from vision.force.flags import usable
 from vision.force.measure import CENTRAL, Signal, measure
@@ -28,6 +29,7 @@ def find_stick_slip(
     threshold_N: float | None = None,
     machine_stiffness_N_per_mm: float | None = None,
     two_slopes: bool | None = None,
+    lowpass_s: float | None = None,
 ) -> pd.DataFrame:
     """Stick-slip events of a recording, one row per complete stick: valley (v), peak (p), next valley.
 
@@ -37,15 +39,18 @@ def find_stick_slip(
     Args: force, as from `read_force`.  threshold_N, smallest drop; found if absent (`find_slips`).
     machine_stiffness_N_per_mm, corrects d for the machine's own stretch, d - F/K_machine; off by default.
     two_slopes, fits K1 up to a knee and K2 after it; by default from 5 mm/min on.
+    lowpass_s, time constant of the force chain, which is undone (0 for none); found from the slips' tails
+    if absent.
 
     Returns: event, t_v_s, t_p_s, d_v_mm, d_p_mm, F_v_N and F_p_N (stick line through the central 80 %
     extended to valley and peak), dF_N = F_p - F_v, stick_length_um = d_p - d_v, slip_length_um = next d_v
     - d_p (0 where the slip is shorter than a sample), K_N_per_mm with K_err_N_per_mm (slope of the central
     half), F_v_raw_N and F_p_raw_N (extremes, spikes aside), K30_N_per_mm and K70_N_per_mm (other central
     parts), K1_N_per_mm, K2_N_per_mm, knee, knee_gain (two slopes), slip_time_s, samples, flag ("ok" or
-    what is wrong within the stick: gap, nan, saturated, repeated, backwards, few, falling).  attrs:
-    noise_N, threshold_N, threshold_how, period_samples, spikes, chain, first_slip_s, first_slip_N,
-    last_slip_s and the arguments.
+    what is wrong within the stick: gap, nan, saturated, repeated, backwards, few, falling),
+    stick_length_err_um (noise, sampling, and that a slip's shape is not known).  attrs: noise_N, threshold_N,
+    threshold_how, period_samples, spikes, lowpass_s (0 where none shows) with lowpass_how, first_slip_s,
+    first_slip_N, last_slip_s and the arguments.
 
     Raises InputError for a load in compression or where there are not two slips.  Source: paper, stick-slip
     features; the detection notes.
@@ -67,11 +72,37 @@ def find_stick_slip(
             f"{slips.edge.size} drops above {slips.threshold:.3g} (noise {signal.sigma:.2g})",
             "lower --force-threshold if smaller drops are slips",
         )
-    corners = find_corners(signal.clean, slips.edge, signal.sigma)
     speed = float(force.attrs.get("speed_mm_min", np.nan))
     fast = speed >= _FAST_MM_MIN if two_slopes is None else two_slopes
-    events = measure(signal, corners, fast, 1 / (machine_stiffness_N_per_mm or np.inf))
+    corners, tau = _corners(signal, slips, fast, lowpass_s)
+    events = measure(signal, corners, tau, fast, 1 / (machine_stiffness_N_per_mm or np.inf))
+    events.attrs |= {
+        "lowpass_s": tau * signal.interval_s,
+        "lowpass_how": "found" if lowpass_s is None else "given",
+    }
     return _with_facts(events, signal, slips, corners, machine_stiffness_N_per_mm)
+
+
+def _corners(
+    signal: Signal, slips: Slips, two_slopes: bool, lowpass_s: float | None
+) -> tuple[Corners, float]:
+    """Corners of the slips, and the force chain's time constant in samples."""
+
+    def corners(tau: float) -> Corners:
+        return find_corners(undelayed(signal.clean, signal.sigma, slips, tau), two_slopes=two_slopes)
+
+    if lowpass_s is not None:
+        tau = lowpass_s / signal.interval_s
+        return corners(tau), tau
+    plain = corners(0.0)
+    first = time_constant(signal.clean, plain.tails())
+    if first is None or not first.worth_trying:
+        return plain, 0.0
+    # Corners freed of the low-pass show its tails from their very begin: what holds there is believed.
+    second = time_constant(signal.clean, corners(first.samples).tails(), first.samples)
+    if second is None or not second.confirms(first):
+        return plain, 0.0
+    return corners(second.samples), second.samples
 
 
 def _with_facts(
@@ -84,7 +115,6 @@ def _with_facts(
         "threshold_how": slips.threshold_how,
         "period_samples": slips.period,
         "spikes": int(signal.is_spike.sum()),
-        "chain": corners.chain,
         "first_slip_s": float(first),
         "first_slip_N": float(signal.clean[max(int(corners.peak[0]), 0)]),
         "last_slip_s": float(last),
