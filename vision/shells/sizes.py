@@ -1,0 +1,169 @@
+"""How many sheets are stiff: every rising profile is weighed by how well it fits, then sheets are counted.
+
+Each sheet's true ratio is taken to scatter about a rising profile, and its measurement about the true
+ratio.  Where noise is small, the sheet's own measurement decides; where it is large, its neighbours do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision.shells.profiles import Profiles
+from vision.shells.sides import Bools, Doubles, Side, isotonic
+
+Ints = NDArray[np.int64]
+
+_SCATTERS = (0.03, 0.08, 0.15, 0.25)  # of sheets about the profile, relative; the likeliest is taken
+_SMALL = 0.3  # thresholds; smaller ratios are taken to scatter as if they were this large
+_UNLIKE = 0.2  # of their distance from the threshold that real profiles may differ from those tried
+_STRANGE = 4.0  # standard deviations from the profile beyond which a sheet is left to itself
+_MOST_STRANGE = 4  # such sheets a side and event
+_ASKED = 40  # events from which the scatter is found
+_DRAWS = 256
+_BLOCK = 32  # events at a time, which keeps the tables of likelihoods small
+
+
+@dataclass(frozen=True)
+class _Sheets:
+    """What is known of the sheets of some events, (event, N): value 0 and variance inf where nothing is.
+
+    usual: ratio from which the scatter is reckoned.  alone: sheets that do not follow the profile.
+    """
+
+    value: Doubles
+    variance: Doubles
+    usual: Doubles
+    alone: Bools
+    threshold: float
+
+    @classmethod
+    def of(cls, side: Side, threshold: float) -> _Sheets:
+        known = side.known
+        rising = np.nan_to_num(isotonic(side)[0])
+        return cls(
+            np.where(known, side.value, 0.0),
+            np.where(known, side.error**2, np.inf),
+            np.maximum(rising, _SMALL * threshold),
+            np.zeros_like(known),
+            threshold,
+        )
+
+    def at(self, events: slice | Ints) -> _Sheets:
+        return _Sheets(
+            self.value[events],
+            self.variance[events],
+            self.usual[events],
+            self.alone[events],
+            self.threshold,
+        )
+
+    def scatter(self, relative: float) -> Doubles:
+        """Variance of true ratios about the profile, and of the profile about those tried."""
+        unlike = _UNLIKE * (self.usual - self.threshold)
+        return np.asarray((relative * self.usual) ** 2 + unlike**2)
+
+    def about_profile(self, relative: float) -> Doubles:
+        """Variance of the measurements about the profile; inf for those that say nothing of it."""
+        return np.where(self.alone, np.inf, self.variance + self.scatter(relative))
+
+
+def shell_sizes(side: Side, *, threshold: float, certainty: float) -> tuple[Ints, Ints, Ints]:
+    """Stiff sheets of one side, (event,): the median, and the ends of the interval that holds `certainty`.
+
+    Sheets far off every rising profile are counted by their own measurement, and so are all sheets of an
+    event where the ratio falls with n beyond chance even when those are left out.  Stick lengths are varied
+    by their error, for all sheets at once.
+    """
+    profiles = Profiles.crossing(side.n, threshold)
+    sheets = _Sheets.of(side, threshold)
+    sheets = replace(sheets, alone=_strange(sheets, profiles.thinned()))
+    relative = _likeliest_scatter(sheets, profiles.thinned())
+    falls = ~isotonic(side.without(sheets.alone))[1]
+    single = replace(sheets, alone=sheets.alone | (falls[:, None] & side.known))
+    quantiles = [0.5, (1 - certainty) / 2, (1 + certainty) / 2]
+    found = []
+    for block in _blocks(len(falls)):
+        share, _ = _weigh(profiles, sheets.at(block), relative)
+        sizes = _draw_sizes(profiles, share, single.at(block), relative, side.length_err[block])
+        found.append(np.quantile(sizes, quantiles, axis=1, method="inverted_cdf"))
+    size, low, high = np.concatenate(found, axis=1).astype(np.int64)
+    return size, low, high
+
+
+def _blocks(events: int) -> Iterator[slice]:
+    return (slice(first, first + _BLOCK) for first in range(0, events, _BLOCK))
+
+
+def _weigh(profiles: Profiles, sheets: _Sheets, relative: float) -> tuple[Doubles, Doubles]:
+    """Share of each profile in each event, (event, curve), summing to 1, and the log evidence, (event,)."""
+    weight = 1 / sheets.about_profile(relative)
+    likely = (weight * sheets.value) @ profiles.ratio.T
+    likely -= weight @ profiles.half_square.T
+    most = likely.max(axis=1, keepdims=True)
+    share = np.exp(likely - most)
+    total = share.sum(axis=1, keepdims=True)
+    own = np.log(np.where(weight > 0, weight, 1.0)) - weight * sheets.value**2
+    return share / total, (most + np.log(total))[:, 0] + own.sum(axis=1) / 2
+
+
+def _strange(sheets: _Sheets, profiles: Profiles) -> Bools:
+    """Sheets off what the others say, (event, N), found one after the other, the farthest first."""
+    alone = sheets.alone.copy()
+    events = np.arange(len(alone))
+    for _ in range(_MOST_STRANGE):
+        rest = replace(sheets, alone=alone)
+        off = np.concatenate([_off(profiles, rest.at(events[block])) for block in _blocks(events.size)])
+        far = off.max(axis=1) > _STRANGE
+        events, worst = events[far], off.argmax(axis=1)[far]
+        alone[events, worst] = True
+        if events.size == 0:
+            break
+    return alone
+
+
+def _off(profiles: Profiles, sheets: _Sheets) -> Doubles:
+    """Standard deviations by which each measurement is off the profile, 0 where none is compared."""
+    share, _ = _weigh(profiles, sheets, _SCATTERS[-1])
+    mean = share @ profiles.ratio
+    spread = np.maximum(2 * share @ profiles.half_square - mean**2, 0)
+    return np.asarray(np.abs(sheets.value - mean) / np.sqrt(sheets.about_profile(_SCATTERS[-1]) + spread))
+
+
+def _likeliest_scatter(sheets: _Sheets, profiles: Profiles) -> float:
+    """The relative scatter of sheets about their profile under which all measurements are likeliest."""
+    asked = sheets.at(slice(None, None, max(1, len(sheets.value) // _ASKED)))
+    evidence = [_weigh(profiles, asked, relative)[1].sum() for relative in _SCATTERS]
+    return _SCATTERS[int(np.argmax(evidence))]
+
+
+def _draw_sizes(
+    profiles: Profiles, share: Doubles, sheets: _Sheets, relative: float, length_err: Doubles
+) -> Ints:
+    """Sizes that the data allow, (event, draw): profiles by their share, sheets about them, stick lengths.
+
+    The random numbers are always the same, so that a table comes out the same twice.
+    """
+    rng = np.random.default_rng(0)
+    curve = profiles.ratio[_places(share)]
+    spread = np.where(sheets.alone, np.inf, sheets.scatter(relative))
+    # Between the profile (variance `spread`) and the measurement, either of which may say nothing.
+    certain = 1 / spread + 1 / sheets.variance
+    pull = 1 / sheets.variance / certain
+    ratio = curve + pull[:, None] * (sheets.value[:, None] - curve)
+    ratio += rng.standard_normal((_DRAWS, curve.shape[2])) / np.sqrt(certain)[:, None]
+    threshold = sheets.threshold * (1 + length_err[:, None, None] * rng.standard_normal((_DRAWS, 1)))
+    return np.asarray((np.abs(ratio) < threshold).sum(axis=2))
+
+
+def _places(share: Doubles) -> Ints:
+    """Curves drawn evenly by their share, (event, draw)."""
+    events, curves = share.shape
+    row = 2 * np.arange(events)[:, None]  # one search for all events: each has a stretch of its own
+    reached = np.cumsum(share, axis=1)
+    wanted = (np.arange(_DRAWS) + 0.5) / _DRAWS * reached[:, -1:]
+    place = np.searchsorted((reached + row).ravel(), (wanted + row).ravel()) % curves
+    return np.asarray(place.reshape(events, _DRAWS))
