@@ -6,14 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vision.deformation.common import LEAST_PAIRS, drift, noise_regained, pairs, shaking
 from vision.deformation.creep import Creep, fit_creep, mean_square
+from vision.deformation.drift import LEAST_PAIRS, drift, pairs
+from vision.deformation.ends import Ends, find_ends
 from vision.deformation.errors import Errors
 from vision.deformation.frames import Bools, Doubles, Ints, StickFrames
 from vision.deformation.locking import let_go
 from vision.deformation.memory import Memory, inflation
 from vision.deformation.noise import Noise, measure_noise
 from vision.deformation.pattern import pattern_px
+from vision.deformation.vibration import noise_regained, shaking
 
 _SCALE = 0.002  # of the creep: bowed sheets and the lens magnify unequally over the view
 _CURVED = 3.0  # standard errors by which a parabola must differ from a line
@@ -70,6 +72,8 @@ def measure_amplitude(
         _shaking(freed, frames, terms) if common_mode else (np.zeros(len(x_px)), np.ones(n.size))
     )
     steady = freed - shake[:, None]
+    ends = find_ends(steady, frames)
+    steady = np.where(ends.outside, np.nan, steady)
     line, parabola, close = (fit_creep(steady, frames, terms=k) for k in (2, 3, terms))
     noise = measure_noise(steady - close.at(frames), close, frames, predicted_px)
     noise = replace(noise, noise_px=noise.noise_px * np.sqrt(regained))
@@ -78,7 +82,7 @@ def measure_amplitude(
     errors = Errors(noise, stays_px, np.zeros(n.size), frames)
     if pixels:
         errors = replace(errors, pattern_px=pattern_px(close, errors.of(close), noise), scale=_SCALE)
-    creep = _choose(line, parabola, errors, _Moved(side, n, paired))
+    creep = _choose(line, parabola, errors, _Moved(side, n, paired)).shortened(ends)
     return _amplitude(creep, line, noise, frames, np.sqrt(mean_square(x_px, frames)), side, paired)
 
 
@@ -129,6 +133,17 @@ class _Chosen:
     bend_err: Doubles
     straight: Doubles
     drift: Doubles
+
+    def shortened(self, ends: Ends) -> _Chosen:
+        """For sheets that creep for less than the whole stick."""
+        part = 1 - ends.lost
+        return replace(
+            self,
+            slope=self.slope * part,
+            slope_err=np.hypot(self.slope_err, self.slope * ends.lost_err),
+            bend=self.bend * part,
+            straight=self.straight * part,
+        )
 
 
 def _choose(line: Creep, parabola: Creep, errors: Errors, moved: _Moved) -> _Chosen:

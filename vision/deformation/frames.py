@@ -18,7 +18,7 @@ class StickFrames:
 
     frame: place in the tracks, (F,).  row: the stick each belongs to, (F,), rising.  u: time from -1 at t_v
     to +1 at t_p, (F,).  slot: time since t_v in whole frame intervals, (F,): lost frames leave gaps.
-    sticks: their number, those without a frame included.
+    sticks: their number, those without a frame included.  length_s: (sticks,).  interval_s: between frames.
     """
 
     frame: Ints
@@ -26,10 +26,17 @@ class StickFrames:
     u: Doubles
     slot: Ints
     sticks: int
+    length_s: Doubles
+    interval_s: float
 
     def sums(self, values: NDArray[np.generic]) -> Doubles:
         """Sum of `values` (F, ...) over the frames of each stick, (sticks, ...); 0 for a stick without."""
         return self._reduce(np.add, values, 0.0)
+
+    @property
+    def since_s(self) -> Doubles:
+        """Time since t_v, (F,)."""
+        return (self.u + 1) / 2 * self.length_s[self.row]
 
     @property
     def counts(self) -> Ints:
@@ -65,4 +72,12 @@ def frames_of_sticks(
     frame, row = known[inside], stick[inside]
     since = time_s[frame] - start_s[row]
     u = 2 * since / (stop_s - start_s)[row] - 1.0
-    return StickFrames(frame, row, u, np.rint(since / interval_s).astype(np.int64), start_s.size)
+    return StickFrames(
+        frame,
+        row,
+        u,
+        np.rint(since / interval_s).astype(np.int64),
+        start_s.size,
+        stop_s - start_s,
+        interval_s,
+    )
