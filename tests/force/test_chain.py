@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tests.force.sawtooth import Test, plain, realistic
+from tests.force.sawtooth import Test, plain, realistic, recording
+from vision.experiment.force_file import force_recording
+from vision.experiment.mechanics import pull_apart
+from vision.experiment.presets import preset, with_settings
 from vision.force.lines import fit_broken_lines, fit_lines
 from vision.force.stickslip import find_stick_slip
+from vision.models.fits import fit_models
 
 FAST = {"speed": 10.0, "rate": 2000.0, "noise": 0.05, "d1": 13.8, "slip_s": 0.005}
 
@@ -76,6 +80,23 @@ def test_knees_are_not_slips() -> None:
     bump = 500 * np.minimum(phase / 0.3, (1 - phase) / 0.7)
     bent = test.force.assign(load_N=("time_s", test.force["load_N"].to_numpy() + bump))
     assert len(find_stick_slip(bent)) == len(find_stick_slip(test.force))
+
+
+@pytest.mark.parametrize("lowpass_s", [0.0, 0.003])
+def test_the_stiffness_of_fast_pulls_is_that_after_the_knee(lowpass_s: float) -> None:
+    """A failure means K, and with it N̂ and Y_eff, mixes the two slopes of a fast stick."""
+    experiment = with_settings(preset("fast", seed=3), {"load_cell.lowpass_s": lowpass_s})
+    pull = pull_apart(experiment.mechanics, seed=3)
+    load = force_recording(experiment, pull)
+    time, d = load["time_s"].to_numpy(), 13 + load["crosshead_mm"].to_numpy()
+    sticks = find_stick_slip(recording(time, load["load_N"].to_numpy(), d, 10.0))
+    truth = pull.events()
+    nearest = np.abs(sticks["t_p_s"].to_numpy()[:, None] - truth["t_p_s"].to_numpy()).argmin(axis=1)
+    ratio = sticks["K_N_per_mm"].to_numpy() / truth["K_N_per_mm"].to_numpy()[nearest]
+    assert np.median(ratio) == pytest.approx(1, abs=0.005)
+    fits = fit_models(sticks)
+    assert fits.modulus_GPa.value == pytest.approx(3.8, abs=3 * fits.modulus_GPa.error)
+    assert fits.n_hat_N.value == pytest.approx(0.57, abs=3 * fits.n_hat_N.error)
 
 
 def test_lines_behind_a_low_pass_are_the_lines_before_it() -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vision.force.chain import Tails, Undelayed
-from vision.force.lines import Bools, Floats, Ints, fit_broken_lines, flat_ranges
+from vision.force.lines import Floats, Ints, fit_broken_lines, flat_ranges
 from vision.force.slips import stick_lines, stick_middles
 
 # A slip of a spring-block is half a cosine: its 90 % and 10 % crossings lie 0.59 of half its length from
@@ -35,7 +35,7 @@ class Corners:
     """Begin (peak) and end (valley) of each slip, in samples, fractions included.
 
     middle: half-way down.  drop: height between the stick lines.  error: standard error of one corner's
-    place.  bent: whether the stick before and after has two slopes, one more than slips.
+    place.  knee: where the stick before and after changes slope, one more than slips, NaN where it does not.
     """
 
     peak: Floats
@@ -43,7 +43,7 @@ class Corners:
     middle: Floats
     drop: Floats
     error: Floats
-    bent: Bools
+    knee: Floats
 
     def tails(self) -> Tails:
         """The stretches between slips, clear of them, for the force chain's time constant."""
@@ -86,7 +86,7 @@ def find_corners(signal: Undelayed, *, two_slopes: bool) -> Corners:
         valley=np.clip(middle + end, 0, last),
         middle=middle,
         drop=base.drop,
-        bent=base.bent,
+        knee=base.knee - signal.late,
         error=_errors(signal, base.drop, usual_onset + usual_end, sudden),
     )
 
@@ -118,7 +118,7 @@ class _Baselines:
     before_slope: Floats
     after: Floats
     after_slope: Floats
-    bent: Bools
+    knee: Floats
 
     @property
     def drop(self) -> Floats:
@@ -131,13 +131,14 @@ class _Baselines:
         # Each stick between a slip at its begin and one at its end; the first and the last lack one of them.
         begin, end = np.insert(here, 0, np.nan), np.append(here, np.nan)
         at_begin, at_end, early, late = lines.at(begin), lines.at(end), lines.slope, lines.slope
-        bent = np.zeros(edge.size + 1, dtype=bool)
+        knee = np.full(edge.size + 1, np.nan)
         if two_slopes:
             broken = fit_broken_lines(np.arange(y.size, dtype=float), y, *stick_middles(edge, y.size))
             bent = (broken.gain > _BENT) & (broken.first > 0) & (broken.second > 0)
+            knee = np.where(bent, broken.knee_x, np.nan)
             at_begin, early = np.where(bent, [broken.first_at(begin), broken.first], [at_begin, early])
             at_end, late = np.where(bent, [broken.second_at(end), broken.second], [at_end, late])
-        return cls(at_end[:-1], late[:-1], at_begin[1:], early[1:], bent)
+        return cls(at_end[:-1], late[:-1], at_begin[1:], early[1:], knee)
 
 
 def _usual(distance: Floats) -> float:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from vision.force.corners import Corners
 from vision.force.lines import (
-    Bools,
     BrokenLines,
     Floats,
     Ints,
@@ -28,6 +27,7 @@ _SENSITIVITY = (0.3, 0.7)
 # F_p and F_v come from a line through nearly all of the stick: a shorter one would not reach the ends.
 _EXTRAPOLATED = 0.8
 _FEW_SAMPLES = 10
+_CLEAR_OF_KNEE = 0.03  # of the stick
 _TWO_SLOPES = ("K1_N_per_mm", "K2_N_per_mm", "knee", "knee_gain")
 
 
@@ -57,24 +57,33 @@ class Signal:
 
 @dataclass(frozen=True)
 class _Sticks:
-    """Valley and peak of each stick, in samples, and the force chain's time constant."""
+    """Valley, peak and knee (NaN: none) of each stick, in samples, and the force chain's time constant."""
 
     v: Floats
     p: Floats
+    knee: Floats
     lag: float
 
     def central(self, part: float) -> tuple[Ints, Ints]:
         """[start, stop) of the central part."""
         margin = 0.5 * (1 - part) * (self.p - self.v)
-        return np.ceil(self.v + margin).astype(np.int64), np.floor(self.p - margin).astype(np.int64) + 1
+        return _between(self.v + margin, self.p - margin)
 
-    def lines(self, x: Floats, y: Floats, part: float) -> Lines:
-        """Straight lines through the central part."""
-        return fit_lines(x, y, *self.central(part), lag=self.lag)
+    def one_slope(self, part: float) -> tuple[Ints, Ints]:
+        """The same on the longer side of the knee."""
+        margin, clear = 0.5 * (1 - part) * (self.p - self.v), _CLEAR_OF_KNEE * (self.p - self.v)
+        start, stop = self.v + margin, self.p - margin
+        early = self.knee < 0.5 * (self.v + self.p)
+        start = np.where(early, np.fmax(start, self.knee + clear), start)
+        return _between(start, np.where(early, stop, np.fmin(stop, self.knee - clear)))
 
     def broken(self, x: Floats, y: Floats) -> BrokenLines:
         """Lines with a knee through nearly all of each stick."""
         return fit_broken_lines(x, y, *self.central(_EXTRAPOLATED), lag=self.lag)
+
+
+def _between(start: Floats, stop: Floats) -> tuple[Ints, Ints]:
+    return np.ceil(start).astype(np.int64), np.floor(stop).astype(np.int64) + 1
 
 
 def measure(
@@ -88,13 +97,14 @@ def measure(
 
     index = np.arange(signal.time.size, dtype=float)
     v, p, v_next = corners.valley[:-1], corners.peak[1:], corners.valley[1:]
-    sticks = _Sticks(v, p, lag)
+    sticks = _Sticks(v, p, corners.knee[1:-1], lag)
     t_v, t_p, t_next = (np.interp(at, index, signal.time) for at in (v, p, v_next))
-    f_v, f_p, rising = _ends(signal, sticks, t_v, t_p, corners.bent[1:-1])
+    f_v, f_p, rising = _ends(signal, sticks, t_v, t_p)
     # What the machine stretches is taken off at the corners: off every sample it would carry the noise.
     d_v = np.interp(v, index, signal.travel) - compliance * f_v
     d_p = np.interp(p, index, signal.travel) - compliance * f_p
     last = np.interp(v_next[-1:], index, signal.travel) - compliance * signal.clean[int(v_next[-1])]
+    relative = np.hypot(corners.error[:-1], corners.error[1:]) / (p - v)
     table = pd.DataFrame(
         {
             "event": np.arange(v.size),
@@ -109,10 +119,7 @@ def measure(
             "slip_length_um": 1e3 * (np.r_[d_v[1:], last] - d_p),
             **_stiffness(signal, sticks, two_slopes, compliance),
             **_raw_extremes(signal, v, p),
-            "stick_length_err_um": 1e3
-            * (d_p - d_v)
-            / (p - v)
-            * np.hypot(corners.error[:-1], corners.error[1:]),
+            "stick_length_err_um": 1e3 * (d_p - d_v) * relative,
             "slip_time_s": t_next - t_p,
             "samples": (p - v).astype(int),
         }
@@ -121,10 +128,11 @@ def measure(
 
 
 def _ends(
-    signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, bent: Bools
+    signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """(F_v, F_p, does the load rise): stick lines extended to the corners, each side of the knee its own."""
-    line = sticks.lines(signal.time, signal.spikeless, _EXTRAPOLATED)
+    line = fit_lines(signal.time, signal.spikeless, *sticks.central(_EXTRAPOLATED), lag=sticks.lag)
+    bent = np.isfinite(sticks.knee)
     f_v, f_p = line.at(t_v), line.at(t_p)
     if bent.any():
         broken = sticks.broken(signal.time, signal.spikeless)
@@ -141,11 +149,15 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
             return np.where(slope * compliance < 1, slope / (1 - slope * compliance), np.nan)
 
     travel, load = signal.travel, signal.spikeless
-    central = sticks.lines(travel, load, CENTRAL)
+
+    def line(part: float) -> Lines:
+        return fit_lines(travel, load, *sticks.one_slope(part), lag=sticks.lag)
+
+    central = line(CENTRAL)
     k = sample(central.slope)
     columns = {"K_N_per_mm": k, "K_err_N_per_mm": central.slope_error * (k / central.slope) ** 2}
     for part in _SENSITIVITY:
-        columns[f"K{100 * part:.0f}_N_per_mm"] = sample(sticks.lines(travel, load, part).slope)
+        columns[f"K{100 * part:.0f}_N_per_mm"] = sample(line(part).slope)
     if not two_slopes or not np.isfinite(travel).any():
         return columns | dict.fromkeys(_TWO_SLOPES, np.full(k.size, np.nan))
     broken = sticks.broken(travel, load)
