@@ -264,6 +264,22 @@ def test_no_reader_at_all_is_no_failure(monkeypatch):
     complain("a line")
 
 
+@pytest.mark.parametrize("nowhere", ["2>&-", ">&- 2>&-", "<&- >&- 2>&-", "2>/dev/full"])
+def test_bad_input_is_status_2_also_where_nobody_can_be_told(video, nowhere):
+    """A failure means that a scheduler which closes the streams takes a bad file for a finished run."""
+    note(Path("note.avi"), None)
+    for words in ("note.avi", "comb.tif --frobnicate", "force note.avi"):
+        command = f"{' '.join(COMMAND)} {words} {nowhere}"
+        assert subprocess.call(command, shell=True, env=PLACE, timeout=60) == 2, words
+
+
+def test_closed_streams_do_not_end_up_in_the_results(video):
+    """A failure means that the first file opened takes the place of standard error, and its messages."""
+    command = f"{' '.join(COMMAND)} comb.tif --out run <&- >&- 2>&-"
+    assert subprocess.call(command, shell=True, env=PLACE, timeout=60) == 0
+    assert Path("run/tracks.csv").read_text().startswith("frame,time_s,index")
+
+
 def test_two_runs_into_one_folder_keep_one_of_them_whole(video):
     """A failure means that a run silently replaces another's results, or that the two are mixed."""
     both = [start(video, "--quiet", "--out", "run") for _ in range(2)]

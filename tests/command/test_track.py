@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ import xarray as xr
 
 from tests.comb_video import frames_of, positions, write_video
 from vision.command.main import run
+from vision.report import html
 
 FILES = {
     "tracks.csv",
@@ -98,6 +100,18 @@ def test_kymograph_tif_opens_calibrated(video):
         assert facts["yunit"] == "sec"
         assert np.divide(*tags["XResolution"].value) == pytest.approx(0.1)
         assert np.divide(*tags["YResolution"].value) == pytest.approx(20)
+
+
+def test_the_seconds_of_run_json_are_all_of_them(video, monkeypatch):
+    """A failure means that a run that takes long does not say where its time went."""
+    monkeypatch.setattr(html, "write_report", lambda *_, **__: time.sleep(0.3))
+    started = time.perf_counter()
+    assert run([str(video), "--quiet"]) == 0
+    took = time.perf_counter() - started
+    seconds = json.loads(Path("comb_tracks/run.json").read_text())["seconds"]
+    assert seconds["writing, in all"] > seconds["tables and pictures"] + 0.3
+    assert seconds["reading"] + seconds["tracking"] + seconds["writing, in all"] < seconds["total"] < took
+    assert seconds["total"] > 0.6 * took
 
 
 def test_run_json_says_what_was_given_and_what_was_found(video):

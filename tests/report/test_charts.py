@@ -4,10 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from tests.report.made import make_profile, make_tracks, sawtooth
 from vision.report import force_charts, sheet_charts, shell_charts
 from vision.report.chart import table_of
+from vision.report.draw import draw_chart
+from vision.report.methods import methods
+from vision.report.sections import charts_of, sections_of
+from vision.report.symbols import drawn, lettered, marked_up
 
 JUMP_PX = 4.0
 
@@ -124,7 +129,7 @@ def test_peaks_lie_on_the_force_curve_and_eq_1(pulled):
     """A failure means that F(d), its peaks or the model are drawn against different separations."""
     chart = force_charts.pull_chart(pulled.force, pulled.sticks, pulled.fits)
     series = by_label(chart)
-    peaks, model = series["peaks"], series["Eq. 1 + T0"]
+    peaks, model = series["peaks"], series["Eq. 1 + T_0"]
     near = np.abs(peaks.x[:, None] - series["F"].x) < 0.003
     highest = np.where(near, series["F"].y, -np.inf).max(axis=1)
     assert np.median(np.abs(highest - peaks.y) / peaks.y) < 0.02
@@ -168,7 +173,7 @@ def test_an_ambiguous_clock_says_so(pulled):
     """A failure means that an alignment that may be wrong looks like a sure one."""
     doubtful = replace(pulled.clock, status="ambiguous")
     chart = force_charts.clock_chart(pulled.force, pulled.tracks, doubtful)
-    assert any("more than one way" in note for note in chart.notes)
+    assert any("ambiguous" in note for note in chart.notes)
     assert "one way only" not in chart.caption
 
 
@@ -214,6 +219,51 @@ def test_shell_sizes_are_those_of_the_table(pulled):
     np.testing.assert_allclose(right.low, table["stiff_low"].astype(float))
     model = by_label(chart)["M_eff (force)"]
     np.testing.assert_allclose(model.y, pulled.fits.effective_sheets(model.x))
+
+
+def test_both_sides_of_a_shell_are_seen_side_by_side(pulled):
+    """A failure means that the left side's points hide behind the right side's, or stand at a wrong d."""
+    shells = pulled.shells.assign(stiff_sheets=8)
+    chart = shell_charts.shells_chart(shells)
+    left, right = (by_label(chart)[f"{side} side"] for side in ("left", "right"))
+    assert left.hollow and not right.hollow
+    step = np.diff(np.unique(shells["d_v_mm"])).min()
+    assert 0 < right.shift == -left.shift < step / 2
+    np.testing.assert_array_equal(left.x, right.x)  # the table has d itself
+    ax = draw_chart(Figure().subplots(), chart)
+    at = {line.get_label(): line.get_xdata() for line in ax.lines}
+    np.testing.assert_allclose(at["right side"] - at["left side"], 2 * right.shift)
+
+
+def test_a_force_over_a_weight_is_in_no_newton(pulled):
+    """A failure means that a number without unit is published as newtons."""
+    bare = pulled.force.assign(load_N=pulled.force["load_N"].assign_attrs(units="1"))
+    for results, letter in ((pulled, True), (replace(pulled, force=bare, fits=None), False)):
+        charts = {chart.name: chart for chart in charts_of(sections_of(results))}
+        labels = [charts[name].y_label for name in ("force", "clocks", "sticks", "drops", "stiffness")]
+        assert all(("N" in label) is letter for label in labels)
+        assert (" N" in methods(results)[2]) is letter
+    assert charts["drops"].y_label == "ΔF / weight"
+    assert charts["stiffness"].y_label == "K / weight (1/mm)"
+
+
+@pytest.mark.parametrize(
+    ("text", "small", "markup", "figure"),
+    [
+        ("σ_x / Λ_st", "σₓ / Λₛₜ", "σ<sub>x</sub> / Λ<sub>st</sub>", "σₓ / Λₛₜ"),
+        ("F − F_v (N)", "F − Fᵥ (N)", "F − F<sub>v</sub> (N)", "F − Fᵥ (N)"),
+        (
+            "M_eff K_eff",
+            "M_eff K_eff",
+            "M<sub>eff</sub> K<sub>eff</sub>",
+            r"$M_{\mathrm{eff}}$ $K_{\mathrm{eff}}$",
+        ),
+        ("tracks_x.csv <b>", "tracks_x.csv <b>", "tracks_x.csv &lt;b&gt;", "tracks_x.csv <b>"),
+    ],
+)
+def test_symbols_are_set_as_in_print(text, small, markup, figure):
+    """A failure means underscores in a manuscript's figure, or a file name taken for a symbol."""
+    assert (lettered(text), str(marked_up(text)), drawn(text)) == (small, markup, figure)
 
 
 def test_tables_hold_the_drawn_numbers(pulled, tracks):

@@ -1,14 +1,17 @@
 """The figures as files, and on a notebook's own axes."""
 
+import os
+import time
+
 import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
 from tests.report.made import make_profile, make_tracks, sawtooth
-from vision.report import figures
+from vision.report import drawing, figures
 from vision.report.results import RunResults
-from vision.report.sections import sections_of
+from vision.report.sections import charts_of, sections_of
 from vision.report.style import DATA, MODEL, PEAK, VALLEY
 
 
@@ -49,6 +52,31 @@ def test_the_same_run_gives_the_same_files(small, written, tmp_path):
     again = figures.write_figures(tmp_path, small)
     pairs = [(a, b) for a, b in zip(written, again, strict=True) if a.suffix in (".csv", ".pdf", ".txt")]
     assert all(a.read_bytes() == b.read_bytes() for a, b in pairs)
+
+
+def test_what_the_second_process_leaves_is_drawn_by_the_first(small, written, tmp_path, monkeypatch):
+    """A failure means that a helper that cannot start, or is killed, costs a run its figures."""
+    monkeypatch.setattr(drawing.sys, "executable", "/bin/false")
+    again = figures.write_figures(tmp_path, small)
+    assert [path.name for path in again] == [path.name for path in written]
+    pairs = [(a, b) for a, b in zip(written, again, strict=True) if a.suffix == ".pdf"]
+    assert all(a.read_bytes() == b.read_bytes() for a, b in pairs)
+
+
+@pytest.mark.skipif(os.cpu_count() == 1, reason="one processor draws alone")
+def test_the_second_process_draws_while_the_first_is_busy(small, tmp_path):
+    """A failure means that the helper draws nothing, or goes on after its run has failed."""
+    charts = charts_of(sections_of(small))
+    with pytest.raises(RuntimeError), drawing.drawn_meanwhile(tmp_path, charts):
+        for _ in range(600):
+            if (tmp_path / f"{charts[0].name}.svg").exists():
+                raise RuntimeError("done enough")
+            time.sleep(0.1)
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert f"{charts[0].name}.svg" in left
+    assert f"{charts[-1].name}.svg" not in left
+    time.sleep(0.5)
+    assert sorted(path.name for path in tmp_path.iterdir()) == left
 
 
 def test_drawing_functions_take_and_return_axes(ax, pulled):

@@ -5,6 +5,16 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterable
+from typing import TextIO
+
+
+def hold_streams() -> None:
+    """Closed standard streams (`2>&-`) lead nowhere; else the next file opened takes their place, and is
+    written to by whoever has something to say.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))  # the lowest number: its own
 
 
 def say(lines: Iterable[str]) -> None:
@@ -12,18 +22,24 @@ def say(lines: Iterable[str]) -> None:
 
     A reader that left (`track … | head -1`), or none at all, is silent; a full disk is told.
     """
-    if sys.stdout is None:
-        return
-    try:
-        sys.stdout.write("".join(f"{line}\n" for line in lines))
-        sys.stdout.flush()
-    except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains as it closes
-        if not isinstance(error, BrokenPipeError):
-            complain(f"the summary could not be printed: {(error.strerror or str(error)).lower()}")
+    error = _print(lines, sys.stdout)
+    if error is not None and not isinstance(error, BrokenPipeError):
+        complain(f"the summary could not be printed: {(error.strerror or str(error)).lower()}")
 
 
 def complain(message: str) -> None:
-    """One line to standard error, if there is one."""
-    if sys.stderr is not None:
-        sys.stderr.write(f"track: {message}\n")
+    """One line to standard error, if there is one and it can take it."""
+    _print([f"track: {message}"], sys.stderr)
+
+
+def _print(lines: Iterable[str], stream: TextIO | None) -> OSError | None:
+    """Lines to a stream; the error if it does not take them."""
+    if stream is None:
+        return None
+    try:
+        stream.write("".join(f"{line}\n" for line in lines))
+        stream.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # else Python complains as it closes
+        return error
+    return None

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter as Option
+
+from vision.command.console import complain, say
 
 
 def export(
@@ -51,8 +52,8 @@ def export(
 
     exported = export_run(read_run(run), to, out=out, overwrite=overwrite)
     for note in exported.notes:
-        sys.stderr.write(f"track: {note}\n")
+        complain(note)
     if not quiet:
         folder = "/" if exported.target.is_dir() else ""
-        sys.stdout.write(f"{to} -> {exported.target}{folder}\n")
+        say([f"{to} -> {exported.target}{folder}"])
     return 0

@@ -6,7 +6,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from vision.command.pull import Pull
+    from vision.report.results import RunResults
     from vision.video import Video
 
 
@@ -26,14 +27,15 @@ if TYPE_CHECKING:
 class Run:
     """A finished measurement, before it is written.
 
-    profile: I(x, t).  tracks: x(n, t).  seconds: wall clock of each stage.  pull: the machine's side, None
-    without a force recording.
+    profile: I(x, t).  tracks: x(n, t).  started: by `time.perf_counter`.  seconds: wall clock of each stage.
+    pull: the machine's side, None without a force recording.
     """
 
     recording: Video
     profile: xr.DataArray
     tracks: xr.Dataset
     options: dict[str, Parameter]
+    started: float
     seconds: dict[str, float]
     pull: Pull | None
 
@@ -49,75 +51,87 @@ def write(run: Run, target: Path, describe: Callable[[], dict[str, Any]], *, ove
 
     describe: waits for the video's size and checksum.  Raises: InputError where it cannot be written.
     """
-    from vision.report.kymograph import write_kymograph_picture
-    from vision.report.overview import write_overview
+    from vision.report.drawing import drawn_meanwhile
+    from vision.report.figures import write_numbers
+    from vision.report.html import write_report
+    from vision.report.sections import charts_of, sections_of
     from vision.run.folder import run_folder
-    from vision.run.kymograph import write_kymograph_tif
-    from vision.run.tables import sheets_table, write_tracks_csv, write_tracks_nc
-    from vision.spacetime import space_time
+    from vision.run.provenance import write_run_json
     from vision.video import reference_frame
 
-    started, size = time.perf_counter(), run.pixel_size_um
-    frame = reference_frame(run.recording)
+    started, frame = time.perf_counter(), reference_frame(run.recording)
+    results = _results(run, frame)
+    sections = sections_of(results)
+    charts, seconds = charts_of(sections), run.seconds
     with run_folder(target, overwrite=overwrite) as folder:
-        write_tracks_csv(run.tracks, folder / "tracks.csv", pixel_size_um=size)
-        write_tracks_nc(run.tracks, folder / "tracks.nc", pixel_size_um=size)
-        sheets_table(run.tracks).to_csv(folder / "sheets.csv", index=False, lineterminator="\n")
-        write_kymograph_tif(run.profile, folder / "kymograph.tif", pixel_size_um=size)
-        write_kymograph_picture(folder / "kymograph.png", [space_time(run.profile, pixel_size_um=size)])
-        write_overview(folder / "overview.png", frame, run.profile, run.tracks, pixel_size_um=size)
-        _write_pull(run, folder)
-        run.seconds["writing"] = time.perf_counter() - started
-        inputs = [describe()]
-        run.seconds["waiting for the checksum"] = time.perf_counter() - started - run.seconds["writing"]
-        _write_report(run, frame, _write_facts(run, inputs, folder), folder)
+        with drawn_meanwhile(folder / "figures", charts):
+            write_numbers(folder / "figures", charts)
+            _write_tables(run, folder)
+            _write_pictures(run, frame, folder)
+            written = time.perf_counter()
+            inputs = [describe()]
+            seconds |= {"tables and pictures": written - started}
+            seconds |= {"waiting for the checksum": time.perf_counter() - written}
+            facts = _facts(run, inputs)
+            write_report(folder / "report.html", replace(results, facts=facts), sections=sections)
+        ended = time.perf_counter()
+        seconds |= {"writing, in all": ended - started, "total": ended - run.started}
+        write_run_json(folder, facts | {"seconds": seconds})
 
 
-def _write_pull(run: Run, folder: Path) -> None:
+def _results(run: Run, frame: NDArray[np.generic]) -> RunResults:
+    """What the report is made from, but for the facts."""
+    from vision.report.results import RunResults
+
+    names = ("force", "sticks", "clock", "motion", "shells", "fits", "threshold")
+    machine = {} if run.pull is None else {name: getattr(run.pull, name) for name in names}
+    return RunResults(
+        profile=run.profile,
+        tracks=run.tracks,
+        frame=frame,
+        pixel_size_um=run.pixel_size_um,
+        **machine,
+    )
+
+
+def _write_tables(run: Run, folder: Path) -> None:
+    from vision.command.pull import write_pull
+    from vision.run.kymograph import write_kymograph_tif
+    from vision.run.tables import sheets_table, write_tracks_csv, write_tracks_nc
+
+    size = run.pixel_size_um
+    write_tracks_csv(run.tracks, folder / "tracks.csv", pixel_size_um=size)
+    write_tracks_nc(run.tracks, folder / "tracks.nc", pixel_size_um=size)
+    sheets_table(run.tracks).to_csv(folder / "sheets.csv", index=False, lineterminator="\n")
+    write_kymograph_tif(run.profile, folder / "kymograph.tif", pixel_size_um=size)
     if run.pull is not None:
-        from vision.command.pull import write_pull
-
         write_pull(run.pull, folder)
 
 
-def _write_facts(run: Run, inputs: list[dict[str, Any]], folder: Path) -> dict[str, Any]:
-    """run.json, and what it holds."""
+def _write_pictures(run: Run, frame: NDArray[np.generic], folder: Path) -> None:
+    """overview.png and kymograph.png."""
+    from vision.report.kymograph import write_kymograph_picture
+    from vision.report.overview import write_overview
+    from vision.spacetime import space_time
+
+    size = run.pixel_size_um
+    write_kymograph_picture(folder / "kymograph.png", [space_time(run.profile, pixel_size_um=size)])
+    write_overview(folder / "overview.png", frame, run.profile, run.tracks, pixel_size_um=size)
+
+
+def _facts(run: Run, inputs: list[dict[str, Any]]) -> dict[str, Any]:
+    """What run.json holds."""
     from vision.command.pull import pull_facts
-    from vision.run.provenance import describe_input, write_run_json
+    from vision.run.provenance import describe_input
     from vision.run.summary import run_facts
 
     command = shlex.join(["track", *sys.argv[1:]])
     facts = run_facts(command, inputs, run.profile, run.tracks, run.options, run.seconds)
     if run.pull is not None:
         facts |= pull_facts(run.pull)
-        facts["warnings"] += run.pull.warnings
+        facts["warnings"] += [*run.pull.warnings, *filter(None, [run.pull.problem])]
         facts["inputs"].append(describe_input(Path(run.options["force"].value)))
-    write_run_json(folder, facts)
     return facts
-
-
-def _write_report(run: Run, frame: NDArray[np.generic], facts: dict[str, Any], folder: Path) -> None:
-    """report.html, and its figures for a manuscript in figures/."""
-    from vision.report.figures import write_figures
-    from vision.report.html import write_report
-    from vision.report.results import RunResults
-
-    pull = run.pull
-    machine: dict[str, Any] = {}
-    if pull is not None:
-        names = ("force", "sticks", "clock", "motion", "shells", "fits", "threshold")
-        machine = {name: getattr(pull, name) for name in names}
-        machine["notes"] = (pull.problem,) if pull.problem else ()
-    results = RunResults(
-        profile=run.profile,
-        tracks=run.tracks,
-        frame=frame,
-        facts=facts,
-        pixel_size_um=run.pixel_size_um,
-        **machine,
-    )
-    write_report(folder / "report.html", results)
-    write_figures(folder / "figures", results)
 
 
 def report(run: Run, target: Path, *, quiet: bool, verbose: bool) -> int:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter as Option
 
+from vision.command.console import complain, say
 from vision.errors import InputError
 
 if TYPE_CHECKING:
@@ -93,9 +94,9 @@ def force(
     )
     _write(target, overwrite, recording, sticks, fits, facts, start)
     if not quiet:
-        sys.stdout.write(_summary(target, sticks, fits))
+        say(_summary(target, sticks, fits))
     for line in [*facts["warnings"], *facts["notes"]]:
-        sys.stderr.write(f"{file.name}: {line}\n")
+        complain(f"{file.name}: {line}")
     return 1 if facts["warnings"] else 0
 
 
@@ -179,7 +180,7 @@ def _write(
         write_run_json(folder, {**facts, "timings": {"total_s": time.perf_counter() - start}})
 
 
-def _summary(target: Path, sticks: pd.DataFrame, fits: ModelFits | None) -> str:
+def _summary(target: Path, sticks: pd.DataFrame, fits: ModelFits | None) -> list[str]:
     middle = sticks.median(numeric_only=True)
     lines = [
         f"{len(sticks)} stick-slip events, {int((sticks['flag'] == 'ok').sum())} without a flag -> {target}",
@@ -192,4 +193,4 @@ def _summary(target: Path, sticks: pd.DataFrame, fits: ModelFits | None) -> str:
         named = {"mu": fits.mu, "T0 (N)": fits.t0_N, "A": fits.amplitude, "N_hat (N)": fits.n_hat_N}
         named["Y_eff (GPa)"] = fits.modulus_GPa
         lines.append(", ".join(f"{name} {e.value:.4g} ± {e.error:.1g}" for name, e in named.items()))
-    return "\n".join(lines) + "\n"
+    return lines

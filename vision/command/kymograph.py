@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter as Option
 
+from vision.command.console import complain, say
 from vision.command.options import number, parse_range
 from vision.command.quantities import parse_length, parse_seconds, parse_sheets
 from vision.command.space_time_source import Source, VideoOptions, from_run, from_video
@@ -257,13 +258,15 @@ def _report(
 ) -> int:
     """Summary to standard output, warnings to standard error; the exit status."""
     for line in warnings:
-        sys.stderr.write(f"track: warning: {line}\n")
+        complain(f"warning: {line}")
     if not quiet:
         rows, columns = diagrams[0].shape
         size = "" if source.pixel_size_um is None else f", {source.pixel_size_um:g} µm per px"
-        sys.stdout.write(
-            f"diagrams   {len(diagrams)} of {rows} frames x {columns} px{size}\n"
-            f"slips      {_slips(source, diagrams[0])}\n"
-            f"results    {target}/: {', '.join(files)}\n"
+        say(
+            [
+                f"diagrams   {len(diagrams)} of {rows} frames x {columns} px{size}",
+                f"slips      {_slips(source, diagrams[0])}",
+                f"results    {target}/: {', '.join(files)}",
+            ]
         )
     return 1 if warnings else 0

@@ -10,7 +10,7 @@ from typing import Any
 
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
-from vision.command.console import complain
+from vision.command.console import complain, hold_streams
 from vision.command.export import export
 from vision.command.force import force
 from vision.command.kymograph import kymograph
@@ -55,6 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     Being told to stop (a closed terminal, a batch system's time limit) ends a run as Ctrl-C does.
     """
+    hold_streams()
     for name in ("SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), _interrupt)

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 @contextmanager
 def frame_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[[int, int | None], None] | None]:
     """A function to call with (frames done, frames in all or None); None where nobody watches."""
-    if quiet or not sys.stderr.isatty():
+    if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console

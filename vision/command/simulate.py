@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from vision.command.console import say
 from vision.command.progress import frame_progress
 from vision.errors import InputError
 
@@ -141,10 +141,14 @@ def simulate(
         test = make(experiment, directory, container=container, overwrite=overwrite, progress=progress)
     if not quiet:
         lost = f", {test.frames_lost} lost" if test.frames_lost else ""
-        sys.stdout.write(
-            f"{test.frames} frames{lost} of {experiment.camera.width} x {experiment.camera.height} px, "
-            f"{experiment.sheets.count} sheets, seed {experiment.seed}\n"
-            f"video  {test.video}\nforce  {test.force}\ntruth  {test.truth}\nstamps {test.timestamps}\n"
+        camera, sheets = experiment.camera, experiment.sheets.count
+        files = {"video": test.video, "force": test.force, "truth": test.truth, "stamps": test.timestamps}
+        say(
+            [
+                f"{test.frames} frames{lost} of {camera.width} x {camera.height} px, {sheets} sheets, "
+                f"seed {experiment.seed}",
+                *(f"{name:<6} {path}" for name, path in files.items()),
+            ]
         )
     return 0
 

@@ -148,6 +148,7 @@ def run_name(video: Path) -> str:
 
 def _measure(video: Path, options: dict[str, Parameter], *, quiet: bool) -> Run:
     """Read, track and, with a force recording, analyse."""
+    began = time.perf_counter()
     value = {name: option.value for name, option in options.items()}
     settings = track_settings(value)
     force = read_recording(value)  # before the long work: its columns may not be recognised
@@ -171,7 +172,7 @@ def _measure(video: Path, options: dict[str, Parameter], *, quiet: bool) -> Run:
     tracked = time.perf_counter()
     pull = None if force is None else analyse(force, tracks, value)
     seconds = {"reading": read - started, "tracking": tracked - read, "force": time.perf_counter() - tracked}
-    return Run(recording, profile, tracks, options, seconds, pull)
+    return Run(recording, profile, tracks, options, began, seconds, pull)
 
 
 def track_settings(value: dict[str, Any]) -> dict[str, Any]:

@@ -21,8 +21,9 @@ class Series:
 
     x, y: (k,), x rising; NaN in y leaves a gap.  low, high: ends of an error bar, (k,), where there is one.
     look: "line", "points", "both", "steps" (a histogram's bars) or "ticks" (bars from low to high with
-    `text` above).  dashed, hollow: tell series apart without colour.  axis: which y axis.  sheet: (side, n)
-    of a sheet that can be switched on and off.
+    `text` above).  dashed, hollow: tell series apart without colour.  shift: added to x where it is drawn,
+    so that points with the same x stand side by side; tables have x itself.  axis: which y axis.  sheet:
+    (side, n) of a sheet that can be switched on and off.
     """
 
     label: str
@@ -35,6 +36,7 @@ class Series:
     text: tuple[str, ...] = ()
     dashed: bool = False
     hollow: bool = False
+    shift: float = 0.0
     width: float = 1.2
     axis: Literal["left", "right"] = "left"
     sheet: tuple[int, int] | None = None

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vision.report.chart import Chart, Series
-from vision.report.style import QUIET
+from vision.report.style import QUIET, STROKE
+from vision.report.symbols import drawn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,7 +37,7 @@ def draw_chart(ax: Axes, chart: Chart) -> Axes:
         ax.axvline(x, color=QUIET[0], lw=1, ls=(0, (6, 4)))
     _frame_axes(ax, chart)
     if right is not None:
-        right.set_ylabel(chart.y2_label)
+        right.set_ylabel(drawn(chart.y2_label))
         right.spines["right"].set_visible(True)
         _one_above_the_other(ax, right, chart)
     _legend(ax, right, chart)
@@ -67,32 +68,39 @@ def _draw_bands(ax: Axes, chart: Chart) -> None:
 
 
 def _draw_series(ax: Axes, series: Series, upright: bool) -> None:
-    colour = series.ink[0]
-    if series.low is not None and series.high is not None:
-        ax.vlines(series.x, series.low, series.high, color=colour, lw=0.9)
-    if series.look == "steps":
-        width = float(series.x[1] - series.x[0]) if len(series.x) > 1 else 1.0
-        ax.bar(series.x, series.y, width, color=colour, alpha=0.5, ec=colour, label=series.label)
-        return
+    colour, label, at = series.ink[0], drawn(series.label), series.x + series.shift
     if series.look == "ticks":
         _number_ticks(ax, series)
         return
+    if series.low is not None and series.high is not None:
+        ax.vlines(at, series.low, series.high, color=colour, lw=0.9)
+    if series.look == "steps":
+        width = float(series.x[1] - series.x[0]) if len(series.x) > 1 else 1.0
+        ax.bar(at, series.y, width, color=colour, alpha=0.5, ec=colour, label=label)
+        return
     look: dict[str, Any] = {"color": colour, "lw": series.width, "ls": _DASHES if series.dashed else "-"}
     if series.look in ("points", "both"):
-        look |= {"marker": "o", "ms": 3.5, "mfc": "white" if series.hollow else colour, "mew": 0.9}
+        look |= {"marker": "o", "ms": 3.5, "mfc": "none" if series.hollow else colour, "mew": 0.9}
     if series.look == "points":
         look["ls"] = "none"
-    x, y = (series.y, series.x) if upright else (series.x, series.y)
-    ax.plot(x, y, label=series.label, **look)
+        look["ms"] = 5.5 if series.hollow else 3.0  # a point in a ring shows both
+    x, y = (series.y, at) if upright else (at, series.y)
+    ax.plot(x, y, label=label, **look)
 
 
 def _number_ticks(ax: Axes, series: Series) -> None:
-    """The text above every tick, thinned to what can be read; the axes' x range must be set."""
+    """Strokes at both ends of every tick, what is between them left to be seen; the text above, thinned to
+    what can be read. The axes' x range must be set.
+    """
+    assert series.low is not None
+    assert series.high is not None
+    stroke = STROKE * (series.high - series.low)
+    for start, stop in ((series.low, series.low + stroke), (series.high - stroke, series.high)):
+        ax.vlines(series.x, start, stop, color=series.ink[0], lw=1.2)
     low, high = ax.get_xlim()
     pitch = float(np.median(np.diff(series.x))) if len(series.x) > 1 else high - low
     step = max(1, int(np.ceil((high - low) / _MOST_LABELS / max(pitch, 1e-9))))
     box = {"boxstyle": "round,pad=0.12", "fc": "white", "ec": "none", "alpha": 0.75}
-    assert series.low is not None
     for x, y, text in list(zip(series.x, series.low, series.text, strict=True))[::step]:
         place: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "bottom"}
         ax.annotate(text, (x, y), (0, 3), fontsize=7, bbox=box, **place)
@@ -101,10 +109,10 @@ def _number_ticks(ax: Axes, series: Series) -> None:
 def _frame_axes(ax: Axes, chart: Chart) -> None:
     along, across = chart.first_view or chart.x_range, chart.y_range
     if chart.upright_time:
-        ax.set(xlabel=chart.y_label, ylabel=chart.x_label)
+        ax.set(xlabel=drawn(chart.y_label), ylabel=drawn(chart.x_label))
         along, across = across, along
     else:
-        ax.set(xlabel=chart.x_label, ylabel=chart.y_label)
+        ax.set(xlabel=drawn(chart.x_label), ylabel=drawn(chart.y_label))
     if along is not None and along[1] > along[0]:
         ax.set_xlim(along)
     if across is not None and across[1] > across[0]:

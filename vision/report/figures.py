@@ -6,6 +6,7 @@ functions in `sheet_charts`, `force_charts` and `shell_charts`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.report import force_charts, sheet_charts, shell_charts
-from vision.report.chart import table_of
+from vision.report.chart import Chart, table_of
 from vision.report.draw import draw_chart
+from vision.report.drawing import drawn_meanwhile
 from vision.report.results import RunResults
-from vision.report.sections import sections_of
-from vision.report.style import picture_style
+from vision.report.sections import charts_of, sections_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
     from vision.clock import Clock
     from vision.models.fits_result import ModelFits
 
-_WIDTH_IN = 6.0
-_RESOLUTION = 300  # of pictures within a vector file, dots per inch
-
 
 def write_figures(folder: str | Path, results: RunResults) -> list[Path]:
     """Every figure of the report as PDF and SVG, its numbers as CSV, and all captions in captions.txt.
@@ -37,26 +35,21 @@ def write_figures(folder: str | Path, results: RunResults) -> list[Path]:
     The folder is made. Text stays text in both formats; long records are decimated as in the report. Returns
     the files written. Raises OSError where the folder cannot be written.
     """
-    from matplotlib.figure import Figure
-
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    charts = [chart for section in sections_of(results) for chart in section.charts]
-    paths = []
-    with picture_style():
-        for chart in charts:
-            size = (_WIDTH_IN, max(2.4, _WIDTH_IN * chart.aspect + 0.7))
-            figure = Figure(figsize=size, layout="constrained")
-            draw_chart(figure.subplots(), chart)
-            for suffix, stamp in (("pdf", {"CreationDate": None}), ("svg", {"Date": None})):
-                paths.append(folder / f"{chart.name}.{suffix}")
-                figure.savefig(paths[-1], dpi=_RESOLUTION, metadata=stamp)
-            paths.append(folder / f"{chart.name}.csv")
-            table_of(chart).to_csv(paths[-1], index=False, float_format="%.8g", lineterminator="\n")
-    paths.append(folder / "captions.txt")
+    charts = charts_of(sections_of(results))
+    with drawn_meanwhile(folder, charts):
+        tables = write_numbers(folder, charts)
+    return [*(folder / f"{chart.name}.{kind}" for chart in charts for kind in ("pdf", "svg")), *tables]
+
+
+def write_numbers(folder: Path, charts: Sequence[Chart]) -> list[Path]:
+    """The charts' numbers as CSV, and their captions."""
+    tables = [folder / f"{chart.name}.csv" for chart in charts]
+    for path, chart in zip(tables, charts, strict=True):
+        table_of(chart).to_csv(path, index=False, float_format="%.8g", lineterminator="\n")
     text = "\n\n".join(f"{chart.name}\n{chart.title}. {chart.caption}" for chart in charts)
-    paths[-1].write_text(text + "\n", encoding="utf-8")
-    return paths
+    (folder / "captions.txt").write_text(text + "\n", encoding="utf-8")
+    return [*tables, folder / "captions.txt"]
 
 
 def draw_frame(ax: Axes, frame: NDArray[np.generic], tracks: xr.Dataset) -> Axes:
@@ -112,14 +105,14 @@ def draw_sticks(ax: Axes, force: xr.Dataset, sticks: pd.DataFrame) -> Axes:
     return draw_chart(ax, force_charts.sticks_chart(force, sticks))
 
 
-def draw_drops(ax: Axes, sticks: pd.DataFrame, fits: ModelFits | None = None) -> Axes:
-    """ΔF(d_v) with A times the normal force."""
-    return draw_chart(ax, force_charts.drops_chart(sticks, fits))
+def draw_drops(ax: Axes, sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: str = "N") -> Axes:
+    """ΔF(d_v) with A times the normal force.  unit: "1" for a force over a weight."""
+    return draw_chart(ax, force_charts.drops_chart(sticks, fits, unit=unit))
 
 
-def draw_stiffness(ax: Axes, sticks: pd.DataFrame, fits: ModelFits | None = None) -> Axes:
-    """K(d_v) with M_eff K_eff and (L + d)⁻¹."""
-    return draw_chart(ax, force_charts.stiffness_chart(sticks, fits))
+def draw_stiffness(ax: Axes, sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: str = "N") -> Axes:
+    """K(d_v) with M_eff K_eff and (L + d)⁻¹.  unit: "1" for a force over a weight."""
+    return draw_chart(ax, force_charts.stiffness_chart(sticks, fits, unit=unit))
 
 
 def draw_stick(

@@ -11,7 +11,7 @@ from vision.models import equations
 from vision.report.axes import displacement_unit, time_axis
 from vision.report.chart import Chart, Doubles, Series
 from vision.report.decimate import outline, outline_by_x
-from vision.report.numbers import plus_minus
+from vision.report.numbers import plus_minus, signed
 from vision.report.style import DATA, MODEL, OTHER_MODEL, PEAK, QUIET, VALLEY, ordered_inks
 from vision.sheets.medians import nan_median
 
@@ -27,7 +27,7 @@ MOST_SAMPLES = 30_000  # of force or opening on the clocks' axis
 _SHOWN_STICKS = 5
 _FIRST_STICKS = 10
 _CURVE = 300
-_AMBIGUOUS = "The clocks agree in more than one way: this is only the likeliest."
+_AMBIGUOUS = "The clocks are ambiguous: this alignment is only the likeliest."
 _AFTER_SLIP = 2  # samples of the next stick, so that the slip is seen to its end
 
 
@@ -51,10 +51,10 @@ def pull_chart(force: xr.Dataset, sticks: pd.DataFrame | None = None, fits: Mode
     told = ""
     if fits is not None and known:
         d_model = np.linspace(*fits.d_mm, _CURVE)
-        series.append(_curve("Eq. 1 + T0", d_model, fits.peak_force_N(d_model), MODEL))
+        series.append(_curve("Eq. 1 + T_0", d_model, fits.peak_force_N(d_model), MODEL))
         told = (
             f" Dashed: Eq. 1 fitted to the peaks, μ = {plus_minus(fits.mu.value, fits.mu.error)} with T* "
-            f"= {1000 * fits.t_star_N.value:g} mN and an offset T0 = "
+            f"= {1000 * fits.t_star_N.value:g} mN and an offset T_0 = "
             f"{plus_minus(fits.t0_N.value, fits.t0_N.error)} N."
         )
     return Chart(
@@ -66,7 +66,7 @@ def pull_chart(force: xr.Dataset, sticks: pd.DataFrame | None = None, fits: Mode
             f"its ends.{told}"
         ),
         x_label="d (mm)" if known else "t (s, force clock)",
-        y_label=_force_label(force, "F"),
+        y_label=_force_label("F", load_unit(force)),
         series=tuple(series),
     )
 
@@ -96,12 +96,12 @@ def clock_chart(
         title="Clock check: force and sheets on one time axis",
         caption=(
             "Force (solid, left, above) and mean outward displacement of all sheets (dashed, right, below) "
-            f"on the force clock, t_force = {clock.offset_s:.4f} s + (1 {clock.drift_ppm:+.0f} ppm) t_video. "
-            f"Zoom in to one slip: the steps must fall together. {_matches(clock)}"
+            f"on the force clock, t(force) = {clock.offset_s:.4f} s + (1 {signed(clock.drift_ppm)} ppm) "
+            f"t(video). Zoom in to one slip: the steps must fall together. {_matches(clock)}"
         ),
         x_label="t (s, force clock)",
         first_view=_some_sticks(t_video, sticks),
-        y_label=_force_label(force, "F"),
+        y_label=_force_label("F", load_unit(force)),
         y2_label=f"outward motion ({unit})",
         series=(
             Series(label="force", x=t_force, y=load[:, 0], ink=QUIET),
@@ -165,13 +165,13 @@ def sticks_chart(force: xr.Dataset, sticks: pd.DataFrame) -> Chart:
             "height ΔF, the length Λ_st. A drop at the very start is the end of the slip before."
         ),
         x_label="d − d_v (µm)",
-        y_label=_force_label(force, "F − F_v"),
+        y_label=_force_label("F − F_v", load_unit(force)),
         series=tuple(series),
     )
 
 
-def drops_chart(sticks: pd.DataFrame, fits: ModelFits | None = None) -> Chart:
-    """Stick-slip amplitude ΔF(d_v) with A times the total normal force."""
+def drops_chart(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: str = "N") -> Chart:
+    """Stick-slip amplitude ΔF(d_v) with A times the total normal force.  unit: of the load (`load_unit`)."""
     series, told = [_points(sticks, "d_v_mm", "dF_N", "ΔF", DATA)], ""
     if fits is not None:
         d = np.linspace(*fits.d_mm, _CURVE)
@@ -192,14 +192,17 @@ def drops_chart(sticks: pd.DataFrame, fits: ModelFits | None = None) -> Chart:
         title="Stick-slip amplitude",
         caption=f"ΔF = F_p − F_v of every event against the separation at its valley.{told}",
         x_label="d_v (mm)",
-        y_label="ΔF (N)",
+        y_label=_force_label("ΔF", unit),
         y_range=_from_zero(sticks["dF_N"]),
         series=tuple(series),
     )
 
 
-def stiffness_chart(sticks: pd.DataFrame, fits: ModelFits | None = None) -> Chart:
-    """K(d_v) with M_eff K_eff and with the decay (L + d)⁻¹ of an assembly that only gets longer."""
+def stiffness_chart(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: str = "N") -> Chart:
+    """K(d_v) with M_eff K_eff and with the decay (L + d)⁻¹ of an assembly that only gets longer.
+
+    unit: of the load (`load_unit`).
+    """
     series, told = [_points(sticks, "d_v_mm", "K_N_per_mm", "K", DATA, error="K_err_N_per_mm")], ""
     if fits is not None:
         d = np.linspace(*fits.d_mm, _CURVE)
@@ -218,7 +221,7 @@ def stiffness_chart(sticks: pd.DataFrame, fits: ModelFits | None = None) -> Char
         title="Stiffness of the assembly",
         caption=f"K from the slope of the central half of every stick, with its standard error.{told}",
         x_label="d_v (mm)",
-        y_label="K (N/mm)",
+        y_label=f"{_force_label('K', unit)} (1/mm)" if unit == "1" else f"K ({unit}/mm)",
         y_range=_from_zero(sticks["K_N_per_mm"]),
         series=tuple(series),
     )
@@ -265,5 +268,10 @@ def _from_zero(values: pd.Series) -> tuple[float, float] | None:
     return (0.0, 1.25 * float(np.quantile(known, 0.98))) if known.size and known.max() > 0 else None
 
 
-def _force_label(force: xr.Dataset, name: str) -> str:
-    return f"{name} / weight" if force["load_N"].attrs.get("units") == "1" else f"{name} (N)"
+def load_unit(force: xr.Dataset) -> str:
+    """ "N", or "1" for a force over a weight."""
+    return str(force["load_N"].attrs.get("units", "N"))
+
+
+def _force_label(name: str, unit: str) -> str:
+    return f"{name} / weight" if unit == "1" else f"{name} ({unit})"

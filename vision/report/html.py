@@ -14,20 +14,21 @@ from vision.report.encode import Store, picture_uri
 from vision.report.methods import citation, methods
 from vision.report.origin import provenance
 from vision.report.results import RunResults
-from vision.report.sections import missing_parts, sections_of
+from vision.report.sections import Section, charts_of, missing_parts, sections_of
 from vision.report.summary import answers, subtitle, warnings_of
+from vision.report.symbols import lettered, marked_up
 
 PICTURE_BYTES = 450_000  # at most, for one picture before base64
 
 
-def write_report(path: str | Path, results: RunResults) -> Path:
+def write_report(path: str | Path, results: RunResults, *, sections: Sequence[Section] | None = None) -> Path:
     """Write the page. It is one file of less than 3 MB, opens offline and needs no other file beside it.
 
     Long records are decimated for display (lowest and highest of each stretch); nothing in `results` is
-    changed. Returns the path. Raises OSError where the file cannot be written.
+    changed. sections: of these results, where they are made already. Returns the path. Raises OSError where
+    the file cannot be written.
     """
-    sections = sections_of(results)
-    charts = [chart for section in sections for chart in section.charts]
+    sections = sections_of(results) if sections is None else sections
     text = _template().render(
         title=_title(results),
         subtitle=subtitle(results),
@@ -38,7 +39,7 @@ def write_report(path: str | Path, results: RunResults) -> Path:
         methods=methods(results),
         citation=citation(results),
         provenance=provenance(results),
-        data=_markup(_script_safe(page_data(charts))),
+        data=_markup(_script_safe(page_data(charts_of(sections)))),
         **{name: _markup(text) for name, text in _assets().items()},
     )
     path = Path(path)
@@ -69,6 +70,7 @@ def _chart_data(chart: Chart, store: Store) -> dict[str, Any]:
         "xLabel": chart.x_label,
         "yLabel": chart.y_label,
         "y2Label": chart.y2_label,
+        "axisLabels": [lettered(label) for label in (chart.x_label, chart.y_label, chart.y2_label)],
         "series": [_series_data(series, place) for series in chart.series],
         "arrays": arrays,
         "switchable": chart.switchable,
@@ -89,12 +91,14 @@ def _chart_data(chart: Chart, store: Store) -> dict[str, Any]:
 def _series_data(series: Series, place: Any) -> dict[str, Any]:
     data: dict[str, Any] = {
         "label": series.label,
+        "marked": str(marked_up(series.label)),
         "x": place(series.x),
         "y": place(series.y),
         "ink": series.ink,
         "look": series.look,
         "dashed": series.dashed,
         "hollow": series.hollow,
+        "shift": series.shift,
         "width": series.width,
         "axis": series.axis,
         "sheet": series.sheet,
@@ -143,4 +147,6 @@ def _template() -> Any:
     from jinja2 import Environment, StrictUndefined
 
     text = files("vision.report").joinpath("page/report.html.jinja").read_text(encoding="utf-8")
-    return Environment(autoescape=True, undefined=StrictUndefined).from_string(text)
+    made = Environment(autoescape=True, undefined=StrictUndefined)
+    made.filters["symbols"] = marked_up
+    return made.from_string(text)

@@ -6,7 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 import vision
-from vision.report.numbers import plus_minus
+from vision.report.force_charts import load_unit
+from vision.report.numbers import plus_minus, signed
 from vision.report.results import RunResults
 
 if TYPE_CHECKING:
@@ -92,9 +93,10 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
         "gap": "where the sizes of the drops leave a gap above the noise",
         "given": "as given",
     }[facts["threshold_how"]]
+    unit = "of the weight" if load_unit(force) == "1" else load_unit(force)
     return (
         f"The traction force was recorded while the blocks were pulled apart{pulled}. Slips are drops of "
-        f"more than {facts['threshold_N']:.3g} N ({how}; the noise is {facts['noise_N']:.2g} N), placed "
+        f"more than {facts['threshold_N']:.3g} {unit} ({how}; the noise is {facts['noise_N']:.2g}), placed "
         f"at the steepest fall; {len(sticks)} stick phases were found. Peak and valley forces F_p and F_v "
         "are those of the line through the central 80 % of each stick, extended to its ends; the "
         f"stiffness K is the slope of the central {100 * facts['central_part']:.0f} %."
@@ -112,7 +114,7 @@ def _clocks(clock: Clock) -> str:
         )
     return (
         f"The clocks of camera and testing machine {how}: offset {clock.offset_s:.4f} s, drift "
-        f"{clock.drift_ppm:.0f} ppm."
+        f"{signed(clock.drift_ppm)} ppm."
     )
 
 

@@ -13,6 +13,11 @@ def percent(share: float) -> str:
 def plus_minus(value: float, error: float) -> str:
     """A value and its standard error, rounded to the error's second digit; four digits without an error."""
     if not math.isfinite(error) or error <= 0:
-        return f"{value:.4g}"
+        return f"{value:.4g}".replace("-", "−")
     digits = max(0, 1 - math.floor(math.log10(error)))
-    return f"{value:.{digits}f} ± {error:.{digits}f}"
+    return f"{value:.{digits}f} ± {error:.{digits}f}".replace("-", "−")
+
+
+def signed(value: float) -> str:
+    """A whole number with its sign."""
+    return f"{value:+.0f}".replace("-", "−")

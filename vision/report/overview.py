@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vision.report.axes import displacement_unit, time_axis
 from vision.report.decimate import outline
 from vision.report.kymograph import dots, draw_kymograph
-from vision.report.style import picture_style, sheet_colours
+from vision.report.style import STROKE, picture_style, sheet_colours
 from vision.spacetime import space_time
 
 if TYPE_CHECKING:
@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.patches import Rectangle
 
-MOST_LABELS = 26
-LABELS_ACROSS = 50  # that would fill the width of the page
+LABELS_ACROSS = 80  # that would fill the width of the page
 MOST_POINTS = 6000  # of a line on a page; extremes are kept
 
 
@@ -101,14 +100,17 @@ def _name_sides(ax: Axes, tracks: xr.Dataset) -> None:
 
 
 def _number_sheets(ax: Axes, tracks: xr.Dataset, top: float, bottom: float) -> None:
-    """A line through the strip for every sheet seen, with n above as far as there is room."""
+    """Strokes at the strip's edges for every sheet seen, with n above as far as there is room."""
     x, colours, n = _first_row(tracks), sheet_colours(tracks), tracks["n"].values
-    step = max(1, -(-tracks.sizes["sheet"] // MOST_LABELS))
+    known = np.flatnonzero(np.isfinite(x))
     room, last = np.ptp(ax.get_xlim()) / LABELS_ACROSS, -np.inf
+    pitch = float(np.median(np.diff(x[known]))) if known.size > 1 else room
+    step, stroke = max(1, int(np.ceil(room / pitch))), STROKE * (bottom - top)
     box = {"boxstyle": "round,pad=0.12", "fc": "white", "ec": "none", "alpha": 0.75}
     look: Any = {"textcoords": "offset points", "ha": "center", "va": "bottom", "fontsize": 7, "bbox": box}
-    for i in np.flatnonzero(np.isfinite(x)):
-        ax.plot([x[i], x[i]], [top, bottom], color=colours[i], lw=0.9)
+    for i in known:
+        for start, stop in ((top, top + stroke), (bottom - stroke, bottom)):
+            ax.plot([x[i], x[i]], [start, stop], color=colours[i], lw=1.2)
         if (n[i] - 1) % step == 0 and x[i] - last > room:
             ax.annotate(str(n[i]), (x[i], top), (0, 3), **look)
             last = x[i]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from vision.report import force_charts, sheet_charts, shell_charts
@@ -31,6 +31,11 @@ def sections_of(results: RunResults) -> list[Section]:
     }
     sections = [Section(title, tuple(charts(results))) for title, charts in parts.items()]
     return [section for section in sections if section.charts]
+
+
+def charts_of(sections: Sequence[Section]) -> list[Chart]:
+    """All figures, in the order of reading."""
+    return [chart for section in sections for chart in section.charts]
 
 
 def _pictures(r: RunResults) -> Iterator[Chart]:
@@ -62,8 +67,9 @@ def _sticks(r: RunResults) -> Iterator[Chart]:
     if r.force is None or r.sticks is None or not r.sticks["d_v_mm"].notna().any():
         return
     yield force_charts.sticks_chart(r.force, r.sticks)
-    yield force_charts.drops_chart(r.sticks, r.fits)
-    yield force_charts.stiffness_chart(r.sticks, r.fits)
+    unit = force_charts.load_unit(r.force)
+    yield force_charts.drops_chart(r.sticks, r.fits, unit=unit)
+    yield force_charts.stiffness_chart(r.sticks, r.fits, unit=unit)
 
 
 def _deformation(r: RunResults) -> Iterator[Chart]:
@@ -100,8 +106,8 @@ def _missing_motion(r: RunResults) -> list[str]:
         return ["Deformation and shells: the clocks of camera and testing machine were not matched."]
     if r.clock.status == "ambiguous":
         return [
-            "Deformation and shells: the clocks agree in more than one way, so no stick phase can be "
-            "placed in the video (--offset)."
+            "Deformation and shells: the clocks are ambiguous, so no stick phase can be placed in the video "
+            "(--offset)."
         ]
     if r.motion is None or not r.motion.sizes["event"]:
         return ["Deformation and shells: no stick phase was measured inside the video."]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _SHOWN_STICKS = 5
 _CURVE = 300
+_BESIDE = 0.12  # of the step from stick to stick: how far the two sides' points stand apart from d, each way
 
 
 def stick_chart(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event: int | None = None) -> Chart:
@@ -101,6 +102,8 @@ def _ratios(motion: xr.Dataset) -> tuple[Series, ...]:
 def shells_chart(shells: pd.DataFrame, fits: ModelFits | None = None) -> Chart:
     """Number of stiff sheets a side against d, with its interval, and M_eff of the force."""
     known = shells[shells["stiff_sheets"].notna()].sort_values("d_v_mm")
+    steps = np.diff(np.unique(known["d_v_mm"].to_numpy(float)))
+    beside = _BESIDE * float(np.median(steps)) if steps.size else 0.0
     series = []
     for side, name, ink in ((-1, "left", DATA), (1, "right", PEAK)):
         mine = known[known["side"] == side]
@@ -110,10 +113,8 @@ def shells_chart(shells: pd.DataFrame, fits: ModelFits | None = None) -> Chart:
             mine[column].to_numpy(float) for column in ("stiff_sheets", "stiff_low", "stiff_high")
         )
         x = mine["d_v_mm"].to_numpy(float)
-        label, hollow = f"{name} side", side < 0
-        series.append(
-            Series(label=label, x=x, y=size, ink=ink, look="points", low=low, high=high, hollow=hollow)
-        )
+        look: dict[str, Any] = {"look": "points", "hollow": side < 0, "shift": side * beside}
+        series.append(Series(label=f"{name} side", x=x, y=size, ink=ink, low=low, high=high, **look))
     told = ""
     if fits is not None and not known.empty:
         d = np.linspace(float(known["d_v_mm"].min()), float(known["d_v_mm"].max()), _CURVE)
@@ -126,7 +127,8 @@ def shells_chart(shells: pd.DataFrame, fits: ModelFits | None = None) -> Chart:
         title="Size of the stiff shell",
         caption=(
             "Sheets a side, from the centre, whose σ_x/Λ_st is below the threshold, one point a stick "
-            f"and side (left hollow), with the interval that the errors allow.{told}"
+            "and side (left hollow and drawn a little to the left, right filled and to the right), with "
+            f"the interval that the errors allow.{told}"
         ),
         x_label="d_v (mm)",
         y_label="stiff sheets a side",

@@ -22,6 +22,8 @@ OTHER_MODEL = ("#8a5a83", "#e0a3d6")
 LEFT_ON_GREY, RIGHT_ON_GREY = ("#1e88ff", "#1e88ff"), ("#ff6a00", "#ff6a00")
 QUIET = ("#6b6b6b", "#a8a8a8")
 
+STROKE = 0.2  # of the strip's height: marks of a sheet from above and below, its ridge left to be seen
+
 
 @contextmanager
 def picture_style() -> Iterator[None]:
@@ -35,6 +37,7 @@ def picture_style() -> Iterator[None]:
         "axes.spines.right": False,
         "legend.frameon": False,
         "image.composite_image": False,
+        "mathtext.default": "regular",
         "svg.fonttype": "none",
         "pdf.fonttype": 42,
     }

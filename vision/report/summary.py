@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vision.report.numbers import percent, plus_minus
+from vision.report.numbers import percent, plus_minus, signed
 from vision.report.results import RunResults
 from vision.run.summary import flag_counts, noise_figures, warnings_that_matter
 
@@ -87,7 +87,7 @@ def _clocks(results: RunResults) -> Answer | None:
     clock = results.clock
     if clock is None:
         return None
-    told = f"drift {clock.drift_ppm:+.0f} ppm, {clock.matched} slips matched"
+    told = f"drift {signed(clock.drift_ppm)} ppm, {clock.matched} slips matched"
     spread = f", residual {clock.residual_ms:.2g} ms" if np.isfinite(clock.residual_ms) else ""
     doubt = clock.status == "ambiguous"
     value = "ambiguous" if doubt else f"offset {clock.offset_s:.4f} s"

@@ -23,7 +23,7 @@
   }
   /* One grid for all series: shared as it is, else every point a row of its own, sorted by x. */
   function grid(chart, arrays) {
-    const all = chart.series.map((s) => [arrays[s.x], arrays[s.y]]);
+    const all = chart.series.map((s) => [s.shift ? arrays[s.x].map((x) => x + s.shift) : arrays[s.x], arrays[s.y]]);
     if (chart.oneGrid) return { data: [all[0][0], ...all.map((p) => p[1])], rows: null };
     const rows = [];
     all.forEach(([xs], s) => xs.forEach((x, i) => rows.push([x, s, i])));
@@ -32,7 +32,7 @@
     rows.forEach(([, s, i], k) => { data[s + 1][k] = all[s][1][i]; });
     return { data, rows };
   }
-  const short = (v) => (v == null || !isFinite(v) ? "–" : String(parseFloat(v.toPrecision(6))));
+  const short = (v) => (v == null || !isFinite(v) ? "" : String(parseFloat(v.toPrecision(6))).replace("-", "−"));
 
   /* ---- what uPlot does not draw by itself ---- */
   function underlay(u, chart, image) {
@@ -83,8 +83,9 @@
       const step = s.text ? labelStep(u, c, xs, s.text) : 0;
       xs.forEach((x, i) => {
         if (low[i] == null || high[i] == null) return;
-        const at = u.valToPos(x, "x", true), y0 = u.valToPos(low[i], key, true), y1 = u.valToPos(high[i], key, true);
-        c.beginPath(); c.moveTo(at, y0); c.lineTo(at, y1); c.stroke();
+        const at = u.valToPos(x + s.shift, "x", true), y0 = u.valToPos(low[i], key, true), y1 = u.valToPos(high[i], key, true);
+        const stroke = s.text ? 0.2 * (y1 - y0) : (y1 - y0) / 2; /* the ridge between two strokes stays in view */
+        c.beginPath(); c.moveTo(at, y0); c.lineTo(at, y0 + stroke); c.moveTo(at, y1 - stroke); c.lineTo(at, y1); c.stroke();
         if (!s.text || (Number(s.text[i]) - 1) % step) return;
         const half = c.measureText(s.text[i]).width / 2 + 2 * r, top = Math.min(y0, y1) - 2 * r;
         c.fillStyle = "rgba(0,0,0,0.62)"; c.fillRect(at - half, top - 13 * r, 2 * half, 14 * r);
@@ -101,8 +102,8 @@
     const colour = () => (chart.picture ? s.ink[1] : ink(s.ink));
     const out = {
       label: s.label, scale: s.axis === "right" ? "y2" : "y", stroke: colour, width: s.width,
-      dash: s.dashed ? [5, 3] : undefined, spanGaps: !chart.oneGrid, value: (u, v) => short(v),
-      points: { show: points, size: (s.hollow ? 8 : 5.5) * (crowded(s, chart) ? 0.75 : 1), width: 1.3, stroke: colour, fill: s.hollow ? () => css("--card") : colour },
+      dash: s.dashed ? [5, 3] : undefined, spanGaps: !chart.oneGrid, value: (u, v) => short(v), pxAlign: 0,
+      points: { show: points, size: (s.hollow ? 9 : 5) * (crowded(s, chart) ? 0.75 : 1), width: 1.3, stroke: colour, fill: s.hollow ? "transparent" : colour },
     };
     if (s.look === "steps") {
       out.paths = uPlot.paths.bars({ size: [1, Infinity], align: 0 });
@@ -156,15 +157,16 @@
   function options(chart, holder, arrays, image, readout) {
     const both = Boolean(chart.picture);
     const side = { size: (u, values) => 26 + 7.5 * Math.max(2, ...(values || []).map((v) => v.length)) };
+    const below = { size: 30 }, [xLabel, yLabel, y2Label] = chart.axisLabels;
     const axes = chart.uprightTime
-      ? [axis(chart.xLabel, Object.assign({ side: 3 }, side)), axis(chart.yLabel, { side: 2, space: 70 })]
-      : [axis(chart.xLabel, { space: 60 }), axis(chart.yLabel, side)];
+      ? [axis(xLabel, Object.assign({ side: 3 }, side)), axis(yLabel, Object.assign({ side: 2, space: 70 }, below))]
+      : [axis(xLabel, Object.assign({ space: 60 }, below)), axis(yLabel, side)];
     if (chart.wholeNumbers) axes[0].incrs = [1, 2, 5, 10, 20, 50, 100, 200, 500];
     if (both) axes.forEach((a) => { a.grid = { show: false }; });
-    if (chart.y2Label) axes.push(axis(chart.y2Label, Object.assign({ scale: "y2", side: 1, grid: { show: false } }, side)));
+    if (chart.y2Label) axes.push(axis(y2Label, Object.assign({ scale: "y2", side: 1, grid: { show: false } }, side)));
     return Object.assign(sizeOf(chart, holder), {
       scales: scalesOf(chart), axes,
-      series: [{ label: chart.xLabel, value: (u, v) => short(v) }, ...chart.series.map((s) => seriesOf(s, chart))],
+      series: [{ label: xLabel, value: (u, v) => short(v) }, ...chart.series.map((s) => seriesOf(s, chart))],
       legend: { show: legendOf(chart) },
       focus: chart.switchable ? { alpha: 0.35 } : undefined,
       cursor: { drag: { x: true, y: both, uni: both ? 20 : undefined, setScale: false }, focus: { prox: chart.switchable ? 24 : -1 },
@@ -183,7 +185,7 @@
     if (at == null) { readout.textContent = ""; return; }
     const near = chart.nearest;
     const which = near ? `${u.series[near].label}: ${short(u.data[near][at])}` : "";
-    readout.textContent = `${chart.xLabel} ${short(u.data[0][at])}   ${which}`;
+    readout.textContent = `${chart.axisLabels[0]} ${short(u.data[0][at])}   ${which}`;
   }
   function select(u, chart) {
     const s = u.select, upright = chart.uprightTime;
@@ -287,6 +289,7 @@
     const marks = [...figure.querySelectorAll(".u-legend .u-series")].slice(1).map((row) => row.querySelector(".u-marker"));
     chart.series.forEach((s, k) => {
       const points = s.look === "points" || s.look === "both" || s.look === "steps";
+      marks[k].nextElementSibling.innerHTML = s.marked;
       Object.assign(marks[k].style, {
         border: `2px ${s.dashed ? "dashed" : "solid"} ${ink(s.ink)}`,
         background: points && !s.hollow ? ink(s.ink) : "transparent",
