@@ -1,6 +1,6 @@
 """Deformation and shells of a simulated test, from I(x, t): ridges, identities, fits and all."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -86,6 +86,37 @@ def test_unequal_pixels_count_in_long_sticks(name, changes):
     tracks.attrs.pop("fit")  # then pixels are not known to be behind the positions
     _, noise_alone, _ = score(*deformation(truth, tracks, sticks, clock))
     assert noise_alone < 0.55
+
+
+LATE_SLIPS = {"camera.duration_s": 10.0, "sheets.slip_delay_s": 0.02}
+
+
+def test_sheets_that_slip_late():
+    """A failure means that frames in which a sheet has not slipped yet shrink its creep, by all of it."""
+    wrong, within_one, within_two = score(*deformation(*run("late", **LATE_SLIPS)))
+    assert abs(wrong.mean()) < 0.003
+    assert wrong.std() < 0.008
+    assert 0.60 < within_one < 0.85
+    assert within_two > 0.93
+
+
+def test_clocks_set_by_slips_that_come_late():
+    """A failure means that sheets half of which slip too early, half too late, lose creep at both ends."""
+    truth, tracks, sticks, clock = run("late", **LATE_SLIPS)
+    early = replace(clock, offset_s=clock.offset_s - 0.01)
+    wrong, _, _ = score(*deformation(truth, tracks, sticks, early))
+    assert abs(wrong.mean()) < 0.01
+    assert wrong.std() < 0.01
+
+
+def test_one_side_in_view():
+    """A failure means that with one side in view the camera's drift is part of every ratio."""
+    changes = {"sheets.side": "right", "sheets.count": 25, "camera.width": 900, "camera.duration_s": 10.0}
+    scene = run("late", **changes, **{"optics.drift_px": 1.5})
+    wrong, within_one, within_two = score(*deformation(*scene))
+    assert abs(wrong.mean()) < 0.003
+    assert 0.60 < within_one < 0.85
+    assert within_two > 0.93
 
 
 def test_shells(simulated):

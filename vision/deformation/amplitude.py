@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vision.deformation.creep import Creep, fit_creep, mean_square
-from vision.deformation.drift import LEAST_PAIRS, drift, pairs
+from vision.deformation.drift import BothSides
 from vision.deformation.ends import Ends, find_ends
 from vision.deformation.errors import Errors
 from vision.deformation.frames import Bools, Doubles, Ints, StickFrames
 from vision.deformation.locking import let_go
 from vision.deformation.memory import Memory, inflation
 from vision.deformation.noise import Noise, measure_noise
+from vision.deformation.one_side import OneSide
 from vision.deformation.pattern import pattern_px
 from vision.deformation.vibration import noise_regained, shaking
 
@@ -30,7 +31,7 @@ class Amplitude:
     raw_px: RMS over the usable frames as they are.
     signed_px: RMS over the whole stick, positive where the sheet goes inwards, with error_px.  sweep_px:
     inward movement over the stick.  middle_px: x̂.  count: positions used.  uneven: residuals stand out.
-    effective_frames, drift_px: (stick,).  noise_px: (sheet,).  paired: both sides are in view.
+    effective_frames, drift_px: (stick,).  noise_px: (sheet,).  camera: which of its movements are taken off.
     """
 
     raw_px: Doubles
@@ -45,7 +46,7 @@ class Amplitude:
     drift_px: Doubles
     noise_px: Doubles
     memory: Memory
-    paired: bool
+    camera: str = "not taken off"
 
 
 def measure_amplitude(
@@ -65,7 +66,6 @@ def measure_amplitude(
     positions come from a picture, so that unequal pixels are among their errors.  common_mode: whether to
     take the camera's movement off.
     """
-    paired = common_mode and pairs(side, n)[0].size >= LEAST_PAIRS
     terms = 4 if np.median(frames.counts) >= _MANY_FRAMES else 3
     freed = let_go(x_px, pull, frames, terms)
     shake, regained = (
@@ -77,13 +77,18 @@ def measure_amplitude(
     line, parabola, close = (fit_creep(steady, frames, terms=k) for k in (2, 3, terms))
     noise = measure_noise(steady - close.at(frames), close, frames, predicted_px)
     noise = replace(noise, noise_px=noise.noise_px * np.sqrt(regained))
-    # Without pairs, what of the vibration looks like creep stays: at most as much as if it were white.
-    stays_px = 0.0 if paired else float(np.std(shake))
-    errors = Errors(noise, stays_px, np.zeros(n.size), frames)
+    errors = Errors(noise, np.zeros(n.size), frames)
     if pixels:
         errors = replace(errors, pattern_px=pattern_px(close, errors.of(close), noise), scale=_SCALE)
-    creep = _choose(line, parabola, errors, _Moved(side, n, paired)).shortened(ends)
-    return _amplitude(creep, line, noise, frames, np.sqrt(mean_square(x_px, frames)), side, paired)
+    camera = _camera(line, frames, side, n, shake) if common_mode else None
+    creep = _choose(line, parabola, errors, camera).shortened(ends)
+    found = _amplitude(creep, line, noise, frames, np.sqrt(mean_square(x_px, frames)), side)
+    return replace(found, camera=camera.movement) if camera else found
+
+
+def _camera(line: Creep, frames: StickFrames, side: Ints, n: Ints, shake: Doubles) -> BothSides | OneSide:
+    both = BothSides.of(side, n, line.coefficient[..., 0], line.coefficient[..., 1])
+    return both if both.enough else OneSide.of(line, n, frames, shake)
 
 
 def _amplitude(
@@ -93,7 +98,6 @@ def _amplitude(
     frames: StickFrames,
     raw_px: Doubles,
     side: Ints,
-    paired: bool,
 ) -> Amplitude:
     square = creep.slope**2 / 3 + np.where(creep.bend == 0, 0.0, creep.bend**2 - creep.bend_err**2) / 5
     return Amplitude(
@@ -109,7 +113,6 @@ def _amplitude(
         drift_px=2 * creep.drift,
         noise_px=noise.noise_px,
         memory=noise.memory,
-        paired=paired,
     )
 
 
@@ -146,14 +149,14 @@ class _Chosen:
         )
 
 
-def _choose(line: Creep, parabola: Creep, errors: Errors, moved: _Moved) -> _Chosen:
+def _choose(line: Creep, parabola: Creep, errors: Errors, camera: BothSides | OneSide | None) -> _Chosen:
     bent_err, line_err = errors.of(parabola), errors.of(line)
-    bend, bend_err, _ = moved.off(parabola.coefficient[..., 2], bent_err[..., 2])
+    bend, bend_err, _ = _moved(camera, parabola.coefficient[..., 2], bent_err[..., 2], slow=False)
     curved = (parabola.count >= _LEAST_CURVED) & (np.abs(bend) > _CURVED * bend_err)
     best = np.where(curved[..., None], parabola.coefficient[..., :2], line.coefficient)
     best_err = np.where(curved, bent_err[..., 1], line_err[..., 1])
-    slope, slope_err, _ = moved.off(best[..., 1], best_err)
-    straight, _, drift_px = moved.off(line.coefficient[..., 1], line_err[..., 1])
+    slope, slope_err, _ = _moved(camera, best[..., 1], best_err)
+    straight, _, drift_px = _moved(camera, line.coefficient[..., 1], line_err[..., 1])
     bend = np.where(curved, bend, 0.0)
     return _Chosen(best[..., 0], slope, slope_err, bend, bend_err, straight, drift_px)
 
@@ -166,17 +169,12 @@ def _root_error(creep: _Chosen, square: Doubles) -> Doubles:
     return np.where(creep.bend == 0, creep.slope_err / np.sqrt(3), curved)
 
 
-@dataclass(frozen=True)
-class _Moved:
-    """Takes the camera's drift off a coefficient, if pairs of sheets are in view."""
-
-    side: Ints
-    n: Ints
-    paired: bool
-
-    def off(self, value: Doubles, error: Doubles) -> tuple[Doubles, Doubles, Doubles]:
-        """The coefficient without drift, its error with the drift's, and the drift, (stick,)."""
-        if not self.paired:
-            return value, error, np.zeros(len(value))
-        camera = drift(value, error, self.side, self.n)
-        return value - camera.value[:, None], camera.error_without(error), camera.value
+def _moved(
+    camera: BothSides | OneSide | None, value: Doubles, error: Doubles, *, slow: bool = True
+) -> tuple[Doubles, Doubles, Doubles]:
+    """The coefficient without the camera's movement, its error with that of the movement, and the movement,
+    (stick,)."""
+    if camera is None:
+        return value, error, np.zeros(len(value))
+    drift = camera.drift(value, error, slow=slow)
+    return value - drift.value[:, None], drift.error_without(error), drift.value

@@ -15,12 +15,9 @@ from vision.deformation.pattern import repeating
 
 @dataclass(frozen=True)
 class Errors:
-    """stays_px: vibration that is not taken off.  pattern_px: (sheet,), see `pattern`.  scale: error of the
-    magnification, as a share of the creep.
-    """
+    """pattern_px: (sheet,), see `pattern`.  scale: error of the magnification, as a share of the creep."""
 
     noise: Noise
-    stays_px: float
     pattern_px: Doubles
     frames: StickFrames
     scale: float = 0.0
@@ -30,8 +27,7 @@ class Errors:
         terms = fit.coefficient.shape[2]
         white = np.einsum("eskk->esk", fit.inverse)
         factor = inflation(self.noise.memory, self.frames, terms)[:, None]
-        noise_px = np.hypot(self.noise.noise_px, self.stays_px) * self.noise.excess
-        random = np.sqrt(white * factor) * noise_px[..., None]
+        random = np.sqrt(white * factor) * (self.noise.noise_px * self.noise.excess)[..., None]
         reach = fit.coefficient[..., 1]
         again = repeating(reach, terms) * self.pattern_px[:, None]
         return np.asarray(np.sqrt(random**2 + again**2 + (self.scale * reach[..., None]) ** 2))

@@ -18,7 +18,8 @@ class StickFrames:
 
     frame: place in the tracks, (F,).  row: the stick each belongs to, (F,), rising.  u: time from -1 at t_v
     to +1 at t_p, (F,).  slot: time since t_v in whole frame intervals, (F,): lost frames leave gaps.
-    sticks: their number, those without a frame included.  length_s: (sticks,).  interval_s: between frames.
+    sticks: their number, those without a frame included.  length_s, and middle_s on the clock:
+    (sticks,).  interval_s: between frames.
     """
 
     frame: Ints
@@ -27,6 +28,7 @@ class StickFrames:
     slot: Ints
     sticks: int
     length_s: Doubles
+    middle_s: Doubles
     interval_s: float
 
     def sums(self, values: NDArray[np.generic]) -> Doubles:
@@ -71,13 +73,6 @@ def frames_of_sticks(
     inside = (stick >= 0) & (time_s[known] <= stop_s[stick] - margin_s)
     frame, row = known[inside], stick[inside]
     since = time_s[frame] - start_s[row]
-    u = 2 * since / (stop_s - start_s)[row] - 1.0
-    return StickFrames(
-        frame,
-        row,
-        u,
-        np.rint(since / interval_s).astype(np.int64),
-        start_s.size,
-        stop_s - start_s,
-        interval_s,
-    )
+    slot, length = np.rint(since / interval_s).astype(np.int64), stop_s - start_s
+    u, middle = 2 * since / length[row] - 1, start_s + length / 2
+    return StickFrames(frame, row, u, slot, start_s.size, length, middle, interval_s)

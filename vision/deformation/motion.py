@@ -53,8 +53,10 @@ def horizontal_deformation(
       movement outwards is a negative measurement, reported as 0 (flag "below_noise"; `ratio_signed` keeps
       it), unless it exceeds 3 errors (flag "outward": its size is reported).
     - Camera movement is taken off (`common_mode`): what all sheets do together beyond their creep in each
-      frame, and the steady drift shared by left and right.  With one side in view drift cannot be told from
-      creep and stays; attrs["camera_movement"] says which.
+      frame, and what moved during the stick, told from left and right, or, with one side in view, from the
+      sheets' creep in other sticks and their mean positions; attrs["camera_movement"] says which.
+    - A sheet that slips later than the force dropped, or before, is not in the stick in these frames; it
+      creeps for that much less.
     - Errors rest on the residuals of each sheet, with their autocorrelation: see `Memory`.  A stick whose own
       residuals stand out has its error raised ("uneven").  For tracks of `track_sheets` they hold what
       repeats from stick to stick: unequal pixels (see `pattern`) and unequal magnification.  The
@@ -98,7 +100,7 @@ def horizontal_deformation(
         pixels="fit" in tracks.attrs,
         common_mode=common_mode,
     )
-    settings = {"margin_s": margin_s, "interval_s": interval} | _how(found, common_mode)
+    settings = {"margin_s": margin_s, "interval_s": interval} | _how(found)
     motion = as_dataset(tracks, events, found, pixel_size_um=pixel, left_out=every.counts - frames.counts)
     return motion.assign_attrs(settings)
 
@@ -152,8 +154,9 @@ def _pull(tracks: xr.Dataset) -> Doubles:
     return pull(*(np.asarray(tracks[name].values, float) for name in ("x_px", "x_err_px")))
 
 
-def _how(found: Amplitude, common_mode: bool) -> dict[str, object]:
-    removed = "not taken off"
-    if common_mode:
-        removed = "vibration and drift taken off" if found.paired else "vibration taken off, drift unknown"
-    return {"noise_share": found.memory.share, "noise_rho": found.memory.rho, "camera_movement": removed}
+def _how(found: Amplitude) -> dict[str, object]:
+    return {
+        "noise_share": found.memory.share,
+        "noise_rho": found.memory.rho,
+        "camera_movement": found.camera,
+    }
