@@ -14,11 +14,12 @@ from vision.force.slips import stick_lines, stick_middles
 # the middle.
 _HALF_COSINE = 0.59
 _STRAIGHT = 0.8
-# An instantaneous drop between two samples, joined by a line, crosses 90 % and 50 % this many samples apart.
-_UNRESOLVED = 0.4
+# An instantaneous drop between two samples, joined by a line, crosses 90 % and 50 % this many samples apart,
+# and some more, added in squares, where undoing a low-pass leaves a sample part of the way down.
+_UNRESOLVED, _PART_WAY = 0.4, 0.5
 # Shorter from 90 to 10 %, in samples, a slip's own length is not resolved.
-_SHORT = 1.5
-# Samples by which a corner may be off: a sudden slip may last up to two, the length of others is blurred.
+_SHORT = 1.0
+# Samples by which a corner may be off: a sudden slip may last one or two, the length of others is blurred.
 _SUDDEN, _SAMPLED = 0.5, 0.25
 # Half a cosine is an assumption: a corner may be off by this part of a slip's length.
 _SHAPE = 0.05
@@ -63,19 +64,20 @@ def find_corners(signal: Undelayed, *, two_slopes: bool) -> Corners:
     """Begin and end of the slips of a recording.
 
     Between the stick lines before (1) and after (0) a slip passes 90, 50 and 10 %; these times, scaled as
-    for half a cosine, give its begin and end.  Slips too short for the sampling begin and end at the same
-    instant, where they are half-way.  Each slip's own length is used where its drop is over 20 σ, else the
-    recording's median.
+    for half a cosine, give its begin and end.  Slips too short for the sampling count half as long as they
+    look.  Each slip's own length is used where its drop is over 20 σ, else the recording's median.
 
     Args: two_slopes, whether the stick lines may have a knee.
     """
     base = _Baselines.of(signal.load, signal.edge, two_slopes)
     high, middle, low = _crossings(signal.load, signal.edge, base)
-    onset, end = (_resolved(part, signal.width) for part in (middle - high, low - middle))
+    onset, end = (_resolved(part, signal) for part in (middle - high, low - middle))
     usual_onset, usual_end = _usual(onset), _usual(end)
     sudden = usual_onset + usual_end < _SHORT
     if sudden:
-        onset, end, usual_onset, usual_end = np.zeros_like(onset), np.zeros_like(end), 0.0, 0.0
+        # Half of what is seen: the rest may be the sampling's or a low-pass too short to tell.
+        usual_onset = usual_end = 0.25 * (usual_onset + usual_end)
+        onset, end = np.full_like(onset, usual_onset), np.full_like(end, usual_end)
     clear = (base.drop > _CLEAR_SIGMAS * signal.sigma) & np.isfinite(onset) & np.isfinite(end)
     onset = _half(np.where(clear, onset, usual_onset), base.before_slope, base.drop)
     end = _half(np.where(clear, np.minimum(end, usual_end * 2), usual_end), base.after_slope, base.drop)
@@ -146,9 +148,10 @@ def _usual(distance: Floats) -> float:
     return float(np.median(known)) if known.size else 0.0
 
 
-def _resolved(distance: Floats, width: int) -> Floats:
+def _resolved(distance: Floats, signal: Undelayed) -> Floats:
     """A distance between crossings without what sampling and smoothing alone make of a sudden drop."""
-    return np.sqrt(np.maximum(distance**2 - (_UNRESOLVED * width) ** 2, 0.0))
+    blur = np.hypot(_UNRESOLVED * signal.width, _PART_WAY if signal.late else 0.0)
+    return np.sqrt(np.maximum(distance**2 - blur**2, 0.0))
 
 
 def _crossings(y: Floats, edge: Ints, base: _Baselines) -> tuple[Floats, Floats, Floats]:
