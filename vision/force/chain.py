@@ -181,8 +181,8 @@ class _Blocks:
 class Undelayed:
     """A recording without its force chain's low-pass, `late` samples behind its own clock.
 
-    edge: the first sample after the steepest drop of each slip.  Each value is a mean over `width` samples, so
-    that undoing the low-pass does not drown it in noise.
+    edge: the first sample after the steepest drop of each slip.  Each value is a mean over `width` samples:
+    undoing the low-pass alone would drown it in noise.
     """
 
     load: Floats

@@ -151,7 +151,7 @@ def _usual(distance: Floats) -> float:
 def _resolved(distance: Floats, signal: Undelayed) -> Floats:
     """A distance between crossings without what sampling and smoothing alone make of a sudden drop."""
     blur = np.hypot(_UNRESOLVED * signal.width, _PART_WAY if signal.late else 0.0)
-    return np.sqrt(np.maximum(distance**2 - blur**2, 0.0))
+    return np.asarray(np.sqrt(np.maximum(distance**2 - blur**2, 0.0)))
 
 
 def _crossings(y: Floats, edge: Ints, base: _Baselines) -> tuple[Floats, Floats, Floats]:
