@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import sys
 import time
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter as Option
 
 from vision.command.console import complain, say
-from vision.errors import InputError
+from vision.command.pull import event_sizes, model_fits, write_json, write_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -81,7 +79,7 @@ def force(
     sticks = find_stick_slip(
         recording, threshold_N=force_threshold, machine_stiffness_N_per_mm=machine_stiffness
     )
-    fits, note = _models(recording, sticks, t_star, free_t_star)
+    fits, note = model_fits(recording, sticks, t_star_N=t_star, free_t_star=free_t_star)
     facts = _facts(recording, sticks, note, _limit(recording, sticks) if detection_limit else None)
     facts["parameters"] = _parameters(
         speed_mm_min=speed,
@@ -94,26 +92,10 @@ def force(
     )
     _write(target, overwrite, recording, sticks, fits, facts, start)
     if not quiet:
-        say(_summary(target, sticks, fits))
+        say(_summary(target, recording, sticks, fits))
     for line in [*facts["warnings"], *facts["notes"]]:
         complain(f"{file.name}: {line}")
     return 1 if facts["warnings"] else 0
-
-
-def _models(
-    recording: xr.Dataset, sticks: pd.DataFrame, t_star_N: float, free_t_star: bool
-) -> tuple[ModelFits | None, str]:
-    """The fits, or None and the reason why there are none."""
-    from vision.models.fits import fit_models
-
-    if recording["load_N"].attrs["units"] == "1":
-        return None, "no model fits: they need a force in N, not over a weight"
-    if math.isnan(recording.attrs["d0_mm"]):
-        return None, "no model fits: they need the initial separation, --d0"
-    try:
-        return fit_models(sticks, t_star_N=t_star_N, free_t_star=free_t_star), ""
-    except InputError as error:
-        return None, f"no model fits: {error}"
 
 
 def _limit(recording: xr.Dataset, sticks: pd.DataFrame) -> dict[str, Any]:
@@ -161,33 +143,23 @@ def _write(
     facts: dict[str, Any],
     start: float,
 ) -> None:
-    from vision.force.picture import draw_force
+    from vision.report.force_picture import write_force_picture
     from vision.run.folder import run_folder
     from vision.run.provenance import write_run_json
 
     with run_folder(target, overwrite=overwrite) as folder:
-        sticks.to_csv(folder / "events.csv", index=False, float_format="%.9g", lineterminator="\n")
-        content = fits.to_json() if fits else {"fixed": {}, "notes": facts["notes"]}
-        text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
-        (folder / "models.json").write_text(text + "\n", encoding="utf-8")
-        draw_force(
-            recording,
-            sticks,
-            folder / "force.png",
-            peak_model=fits.peak_force_N if fits else None,
-            stiffness_model=fits.stiffness_N_per_mm if fits else None,
-        )
+        write_table(sticks, folder / "events.csv")
+        write_json(fits.to_json() if fits else {"fixed": {}, "notes": facts["notes"]}, folder / "models.json")
+        write_force_picture(folder / "force.png", recording, sticks, fits)
         write_run_json(folder, {**facts, "timings": {"total_s": time.perf_counter() - start}})
 
 
-def _summary(target: Path, sticks: pd.DataFrame, fits: ModelFits | None) -> list[str]:
-    middle = sticks.median(numeric_only=True)
+def _summary(target: Path, recording: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits | None) -> list[str]:
     lines = [
         f"{len(sticks)} stick-slip events, {int((sticks['flag'] == 'ok').sum())} without a flag -> {target}",
         f"drop above {sticks.attrs['threshold_N']:.3g} ({sticks.attrs['threshold_how']}), "
         f"noise {sticks.attrs['noise_N']:.2g}, spikes {sticks.attrs['spikes']}",
-        f"median drop {middle['dF_N']:.3g}, stick {middle['stick_length_um']:.3g} um, "
-        f"stiffness {middle['K_N_per_mm']:.4g} per mm",
+        event_sizes(recording, sticks),
     ]
     if fits:
         named = {"mu": fits.mu, "T0 (N)": fits.t0_N, "A": fits.amplitude, "N_hat (N)": fits.n_hat_N}

@@ -78,7 +78,8 @@ def _fill(pull: Pull, tracks: xr.Dataset, value: Mapping[str, Any]) -> None:
     from vision.shells import classify_shells
 
     sticks = pull.sticks = find_stick_slip(pull.force, threshold_N=value["force_threshold"])
-    pull.fits = _models(pull, sticks)
+    pull.fits, note = model_fits(pull.force, sticks)
+    pull.warnings += [note] if note else []
     clock = pull.clock = synchronise(tracks, pull.force, sticks, offset_s=value["offset"])
     pull.warnings += list(clock.warnings)
     if clock.status == "ambiguous":  # its warning says so; frames cannot be told to stick phases
@@ -88,18 +89,18 @@ def _fill(pull: Pull, tracks: xr.Dataset, value: Mapping[str, Any]) -> None:
     pull.shells = classify_shells(motion, threshold=pull.threshold, effective_sheets=model)
 
 
-def _models(pull: Pull, sticks: pd.DataFrame) -> ModelFits | None:
-    """The fits to the force alone; None, with a warning, where they cannot be made."""
+def model_fits(force: xr.Dataset, sticks: pd.DataFrame, **options: Any) -> tuple[ModelFits | None, str]:
+    """The fits to the force alone, or None and the reason why there are none.  options: of `fit_models`."""
     from vision.models.fits import fit_models
 
-    if math.isnan(pull.force.attrs["d0_mm"]):
-        pull.warnings.append("no model fits: they need the initial separation, --d0")
-        return None
+    if force["load_N"].attrs["units"] == "1":
+        return None, "no model fits: they need a force in N, not over a weight"
+    if math.isnan(force.attrs["d0_mm"]):
+        return None, "no model fits: they need the initial separation, --d0"
     try:
-        return fit_models(sticks)
+        return fit_models(sticks, **options), ""
     except InputError as error:
-        pull.warnings.append(f"no model fits: {error}")
-        return None
+        return None, f"no model fits: {error}"
 
 
 def write_pull(pull: Pull, folder: Path) -> None:
@@ -107,22 +108,24 @@ def write_pull(pull: Pull, folder: Path) -> None:
     from vision.shells import deformation_table
 
     if pull.sticks is not None:
-        _table(pull.sticks, folder / "events.csv")
+        write_table(pull.sticks, folder / "events.csv")
     if pull.fits is not None:
-        _json(pull.fits.to_json(), folder / "models.json")
+        write_json(pull.fits.to_json(), folder / "models.json")
     if pull.clock is not None:
-        _json(pull.clock.to_json(), folder / "clock.json")
+        write_json(pull.clock.to_json(), folder / "clock.json")
     if pull.motion is not None:
-        _table(deformation_table(pull.motion, threshold=pull.threshold), folder / "deformation.csv")
+        write_table(deformation_table(pull.motion, threshold=pull.threshold), folder / "deformation.csv")
     if pull.shells is not None:
-        _table(pull.shells, folder / "shells.csv")
+        write_table(pull.shells, folder / "shells.csv")
 
 
-def _table(table: pd.DataFrame, path: Path) -> None:
+def write_table(table: pd.DataFrame, path: Path) -> None:
+    """CSV with nine digits."""
     table.to_csv(path, index=False, float_format="%.9g", lineterminator="\n")
 
 
-def _json(content: Mapping[str, Any], path: Path) -> None:
+def write_json(content: Mapping[str, Any], path: Path) -> None:
+    """Strict JSON, to be read by people too."""
     text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
     path.write_text(text + "\n", encoding="utf-8")
 
@@ -142,10 +145,8 @@ def pull_lines(pull: Pull) -> list[str]:
     """For the summary: events, clocks, stick phases in the video, shells."""
     lines = []
     if pull.sticks is not None:
-        middle = pull.sticks.median(numeric_only=True)
         lines.append(
-            f"events     {len(pull.sticks)} stick-slip events; median ΔF {middle['dF_N']:.3g} N, "
-            f"Λ_st {middle['stick_length_um']:.3g} µm, K {middle['K_N_per_mm']:.4g} N/mm"
+            f"events     {len(pull.sticks)} stick-slip events; {event_sizes(pull.force, pull.sticks)}"
         )
     if pull.fits is not None:
         fits = pull.fits
@@ -165,6 +166,17 @@ def pull_lines(pull: Pull) -> list[str]:
             f"{size.median():.0f} ({size.min():.0f} to {size.max():.0f})"
         )
     return lines
+
+
+def event_sizes(force: xr.Dataset, sticks: pd.DataFrame) -> str:
+    """Medians of ΔF, Λ_st and K, in the unit of the load."""
+    middle = sticks.median(numeric_only=True)
+    over_weight = force["load_N"].attrs["units"] == "1"
+    drop, slope = (" of the weight", "/mm") if over_weight else (" N", " N/mm")
+    sizes = f"median ΔF {middle['dF_N']:.3g}{drop}"
+    if math.isnan(middle["stick_length_um"]):
+        return f"{sizes}; lengths and K not known without the separation"
+    return f"{sizes}, Λ_st {middle['stick_length_um']:.3g} µm, K {middle['K_N_per_mm']:.4g}{slope}"
 
 
 def _estimate(estimate: Any) -> str:

@@ -16,12 +16,14 @@ if TYPE_CHECKING:
 _MOST_LABELS = 30  # side by side
 _DASHES = (0, (4, 2))
 _MOST_IN_LEGEND = 8
+_ACROSS = 4  # entries of a legend beside each other
 
 
-def draw_chart(ax: Axes, chart: Chart) -> Axes:
+def draw_chart(ax: Axes, chart: Chart, *, legend_above: bool = False) -> Axes:
     """Draw the chart on these axes, colours for a light ground; a second y axis is added where it has one.
 
-    Nothing else of the figure is touched. Returns the same axes.
+    legend_above: where a title would be, so that it hides nothing.  Nothing else of the figure is touched.
+    Returns the same axes.
     """
     if chart.picture is not None:
         _draw_picture(ax, chart)
@@ -40,7 +42,7 @@ def draw_chart(ax: Axes, chart: Chart) -> Axes:
         right.set_ylabel(drawn(chart.y2_label))
         right.spines["right"].set_visible(True)
         _one_above_the_other(ax, right, chart)
-    _legend(ax, right, chart)
+    _legend(ax, right, chart, above=legend_above)
     return ax
 
 
@@ -96,7 +98,7 @@ def _number_ticks(ax: Axes, series: Series) -> None:
     assert series.high is not None
     stroke = STROKE * (series.high - series.low)
     for start, stop in ((series.low, series.low + stroke), (series.high - stroke, series.high)):
-        ax.vlines(series.x, start, stop, color=series.ink[0], lw=1.2)
+        ax.vlines(series.x, start, stop, color=series.ink[0], lw=0.8)
     low, high = ax.get_xlim()
     pitch = float(np.median(np.diff(series.x))) if len(series.x) > 1 else high - low
     step = max(1, int(np.ceil((high - low) / _MOST_LABELS / max(pitch, 1e-9))))
@@ -132,7 +134,7 @@ def _one_above_the_other(ax: Axes, right: Axes, chart: Chart) -> None:
             own.set_ylim(float(seen.min()) - below * span, float(seen.max()) + above * span)
 
 
-def _legend(ax: Axes, right: Axes | None, chart: Chart) -> None:
+def _legend(ax: Axes, right: Axes | None, chart: Chart, *, above: bool) -> None:
     """A legend of few series; for many sheets only the outermost of each side, which name the tones."""
     handles, labels = ax.get_legend_handles_labels()
     if right is not None:
@@ -148,5 +150,9 @@ def _legend(ax: Axes, right: Axes | None, chart: Chart) -> None:
             for pick in (np.argmin, np.argmax)
         ]
         handles, labels = [handles[k] for k in ends], [labels[k] for k in ends]
+    place: dict[str, Any] = {"loc": "best", "framealpha": 0.8, "frameon": True, "edgecolor": "none"}
+    if above:
+        across = _ACROSS if len(labels) <= _ACROSS else _ACROSS - 1
+        place = {"loc": "lower right", "bbox_to_anchor": (1, 1), "ncols": across, "columnspacing": 1.2}
     if labels and chart.picture is None:
-        ax.legend(handles, labels, loc="best", fontsize=8, framealpha=0.8, frameon=True, edgecolor="none")
+        ax.legend(handles, labels, fontsize=8, **place)

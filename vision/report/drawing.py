@@ -27,7 +27,7 @@ def draw_files(folder: Path, chart: Chart) -> None:
     with picture_style():
         size = (_WIDTH_IN, max(2.4, _WIDTH_IN * chart.aspect + 0.7))
         figure = Figure(figsize=size, layout="constrained")
-        draw_chart(figure.subplots(), chart)
+        draw_chart(figure.subplots(), chart, legend_above=True)
         figure.draw_without_rendering()
         figure.set_layout_engine(None)  # placed once, not once for each format
         for suffix, stamp in _STAMPS.items():

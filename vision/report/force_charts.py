@@ -66,7 +66,7 @@ def pull_chart(force: xr.Dataset, sticks: pd.DataFrame | None = None, fits: Mode
             f"its ends.{told}"
         ),
         x_label="d (mm)" if known else "t (s, force clock)",
-        y_label=_force_label("F", load_unit(force)),
+        y_label=load_label("F", load_unit(force)),
         series=tuple(series),
     )
 
@@ -101,7 +101,7 @@ def clock_chart(
         ),
         x_label="t (s, force clock)",
         first_view=_some_sticks(t_video, sticks),
-        y_label=_force_label("F", load_unit(force)),
+        y_label=load_label("F", load_unit(force)),
         y2_label=f"outward motion ({unit})",
         series=(
             Series(label="force", x=t_force, y=load[:, 0], ink=QUIET),
@@ -165,7 +165,7 @@ def sticks_chart(force: xr.Dataset, sticks: pd.DataFrame) -> Chart:
             "height ΔF, the length Λ_st. A drop at the very start is the end of the slip before."
         ),
         x_label="d − d_v (µm)",
-        y_label=_force_label("F − F_v", load_unit(force)),
+        y_label=load_label("F − F_v", load_unit(force)),
         series=tuple(series),
     )
 
@@ -192,7 +192,7 @@ def drops_chart(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: st
         title="Stick-slip amplitude",
         caption=f"ΔF = F_p − F_v of every event against the separation at its valley.{told}",
         x_label="d_v (mm)",
-        y_label=_force_label("ΔF", unit),
+        y_label=load_label("ΔF", unit),
         y_range=_from_zero(sticks["dF_N"]),
         series=tuple(series),
     )
@@ -221,7 +221,7 @@ def stiffness_chart(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit
         title="Stiffness of the assembly",
         caption=f"K from the slope of the central half of every stick, with its standard error.{told}",
         x_label="d_v (mm)",
-        y_label=f"{_force_label('K', unit)} (1/mm)" if unit == "1" else f"K ({unit}/mm)",
+        y_label=f"{load_label('K', unit)} (1/mm)" if unit == "1" else f"K ({unit}/mm)",
         y_range=_from_zero(sticks["K_N_per_mm"]),
         series=tuple(series),
     )
@@ -273,5 +273,6 @@ def load_unit(force: xr.Dataset) -> str:
     return str(force["load_N"].attrs.get("units", "N"))
 
 
-def _force_label(name: str, unit: str) -> str:
+def load_label(name: str, unit: str) -> str:
+    """Label of an axis of force."""
     return f"{name} / weight" if unit == "1" else f"{name} ({unit})"

@@ -110,7 +110,7 @@ def _number_sheets(ax: Axes, tracks: xr.Dataset, top: float, bottom: float) -> N
     look: Any = {"textcoords": "offset points", "ha": "center", "va": "bottom", "fontsize": 7, "bbox": box}
     for i in known:
         for start, stop in ((top, top + stroke), (bottom - stroke, bottom)):
-            ax.plot([x[i], x[i]], [start, stop], color=colours[i], lw=1.2)
+            ax.plot([x[i], x[i]], [start, stop], color=colours[i], lw=0.9)
         if (n[i] - 1) % step == 0 and x[i] - last > room:
             ax.annotate(str(n[i]), (x[i], top), (0, 3), **look)
             last = x[i]

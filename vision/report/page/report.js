@@ -79,7 +79,7 @@
     chart.series.forEach((s, k) => {
       if (s.low === undefined || !u.series[k + 1].show) return;
       const xs = arrays[s.x], low = arrays[s.low], high = arrays[s.high], key = s.axis === "right" ? "y2" : "y";
-      c.strokeStyle = chart.picture ? s.ink[1] : ink(s.ink); c.lineWidth = 1.3 * r;
+      c.strokeStyle = chart.picture ? s.ink[1] : ink(s.ink); c.lineWidth = (s.text ? 1 : 1.3) * r;
       const step = s.text ? labelStep(u, c, xs, s.text) : 0;
       xs.forEach((x, i) => {
         if (low[i] == null || high[i] == null) return;
@@ -157,7 +157,7 @@
   function options(chart, holder, arrays, image, readout) {
     const both = Boolean(chart.picture);
     const side = { size: (u, values) => 26 + 7.5 * Math.max(2, ...(values || []).map((v) => v.length)) };
-    const below = { size: 30 }, [xLabel, yLabel, y2Label] = chart.axisLabels;
+    const below = { size: 34 }, [xLabel, yLabel, y2Label] = chart.axisLabels;
     const axes = chart.uprightTime
       ? [axis(xLabel, Object.assign({ side: 3 }, side)), axis(yLabel, Object.assign({ side: 2, space: 70 }, below))]
       : [axis(xLabel, Object.assign({ space: 60 }, below)), axis(yLabel, side)];
