@@ -20,6 +20,7 @@ class Clock:
     status: str = "ok"
     residual_ms: float = 0.0
     offset_s: float = 5.0
+    error_ms: float = np.nan
 
     def to_force_s(self, video_time_s):
         return self.offset_s + np.asarray(video_time_s)

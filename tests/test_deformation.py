@@ -137,6 +137,17 @@ def test_an_uncertain_clock_keeps_more_frames_away():
     assert abs(errors(made, shifted)[0].mean()) < 0.005
 
 
+def test_slow_frames_are_not_taken_for_an_uncertain_clock():
+    """A failure means that a clock known to a millisecond costs a slow camera frames of short sticks."""
+    made = make(uniform(1.0, 20.0, events=20), frames=6, fps=10.0)
+    told = replace(Clock(residual_ms=25.0), error_ms=1.0)
+    motion = horizontal_deformation(made.tracks, made.sticks, told)
+    assert motion.attrs["margin_s"] == pytest.approx(0.05 + 0.002)
+    assert (motion["flag"] != "few").mean() > 0.9
+    untold = horizontal_deformation(made.tracks, made.sticks, Clock(residual_ms=25.0))
+    assert untold.attrs["margin_s"] == pytest.approx(0.05)
+
+
 @pytest.mark.parametrize("movement", [{"drift_px_s": 0.3}, {"vibration_px": 0.15}])
 def test_camera_movement_is_taken_off(movement):
     """A failure means that a camera that shakes or drifts passes for sheets that move."""

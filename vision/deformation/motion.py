@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 class VideoClock(Protocol):
     """What is needed of `vision.clock.Clock`.
 
-    status: "ok", "given" or "ambiguous".  residual_ms: scatter of single events, NaN where not known.
+    status: "ok", "given" or "ambiguous".  residual_ms: scatter of single events, NaN where not known.  A
+    clock may also have error_ms, the standard error of a mapped time.
     """
 
     @property
@@ -66,7 +67,7 @@ def horizontal_deformation(
 
     Args: tracks, of `track_sheets`.  sticks, of `find_stick_slip`.  clock, of `synchronise`.
     pixel_size_um, or else tracks.attrs["pixel_size_um"].  margin_s: time kept clear of each slip; by
-    default half a frame interval (the exposure) and the clock's residual.
+    default half a frame interval (the exposure) and what the clock may be wrong by.
 
     Returns: Dataset (event, sheet), variables as their attrs say; coordinates t_v_s, t_p_s, d_v_mm, d_p_mm
     (event), side, n (sheet).  flag: "ok"; "few" (less than 4 usable frames, or they cover less than two
@@ -84,7 +85,7 @@ def horizontal_deformation(
     interval = _interval(time, source)
     events = _inside(sticks, time, interval, source)
     if margin_s is None:
-        margin_s = interval / 2 + float(np.nan_to_num(clock.residual_ms)) / 1000
+        margin_s = interval / 2 + _clock_error_s(clock, interval)
     start, stop = (events[name].to_numpy(float) for name in ("t_v_s", "t_p_s"))
     every, frames = (
         frames_of_sticks(time, start, stop, margin_s=margin, interval_s=interval)
@@ -118,6 +119,16 @@ def _interval(time_s: Doubles, source: str) -> float:
     if not (step > 0).any():
         raise InputError(source, "the times of the frames", "none that pass", "give --fps or --timestamps")
     return float(np.median(step[step > 0]))
+
+
+def _clock_error_s(clock: VideoClock, interval_s: float) -> float:
+    """What a mapped time may be wrong by: two standard errors, or what the residuals are beyond what they
+    would be if frames alone limited them (a quarter of an interval)."""
+    error_s = float(getattr(clock, "error_ms", np.nan)) / 1000
+    if np.isfinite(error_s):
+        return 2 * error_s
+    residual_s = float(np.nan_to_num(clock.residual_ms)) / 1000
+    return float(np.sqrt(max(residual_s**2 - (interval_s / 4) ** 2, 0.0)))
 
 
 def _inside(sticks: pd.DataFrame, time_s: Doubles, interval_s: float, source: str) -> pd.DataFrame:
