@@ -19,8 +19,8 @@ _STRAIGHT = 0.8
 _UNRESOLVED, _PART_WAY = 0.4, 0.5
 # Shorter from 90 to 10 %, in samples, a slip's own length is not resolved.
 _SHORT = 1.0
-# Samples by which a corner may be off: a sudden slip may last one or two, the length of others is blurred.
-_SUDDEN, _SAMPLED = 0.5, 0.25
+# Samples by which a corner may be off: where between two a slip begins or ends is not seen.
+_SAMPLED = 0.3
 # Half a cosine is an assumption: a corner may be off by this part of a slip's length.
 _SHAPE = 0.05
 _CLEAR_SIGMAS = 20.0
@@ -73,8 +73,7 @@ def find_corners(signal: Undelayed, *, two_slopes: bool) -> Corners:
     high, middle, low = _crossings(signal.load, signal.edge, base)
     onset, end = (_resolved(part, signal) for part in (middle - high, low - middle))
     usual_onset, usual_end = _usual(onset), _usual(end)
-    sudden = usual_onset + usual_end < _SHORT
-    if sudden:
+    if usual_onset + usual_end < _SHORT:
         # Half of what is seen: the rest may be the sampling's or a low-pass too short to tell.
         usual_onset = usual_end = 0.25 * (usual_onset + usual_end)
         onset, end = np.full_like(onset, usual_onset), np.full_like(end, usual_end)
@@ -89,7 +88,7 @@ def find_corners(signal: Undelayed, *, two_slopes: bool) -> Corners:
         middle=middle,
         drop=base.drop,
         knee=base.knee - signal.late,
-        error=_errors(signal, base.drop, usual_onset + usual_end, sudden),
+        error=_errors(signal, base.drop, usual_onset + usual_end),
     )
 
 
@@ -105,9 +104,9 @@ def _half(distance: Floats, slope: Floats, drop: Floats) -> Floats:
     return half
 
 
-def _errors(signal: Undelayed, drop: Floats, length: float, sudden: bool) -> Floats:
+def _errors(signal: Undelayed, drop: Floats, length: float) -> Floats:
     """Standard error of a corner's place: noise over the slip's slope there, and the sampling."""
-    unsure = np.hypot(signal.width * (_SUDDEN if sudden else _SAMPLED), _SHAPE * length / _HALF_COSINE)
+    unsure = np.hypot(_SAMPLED * signal.width, _SHAPE * length / _HALF_COSINE)
     steepest = np.pi / 2 * np.maximum(drop, signal.sigma) / max(length / _HALF_COSINE, signal.width)
     return np.hypot(signal.sigma / steepest, unsure)
 
