@@ -7,12 +7,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties, findfont, get_font
 
 from tests.report.made import make_profile, make_tracks, sawtooth
 from vision.report import drawing, figures
 from vision.report.results import RunResults
 from vision.report.sections import charts_of, sections_of
-from vision.report.style import DATA, MODEL, PEAK, VALLEY
+from vision.report.style import DATA, MODEL, PEAK, VALLEY, picture_style
 
 
 @pytest.fixture
@@ -52,6 +53,17 @@ def test_the_same_run_gives_the_same_files(small, written, tmp_path):
     again = figures.write_figures(tmp_path, small)
     pairs = [(a, b) for a, b in zip(written, again, strict=True) if a.suffix in (".csv", ".pdf", ".txt")]
     assert all(a.read_bytes() == b.read_bytes() for a, b in pairs)
+
+
+def test_figures_have_the_letters_they_need(small, written):
+    """A failure means boxes in place of symbols, or text that no viewer can draw or edit."""
+    with picture_style():
+        path = findfont(FontProperties())
+    glyphs = get_font(path).get_charmap()
+    needed = "AZaz09 ~ΔΛσδμ²¹⁻ₓᵥₚₛₜ₀−±·×∝√µ°…→"
+    assert [letter for letter in needed if ord(letter) not in glyphs] == []
+    assert b"DejaVuSans-Figures" in (written[0].parent / "noise.pdf").read_bytes()
+    assert "'DejaVu Sans'" in (written[0].parent / "noise.svg").read_text(encoding="utf-8")
 
 
 def test_what_the_second_process_leaves_is_drawn_by_the_first(small, written, tmp_path, monkeypatch):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
+from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,6 +33,7 @@ def picture_style() -> Iterator[None]:
     import matplotlib as mpl
 
     look: Any = {
+        "font.family": _families(),
         "font.size": 10,
         "axes.titlesize": 11,
         "axes.spines.top": False,
@@ -43,6 +46,15 @@ def picture_style() -> Iterator[None]:
     }
     with mpl.rc_context(look):
         yield
+
+
+@cache
+def _families() -> list[str]:
+    """Fonts of all pictures: the cut-down one that is quick to embed, the whole one for letters it lacks."""
+    from matplotlib.font_manager import fontManager
+
+    fontManager.addfont(str(files("vision.report").joinpath("assets/DejaVuSansFigures.ttf")))
+    return ["DejaVu Sans Figures", "DejaVu Sans"]
 
 
 def sheet_colours(tracks: xr.Dataset) -> list[tuple[float, float, float]]:
