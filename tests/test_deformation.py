@@ -55,13 +55,15 @@ def test_the_ratio_is_right_and_so_is_its_error(sweep, frames, noise, rho):
     assert 0.60 < np.mean(np.abs(wrong) < stated) < 0.75
 
 
-@pytest.mark.parametrize("strength", [0.2, 1.0])
-@pytest.mark.parametrize("sweep", [0.3, 3.0])
-def test_creep_that_slows_down(strength, sweep):
+SLOWING = list(itertools.product((0.2, 1.0), (0.3, 3.0), (25,)))
+
+
+@pytest.mark.parametrize(("strength", "sweep", "frames"), [*SLOWING, (0.2, 5.0, 12)])
+def test_creep_that_slows_down(strength, sweep, frames):
     """A failure means that only straight sweeps are measured rightly: real sticks soften."""
     stick_um = sweep * PIXEL_UM / np.sqrt(12) / 0.15
     ratio = uniform(sweep, stick_um)
-    made = make(ratio, stick_um=stick_um, noise_px=0.04, rho=0.5, shape=relaxing(strength))
+    made = make(ratio, stick_um=stick_um, noise_px=0.04, rho=0.5, shape=relaxing(strength), frames=frames)
     wrong, stated = errors(made, measure(made))
     assert abs(wrong.mean()) < 0.01
     assert 0.60 < np.mean(np.abs(wrong) < stated) < 0.75

@@ -18,7 +18,7 @@ _FAR = 5.0  # standard errors from where the rest of the stick says that the she
 _CLEAR = 2.0  # times as far a sheet must jump for its frames to tell when it slips
 _LEAST, _FURTHEST = 0.01, 1.5  # jumps
 _FEW = 0.2  # of the sheets: what more of them do together is an error of the slip's time
-_LEAST_LATE = 5  # sheets, to say anything of the others
+_LEAST_LATE = 0.004  # of the sheets, to say anything of the others
 _NORMAL_MEDIAN = 0.6745
 
 
@@ -100,7 +100,9 @@ def _expected(residual: Doubles, creep: Creep, frames: StickFrames) -> Doubles:
     """Standard error of each frame's residual to a curve that is not fitted to it, px, (F, sheet)."""
     design = legendre(frames.u, _TERMS)
     doubt = 1 + np.einsum("fa,fsab,fb->fs", design, creep.inverse[frames.row], design)
-    return np.asarray(nan_median(np.abs(residual)) / _NORMAL_MEDIAN * np.sqrt(doubt))
+    count = max(float(np.median(creep.count)), _TERMS + 1)
+    usual = nan_median(np.abs(residual)) / _NORMAL_MEDIAN * np.sqrt(count / (count - _TERMS))
+    return np.asarray(usual * np.sqrt(doubt))
 
 
 def _low(part: Doubles) -> Doubles:
@@ -115,10 +117,10 @@ def _longest(first_s: Doubles, late: Bools, clear: Bools) -> float:
 
     first_s: of each stick, (stick,).  0 where too few are late.
     """
-    seen = (late & clear).sum()
+    weight = clear.sum(axis=1)
+    seen = (late & clear).sum() / max(weight.sum(), 1)
     if seen < _LEAST_LATE:
         return 0.0
     longest = np.linspace(0.0, _LONGEST_S, 101)[1:]
-    weight = clear.sum(axis=1)
     share = weight @ np.maximum(1 - first_s[:, None] / longest, 0.0) / weight.sum()
-    return float(np.interp(seen / weight.sum(), share, longest))
+    return float(np.interp(seen, share, longest))
