@@ -19,11 +19,14 @@ Ints = NDArray[np.int64]
 
 _SCATTERS = (0.03, 0.08, 0.15, 0.25)  # of sheets about the profile, relative; the likeliest is taken
 _SMALL = 0.3  # thresholds; smaller ratios are taken to scatter as if they were this large
-_UNLIKE = 0.2  # of their distance from the threshold that real profiles may differ from those tried
+_UNLIKE = 0.2  # real profiles differ from those tried by so much of their distance from the threshold,
+_FARTHER = 0.5  # and by more, the farther off they are: sheets near the threshold lead
 _STRANGE = 4.0  # standard deviations from the profile beyond which a sheet is left to itself
 _MOST_STRANGE = 4  # such sheets a side and event
 _ASKED = 40  # events from which the scatter is found
 _DRAWS = 256
+_MISREAD = 5  # in one draw of so many, strange sheets were misread and follow the profile after all
+_SOME_DRAWS = np.arange(_DRAWS) % _MISREAD == 0
 _BLOCK = 32  # events at a time, which keeps the tables of likelihoods small
 
 
@@ -43,11 +46,10 @@ class _Sheets:
     @classmethod
     def of(cls, side: Side, threshold: float) -> _Sheets:
         known = side.known
-        rising = np.nan_to_num(isotonic(side)[0])
         return cls(
             np.where(known, side.value, 0.0),
             np.where(known, side.error**2, np.inf),
-            np.maximum(rising, _SMALL * threshold),
+            np.maximum(np.nan_to_num(isotonic(side)[0]), 0.0),
             np.zeros_like(known),
             threshold,
         )
@@ -61,21 +63,24 @@ class _Sheets:
             self.threshold,
         )
 
-    def scatter(self, relative: float) -> Doubles:
-        """Variance of true ratios about the profile, and of the profile about those tried."""
-        unlike = _UNLIKE * (self.usual - self.threshold)
-        return np.asarray((relative * self.usual) ** 2 + unlike**2)
-
     def about_profile(self, relative: float) -> Doubles:
         """Variance of the measurements about the profile; inf for those that say nothing of it."""
-        return np.where(self.alone, np.inf, self.variance + self.scatter(relative))
+        return np.where(self.alone, np.inf, self.variance + _scatter(self.usual, relative, self.threshold))
+
+
+def _scatter(ratio: Doubles, relative: float, threshold: float) -> Doubles:
+    """Variance of true ratios about profiles of this ratio, and of real profiles about those tried."""
+    away = np.abs(ratio / threshold - 1)
+    unlike = _UNLIKE * away * (1 + _FARTHER * away) * threshold
+    return np.asarray((relative * np.maximum(ratio, _SMALL * threshold)) ** 2 + unlike**2)
 
 
 def shell_sizes(side: Side, *, threshold: float, certainty: float) -> tuple[Ints, Ints, Ints]:
-    """Stiff sheets of one side, (event,): the median, and the ends of the interval that holds `certainty`.
+    """Stiff sheets of one side, (event,): the median, and the ends of the shortest interval at `certainty`.
 
-    Sheets far off every rising profile are counted by their own measurement, and so are all sheets of an
-    event where the ratio falls with n beyond chance even when those are left out.  Stick lengths are varied
+    Sheets far off every rising profile are counted by their own measurement, though it is held possible that
+    they were misread, and so are all sheets of an event where the ratio falls with n beyond chance even when
+    those are left out.  Stick lengths are varied
     by their error, for all sheets at once.
     """
     profiles = Profiles.crossing(side.n, threshold)
@@ -84,13 +89,12 @@ def shell_sizes(side: Side, *, threshold: float, certainty: float) -> tuple[Ints
     relative = _likeliest_scatter(sheets, profiles.thinned())
     falls = ~isotonic(side.without(sheets.alone))[1]
     single = replace(sheets, alone=sheets.alone | (falls[:, None] & side.known))
-    quantiles = [0.5, (1 - certainty) / 2, (1 + certainty) / 2]
     found = []
     for block in _blocks(len(falls)):
         share, _ = _weigh(profiles, sheets.at(block), relative)
-        sizes = _draw_sizes(profiles, share, single.at(block), relative, side.length_err[block])
-        found.append(np.quantile(sizes, quantiles, axis=1, method="inverted_cdf"))
-    size, low, high = np.concatenate(found, axis=1).astype(np.int64)
+        ratio = _draw_ratios(profiles, share, single.at(block), relative, misread=sheets.alone[block])
+        found.append(_summary(_count(ratio, threshold, side.length_err[block]), certainty))
+    size, low, high = np.concatenate(found, axis=1)
     return size, low, high
 
 
@@ -140,23 +144,40 @@ def _likeliest_scatter(sheets: _Sheets, profiles: Profiles) -> float:
     return _SCATTERS[int(np.argmax(evidence))]
 
 
-def _draw_sizes(
-    profiles: Profiles, share: Doubles, sheets: _Sheets, relative: float, length_err: Doubles
-) -> Ints:
-    """Sizes that the data allow, (event, draw): profiles by their share, sheets about them, stick lengths.
+def _draw_ratios(
+    profiles: Profiles, share: Doubles, sheets: _Sheets, relative: float, *, misread: Bools
+) -> Doubles:
+    """True ratios that the data allow, (event, draw, N): profiles by their share, and sheets about them.
 
     The random numbers are always the same, so that a table comes out the same twice.
     """
     rng = np.random.default_rng(0)
     curve = profiles.ratio[_places(share)]
-    spread = np.where(sheets.alone, np.inf, sheets.scatter(relative))
-    # Between the profile (variance `spread`) and the measurement, either of which may say nothing.
-    certain = 1 / spread + 1 / sheets.variance
-    pull = 1 / sheets.variance / certain
-    ratio = curve + pull[:, None] * (sheets.value[:, None] - curve)
-    ratio += rng.standard_normal((_DRAWS, curve.shape[2])) / np.sqrt(certain)[:, None]
-    threshold = sheets.threshold * (1 + length_err[:, None, None] * rng.standard_normal((_DRAWS, 1)))
-    return np.asarray((np.abs(ratio) < threshold).sum(axis=2))
+    scatter = _scatter(curve, relative, sheets.threshold)
+    # Between the profile and the measurement, either of which may say nothing (variance inf).
+    certain = np.where(sheets.alone[:, None], 0.0, 1 / scatter) + 1 / sheets.variance[:, None]
+    pull = 1 / sheets.variance[:, None] / certain
+    ratio = curve + pull * (sheets.value[:, None] - curve)
+    ratio += rng.standard_normal((_DRAWS, curve.shape[2])) / np.sqrt(certain)
+    return np.asarray(np.where(misread[:, None] & _SOME_DRAWS[:, None], curve, ratio))
+
+
+def _count(ratio: Doubles, threshold: float, length_err: Doubles) -> Ints:
+    """Ratios below the threshold in each draw, (event, draw); stick lengths differ from draw to draw."""
+    length = 1 + length_err[:, None] * np.random.default_rng(1).standard_normal(_DRAWS)
+    return np.asarray((np.abs(ratio) < threshold * length[..., None]).sum(axis=2))
+
+
+def _summary(sizes: Ints, certainty: float) -> Ints:
+    """Median, and the ends of the shortest interval that holds `certainty` of the draws, (3, event)."""
+    ordered = np.sort(sizes, axis=1)
+    holding = int(np.ceil(certainty * _DRAWS))
+    first = np.arange(_DRAWS - holding + 1)
+    length = ordered[:, holding - 1 :] - ordered[:, first]
+    # Of equally short ones, the most central.
+    best = (length + np.abs(first - first.mean()) / _DRAWS).argmin(axis=1)
+    event = np.arange(len(ordered))
+    return np.stack([ordered[:, _DRAWS // 2], ordered[event, best], ordered[event, best + holding - 1]])
 
 
 def _places(share: Doubles) -> Ints:
