@@ -18,7 +18,7 @@ MISSING_SHARE = 0.01  # of all positions: more than this missing is a warning th
 
 def warnings_that_matter(profile: xr.DataArray, tracks: xr.Dataset) -> list[str]:
     """Warnings that set the exit status to 1: lost, blank or corrupt frames, doubtful identities, many
-    missing."""
+    missing, sheets perhaps overlooked."""
     lines = [line for line in str(profile.attrs.get("warnings", "")).split("\n") if line]
     flags = flag_counts(tracks)
     total = max(1, sum(flags.values()))
@@ -28,6 +28,9 @@ def warnings_that_matter(profile: xr.DataArray, tracks: xr.Dataset) -> list[str]
     gone = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
     if gone > MISSING_SHARE * total:
         lines.append(f"{gone} of {total} positions missing (flags missing, edge, unfit in tracks.csv)")
+    if tracks.attrs.get("wide_spacings"):
+        where = tracks.attrs["wide_spacings"]
+        lines.append(f"sheets may be missing at x = {where}: look there, and give --sheets to settle it")
     return lines
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vision.errors import InputError
 from vision.sheets.comb import Comb, describe_comb
 from vision.sheets.fitting import FitName, choose_window, fit_sheets, locking_error
+from vision.sheets.holes import wide_spacings
 from vision.sheets.linking import Links, link
 from vision.sheets.medians import nan_median
 from vision.sheets.noise import intensity_noise, position_noise
@@ -172,7 +173,9 @@ def _dataset(
         "side": (sheet, numbering.side, _about("-1 left, +1 right of the axis")),
         "n": (sheet, numbering.n, _about("number from the centre outwards")),
     }
-    return xr.Dataset(data, coords, strip.attrs | settings | _facts(found, numbering, flag))
+    asked = settings["sheets_asked"]
+    facts = _facts(found, numbering, flag, float(strip["x"].values[0]), asked if asked > 0 else None)
+    return xr.Dataset(data, coords, strip.attrs | settings | facts)
 
 
 def _flags(strip: xr.DataArray, found: _Found) -> NDArray[np.str_]:
@@ -183,7 +186,9 @@ def _flags(strip: xr.DataArray, found: _Found) -> NDArray[np.str_]:
     return np.where(status[:, None] != "ok", status[:, None], flag)
 
 
-def _facts(found: _Found, numbering: Numbering, flag: NDArray[np.str_]) -> dict[str, Any]:
+def _facts(
+    found: _Found, numbering: Numbering, flag: NDArray[np.str_], origin: float, sheets: int | None
+) -> dict[str, Any]:
     comb = found.comb
     names, counts = np.unique(flag, return_counts=True)
     return {
@@ -198,8 +203,17 @@ def _facts(found: _Found, numbering: Numbering, flag: NDArray[np.str_]) -> dict[
         "axis_how": numbering.how,
         "least_margin": float(np.nan_to_num(np.nanmin(found.links.margin, initial=np.inf), posinf=1e9)),
         "ridges_dropped": found.links.model.dropped,
+        "wide_spacings": "" if sheets else _wide(found, origin),
         "flag_counts": ", ".join(f"{name} {count}" for name, count in zip(names, counts, strict=True)),
     }
+
+
+def _wide(found: _Found, origin: float) -> str:
+    """Where a sheet may be missing: "748 px (1.9 pitches), ..."."""
+    middle, size = wide_spacings(found.links.model.x_px)
+    return ", ".join(
+        f"{x + origin:.0f} px ({pitches:.1f} pitches)" for x, pitches in zip(middle, size, strict=True)
+    )
 
 
 def _about(long_name: str, units: str = "") -> dict[str, str]:

@@ -1,0 +1,51 @@
+"""Spacings in which a sheet was overlooked are pointed out, and only those."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scenes import comb, ridges, strip
+
+from vision.run.summary import warnings_that_matter
+from vision.sheets.holes import wide_spacings
+from vision.sheets.tracks import track_sheets
+
+
+def without_one(k: int):
+    """Sixteen sheets, one of which is hardly there."""
+    truth = comb(60, per_side=8, axis_px=260, slip=0.2, uneven=0.08)
+    return truth, strip(ridges(truth, width=520, contrast=np.where(np.arange(16) == k, 0.01, 1.0)))
+
+
+def test_an_overlooked_sheet_is_pointed_out_where_it_is():
+    """A failure means that numbers n are one off beyond a faint sheet, and nobody is told."""
+    truth, picture = without_one(4)
+    tracks = track_sheets(picture)
+    assert tracks.sizes["sheet"] == 15
+    said = [
+        line for line in warnings_that_matter(picture, tracks) if line.startswith("sheets may be missing")
+    ]
+    assert float(said[0].split("x = ")[1].split(" px")[0]) == pytest.approx(truth[:, 4].mean(), abs=4)
+
+
+def test_a_given_number_settles_it():
+    """A failure means that who has counted the sheets is still asked to."""
+    _, picture = without_one(4)
+    assert track_sheets(picture, sheets=15).attrs["wide_spacings"] == ""
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 10_000), jitter=st.floats(0, 0.12), hole=st.integers(3, 45))
+def test_even_combs_have_no_holes_and_a_missing_sheet_leaves_one(seed, jitter, hole):
+    """A failure means false alarms on sound recordings, or holes that are not seen."""
+    rng = np.random.default_rng(seed)
+    x = 100 + 20 * (np.arange(50) + rng.uniform(-jitter, jitter, 50))
+    assert not wide_spacings(x)[0].size
+    middle, size = wide_spacings(np.delete(x, hole))
+    assert middle == pytest.approx([x[hole]], abs=5)
+    assert 1.5 < size[0] < 2.6
+
+
+def test_a_few_sheets_are_no_comb_to_compare_with():
+    """A failure means that a handful of markers is said to lack one."""
+    assert not wide_spacings(np.array([0.0, 20, 40, 80, 100, 120, 140]))[0].size
