@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.report.axes import UM_PER_MM, position_unit, time_axis
-from vision.report.decimate import mean_rows
+from vision.report.decimate import mean_rows, outline
 from vision.report.style import picture_style, sheet_colours
 
 if TYPE_CHECKING:
@@ -96,8 +96,9 @@ def draw_kymograph(
 
 def _draw_tracks(ax: Axes, tracks: xr.Dataset, time: Doubles, diagram: xr.DataArray) -> None:
     scale, _ = position_unit(diagram.attrs.get("pixel_size_um"), diagram.sizes["x"])
-    for x_px, colour in zip(tracks["x_px"].values.T, sheet_colours(tracks), strict=True):
-        ax.plot(x_px * scale, time, lw=0.7, color=colour, **dots(len(time)))
+    at, lines = outline(time, tracks["x_px"].values * scale, most=2 * MOST_ROWS)
+    for x, colour in zip(lines.T, sheet_colours(tracks), strict=True):
+        ax.plot(x, at, lw=0.7, color=colour, **dots(len(at)))
 
 
 def dots(frames: int) -> dict[str, Any]:

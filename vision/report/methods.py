@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import vision
 from vision.report.force_charts import load_unit
@@ -99,7 +100,17 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
         f"more than {facts['threshold_N']:.3g} {unit} ({how}; the noise is {facts['noise_N']:.2g}), placed "
         f"at the steepest fall; {len(sticks)} stick phases were found. Peak and valley forces F_p and F_v "
         "are those of the line through the central 80 % of each stick, extended to its ends; the "
-        f"stiffness K is the slope of the central {100 * facts['central_part']:.0f} %."
+        f"stiffness K is the slope of the central {100 * facts['central_part']:.0f} %.{_undone(facts)}"
+    )
+
+
+def _undone(facts: Mapping[Any, Any]) -> str:
+    if not facts["lowpass_s"]:
+        return ""
+    how = "seen in the tails of the slips" if facts["lowpass_how"] == "found" else "as given"
+    return (
+        f" The force chain's response, a first-order low-pass of {1e3 * facts['lowpass_s']:.2g} ms ({how}), "
+        "was taken off all of these."
     )
 
 

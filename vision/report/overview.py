@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.patches import Rectangle
 
 LABELS_ACROSS = 80  # that would fill the width of the page
-MOST_POINTS = 6000  # of a line on a page; extremes are kept
+MOST_POINTS = 4000  # of a line on a page, more than it has pixels; extremes are kept
 
 
 def write_overview(
