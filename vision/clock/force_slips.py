@@ -35,36 +35,46 @@ def force_slips(force: xr.Dataset, sticks: pd.DataFrame) -> pd.DataFrame:
     symmetric, has none.  So the tail of all slips together tells the delay, which is taken off.
 
     Args: force, from `read_force`.  sticks, from `find_stick_slip`.
-    Returns: time_s (force clock) and error_s (of each by itself).  attrs: delay_s, taken off, and lag_s, what
+    Returns: time_s (force clock), error_s (of each by itself) and drop_N, how much the force let go, NaN
+    where not known: the mean of the slip's own drop and of the rises before and after it, as the sheets may
+    follow either.  attrs: delay_s, taken off, and lag_s, what
     all may be off by together.  Empty where sticks is.
     """
     import pandas as pd
 
     good = good_samples(force)
     time, load = good["time_s"].to_numpy().astype(float), good["load_N"].to_numpy().astype(float)
-    begin, end = _bounds(sticks)
+    begin, end, drop = _bounds(sticks)
     if not len(begin) or len(time) < 3:
-        return pd.DataFrame({"time_s": np.empty(0), "error_s": np.empty(0)})
+        return pd.DataFrame({"time_s": np.empty(0), "error_s": np.empty(0), "drop_N": np.empty(0)})
     interval = float(np.median(np.diff(time)))
-    steepest = np.unique(_steepest(time, load, begin, end))
+    steepest, of = np.unique(_steepest(time, load, begin, end), return_index=True)
     middle, delay, length = _mean_times(time, load, steepest)
-    at = np.sort(middle - delay)
-    table = pd.DataFrame({"time_s": at, "error_s": np.full(len(at), 0.5 * interval / np.sqrt(12))})
+    order = np.argsort(middle)
+    error = np.full(len(order), 0.5 * interval / np.sqrt(12))
+    table = pd.DataFrame({"time_s": (middle - delay)[order], "error_s": error, "drop_N": drop[of][order]})
     lag = np.multiply(_UNSURE, (delay, interval, length))
     table.attrs |= {"delay_s": delay, "lag_s": float(np.sqrt(lag @ lag))}
     return table
 
 
-def _bounds(sticks: pd.DataFrame) -> tuple[Doubles, Doubles]:
-    """Begin and end of each slip; the last one ends, as the table does not say, as the others do."""
+def _bounds(sticks: pd.DataFrame) -> tuple[Doubles, Doubles, Doubles]:
+    """Begin, end and drop of each slip; the last one ends, as the table does not say, as the others do."""
     if not len(sticks):
-        return np.empty(0), np.empty(0)
+        return np.empty(0), np.empty(0), np.empty(0)
     valley, peak = sticks["t_v_s"].to_numpy(float), sticks["t_p_s"].to_numpy(float)
     first = float(sticks.attrs.get("first_slip_s", valley[0]))
     usual = float(np.median(valley[1:] - peak[:-1])) if len(peak) > 1 else 0.0
     begin, end = np.r_[first, peak], np.r_[valley, peak[-1] + max(usual, 0.0)]
     known = np.isfinite(begin) & np.isfinite(end)
-    return begin[known], end[known]
+    return begin[known], end[known], _drop_N(sticks)[known]
+
+
+def _drop_N(sticks: pd.DataFrame) -> Doubles:
+    """How much the force let go in each slip; NaN for the first and the last, known from one side only."""
+    peak, valley = (np.asarray(sticks[name], np.float64) for name in ("F_p_N", "F_v_N"))
+    rise, fall = peak - valley, peak[:-1] - valley[1:]
+    return np.asarray(np.r_[np.nan, 0.5 * fall + 0.25 * (rise[:-1] + rise[1:]), np.nan])
 
 
 def _steepest(time: Doubles, load: Doubles, begin: Doubles, end: Doubles) -> Ints:

@@ -35,6 +35,7 @@ def find_alignments(trains: Trains) -> tuple[Clocks, Fit]:
 def _rows(fit: Fit, rows: Ints) -> Fit:
     return Fit(
         fit.likelihood[rows],
+        fit.sizes[rows],
         fit.scale[rows],
         fit.residual_s[rows],
         fit.partner[rows],

@@ -9,6 +9,7 @@ import numpy as np
 
 from vision.clock.force_slips import force_slips
 from vision.clock.result import Candidate, Clock, How
+from vision.clock.sizes import scored
 from vision.clock.trains import Clocks, Fit, Trains, evaluate
 from vision.clock.verdict import Alignment, align
 from vision.clock.video_slips import video_slips
@@ -88,7 +89,13 @@ def _check_overlap(tracks: xr.Dataset, force: xr.Dataset, line: tuple[float, flo
 
 def _trains(video: pd.DataFrame, machine: pd.DataFrame) -> Trains:
     error = np.hypot(video["error_s"].to_numpy(), np.median(machine["error_s"]))
-    return Trains(video["time_s"].to_numpy(), np.hypot(error, _LEAST_ERROR_S), machine["time_s"].to_numpy())
+    return Trains(
+        video["time_s"].to_numpy(),
+        np.hypot(error, _LEAST_ERROR_S),
+        machine["time_s"].to_numpy(),
+        scored(video["step_px"].to_numpy(), video["step_err_px"].to_numpy()),
+        scored(machine["drop_N"].to_numpy()),
+    )
 
 
 def _from_slips(tracks: xr.Dataset, force: xr.Dataset, sticks: pd.DataFrame) -> Clock:

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vision.clock.sizes import Sizes, size_evidence
+
 Doubles = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -28,11 +30,13 @@ _SCALES = (1.0, 1.4, 2.0)
 @dataclass(frozen=True)
 class Trains:
     """Slip times in order on both clocks, s, and the standard error of each camera slip's place (the force
-    slip's included)."""
+    slip's included); how large each was, where known."""
 
     video_s: Doubles
     error_s: Doubles
     force_s: Doubles
+    video_size: Sizes | None = None
+    force_size: Sizes | None = None
 
     @property
     def period_s(self) -> float:
@@ -79,12 +83,13 @@ class Clocks:
 class Fit:
     """How well K clocks fit.
 
-    likelihood (K,), of the best of the scales.  scale (K,).  residual_s (K, video slips), mapped less force,
-    NaN where not paired.  partner (K, video slips), index of the force slip, -1 where not paired.  video,
-    force (K,): slips of either train in the time both cover.
+    likelihood (K,), of the best of the scales.  sizes (K,), the sizes' part of it.  scale (K,).  residual_s
+    (K, video slips), mapped less force, NaN where not paired.  partner (K, video slips), index of the force
+    slip, -1 where not paired.  video, force (K,): slips of either train in the time both cover.
     """
 
     likelihood: Doubles
+    sizes: Doubles
     scale: Doubles
     residual_s: Doubles
     partner: Ints
@@ -121,11 +126,16 @@ def evaluate(trains: Trains, clocks: Clocks) -> Fit:
     best = np.argmax(gain.sum(axis=2), axis=0)
     gain = np.take_along_axis(gain, best[None, :, None], axis=0)[0]
     paired = gain > 0
+    partner = np.where(paired, partner, -1)
+    sizes = np.zeros(len(partner))
+    if trains.video_size and trains.force_size:
+        sizes = size_evidence(trains.video_size, trains.force_size, partner)
     return Fit(
-        likelihood=gain.sum(axis=1) + ALONE * (video + force) + prior,
+        likelihood=gain.sum(axis=1) + ALONE * (video + force) + prior + sizes,
+        sizes=sizes,
         scale=np.asarray(_SCALES)[best],
         residual_s=np.where(paired, residual, np.nan),
-        partner=np.where(paired, partner, -1),
+        partner=partner,
         video=video,
         force=force,
     )
