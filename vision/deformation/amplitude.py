@@ -49,46 +49,49 @@ class Amplitude:
     camera: str = "not taken off"
 
 
+@dataclass(frozen=True)
+class Sheets:
+    """What is known of the sheets, (sheet,): side, n, and the predicted error of a position, px, NaN if none.
+
+    pull: towards whole pixels, see `locking`.  pixels: whether positions come from a picture, so that unequal
+    pixels are among their errors.
+    """
+
+    side: Ints
+    n: Ints
+    predicted_px: Doubles
+    pull: Doubles
+    pixels: bool
+
+
 def measure_amplitude(
-    x_px: Doubles,
-    frames: StickFrames,
-    *,
-    predicted_px: Doubles,
-    side: Ints,
-    n: Ints,
-    pull: Doubles,
-    pixels: bool = False,
-    common_mode: bool = True,
+    x_px: Doubles, frames: StickFrames, sheets: Sheets, *, common_mode: bool = True
 ) -> Amplitude:
     """Creep from the positions in usable frames, x_px (F, sheet), NaN where there is none.
 
-    predicted_px, side, n: (sheet,).  pull: towards whole pixels, (sheet,), see `locking`.  pixels: whether
-    positions come from a picture, so that unequal pixels are among their errors.  common_mode: whether to
-    take the camera's movement off.
+    common_mode: whether to take the camera's movement off.
     """
     terms = 4 if np.median(frames.counts) >= _MANY_FRAMES else 3
-    freed = let_go(x_px, pull, frames, terms)
-    shake, regained = (
-        _shaking(freed, frames, terms) if common_mode else (np.zeros(len(x_px)), np.ones(n.size))
-    )
+    freed = let_go(x_px, sheets.pull, frames, terms)
+    shake, regained = _shaking(freed, frames, terms, common_mode)
     steady = freed - shake[:, None]
     ends = find_ends(steady, frames)
     steady = np.where(ends.outside, np.nan, steady)
     line, parabola, close = (fit_creep(steady, frames, terms=k) for k in (2, 3, terms))
-    noise = measure_noise(steady - close.at(frames), close, frames, predicted_px)
+    noise = measure_noise(steady - close.at(frames), close, frames, sheets.predicted_px)
     noise = replace(noise, noise_px=noise.noise_px * np.sqrt(regained))
-    errors = Errors(noise, np.zeros(n.size), frames)
-    if pixels:
+    errors = Errors(noise, np.zeros(sheets.n.size), frames)
+    if sheets.pixels:
         errors = replace(errors, pattern_px=pattern_px(close, errors.of(close), noise), scale=_SCALE)
-    camera = _camera(line, frames, side, n, shake) if common_mode else None
+    camera = _camera(line, frames, sheets, shake) if common_mode else None
     creep = _choose(line, parabola, errors, camera).shortened(ends)
-    found = _amplitude(creep, line, noise, frames, np.sqrt(mean_square(x_px, frames)), side)
+    found = _amplitude(creep, line, noise, frames, np.sqrt(mean_square(x_px, frames)), sheets.side)
     return replace(found, camera=camera.movement) if camera else found
 
 
-def _camera(line: Creep, frames: StickFrames, side: Ints, n: Ints, shake: Doubles) -> BothSides | OneSide:
-    both = BothSides.of(side, n, line.coefficient[..., 0], line.coefficient[..., 1])
-    return both if both.enough else OneSide.of(line, n, frames, shake)
+def _camera(line: Creep, frames: StickFrames, sheets: Sheets, shake: Doubles) -> BothSides | OneSide:
+    both = BothSides.of(sheets.side, sheets.n, line.coefficient[..., 0], line.coefficient[..., 1])
+    return both if both.enough else OneSide.of(line, sheets.n, frames, shake)
 
 
 def _amplitude(
@@ -116,8 +119,10 @@ def _amplitude(
     )
 
 
-def _shaking(x_px: Doubles, frames: StickFrames, terms: int) -> tuple[Doubles, Doubles]:
+def _shaking(x_px: Doubles, frames: StickFrames, terms: int, common_mode: bool) -> tuple[Doubles, Doubles]:
     """The camera's vibration in each frame, and what taking it off does to each sheet's noise variance."""
+    if not common_mode:
+        return np.zeros(len(x_px)), np.ones(x_px.shape[1])
     residual = x_px - fit_creep(x_px, frames, terms=terms).at(frames)
     return shaking(residual), noise_regained(residual)
 

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from vision.deformation.amplitude import Amplitude, measure_amplitude
+from vision.deformation.amplitude import Amplitude, Sheets, measure_amplitude
 from vision.deformation.dataset import as_dataset
 from vision.deformation.frames import Doubles, frames_of_sticks
 from vision.deformation.locking import pull
 from vision.errors import InputError
+from vision.sheets.medians import nan_median
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -91,16 +92,8 @@ def horizontal_deformation(
         frames_of_sticks(time, start, stop, margin_s=margin, interval_s=interval)
         for margin in (0.0, margin_s)
     )
-    found = measure_amplitude(
-        np.asarray(tracks["x_px"].values, float)[frames.frame],
-        frames,
-        predicted_px=_predicted(tracks),
-        side=tracks["side"].values,
-        n=tracks["n"].values,
-        pull=_pull(tracks),
-        pixels="fit" in tracks.attrs,
-        common_mode=common_mode,
-    )
+    x_px = np.asarray(tracks["x_px"].values, float)[frames.frame]
+    found = measure_amplitude(x_px, frames, _sheets(tracks), common_mode=common_mode)
     settings = {"margin_s": margin_s, "interval_s": interval} | _how(found)
     motion = as_dataset(tracks, events, found, pixel_size_um=pixel, left_out=every.counts - frames.counts)
     return motion.assign_attrs(settings)
@@ -149,20 +142,14 @@ def _inside(sticks: pd.DataFrame, time_s: Doubles, interval_s: float, source: st
     return sticks[within].sort_values("t_v_s")
 
 
-def _predicted(tracks: xr.Dataset) -> Doubles:
-    """Each sheet's predicted error of a position, (sheet,), NaN where there is none."""
-    from vision.sheets.medians import nan_median
-
-    if "x_err_px" not in tracks:
-        return np.full(tracks.sizes["sheet"], np.nan)
-    return nan_median(np.asarray(tracks["x_err_px"].values, float))
-
-
-def _pull(tracks: xr.Dataset) -> Doubles:
-    """Share by which the fit pulls positions towards whole pixels, (sheet,)."""
-    if tracks.attrs.get("fit") != "paper" or "x_err_px" not in tracks:
-        return np.zeros(tracks.sizes["sheet"])
-    return pull(*(np.asarray(tracks[name].values, float) for name in ("x_px", "x_err_px")))
+def _sheets(tracks: xr.Dataset) -> Sheets:
+    x_px = np.asarray(tracks["x_px"].values, float)
+    error_px = np.full_like(x_px, np.nan)
+    if "x_err_px" in tracks:
+        error_px = np.asarray(tracks["x_err_px"].values, float)
+    fit = tracks.attrs.get("fit")
+    share = pull(x_px, error_px) if fit == "paper" else np.zeros(x_px.shape[1])
+    return Sheets(tracks["side"].values, tracks["n"].values, nan_median(error_px), share, fit is not None)
 
 
 def _how(found: Amplitude) -> dict[str, object]:
