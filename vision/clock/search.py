@@ -72,24 +72,23 @@ def _bin_s(trains: Trains) -> float:
 
 def _score(trains: Trains, scaled: Doubles, low: float, width: float, bins: int) -> Doubles:
     """Approximate likelihood for every offset bin at one scale."""
+    first, last = trains.force_s[[0, -1]]
     offset = (trains.force_s[None, :] - scaled[:, None]).ravel()
     votes = np.bincount(((offset - low) / width).astype(np.int64), minlength=bins)[:bins]
-    votes = votes + np.r_[0, votes[:-1]] + np.r_[votes[1:], 0]
-    at = low + width * (np.arange(bins) + 0.5)
-    start, stop = (
-        np.maximum(at + scaled[0], trains.force_s[0]),
-        np.minimum(at + scaled[-1], trains.force_s[-1]),
-    )
-    force = _between(trains.force_s, start - width, stop + width)
-    video = _between(scaled, start - at - width, stop - at + width)
+    votes = np.convolve(votes, np.ones(3, np.int64), "same")
+
+    def passed(offset_s: Doubles) -> Ints:
+        """How many of these offsets lie below each bin's middle."""
+        index = np.clip(np.ceil((offset_s - low) / width - 0.5), 0, bins).astype(np.int64)
+        return np.asarray(np.cumsum(np.bincount(index, minlength=bins + 1))[:bins])
+
+    # A slip enters the common time at one offset and leaves it at another.
+    force = passed(trains.force_s - scaled[-1] - width) - passed(trains.force_s - scaled[0] + width)
+    video = passed(first - scaled - width) - passed(last - scaled + width)
     fewest = np.minimum(force, video)
-    pairs = np.minimum(votes, fewest)
     gain = float(np.median(trains.earned())) - 2 * ALONE
-    return np.where(fewest >= _LEAST_COMMON, gain * pairs + ALONE * (force + video), -np.inf)
-
-
-def _between(times: Doubles, start: Doubles, stop: Doubles) -> Ints:
-    return np.asarray(np.maximum(np.searchsorted(times, stop, "right") - np.searchsorted(times, start), 0))
+    score = gain * np.minimum(votes, fewest) + ALONE * (force + video)
+    return np.where(fewest >= _LEAST_COMMON, score, -np.inf)
 
 
 def _summits(score: Doubles) -> NDArray[np.int64]:
