@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter as Option
 
 from vision.command.console import complain, say
-from vision.command.pull import event_sizes, model_fits, write_json, write_table
+from vision.command.options import number
+from vision.command.pull import event_sizes, force_chain, model_fits, write_json, write_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,6 +28,7 @@ def force(
     d0: float | None = None,
     force_columns: str | None = None,
     force_threshold: float | None = None,
+    force_lowpass: float | None = None,
     machine_stiffness: float | None = None,
     t_star: float = 0.003,
     free_t_star: Annotated[bool, Option(negative="")] = False,
@@ -51,6 +53,9 @@ def force(
         Columns by name or number, as in time=Time,load=Load:kN,displacement=3.
     force_threshold
         Smallest drop that is a slip, N; found from the noise if absent.
+    force_lowpass
+        Time constant of the force chain's filter, s, which is undone; found from the slips if absent, 0 for
+        none.
     machine_stiffness
         The machine's own stiffness in N/mm, to correct d; no correction if absent.
     t_star
@@ -77,7 +82,10 @@ def force(
     columns = parse_columns(force_columns) if force_columns else None
     recording = read_force(file, speed_mm_min=speed, d0_mm=d0, columns=columns)
     sticks = find_stick_slip(
-        recording, threshold_N=force_threshold, machine_stiffness_N_per_mm=machine_stiffness
+        recording,
+        threshold_N=force_threshold,
+        machine_stiffness_N_per_mm=machine_stiffness,
+        lowpass_s=number(force_lowpass, "--force-lowpass", least=0),
     )
     fits, note = model_fits(recording, sticks, t_star_N=t_star, free_t_star=free_t_star)
     facts = _facts(recording, sticks, note, _limit(recording, sticks) if detection_limit else None)
@@ -86,6 +94,7 @@ def force(
         d0_mm=d0,
         force_columns=force_columns,
         force_threshold_N=force_threshold,
+        force_lowpass_s=force_lowpass,
         machine_stiffness_N_per_mm=machine_stiffness,
         t_star_N=t_star,
         free_t_star=free_t_star,
@@ -158,7 +167,7 @@ def _summary(target: Path, recording: xr.Dataset, sticks: pd.DataFrame, fits: Mo
     lines = [
         f"{len(sticks)} stick-slip events, {int((sticks['flag'] == 'ok').sum())} without a flag -> {target}",
         f"drop above {sticks.attrs['threshold_N']:.3g} ({sticks.attrs['threshold_how']}), "
-        f"noise {sticks.attrs['noise_N']:.2g}, spikes {sticks.attrs['spikes']}",
+        f"noise {sticks.attrs['noise_N']:.2g}, spikes {sticks.attrs['spikes']}, {force_chain(sticks)}",
         event_sizes(recording, sticks),
     ]
     if fits:

@@ -41,6 +41,7 @@ class Pull:
 def read_recording(value: Mapping[str, Any]) -> xr.Dataset | None:
     """The force recording named by --force; None without one.  Raises: InputError."""
     number(value["threshold"], "--threshold", least=1e-6)
+    number(value["force_lowpass"], "--force-lowpass", least=0)
     if value["force"] is None:
         return None
     from vision.force.columns import parse_columns
@@ -77,7 +78,9 @@ def _fill(pull: Pull, tracks: xr.Dataset, value: Mapping[str, Any]) -> None:
     from vision.force.stickslip import find_stick_slip
     from vision.shells import classify_shells
 
-    sticks = pull.sticks = find_stick_slip(pull.force, threshold_N=value["force_threshold"])
+    sticks = pull.sticks = find_stick_slip(
+        pull.force, threshold_N=value["force_threshold"], lowpass_s=value["force_lowpass"]
+    )
     pull.fits, note = model_fits(pull.force, sticks)
     pull.warnings += [note] if note else []
     clock = pull.clock = synchronise(tracks, pull.force, sticks, offset_s=value["offset"])
@@ -146,7 +149,8 @@ def pull_lines(pull: Pull) -> list[str]:
     lines = []
     if pull.sticks is not None:
         lines.append(
-            f"events     {len(pull.sticks)} stick-slip events; {event_sizes(pull.force, pull.sticks)}"
+            f"events     {len(pull.sticks)} stick-slip events; {event_sizes(pull.force, pull.sticks)}; "
+            f"{force_chain(pull.sticks)}"
         )
     if pull.fits is not None:
         fits = pull.fits
@@ -177,6 +181,14 @@ def event_sizes(force: xr.Dataset, sticks: pd.DataFrame) -> str:
     if math.isnan(middle["stick_length_um"]):
         return f"{sizes}; lengths and K not known without the separation"
     return f"{sizes}, Λ_st {middle['stick_length_um']:.3g} µm, K {middle['K_N_per_mm']:.4g}{slope}"
+
+
+def force_chain(sticks: pd.DataFrame) -> str:
+    """What was made of the force chain's low-pass."""
+    lowpass_ms = 1e3 * float(sticks.attrs["lowpass_s"])
+    if not lowpass_ms:
+        return "no low-pass undone"
+    return f"low-pass of {lowpass_ms:.2g} ms ({sticks.attrs['lowpass_how']}) undone"
 
 
 def _estimate(estimate: Any) -> str:

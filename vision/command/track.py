@@ -35,6 +35,7 @@ DEFAULTS: dict[str, Any] = {
     "d0": None,
     "force_columns": None,
     "force_threshold": None,
+    "force_lowpass": None,
     "offset": None,
     "threshold": 0.1,
 }
@@ -61,6 +62,7 @@ def track(
     d0: float | None = None,
     force_columns: str | None = None,
     force_threshold: float | None = None,
+    force_lowpass: float | None = None,
     offset: float | None = None,
     threshold: float | None = None,
     config: Path | None = None,
@@ -110,6 +112,9 @@ def track(
         Columns of the recording, as in time=Time,load=Load:kN,displacement=3.
     force_threshold
         Smallest drop that is a slip, N; found from the noise if not given.
+    force_lowpass
+        Time constant of the force chain's filter, s, which is undone; found from the slips if not given, 0
+        for none.
     offset
         Force clock at video time 0, s, if known; found from the slips if not given.
     threshold

@@ -180,7 +180,7 @@ def drops_chart(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: st
             mu=fits.mu.value,
             prefactor=fits.amplitude.value,
             t_star_N=fits.t_star_N.value,
-            **fits.assembly.stack,
+            assembly=fits.assembly,
         )
         series.append(_curve("A × normal force", d, drop, MODEL))
         told = (
