@@ -88,13 +88,14 @@ def _check_overlap(tracks: xr.Dataset, force: xr.Dataset, line: tuple[float, flo
 
 
 def _trains(video: pd.DataFrame, machine: pd.DataFrame) -> Trains:
-    error = np.hypot(video["error_s"].to_numpy(), np.median(machine["error_s"]))
+    force_error = float(np.hypot(np.median(machine["error_s"]), _LEAST_ERROR_S))
     return Trains(
         video["time_s"].to_numpy(),
-        np.hypot(error, _LEAST_ERROR_S),
+        np.hypot(video["error_s"].to_numpy(), force_error),
         machine["time_s"].to_numpy(),
         scored(video["step_px"].to_numpy(), video["step_err_px"].to_numpy()),
         scored(machine["drop_N"].to_numpy()),
+        force_error,
     )
 
 

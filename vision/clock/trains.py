@@ -30,13 +30,14 @@ _SCALES = (1.0, 1.4, 2.0)
 @dataclass(frozen=True)
 class Trains:
     """Slip times in order on both clocks, s, and the standard error of each camera slip's place (the force
-    slip's included); how large each was, where known."""
+    slip's included); how large each was, where known; the standard error of a force slip's place."""
 
     video_s: Doubles
     error_s: Doubles
     force_s: Doubles
     video_size: Sizes | None = None
     force_size: Sizes | None = None
+    force_error_s: float = 0.001
 
     @property
     def period_s(self) -> float:

@@ -120,10 +120,11 @@ def _told_by_intervals(trains: Trains, fit: Fit) -> float:
     change = np.abs(np.diff(interval))[np.abs(np.diff(np.log(interval))) < _ALIKE]
     if not len(change):
         return 0.0
-    uneven = _MAD_TO_SIGMA * float(np.median(change)) / np.sqrt(2)
+    # Errors of the force's slips look uneven, too: three of them, the middle one twice, make a change.
+    uneven2 = (_MAD_TO_SIGMA * float(np.median(change))) ** 2 / 2 - 3 * trains.force_error_s**2
     error = trains.typical_error_s * fit.scale[0]
     most = np.median(trains.earned()) - 2 * ALONE
-    return float(len(interval) * min(0.5 * (uneven / error) ** 2, 0.5 * most))
+    return float(len(interval) * min(0.5 * max(uneven2, 0.0) / error**2, 0.5 * most))
 
 
 def _loose(trains: Trains, fit: Fit) -> bool:
