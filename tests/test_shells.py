@@ -7,7 +7,7 @@ from creeping import Clock, make, profile
 
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError
-from vision.models.fits_result import Assembly
+from vision.models.equations import Assembly
 from vision.shells import classify_shells, deformation_table, judge_sheets, with_model
 
 DEFORMATION = (

@@ -10,7 +10,8 @@ import pytest
 
 from vision.errors import InputError
 from vision.models import equations
-from vision.models.fits import Assembly, fit_models
+from vision.models.equations import Assembly
+from vision.models.fits import fit_models
 
 TRUTH = {"mu": 0.89, "t0_N": 4.0, "amplitude": 0.34, "n_hat_N": 0.57, "modulus_GPa": 3.8}
 

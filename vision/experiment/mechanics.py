@@ -115,9 +115,7 @@ def stick_shape(u: Array, m: Mechanics) -> Array:
 
 def peak_force_N(d_mm: float, m: Mechanics) -> float:
     """Force at which the sample slips at d: Eq. 1 and the offset, smaller while the pull builds up."""
-    force = eq.traction(
-        d_mm, mu=m.mu, t_star_N=m.t_star_N, sheets_per_side=m.sheets_per_side, thickness_mm=m.thickness_mm
-    )
+    force = eq.traction(d_mm, mu=m.mu, t_star_N=m.t_star_N, assembly=_assembly(m))
     return (float(force) + m.t0_N) * _built_up(d_mm, m)
 
 
@@ -163,24 +161,24 @@ _SHORTEST_STICK_MM = 2e-4
 
 def _event_at(d_mm: float, m: Mechanics, *, jitter: float) -> tuple[float, float, float]:
     """Force drop (N), stiffness (N/mm) and M_eff of an event that starts at d."""
-    total = eq.total_normal_force(
-        d_mm, mu=m.mu, t_star_N=m.t_star_N, sheets_per_side=m.sheets_per_side, thickness_mm=m.thickness_mm
-    )
-    d_hat = eq.reduced_separation(
-        d_mm,
-        mu=m.mu,
-        n_hat_N=m.n_hat_N,
-        t_star_N=m.t_star_N,
-        sheets_per_side=m.sheets_per_side,
-        thickness_mm=m.thickness_mm,
-    )
-    sheets = float(eq.effective_sheets(d_hat, sheets_per_side=m.sheets_per_side))
-    one = eq.sheet_stiffness(
-        modulus_GPa=m.modulus_GPa, thickness_mm=m.thickness_mm, width_mm=m.width_mm, length_mm=m.length_mm
-    )
+    sample = _assembly(m)
+    total = eq.total_normal_force(d_mm, mu=m.mu, t_star_N=m.t_star_N, assembly=_assembly(m))
+    d_hat = eq.reduced_separation(d_mm, mu=m.mu, n_hat_N=m.n_hat_N, t_star_N=m.t_star_N, assembly=sample)
+    sheets = float(eq.effective_sheets(d_hat, assembly=sample))
+    one = eq.sheet_stiffness(modulus_GPa=m.modulus_GPa, assembly=sample)
     # A drop never turns negative, however large the jitter asked for.
     drop = m.amplitude * float(total) * max(1 + m.period_jitter * jitter, 0.1) * _built_up(d_mm, m)
     return drop, max(sheets, 1.0) * float(one), sheets
+
+
+def _assembly(m: Mechanics) -> eq.Assembly:
+    """The sample's part of the settings."""
+    return eq.Assembly(
+        sheets_per_side=m.sheets_per_side,
+        thickness_mm=m.thickness_mm,
+        width_mm=m.width_mm,
+        length_mm=m.length_mm,
+    )
 
 
 def _built_up(d_mm: float, m: Mechanics) -> float:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from vision.errors import InputError
 from vision.models import equations, single_sheet
-from vision.models.fits_result import Assembly, Estimate, Goodness, ModelFits, ShellComparison
+from vision.models.equations import PAPER, Assembly
+from vision.models.fits_result import Estimate, Goodness, ModelFits, ShellComparison
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,7 +27,7 @@ def fit_models(
     sticks: pd.DataFrame,
     shells: pd.DataFrame | None = None,
     *,
-    assembly: Assembly | None = None,
+    assembly: Assembly = PAPER,
     t_star_N: float = equations.T_STAR_N,
     free_t_star: bool = False,
 ) -> ModelFits:
@@ -44,7 +45,6 @@ def fit_models(
     Raises InputError with fewer than six whole events, or separations that are not between 0 and the sheets'
     length (is --d0 given?).  Source: paper, Eqs. 1 and 2, section on the effective number of sheets.
     """
-    assembly = assembly or Assembly()
     events = _usable(sticks, assembly)
     peaks = _fit_peaks(events, assembly, t_star_N, free_t_star)
     t_star = float(peaks.value[2]) if free_t_star else t_star_N
@@ -65,7 +65,7 @@ def fit_models(
         goodness={"peaks": peaks.goodness, "drops": drops.goodness, "stiffness": stiffness.goodness},
         correlation=_correlations(peaks, stiffness, free_t_star),
         d_mm=span,
-        assembly=assembly,
+        assembly=assembly
         shells=None,
         notes=_notes(peaks, stiffness, span, scale, free_t_star),
     )
@@ -155,7 +155,7 @@ def _fit_peaks(events: pd.DataFrame, assembly: Assembly, t_star_N: float, free_t
 
     def model(q: Floats) -> Floats:
         t_star = abs(q[2]) if free_t_star else t_star_N
-        force = equations.traction(d, mu=max(q[0], 1e-3), t_star_N=t_star, **assembly.stack)
+        force = equations.traction(d, mu=max(q[0], 1e-3), t_star_N=t_star, assembly=assembly)
         return np.asarray(force + q[1])
 
     trials = np.linspace(0.2, 2.0, 91)
@@ -166,7 +166,7 @@ def _fit_peaks(events: pd.DataFrame, assembly: Assembly, t_star_N: float, free_t
 
 def _fit_drops(events: pd.DataFrame, assembly: Assembly, mu: float, t_star_N: float) -> _Fit:
     d, drop = events["d_v_mm"].to_numpy(float), events["dF_N"].to_numpy(float)
-    total = equations.total_normal_force(d, mu=mu, t_star_N=t_star_N, **assembly.stack)
+    total = equations.total_normal_force(d, mu=mu, t_star_N=t_star_N, assembly=assembly)
     return _fit(lambda q: np.asarray(q[0] * total), drop, None, [float(np.median(drop / total))])
 
 
@@ -182,9 +182,7 @@ def _fit_stiffness(events: pd.DataFrame, assembly: Assembly, mu: float, t_star_N
                 n_hat_N=np.exp(q[0]),
                 modulus_GPa=q[1],
                 t_star_N=t_star_N,
-                **assembly.stack,
-                width_mm=assembly.width_mm,
-                length_mm=assembly.length_mm,
+                assembly=assembly
             )
         )
 
@@ -222,7 +220,9 @@ def _derived(
 
     def both(parameters: Floats, friction: float) -> Floats:
         n_hat, modulus = parameters
-        scale = equations.separation_scale_mm(mu=friction, n_hat_N=n_hat, t_star_N=t_star_N, **assembly.stack)
+        scale = equations.separation_scale_mm(
+            mu=friction, n_hat_N=n_hat, t_star_N=t_star_N, assembly=assembly
+        )
         bending = single_sheet.bending_length_mm(
             assembly.sheets_per_side,
             d_mm,

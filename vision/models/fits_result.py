@@ -10,21 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vision.models import equations
-
-
-@dataclass(frozen=True, kw_only=True)
-class Assembly:
-    """What is known of the sample and held fixed: sheets a side, thickness, width, clamp to sheet end."""
-
-    sheets_per_side: int = equations.SHEETS_PER_SIDE
-    thickness_mm: float = equations.THICKNESS_MM
-    width_mm: float = equations.WIDTH_MM
-    length_mm: float = equations.LENGTH_MM
-
-    @property
-    def stack(self) -> dict[str, Any]:
-        """The part that the friction model needs, as arguments of `vision.models.equations`."""
-        return {"sheets_per_side": self.sheets_per_side, "thickness_mm": self.thickness_mm}
+from vision.models.equations import Assembly
 
 
 @dataclass(frozen=True)
@@ -86,25 +72,18 @@ class ModelFits:
 
     def effective_sheets(self, d_mm: ArrayLike) -> NDArray[np.float64]:
         """M_eff a side that the force implies at d; 0 beyond Λ̂."""
-        return equations.effective_sheets(
-            self.reduced_separation(d_mm), sheets_per_side=self.assembly.sheets_per_side
-        )
+        return equations.effective_sheets(self.reduced_separation(d_mm), assembly=self.assembly)
 
     def peak_force_N(self, d_mm: ArrayLike) -> NDArray[np.float64]:
         """The fitted F_max(d) = 𝒯(d) + 𝒯0."""
         traction = equations.traction(
-            d_mm, mu=self.mu.value, t_star_N=self.t_star_N.value, **self.assembly.stack
+            d_mm, mu=self.mu.value, t_star_N=self.t_star_N.value, assembly=self.assembly
         )
         return np.asarray(traction + self.t0_N.value)
 
     def stiffness_N_per_mm(self, d_mm: ArrayLike) -> NDArray[np.float64]:
         """The fitted K(d) = M_eff K_eff."""
-        one = equations.sheet_stiffness(
-            modulus_GPa=self.modulus_GPa.value,
-            thickness_mm=self.assembly.thickness_mm,
-            width_mm=self.assembly.width_mm,
-            length_mm=self.assembly.length_mm,
-        )
+        one = equations.sheet_stiffness(modulus_GPa=self.modulus_GPa.value, assembly=self.assembly)
         return np.asarray(self.effective_sheets(d_mm) * one)
 
     def to_json(self) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vision.models.equations import THICKNESS_MM, WIDTH_MM
+from vision.models.equations import PAPER
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def rheometer_friction(torque_N_mm: ArrayLike, *, load_N: ArrayLike, radius_mm: 
 
 
 def modulus_from_offset(
-    offset_N: ArrayLike, *, thickness_mm: float = THICKNESS_MM, width_mm: float = WIDTH_MM
+    offset_N: ArrayLike, *, thickness_mm: float = PAPER.thickness_mm, width_mm: float = PAPER.width_mm
 ) -> Array:
     """Young's modulus in GPa from a push-pull branch F = k D + F0, Y = abs(F0) / (eps W).
 
@@ -83,8 +83,8 @@ def modulus_from_slope(
     stiffness_N_per_mm: ArrayLike,
     *,
     length_mm: ArrayLike,
-    thickness_mm: float = THICKNESS_MM,
-    width_mm: float = WIDTH_MM,
+    thickness_mm: float = PAPER.thickness_mm,
+    width_mm: float = PAPER.width_mm,
 ) -> Array:
     """Young's modulus in GPa from a strip's stiffness and length, Y = k L / (eps W)."""
     k = np.asarray(stiffness_N_per_mm, float)
@@ -97,8 +97,8 @@ def bending_length_mm(
     *,
     n_hat_N: ArrayLike,
     modulus_GPa: ArrayLike,
-    thickness_mm: float = THICKNESS_MM,
-    width_mm: float = WIDTH_MM,
+    thickness_mm: float = PAPER.thickness_mm,
+    width_mm: float = PAPER.width_mm,
 ) -> Array:
     """Length in mm over which N-hat bends sheet n back upright: sqrt(n W Y eps^4 / (4 d N-hat)).
 
@@ -109,11 +109,11 @@ def bending_length_mm(
     return np.asarray(np.sqrt(np.asarray(n, float) * rigidity / lever))
 
 
-def sheet_angle_rad(n: ArrayLike, d_mm: ArrayLike, *, thickness_mm: float = THICKNESS_MM) -> Array:
+def sheet_angle_rad(n: ArrayLike, d_mm: ArrayLike, *, thickness_mm: float = PAPER.thickness_mm) -> Array:
     """Angle in rad between sheet n and the pull, from clamp to interleaving point: arctan(n eps / d)."""
     return np.asarray(np.arctan(np.asarray(n, float) * thickness_mm / np.asarray(d_mm, float)))
 
 
-def largest_inward_displacement_mm(n: ArrayLike, *, thickness_mm: float = THICKNESS_MM) -> Array:
+def largest_inward_displacement_mm(n: ArrayLike, *, thickness_mm: float = PAPER.thickness_mm) -> Array:
     """Bound in mm on how far sheet n can move towards the axis, n eps."""
     return np.asarray(np.asarray(n, float) * thickness_mm)
