@@ -65,7 +65,7 @@ def fit_models(
         goodness={"peaks": peaks.goodness, "drops": drops.goodness, "stiffness": stiffness.goodness},
         correlation=_correlations(peaks, stiffness, free_t_star),
         d_mm=span,
-        assembly=assembly
+        assembly=assembly,
         shells=None,
         notes=_notes(peaks, stiffness, span, scale, free_t_star),
     )
@@ -177,12 +177,7 @@ def _fit_stiffness(events: pd.DataFrame, assembly: Assembly, mu: float, t_star_N
     def model(q: Floats) -> Floats:
         return np.asarray(
             equations.assembly_stiffness(
-                d,
-                mu=mu,
-                n_hat_N=np.exp(q[0]),
-                modulus_GPa=q[1],
-                t_star_N=t_star_N,
-                assembly=assembly
+                d, mu=mu, n_hat_N=np.exp(q[0]), modulus_GPa=q[1], t_star_N=t_star_N, assembly=assembly
             )
         )
 
