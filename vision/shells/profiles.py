@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Doubles = NDArray[np.float64]
+Singles = NDArray[np.float32]  # likelihoods of thousands of curves need speed, not digits
 
 _FOOT = np.geomspace(0.6, 30, 7)  # sheets from where the rise sets in to the boundary
 _BEND = (0.6, 1.4, 4.0)  # exponent of the rise: concave, nearly straight, steeper and steeper
@@ -26,8 +27,8 @@ class Profiles:
     half_square: half the ratio's square.
     """
 
-    ratio: Doubles
-    half_square: Doubles
+    ratio: Singles
+    half_square: Singles
 
     @classmethod
     def crossing(cls, n: Doubles, threshold: float) -> Profiles:
@@ -45,7 +46,7 @@ class Profiles:
         rise = (1 - floor) / (ceiling - 1) * np.maximum(1 + (n - b) / foot, 0) ** bend
         ratio = threshold * np.minimum(floor + (ceiling - floor) * rise / (1 + rise), _MOST)
         ratio = ratio[np.argsort((ratio < threshold).sum(axis=1), kind="stable")]
-        return cls(ratio, ratio**2 / 2)
+        return cls(ratio.astype(np.float32), (ratio**2 / 2).astype(np.float32))
 
     def thinned(self) -> Profiles:
         """A fifth of the curves, of all kinds, for what needs no fine resolution."""

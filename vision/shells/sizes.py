@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.shells.profiles import Profiles
+from vision.shells.profiles import Profiles, Singles
 from vision.shells.sides import Bools, Doubles, Side, isotonic
 
 Ints = NDArray[np.int64]
@@ -102,11 +102,11 @@ def _blocks(events: int) -> Iterator[slice]:
     return (slice(first, first + _BLOCK) for first in range(0, events, _BLOCK))
 
 
-def _weigh(profiles: Profiles, sheets: _Sheets, relative: float) -> tuple[Doubles, Doubles]:
+def _weigh(profiles: Profiles, sheets: _Sheets, relative: float) -> tuple[Singles, Doubles]:
     """Share of each profile in each event, (event, curve), summing to 1, and the log evidence, (event,)."""
     weight = 1 / sheets.about_profile(relative)
-    likely = (weight * sheets.value) @ profiles.ratio.T
-    likely -= weight @ profiles.half_square.T
+    likely = (weight * sheets.value).astype(np.float32) @ profiles.ratio.T
+    likely -= weight.astype(np.float32) @ profiles.half_square.T
     most = likely.max(axis=1, keepdims=True)
     share = np.exp(likely - most)
     total = share.sum(axis=1, keepdims=True)
@@ -145,14 +145,14 @@ def _likeliest_scatter(sheets: _Sheets, profiles: Profiles) -> float:
 
 
 def _draw_ratios(
-    profiles: Profiles, share: Doubles, sheets: _Sheets, relative: float, *, misread: Bools
+    profiles: Profiles, share: Singles, sheets: _Sheets, relative: float, *, misread: Bools
 ) -> Doubles:
     """True ratios that the data allow, (event, draw, N): profiles by their share, and sheets about them.
 
     The random numbers are always the same, so that a table comes out the same twice.
     """
     rng = np.random.default_rng(0)
-    curve = profiles.ratio[_places(share)]
+    curve = profiles.ratio[_places(share)].astype(float)
     scatter = _scatter(curve, relative, sheets.threshold)
     # Between the profile and the measurement, either of which may say nothing (variance inf).
     certain = np.where(sheets.alone[:, None], 0.0, 1 / scatter) + 1 / sheets.variance[:, None]
@@ -180,11 +180,11 @@ def _summary(sizes: Ints, certainty: float) -> Ints:
     return np.stack([ordered[:, _DRAWS // 2], ordered[event, best], ordered[event, best + holding - 1]])
 
 
-def _places(share: Doubles) -> Ints:
+def _places(share: Singles) -> Ints:
     """Curves drawn evenly by their share, (event, draw)."""
     events, curves = share.shape
     row = 2 * np.arange(events)[:, None]  # one search for all events: each has a stretch of its own
-    reached = np.cumsum(share, axis=1)
+    reached = np.cumsum(share, axis=1, dtype=float)
     wanted = (np.arange(_DRAWS) + 0.5) / _DRAWS * reached[:, -1:]
     place = np.searchsorted((reached + row).ravel(), (wanted + row).ravel()) % curves
     return np.asarray(place.reshape(events, _DRAWS))
