@@ -74,7 +74,7 @@ def _late(x_px: Doubles, frames: StickFrames) -> tuple[Bools, Bools, Bools]:
     creep = fit_creep(np.where(end, np.nan, x_px), frames, terms=_TERMS)
     residual = x_px - creep.at(frames)
     residual -= nan_median(residual, axis=1)[:, None]
-    far = _FAR * _expected(np.where(end, np.nan, residual), creep, frames)
+    far = _FAR * _expected(np.where(end, np.nan, residual), end, creep, frames)
     jump = 2 * creep.coefficient[..., 1]
     with np.errstate(invalid="ignore"):
         worst = -frames.lowest(np.where(end & np.isfinite(far), -far, 0.0))
@@ -96,13 +96,17 @@ def _near_the_ends(frames: StickFrames) -> Bools:
     return np.asarray(near & (after + before + 1 - 2 * reach >= _LEAST_INSIDE))[:, None]
 
 
-def _expected(residual: Doubles, creep: Creep, frames: StickFrames) -> Doubles:
-    """Standard error of each frame's residual to a curve that is not fitted to it, px, (F, sheet)."""
-    design = legendre(frames.u, _TERMS)
-    doubt = 1 + np.einsum("fa,fsab,fb->fs", design, creep.inverse[frames.row], design)
+def _expected(residual: Doubles, end: Bools, creep: Creep, frames: StickFrames) -> Doubles:
+    """Standard error of the residuals at the ends, to which the curve is not fitted, px, (F, sheet); NaN for
+    the others."""
     count = max(float(np.median(creep.count)), _TERMS + 1)
     usual = nan_median(np.abs(residual)) / _NORMAL_MEDIAN * np.sqrt(count / (count - _TERMS))
-    return np.asarray(usual * np.sqrt(doubt))
+    left_out = np.flatnonzero(end[:, 0])
+    design = legendre(frames.u[left_out], _TERMS)
+    doubt = 1 + np.einsum("fa,fsab,fb->fs", design, creep.inverse[frames.row[left_out]], design)
+    expected = np.full(residual.shape, np.nan)
+    expected[left_out] = usual * np.sqrt(doubt)
+    return expected
 
 
 def _low(part: Doubles) -> Doubles:

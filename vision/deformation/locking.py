@@ -39,6 +39,8 @@ def let_go(x_px: Doubles, share: Doubles, frames: StickFrames, terms: int) -> Do
     Of the two pixels that may have been the brightest, the one that suits the sheet's creep (of `terms`
     terms) and the camera's vibration better is taken.
     """
+    if not share.any():
+        return x_px
     offset = x_px - np.rint(x_px)
     nearest, other = (x_px + share * _short(away) for away in (offset, offset - np.sign(offset)))
     freed = nearest
