@@ -254,6 +254,18 @@ def test_fewer_than_four_frames_give_nothing():
     assert (measure(short)["flag"] == "few").all()
 
 
+@pytest.mark.parametrize("seen", [slice(0, 25), slice(25, 50), slice(24, 26), slice(30, 31)])
+@pytest.mark.parametrize("fit", ["sliding", "paper"])
+def test_few_sheets_and_no_frames(seen, fit):
+    """A failure means a traceback, or a figure, where next to nothing is in view."""
+    made = make(profile([8.0, 8.0]), frames=20)
+    tracks = made.tracks.isel(sheet=seen).assign_attrs(fit=fit)
+    assert (horizontal_deformation(tracks, made.sticks, Clock())["flag"] != "few").all()
+    assert (horizontal_deformation(tracks, made.sticks, Clock(), margin_s=10.0)["flag"] == "few").all()
+    blind = tracks.assign(x_px=np.nan * tracks["x_px"])
+    assert (horizontal_deformation(blind, made.sticks, Clock())["flag"] == "few").all()
+
+
 def test_a_stick_seen_only_at_its_start_gives_nothing():
     """A failure means that most of a sweep is guessed from the little of it that was seen."""
     made = make(uniform(1.0, 20.0, events=5), frames=40)

@@ -44,7 +44,8 @@ class OneSide:
         middle_px, slope_px = line.coefficient[..., 0], line.coefficient[..., 1]
         profile_px = _mean(near * (away > 0), slope_px)
         slow_px_s = _at_axis(_rate(near, frames.middle_s, middle_px), n, profile_px)
-        white_px = np.std(shake_px) * np.sqrt(3 / np.maximum(frames.counts, 1))
+        shaken_px2 = float((shake_px**2).sum()) / max(shake_px.size, 1)
+        white_px = np.sqrt(3 * shaken_px2 / np.maximum(frames.counts, 1))
         return cls(profile_px, slow_px_s * frames.length_s / 2, near, white_px)
 
     @property
