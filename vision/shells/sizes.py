@@ -78,10 +78,9 @@ def _scatter(ratio: Doubles, relative: float, threshold: float) -> Doubles:
 def shell_sizes(side: Side, *, threshold: float, certainty: float) -> tuple[Ints, Ints, Ints]:
     """Stiff sheets of one side, (event,): the median, and the ends of the shortest interval at `certainty`.
 
-    Sheets far off every rising profile are counted by their own measurement, though it is held possible that
-    they were misread, and so are all sheets of an event where the ratio falls with n beyond chance even when
-    those are left out.  Stick lengths are varied
-    by their error, for all sheets at once.
+    Sheets far off every rising profile are counted by their own measurement, though it is held possible
+    that they were misread; so are all sheets of an event where the ratio falls with n beyond chance even
+    when those are left out.  Stick lengths are varied by their error, for all sheets at once.
     """
     profiles = Profiles.crossing(side.n, threshold)
     sheets = _Sheets.of(side, threshold)
