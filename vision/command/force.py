@@ -12,6 +12,7 @@ from cyclopts import Parameter as Option
 from vision.command.console import complain, say
 from vision.command.options import number
 from vision.command.pull import event_sizes, force_chain, model_fits, write_json, write_table
+from vision.report.numbers import plus_minus
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -173,5 +174,5 @@ def _summary(target: Path, recording: xr.Dataset, sticks: pd.DataFrame, fits: Mo
     if fits:
         named = {"mu": fits.mu, "T0 (N)": fits.t0_N, "A": fits.amplitude, "N_hat (N)": fits.n_hat_N}
         named["Y_eff (GPa)"] = fits.modulus_GPa
-        lines.append(", ".join(f"{name} {e.value:.4g} ± {e.error:.1g}" for name, e in named.items()))
+        lines.append(", ".join(f"{name} {plus_minus(e)}" for name, e in named.items()))
     return lines

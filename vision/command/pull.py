@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from vision.command.options import number
 from vision.errors import InputError
+from vision.report.numbers import plus_minus
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -155,7 +156,8 @@ def pull_lines(pull: Pull) -> list[str]:
     if pull.fits is not None:
         fits = pull.fits
         lines.append(
-            f"models     μ {_estimate(fits.mu)}, A {_estimate(fits.amplitude)}, N̂ {_estimate(fits.n_hat_N)} N"
+            f"models     μ {plus_minus(fits.mu)}, A {plus_minus(fits.amplitude)}, "
+            f"N̂ {plus_minus(fits.n_hat_N)} N"
         )
     if pull.clock is not None:
         clock = pull.clock
@@ -189,7 +191,3 @@ def force_chain(sticks: pd.DataFrame) -> str:
     if not lowpass_ms:
         return "no low-pass undone"
     return f"low-pass of {lowpass_ms:.2g} ms ({sticks.attrs['lowpass_how']}) undone"
-
-
-def _estimate(estimate: Any) -> str:
-    return f"{estimate.value:.3g} ± {estimate.error:.1g}"

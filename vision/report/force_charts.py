@@ -53,9 +53,9 @@ def pull_chart(force: xr.Dataset, sticks: pd.DataFrame | None = None, fits: Mode
         d_model = np.linspace(*fits.d_mm, _CURVE)
         series.append(_curve("Eq. 1 + T_0", d_model, fits.peak_force_N(d_model), MODEL))
         told = (
-            f" Dashed: Eq. 1 fitted to the peaks, μ = {plus_minus(fits.mu.value, fits.mu.error)} with T* "
+            f" Dashed: Eq. 1 fitted to the peaks, μ = {plus_minus(fits.mu)} with T* "
             f"= {1000 * fits.t_star_N.value:g} mN and an offset T_0 = "
-            f"{plus_minus(fits.t0_N.value, fits.t0_N.error)} N."
+            f"{plus_minus(fits.t0_N)} N."
         )
     return Chart(
         name="force",
@@ -185,7 +185,7 @@ def drops_chart(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: st
         series.append(_curve("A × normal force", d, drop, MODEL))
         told = (
             " Dashed: A times the normal force summed over the sheets (Eq. 2), A = "
-            f"{plus_minus(fits.amplitude.value, fits.amplitude.error)}."
+            f"{plus_minus(fits.amplitude)}."
         )
     return Chart(
         name="drops",
@@ -212,8 +212,8 @@ def stiffness_chart(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit
         series.append(_curve("M_eff K_eff", d, model, MODEL))
         series.append(Series(label="∝ (L + d)⁻¹", x=d, y=longer, ink=OTHER_MODEL, width=2.0))
         told = (
-            f" Dashed: M_eff K_eff with N̂ = {plus_minus(fits.n_hat_N.value, fits.n_hat_N.error)} N and "
-            f"Y_eff = {plus_minus(fits.modulus_GPa.value, fits.modulus_GPa.error)} GPa. Solid: (L + d)⁻¹ "
+            f" Dashed: M_eff K_eff with N̂ = {plus_minus(fits.n_hat_N)} N and "
+            f"Y_eff = {plus_minus(fits.modulus_GPa)} GPa. Solid: (L + d)⁻¹ "
             "from the same start, which is what lengthening alone would do."
         )
     return Chart(

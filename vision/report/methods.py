@@ -147,8 +147,8 @@ def _models(fits: ModelFits) -> str:
         "amplitudes with A times the total normal force, and K with M_eff K_eff, for "
         f"{given.sheets_per_side} sheets a side {given.thickness_mm:g} mm thick and {given.width_mm:g} mm "
         f"wide, {given.length_mm:g} mm from clamp to end, and T* = {1000 * fits.t_star_N.value:.3g} mN: μ "
-        f"= {plus_minus(fits.mu.value, fits.mu.error)}, A = "
-        f"{plus_minus(fits.amplitude.value, fits.amplitude.error)}, N̂ = "
-        f"{plus_minus(fits.n_hat_N.value, fits.n_hat_N.error)} N, Y_eff = "
-        f"{plus_minus(fits.modulus_GPa.value, fits.modulus_GPa.error)} GPa (standard errors)."
+        f"= {plus_minus(fits.mu)}, A = "
+        f"{plus_minus(fits.amplitude)}, N̂ = "
+        f"{plus_minus(fits.n_hat_N)} N, Y_eff = "
+        f"{plus_minus(fits.modulus_GPa)} GPa (standard errors)."
     )

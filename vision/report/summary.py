@@ -101,7 +101,7 @@ def _friction(results: RunResults) -> Answer | None:
         return None
     modulus = f"Y_eff = {fits.modulus_GPa.value:.3g} GPa"
     detail = f"N̂ = {fits.n_hat_N.value:.3g} N, A = {fits.amplitude.value:.3g}, {modulus}"
-    return Answer("friction coefficient", f"μ = {plus_minus(fits.mu.value, fits.mu.error)}", detail)
+    return Answer("friction coefficient", f"μ = {plus_minus(fits.mu)}", detail)
 
 
 def _noise(results: RunResults) -> Answer:
