@@ -7,7 +7,11 @@ import pytest
 
 from vision.deformation import horizontal_deformation
 from vision.experiment import preset, profiles
+from vision.experiment.force_file import force_recording, write_force
 from vision.experiment.presets import with_settings
+from vision.experiment.scene import make_scene
+from vision.force.recording import read_force
+from vision.force.stickslip import find_stick_slip
 from vision.sheets.tracks import track_sheets
 from vision.shells import classify_shells
 
@@ -118,6 +122,24 @@ def test_one_side_in_view():
     assert abs(wrong.mean()) < 0.003
     assert 0.60 < within_one < 0.85
     assert within_two > 0.93
+
+
+def test_the_force_recordings_own_error_of_the_stick_length(tmp_path):
+    """A failure means that the stick length's error, as the recording gives it, is not in the ratio's."""
+    short_pull = {"mechanics.d0_mm": 16.8, "mechanics.d_end_mm": 17.1, "clocks.offset_s": 5.0}
+    changes = short_pull | {"camera.duration_s": 6.0}
+    truth, tracks, _, clock = run("late", **changes)
+    experiment = with_settings(preset("late", seed=1), changes)
+    recording = force_recording(experiment, make_scene(experiment).pull)
+    write_force(tmp_path / "force.txt", recording, experiment.force_file, name="late")
+    sticks = find_stick_slip(read_force(tmp_path / "force.txt", d0_mm=16.8))
+    _, motion = deformation(truth, tracks, sticks, clock)
+    _, without = deformation(truth, tracks, sticks.drop(columns="stick_length_err_um"), clock)
+    length = sticks.set_index("event").loc[motion["event"]]
+    relative = (length["stick_length_err_um"] / length["stick_length_um"]).to_numpy()[:, None]
+    expected = np.hypot(without["ratio_err"], relative * without["ratio"])
+    assert (relative > 0).all()
+    np.testing.assert_allclose(motion["ratio_err"], expected, rtol=1e-9)
 
 
 def test_shells(simulated):
