@@ -22,7 +22,7 @@ _SHORT = 1.0
 # Samples by which a corner may be off: where between two a slip begins or ends is not seen.
 _SAMPLED = 0.3
 # Half a cosine is an assumption: a corner may be off by this part of a slip's length.
-_SHAPE = 0.05
+_SHAPE = 0.04
 _CLEAR_SIGMAS = 20.0
 _REACH = 0.3
 # Clear of a slip is what lies this many times its half length from its middle.
@@ -106,7 +106,7 @@ def _half(distance: Floats, slope: Floats, drop: Floats) -> Floats:
 
 def _errors(signal: Undelayed, drop: Floats, length: float) -> Floats:
     """Standard error of a corner's place: noise over the slip's slope there, and the sampling."""
-    unsure = np.hypot(_SAMPLED * signal.width, _SHAPE * length / _HALF_COSINE)
+    unsure = np.hypot(_SAMPLED, _SHAPE * length / _HALF_COSINE)
     steepest = np.pi / 2 * np.maximum(drop, signal.sigma) / max(length / _HALF_COSINE, signal.width)
     return np.hypot(signal.sigma / steepest, unsure)
 
