@@ -47,6 +47,7 @@ def write_force_picture(
             ax.set_title(chart.title, loc="left")
             if not any(series.x.size for series in chart.series):
                 ax.text(0.5, 0.5, "d is not known", ha="center", transform=ax.transAxes, color=QUIET[0])
+                ax.set(xticks=[], yticks=[])
         draw_some_sticks(zoom, force, sticks)
         whole.set_title(
             f"{len(sticks)} events, drops above {sticks.attrs.get('threshold_N', np.nan):.3g}", loc="left"

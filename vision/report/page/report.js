@@ -144,7 +144,7 @@
       if (u.zoomed) return [low, high];
       if (chart.xRange) return chart.xRange;
       if (low == null) return [0, 1];
-      const edge = chart.series.some((s) => s.look === "line") ? 0 : 0.03;
+      const edge = chart.series.every((s) => s.look === "line") ? 0 : 0.03;
       const pad = (high - low) * edge || (high === low ? 0.5 : 0);
       return [low - pad, high + pad];
     };
