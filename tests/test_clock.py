@@ -156,6 +156,40 @@ def test_too_few_slips_are_refused(recorded):
         synchronise(seen, force, sticks.iloc[:0])
 
 
+@pytest.mark.parametrize("slips", [3, 4, 5])
+def test_very_short_videos_are_not_believed(recorded, slips):
+    """A failure means that three sticks of a video are laid anywhere in the recording."""
+    seen, force, sticks = recorded
+    short = seen.isel(frame=slice(0, int((0.3 + 0.61 * slips) / FRAME_S)))
+    try:
+        clock = synchronise(short, force, sticks)
+    except InputError as error:
+        assert "slips" in str(error)
+        return
+    assert clock.status == "ambiguous"
+
+
+def test_a_force_clock_may_start_anywhere(recorded):
+    """A failure means that a machine that counts from when it was switched on cannot be used."""
+    seen, force, sticks = recorded
+    late = sticks.assign(t_v_s=sticks["t_v_s"] + 7000, t_p_s=sticks["t_p_s"] + 7000)
+    late.attrs["first_slip_s"] = sticks.attrs["first_slip_s"] + 7000
+    clock = synchronise(seen, force.assign_coords(time_s=force["time_s"] + 7000), late)
+    assert clock.status == "ok"
+    assert abs(off_s(clock, OFFSET_S + 7000)) < 3e-3
+
+
+def test_a_quarter_of_the_frames_may_be_lost_and_the_force_cover_less_than_the_video(recorded):
+    """A failure means that a full disk, or a force recording that was stopped early, costs the clocks."""
+    seen, force, sticks = recorded
+    kept = np.flatnonzero(np.random.default_rng(3).random(seen.sizes["frame"]) >= 0.25)
+    early = sticks[sticks["t_p_s"] < 70]
+    early.attrs |= sticks.attrs
+    clock = synchronise(seen.isel(frame=kept), force.isel(time_s=force["time_s"] < 70.2), early)
+    assert clock.status == "ok"
+    assert abs(off_s(clock, at_s=20.0)) < FRAME_S / 6
+
+
 def test_a_playback_rate_is_said(recorded):
     """A failure means that a file's nominal rate passes for the camera's clock without a word."""
     seen, force, sticks = recorded

@@ -13,6 +13,7 @@ from vision.clock.trains import ALONE, DRIFT_PPM, Clocks, Doubles, Fit, Trains
 LEAST_MARGIN = 6.0
 _OVER_CHANCE = 4.0  # over the best of the shuffled trains
 _LEAST_LIKELIHOOD, _CLEAR = 14.0, 20.0
+_AGAINST = -0.5  # log-likelihood of the sizes at which they do not go together
 _LEAST_MATCHED = 6
 _LARGEST_SCALE = 1.5
 _MAD_TO_SIGMA = 1.4826
@@ -74,7 +75,7 @@ def _doubt(trains: Trains, fit: Fit, margin: float) -> str:
     likelihood = fit.likelihood[0] - max(fit.sizes[0], 0.0)
     if fit.matched[0] < _LEAST_MATCHED or likelihood < (_LEAST_LIKELIHOOD if wide == 1 else _CLEAR * wide):
         return f"the {fit.matched[0]} slips in common are too few, or fit too loosely, to tell from chance"
-    sure = likelihood >= _CLEAR and fit.sizes[0] >= 0 and not _loose(trains, fit)
+    sure = likelihood >= _CLEAR and fit.sizes[0] > _AGAINST and not _loose(trains, fit)
     strict = wide * (1 if sure else 2)
     needed = LEAST_MARGIN * strict
     if margin <= needed:
