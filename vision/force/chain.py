@@ -17,7 +17,7 @@ _KNEES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0)  # in sticks; 1 is no knee
 _LATEST = 0.9  # knee, in sticks
 _GRID = 15
 _TRIED, _BELIEVED = 2.5, 5.0
-_HEIGHTS, _LARGEST_SPREAD, _STEADY = (0.25, 5.0), 0.7, 0.5
+_HEIGHTS, _LARGEST_SPREAD, _STEADY = (0.25, 5.0), 0.6, 0.25
 _SHARE = 20.0  # half a smoothing width: at most this part of a period
 _CLEAR = 40.0  # the usual drop over the noise from which on nothing is smoothed
 

@@ -27,7 +27,7 @@ _SENSITIVITY = (0.3, 0.7)
 # F_p and F_v come from a line through nearly all of the stick: a shorter one would not reach the ends.
 _EXTRAPOLATED = 0.8
 _FEW_SAMPLES = 10
-_CLEAR_OF_KNEE = 0.03  # of the stick
+_CLEAR_OF_KNEE, _EARLY_KNEE = 0.03, 0.65  # of the stick
 _TWO_SLOPES = ("K1_N_per_mm", "K2_N_per_mm", "knee", "knee_gain")
 
 
@@ -70,10 +70,10 @@ class _Sticks:
         return _between(self.v + margin, self.p - margin)
 
     def one_slope(self, part: float) -> tuple[Ints, Ints]:
-        """The same on the longer side of the knee."""
+        """The same after the knee; before it where it comes late."""
         margin, clear = 0.5 * (1 - part) * (self.p - self.v), _CLEAR_OF_KNEE * (self.p - self.v)
         start, stop = self.v + margin, self.p - margin
-        early = self.knee < 0.5 * (self.v + self.p)
+        early = self.knee - self.v < _EARLY_KNEE * (self.p - self.v)
         start = np.where(early, np.fmax(start, self.knee + clear), start)
         return _between(start, np.where(early, stop, np.fmin(stop, self.knee - clear)))
 

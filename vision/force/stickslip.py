@@ -45,7 +45,7 @@ def find_stick_slip(
     Returns: event, t_v_s, t_p_s, d_v_mm, d_p_mm, F_v_N and F_p_N (stick line through the central 80 %
     extended to valley and peak), dF_N = F_p - F_v, stick_length_um = d_p - d_v, slip_length_um = next d_v
     - d_p (0 where the slip is shorter than a sample), K_N_per_mm with K_err_N_per_mm (slope of the central
-    half, with two slopes of its longer side of the knee), F_v_raw_N and F_p_raw_N (extremes, spikes aside),
+    half, with two slopes of what follows the knee), F_v_raw_N and F_p_raw_N (extremes, spikes aside),
     K30_N_per_mm and K70_N_per_mm (other central parts), K1_N_per_mm, K2_N_per_mm, knee, knee_gain (two
     slopes), stick_length_err_um (noise, sampling, and that a slip's shape is not known), slip_time_s,
     samples, flag ("ok" or what is wrong within the stick: gap, nan, saturated, repeated, backwards, few,
