@@ -44,12 +44,13 @@ def test_remade_it_is_the_same(tmp_path, name):
         assert np.abs(difference).max() <= 1
         assert (difference != 0).mean() < 1e-4
     else:
-        assert np.sqrt((difference**2).mean()) < 1
+        # An encoder spends its bits a little otherwise from run to run; another seed differs by 6 levels.
+        assert np.sqrt((difference**2).mean()) < 2
 
 
 def test_a_video_of_another_seed_would_be_noticed(tmp_path):
-    """The comparison above is not blind: noise of another seed differs by more than a level RMS."""
+    """The comparison above is not blind: another seed differs by more than two levels RMS."""
     arguments = [*COMMANDS["paper"], "--quiet", "--set", "camera.duration_s=0.2", "--set", "seed=9"]
     assert run(["simulate", str(tmp_path / "x"), *arguments]) == 0
     other = pixels(tmp_path / "x")
-    assert np.sqrt(((pixels(FIXTURES / "paper")[: len(other)] - other) ** 2).mean()) > 1
+    assert np.sqrt(((pixels(FIXTURES / "paper")[: len(other)] - other) ** 2).mean()) > 2
