@@ -116,7 +116,8 @@ def track(
         Time constant of the force chain's filter, s, which is undone; found from the slips if not given, 0
         for none.
     offset
-        Force clock at video time 0, s, if known; found from the slips if not given.
+        Force clock at video time 0, s, if known (0 with a common hardware trigger); found from the slips if
+        not given.
     threshold
         σ_x/Λ_st below which a sheet is stiff.
     config

@@ -49,10 +49,13 @@ def write_force_picture(
                 ax.text(0.5, 0.5, "d is not known", ha="center", transform=ax.transAxes, color=QUIET[0])
                 ax.set(xticks=[], yticks=[])
         draw_some_sticks(zoom, force, sticks)
-        whole.set_title(
-            f"{len(sticks)} events, drops above {sticks.attrs.get('threshold_N', np.nan):.3g}", loc="left"
-        )
+        whole.set_title(_found(sticks, unit), loc="left")
         figure.savefig(path, dpi=110)
+
+
+def _found(sticks: pd.DataFrame, unit: str) -> str:
+    least = sticks.attrs.get("threshold_N", np.nan)
+    return f"{len(sticks)} events, drops above {least:.3g} {'of the weight' if unit == '1' else unit}"
 
 
 def draw_some_sticks(ax: Axes, force: xr.Dataset, sticks: pd.DataFrame) -> Axes:
@@ -70,7 +73,12 @@ def draw_some_sticks(ax: Axes, force: xr.Dataset, sticks: pd.DataFrame) -> Axes:
     ax.plot(t_p, f_p, "o", color=PEAK[0], ms=4, label="peaks")
     ax.plot(t_v, f_v, "o", color=VALLEY[0], mfc="none", ms=6, label="valleys")
     ax.set(xlabel="t (s)", ylabel=force_charts.load_label("F", force_charts.load_unit(force)))
-    ax.set_title("A few sticks, with the lines from valley to peak", loc="left")
-    ax.legend(loc="best", fontsize=8, frameon=True, framealpha=0.8, edgecolor="none")
+    title = "A few sticks, with the lines from valley to peak"
+    if lowpass_s := sticks.attrs.get("lowpass_s", 0.0):
+        title += f"\n(without the force chain's low-pass of {1e3 * lowpass_s:.2g} ms; F as recorded)"
+    ax.set_title(title, loc="left")
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high + 0.12 * (high - low))  # room for the legend
+    ax.legend(loc="upper right", ncols=3, fontsize=8)
     ax.grid(alpha=0.25)
     return ax
