@@ -12,6 +12,7 @@ from vision.force.slips import Slips
 
 _STICKS, _SAMPLES = 100, 120  # at most, and about: enough for a time constant known to a few per cent
 _LEAST_STICKS, _LEAST_SAMPLES = 3, 8
+_LONG = 8  # times that: what comes later in a stick says nothing of its tail
 _SHORTEST, _LONGEST = 0.15, 0.6  # time constants tried, in samples and in sticks
 _KNEES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0)  # in sticks; 1 is no knee
 _LATEST = 0.9  # knee, in sticks
@@ -79,14 +80,16 @@ def time_constant(y: Floats, tails: Tails, undone: float = 0.0) -> Constant | No
     without = min(blocks.fit(0.0, knee).squares for knee in _KNEES)
     tau, knee = blocks.best()
     best = blocks.fit(tau, knee)
-    chance = blocks.drop.size * best.squares / blocks.freedom
+    # Squares are differences of sums: no smaller than what rounding leaves.
+    rounding = np.finfo(float).eps * float(np.sum(blocks.load**2))
+    chance = blocks.drop.size * max(best.squares, rounding, np.finfo(float).tiny) / blocks.freedom
     with np.errstate(over="ignore"):
         height = best.tail * np.exp(np.minimum(-blocks.middle / tau, 50.0)) / blocks.drop
     # Of the larger drops: noise hides what small ones leave.
     low, median, high = np.percentile(height[blocks.drop >= np.median(blocks.drop)], [25, 50, 75])
     return Constant(
         samples=tau * blocks.size,
-        gain=(without - best.squares) / max(chance, np.finfo(float).tiny),
+        gain=(without - best.squares) / chance,
         height=float(median),
         spread=float((high - low) / median) if median > 0 else float("inf"),
     )
@@ -102,8 +105,8 @@ class _Fit:
 class _Blocks:
     """Some sticks, as rows of means over `size` samples: lines stay lines, exponentials exponentials.
 
-    load, known: (stick, block), 0 where not known.  middle, valley, peak: as in `Tails`, in blocks from the
-    first.  undone: samples.
+    load, known: (stick, block), over the first sample's, 0 where not known.  middle, valley, peak: as in
+    `Tails`, in blocks from the first.  undone: samples.
     """
 
     load: Floats
@@ -124,9 +127,10 @@ class _Blocks:
         pick = usable[np.unique(np.linspace(0, usable.size - 1, _STICKS).astype(np.int64))]
         start, count = tails.start[pick], count[pick]
         size = max(int(np.median(count)) // _SAMPLES, 1)
-        blocks = count // size
+        blocks = np.minimum(count // size, _LONG * _SAMPLES)
         index = start[:, None] + np.arange(size * int(blocks.max()))
-        load = y[np.minimum(index, y.size - 1)].reshape(pick.size, -1, size).mean(axis=2)
+        load = y[np.minimum(index, y.size - 1)] - y[start][:, None]
+        load = load.reshape(pick.size, -1, size).mean(axis=2)
         known = np.arange(load.shape[1]) < blocks[:, None]
         first = start + 0.5 * (size - 1)
         middle, valley, peak = ((at[pick] - first) / size for at in (tails.middle, tails.valley, tails.peak))

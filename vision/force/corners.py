@@ -99,7 +99,8 @@ def _half(distance: Floats, slope: Floats, drop: Floats) -> Floats:
     """
     half = distance / _HALF_COSINE
     for _ in range(2):
-        straight = np.clip(2 * slope * half / np.maximum(drop, np.finfo(float).tiny), 0, 1)
+        with np.errstate(over="ignore"):  # next to no drop: all of it is straight
+            straight = np.clip(2 * slope * half / np.maximum(drop, np.finfo(float).tiny), 0, 1)
         half = distance / (_HALF_COSINE + (_STRAIGHT - _HALF_COSINE) * np.nan_to_num(straight))
     return half
 

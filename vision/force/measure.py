@@ -155,7 +155,8 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
 
     central = line(CENTRAL)
     k = sample(central.slope)
-    columns = {"K_N_per_mm": k, "K_err_N_per_mm": central.slope_error * (k / central.slope) ** 2}
+    with np.errstate(invalid="ignore"):
+        columns = {"K_N_per_mm": k, "K_err_N_per_mm": central.slope_error * (k / central.slope) ** 2}
     for part in _SENSITIVITY:
         columns[f"K{100 * part:.0f}_N_per_mm"] = sample(line(part).slope)
     if not two_slopes or not np.isfinite(travel).any():
