@@ -112,6 +112,13 @@ def test_force_slips_are_free_of_the_chain_s_delay(rate_hz, lowpass_s, slips_s):
     assert abs(bias) < 3 * found.attrs["lag_s"]
 
 
+def test_slips_where_the_load_holds_still(slips_s):
+    """A failure means a division by no drop, where the events are those of another recording."""
+    force = sawtooth(np.random.default_rng(8), slips_s, stop_s=STOP_S)
+    found = force_slips(force.assign(load_N=0 * force["load_N"] + 5), sticks_of(slips_s))
+    np.testing.assert_allclose(found["time_s"], slips_s, atol=0.05)
+
+
 def test_without_the_correction_they_are_late(slips_s):
     """A failure means that the test above would pass without the correction."""
     force = sawtooth(np.random.default_rng(9), slips_s, stop_s=STOP_S, lowpass_s=0.01)

@@ -8,6 +8,10 @@ import pytest
 from creeping import PIXEL_UM, Clock, make, profile, relaxing, straight
 
 from vision.deformation import horizontal_deformation, stick_displacement
+from vision.deformation.creep import Creep
+from vision.deformation.memory import Memory
+from vision.deformation.noise import Noise
+from vision.deformation.pattern import pattern_px
 from vision.errors import InputError
 
 NOISE_FREE = {"noise_px": 0.0}
@@ -264,6 +268,26 @@ def test_few_sheets_and_no_frames(seen, fit):
     assert (horizontal_deformation(tracks, made.sticks, Clock(), margin_s=10.0)["flag"] == "few").all()
     blind = tracks.assign(x_px=np.nan * tracks["x_px"])
     assert (horizontal_deformation(blind, made.sticks, Clock())["flag"] == "few").all()
+
+
+def test_sheets_that_do_not_move_at_all():
+    """A failure means a division by their creep, which is 0."""
+    made = make(profile([8.0, 8.0]), frames=20)
+    still = made.tracks.assign(x_px=0 * made.tracks["x_px"] + made.tracks["x_px"][0])
+    motion = horizontal_deformation(still, made.sticks, Clock())
+    np.testing.assert_allclose(motion["sigma_x_corrected_um"], 0, atol=1e-6)
+    assert np.isfinite(motion["sigma_x_err_um"]).all()
+
+
+def test_bends_that_turn_round_are_no_pattern():
+    """A failure means that all errors are NaN where by chance nothing at all of the bends returns."""
+    bends = np.zeros((2, 12, 3))
+    bends[..., 1] = np.linspace(0.5, 5, 12)
+    bends[..., 2] = np.cos(np.arange(12)) * [[1], [-1]]
+    sure, inverse = np.ones((2, 12), bool), np.zeros((2, 12, 3, 3))
+    noise = Noise(np.full(12, 0.05), Memory(0.0, 0.0), np.ones((2, 12)))
+    pattern = pattern_px(Creep(bends, inverse, np.full((2, 12), 40), sure), np.full_like(bends, 1e-3), noise)
+    np.testing.assert_array_equal(pattern, 0)
 
 
 def test_a_stick_seen_only_at_its_start_gives_nothing():

@@ -37,8 +37,8 @@ def force_slips(force: xr.Dataset, sticks: pd.DataFrame) -> pd.DataFrame:
     Args: force, from `read_force`.  sticks, from `find_stick_slip`.
     Returns: time_s (force clock), error_s (of each by itself) and drop_N, how much the force let go, NaN
     where not known: the mean of the slip's own drop and of the rises before and after it, as the sheets may
-    follow either.  attrs: delay_s, taken off, and lag_s, what
-    all may be off by together.  Empty where sticks is.
+    follow either.  attrs: delay_s, taken off, and lag_s, what all may be off by together.  Empty where sticks
+    is.
     """
     import pandas as pd
 
@@ -101,6 +101,7 @@ def _mean_times(time: Doubles, load: Doubles, steepest: Ints) -> tuple[Doubles, 
     first, last = _extent(drop.sum(axis=0), reach)
     drop, when = drop[:, first : last + 1], (0.5 * (time[index] + time[index + 1]))[:, first : last + 1]
     total = np.maximum(drop.sum(axis=1), drop.max(axis=1))
+    total[total <= 0] = 1.0  # a load that holds still has no drop to place
     away = when - middle[inside, None]
     shift = np.clip((drop * away).sum(axis=1) / total, away[:, 0], away[:, -1])
     middle[inside] += shift

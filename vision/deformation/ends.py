@@ -76,7 +76,7 @@ def _late(x_px: Doubles, frames: StickFrames) -> tuple[Bools, Bools, Bools]:
     residual -= nan_median(residual, axis=1)[:, None]
     far = _FAR * _expected(np.where(end, np.nan, residual), end, creep, frames)
     jump = 2 * creep.coefficient[..., 1]
-    with np.errstate(invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         worst = -frames.lowest(np.where(end & np.isfinite(far), -far, 0.0))
         clear = (worst > 0) & np.isfinite(worst) & (np.abs(jump) > _CLEAR * worst)
         part = -np.sign(frames.u)[:, None] * residual / jump[frames.row]

@@ -73,7 +73,7 @@ def _square(
     measured: tuple[Doubles, Doubles], scatter: Doubles, before: Doubles | float, doubt: Doubles | float
 ) -> Doubles:
     """Pattern's square: the ratio of two sums, of which half the variance of the first is `scatter`, and what
-    it was taken for before, weighted; not below 0."""
+    it was taken for before, weighted; not below 0, and as before where there is no doubt of it (0)."""
     seen, size = measured
-    known = size / np.maximum(2 * scatter, 1e-300)
-    return np.asarray(np.maximum(seen * known + before / doubt**2, 0.0) / (size * known + 1 / doubt**2))
+    known = size / np.maximum(2 * scatter, 1e-300) * np.square(doubt)
+    return np.asarray(np.maximum(seen * known + before, 0.0) / (size * known + 1))
