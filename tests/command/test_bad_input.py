@@ -264,6 +264,14 @@ def test_no_reader_at_all_is_no_failure(monkeypatch):
     complain("a line")
 
 
+def test_a_terminal_without_greek_letters_is_no_failure(place):
+    """A failure means a traceback after the work is done, where output is piped in a narrow encoding."""
+    force = Path(__file__).parents[2] / "fixtures" / "paper" / "force.txt"
+    status, out, err = finish("force", force, "--out", "run", env=PLACE | {"PYTHONIOENCODING": "ascii"})
+    assert (status, "Traceback" in err) == (0, False), err
+    assert "median ?F" in out
+
+
 @pytest.mark.parametrize("nowhere", ["2>&-", ">&- 2>&-", "<&- >&- 2>&-", "2>/dev/full"])
 def test_bad_input_is_status_2_also_where_nobody_can_be_told(video, nowhere):
     """A failure means that a scheduler which closes the streams takes a bad file for a finished run."""

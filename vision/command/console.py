@@ -5,16 +5,20 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterable
+from io import TextIOWrapper
 from typing import TextIO
 
 
 def hold_streams() -> None:
     """Closed standard streams (`2>&-`) lead nowhere; else the next file opened takes their place, and is
-    written to by whoever has something to say.
+    written to by whoever has something to say.  Letters that a stream's encoding lacks become "?".
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))  # the lowest number: its own
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def say(lines: Iterable[str]) -> None:

@@ -166,10 +166,10 @@ def pull_lines(pull: Pull) -> list[str]:
             f"{clock.matched} slips matched to {clock.residual_ms:.1f} ms"
         )
     if pull.shells is not None and pull.motion is not None:
-        size = pull.shells["stiff_sheets"].astype(float)
+        size = pull.shells["stiff_sheets"].dropna().astype(float)
+        found = f"{size.median():.0f} ({size.min():.0f} to {size.max():.0f})" if len(size) else "not known"
         lines.append(
-            f"shells     {pull.motion.sizes['event']} stick phases in the video; stiff sheets a side "
-            f"{size.median():.0f} ({size.min():.0f} to {size.max():.0f})"
+            f"shells     {pull.motion.sizes['event']} stick phases in the video; stiff sheets a side {found}"
         )
     return lines
 
