@@ -1,14 +1,22 @@
 """The force chain's low-pass: found in the slips' tails, and undone."""
 
+import tracemalloc
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from tests.force.sawtooth import Test, plain, realistic, recording
+from vision.errors import InputError
 from vision.experiment.force_file import force_recording
 from vision.experiment.mechanics import pull_apart
 from vision.experiment.presets import preset, with_settings
+from vision.force.chain import time_constant, undelayed
+from vision.force.corners import find_corners
 from vision.force.lines import fit_broken_lines, fit_lines
+from vision.force.recording import read_force
+from vision.force.slips import find_slips
 from vision.force.stickslip import find_stick_slip
 from vision.models.fits import fit_models
 
@@ -50,6 +58,16 @@ def test_no_low_pass_is_seen_in_noise(samples: int, snr: float) -> None:
     for seed in range(2):
         force = plain(sticks=150, samples=samples, snr=snr, seed=seed).force
         assert find_stick_slip(force).attrs["lowpass_s"] == 0
+
+
+def test_tails_of_no_single_low_pass_are_left_alone_and_said() -> None:
+    """A failure means that real slips that relax each in its own way are taken for a slow amplifier."""
+    path = Path(__file__).parents[3] / "shared/data/paper_on_paper_k168Nm_v1100.mat"
+    if not path.is_file():
+        pytest.skip("the recording is not here")
+    for two_slopes in (False, True):
+        attrs = find_stick_slip(read_force(path), two_slopes=two_slopes).attrs
+        assert (attrs["lowpass_s"], attrs["lowpass_how"]) == (0, "doubtful")
 
 
 def test_a_given_low_pass_is_used() -> None:
@@ -118,3 +136,36 @@ def test_lines_behind_a_low_pass_are_the_lines_before_it() -> None:
     assert broken.second == pytest.approx(0.5, rel=0.02)
     assert broken.first_at(np.array([0.0])) == pytest.approx(before[0], abs=0.5)
     assert broken.second_at(np.array([79.0])) == pytest.approx(before[-1], abs=0.1)
+
+
+@pytest.mark.parametrize("lowpass_s", [3.0, -0.001, float("nan")])
+def test_a_time_constant_longer_than_a_stick_is_refused(lowpass_s: float) -> None:
+    """A failure means that milliseconds given for seconds silently spoil all corners."""
+    with pytest.raises(
+        InputError, match=r"slip to slip, 0\.[23]\d* s; found .* s; give --force-lowpass in seconds"
+    ):
+        find_stick_slip(plain(sticks=20).force, lowpass_s=lowpass_s)
+
+
+def test_a_long_hold_among_short_sticks() -> None:
+    """A failure means that one long stick makes all others take as much memory."""
+    rng = np.random.default_rng(0)
+    saw = 5 * (np.arange(40 * 30) % 30) / 30
+    load = np.r_[saw, np.linspace(0, 5, 300_000), saw]
+    time = np.arange(load.size) / 100
+    force = recording(time, 20 + load + 0.02 * rng.standard_normal(load.size), 13 + time / 1000, 0.06)
+    slips = find_slips(force["load_N"].values, 0.02)
+    tails = find_corners(undelayed(force["load_N"].values, 0.02, slips, 0.0), two_slopes=False).tails()
+    tracemalloc.start()
+    time_constant(force["load_N"].values, tails)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 50e6
+
+
+def test_a_load_that_holds_still_warns_of_nothing() -> None:
+    """A failure means a library's warning on the terminal for a recording with a hold."""
+    saw = 5 + 5 * (np.arange(41 * 30) % 30) / 30
+    load = np.r_[saw, np.full(5000, 5.0), saw]
+    time = np.arange(load.size) / 100
+    assert len(find_stick_slip(recording(time, load, 13 + time / 1000, 0.06))) > 40

@@ -188,6 +188,8 @@ def event_sizes(force: xr.Dataset, sticks: pd.DataFrame) -> str:
 def force_chain(sticks: pd.DataFrame) -> str:
     """What was made of the force chain's low-pass."""
     lowpass_ms = 1e3 * float(sticks.attrs["lowpass_s"])
+    if sticks.attrs["lowpass_how"] == "doubtful":
+        return "tails after slips are of no single low-pass, none undone (--force-lowpass)"
     if not lowpass_ms:
         return "no low-pass undone"
     return f"low-pass of {lowpass_ms:.2g} ms ({sticks.attrs['lowpass_how']}) undone"

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _FAST_MM_MIN = 5.0
+_ROUNDS = 3
 _MARKED = ("gap", "nan", "saturated", "repeated", "backwards")
 
 
@@ -49,11 +50,12 @@ def find_stick_slip(
     K30_N_per_mm and K70_N_per_mm (other central parts), K1_N_per_mm, K2_N_per_mm, knee, knee_gain (two
     slopes), stick_length_err_um (noise, sampling, and that a slip's shape is not known), slip_time_s,
     samples, flag ("ok" or what is wrong within the stick: gap, nan, saturated, repeated, backwards, few,
-    falling).  attrs: noise_N, threshold_N, threshold_how, period_samples, spikes, lowpass_s (0 where none
-    shows) with lowpass_how, first_slip_s, first_slip_N, last_slip_s and the arguments.
+    falling).  attrs: noise_N, threshold_N, threshold_how, period_samples, spikes, lowpass_s with lowpass_how
+    (found, given, none, or doubtful: tails that no single low-pass explains, left alone), first_slip_s,
+    first_slip_N, last_slip_s and the arguments.
 
-    Raises InputError for a load in compression or where there are not two slips.  Source: paper, stick-slip
-    features; the detection notes.
+    Raises InputError for a load in compression, where there are not two slips, or for a lowpass_s below 0 or
+    not shorter than the usual time between slips.  Source: paper, stick-slip features; the detection notes.
     """
     signal = _prepare(force)
     about = str(force.attrs.get("path", "force recording"))
@@ -74,35 +76,48 @@ def find_stick_slip(
         )
     speed = float(force.attrs.get("speed_mm_min", np.nan))
     fast = speed >= _FAST_MM_MIN if two_slopes is None else two_slopes
-    corners, tau = _corners(signal, slips, fast, lowpass_s)
+    if lowpass_s is not None:
+        _check_lowpass(about, lowpass_s, slips.period * signal.interval_s)
+    corners, tau, how = _corners(signal, slips, fast, lowpass_s)
     events = measure(signal, corners, tau, fast, 1 / (machine_stiffness_N_per_mm or np.inf))
-    events.attrs |= {
-        "lowpass_s": tau * signal.interval_s,
-        "lowpass_how": "found" if lowpass_s is None else "given",
-    }
+    events.attrs |= {"lowpass_s": tau * signal.interval_s, "lowpass_how": how}
     return _with_facts(events, signal, slips, corners, machine_stiffness_N_per_mm)
+
+
+def _check_lowpass(about: str, lowpass_s: float, period_s: float) -> None:
+    if not 0 <= lowpass_s < period_s:
+        raise InputError(
+            about,
+            f"a time constant from 0 to less than from slip to slip, {period_s:.3g} s",
+            f"{lowpass_s:g} s",
+            "give --force-lowpass in seconds, or leave it out to have it found",
+        )
 
 
 def _corners(
     signal: Signal, slips: Slips, two_slopes: bool, lowpass_s: float | None
-) -> tuple[Corners, float]:
-    """Corners of the slips, and the force chain's time constant in samples."""
+) -> tuple[Corners, float, str]:
+    """Corners of the slips, the force chain's time constant in samples, and how it is known."""
 
     def corners(tau: float) -> Corners:
         return find_corners(undelayed(signal.clean, signal.sigma, slips, tau), two_slopes=two_slopes)
 
     if lowpass_s is not None:
         tau = lowpass_s / signal.interval_s
-        return corners(tau), tau
+        return corners(tau), tau, "given"
     plain = corners(0.0)
-    first = time_constant(signal.clean, plain.tails())
-    if first is None or not first.worth_trying:
-        return plain, 0.0
-    # Corners freed of the low-pass show its tails from their very begin: what holds there is believed.
-    second = time_constant(signal.clean, corners(first.samples).tails(), first.samples)
-    if second is None or not second.confirms(first):
-        return plain, 0.0
-    return corners(second.samples), second.samples
+    found = time_constant(signal.clean, plain.tails())
+    if found is None or not found.worth_trying:
+        return plain, 0.0, "none"
+    # Corners freed of the low-pass show its tails from their very begin: what comes out again is believed.
+    for _ in range(_ROUNDS):
+        again = time_constant(signal.clean, corners(found.samples).tails(), found.samples)
+        if again is None:
+            break
+        if again.confirms(found):
+            return corners(again.samples), again.samples, "found"
+        found = again
+    return plain, 0.0, "doubtful"
 
 
 def _with_facts(
