@@ -40,10 +40,6 @@ class Lines:
         """The lines' values."""
         return self.mean_y + self.slope * (x - self.mean_x)
 
-    def error_at(self, x: Floats, noise: float) -> Floats:
-        """Standard error of the lines' values for white noise."""
-        return np.asarray(noise * np.sqrt(1 / self.count + (x - self.mean_x) ** 2 / self.sxx))
-
     @property
     def squares(self) -> Floats:
         """Sums of squared residuals, without a lag."""
