@@ -40,6 +40,8 @@ def make_tracks(x_px, *, fps=60.0, noise_px=0.01, pitch_px=20.0):
             "sheets": sheets,
             "axis_px": pitch_px * sheets / 2,
             "axis_how": "motion",
+            "axis_low_px": 590.0,
+            "axis_high_px": 610.0,
             "ridges_dropped": 0,
             "least_margin": 100.0,
             "fit": "sliding",

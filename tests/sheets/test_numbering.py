@@ -43,6 +43,27 @@ def test_without_motion_an_asymmetric_crop_is_taken_for_even():
     assert abs(tracks.attrs["axis_px"] - 600) > 2 * PITCH
 
 
+@pytest.mark.parametrize("cut", [12, 15])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_vibration_does_not_hide_a_crop(cut, seed):
+    """A failure means that a shaking camera makes a lopsided view pass for a centred one."""
+    truth = comb(300, slip=0.3)[:, cut:]
+    truth = truth + np.random.default_rng(seed).normal(0, 0.05, (300, 1))
+    attrs = tracked(truth).attrs
+    assert abs(attrs["axis_px"] - 600) < 3 * PITCH
+    assert attrs["axis_low_px"] - PITCH < 600 < attrs["axis_high_px"] + PITCH
+    assert attrs["axis_how"] == "motion"
+
+
+def test_vibration_is_said_to_leave_the_axis_open():
+    """A failure means that who cannot know the axis is told that the motion shows it."""
+    truth = comb(300, slip=0.1) + np.random.default_rng(1).normal(0, 0.3, (300, 1))
+    attrs = tracked(truth).attrs
+    assert attrs["axis_how"] == "geometry"
+    assert abs(attrs["axis_px"] - 600) < PITCH / 2
+    assert attrs["axis_high_px"] - attrs["axis_low_px"] > 2 * PITCH
+
+
 def test_odd_number():
     """A failure means one sheet too many or too few changes every n of a side."""
     truth = comb(200, slip=0.6)[:, 1:]

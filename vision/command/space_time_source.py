@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -141,7 +142,10 @@ def _slips(tracks: xr.Dataset | None, force_s: NDArray[np.float64] | None) -> Sl
 
     if force_s is not None:
         return Slips(force_s, "the force")
-    if tracks is None or tracks.attrs["axis_how"] == "geometry":
+    if tracks is None:
+        return None
+    still = math.isnan(tracks.attrs["axis_low_px"])
+    if tracks.attrs["axis_how"] == "geometry" and still:
         return None
     try:
         return Slips(video_slips(tracks)["time_s"].to_numpy(), "the sheets' common steps")

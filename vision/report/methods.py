@@ -74,7 +74,11 @@ def _tracking(results: RunResults) -> str:
         if noise > 0
         else ""
     )
-    origin = "given" if t["axis_how"] == "given" else f"found from {t['axis_how']}"
+    origin = {
+        "given": "given",
+        "motion": "found from motion",
+        "geometry": "the middle of the ridges in view",
+    }[t["axis_how"]]
     axis = f" at {t['axis_px']:.1f} px ({origin})" if math.isfinite(t["axis_px"]) else ""
     return (
         f"The {t['sheets']} sheets appear as {t['ridges']} ridges {t['ridge_fwhm_px']:.1f} px wide and "

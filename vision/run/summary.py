@@ -48,7 +48,12 @@ def findings(profile: xr.DataArray, tracks: xr.Dataset) -> dict[str, Any]:
         "clock": {"kind": a["clock_kind"], "fps": a["fps"]},
         "ridges": {"polarity": t["ridges"], "fwhm_px": t["ridge_fwhm_px"], "pitch_px": t["pitch_px"]},
         "sheets": {"count": t["sheets"], "other_ridges_left_out": t["ridges_dropped"]},
-        "axis": {"px": t["axis_px"], "how": t["axis_how"]},
+        "axis": {
+            "px": t["axis_px"],
+            "how": t["axis_how"],
+            "low_px": t["axis_low_px"],
+            "high_px": t["axis_high_px"],
+        },
         "window_px": t["window_px"],
         "profile_noise_grey": t["profile_noise"],
         "least_identity_margin_nats": t["least_margin"],
@@ -119,7 +124,6 @@ def summary_lines(
     other = ", ".join(f"{count} {name}" for name, count in flags.items() if name != "ok") or "none missing"
     tilt = "" if not np.isfinite(a["tilt_deg"]) else f", lean {a['tilt_deg']:+.2f}°"
     corrupt = f" ({a['frames_corrupt']} of them corrupt)" if a["frames_corrupt"] else ""
-    origin = "given" if t["axis_how"] == "given" else f"found from {t['axis_how']}"
     return [
         f"sheets     {t['sheets']} {t['ridges']} ridges ({(side < 0).sum()} left, {(side > 0).sum()} right)"
         f"; {t['ridges_dropped']} other ridges left out",
@@ -131,11 +135,20 @@ def summary_lines(
         f"strip      rows {a['strip_z0']}:{a['strip_z1']} ({a['strip_how']}){tilt}",
         f"ridges     {t['ridge_fwhm_px']:.1f} px wide, {t['pitch_px']:.1f} px apart; {t['fit']} fit over "
         f"{t['window_px']} px",
-        f"axis       {t['axis_px']:.1f} px ({origin})",
+        f"axis       {t['axis_px']:.1f} px ({_axis(t)})",
         f"clock      {_clock(a)}",
         f"scale      {'px: give --pixel-size for µm' if size is None else f'{size:g} µm per px'}",
         f"results    {target}/ (look at overview.png first)",
     ]
+
+
+def _axis(attrs: Mapping[str, Any]) -> str:
+    if attrs["axis_how"] == "given":
+        return "given"
+    how = {"motion": "found from motion", "geometry": "the middle of the ridges in view"}[attrs["axis_how"]]
+    if not np.isfinite(attrs["axis_low_px"]):
+        return f"{how}; no motion to tell it from"
+    return f"{how}; motion allows {attrs['axis_low_px']:.0f} to {attrs['axis_high_px']:.0f}"
 
 
 def _clock(attrs: Mapping[str, Any]) -> str:

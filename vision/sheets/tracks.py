@@ -91,7 +91,11 @@ def track_sheets(
     origin = float(strip["x"].values[0])
     numbering = number_sheets(x, axis_px=None if axis_px is None else axis_px - origin)
     settings = {"ridges_asked": ridges, "sheets_asked": -1 if sheets is None else sheets, "fit": fit}
-    return _dataset(strip, found, replace(numbering, axis_px=numbering.axis_px + origin), settings)
+    low, high = numbering.between_px
+    numbering = replace(
+        numbering, axis_px=numbering.axis_px + origin, between_px=(low + origin, high + origin)
+    )
+    return _dataset(strip, found, numbering, settings)
 
 
 def _understated(x_px: Doubles, err_px: Doubles) -> Doubles:
@@ -201,6 +205,8 @@ def _facts(
         "sheets": len(numbering.n),
         "axis_px": numbering.axis_px,
         "axis_how": numbering.how,
+        "axis_low_px": numbering.between_px[0],
+        "axis_high_px": numbering.between_px[1],
         "least_margin": float(np.nan_to_num(np.nanmin(found.links.margin, initial=np.inf), posinf=1e9)),
         "ridges_dropped": found.links.model.dropped,
         "wide_spacings": "" if sheets else _wide(found, origin),
