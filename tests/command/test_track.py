@@ -160,6 +160,7 @@ BAD = {
     "strip is no range": (["comb.tif", "--strip", "rows"], "--strip"),
     "fewer ridges than asked": (["comb.tif", "--sheets", "9"], "9 ridges"),
     "even window": (["comb.tif", "--window", "8"], "--window"),
+    "window over two ridges": (["comb.tif", "--window", "31"], "no wider than the ridges' spacing"),
     "window is no number": (["comb.tif", "--window", "wide"], "--window"),
     "constant picture": (["flat.tif"], "flat.tif"),
     "unknown option": (["comb.tif", "--stripe", "1:2"], "--stripe"),

@@ -68,6 +68,16 @@ def test_few_slips_are_called_ambiguous_and_nothing_is_guessed(capsys):
     assert len(pd.read_csv("run/tracks.csv")) == 300 * 50
 
 
+def test_a_clock_at_which_no_slip_coincides_gives_no_shells(truth, capsys):
+    """A failure means confident shells from frames cut half a second beside the stick phases."""
+    assert run([*VIDEO, *FORCE, "--offset", str(truth.attrs["offset_s"] + 0.5)]) == 2
+    assert not Path("run/shells.csv").exists()
+    assert Path("run/tracks.csv").exists()
+    said = capsys.readouterr()
+    assert "slips that coincide" in said.err
+    assert "nan" not in said.out
+
+
 def test_a_recording_that_does_not_fit_keeps_the_tracks(capsys):
     """A failure means that an hour of tracking is thrown away for a wrong offset."""
     assert run([*VIDEO, *FORCE, "--offset", "100000"]) == 2

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import comb, ridges, strip
 
+from vision.errors import InputError
 from vision.run.summary import warnings_that_matter
 from vision.sheets.holes import wide_spacings
 from vision.sheets.tracks import track_sheets
@@ -44,6 +45,16 @@ def test_even_combs_have_no_holes_and_a_missing_sheet_leaves_one(seed, jitter, h
     middle, size = wide_spacings(np.delete(x, hole))
     assert middle == pytest.approx([x[hole]], abs=5)
     assert 1.5 < size[0] < 2.6
+
+
+def test_a_speck_far_outside_does_not_make_up_the_number():
+    """A failure means that --sheets takes dust for the sheet that is missing, and renumbers the others."""
+    truth = comb(60, per_side=8, axis_px=260, slip=0.2, uneven=0.08)
+    speck = np.full((60, 1), truth.max() + 90)
+    picture = strip(ridges(np.c_[truth, speck], width=560, contrast=np.r_[np.ones(16), 0.4]))
+    assert track_sheets(picture, sheets=16).sizes["sheet"] == 16
+    with pytest.raises(InputError, match="16 and 1 far outside"):
+        track_sheets(picture, sheets=17)
 
 
 def test_a_few_sheets_are_no_comb_to_compare_with():

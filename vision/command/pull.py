@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from vision.models.fits_result import ModelFits
 
 
+LEAST_UNMATCHED = 3  # slips on either side: fewer may all have been missed by the other
+
+
 @dataclass
 class Pull:
     """What came of the force recording, as far as it got.
@@ -86,11 +89,25 @@ def _fill(pull: Pull, tracks: xr.Dataset, value: Mapping[str, Any]) -> None:
     pull.warnings += [note] if note else []
     clock = pull.clock = synchronise(tracks, pull.force, sticks, offset_s=value["offset"])
     pull.warnings += list(clock.warnings)
+    _check_given(clock)
     if clock.status == "ambiguous":  # its warning says so; frames cannot be told to stick phases
         return
     motion = pull.motion = horizontal_deformation(tracks, sticks, clock, pixel_size_um=value["pixel_size"])
     model = pull.fits.effective_sheets if pull.fits else None
     pull.shells = classify_shells(motion, threshold=pull.threshold, effective_sheets=model)
+
+
+def _check_given(clock: Clock) -> None:
+    """A clock at which nothing coincides would cut the frames at the wrong places: refused."""
+    seen = min(clock.unmatched_video, clock.unmatched_force)
+    if clock.status == "given" and clock.matched == 0 and seen >= LEAST_UNMATCHED:
+        raise InputError(
+            "the clocks",
+            "slips that coincide in video and force",
+            f"none of {clock.unmatched_video} and {clock.unmatched_force} at the clock that was told "
+            f"({clock.how})",
+            "check --offset, or whether the two files belong together",
+        )
 
 
 def model_fits(force: xr.Dataset, sticks: pd.DataFrame, **options: Any) -> tuple[ModelFits | None, str]:
@@ -163,7 +180,8 @@ def pull_lines(pull: Pull) -> list[str]:
         clock = pull.clock
         lines.append(
             f"clocks     {clock.status}: offset {clock.offset_s:.4f} s, drift {clock.drift_ppm:.0f} ppm, "
-            f"{clock.matched} slips matched to {clock.residual_ms:.1f} ms"
+            f"{clock.matched} slips matched"
+            + (f" to {clock.residual_ms:.1f} ms" if math.isfinite(clock.residual_ms) else "")
         )
     if pull.shells is not None and pull.motion is not None:
         size = pull.shells["stiff_sheets"].dropna().astype(float)

@@ -30,7 +30,7 @@ def warnings_that_matter(profile: xr.DataArray, tracks: xr.Dataset) -> list[str]
         lines.append(f"{gone} of {total} positions missing (flags missing, edge, unfit in tracks.csv)")
     if tracks.attrs.get("wide_spacings"):
         where = tracks.attrs["wide_spacings"]
-        lines.append(f"sheets may be missing at x = {where}: look there, and give --sheets to settle it")
+        lines.append(f"sheets may be missing at x = {where}: look there, or give their number (--sheets)")
     return lines
 
 

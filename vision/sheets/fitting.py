@@ -25,13 +25,16 @@ def choose_window(comb: Comb, asked: int | Literal["auto"] | None) -> int:
     """Fit window in px, odd: as asked; 9 where ridges are 6–14 px wide; else 1.4 times their width, at least
     5.
 
-    Raises: InputError for an even window or one below 3.
+    Raises: InputError for an even window, one below 3, or one that takes in the neighbouring ridges.
     """
     if isinstance(asked, int):
         if asked < 3 or asked % 2 == 0:
             raise InputError(
                 "--window", "an odd number of pixels, 3 or more", str(asked), "try --window auto"
             )
+        if asked > comb.pitch_px:
+            near = f"a window no wider than the ridges' spacing, {comb.pitch_px:.0f} px"
+            raise InputError("--window", near, str(asked), "try --window auto")
         return asked
     if asked is None and STANDARD_WIDTHS_PX[0] <= comb.fwhm_px <= STANDARD_WIDTHS_PX[1]:
         return STANDARD_WINDOW_PX

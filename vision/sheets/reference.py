@@ -21,6 +21,8 @@ ROUNDS = 4
 SEGMENTS_ASKED = 384  # the longest, and others spread over the recording
 PRESENT_INSIDE = 0.3  # share of the frames in which a candidate between sheets must be there to be a sheet
 PRESENT_AT_EDGE = 0.04  # and one that may have come in or gone out at the edge of the comb
+LEAST_COMB = 9  # ridges that make a comb to lie outside of
+FAR_OUTSIDE = 2.6  # median spacings
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,8 @@ def build_model(segments: Segments, comb: Comb, *, width_px: int, sheets: int | 
     dropped; then what is too near to a brighter neighbour for the spacing of the comb, or lies far
     outside it, is dropped as dust. With `sheets` given, the most convincing such comb of that many.
 
-    Raises: InputError where there is no candidate at all, or fewer ridges than `sheets`.
+    Raises: InputError where there is no candidate at all, or fewer ridges than `sheets`, not counting specks
+    far outside the comb.
     """
     chosen = _representative(segments)
     candidates, weight = segments.candidates.take(chosen), segments.length[chosen].astype(np.float64)
@@ -85,7 +88,25 @@ def build_model(segments: Segments, comb: Comb, *, width_px: int, sheets: int | 
             source, f"{sheets} ridges (--sheets)", f"{model.sheets}", "give the number that is in view"
         )
     worth = sheet_worth(model.log_contrast, model.log_width, model.found)
-    return model.only(choose_sheets(model.x_px, worth, comb.pitch_px, sheets))
+    best = model.only(choose_sheets(model.x_px, worth, comb.pitch_px, sheets))
+    if sheets is not None:
+        _check_ends(best.x_px, sheets, source)
+    return best
+
+
+def _check_ends(x_px: Doubles, sheets: int, source: str) -> None:
+    """A number of ridges that only specks far outside the comb make up is not believed."""
+    if len(x_px) < LEAST_COMB:
+        return
+    spacing = np.diff(x_px)
+    far = int((spacing[[0, -1]] > FAR_OUTSIDE * np.median(spacing)).sum())
+    if far:
+        raise InputError(
+            source,
+            f"{sheets} ridges (--sheets)",
+            f"{sheets - far} and {far} far outside their comb",
+            "give the number that is in view, or leave --sheets out",
+        )
 
 
 def _representative(segments: Segments) -> Ints:
