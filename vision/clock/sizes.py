@@ -10,10 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vision.force.noise import MAD_TO_SIGMA
+
 Doubles = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_MAD_TO_SIGMA = 1.4826
 _FAR = 2.0  # standard deviations: sizes further off, of two slips seen as one or of dust, count as this far
 _AROUND = 15  # slips whose median is the trend
 _ENOUGH = 30  # slips from which on the trend need not be straight
@@ -42,7 +43,7 @@ def scored(size: Doubles, error: Doubles | float = 0.0) -> Sizes:
     if known.sum() < _LEAST:
         return Sizes(score, 0.0)
     off = off_trend(np.log(size[known]))
-    scatter = _MAD_TO_SIGMA * float(np.median(np.abs(off)))
+    scatter = MAD_TO_SIGMA * float(np.median(np.abs(off)))
     noise = float(np.median(np.broadcast_to(error, size.shape)[known] / size[known]))
     if not scatter > max(noise, 1e-9):
         return Sizes(score, 0.0)

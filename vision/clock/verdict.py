@@ -9,6 +9,7 @@ import numpy as np
 from vision.clock.search import find_alignments
 from vision.clock.shuffle import beats_chance
 from vision.clock.trains import ALONE, DRIFT_PPM, Clocks, Doubles, Fit, Trains
+from vision.force.noise import MAD_TO_SIGMA
 
 LEAST_MARGIN = 6.0
 _OVER_CHANCE = 4.0  # over the best of the shuffled trains
@@ -16,7 +17,6 @@ _LEAST_LIKELIHOOD, _CLEAR = 14.0, 20.0
 _AGAINST = -0.5  # log-likelihood of the sizes at which they do not go together
 _LEAST_MATCHED = 6
 _LARGEST_SCALE = 1.5
-_MAD_TO_SIGMA = 1.4826
 _ALIKE = 0.5  # in the logarithm of neighbouring intervals: what differs more has slips missing or false
 _FAR, _FEW = 2.3, 0.05  # errors; even ones, as of a slip between two frames, end at sqrt(3) of theirs
 _WANDER = 3.0  # standard errors of the correlation of one residual with the next
@@ -122,7 +122,7 @@ def _told_by_intervals(trains: Trains, fit: Fit) -> float:
     if not len(change):
         return 0.0
     # Errors of the force's slips look uneven, too: three of them, the middle one twice, make a change.
-    uneven2 = (_MAD_TO_SIGMA * float(np.median(change))) ** 2 / 2 - 3 * trains.force_error_s**2
+    uneven2 = (MAD_TO_SIGMA * float(np.median(change))) ** 2 / 2 - 3 * trains.force_error_s**2
     error = trains.typical_error_s * fit.scale[0]
     most = np.median(trains.earned()) - 2 * ALONE
     return float(len(interval) * min(0.5 * max(uneven2, 0.0) / error**2, 0.5 * most))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.errors import InputError
+from vision.force.noise import MAD_TO_SIGMA
 from vision.sheets.medians import nan_median
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ _SMALL = 0.1  # of the large steps: below this a step is one of few sheets, not 
 _UNDONE = 0.6  # a step that falls back by this much at once was a bad frame
 _ROUNDS = 3
 _LEAST_SHEETS = 0.2  # of all: with fewer, a frame is left out
-_MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def _first_pattern(n: Doubles) -> Doubles:
 def _noise(moved_px: Doubles) -> Doubles:
     """Standard error of one movement of each sheet, (sheet,); slips are too few to matter to a median."""
     away = moved_px - nan_median(moved_px)
-    noise = _MAD_TO_SIGMA * nan_median(np.abs(away))
+    noise = MAD_TO_SIGMA * nan_median(np.abs(away))
     usual = noise[np.isfinite(noise)]
     floor = max(0.1 * float(np.median(usual)), 1e-6) if usual.size else 1.0
     return np.asarray(np.maximum(np.where(np.isfinite(noise), noise, np.inf), floor))
@@ -142,7 +142,7 @@ def _shortest_half(values: Doubles) -> tuple[float, float]:
     half = len(ordered) // 2
     length = ordered[half:] - ordered[: len(ordered) - half]
     k = int(np.argmin(length))
-    return float(ordered[k : k + half + 1].mean()), _MAD_TO_SIGMA / 2 * float(length[k])
+    return float(ordered[k : k + half + 1].mean()), MAD_TO_SIGMA / 2 * float(length[k])
 
 
 def _runs(above: Doubles, error: Doubles, creep: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from vision.force.noise import MAD_TO_SIGMA
+
 if TYPE_CHECKING:
     import xarray as xr
 
 _LEAST_VALUES = 10
 _ROUNDS = 10
 _FAR = 5.0
-_MAD_TO_SIGMA = 1.4826
 _MOST_DRIFT = 0.02
 
 
@@ -53,7 +54,7 @@ def _line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]
     intercept = float(np.median(y - slope * x))
     for _ in range(_ROUNDS):
         away = np.abs(y - intercept - slope * x)
-        near = away <= _FAR * max(_MAD_TO_SIGMA * float(np.median(away)), 1e-6)
+        near = away <= _FAR * max(MAD_TO_SIGMA * float(np.median(away)), 1e-6)
         if not np.ptp(x[near]) > 0:
             break
         slope, intercept = (float(c) for c in np.polyfit(x[near], y[near], 1))

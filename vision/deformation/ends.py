@@ -9,6 +9,7 @@ import numpy as np
 from vision.deformation.creep import Creep, fit_creep, legendre
 from vision.deformation.frames import Bools, Doubles, StickFrames
 from vision.sheets.medians import nan_median
+from vision.sheets.noise import NORMAL_MEDIAN
 
 _LATEST_S = 0.025  # after the force dropped, or before
 _LONGEST_S = 2 * _LATEST_S
@@ -19,7 +20,6 @@ _CLEAR = 2.0  # times as far a sheet must jump for its frames to tell when it sl
 _LEAST, _FURTHEST = 0.01, 1.5  # jumps
 _FEW = 0.2  # of the sheets: what more of them do together is an error of the slip's time
 _LEAST_LATE = 0.004  # of the sheets, to say anything of the others
-_NORMAL_MEDIAN = 0.6745
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def _expected(residual: Doubles, end: Bools, creep: Creep, frames: StickFrames) 
     """Standard error of the residuals at the ends, to which the curve is not fitted, px, (F, sheet); NaN for
     the others."""
     count = max(float(np.median(creep.count)), _TERMS + 1)
-    usual = nan_median(np.abs(residual)) / _NORMAL_MEDIAN * np.sqrt(count / (count - _TERMS))
+    usual = nan_median(np.abs(residual)) / NORMAL_MEDIAN * np.sqrt(count / (count - _TERMS))
     left_out = np.flatnonzero(end[:, 0])
     design = legendre(frames.u[left_out], _TERMS)
     doubt = 1 + np.einsum("fa,fsab,fb->fs", design, creep.inverse[frames.row[left_out]], design)

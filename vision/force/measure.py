@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -44,12 +45,12 @@ class Signal:
     sigma: float
     damage: dict[str, Ints]
 
-    @property
+    @cached_property
     def interval_s(self) -> float:
         """From sample to sample, at the median."""
         return float(np.median(np.diff(self.time)))
 
-    @property
+    @cached_property
     def spikeless(self) -> Floats:
         """Load with NaN for spikes, so that fits leave them out."""
         return np.where(self.is_spike, np.nan, self.load)

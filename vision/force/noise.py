@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-_MAD_TO_SIGMA = 1.4826
+MAD_TO_SIGMA = 1.4826
 _SPIKE_SIGMAS = 6.0
 _SPIKE_WINDOW = 5
 
@@ -17,7 +17,7 @@ def noise_sigma(y: NDArray[np.float64]) -> float:
     quantum of the recording causes (q/√12), nor zero.  Source: physics notes on detection.
     """
     second = np.diff(y, 2)
-    spread = _MAD_TO_SIGMA * float(np.median(np.abs(second - np.median(second)))) / np.sqrt(6.0)
+    spread = MAD_TO_SIGMA * float(np.median(np.abs(second - np.median(second)))) / np.sqrt(6.0)
     return float(max(spread, _quantum(y) / np.sqrt(12.0), 1e-9 * float(np.ptp(y)), np.finfo(float).tiny))
 
 

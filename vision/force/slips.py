@@ -64,16 +64,16 @@ def find_slips(y: Floats, sigma: float, *, threshold: float | None = None) -> Sl
     return Slips(edge[keep], drop[keep], period, least, how)
 
 
-def stick_lines(y: Floats, edge: Ints, part: float = _LINE_PART) -> Lines:
-    """Lines through the middle `part` of the stretches between edges: one more than there are edges."""
-    return fit_lines(np.arange(y.size, dtype=float), y, *stick_middles(edge, y.size, part))
+def stick_lines(y: Floats, edge: Ints) -> Lines:
+    """Lines through the middle 80 % of the stretches between edges: one more than there are edges."""
+    return fit_lines(np.arange(y.size, dtype=float), y, *stick_middles(edge, y.size))
 
 
-def stick_middles(edge: Ints, size: int, part: float = _LINE_PART) -> tuple[Ints, Ints]:
-    """[start, stop) of the middle `part` of each stretch between edges."""
+def stick_middles(edge: Ints, size: int) -> tuple[Ints, Ints]:
+    """[start, stop) of the middle 80 % of each stretch between edges."""
     bounds = np.r_[0, edge, size]
     length = np.diff(bounds)
-    margin = np.minimum((0.5 * (1 - part) * length).astype(np.int64), np.maximum(length - 3, 0) // 2)
+    margin = np.minimum((0.5 * (1 - _LINE_PART) * length).astype(np.int64), np.maximum(length - 3, 0) // 2)
     return bounds[:-1] + margin, bounds[1:] - margin
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from vision.sheets.noise import NORMAL_MEDIAN
+
 Doubles = NDArray[np.float64]
 
 LEAST_SPACINGS = 8
@@ -28,6 +30,6 @@ def wide_spacings(x_px: Doubles) -> tuple[Doubles, Doubles]:
         return np.empty(0), np.empty(0)
     size = spacing / median_filter(spacing, size=NEIGHBOURS, mode="nearest")
     log = np.log(size)
-    scatter = 1.4826 * float(np.median(np.abs(log - np.median(log))))
+    scatter = float(np.median(np.abs(log - np.median(log)))) / NORMAL_MEDIAN
     wide = log > max(np.log(TOO_WIDE), SIGMAS * scatter)
     return (x_px[:-1] + 0.5 * spacing)[wide], size[wide]

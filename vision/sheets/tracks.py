@@ -90,7 +90,12 @@ def track_sheets(
     found = _Found(comb, links, seen, x, err, noise, window)
     origin = float(strip["x"].values[0])
     numbering = number_sheets(x, axis_px=None if axis_px is None else axis_px - origin)
-    settings = {"ridges_asked": ridges, "sheets_asked": -1 if sheets is None else sheets, "fit": fit}
+    settings: dict[str, Any] = {
+        "ridges_asked": ridges,
+        "sheets_asked": -1 if sheets is None else sheets,
+        "fit": fit,
+    }
+    settings["wide_spacings"] = "" if sheets else _wide(links.model.x_px + origin)
     low, high = numbering.between_px
     numbering = replace(
         numbering, axis_px=numbering.axis_px + origin, between_px=(low + origin, high + origin)
@@ -177,9 +182,7 @@ def _dataset(
         "side": (sheet, numbering.side, _about("-1 left, +1 right of the axis")),
         "n": (sheet, numbering.n, _about("number from the centre outwards")),
     }
-    asked = settings["sheets_asked"]
-    facts = _facts(found, numbering, flag, float(strip["x"].values[0]), asked if asked > 0 else None)
-    return xr.Dataset(data, coords, strip.attrs | settings | facts)
+    return xr.Dataset(data, coords, strip.attrs | settings | _facts(found, numbering, flag))
 
 
 def _flags(strip: xr.DataArray, found: _Found) -> NDArray[np.str_]:
@@ -190,9 +193,7 @@ def _flags(strip: xr.DataArray, found: _Found) -> NDArray[np.str_]:
     return np.where(status[:, None] != "ok", status[:, None], flag)
 
 
-def _facts(
-    found: _Found, numbering: Numbering, flag: NDArray[np.str_], origin: float, sheets: int | None
-) -> dict[str, Any]:
+def _facts(found: _Found, numbering: Numbering, flag: NDArray[np.str_]) -> dict[str, Any]:
     comb = found.comb
     names, counts = np.unique(flag, return_counts=True)
     return {
@@ -209,17 +210,13 @@ def _facts(
         "axis_high_px": numbering.between_px[1],
         "least_margin": float(np.nan_to_num(np.nanmin(found.links.margin, initial=np.inf), posinf=1e9)),
         "ridges_dropped": found.links.model.dropped,
-        "wide_spacings": "" if sheets else _wide(found, origin),
         "flag_counts": ", ".join(f"{name} {count}" for name, count in zip(names, counts, strict=True)),
     }
 
 
-def _wide(found: _Found, origin: float) -> str:
+def _wide(x_px: Doubles) -> str:
     """Where a sheet may be missing: "748 px (1.9 pitches), ..."."""
-    middle, size = wide_spacings(found.links.model.x_px)
-    return ", ".join(
-        f"{x + origin:.0f} px ({pitches:.1f} pitches)" for x, pitches in zip(middle, size, strict=True)
-    )
+    return ", ".join(f"{x:.0f} px ({size:.1f} pitches)" for x, size in zip(*wide_spacings(x_px), strict=True))
 
 
 def _about(long_name: str, units: str = "") -> dict[str, str]:
