@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.truth.scenes import bound_px, ridges, strip
+from tests.scenes.combs import bound_px, ridges, strip
 from vision.sheets.tracks import track_sheets
 
 FRAMES, SNR, PITCH_PX = 2000, 100.0, 20.0

@@ -1,17 +1,46 @@
-"""The one exception a user can cause."""
+"""The one exception that input can cause."""
 
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Mapping
+
+_NAMED = re.compile(r"`([A-Za-z_][A-Za-z0-9_]*)`")
 
 
-class InputError(Exception):
-    """Input or arguments the program cannot use.
+class InputError(ValueError):
+    """Input or arguments that cannot be used.
 
-    The message is one line: what it is about (a file, an option), what was expected, what was found
-    and what to do. Commands show it as it is and end with exit status 2.
+    The message is one line: what it is about (a file, an argument), what was expected, what was found and
+    what to do. Arguments stand in it by their Python names in backticks, as in "give `pixel_size_um`"; the
+    command shows the same line with its own options in their place (`with_options`) and ends with exit
+    status 2.
+
+    Parameters
+    ----------
+    about
+        A file, or an argument in backticks.
+    expected, found
+        What the input should be, and what it is.
+    advice
+        What to do about it; may be empty.
     """
 
     def __init__(self, about: str | os.PathLike[str], expected: str, found: str, advice: str = "") -> None:
         parts = f"{os.fspath(about)}: expected {expected}; found {found}"
         super().__init__(" ".join(f"{parts}; {advice}".split()) if advice else " ".join(parts.split()))
+
+
+def with_options(message: str, options: Mapping[str, str]) -> str:
+    """A message in which arguments in backticks are replaced by the options of the command.
+
+    Parameters
+    ----------
+    message
+        As raised by the library, or a warning of it.
+    options
+        Python name to option, such as ``{"pixel_size_um": "--pixel-size"}``. Names that are not in it lose
+        their backticks.
+    """
+    return _NAMED.sub(lambda match: options.get(match[1], match[1]), message)

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from tests.comb_video import frames_of, positions, write_video
-from tests.video.film import write_avi, write_encoded
+from tests.scenes.comb_video import frames_of, positions, write_video
+from tests.scenes.films import write_avi, write_encoded
 from vision.command.console import complain, say
 from vision.command.main import run
 

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.comb_video import positions, write_video
+from tests.scenes.comb_video import positions, write_video
 from vision.command.main import run
 
 

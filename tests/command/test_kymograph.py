@@ -10,7 +10,7 @@ import pytest
 import tifffile
 import xarray as xr
 
-from tests.comb_video import frames_of, positions, write_video
+from tests.scenes.comb_video import frames_of, positions, write_video
 from vision.command.main import run
 from vision.run.reading import read_run, slip_times_s
 

@@ -13,7 +13,7 @@ import pytest
 import tifffile
 import xarray as xr
 
-from tests.comb_video import frames_of, positions, write_video
+from tests.scenes.comb_video import frames_of, positions, write_video
 from vision.command.main import run
 from vision.report import html
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tests.force.sawtooth import Test, plain, realistic, recording
+from tests.scenes.sawtooth import Test, plain, realistic, recording
 from vision.errors import InputError
 from vision.experiment.force_file import force_recording
 from vision.experiment.mechanics import pull_apart

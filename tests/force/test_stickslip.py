@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from tests.force.sawtooth import Test, plain, realistic, recording
+from tests.scenes.sawtooth import Test, plain, realistic, recording
 from vision.errors import InputError
 from vision.force.detection import detection_limit
 from vision.force.recording import read_force

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.force.sawtooth import Test, realistic
+from tests.scenes.sawtooth import Test, realistic
 from vision.command.force import force
 from vision.errors import InputError
 from vision.force.stickslip import find_stick_slip

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from tests.report.made import make_profile, make_tracks, sawtooth
+from tests.scenes.report_data import make_profile, make_tracks, sawtooth
 from vision.report import force_charts, sheet_charts, shell_charts
 from vision.report.chart import table_of
 from vision.report.draw import draw_chart

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
 
-from tests.report.made import make_profile, make_tracks, sawtooth
+from tests.scenes.report_data import make_profile, make_tracks, sawtooth
 from vision.report import drawing, figures
 from vision.report.results import RunResults
 from vision.report.sections import charts_of, sections_of

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.report.made import make_profile, make_tracks, sawtooth
+from tests.scenes.report_data import make_profile, make_tracks, sawtooth
 from vision.report import figures
 from vision.report.html import write_report
 from vision.report.results import RunResults

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from scenes import as_strip, comb, ridges, strip
 
+from tests.scenes.combs import as_strip, comb, ridges, strip
 from vision.errors import InputError
 from vision.sheets.tracks import track_sheets
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import comb, ridges, strip
 
+from tests.scenes.combs import comb, ridges, strip
 from vision.errors import InputError
 from vision.run.summary import warnings_that_matter
 from vision.sheets.holes import wide_spacings

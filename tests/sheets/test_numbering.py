@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from scenes import comb, ridges, strip
 
+from tests.scenes.combs import comb, ridges, strip
 from vision.sheets.tracks import track_sheets
 
 PITCH = 20.0

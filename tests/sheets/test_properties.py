@@ -3,8 +3,8 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import as_strip, comb, ridges, strip
 
+from tests.scenes.combs import as_strip, comb, ridges, strip
 from vision.sheets.tracks import track_sheets
 
 few = settings(max_examples=8, deadline=None, derandomize=True)

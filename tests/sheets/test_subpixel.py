@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from scenes import ridges, strip
 
+from tests.scenes.combs import ridges, strip
 from vision.errors import InputError
 from vision.sheets.comb import Comb
 from vision.sheets.fitting import choose_window

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from scenes import bound_px, comb, ridges, strip
 
+from tests.scenes.combs import bound_px, comb, ridges, strip
 from vision.sheets.tracks import track_sheets
 
 SNR = 100

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from identity_cases import CASES, Case
 
+from tests.scenes.identity_cases import CASES, Case
 from vision.sheets.tracks import track_sheets
 
 

@@ -5,8 +5,8 @@ from fractions import Fraction
 import av
 import numpy as np
 import pytest
-from scenes import bound_px, comb, ridges, strip
 
+from tests.scenes.combs import bound_px, comb, ridges, strip
 from vision.sheets.tracks import track_sheets
 from vision.video import open_video, strip_profile
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from identity_cases import FRAMES, brightness, jumps
-from scenes import comb, ridges, strip
 
+from tests.scenes.combs import comb, ridges, strip
+from tests.scenes.identity_cases import FRAMES, brightness, jumps
 from vision.sheets.tracks import track_sheets
 
 PITCH = 20.0

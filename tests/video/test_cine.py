@@ -2,8 +2,8 @@ import struct
 
 import numpy as np
 import pytest
-from film import comb, states, whole
 
+from tests.scenes.films import comb, states, whole
 from vision.errors import InputError
 from vision.video import open_video, strip_profile
 from vision.video.mapped import MappedReader

@@ -4,8 +4,8 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
-from film import comb, states, whole, write_avi, write_encoded
 
+from tests.scenes.films import comb, states, whole, write_avi, write_encoded
 from vision.errors import InputError
 from vision.video import open_video, strip_profile
 from vision.video.encoded import EncodedReader

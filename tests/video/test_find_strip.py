@@ -4,8 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
-from film import comb
 
+from tests.scenes.films import comb
 from vision.errors import InputError
 from vision.video import find_strip, measure_strip, open_video, strip_profile
 from vision.video.tilt import lean_px, ridge_width_px

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from film import comb, write_avi, write_encoded
 
+from tests.scenes.films import comb, write_avi, write_encoded
 from vision.video import open_video, strip_profile
 from vision.video.frame_counts import lost_between
 

@@ -5,8 +5,8 @@ import tracemalloc
 import numpy as np
 import pytest
 import tifffile
-from film import comb, write_avi
 
+from tests.scenes.films import comb, write_avi
 from vision.errors import InputError
 from vision.video import open_video, reference_frame, strip_profile
 from vision.video.blank import is_blank

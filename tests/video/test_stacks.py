@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
-from film import comb, states, whole
 
+from tests.scenes.films import comb, states, whole
 from vision.errors import InputError
 from vision.video import open_video, strip_profile
 from vision.video.mapped import MappedReader

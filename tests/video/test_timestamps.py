@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-from film import comb, write_avi
 
+from tests.scenes.films import comb, write_avi
 from vision.errors import InputError
 from vision.video import open_video, strip_profile
 from vision.video.timestamps import read_timestamps

@@ -9,7 +9,7 @@ import pandas as pd
 import xarray as xr
 from scipy.signal import lfilter
 
-from tests.force.sawtooth import recording
+from tests.scenes.sawtooth import recording
 from vision.clock.sizes import Sizes, scored
 from vision.clock.trains import Trains
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from tests.slip_trains import sawtooth, slip_times, sticks_of, tracks
+from tests.scenes.slip_trains import sawtooth, slip_times, sticks_of, tracks
 from vision.clock import Clock, synchronise
 from vision.errors import InputError
 from vision.experiment import preset, with_settings

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scenes import comb, ridges, strip
+
+from tests.scenes.combs import comb, ridges, strip
 
 FRAMES = 300
 Doubles = NDArray[np.float64]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.slip_trains import sawtooth, slip_times, sticks_of, tracks
+from tests.scenes.slip_trains import sawtooth, slip_times, sticks_of, tracks
 from vision.clock import force_slips, video_slips
 from vision.errors import InputError
 

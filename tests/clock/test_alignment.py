@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.slip_trains import pair
+from tests.scenes.slip_trains import pair
 from vision.clock.trains import Clocks, Trains, evaluate
 from vision.clock.verdict import align
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 import pytest
-from creeping import Clock, make, profile
 
+from tests.scenes.creeping import Clock, make, profile
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError
 from vision.models.equations import Assembly

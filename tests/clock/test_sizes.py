@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.slip_trains import pair, sawtooth, slip_sizes, slip_times, sticks_of, tracks
+from tests.scenes.slip_trains import pair, sawtooth, slip_sizes, slip_times, sticks_of, tracks
 from vision.clock import force_slips, synchronise, video_slips
 from vision.clock.shuffle import beats_chance
 from vision.clock.sizes import Sizes, scored, size_evidence

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from creeping import PIXEL_UM, Clock, make, profile, relaxing, straight
 
+from tests.scenes.creeping import PIXEL_UM, Clock, make, profile, relaxing, straight
 from vision.deformation import horizontal_deformation, stick_displacement
 from vision.deformation.creep import Creep
 from vision.deformation.memory import Memory

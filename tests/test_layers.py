@@ -7,14 +7,17 @@ VISION = Path(__file__).parents[1] / "vision"
 # rooms in order; a room may use itself and those before it
 ROOMS = [
     "errors",
+    "numeric",
+    "data",
+    "sample",
     "video",
     "sheets",
     "spacetime",
     "force",
     "clock",
     "deformation",
-    "shells",
     "models",
+    "shells",
     "experiment",
 ]
 SHOWING = {"run", "report", "review"}
@@ -33,7 +36,7 @@ def imports_of(path):
 
 
 def allowed(room, other):
-    if room == other or other in {"", "errors"}:
+    if room == other or other in {"", "errors", "numeric", "data", "sample"}:
         return True
     if room == "command":
         return True

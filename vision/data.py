@@ -1,0 +1,481 @@
+"""What passes between the stages: variables, dimensions, units, and the facts that travel with them.
+
+Each stage returns an xarray object or a pandas table. Its variables are declared here as a `Schema`, which a
+later stage checks where the data enter; what else a later stage must know (the fit that was used, the codec,
+the time of the first slip) is declared as a `Metadata` class, kept in ``attrs`` and read back with ``of``.
+Every stage adds itself, with its parameters, to ``attrs["operations"]``.
+"""
+
+# ruff: noqa: N815 (the unit is part of a name, and newton is N)
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Any, Self, TypeVar
+
+import pandas as pd
+import xarray as xr
+
+from vision.errors import InputError
+
+Data = xr.DataArray | xr.Dataset | pd.DataFrame
+AnyData = TypeVar("AnyData", xr.DataArray, xr.Dataset, pd.DataFrame)
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable, coordinate or column.
+
+    Parameters
+    ----------
+    dims
+        Names of its dimensions; ``("event",)`` for a column of a table of events.
+    units
+        As in ``attrs["units"]``; "" for text and flags, "1" for a ratio.
+    long_name
+        What it is, for labels of axes and for netCDF.
+    required
+        Whether a stage needs it.
+    """
+
+    dims: tuple[str, ...]
+    units: str
+    long_name: str
+    required: bool = True
+
+    @property
+    def attrs(self) -> dict[str, str]:
+        """``long_name`` and, where it has one, ``units``."""
+        return {"long_name": self.long_name} | ({"units": self.units} if self.units else {})
+
+
+@dataclass(frozen=True)
+class Schema:
+    """The variables of one dataset.
+
+    Parameters
+    ----------
+    name
+        What a message calls it.
+    made_by
+        The function that returns it.
+    variables
+        Every variable, coordinate and column with its declaration.
+    metadata
+        The class of the facts in ``attrs`` that later stages need; None where they need none.
+    """
+
+    name: str
+    made_by: str
+    variables: Mapping[str, Variable]
+    metadata: type[Metadata] | None = None
+
+    def __getitem__(self, name: str) -> Variable:
+        return self.variables[name]
+
+    def check(self, data: Data) -> None:
+        """All that is missing or has the wrong dimensions, in one message.
+
+        Raises
+        ------
+        InputError
+            Names every variable and fact that is not as declared, with what was expected and found.
+        """
+        problems = [line for name, is_as in self.variables.items() if (line := _problem(data, name, is_as))]
+        if self.metadata is not None:
+            absent = self.metadata.absent(data)
+            problems += [f"attrs['{name}'] is missing" for name in absent]
+        if problems:
+            raise InputError(
+                f"the {self.name}",
+                f"what `{self.made_by}` returns",
+                ", ".join(problems),
+                "pass that on unchanged",
+            )
+
+
+def _problem(data: Data, name: str, declared: Variable) -> str:
+    """What is wrong with one variable, "" for nothing."""
+    if isinstance(data, pd.DataFrame):
+        return f"no column {name}" if declared.required and name not in data.columns else ""
+    if isinstance(data, xr.DataArray) and name == data.name:
+        found = data
+    elif name in data.coords or (isinstance(data, xr.Dataset) and name in data):
+        found = data[name]
+    else:
+        return f"no {name}" if declared.required else ""
+    if tuple(found.dims) != declared.dims:
+        return f"{name} with dimensions {found.dims} in place of {declared.dims}"
+    return ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metadata:
+    """Facts that travel with data in ``attrs``, one entry a field. NaN stands for a number not known."""
+
+    @classmethod
+    def of(cls, data: Data) -> Self:
+        """Read back from the data.
+
+        Raises
+        ------
+        InputError
+            Where a field without a default is missing.
+        """
+        if absent := cls.absent(data):
+            found = ", ".join(f"no attrs['{name}']" for name in absent)
+            raise InputError(
+                "the data", f"the facts of a {cls.__name__}", found, "pass stages' results on unchanged"
+            )
+        return cls(**{part.name: data.attrs[part.name] for part in fields(cls) if part.name in data.attrs})
+
+    @classmethod
+    def absent(cls, data: Data) -> list[str]:
+        """Fields without a default that the data do not have."""
+        needed = [f.name for f in fields(cls) if f.default is MISSING and f.default_factory is MISSING]
+        return [name for name in needed if name not in data.attrs]
+
+    def attrs(self) -> dict[str, Any]:
+        """For ``assign_attrs``; not a copy."""
+        return {part.name: getattr(self, part.name) for part in fields(self)}
+
+
+def record(data: AnyData, operation: str, **parameters: Any) -> AnyData:
+    """The same data with one more entry in ``attrs["operations"]``: the function and its parameters."""
+    entry = {"operation": operation, "parameters": parameters}
+    done = [*data.attrs.get("operations", ()), entry]
+    if isinstance(data, pd.DataFrame):
+        table = data.copy(deep=False)
+        table.attrs = {**data.attrs, "operations": done}
+        return table
+    return data.assign_attrs(operations=done)
+
+
+def warnings_of(*parts: Data | None) -> list[str]:
+    """The warnings of several stages in order, each once."""
+    lines: Sequence[str] = [
+        line for part in parts if part is not None for line in part.attrs.get("warnings", ())
+    ]
+    return list(dict.fromkeys(lines))
+
+
+# --- I(x, t) ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class StripMetadata(Metadata):
+    """How the strip was read.
+
+    Parameters
+    ----------
+    source
+        The video's path.
+    codec
+        Of the pixels, as FFmpeg names it; "" for files that are not video. Lossy ones hide the noise.
+    pixel_format
+        How the pixels were read.
+    rotate
+        Degrees clockwise by which frames were turned.
+    depth_bits, saturation_level
+        Significant bits per pixel (32 for float) and the value of a saturated one (NaN for float).
+    strip_z0, strip_z1, strip_how, strip_clarity
+        Rows averaged, half-open; "found" or "given"; how clearly the ridges stand out in them.
+    tilt_deg
+        Lean of the ridges, NaN where it is not known.
+    clock_kind, fps
+        "file" (the recording's time stamps), "given", or "playback" (the container's rate); frames per
+        second, NaN where not known.
+    frames_expected, frames_read, frames_lost, frames_blank, frames_corrupt
+        Counts: expected = read + lost; blank ones are among the read, corrupt ones among the lost.
+    warnings
+        What the user must be told.
+    """
+
+    source: str = "the video"
+    codec: str = ""
+    pixel_format: str = ""
+    rotate: int = 0
+    depth_bits: int = 32
+    saturation_level: float = math.nan
+    strip_z0: int = 0
+    strip_z1: int = 1
+    strip_how: str = "given"
+    strip_clarity: float = math.nan
+    tilt_deg: float = math.nan
+    clock_kind: str = "playback"
+    fps: float = math.nan
+    frames_expected: int = 0
+    frames_read: int = 0
+    frames_lost: int = 0
+    frames_blank: int = 0
+    frames_corrupt: int = 0
+    warnings: Sequence[str] = field(default_factory=list)
+
+
+STRIP = Schema(
+    "strip",
+    "vision.strip_profile",
+    {
+        "intensity": Variable(("frame", "x"), "grey level", "mean intensity of the strip"),
+        "frame": Variable(("frame",), "", "frame number in the file"),
+        "x": Variable(("x",), "px", "column"),
+        "time_s": Variable(("frame",), "s", "time of the frame"),
+        "status": Variable(("frame",), "", "ok, blank, corrupt or lost"),
+    },
+    StripMetadata,
+)
+
+# --- x(n, t) ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackMetadata(Metadata):
+    """How the sheets were found; the strip's metadata travel beside it.
+
+    Parameters
+    ----------
+    fit, window_px
+        Subpixel method used and its window. The error of positions depends on both.
+    ridges, sheets
+        Polarity ("bright" or "dark") and number of sheets.
+    ridge_fwhm_px, pitch_px, contrast, profile_noise
+        Width and spacing of the ridges, their height and the noise in grey levels.
+    axis_px, axis_how, axis_low_px, axis_high_px
+        Symmetry axis; "given", "motion" or "geometry"; between what it may lie as far as motion tells (NaN
+        without motion).
+    least_margin
+        Smallest log-likelihood by which the chosen identities beat the next ones.
+    ridges_dropped
+        Persistent ridges that are no sheets.
+    wide_spacings
+        Where a sheet may have been overlooked: "748 px (1.9 pitches)".
+    """
+
+    fit: str
+    window_px: int = 9
+    ridges: str = "bright"
+    sheets: int = 0
+    ridge_fwhm_px: float = math.nan
+    pitch_px: float = math.nan
+    contrast: float = math.nan
+    profile_noise: float = math.nan
+    axis_px: float = math.nan
+    axis_how: str = "given"
+    axis_low_px: float = math.nan
+    axis_high_px: float = math.nan
+    least_margin: float = math.nan
+    ridges_dropped: int = 0
+    wide_spacings: Sequence[str] = field(default_factory=list)
+
+
+_FRAME_SHEET, _SHEET = ("frame", "sheet"), ("sheet",)
+TRACKS = Schema(
+    "tracks",
+    "vision.track_sheets",
+    {
+        "x_px": Variable(_FRAME_SHEET, "px", "position of the sheet"),
+        "x_err_px": Variable(_FRAME_SHEET, "px", "standard error of the position"),
+        "flag": Variable(_FRAME_SHEET, "", "ok, or why there is no position"),
+        "x_mean_px": Variable(_SHEET, "px", "median position", required=False),
+        "found": Variable(_SHEET, "1", "fraction of the frames with a position", required=False),
+        "fwhm_px": Variable(_SHEET, "px", "full width of the ridge at half maximum", required=False),
+        "snr": Variable(_SHEET, "1", "contrast over noise", required=False),
+        "x_noise_px": Variable(
+            _SHEET, "px", "measured scatter of the position from frame to frame", required=False
+        ),
+        "time_s": Variable(("frame",), "s", "time of the frame"),
+        "side": Variable(_SHEET, "", "-1 left, +1 right of the axis"),
+        "n": Variable(_SHEET, "", "sheet number, counted from the centre outwards"),
+    },
+    TrackMetadata,
+)
+
+# --- F(t), d(t) ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForceMetadata(Metadata):
+    """How the machine's file was read.
+
+    Parameters
+    ----------
+    source
+        The file's path.
+    separation_from
+        "displacement", "speed" (d = d0 + V t) or "none" (d is not known).
+    speed_mm_min, d0_mm
+        V, measured where a displacement was recorded; initial separation. NaN where not known.
+    layout, encoding, separator, decimal, columns, blocks, columns_seen
+        What the file looks like, and which of its columns are which.
+    notes, warnings
+        What was assumed, and what may spoil the results.
+    """
+
+    source: str = "the force recording"
+    separation_from: str = "none"
+    speed_mm_min: float = math.nan
+    d0_mm: float = math.nan
+    layout: str = ""
+    encoding: str = ""
+    separator: str = ""
+    decimal: str = ""
+    columns: str = ""
+    blocks: str = ""
+    columns_seen: str = ""
+    notes: Sequence[str] = field(default_factory=list)
+    warnings: Sequence[str] = field(default_factory=list)
+
+
+_TIME = ("time_s",)
+FORCE = Schema(
+    "force",
+    "vision.read_force",
+    {
+        "load_N": Variable(_TIME, "N", "load"),
+        "d_mm": Variable(_TIME, "mm", "separation distance"),
+        "flag": Variable(_TIME, "", "ok, or what is wrong with the sample"),
+        "time_s": Variable(_TIME, "s", "machine's clock"),
+        "crosshead_mm": Variable(_TIME, "mm", "crosshead", required=False),
+        "video_time_s": Variable(_TIME, "s", "camera's clock", required=False),
+    },
+    ForceMetadata,
+)
+
+# --- stick-slip events --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class StickMetadata(Metadata):
+    """How the stick-slip events were found.
+
+    Parameters
+    ----------
+    noise_N, threshold_N, threshold_how
+        Noise of the load; smallest drop that counts as a slip; "found" or "given".
+    period_samples, spikes
+        Usual samples from slip to slip; impulsive spikes that were ignored.
+    lowpass_s, lowpass_how
+        Time constant of the load cell's low-pass that was corrected for; "found", "given", "none", or
+        "doubtful" (the transients after slips fit no single filter; not corrected).
+    first_slip_s, first_slip_N, last_slip_s
+        Times (force clock) of the first and last slip; load before the first one.
+    machine_stiffness_N_per_mm
+        By which d was corrected; NaN for no correction.
+    central_part
+        Fraction of the stick over which K is taken.
+    """
+
+    noise_N: float = math.nan
+    threshold_N: float = math.nan
+    threshold_how: str = ""
+    period_samples: float = math.nan
+    spikes: int = 0
+    lowpass_s: float = 0.0
+    lowpass_how: str = "none"
+    first_slip_s: float = math.nan
+    first_slip_N: float = math.nan
+    last_slip_s: float = math.nan
+    machine_stiffness_N_per_mm: float = math.nan
+    central_part: float = 0.5
+
+
+_EVENT = ("event",)
+STICKS = Schema(
+    "stick-slip events",
+    "vision.find_stick_slip",
+    {
+        "event": Variable(_EVENT, "", "event number"),
+        "t_v_s": Variable(_EVENT, "s", "time of the valley"),
+        "t_p_s": Variable(_EVENT, "s", "time of the peak"),
+        "d_v_mm": Variable(_EVENT, "mm", "separation at the valley"),
+        "d_p_mm": Variable(_EVENT, "mm", "separation at the peak"),
+        "F_v_N": Variable(_EVENT, "N", "force at the valley"),
+        "F_p_N": Variable(_EVENT, "N", "force at the peak"),
+        "dF_N": Variable(_EVENT, "N", "ΔF = F_p − F_v"),
+        "stick_length_um": Variable(_EVENT, "um", "Λ_st = d_p − d_v"),
+        "stick_length_err_um": Variable(_EVENT, "um", "standard error of Λ_st", required=False),
+        "slip_length_um": Variable(_EVENT, "um", "Λ_sl, next d_v − d_p", required=False),
+        "K_N_per_mm": Variable(_EVENT, "N/mm", "stiffness of the stick phase", required=False),
+        "K_err_N_per_mm": Variable(_EVENT, "N/mm", "standard error of K", required=False),
+    },
+    StickMetadata,
+)
+
+# --- deformation --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionMetadata(Metadata):
+    """How the deformation was measured.
+
+    Parameters
+    ----------
+    source, pixel_size_um
+        The video's path; µm per pixel.
+    margin_s, interval_s
+        Time kept clear of each slip; time between frames.
+    noise_share, noise_rho
+        Noise that is correlated from frame to frame: its share of the variance, and its AR(1) coefficient.
+    camera_movement
+        How movement of the camera was told from the sheets' creep.
+    """
+
+    source: str = "the video"
+    pixel_size_um: float = math.nan
+    margin_s: float = math.nan
+    interval_s: float = math.nan
+    noise_share: float = 0.0
+    noise_rho: float = 0.0
+    camera_movement: str = ""
+
+
+_EVENT_SHEET = ("event", "sheet")
+MOTION = Schema(
+    "deformation",
+    "vision.horizontal_deformation",
+    {
+        "sigma_x_um": Variable(_EVENT_SHEET, "um", "σ_x over the usable frames, as measured", required=False),
+        "sigma_x_corrected_um": Variable(
+            _EVENT_SHEET, "um", "σ_x without noise, over the whole stick", required=False
+        ),
+        "sigma_x_err_um": Variable(_EVENT_SHEET, "um", "standard error of the corrected σ_x", required=False),
+        "sweep_um": Variable(
+            _EVENT_SHEET, "um", "creep from valley to peak, inwards positive", required=False
+        ),
+        "ratio": Variable(_EVENT_SHEET, "1", "corrected σ_x over Λ_st"),
+        "ratio_err": Variable(_EVENT_SHEET, "1", "standard error of the ratio"),
+        "ratio_signed": Variable(_EVENT_SHEET, "1", "ratio with the sign of the motion, inwards positive"),
+        "flag": Variable(_EVENT_SHEET, "", "ok, or what is odd about the measurement", required=False),
+        "event": Variable(_EVENT, "", "event number"),
+        "side": Variable(_SHEET, "", "-1 left, +1 right of the axis"),
+        "n": Variable(_SHEET, "", "sheet number, counted from the centre outwards"),
+    },
+    MotionMetadata,
+)
+
+# --- shells -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShellMetadata(Metadata):
+    """Settings of the classification: σ_x/Λ_st below which a sheet is stiff; certainty of the intervals."""
+
+    threshold: float = 0.1
+    certainty: float = 0.9
+
+
+SHELLS = Schema(
+    "shells",
+    "vision.classify_shells",
+    {
+        "event": Variable(_EVENT, "", "event number"),
+        "d_v_mm": Variable(_EVENT, "mm", "separation at the valley"),
+        "side": Variable(_EVENT, "", "-1 left, +1 right of the axis"),
+        "stiff_sheets": Variable(_EVENT, "", "sheets in the stiff inner shell"),
+        "stiff_low": Variable(_EVENT, "", "lower end of the interval"),
+        "stiff_high": Variable(_EVENT, "", "upper end of the interval"),
+        "M_eff_model": Variable(_EVENT, "", "M_eff implied by the force"),
+    },
+    ShellMetadata,
+)

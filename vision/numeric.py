@@ -1,0 +1,49 @@
+"""Array types and robust statistics that every stage uses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Strings = NDArray[np.str_]
+Pixels = NDArray[Any]  # grey levels as the file stores them: unsigned integers or float32
+
+NORMAL_MEDIAN = 0.6744897501960817
+"""Median of the absolute value of a standard normal variable: a median absolute deviation (MAD) over this is
+a standard deviation."""
+
+
+def mad_sigma(values: NDArray[np.floating], axis: int | None = None) -> Any:
+    """Standard deviation of normal values from their median absolute deviation about the median.
+
+    Parameters
+    ----------
+    values
+        Any shape, without NaN.
+    axis
+        Along which it is taken; None for all values.
+
+    Returns
+    -------
+    A float for ``axis=None``, else an array without that axis.
+    """
+    middle = np.median(values, axis=axis, keepdims=True)
+    return np.median(np.abs(values - middle), axis=axis) / NORMAL_MEDIAN
+
+
+def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
+    """Median along an axis of what is not NaN; NaN, without a warning, where nothing is left."""
+    ordered = np.sort(np.asarray(values, np.float64), axis=axis)  # NaN comes last
+    count = np.expand_dims(np.isfinite(ordered).sum(axis=axis), axis)
+    if ordered.shape[axis] == 0:
+        return np.full(count.squeeze(axis).shape, np.nan)
+    low, high = np.maximum(count - 1, 0) // 2, count // 2
+    high = np.minimum(high, np.maximum(count - 1, 0))
+    pair = np.take_along_axis(ordered, low, axis) + np.take_along_axis(ordered, high, axis)
+    return np.asarray(np.where(count > 0, pair / 2, np.nan).squeeze(axis), np.float64)

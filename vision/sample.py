@@ -1,0 +1,56 @@
+"""The sample: two interleaved blocks of sheets."""
+
+# ruff: noqa: N815 (the unit is part of a name, and newton is N)
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from vision.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sample:
+    """Geometry and adhesion of one sample; the defaults are the publication's.
+
+    Parameters
+    ----------
+    sheets_per_block
+        M, sheets in one block: M sheets lie on each side of the symmetry axis.
+    thickness_mm
+        ε, of one sheet.
+    width_mm
+        W, of the sheets.
+    length_mm
+        L, from the clamp to the sheets' end.
+    t_star_N
+        T*, traction of the outermost, adhering sheet.
+
+    Raises
+    ------
+    InputError
+        For a number that is not positive and finite, or an uncountable number of sheets.
+
+    Notes
+    -----
+    Source: paper, sections II (samples) and III (model).
+    """
+
+    sheets_per_block: int = 25
+    thickness_mm: float = 0.1
+    width_mm: float = 45.0
+    length_mm: float = 57.0
+    t_star_N: float = 0.003
+
+    def __post_init__(self) -> None:
+        for part in fields(self):
+            value = getattr(self, part.name)
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not number or not math.isfinite(value) or value <= 0:
+                raise InputError(f"`{part.name}`", "a positive number", f"{value!r}")
+        if int(self.sheets_per_block) != self.sheets_per_block:
+            raise InputError("`sheets_per_block`", "a whole number", f"{self.sheets_per_block!r}")
+
+
+PUBLISHED = Sample()
+"""The publication's sample."""
