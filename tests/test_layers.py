@@ -1,11 +1,11 @@
-"""Rooms import only from rooms above them."""
+"""Packages import only from those above them, at the top of the module."""
 
 import ast
 from pathlib import Path
 
 VISION = Path(__file__).parents[1] / "vision"
-# rooms in order; a room may use itself and those before it
-ROOMS = [
+# In order: each may import itself and those before it. docs/architecture.md shows the same list.
+LAYERS = (
     "errors",
     "numeric",
     "data",
@@ -19,43 +19,70 @@ ROOMS = [
     "models",
     "shells",
     "experiment",
-]
-SHOWING = {"run", "report", "review"}
+    "figures",
+    "summary",
+    "pipeline",
+    "compare",
+    "report",
+    "run",
+    "review",
+    "command",
+)
+# The command defers its heavy imports, so that `track --help` answers at once.
+DEFERRED = ("command",)
 
 
-def room_of(parts):
-    return parts[1].removesuffix(".py") if len(parts) > 1 else ""
+def layer_of(module):
+    return module.split(".")[1] if "." in module else ""
 
 
-def imports_of(path):
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+def imports_of(tree):
+    """(module, whether at the top) of each import of this package."""
+    top = {id(node) for node in tree.body}
+    for node in tree.body:
+        if isinstance(node, ast.If):  # TYPE_CHECKING
+            top |= {id(inner) for inner in node.body}
+    for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module:
-            yield node.module
+            yield node.module, id(node) in top
         elif isinstance(node, ast.Import):
-            yield from (name.name for name in node.names)
+            yield from ((name.name, id(node) in top) for name in node.names)
 
 
-def allowed(room, other):
-    if room == other or other in {"", "errors", "numeric", "data", "sample"}:
+def allowed(layer, other):
+    if not other:
         return True
-    if room == "command":
-        return True
-    if room in SHOWING:
-        return other != "command"
-    return other in ROOMS and room in ROOMS and ROOMS.index(other) < ROOMS.index(room)
+    return other in LAYERS and layer in LAYERS and LAYERS.index(other) <= LAYERS.index(layer)
 
 
-def test_rooms_import_only_from_rooms_above_them():
+def each_import():
+    for path in sorted(VISION.rglob("*.py")):
+        if path == VISION / "__init__.py":
+            continue
+        layer = path.relative_to(VISION).parts[0].removesuffix(".py")
+        for module, at_top in imports_of(ast.parse(path.read_text(encoding="utf-8"))):
+            if module.split(".")[0] == "vision":
+                yield path.relative_to(VISION.parent), layer, module, at_top
+
+
+def test_packages_import_only_from_those_above_them():
     """A failure means that a lower layer has come to depend on a higher one."""
     wrong = [
-        f"{path.relative_to(VISION.parent)} imports {module}"
-        for path in sorted(VISION.rglob("*.py"))
-        for module in imports_of(path)
-        if module.split(".")[0] == "vision"
-        and path != VISION / "__init__.py"
-        and not allowed(room_of(path.relative_to(VISION.parent).parts), room_of((*module.split("."), "")[:2]))
+        f"{path} imports {module}"
+        for path, layer, module, _ in each_import()
+        if not allowed(layer, layer_of(module))
     ]
     assert wrong == []
+
+
+def test_imports_stand_at_the_top_of_the_module():
+    """A failure means that a dependency is hidden inside a function."""
+    hidden = [
+        f"{path} imports {module} inside a function"
+        for path, layer, module, at_top in each_import()
+        if not at_top and layer not in DEFERRED and module != "vision"
+    ]
+    assert hidden == []
 
 
 def test_the_rule_itself_can_fail():
@@ -64,3 +91,5 @@ def test_the_rule_itself_can_fail():
     assert not allowed("run", "command")
     assert not allowed("sheets", "run")
     assert allowed("sheets", "video")
+    tree = ast.parse("import vision.a\ndef f():\n    import vision.b")
+    assert list(imports_of(tree)) == [("vision.a", True), ("vision.b", False)]

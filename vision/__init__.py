@@ -1,6 +1,7 @@
-"""From a video of interleaved sheets and a force recording to x(n,t), σ_x/Λ_st and shells, in ten names.
+"""From a video of interleaved sheets and a force recording to x(n,t), σ_x/Λ_st and shells, in eleven names.
 
-Each name is loaded from its room when it is first used; everything else is reached through its module.
+`analyse` does all of it; the other ten are its stages. Each name is loaded from its package when it is first
+used; everything else is reached through its module.
 """
 
 from __future__ import annotations
@@ -8,34 +9,36 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
-_ROOMS = {
-    "open_video": "vision.video",
-    "strip_profile": "vision.video",
-    "track_sheets": "vision.sheets.tracks",
-    "space_time": "vision.spacetime",
-    "read_force": "vision.force.recording",
-    "find_stick_slip": "vision.force.stickslip",
-    "synchronise": "vision.clock",
-    "horizontal_deformation": "vision.deformation",
+_PACKAGE_OF = {
+    "analyse": "vision.pipeline",
     "classify_shells": "vision.shells",
-    "fit_models": "vision.models.fits",
+    "find_stick_slip": "vision.force",
+    "fit_models": "vision.models",
+    "horizontal_deformation": "vision.deformation",
+    "open_video": "vision.video",
+    "read_force": "vision.force",
+    "space_time": "vision.spacetime",
+    "strip_profile": "vision.video",
+    "synchronise": "vision.clock",
+    "track_sheets": "vision.sheets",
 }
 
 if TYPE_CHECKING:
     from vision.clock import synchronise
     from vision.deformation import horizontal_deformation
-    from vision.force.recording import read_force
-    from vision.force.stickslip import find_stick_slip
-    from vision.models.fits import fit_models
-    from vision.sheets.tracks import track_sheets
+    from vision.force import find_stick_slip, read_force
+    from vision.models import fit_models
+    from vision.pipeline import analyse
+    from vision.sheets import track_sheets
     from vision.shells import classify_shells
     from vision.spacetime import space_time
     from vision.video import open_video, strip_profile
 
 __all__ = [
     "__version__",
+    "analyse",
     "classify_shells",
     "find_stick_slip",
     "fit_models",
@@ -50,9 +53,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _ROOMS:
+    if name not in _PACKAGE_OF:
         raise AttributeError(f"module 'vision' has no attribute '{name}'")
-    return getattr(importlib.import_module(_ROOMS[name]), name)
+    return getattr(importlib.import_module(_PACKAGE_OF[name]), name)
 
 
 def __dir__() -> list[str]:

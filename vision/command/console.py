@@ -1,17 +1,21 @@
-"""What is said on standard output and standard error, also where nobody reads it."""
+"""What is shown on standard output and standard error, also where nobody reads it."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from io import TextIOWrapper
 from typing import TextIO
 
+from vision.command.options import option_names
+from vision.errors import with_options
+
 
 def hold_streams() -> None:
-    """Closed standard streams (`2>&-`) lead nowhere; else the next file opened takes their place, and is
-    written to by whoever has something to say.  Letters that a stream's encoding lacks become "?".
+    """Closed standard streams (`2>&-`) lead nowhere; otherwise the next file opened takes their place, and
+    messages are written into it.  Letters that a stream's encoding lacks become "?".
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
@@ -24,7 +28,7 @@ def hold_streams() -> None:
 def say(lines: Iterable[str]) -> None:
     """Lines to standard output, after the results are safe: failing to print them fails nothing.
 
-    A reader that left (`track … | head -1`), or none at all, is silent; a full disk is told.
+    A reader that left (`track … | head -1`), or none at all, is silent; a full disk is reported.
     """
     error = _print(lines, sys.stdout)
     if error is not None and not isinstance(error, BrokenPipeError):
@@ -37,13 +41,39 @@ def complain(message: str) -> None:
 
 
 def _print(lines: Iterable[str], stream: TextIO | None) -> OSError | None:
-    """Lines to a stream; the error if it does not take them."""
+    """Lines to a stream, with options in place of arguments; the error if the stream does not take them."""
     if stream is None:
         return None
     try:
-        stream.write("".join(f"{line}\n" for line in lines))
+        stream.write("".join(f"{with_options(line, option_names())}\n" for line in lines))
         stream.flush()
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # else Python complains as it closes
         return error
     return None
+
+
+@contextmanager
+def frame_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[[int, int | None], None] | None]:
+    """A function to call with (frames done, frames in all or None); None where nobody watches."""
+    if quiet or sys.stderr is None or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+    from rich.text import Text
+
+    class Rate(ProgressColumn):
+        """Frames per second."""
+
+        def render(self, task: Task) -> Text:
+            return Text("" if not task.speed else f"{task.speed:,.0f} frames/s")
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}"), Rate())
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=None)
+
+        def show(done: int, total: int | None) -> None:
+            bar.update(task, completed=done, total=total)
+
+        yield show

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
-
-from cyclopts import Parameter as Option
+from typing import Literal
 
 from vision.command.console import complain, say
+from vision.command.options import Flag
 
 
 def export(
@@ -16,8 +15,8 @@ def export(
     *,
     to: Literal["csv", "xlsx", "parquet", "mat", "trackpy", "napari"],
     out: Path | None = None,
-    overwrite: Annotated[bool, Option(negative="")] = False,
-    quiet: Annotated[bool, Option(negative="")] = False,
+    overwrite: Flag = False,
+    quiet: Flag = False,
 ) -> int:
     """Tables of a finished run in another program's format.
 
@@ -47,8 +46,7 @@ def export(
     quiet
         No summary.
     """
-    from vision.run.export import export_run
-    from vision.run.reading import read_run
+    from vision.run import export_run, read_run
 
     exported = export_run(read_run(run), to, out=out, overwrite=overwrite)
     for note in exported.notes:

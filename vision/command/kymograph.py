@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
+import math
 import time as clock
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,50 +10,71 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter as Option
 
-from vision.command.console import complain, say
-from vision.command.options import number, parse_range
-from vision.command.quantities import parse_length, parse_seconds, parse_sheets
-from vision.command.space_time_source import Source, VideoOptions, from_run, from_video
+from vision.command.console import complain, frame_progress, say
+from vision.command.options import (
+    Flag,
+    VideoOptions,
+    merged,
+    parse_length,
+    parse_pixel_size,
+    parse_range,
+    parse_seconds,
+    parse_sheets,
+    settings_of,
+)
+from vision.command.track import command_line, run_name
 from vision.errors import InputError
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from vision.numeric import Floats
+    from vision.pipeline import Settings
+    from vision.run import Parameter
+
 PAPER_WIDTH_UM = 200.0
 MARK = "diagrams"  # of run.json: tells a folder of diagrams from a run
+OF_A_RUN = ("columns", "frames", "pixel_size")  # reading options that a finished run takes, too
 
 
 @Option(name="*")
 @dataclass(frozen=True, kw_only=True)
-class CutOptions:
+class WindowOptions:
     """What of the strip is shown."""
 
     sheet: Annotated[tuple[str, ...], Option(negative="")] = ()
     """Window around a sheet: side and number, as right:23, or the index from the left; can be repeated."""
     width: str | None = None
     """Width of the window in mm, um, µm or px; 0.2mm, or one pitch where there is no pixel size."""
-    follow: Annotated[bool, Option(negative="")] = False
+    follow: Flag = False
     """The window moves with the sheet, interpolated between pixels, instead of standing still."""
-    frames: str | None = None
-    """Part of the recording, A:B; of a video only these are read."""
     time: str | None = None
     """Part of the recording in seconds of the video's clock, A:B."""
-    columns: str | None = None
-    """Columns of the video, X0:X1."""
-    pixel_size: float | None = None
-    """µm per pixel; a run's own if not given."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """What diagrams are cut from: the strip, the sheets and the times of slips as far as they are known."""
+
+    strip: xr.DataArray
+    tracks: xr.Dataset | None
+    slips_s: Floats | None
+    slips_from: str
+    pixel_size_um: float | None
+    files: tuple[Path, ...]
+    warnings: tuple[str, ...] = ()
 
 
 def kymograph(
     video_or_run: Path,
     /,
-    cut: CutOptions | None = None,
+    window: WindowOptions | None = None,
     reading: VideoOptions | None = None,
     *,
     picture: Literal["png", "pdf", "svg"] = "png",
     out: Path | None = None,
-    overwrite: Annotated[bool, Option(negative="")] = False,
-    quiet: Annotated[bool, Option(negative="")] = False,
+    overwrite: Flag = False,
+    quiet: Flag = False,
 ) -> int:
     """Space-time diagrams: the whole strip, or windows around sheets, side by side.
 
@@ -71,10 +91,10 @@ def kymograph(
     ----------
     video_or_run
         A run folder, or a video as for track.
-    cut
+    window
         What of the strip is shown.
     reading
-        How a video is read.
+        How a video is read; of a run only columns, frames and pixel size can be chosen.
     picture
         Kind of the picture.
     out
@@ -84,79 +104,152 @@ def kymograph(
     quiet
         No progress bar and no summary.
     """
-    from vision.run.folder import check_target
-    from vision.run.reading import check_mark
-
     started = clock.perf_counter()
-    cut = cut or CutOptions()
-    wishes = _wishes(cut)
-    target = out or Path(f"{video_or_run.stem if video_or_run.suffix else video_or_run.name}_kymograph")
+    window, reading = window or WindowOptions(), reading or VideoOptions()
+    options = _space_time_options(window)
+    from vision.run import check_mark, check_target, is_run
+
+    target = out or Path(f"{run_name(video_or_run)}_kymograph")
     check_target(target, overwrite=overwrite)
     check_mark(target, MARK)
-    source = _source(video_or_run, cut, reading, wishes, quiet=quiet)
-    diagrams = _diagrams(source, **wishes)
+    parameters = merged(reading)
+    if is_run(video_or_run):
+        source = _from_run(video_or_run, reading)
+        options["frames"] = parse_range(reading.frames, "--frames")
+    else:
+        wanted = bool(options["sheets"])
+        source = _from_video(video_or_run, settings_of(parameters), track=wanted, quiet=quiet)
+    diagrams = _diagrams(source, **options)
     warnings = [*source.warnings, *_warnings(diagrams)]
-    facts = _facts(cut, reading, source, diagrams, warnings)
+    facts = _facts(window, parameters, source, diagrams, warnings)
     files = _write(target, overwrite, picture, source, diagrams, facts, started)
-    return _report(target, files, source, diagrams, warnings, quiet=quiet)
+    for line in warnings:
+        complain(f"warning: {line}")
+    if not quiet:
+        say(_summary(target, files, source, diagrams))
+    return 1 if warnings else 0
 
 
-def _source(
-    path: Path, cut: CutOptions, reading: VideoOptions | None, wishes: dict[str, Any], *, quiet: bool
-) -> Source:
-    """The run, or the video; of a video the frames are cut while it is read, so that wish is fulfilled."""
-    from vision.run.reading import is_run
-
-    columns, size = parse_range(cut.columns, "--columns"), wishes.pop("pixel_size_um")
-    if is_run(path):
-        return from_run(path, reading, columns=columns, pixel_size_um=size)
-    return from_video(
-        path,
-        reading or VideoOptions(),
-        frames=wishes.pop("frames"),
-        columns=columns,
-        pixel_size_um=size,
-        track=bool(wishes["sheets"]),
-        quiet=quiet,
-    )
-
-
-def _wishes(cut: CutOptions) -> dict[str, Any]:
+def _space_time_options(window: WindowOptions) -> dict[str, Any]:
     """Arguments of `space_time` but for the strip.  Raises: InputError, before anything is read."""
-    sheets = parse_sheets(cut.sheet)
-    for option, given in (("--width", cut.width), ("--follow", cut.follow)):
+    sheets = parse_sheets(window.sheet)
+    for option, given in (("--width", window.width), ("--follow", window.follow)):
         if given and not sheets:
             raise InputError(option, "a sheet for the window", "none", "give --sheet right:1, for example")
     return {
         "sheets": sheets,
-        "width": parse_length(cut.width, "--width") if cut.width else {},
-        "follow": cut.follow,
-        "frames": parse_range(cut.frames, "--frames"),
-        "time_s": parse_seconds(cut.time, "--time"),
-        "pixel_size_um": number(cut.pixel_size, "--pixel-size", least=1e-6),
+        "width": parse_length(window.width, "--width") if window.width else {},
+        "follow": window.follow,
+        "time_s": parse_seconds(window.time, "--time"),
     }
+
+
+def _from_run(folder: Path, reading: VideoOptions) -> Source:
+    """A run's kymograph.tif, tracks and slips; a pixel size given now goes before the run's own.
+
+    Raises
+    ------
+    InputError
+        For options that only a video takes, for columns that the run does not have, and for a damaged run.
+    """
+    from vision.run import read_run, read_strip, slip_times_s
+
+    given = [name for name, value in vars(reading).items() if value is not None and name not in OF_A_RUN]
+    if given:
+        found = ", ".join(f"--{name}" for name in given)
+        raise InputError(folder, "options that a run takes", found, "give the video, or run track again")
+    run = read_run(folder)
+    strip = read_strip(run)
+    columns, size = parse_range(reading.columns, "--columns"), parse_pixel_size(reading.pixel_size)
+    files = ("kymograph.tif", "tracks.nc", "events.csv", "clock.json")
+    slips_s, slips_from = _slips(run.tracks, slip_times_s(run))
+    return Source(
+        strip=strip if columns is None else _cut(strip, columns, folder),
+        tracks=run.tracks,
+        slips_s=slips_s,
+        slips_from=slips_from,
+        pixel_size_um=run.pixel_size_um if size is None else size,
+        files=tuple(folder / name for name in files if (folder / name).exists()),
+    )
+
+
+def _cut(strip: xr.DataArray, columns: slice, folder: Path) -> xr.DataArray:
+    x = strip["x"].values
+    keep = (x >= (columns.start or 0)) & (x < (x[-1] + 1 if columns.stop is None else columns.stop))
+    if not keep.any():
+        found = f"{columns.start}:{columns.stop}"
+        raise InputError(f"{folder}: --columns", f"a part of {x[0]}:{x[-1] + 1}", found)
+    first = int(keep.argmax())
+    return strip.isel(x=slice(first, first + int(keep.sum())))
+
+
+def _from_video(path: Path, settings: Settings, *, track: bool, quiet: bool) -> Source:
+    """A video's strip, and its sheets where windows around them are wanted."""
+    from vision.data import warnings_of
+    from vision.pipeline import analyse
+    from vision.video import open_video, strip_profile
+
+    with frame_progress("reading", quiet=quiet) as progress:
+        if track:
+            analysis = analyse(path, None, settings, progress=progress)
+            strip, tracks, warnings = analysis.strip, analysis.tracks, analysis.warnings
+        else:
+            video = open_video(
+                path,
+                rotate=settings.rotate,
+                frames=settings.frames,
+                fps=settings.fps,
+                timestamps=settings.timestamps,
+            )
+            strip = strip_profile(video, settings.rows, columns=settings.columns, progress=progress)
+            tracks, warnings = None, tuple(warnings_of(strip))
+    given = () if settings.timestamps is None else (settings.timestamps,)
+    assert strip is not None
+    return Source(strip, tracks, *_slips(tracks, None), settings.pixel_size_um, (path, *given), warnings)
+
+
+def _slips(tracks: xr.Dataset | None, force_s: Floats | None) -> tuple[Floats | None, str]:
+    """Times of slips and where they come from: the force where its clock is sure, else the sheets' common
+    outward steps.
+
+    None where the axis was only guessed from the sheets' places: which way is outward is not known then.
+    """
+    from vision.clock import video_slips
+    from vision.data import TrackMetadata
+
+    if force_s is not None:
+        return force_s, "the force"
+    if tracks is None:
+        return None, ""
+    found = TrackMetadata.of(tracks)
+    if found.axis_how == "geometry" and math.isnan(found.axis_low_px):
+        return None, ""
+    try:
+        return video_slips(tracks)["time_s"].to_numpy(), "the sheets' common steps"
+    except InputError:  # too few frames, or none with a time: nothing to mark
+        return None, ""
 
 
 def _diagrams(
     source: Source, *, sheets: list[Any], width: dict[str, Any], follow: bool, **part: Any
 ) -> list[xr.DataArray]:
     """One per sheet; of the whole strip where no sheet is asked for."""
+    from vision.data import TrackMetadata
     from vision.spacetime import space_time
 
     size = source.pixel_size_um
     if not sheets or source.tracks is None:
         return [space_time(source.strip, pixel_size_um=size, **part)]
-    pitch: dict[str, Any] = {"width_px": min(float(source.tracks.attrs["pitch_px"]), source.strip.sizes["x"])}
-    width = width or (pitch if size is None else {"width_um": PAPER_WIDTH_UM})
+    pitch = min(TrackMetadata.of(source.tracks).pitch_px, float(source.strip.sizes["x"]))
+    width = width or ({"width_px": pitch} if size is None else {"width_um": PAPER_WIDTH_UM})
     window: dict[str, Any] = {"around": source.tracks, "follow": follow, "pixel_size_um": size}
-    window |= width | part
-    drawn = [space_time(source.strip, sheet=sheet, **window) for sheet in sheets]
-    return list({diagram.attrs["sheet"]: diagram for diagram in drawn}.values())  # each sheet once
+    cut = [space_time(source.strip, sheet=sheet, **window, **width, **part) for sheet in sheets]
+    return list({diagram.attrs["sheet"]: diagram for diagram in cut}.values())  # each sheet once
 
 
 def _warnings(diagrams: list[xr.DataArray]) -> list[str]:
     """What makes the TIFF's even time axis, or a sheet's window, misleading."""
-    from vision.run.kymograph import unevenness_s
+    from vision.run.tiff import unevenness_s
 
     off = unevenness_s(diagrams[0]["time_s"].values)
     lines = [f"frame times are uneven: the TIFF's time axis is off by up to {off:.3g} s"] if off else []
@@ -171,33 +264,33 @@ def _warnings(diagrams: list[xr.DataArray]) -> list[str]:
 
 
 def _facts(
-    cut: CutOptions,
-    reading: VideoOptions | None,
+    window: WindowOptions,
+    parameters: dict[str, Parameter],
     source: Source,
     diagrams: list[xr.DataArray],
     warnings: list[str],
 ) -> dict[str, Any]:
     """Everything run.json holds but the timings."""
-    from vision.run.provenance import Parameter, describe_input, versions
+    from vision.run import Parameter, describe_input, versions
 
-    options = vars(cut) | vars(reading or VideoOptions())
+    chosen = {
+        name: Parameter(value, "default" if value in (None, (), False) else "given")
+        for name, value in vars(window).items()
+    }
     return {
-        "command": shlex.join(["track", *sys.argv[1:]]),
+        "command": command_line(),
         "versions": versions(),
-        "parameters": {
-            name: Parameter(value, "default" if value in (None, (), False) else "given")
-            for name, value in options.items()
-        },
+        "parameters": {**parameters, **chosen},
         "inputs": [describe_input(path) for path in source.files],
         MARK: [_about(diagram) for diagram in diagrams],
-        "slips": _slips(source, diagrams[0]),
+        "slips": _slips_shown(source, diagrams[0]),
         "warnings": warnings,
     }
 
 
 def _about(diagram: xr.DataArray) -> dict[str, Any]:
     """What one diagram shows."""
-    from vision.run.kymograph import frame_step_s
+    from vision.run.tiff import frame_step_s
 
     names = ("sheet", "sheet_index", "centre_px", "follow", "pixel_size_um")
     frame, x = diagram["frame"].values, diagram["x"].values
@@ -209,16 +302,16 @@ def _about(diagram: xr.DataArray) -> dict[str, Any]:
     }
 
 
-def _slips(source: Source, diagram: xr.DataArray) -> str:
+def _slips_shown(source: Source, diagram: xr.DataArray) -> str:
     """How many slips are marked and what they were taken from, or why none is."""
-    from vision.run.kymograph import frame_step_s
+    from vision.run.tiff import frame_step_s
 
-    if source.slips is None:
+    if source.slips_s is None:
         return "not known: without a force they take tracked sheets and a symmetry axis"
-    times, slips_s = diagram["time_s"].values, source.slips.times_s
+    times = diagram["time_s"].values
     half = frame_step_s(times) / 2
-    seen = (slips_s >= times[0] - half) & (slips_s <= times[-1] + half)
-    return f"{seen.sum()} in the part shown, from {source.slips.how}"
+    seen = (source.slips_s >= times[0] - half) & (source.slips_s <= times[-1] + half)
+    return f"{seen.sum()} in the part shown, from {source.slips_from}"
 
 
 def _write(
@@ -230,43 +323,27 @@ def _write(
     facts: dict[str, Any],
     started: float,
 ) -> list[str]:
-    """The folder, whole; names of the TIFFs in it."""
-    from vision.report.kymograph import write_kymograph_picture
-    from vision.run.folder import run_folder
-    from vision.run.kymograph import write_space_time_tif
-    from vision.run.provenance import write_run_json
+    """The folder, whole; names of the files in it."""
+    from vision.figures import space_time_figure
+    from vision.run import run_folder, write_json
+    from vision.run.tiff import write_space_time_tif
 
     names = [f"kymograph_{d.attrs.get('sheet', 'strip').replace(':', '')}.tif" for d in diagrams]
-    slips = source.slips
-    marks: dict[str, Any] = {} if slips is None else {"slips_s": slips.times_s, "slips_from": slips.how}
+    figure = space_time_figure(diagrams, slips_s=source.slips_s, slips_from=source.slips_from)
     with run_folder(target, overwrite=overwrite) as folder:
         for name, diagram in zip(names, diagrams, strict=True):
             write_space_time_tif(diagram, folder / name, pixel_size_um=source.pixel_size_um)
-        write_kymograph_picture(folder / f"kymograph.{picture}", diagrams, **marks)
-        write_run_json(folder, {**facts, "seconds": {"total": clock.perf_counter() - started}})
+        figure.save(folder / f"kymograph.{picture}")
+        seconds = {"total": clock.perf_counter() - started}
+        write_json({**facts, "seconds": seconds}, folder / "run.json")
     return [*names, f"kymograph.{picture}"]
 
 
-def _report(
-    target: Path,
-    files: list[str],
-    source: Source,
-    diagrams: list[xr.DataArray],
-    warnings: list[str],
-    *,
-    quiet: bool,
-) -> int:
-    """Summary to standard output, warnings to standard error; the exit status."""
-    for line in warnings:
-        complain(f"warning: {line}")
-    if not quiet:
-        rows, columns = diagrams[0].shape
-        size = "" if source.pixel_size_um is None else f", {source.pixel_size_um:g} µm per px"
-        say(
-            [
-                f"diagrams   {len(diagrams)} of {rows} frames x {columns} px{size}",
-                f"slips      {_slips(source, diagrams[0])}",
-                f"results    {target}/: {', '.join(files)}",
-            ]
-        )
-    return 1 if warnings else 0
+def _summary(target: Path, files: list[str], source: Source, diagrams: list[xr.DataArray]) -> list[str]:
+    rows, columns = diagrams[0].shape
+    size = "" if source.pixel_size_um is None else f", {source.pixel_size_um:g} µm per px"
+    return [
+        f"diagrams   {len(diagrams)} of {rows} frames x {columns} px{size}",
+        f"slips      {_slips_shown(source, diagrams[0])}",
+        f"results    {target}/: {', '.join(files)}",
+    ]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import signal
 import sys
+import tempfile
+import traceback
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,6 +14,7 @@ from cyclopts import App, CycloptsError, UnusedCliTokensError
 
 from vision.command.console import complain, hold_streams
 from vision.command.export import export
+from vision.command.figures import figures
 from vision.command.force import force
 from vision.command.kymograph import kymograph
 from vision.command.simulate import simulate
@@ -29,7 +32,8 @@ tracks.csv, tracks.nc, sheets.csv, kymograph.tif and run.json. Try:
     track markers.avi --ridges dark --sheets 7
     track 'frames/*.tiff' --fps 60
 
-Exit status: 0 done, 1 finished with a warning that matters, 2 input that cannot be used.
+Exit status: 0 done, 1 finished with a warning that matters, 2 input that cannot be used, 3 a failure that
+nobody foresaw (what was measured before it is kept).
 """
 
 
@@ -45,7 +49,7 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
     )
     app.default(track)
-    for command in (force, simulate, kymograph, export):
+    for command in (force, simulate, kymograph, export, figures):
         app.command(command)
     return app
 
@@ -67,7 +71,7 @@ def _interrupt(number: int, frame: Any) -> None:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Exit status of a command line: 0 done, 1 with a warning that matters, 2 bad input."""
+    """Exit status of a command line: 0 done, 1 with a warning that matters, 2 bad input, 3 unforeseen."""
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # cut files are reported by the reader itself
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # a home that cannot be written is no concern
     try:
@@ -83,7 +87,21 @@ def run(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         complain("interrupted; no half-written run folder is left")
         return 130
+    except Exception as error:
+        complain(_unforeseen(error))
+        return 3
     return status if isinstance(status, int) else 0
+
+
+def _unforeseen(error: Exception) -> str:
+    """One line, and the details in a file that it names."""
+    what = " ".join(f"{type(error).__name__}: {error}".split())
+    try:
+        with tempfile.NamedTemporaryFile("w", prefix="track-", suffix=".txt", delete=False) as file:
+            file.write("".join(traceback.format_exception(error)))
+    except OSError:
+        return f"a failure that nobody foresaw ({what}); its details could not be written"
+    return f"a failure that nobody foresaw ({what}); please report it with {file.name}"
 
 
 def _one_line(error: Exception) -> str:
@@ -100,5 +118,7 @@ def _one_line(error: Exception) -> str:
         found = (error.strerror or str(error)).lower()
         error = InputError(about, "a file or folder that can be used", found, "check the path and its rights")
     elif isinstance(error, MemoryError):
-        error = InputError("memory", "room for the recording", "too little", "take a part of it (--frames)")
+        error = InputError(
+            "the recording", "enough memory", "not enough memory", "take a part of it (`frames`)"
+        )
     return str(error)

@@ -1,80 +1,392 @@
-"""Options as typed on the command line or written in a TOML file, and where each came from."""
+"""What is typed on the command line or written in a TOML file, and how it becomes the pipeline's settings."""
 
 from __future__ import annotations
 
+import math
+import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import App, CycloptsError
+from cyclopts import Parameter as Option
 
 from vision.errors import InputError
-from vision.run.provenance import Parameter
+
+if TYPE_CHECKING:
+    from vision.pipeline import Settings
+    from vision.run.provenance import Parameter
+    from vision.spacetime import Sheet
+
+Flag = Annotated[bool, Option(negative="", show_default=False)]
+UM_PER = {"mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Greek mu
+_OPTION_OF = {
+    "rows": "--strip",
+    "columns": "--columns",
+    "sheets": "--sheets",
+    "ridges": "--ridges",
+    "axis_px": "--axis",
+    "fit": "--fit",
+    "window_px": "--window",
+    "pixel_size_um": "--pixel-size",
+    "fps": "--fps",
+    "timestamps": "--timestamps",
+    "frames": "--frames",
+    "rotate": "--rotate",
+    "speed_mm_min": "--speed",
+    "d0_mm": "--d0",
+    "force_columns": "--force-columns",
+    "force_threshold_N": "--force-threshold",
+    "threshold_N": "--force-threshold",
+    "force_lowpass_s": "--force-lowpass",
+    "lowpass_s": "--force-lowpass",
+    "machine_stiffness_N_per_mm": "--machine-stiffness",
+    "offset_s": "--offset",
+    "threshold": "--threshold",
+    "sheets_per_block": "--sheets-per-block",
+    "thickness_mm": "--thickness",
+    "width_mm": "--width",
+    "length_mm": "--length",
+    "t_star_N": "--t-star",
+    "time_s": "--time",
+    "width_um": "--width",
+    "width_px": "--width",
+    "sheet": "--sheet",
+    "out": "--out",
+    "overwrite": "--overwrite",
+}
 
 
-def merge(given: Mapping[str, Any], defaults: Mapping[str, Any], config: Path | None) -> dict[str, Parameter]:
-    """Every option with its value and origin: the command line wins over the file, the file over the default.
+def option_names() -> Mapping[str, str]:
+    """The library's argument names and the options that set them, for `vision.errors.with_options`."""
+    return _OPTION_OF
 
-    Args: given, options as parsed, None where not typed; defaults, the same names.
-    Raises: InputError for a TOML file that cannot be read, names an unknown option or gives it a wrong type.
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
+class VideoOptions:
+    """How a video is read and its sheets are found."""
+
+    strip: str | None = None
+    """Rows averaged, Z0:Z1, half-open, from the top; auto finds where ridges are straight and clear."""
+    columns: str | None = None
+    """Columns looked at, X0:X1."""
+    sheets: int | None = None
+    """Number of ridges in view; found if not given."""
+    ridges: Literal["bright", "dark", "auto"] | None = None
+    """Polarity: bright, dark or auto."""
+    axis: float | None = None
+    """Symmetry axis in px; found from the motion if not given."""
+    fit: Literal["sliding", "paper", "template"] | None = None
+    """sliding (default), paper (the publication's, exactly) or template (best for wide ridges)."""
+    window: str | None = None
+    """Fit window in px, odd, or auto to follow the ridges' width; 9 where they are 6 to 14 px wide."""
+    pixel_size: str | None = None
+    """µm per pixel, also as 10um or 0.01mm; without it lengths are in px."""
+    fps: float | None = None
+    """The camera's frame rate, where the file's own is only a playback rate."""
+    timestamps: Path | None = None
+    """Text file with the time of every frame."""
+    frames: str | None = None
+    """Part of the video, A:B."""
+    rotate: Literal[0, 90, 180, 270] | None = None
+    """Turn each frame clockwise first, for sheets that move along y."""
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
+class ForceOptions:
+    """How a force recording is read and its stick-slip events are found."""
+
+    speed: float | None = None
+    """Pulling speed V in mm/min, where no displacement is recorded."""
+    d0: float | None = None
+    """Initial separation in mm, added to the crosshead; 0 if the column is the separation itself."""
+    force_columns: str | None = None
+    """Columns by name or number, as in time=Time,load=Load:kN,displacement=3."""
+    force_threshold: float | None = None
+    """Smallest drop that is a slip, N; found from the noise if not given."""
+    force_lowpass: float | None = None
+    """Time constant of the load cell's low-pass, s, that is corrected for; found from the slips if not
+    given, 0 for none."""
+    machine_stiffness: float | None = None
+    """The machine's own stiffness in N/mm, to correct d; no correction if not given."""
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
+class SampleOptions:
+    """The sample; the publication's if not given."""
+
+    sheets_per_block: int | None = None
+    """M, sheets in one block."""
+    thickness: float | None = None
+    """ε of one sheet, mm."""
+    width: float | None = None
+    """W of the sheets, mm."""
+    length: float | None = None
+    """L from the clamp to the sheets' end, mm."""
+    t_star: float | None = None
+    """T*, friction force of the adhering sheets, N."""
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
+class TestOptions:
+    """What joins the video and the force recording."""
+
+    force: Path | None = None
+    """Force recording of the testing machine; adds events, clocks, σ_x/Λ_st and shells."""
+    offset: float | None = None
+    """Force clock at video time 0, s, if known (0 with a common hardware trigger)."""
+    threshold: float | None = None
+    """σ_x/Λ_st below which a sheet is stiff; 0.1 if not given."""
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """Where the results go."""
+
+    out: Path | None = None
+    """Run folder; NAME_tracks in the working directory if not given."""
+    overwrite: Flag = False
+    """Replace an earlier run folder."""
+    report: Annotated[bool, Option(show_default=False)] = True
+    """Write report.html."""
+    checksum: Flag = False
+    """SHA-256 of all of every input, in place of a fingerprint of 64 MiB."""
+    quiet: Flag = False
+    """No progress bar and no summary."""
+    verbose: Flag = False
+    """All of run.json's findings in the summary."""
+
+
+GROUPS = (VideoOptions, ForceOptions, SampleOptions, TestOptions)
+DEFAULTS: Mapping[str, Any] = {
+    "strip": "auto",
+    "ridges": "auto",
+    "fit": "sliding",
+    "rotate": 0,
+    "threshold": 0.1,
+    "sheets_per_block": 25,
+    "thickness": 0.1,
+    "width": 45.0,
+    "length": 57.0,
+    "t_star": 0.003,
+}
+
+
+def merged(*groups: Any, config: Path | None = None) -> dict[str, Parameter]:
+    """Every option of these groups with its value and origin.
+
+    The command line wins over the file, the file over the default.
+
+    Raises
+    ------
+    InputError
+        For a TOML file that cannot be read, names an unknown option or gives it a wrong value.
     """
-    from_file = read_config(config, defaults) if config else {}
+    from vision.run.provenance import Parameter
+
+    typed = {name: value for group in groups for name, value in vars(group).items()}
+    filed = read_config(config) if config else {}
     merged: dict[str, Parameter] = {}
-    for name, default in defaults.items():
-        if given.get(name) is not None:
-            merged[name] = Parameter(given[name], "given")
-        elif name in from_file:
-            merged[name] = Parameter(from_file[name], "config")
+    for name, value in typed.items():
+        if value is not None:
+            merged[name] = Parameter(value, "given")
+        elif filed.get(name) is not None:
+            merged[name] = Parameter(filed[name], "config")
         else:
-            merged[name] = Parameter(default, "default")
+            merged[name] = Parameter(DEFAULTS.get(name), "default")
     return merged
 
 
-def read_config(path: Path, known: Mapping[str, Any]) -> dict[str, Any]:
-    """Options from a TOML file, by their long names with hyphens or underscores."""
+def read_config(path: Path) -> dict[str, Any]:
+    """Options from a TOML file, by their long names with hyphens or underscores, parsed as if typed.
+
+    Tables group options: ``[sample]`` holds those of the sample.
+    """
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         advice = "write lines like: strip = '60:144'"
         raise InputError(path, "a TOML file of options", str(error), advice) from error
-    named = {key.replace("-", "_"): value for key, value in table.items()}
-    for key, value in named.items():
-        if key not in known:
-            raise InputError(path, f"options of track ({', '.join(known)})", f"'{key}'")
-        if isinstance(value, (dict, list)):
-            raise InputError(path, f"one value for '{key}'", f"a {type(value).__name__}")
-    return named
+    known = [field.name for group in GROUPS for field in fields(group)]
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        parts = value.items() if isinstance(value, dict) and key == "sample" else [(key, value)]
+        for name, item in parts:
+            found |= _parsed(path, name, item, known)
+    return found
+
+
+def _parsed(path: Path, key: str, value: Any, known: Sequence[str]) -> dict[str, Any]:
+    """One line of a TOML file, through the same conversion as the command line."""
+    name = key.replace("-", "_")
+    if name not in known:
+        raise InputError(path, f"options of track ({', '.join(known)})", f"'{key}'")
+    if isinstance(value, dict | list | bool):
+        raise InputError(path, f"one value for '{key}'", f"a {type(value).__name__}")
+    group = next(group for group in GROUPS if name in {field.name for field in fields(group)})
+    app = App(help_flags=(), version_flags=())
+    app.default(_collect(group))
+    try:
+        tokens = [f"--{name.replace('_', '-')}={value}"]
+        parsed = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+    except CycloptsError as error:
+        raise InputError(path, f"a value for '{key}' as on the command line", f"{value!r}") from error
+    return {name: getattr(parsed, name)}
+
+
+def _collect(group: Any) -> Any:
+    """A command that returns its options."""
+
+    def collect(options: Any = None) -> Any:
+        return options
+
+    collect.__annotations__ = {"options": group | None}
+    return collect
+
+
+def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
+    """The pipeline's settings.  Raises: InputError for values that no recording could fit."""
+    from vision.force import parse_columns
+    from vision.pipeline import Settings
+    from vision.sample import Sample
+
+    value = {name: parameter.value for name, parameter in parameters.items()}
+    columns = value.get("force_columns")
+    parts = {
+        "rows": parse_range(value.get("strip"), "--strip"),
+        "columns": parse_range(value.get("columns"), "--columns"),
+        "rotate": value.get("rotate"),
+        "frames": parse_range(value.get("frames"), "--frames"),
+        "fps": number(value.get("fps"), "--fps", least=1e-9),
+        "timestamps": value.get("timestamps"),
+        "ridges": value.get("ridges"),
+        "sheets": number(value.get("sheets"), "--sheets", least=1, whole=True),
+        "axis_px": number(value.get("axis"), "--axis", least=-1e6),
+        "fit": value.get("fit"),
+        "window_px": parse_window(value.get("window")),
+        "pixel_size_um": parse_pixel_size(value.get("pixel_size")),
+        "speed_mm_min": number(value.get("speed"), "--speed", least=1e-9),
+        "d0_mm": number(value.get("d0"), "--d0", least=0),
+        "force_columns": parse_columns(columns) if columns else None,
+        "force_threshold_N": number(value.get("force_threshold"), "--force-threshold", least=0),
+        "force_lowpass_s": number(value.get("force_lowpass"), "--force-lowpass", least=0),
+        "machine_stiffness_N_per_mm": number(
+            value.get("machine_stiffness"), "--machine-stiffness", least=1e-9
+        ),
+        "offset_s": number(value.get("offset"), "--offset", least=-1e12),
+        "threshold": number(value.get("threshold"), "--threshold", least=1e-6),
+        "sample": Sample(
+            sheets_per_block=value.get("sheets_per_block", 25),
+            thickness_mm=value.get("thickness", 0.1),
+            width_mm=value.get("width", 45.0),
+            length_mm=value.get("length", 57.0),
+            t_star_N=value.get("t_star", 0.003),
+        ),
+    }
+    return Settings(**{name: part for name, part in parts.items() if part is not None})
 
 
 def parse_range(text: str | None, option: str) -> slice | None:
-    """`A:B`, half-open, either end may be left out; None and "auto" for all.
-
-    Raises: InputError for anything else.
-    """
+    """`A:B`, half-open, either end may be left out; None and "auto" for all.  Raises: InputError."""
     if text is None or text == "auto":
         return None
-    first, colon, last = str(text).partition(":")
-    try:
-        start, stop = int(first) if first.strip() else None, int(last) if last.strip() else None
-    except ValueError:
-        start, stop, colon = None, None, ""
-    if not colon or (start or 0) < 0 or (stop is not None and stop <= (start or 0)):
+    match = re.fullmatch(r"\s*([0-9]{0,12})\s*:\s*([0-9]{0,12})\s*", text)
+    start, stop = ((int(end) if end else None) for end in match.groups()) if match else (None, None)
+    if match is None or (stop is not None and stop <= (start or 0)):
         raise InputError(option, "two whole numbers A:B with 0 <= A < B", f"'{text}'")
     return slice(start, stop)
 
 
-def number(value: Any, option: str, *, least: float, whole: bool = False) -> Any:
+def parse_window(text: str | None) -> int | Literal["auto"] | None:
+    """An odd number of pixels, or "auto".  Raises: InputError."""
+    if text is None or text == "auto":
+        return None if text is None else "auto"
+    if not re.fullmatch(r"[0-9]{1,9}", text):
+        raise InputError("--window", "an odd number of pixels, or auto", f"'{text}'")
+    return int(text)
+
+
+def number(value: float | None, option: str, *, least: float, whole: bool = False) -> Any:
     """A number not below `least`, as it is; None passes.  Raises: InputError."""
     if value is None:
         return None
-    fits = isinstance(value, (int, float)) and not isinstance(value, bool) and value >= least
-    if not fits or (whole and not float(value).is_integer()) or value == float("inf"):
+    if not (least <= value < math.inf):
         kind = "a whole number" if whole else "a number"
         raise InputError(option, f"{kind} from {least:g}", f"'{value}'")
-    return int(value) if whole else float(value)
-
-
-def choice(value: Any, option: str, names: tuple[Any, ...]) -> Any:
-    """One of the names.  Raises: InputError."""
-    if value not in names:
-        raise InputError(option, "one of " + ", ".join(map(str, names)), f"'{value}'")
     return value
+
+
+def parse_pixel_size(text: str | None) -> float | None:
+    """µm per pixel: a plain number, or with its unit (10um, 0.01mm).  Raises: InputError."""
+    if text is None:
+        return None
+    match = re.fullmatch(r"\s*(\S+?)\s*(mm|um|µm|μm)?(/px)?\s*", text)
+    value = _float(match[1]) * UM_PER[match[2] or "um"] if match else math.nan
+    if not 1e-6 <= value < math.inf:
+        raise InputError(
+            "--pixel-size", "a number from 1e-06 (µm per px)", f"'{text}'", "write 10, 10um or 0.01mm"
+        )
+    return value
+
+
+def parse_length(text: str, option: str) -> dict[str, float]:
+    """A positive length with its unit: {"width_um": …} for mm, um and µm, {"width_px": …} for px.
+
+    Raises
+    ------
+    InputError
+        Also for a number without a unit, as µm and px are both likely.
+    """
+    match = re.fullmatch(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(mm|um|µm|μm|px)\s*", text)
+    value = _float(match[1]) if match else math.nan
+    if match is None or not 0 < value < math.inf:
+        raise InputError(option, "a length with its unit: mm, um, µm or px", f"'{text}'", "write 0.2mm")
+    unit = match[2]
+    return {"width_px": value} if unit == "px" else {"width_um": value * UM_PER[unit]}
+
+
+def parse_seconds(text: str | None, option: str) -> tuple[float | None, float | None] | None:
+    """`A:B` in seconds, half-open, either end may be left out; None for all.  Raises: InputError."""
+    if text is None:
+        return None
+    first, colon, last = text.partition(":")
+    start = _float(first) if first.strip() else None
+    stop = _float(last) if last.strip() else None
+    ends = [end for end in (start, stop) if end is not None]
+    if not colon or not ends or not all(map(math.isfinite, ends)) or ends != sorted(set(ends)):
+        raise InputError(option, "two times in seconds A:B with A < B", f"'{text}'", "write 40:45.1")
+    return start, stop
+
+
+def parse_sheets(texts: Sequence[str] | None) -> list[Sheet]:
+    """Sheets as side and number (right:23) or index from the left (47), several with commas.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    return [_sheet(part.strip()) for text in texts or () for part in text.split(",")]
+
+
+def _sheet(text: str) -> Sheet:
+    if re.fullmatch(r"[0-9]{1,9}", text):
+        return int(text)
+    side, _, n = text.partition(":")
+    if side not in ("left", "right") or not re.fullmatch(r"[0-9]{1,9}", n) or int(n) < 1:
+        raise InputError("--sheet", "a side and a number, or an index", f"'{text}'", "write right:23 or 47")
+    return side, int(n)
+
+
+def _float(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

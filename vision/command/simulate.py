@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from vision.command.console import say
-from vision.command.progress import frame_progress
+from vision.command.console import frame_progress, say
+from vision.command.options import Flag
 from vision.errors import InputError
 
 
@@ -104,8 +104,8 @@ def simulate(
     container: str = "raw",
     toml: Path | None = None,
     set_: Annotated[tuple[str, ...], Parameter(name="--set")] = (),
-    overwrite: bool = False,
-    quiet: bool = False,
+    overwrite: Flag = False,
+    quiet: Flag = False,
 ) -> int:
     """Make a synthetic traction test: video, force.txt, truth.nc and the camera's timestamps.txt.
 

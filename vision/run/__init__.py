@@ -1,1 +1,29 @@
-"""The run folder: all of it or none, with where everything came from."""
+"""The run folder: written whole or not at all, read back, exported."""
+
+from vision.run.export import export_run
+from vision.run.folder import check_target, run_folder, whole_file
+from vision.run.provenance import Parameter, describe_input, plain, versions, write_json
+from vision.run.reading import RunFolder, check_mark, is_run, read_run, read_strip, read_table, slip_times_s
+from vision.run.writing import Origin, run_facts, write_run
+
+__all__ = [
+    "Origin",
+    "Parameter",
+    "RunFolder",
+    "check_mark",
+    "check_target",
+    "describe_input",
+    "export_run",
+    "is_run",
+    "plain",
+    "read_run",
+    "read_strip",
+    "read_table",
+    "run_facts",
+    "run_folder",
+    "slip_times_s",
+    "versions",
+    "whole_file",
+    "write_json",
+    "write_run",
+]

@@ -1,28 +1,34 @@
-"""A finished run in another program's format."""
+"""A finished run in another program's format: worksheets, Parquet, MATLAB, trackpy, napari."""
 
 from __future__ import annotations
 
 import importlib.util
-import shutil
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+import json
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from vision.data import StripMetadata
 from vision.errors import InputError
-from vision.run.export_files import write_csv, write_mat, write_parquet, write_xlsx
-from vision.run.export_tables import all_tables, napari_table, trackpy_table
-from vision.run.folder import check_target, run_folder
-from vision.run.provenance import write_run_json
-from vision.run.reading import Run, check_mark
+from vision.run.folder import check_target, run_folder, whole_file
+from vision.run.provenance import write_json
+from vision.run.reading import RunFolder, check_mark, read_json, read_table, tracks_of
+from vision.run.tables import sheets_table, tracks_table
 
 Format = Literal["csv", "xlsx", "parquet", "mat", "trackpy", "napari"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 ENDINGS = {"xlsx": ".xlsx", "mat": ".mat", "trackpy": "_trackpy.csv", "napari": "_napari.csv"}
 NEEDS = {"xlsx": "openpyxl", "parquet": "pyarrow"}
 MARK = "export"  # of run.json: tells a folder of exported tables from a run
+
+PER_EVENT = ("events", "deformation", "shells")
+EXCEL_ROWS = (1 << 20) - 1  # below the header
+ROWS_AT_ONCE = 50_000
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,7 @@ class Exported:
     notes: tuple[str, ...] = ()
 
 
-def export_run(run: Run, to: Format, *, out: Path | None = None, overwrite: bool = False) -> Exported:
+def export_run(run: RunFolder, to: Format, *, out: Path | None = None, overwrite: bool = False) -> Exported:
     """Write a run's tables for another program; csv and parquet become a folder, the rest one file.
 
     Positions whose flag is not "ok" are empty in csv, xlsx and parquet, NaN in mat, and left out for
@@ -51,21 +57,23 @@ def export_run(run: Run, to: Format, *, out: Path | None = None, overwrite: bool
         _write_folder(run, to, target, overwrite=overwrite)
         return Exported(target)
     _check_file(target, overwrite=overwrite)
-    with _whole_file(target) as path:
+    with whole_file(target) as path:
         return Exported(target, tuple(_write_file(run, to, path)))
 
 
-def _write_folder(run: Run, to: Format, target: Path, *, overwrite: bool) -> None:
+def _write_folder(run: RunFolder, to: Format, target: Path, *, overwrite: bool) -> None:
     check_target(target, overwrite=overwrite)
     check_mark(target, MARK)
     tables = all_tables(run)
     with run_folder(target, overwrite=overwrite) as folder:
         (write_csv if to == "csv" else write_parquet)(tables, folder)
         rows = {name: len(table) for name, table in tables.items()}
-        write_run_json(folder, {**run.facts, MARK: {"to": to, "from": str(run.folder), "rows": rows}})
+        write_json(
+            {**run.facts, MARK: {"to": to, "from": str(run.folder), "rows": rows}}, folder / "run.json"
+        )
 
 
-def _write_file(run: Run, to: Format, path: Path) -> list[str]:
+def _write_file(run: RunFolder, to: Format, path: Path) -> list[str]:
     """Notes on what was left out."""
     if to == "xlsx":
         return write_xlsx(all_tables(run), path)
@@ -81,33 +89,220 @@ def _check_package(to: str) -> None:
     package = NEEDS.get(to)
     if package and importlib.util.find_spec(package) is None:
         advice = "install it: pip install 'sheetvision[export]'"
-        raise InputError(f"--to {to}", f"the package {package}", "none", advice)
+        raise InputError(f"the format {to}", f"the package {package}", "none", advice)
 
 
-def _check_outside(run: Run, target: Path) -> None:
+def _check_outside(run: RunFolder, target: Path) -> None:
     if target.resolve().is_relative_to(run.folder.resolve()):
-        raise InputError(target, "a place outside the run folder", "one inside", "give another --out")
+        raise InputError(target, "a place outside the run folder", "one inside", "give another `out`")
 
 
 def _check_file(target: Path, *, overwrite: bool) -> None:
     if target.is_dir():
-        raise InputError(target, "a file to write", "a folder", "give another --out")
+        raise InputError(target, "a file to write", "a folder", "give another `out`")
     if target.exists() and not overwrite:
-        raise InputError(target, "a new file", "one that exists", "give --overwrite or another --out")
+        raise InputError(target, "a new file", "one that exists", "give `overwrite` or another `out`")
 
 
-@contextmanager
-def _whole_file(target: Path) -> Iterator[Path]:
-    """A path beside the target; what is written there takes the target's place when it is whole."""
-    made = None
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        made = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
-        yield made / target.name
-        (made / target.name).replace(target)
-    except OSError as error:
-        found = str(error.strerror or error).lower()
-        raise InputError(target, "a place that can be written", found, "nothing was written") from error
-    finally:
-        if made is not None:
-            shutil.rmtree(made, ignore_errors=True)
+def all_tables(run: RunFolder) -> dict[str, pd.DataFrame]:
+    """Every table of a run, by name; those that it does not have are left out.
+
+    tracks: one row per frame and sheet, every one. positions: x with one row per frame and one column per
+    sheet, as side_n_unit. sheets, events, deformation, shells: as in the run folder. settings: what
+    run.json, clock.json and models.json say. The unit is the last part of a column's name. Positions that
+    are not "ok" are NaN, their flag says why.
+    """
+    tables: dict[str, pd.DataFrame] = {}
+    if run.tracks is not None:
+        size = run.pixel_size_um
+        tables["tracks"] = tracks_table(run.tracks, pixel_size_um=size)
+        tables["positions"] = positions_table(run.tracks, pixel_size_um=size)
+        tables["sheets"] = sheets_table(run.tracks)
+    return tables | event_tables(run) | {"settings": settings_table(run)}
+
+
+def event_tables(run: RunFolder) -> dict[str, pd.DataFrame]:
+    """The tables that a force recording adds to a run."""
+    found = {name: read_table(run, name) for name in PER_EVENT}
+    return {name: table for name, table in found.items() if table is not None}
+
+
+def positions_table(tracks: xr.Dataset, *, pixel_size_um: float | None) -> pd.DataFrame:
+    """x(n, t), one row per frame: frame, time_s, then a column for each sheet from left to right.
+
+    Columns are called left_3_um, right_23_um, or …_px where the pixel size is not known.
+    """
+    unit, scale = ("px", 1.0) if pixel_size_um is None else ("um", pixel_size_um)
+    sides = np.where(tracks["side"].values < 0, "left", "right")
+    names = [f"{side}_{n}_{unit}" for side, n in zip(sides, tracks["n"].values, strict=True)]
+    table = pd.DataFrame((tracks["x_px"].values * scale).round(4), columns=names)
+    table.insert(0, "frame", tracks["frame"].values)
+    table.insert(1, "time_s", tracks["time_s"].values.round(9))
+    return table
+
+
+def trackpy_table(run: RunFolder) -> pd.DataFrame:
+    """What trackpy's functions take: x, y, frame, particle and ep, px, with time_s, side and n beside.
+
+    particle is the sheet's index from the left, ep the standard error of x. y is the middle of the strip,
+    the same for all. Positions that are not "ok" are left out, as trackpy allows no NaN.
+    """
+    tracks = tracks_of(run)
+    table = tracks_table(tracks)
+    table = table[table["flag"] == "ok"].rename(columns={"x_px": "x", "x_err_px": "ep", "index": "particle"})
+    table["y"] = _strip_middle_px(tracks)
+    names = ["x", "y", "frame", "particle", "ep", "time_s", "side", "n"]
+    return table[names].reset_index(drop=True)
+
+
+def napari_table(run: RunFolder) -> pd.DataFrame:
+    """What napari's tracks layer takes: track_id, t (frame number), y, x, in px, track after track.
+
+    y is the middle of the strip. Positions that are not "ok" are left out.
+    """
+    table = trackpy_table(run).rename(columns={"particle": "track_id", "frame": "t"})
+    return table[["track_id", "t", "y", "x"]].sort_values(["track_id", "t"], ignore_index=True)
+
+
+def settings_table(run: RunFolder) -> pd.DataFrame:
+    """name and value, as text, of everything the run says about itself, nested names joined by dots."""
+    facts = dict(run.facts)
+    for name in ("clock", "models"):
+        path = run.folder / f"{name}.json"
+        if path.exists():
+            facts[name] = read_json(path)
+    pairs = list(_flat(facts, ""))
+    return pd.DataFrame(pairs, columns=["name", "value"], dtype=str)
+
+
+def _flat(facts: Mapping[str, Any], above: str) -> list[tuple[str, str]]:
+    pairs: list[tuple[str, str]] = []
+    for name, value in facts.items():
+        if isinstance(value, Mapping):
+            pairs += _flat(value, f"{above}{name}.")
+        else:
+            text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+            pairs.append((f"{above}{name}", text))
+    return pairs
+
+
+def _strip_middle_px(tracks: xr.Dataset) -> float:
+    strip = StripMetadata.of(tracks)
+    return (strip.strip_z0 + strip.strip_z1 - 1) / 2
+
+
+def write_csv(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
+    """One file per table, as in the run folder: commas, points, empty where there is nothing."""
+    for name, table in tables.items():
+        table.to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
+
+
+def write_parquet(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
+    """One file per table; null where there is nothing."""
+    for name, table in tables.items():
+        table.to_parquet(folder / f"{name}.parquet", engine="pyarrow", index=False)
+
+
+def write_xlsx(tables: Mapping[str, pd.DataFrame], path: Path) -> list[str]:
+    """One worksheet per table, the column names with their units frozen on top; empty cells for nothing.
+
+    Returns what was left out: tracks, where it has more rows than a worksheet holds; its positions are in
+    the wide table, too.
+    Raises: InputError where any other table is too long.
+    """
+    import openpyxl
+
+    long = [name for name, table in tables.items() if len(table) > EXCEL_ROWS]
+    if long not in ([], ["tracks"]):
+        rows = len(tables[long[-1]])
+        found = f"{rows} in {long[-1]}"
+        raise InputError(path, f"at most {EXCEL_ROWS} rows", found, "use parquet, csv or mat")
+    book = openpyxl.Workbook(write_only=True)
+    for name, table in tables.items():
+        if name not in long:
+            _write_sheet(book, name, table)
+    book.save(path)
+    return [f"{name}: {len(tables[name])} rows are more than a worksheet holds; left out" for name in long]
+
+
+def _write_sheet(book: Any, name: str, table: pd.DataFrame) -> None:
+    from openpyxl.cell import WriteOnlyCell
+    from openpyxl.styles import Font
+
+    sheet = book.create_sheet(name)
+    sheet.freeze_panes = "A2"
+    header = [WriteOnlyCell(sheet, value=str(column)) for column in table.columns]
+    for cell in header:
+        cell.font = Font(bold=True)
+    sheet.append(header)
+    for row in _cells(table):
+        sheet.append(row)
+
+
+def _cells(table: pd.DataFrame) -> Iterator[tuple[Any, ...]]:
+    """Rows as Excel can hold them."""
+    for start in range(0, len(table), ROWS_AT_ONCE):
+        part = table.iloc[start : start + ROWS_AT_ONCE]
+        columns = [_column(part[name]) for name in part.columns]
+        yield from zip(*columns, strict=True)
+
+
+def _column(column: pd.Series[Any]) -> pd.Series[Any]:
+    """Nothing for NaN, words for infinity, text without control characters."""
+    from openpyxl.cell.cell import ILLEGAL_CHARACTERS_RE
+
+    cells = column.astype(object).where(column.notna(), None)
+    if column.dtype.kind == "f":
+        return cells.mask(np.isinf(column), column.astype(str))
+    if column.dtype.kind in "iub":
+        return cells
+    return cells.map(lambda text: ILLEGAL_CHARACTERS_RE.sub("", text) if isinstance(text, str) else text)
+
+
+def write_mat(run: RunFolder, path: Path) -> None:
+    """A MATLAB 5 file: x_px, x_err_px, x_um and flag (frames × sheets), and what belongs to them.
+
+    frame and time_s are columns, index, side and n rows. Positions that are not "ok" are NaN; flag counts
+    from 1 into flag_names. sheets, events, deformation, shells and settings are structs with a column per
+    field. x_um is all NaN where the pixel size is not known.
+    """
+    from scipy.io import savemat
+
+    content: dict[str, Any] = {}
+    tables = event_tables(run) | {"settings": settings_table(run)}
+    if run.tracks is not None:
+        content = _matrices(run.tracks, np.nan if run.pixel_size_um is None else run.pixel_size_um)
+        tables["sheets"] = sheets_table(run.tracks)
+    content |= {name: _struct(table) for name, table in tables.items()}
+    savemat(path, content, appendmat=False, long_field_names=True, do_compression=True)
+
+
+def _matrices(tracks: xr.Dataset, pixel_size_um: float) -> dict[str, Any]:
+    """x(n, t) and its coordinates, numbers as doubles."""
+    x = tracks["x_px"].values
+    names, codes = np.unique(tracks["flag"].values, return_inverse=True)
+    return {
+        "x_px": x,
+        "x_err_px": tracks["x_err_px"].values,
+        "x_um": x * pixel_size_um,
+        "pixel_size_um": pixel_size_um,
+        "flag": (codes.reshape(x.shape) + 1).astype(np.uint8),
+        "flag_names": names.astype(object)[None],
+        "frame": tracks["frame"].values.astype(np.float64)[:, None],
+        "time_s": tracks["time_s"].values[:, None],
+        "index": tracks["sheet"].values.astype(np.float64)[None],
+        "side": tracks["side"].values.astype(np.float64)[None],
+        "n": tracks["n"].values.astype(np.float64)[None],
+    }
+
+
+def _struct(table: pd.DataFrame) -> dict[str, Any]:
+    """Columns of a table: numbers as doubles, text as cells."""
+    return {
+        str(name): (
+            column.to_numpy(np.float64)[:, None]
+            if column.dtype.kind in "iufb"
+            else column.fillna("").astype(str).to_numpy(object)[:, None]
+        )
+        for name, column in table.items()
+    }

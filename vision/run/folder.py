@@ -29,21 +29,21 @@ def check_target(target: Path, *, overwrite: bool) -> None:
     except OSError as error:
         raise _unwritable(target, error) from error
     if not os.access(parent, os.W_OK | os.X_OK):
-        raise InputError(target, "a place that can be written", f"{parent} is not", "give another --out")
+        raise InputError(target, "a place that can be written", f"{parent} is not", "give another `out`")
 
 
 def _check_earlier(target: Path, *, overwrite: bool) -> None:
     """Only a run folder of one's own may be replaced, and only if asked for."""
     if not overwrite:
-        raise InputError(target, "a new folder", "one that exists", "give --overwrite or another --out")
+        raise InputError(target, "a new folder", "one that exists", "give `overwrite` or another `out`")
     if not (target.is_dir() and (not any(target.iterdir()) or (target / MARK).is_file())):
         raise InputError(
-            target, "a run folder to overwrite", "something else (no run.json in it)", "give another --out"
+            target, "a run folder to overwrite", "something else (no run.json in it)", "give another `out`"
         )
     if target.samefile(Path.cwd()):
         raise InputError(target, "a run folder to overwrite", "the working directory", "go one folder up")
     if not os.access(target, os.W_OK | os.X_OK):
-        raise InputError(target, "a run folder to overwrite", "one that is read-only", "give another --out")
+        raise InputError(target, "a run folder to overwrite", "one that is read-only", "give another `out`")
 
 
 @contextmanager
@@ -88,6 +88,23 @@ def _replace(made: Path, target: Path, *, overwrite: bool) -> None:
         shutil.rmtree(old, ignore_errors=True)
 
 
+@contextmanager
+def whole_file(target: Path) -> Iterator[Path]:
+    """A path beside the target; what is written there takes the target's place when it is whole."""
+    made = None
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        made = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+        yield made / target.name
+        (made / target.name).replace(target)
+    except OSError as error:
+        found = str(error.strerror or error).lower()
+        raise InputError(target, "a place that can be written", found, "nothing was written") from error
+    finally:
+        if made is not None:
+            shutil.rmtree(made, ignore_errors=True)
+
+
 def _existing_parent(path: Path) -> Path:
     return next(parent for parent in path.absolute().parents if parent.exists())
 
@@ -96,4 +113,4 @@ def _unwritable(target: Path, error: OSError) -> InputError:
     short = error.errno is None and "requested and" in str(error)  # NumPy's words for a write cut short
     full = short or error.errno in (errno.ENOSPC, errno.EDQUOT)
     found = "a full disk" if full else str(error.strerror or error).lower()
-    return InputError(target, "a place that can be written", found, "nothing was written; give another --out")
+    return InputError(target, "a place that can be written", found, "nothing was written; give another `out`")

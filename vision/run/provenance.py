@@ -1,4 +1,4 @@
-"""Where the numbers come from: inputs, versions, parameters, counts, warnings, timings."""
+"""Where the numbers come from: inputs, versions, parameters; and how they are written as JSON."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ import importlib.metadata
 import json
 import math
 import platform
-import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from vision.errors import InputError
 
 PACKAGES = ("av", "h5netcdf", "numpy", "opencv-python-headless", "pandas", "scipy", "tifffile", "xarray")
-CHUNK_BYTES = 1 << 22
+MIB = 1 << 20
+PARTS = 64
+"""MiB of a file that its fingerprint covers: the first, the last, and others evenly between. More would read
+more of a film of 100 GB than the strip needs; fewer could miss a film that was cut or replaced in part."""
 
 
 @dataclass(frozen=True)
@@ -44,49 +45,42 @@ def _version(name: str) -> str:
         return "unknown"
 
 
-def describe_input(path: Path, *, stop: threading.Event | None = None) -> dict[str, Any]:
-    """Path, size and SHA-256 of an input; of a folder or a glob, those of its files in order, hashed as one.
+def describe_input(path: Path, *, whole: bool = False) -> dict[str, Any]:
+    """Path, size and fingerprint of an input; of a folder or a pattern, those of its files in order, as one.
 
-    stop: once set, reading ends and the result is meaningless.  Raises: OSError for a file that is gone.
+    The fingerprint is the SHA-256 of each file's size and of 64 evenly spaced MiB of it, the first and the
+    last among them; of the whole content where the file is shorter, or where ``whole`` asks for it.
+
+    Raises
+    ------
+    InputError
+        For an input that is gone or cannot be read.
     """
-    digest, size = hashlib.sha256(), 0
-    for file in _files(path):
-        with file.open("rb") as stream:
-            while (chunk := stream.read(CHUNK_BYTES)) and not (stop and stop.is_set()):
-                digest.update(chunk)
-                size += len(chunk)
-    return {"path": str(path), "size_bytes": size, "sha256": digest.hexdigest()}
-
-
-@contextmanager
-def described_meanwhile(path: Path) -> Iterator[Callable[[], dict[str, Any]]]:
-    """`describe_input` in a thread while the recording is decoded; yields a function that waits for it.
-
-    A checksum needs every byte, tracking only the strip's: for large files it is the longer of the two.
-    Leaving the block before the end stops the thread.  Raises: InputError, from that function, for an input
-    that can no longer be read.
-    """
-    stop, found, failed = threading.Event(), [], []
-
-    def work() -> None:
-        try:
-            found.append(describe_input(path, stop=stop))
-        except OSError as error:  # raised where the result is asked for
-            failed.append(error)
-
-    def result() -> dict[str, Any]:
-        worker.join()
-        if failed:
-            why = (failed[0].strerror or str(failed[0])).lower()
-            raise InputError(path, "an input that stays there until the end", why)
-        return found[0]
-
-    worker = threading.Thread(target=work, daemon=True)
-    worker.start()
+    digest, size, modified = hashlib.sha256(), 0, 0.0
+    covered = True
     try:
-        yield result
-    finally:
-        stop.set()
+        for file in _files(path):
+            facts = file.stat()
+            size, modified = size + facts.st_size, max(modified, facts.st_mtime)
+            covered &= whole or facts.st_size <= PARTS * MIB
+            if not (whole or facts.st_size <= PARTS * MIB):
+                digest.update(str(facts.st_size).encode())
+            with file.open("rb") as stream:
+                for start in _starts(facts.st_size, whole=whole):
+                    stream.seek(start)
+                    digest.update(stream.read(MIB))
+    except OSError as error:
+        why = (error.strerror or str(error)).lower()
+        raise InputError(path, "an input that stays there until the end", why) from error
+    kind = "sha256" if covered else "fingerprint"
+    return {"path": str(path), "size_bytes": size, "modified_s": modified, kind: digest.hexdigest()}
+
+
+def _starts(size: int, *, whole: bool) -> Iterable[int]:
+    """Where the MiB begin that are read."""
+    if whole or size <= PARTS * MIB:
+        return range(0, size, MIB)
+    return [round(part * (size - MIB) / (PARTS - 1)) for part in range(PARTS)]
 
 
 def _files(path: Path) -> list[Path]:
@@ -97,21 +91,22 @@ def _files(path: Path) -> list[Path]:
     return sorted(Path(name) for name in glob.glob(str(path)))  # noqa: PTH207  # may be absolute
 
 
-def write_run_json(folder: Path, facts: Mapping[str, Any]) -> None:
-    """run.json: strict JSON, null for what is not a number."""
-    text = json.dumps(_plain(facts), indent=2, ensure_ascii=False, allow_nan=False)
-    (folder / "run.json").write_text(text + "\n", encoding="utf-8")
+def write_json(content: Mapping[str, Any], path: Path) -> None:
+    """Strict JSON, to be read by people too; null for what is not a number."""
+    text = json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8", errors="replace")
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """What JSON can hold: NaN and infinity become None, dataclasses objects, arrays lists, the rest text."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, Parameter):
-        return {"value": _plain(value.value), "how": value.how}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if hasattr(value, "item"):
-        value = value.item()
+        return [plain(item) for item in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value if isinstance(value, (bool, int, float, str, type(None))) else str(value)

@@ -6,23 +6,23 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
+import tifffile
+import xarray as xr
 
 from vision.errors import InputError
+from vision.numeric import Floats, Floats32
 from vision.run.folder import MARK
-
-if TYPE_CHECKING:
-    import pandas as pd
-    import xarray as xr
+from vision.run.tables import attrs_of_netcdf
 
 AGAIN = "run track again"
 
 
 @dataclass(frozen=True)
-class Run:
+class RunFolder:
     """A run folder: facts, what run.json says; tracks, x(n, t) as `track_sheets` gave it, None for a run of
     a force recording alone.
     """
@@ -59,20 +59,20 @@ def check_mark(target: Path, mark: str) -> None:
     Raises: InputError.
     """
     if is_run(target) and mark not in read_json(target / MARK):
-        raise InputError(target, f"a folder of {mark} to overwrite", "another run", "give another --out")
+        raise InputError(target, f"a folder of {mark} to overwrite", "another run", "give another `out`")
 
 
-def read_run(folder: Path) -> Run:
+def read_run(folder: Path) -> RunFolder:
     """Facts and tracks of a run folder.  Raises: InputError if it is none, or a file in it is damaged."""
     if not is_run(folder):
         found = "no run.json in it" if folder.is_dir() else "no such folder"
         raise InputError(folder, "a run folder of track", found, "give the folder that track wrote")
     facts = read_json(folder / MARK)
     tracks = folder / "tracks.nc"
-    return Run(folder, facts, _read_tracks(tracks) if tracks.exists() else None)
+    return RunFolder(folder, facts, _read_tracks(tracks) if tracks.exists() else None)
 
 
-def tracks_of(run: Run) -> xr.Dataset:
+def tracks_of(run: RunFolder) -> xr.Dataset:
     """The tracks of a run that has some.  Raises: InputError."""
     if run.tracks is None:
         raise InputError(run.folder, "a run of a video", "no tracks.nc in it", "give the run of a video")
@@ -90,10 +90,8 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
-def read_table(run: Run, name: str) -> pd.DataFrame | None:
+def read_table(run: RunFolder, name: str) -> pd.DataFrame | None:
     """One of the run's CSV tables; None where the run has none.  Raises: InputError for a damaged one."""
-    import pandas as pd
-
     path = run.folder / f"{name}.csv"
     if not path.exists():
         return None
@@ -103,15 +101,13 @@ def read_table(run: Run, name: str) -> pd.DataFrame | None:
         raise InputError(path, "a table as track writes it", str(error), AGAIN) from error
 
 
-def read_strip(run: Run) -> xr.DataArray:
+def read_strip(run: RunFolder) -> xr.DataArray:
     """I(x, t) from kymograph.tif, with the coordinates and attributes `strip_profile` gave it.
 
     The values stay on disk and are read where they are used. A frame's status is "ok" wherever its row has
     values, else the flag of its sheets.
     Raises: InputError where the file is missing, damaged, or does not fit the tracks.
     """
-    import xarray as xr
-
     tracks, path = tracks_of(run), run.folder / "kymograph.tif"
     values = _map_tif(path)
     frames = tracks.sizes["frame"]
@@ -133,7 +129,7 @@ def read_strip(run: Run) -> xr.DataArray:
     )
 
 
-def slip_times_s(run: Run) -> NDArray[np.float64] | None:
+def slip_times_s(run: RunFolder) -> Floats | None:
     """When the slips begin, in the video's seconds: the events' peaks moved by the run's clock.
 
     None where the run has no events, or its clocks are ambiguous: a slip in the wrong place is worse than
@@ -152,19 +148,16 @@ def slip_times_s(run: Run) -> NDArray[np.float64] | None:
 
 
 def _read_tracks(path: Path) -> xr.Dataset:
-    import xarray as xr
-
     try:
         with xr.open_dataset(path, engine="h5netcdf") as data:
             tracks = data.load()
+        tracks.attrs = attrs_of_netcdf(tracks.attrs)
         return tracks.assign(flag=tracks["flag"].astype(str))
     except (OSError, ValueError, KeyError) as error:
         raise InputError(path, "tracks as track writes them", str(error), AGAIN) from error
 
 
-def _map_tif(path: Path) -> NDArray[np.float32]:
-    import tifffile
-
+def _map_tif(path: Path) -> Floats32:
     try:
         return np.asarray(tifffile.memmap(path, mode="r"))
     except (OSError, ValueError, tifffile.TiffFileError) as error:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    import pandas as pd
-    import xarray as xr
+import pandas as pd
+import xarray as xr
 
 ROWS_PER_CHUNK = 500_000  # of tracks.csv, so that memory does not grow with the recording
 
@@ -29,8 +29,6 @@ def write_tracks_csv(tracks: xr.Dataset, path: Path, *, pixel_size_um: float | N
 
 def tracks_table(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> pd.DataFrame:
     """The tracks as a long table: frame, time_s, index, side, n, x_px, x_err_px, x_um, flag."""
-    import pandas as pd
-
     frames, sheets = tracks.sizes["frame"], tracks.sizes["sheet"]
     x = tracks["x_px"].values.ravel()
     return pd.DataFrame(
@@ -50,8 +48,6 @@ def tracks_table(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> p
 
 def sheets_table(tracks: xr.Dataset) -> pd.DataFrame:
     """One row per sheet: index, side, n, x_mean_px, found, fwhm_px, snr, x_noise_px."""
-    import pandas as pd
-
     digits = {"x_mean_px": 4, "found": 5, "fwhm_px": 2, "snr": 1, "x_noise_px": 5}
     who = {"index": tracks["sheet"].values, "side": tracks["side"].values, "n": tracks["n"].values}
     return pd.DataFrame(who | {name: tracks[name].values.round(places) for name, places in digits.items()})
@@ -68,9 +64,26 @@ def write_tracks_nc(tracks: xr.Dataset, path: Path, *, pixel_size_um: float | No
     if pixel_size_um is not None:
         about = {"long_name": "position of the sheet", "units": "um"}
         data = data.assign(x_um=(("frame", "sheet"), data["x_px"].values * pixel_size_um, about))
-    data.attrs = {"Conventions": "CF-1.11", "title": "positions of sheets, x(n,t)"} | data.attrs
+    data.attrs = {"Conventions": "CF-1.11", "title": "positions of sheets, x(n,t)"} | netcdf_attrs(data.attrs)
     packed: dict[str, dict[str, Any]] = {
         str(name): {"zlib": True, "complevel": 1} for name in data.data_vars if data[name].ndim == 2
     }
     packed["flag"] |= {"dtype": "S1", "char_dim_name": "flag_length"}
     path.write_bytes(data.to_netcdf(engine="h5netcdf", encoding=packed))
+
+
+def netcdf_attrs(attrs: Mapping[str, Any]) -> dict[str, Any]:
+    """Attributes as netCDF holds them: lists and tables become JSON."""
+    return {
+        name: json.dumps(value, default=str) if isinstance(value, list | tuple | dict) else value
+        for name, value in attrs.items()
+        if value is not None
+    }
+
+
+def attrs_of_netcdf(attrs: Mapping[str, Any]) -> dict[str, Any]:
+    """The inverse of `netcdf_attrs`."""
+    return {
+        name: json.loads(value) if isinstance(value, str) and value[:1] in ("[", "{") else value
+        for name, value in attrs.items()
+    }

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import tifffile
+import xarray as xr
 
 from vision.errors import InputError
-
-if TYPE_CHECKING:
-    import xarray as xr
+from vision.numeric import Floats
 
 IMAGEJ_BYTES = (1 << 32) - (1 << 20)  # ImageJ's own TIFF ends at 4 GiB
 ROWS = 4096  # converted at a time, so that memory does not grow with the recording
@@ -26,8 +25,6 @@ def write_kymograph_tif(strip: xr.DataArray, path: Path, *, pixel_size_um: float
     plain BigTIFF
     without them.
     """
-    import tifffile
-
     values = np.asarray(strip.values, np.float32)
     if values.nbytes > IMAGEJ_BYTES:
         tifffile.imwrite(path, values, bigtiff=True)
@@ -45,11 +42,11 @@ def write_space_time_tif(diagram: xr.DataArray, path: Path, *, pixel_size_um: fl
 
     Raises: InputError for more than ImageJ's TIFF can hold, 4 GiB.
     """
-    import tifffile
-
     size = 2 * diagram.size
     if size > IMAGEJ_BYTES:
-        raise InputError(path, "at most 4 GiB, what Fiji's TIFF holds", f"{size >> 20} MiB", "give --time")
+        raise InputError(
+            path, "at most 4 GiB, what Fiji's TIFF holds", f"{size >> 20} MiB", "take a part of it (`time_s`)"
+        )
     low, step = _levels(diagram)
     facts = _calibration(diagram, pixel_size_um)
     facts["metadata"] |= {"cf": 0, "c0": low - step, "c1": step, "vunit": "grey level"}
@@ -62,7 +59,7 @@ def write_space_time_tif(diagram: xr.DataArray, path: Path, *, pixel_size_um: fl
     pixels.flush()
 
 
-def frame_step_s(times_s: NDArray[np.float64]) -> float:
+def frame_step_s(times_s: Floats) -> float:
     """Time from one frame to the next, s: the mean over all steps but gaps; 1 without a clock.
 
     The mean, as time stamps rounded to whole milliseconds have a median that is off by up to half of one.
@@ -74,7 +71,7 @@ def frame_step_s(times_s: NDArray[np.float64]) -> float:
     return float(steps[np.abs(steps - middle) <= UNEVEN * middle].mean())
 
 
-def unevenness_s(times_s: NDArray[np.float64]) -> float:
+def unevenness_s(times_s: Floats) -> float:
     """How far, at most, an even time axis through the first frame is off, s, where that is more than half a
     frame; else 0.
     """

@@ -1,0 +1,401 @@
+"""analyse(): a video and, where there is one, a force recording go through every stage, once, in order.
+
+The order of the stages is the order of this file: read, track, force, stick-slip events, model fits, clock,
+deformation, shells. No stage needs a later one.
+"""
+
+# ruff: noqa: N815 (the unit is part of a name, and newton is N)
+from __future__ import annotations
+
+import html
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+import pandas as pd
+import xarray as xr
+
+from vision.clock import Clock, ClockSettings, synchronise
+from vision.data import warnings_of
+from vision.deformation import DeformationSettings, horizontal_deformation
+from vision.errors import InputError
+from vision.figures import FIGURES, Figure
+from vision.force import ForceSettings, find_stick_slip, read_force
+from vision.models import ModelFits, fit_models
+from vision.numeric import Pixels
+from vision.sample import PUBLISHED, Sample
+from vision.sheets import FitName, TrackingSettings, track_sheets
+from vision.shells import ShellSettings, classify_shells
+from vision.summary import summary_lines, tracking_warnings
+from vision.video import Video, VideoSettings, open_video, reference_frame, strip_profile
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Progress = Callable[[int, int | None], None]
+Result = TypeVar("Result")
+
+LEAST_UNMATCHED = 3  # slips on either side: fewer may all have been missed by the other
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tuning:
+    """The tunable constants of every stage; each says what it trades and what shows its value is right."""
+
+    video: VideoSettings = field(default_factory=VideoSettings)
+    tracking: TrackingSettings = field(default_factory=TrackingSettings)
+    force: ForceSettings = field(default_factory=ForceSettings)
+    clock: ClockSettings = field(default_factory=ClockSettings)
+    deformation: DeformationSettings = field(default_factory=DeformationSettings)
+    shells: ShellSettings = field(default_factory=ShellSettings)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What a user may choose of the analysis; None is found from the data.
+
+    Parameters
+    ----------
+    rows, columns
+        Of the strip, half-open, px, after rotation.
+    rotate
+        Degrees clockwise by which each frame is turned first: 0, 90, 180 or 270.
+    frames
+        Part of the video, half-open.
+    fps, timestamps
+        The camera's frame rate, or a text file with the time of every frame.
+    ridges, sheets, axis_px
+        Polarity ("bright", "dark" or "auto"), number of ridges in view, symmetry axis in px.
+    fit, window_px
+        Subpixel method ("sliding", "paper" or "template") and its window: odd, or "auto".
+    pixel_size_um
+        µm per pixel; without it there are no lengths in µm and no deformation.
+    speed_mm_min, d0_mm, force_columns
+        V where no displacement is recorded, the initial separation, and the recording's columns by role.
+    force_threshold_N, force_lowpass_s, machine_stiffness_N_per_mm
+        Smallest drop that is a slip; the load cell's time constant; the machine's own stiffness.
+    offset_s
+        Force clock at video time 0.
+    threshold
+        σ_x/Λ_st below which a sheet is stiff.
+    sample
+        Geometry and adhesion of the sample.
+    t_star_fitted
+        Fit T* as well, which can hardly be told from μ.
+    tuning
+        Constants of the stages.
+    """
+
+    rows: slice | None = None
+    columns: slice | None = None
+    rotate: int = 0
+    frames: slice | None = None
+    fps: float | None = None
+    timestamps: Path | None = None
+    ridges: Literal["bright", "dark", "auto"] = "auto"
+    sheets: int | None = None
+    axis_px: float | None = None
+    fit: FitName = "sliding"
+    window_px: int | Literal["auto"] | None = None
+    pixel_size_um: float | None = None
+    speed_mm_min: float | None = None
+    d0_mm: float | None = None
+    force_columns: Mapping[str, str] | None = None
+    force_threshold_N: float | None = None
+    force_lowpass_s: float | None = None
+    machine_stiffness_N_per_mm: float | None = None
+    offset_s: float | None = None
+    threshold: float = 0.1
+    sample: Sample = PUBLISHED
+    t_star_fitted: bool = False
+    tuning: Tuning = field(default_factory=Tuning)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Analysis:
+    """Everything that was found in one test. A stage that the data did not allow is None.
+
+    Parameters
+    ----------
+    settings
+        As asked for.
+    video, frame
+        The recording, and its first frame that shows something (rows, columns).
+    strip, tracks
+        I(x, t) and x(n, t).
+    force, sticks, fits
+        The force recording, its stick-slip events, the models fitted to them.
+    clock, motion, shells
+        The camera's clock against the machine's, the deformation of each sheet in each stick phase, the
+        stiff inner shell.
+    reasons
+        Stage to reason, for each stage that is None although its input was given.
+    failures
+        Stage to traceback, for stages that ended in an error nobody foresaw.
+    warnings
+        What matters for the results, in order, each once.
+    seconds
+        Wall-clock time of each stage.
+    """
+
+    settings: Settings
+    video: Video | None = None
+    frame: Pixels | None = None
+    strip: xr.DataArray | None = None
+    tracks: xr.Dataset | None = None
+    force: xr.Dataset | None = None
+    sticks: pd.DataFrame | None = None
+    fits: ModelFits | None = None
+    clock: Clock | None = None
+    motion: xr.Dataset | None = None
+    shells: pd.DataFrame | None = None
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    failures: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def pixel_size_um(self) -> float | None:
+        """µm per pixel, None where it was not given."""
+        return self.settings.pixel_size_um
+
+    @property
+    def threshold(self) -> float:
+        """σ_x/Λ_st below which a sheet is stiff."""
+        return self.settings.threshold
+
+    @property
+    def plot(self) -> Plots:
+        """Every figure by its name: ``analysis.plot.tracks(ax=None)`` takes and returns an Axes."""
+        return Plots(self)
+
+    def summary(self) -> list[str]:
+        """What was found, in about ten lines."""
+        return summary_lines(self)
+
+    def _repr_html_(self) -> str:
+        lines = [*self.summary(), *(f"warning: {line}" for line in self.warnings)]
+        text = f"<pre>{html.escape(chr(10).join(lines))}</pre>"
+        if self.tracks is None:
+            return text
+        return f"{text}<div style='max-width:40em'>{_figure(self, 'tracks').to_svg()}</div>"
+
+
+class Plots:
+    """The figures of an analysis as functions: ``plot.NAME(ax=None)``."""
+
+    def __init__(self, analysis: Analysis) -> None:
+        self._analysis = analysis
+
+    def __getattr__(self, name: str) -> Callable[..., Axes]:
+        if name not in FIGURES:
+            raise AttributeError(f"no figure '{name}'; there are {', '.join(FIGURES)}")
+        return _figure(self._analysis, name).plot
+
+    def __dir__(self) -> list[str]:
+        return list(FIGURES)
+
+
+def _figure(analysis: Analysis, name: str) -> Figure:
+    figure = FIGURES[name].make(analysis)
+    if figure is None:
+        reasons = "; ".join(analysis.reasons.values())
+        raise InputError(f"the figure {name}", "an analysis that has its data", reasons or "one without")
+    return figure
+
+
+def analyse(
+    video: Video | str | Path | None = None,
+    force: xr.Dataset | str | Path | None = None,
+    settings: Settings | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Analysis:
+    """Every stage of one test, in order.
+
+    Parameters
+    ----------
+    video
+        A file, a folder or pattern of images, or an open `Video`; None for a force recording alone.
+    force
+        A testing machine's file, or a recording from `read_force`; None for a video alone.
+    settings
+        What is not to be found from the data.
+    progress
+        Called with (frames done, frames in all or None) while the video is read.
+
+    Returns
+    -------
+    Analysis
+        What was found. A stage after the tracking that the data did not allow is None, with its reason;
+        an unforeseen error in such a stage is kept in `failures` and costs only what depends on it.
+
+    Raises
+    ------
+    InputError
+        For a video or force recording that cannot be read, or a video without ridges.
+    """
+    chosen = settings or Settings()
+    stage = _Stages()
+    # A force file that is not understood is refused before the long work of reading a video.
+    machine = None if force is None else stage.must("reading force", lambda: _recording(force, chosen))
+    recording = None if video is None else _video(video, chosen)
+    strip = frame = tracks = None
+    if recording is not None:
+        strip = stage.must("reading", lambda: _strip(recording, chosen, progress))
+        frame = stage.must("first frame", lambda: reference_frame(recording))
+        tracks = stage.must("tracking", lambda: _tracks(strip, chosen))
+    sticks = stage.may("sticks", _sticks, machine, settings=chosen)
+    fits = stage.may("fits", _fits, machine, sticks, settings=chosen)
+    clock = stage.may("clock", _clock, tracks, machine, sticks, settings=chosen)
+    motion = stage.may("motion", _motion, tracks, sticks, clock, settings=chosen)
+    shells = stage.may(
+        "shells", lambda moved, settings: _shells(moved, fits, settings), motion, settings=chosen
+    )
+    return Analysis(
+        settings=chosen,
+        video=recording,
+        frame=frame,
+        strip=strip,
+        tracks=tracks,
+        force=machine,
+        sticks=sticks,
+        fits=fits,
+        clock=clock,
+        motion=motion,
+        shells=shells,
+        reasons=stage.reasons,
+        failures=stage.failures,
+        warnings=_warnings(tracks, machine, clock, stage.reasons.get("fits")),
+        seconds=stage.seconds,
+    )
+
+
+class _Stages:
+    """Runs stages, keeps the time they take, and why those ended that could not be done."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self.reasons: dict[str, str] = {}
+        self.failures: dict[str, str] = {}
+
+    def must(self, name: str, work: Callable[[], Result]) -> Result:
+        """Without this stage there is nothing: its errors are raised."""
+        started = time.perf_counter()
+        try:
+            return work()
+        finally:
+            self.seconds[name] = time.perf_counter() - started
+
+    def may(self, name: str, work: Callable[..., Result], *inputs: Any, settings: Settings) -> Result | None:
+        """None where an input is missing, or where the stage ends in an error, which is kept."""
+        if any(part is None for part in inputs):
+            return None
+        try:
+            return self.must(name, lambda: work(*inputs, settings))
+        except InputError as error:
+            self.reasons[name] = str(error)
+        except Exception as error:  # whatever it is, what was measured before it is kept
+            self.reasons[name] = " ".join(f"unexpected {type(error).__name__}: {error}".split())
+            self.failures[name] = traceback.format_exc()
+        return None
+
+
+def _video(video: Video | str | Path, chosen: Settings) -> Video:
+    if isinstance(video, Video):
+        return video
+    return open_video(
+        video, rotate=chosen.rotate, frames=chosen.frames, fps=chosen.fps, timestamps=chosen.timestamps
+    )
+
+
+def _strip(video: Video, chosen: Settings, progress: Progress | None) -> xr.DataArray:
+    _check_lengths(chosen, video.shape[1])
+    return strip_profile(
+        video, chosen.rows, columns=chosen.columns, progress=progress, settings=chosen.tuning.video
+    )
+
+
+def _check_lengths(chosen: Settings, width_px: int) -> None:
+    """Lengths far beyond the picture's width are refused before a long film is read."""
+    axis, window = chosen.axis_px, chosen.window_px
+    if axis is not None and not -width_px <= axis <= 2 * width_px:
+        found, advice = f"{axis:g}", "give it in px, counted from the left"
+        raise InputError("`axis_px`", f"a column within or near the picture's {width_px}", found, advice)
+    if isinstance(window, int) and window > width_px:
+        raise InputError("`window_px`", f"at most the picture's {width_px} columns", str(window), "try auto")
+
+
+def _tracks(strip: xr.DataArray, chosen: Settings) -> xr.Dataset:
+    return track_sheets(
+        strip,
+        ridges=chosen.ridges,
+        sheets=chosen.sheets,
+        axis_px=chosen.axis_px,
+        fit=chosen.fit,
+        window_px=chosen.window_px,
+        settings=chosen.tuning.tracking,
+    )
+
+
+def _recording(force: xr.Dataset | str | Path, chosen: Settings) -> xr.Dataset:
+    if isinstance(force, xr.Dataset):
+        return force
+    return read_force(
+        force, speed_mm_min=chosen.speed_mm_min, d0_mm=chosen.d0_mm, columns=chosen.force_columns
+    )
+
+
+def _sticks(force: xr.Dataset, chosen: Settings) -> pd.DataFrame:
+    return find_stick_slip(
+        force,
+        threshold_N=chosen.force_threshold_N,
+        machine_stiffness_N_per_mm=chosen.machine_stiffness_N_per_mm,
+        lowpass_s=chosen.force_lowpass_s,
+        settings=chosen.tuning.force,
+    )
+
+
+def _fits(force: xr.Dataset, sticks: pd.DataFrame, chosen: Settings) -> ModelFits:
+    return fit_models(force, sticks, chosen.sample, free_t_star=chosen.t_star_fitted)
+
+
+def _clock(tracks: xr.Dataset, force: xr.Dataset, sticks: pd.DataFrame, chosen: Settings) -> Clock:
+    return synchronise(tracks, force, sticks, offset_s=chosen.offset_s, settings=chosen.tuning.clock)
+
+
+def _motion(tracks: xr.Dataset, sticks: pd.DataFrame, clock: Clock, chosen: Settings) -> xr.Dataset:
+    seen = min(clock.unmatched_video, clock.unmatched_force)
+    if clock.status == "given" and clock.matched == 0 and seen >= LEAST_UNMATCHED:
+        raise InputError(
+            "the clocks",
+            "slips that coincide in video and force",
+            f"none of {clock.unmatched_video} and {clock.unmatched_force} with the given {clock.how} clock",
+            "check `offset_s`, or whether the two files belong together",
+        )
+    return horizontal_deformation(
+        tracks, sticks, clock, pixel_size_um=chosen.pixel_size_um, settings=chosen.tuning.deformation
+    )
+
+
+def _shells(motion: xr.Dataset, fits: ModelFits | None, chosen: Settings) -> pd.DataFrame:
+    return classify_shells(
+        motion,
+        threshold=chosen.threshold,
+        effective_sheets=fits.effective_sheets if fits else None,
+        settings=chosen.tuning.shells,
+    )
+
+
+def _warnings(
+    tracks: xr.Dataset | None, force: xr.Dataset | None, clock: Clock | None, no_fits: str | None
+) -> tuple[str, ...]:
+    """What matters for the results, in the order of the stages."""
+    lines = [] if tracks is None else [*warnings_of(tracks), *tracking_warnings(tracks)]
+    lines += warnings_of(force)
+    lines += [f"no model fits: {no_fits}"] if no_fits else []
+    lines += clock.warnings if clock else ()
+    return tuple(dict.fromkeys(lines))

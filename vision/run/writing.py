@@ -1,0 +1,186 @@
+"""write_run(): an analysis becomes a run folder, whole or not at all."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from vision.data import ForceMetadata, StickMetadata, StripMetadata
+from vision.figures import FIGURES, figures_of, save_figures
+from vision.pipeline import Analysis
+from vision.report import write_report
+from vision.run.folder import run_folder
+from vision.run.provenance import Parameter, describe_input, versions, write_json
+from vision.run.tables import sheets_table, write_tracks_csv, write_tracks_nc
+from vision.run.tiff import write_kymograph_tif
+from vision.shells import deformation_table
+from vision.summary import findings, flag_counts, noise_figures
+
+COUNTS = ("expected", "read", "lost", "blank", "corrupt")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Origin:
+    """Where a run comes from, for run.json.
+
+    Parameters
+    ----------
+    command
+        The command line.
+    inputs
+        Files and folders that were read.
+    parameters
+        Every option with its value and whether it was given.
+    checksum
+        Whether the inputs' SHA-256 is that of every byte.
+    """
+
+    command: str
+    inputs: Sequence[Path] = ()
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    checksum: bool = False
+
+
+def write_run(
+    analysis: Analysis,
+    target: Path,
+    origin: Origin,
+    *,
+    overwrite: bool = False,
+    report: bool = True,
+    facts: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Write tables, pictures, report.html and run.json of a run.
+
+    Parameters
+    ----------
+    analysis
+        Of a video, with or without a force recording, or of a force recording alone.
+    target
+        The run folder.
+    origin
+        For run.json.
+    overwrite
+        Replace an earlier run folder.
+    report
+        Whether report.html is written.
+    facts
+        More for run.json.
+
+    Returns
+    -------
+    dict
+        What run.json holds.
+
+    Raises
+    ------
+    InputError
+        Where the folder exists (without ``overwrite``) or cannot be written; nothing is left then.
+    """
+    started = time.perf_counter()
+    seconds = dict(analysis.seconds)
+    with run_folder(target, overwrite=overwrite) as folder:
+        _write_tables(analysis, folder)
+        seconds["tables"] = time.perf_counter() - started
+        content = {**run_facts(analysis, origin), **(facts or {})}
+        seconds["fingerprints"] = time.perf_counter() - started - seconds["tables"]
+        drawn = time.perf_counter()
+        _write_pictures(analysis, folder)
+        if report and analysis.tracks is not None:
+            write_report(folder / "report.html", analysis, content)
+        seconds["pictures and report"] = time.perf_counter() - drawn
+        seconds["total"] = sum(analysis.seconds.values()) + time.perf_counter() - started
+        content["seconds"] = seconds
+        write_json(content, folder / "run.json")
+    return content
+
+
+def run_facts(analysis: Analysis, origin: Origin) -> dict[str, Any]:
+    """Everything run.json holds but the timings."""
+    facts: dict[str, Any] = {
+        "command": origin.command,
+        "versions": versions(),
+        "parameters": dict(origin.parameters),
+        "inputs": [describe_input(path, whole=origin.checksum) for path in origin.inputs],
+    }
+    if analysis.tracks is not None:
+        facts |= _video_facts(analysis)
+    if analysis.force is not None:
+        facts["force"] = ForceMetadata.of(analysis.force)
+        facts["sample"] = analysis.settings.sample
+    if analysis.sticks is not None:
+        whole = int((analysis.sticks["flag"] == "ok").sum())
+        sticks = asdict(StickMetadata.of(analysis.sticks))
+        facts["events"] = {"found": len(analysis.sticks), "without_flag": whole, **sticks}
+    if analysis.clock is not None:
+        facts["clock"] = analysis.clock
+    done = [part.attrs.get("operations", ()) for part in _parts(analysis)]
+    longest = max(done, key=len, default=())
+    facts["operations"] = [*longest, *(step for steps in done for step in steps if step not in longest)]
+    return facts | {"warnings": list(analysis.warnings), "not_measured": dict(analysis.reasons)}
+
+
+def _parts(analysis: Analysis) -> list[Any]:
+    parts = (analysis.tracks, analysis.force, analysis.sticks, analysis.motion, analysis.shells)
+    return [part for part in parts if part is not None]
+
+
+def _video_facts(analysis: Analysis) -> dict[str, Any]:
+    tracks = analysis.tracks
+    assert tracks is not None
+    recording = asdict(StripMetadata.of(tracks))
+    frames = {name: recording.pop(f"frames_{name}") for name in COUNTS}
+    for name in ("warnings", "strip_z0", "strip_z1", "strip_how", "tilt_deg", "clock_kind", "fps"):
+        recording.pop(name)
+    return {
+        "found": findings(tracks),
+        "recording": recording,
+        "frames": frames,
+        "positions": flag_counts(tracks),
+        "noise": noise_figures(tracks, analysis.pixel_size_um),
+    }
+
+
+def _write_tables(analysis: Analysis, folder: Path) -> None:
+    size = analysis.pixel_size_um
+    if analysis.tracks is not None and analysis.strip is not None:
+        write_tracks_csv(analysis.tracks, folder / "tracks.csv", pixel_size_um=size)
+        write_tracks_nc(analysis.tracks, folder / "tracks.nc", pixel_size_um=size)
+        sheets_table(analysis.tracks).to_csv(folder / "sheets.csv", index=False, lineterminator="\n")
+        write_kymograph_tif(analysis.strip, folder / "kymograph.tif", pixel_size_um=size)
+    if analysis.sticks is not None:
+        _write_table(analysis.sticks, folder / "events.csv")
+    if analysis.fits is not None:
+        write_json(analysis.fits.to_json(), folder / "models.json")
+    elif "fits" in analysis.reasons:
+        write_json({"reason": analysis.reasons["fits"]}, folder / "models.json")
+    if analysis.clock is not None:
+        write_json(asdict(analysis.clock), folder / "clock.json")
+    if analysis.motion is not None:
+        table = deformation_table(analysis.motion, threshold=analysis.threshold)
+        _write_table(table, folder / "deformation.csv")
+    if analysis.shells is not None:
+        _write_table(analysis.shells, folder / "shells.csv")
+
+
+def _write_table(table: pd.DataFrame, path: Path) -> None:
+    """CSV with nine digits."""
+    table.to_csv(path, index=False, float_format="%.9g", lineterminator="\n")
+
+
+def _write_pictures(analysis: Analysis, folder: Path) -> None:
+    """overview.png and kymograph.png, or force.png of a recording alone; all figures as data."""
+    names = {"force": "force.png"} if analysis.tracks is None else PICTURES
+    for name, file in names.items():
+        figure = FIGURES[name].make(analysis)
+        if figure is not None:
+            figure.save(folder / file)
+    save_figures(folder / "figures.npz", figures_of(analysis))
+
+
+PICTURES = {"overview": "overview.png", "space_time": "kymograph.png"}

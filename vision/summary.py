@@ -1,0 +1,200 @@
+"""What was found, in about ten lines, and the few figures that say how well."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from vision.data import StickMetadata, StripMetadata, TrackMetadata
+from vision.numeric import nan_median
+
+if TYPE_CHECKING:
+    from vision.clock import Clock
+    from vision.figures import Results
+    from vision.models import Estimate, ModelFits
+
+MISSING_SHARE = 0.01
+"""Of all positions: more missing ones are a warning, fewer are the usual gaps at the edges of the picture."""
+
+
+def summary_lines(results: Results) -> list[str]:
+    """Sheets, frames, positions, noise, what was found by itself, then the machine's side."""
+    lines: list[str] = []
+    if results.tracks is not None:
+        lines += _tracking_lines(results.tracks, results.pixel_size_um)
+    if results.force is not None and results.sticks is not None:
+        sizes, lowpass = event_sizes(results.force, results.sticks), lowpass_correction(results.sticks)
+        lines.append(f"events     {len(results.sticks)} stick-slip events; {sizes}; {lowpass}")
+    if results.fits is not None:
+        lines.append(f"models     {_models(results.fits)}")
+    if results.clock is not None:
+        lines.append(f"clocks     {_clocks(results.clock)}")
+    if results.shells is not None and results.motion is not None:
+        lines.append(f"shells     {_shells(results.motion, results.shells)}")
+    return lines
+
+
+def tracking_warnings(tracks: xr.Dataset) -> list[str]:
+    """Doubtful identities, many missing positions, sheets perhaps overlooked."""
+    lines, flags = [], flag_counts(tracks)
+    total = max(1, sum(flags.values()))
+    unsure = flags.get("doubtful", 0) + flags.get("merged", 0)
+    if unsure:
+        lines.append(f"{unsure} of {total} positions not given because the sheet's identity is in doubt")
+    gone = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
+    if gone > MISSING_SHARE * total:
+        lines.append(f"{gone} of {total} positions missing (flags missing, edge, unfit in tracks.csv)")
+    if wide := TrackMetadata.of(tracks).wide_spacings:
+        where = ", ".join(wide)
+        lines.append(f"sheets may be missing at x = {where}: look there, or give their number (`sheets`)")
+    return lines
+
+
+def flag_counts(tracks: xr.Dataset) -> dict[str, int]:
+    """How often each flag occurs."""
+    names, counts = np.unique(tracks["flag"].values, return_counts=True)
+    return {str(name): int(count) for name, count in zip(names, counts, strict=True)}
+
+
+def noise_figures(tracks: xr.Dataset, pixel_size_um: float | None) -> dict[str, float]:
+    """Median over the sheets of the predicted and of the measured noise of a position."""
+    measured = float(nan_median(tracks["x_noise_px"].values.ravel()))
+    predicted = float(nan_median(tracks["x_err_px"].values.ravel()))
+    figures = {"measured_px": measured, "predicted_px": predicted}
+    if pixel_size_um is not None:
+        figures |= {"measured_um": measured * pixel_size_um, "predicted_um": predicted * pixel_size_um}
+    return figures
+
+
+def findings(tracks: xr.Dataset) -> dict[str, Any]:
+    """What the program found in the video by itself."""
+    strip, found = StripMetadata.of(tracks), TrackMetadata.of(tracks)
+    return {
+        "strip": {
+            "z0": strip.strip_z0,
+            "z1": strip.strip_z1,
+            "how": strip.strip_how,
+            "tilt_deg": strip.tilt_deg,
+        },
+        "clock": {"kind": strip.clock_kind, "fps": strip.fps},
+        "ridges": {
+            "polarity": found.ridges,
+            "fwhm_px": found.ridge_fwhm_px,
+            "pitch_px": found.pitch_px,
+        },
+        "sheets": {"count": found.sheets, "other_ridges_left_out": found.ridges_dropped},
+        "axis": {
+            "px": found.axis_px,
+            "how": found.axis_how,
+            "low_px": found.axis_low_px,
+            "high_px": found.axis_high_px,
+        },
+        "window_px": found.window_px,
+        "profile_noise_grey": found.profile_noise,
+        "least_identity_margin_nats": found.least_margin,
+    }
+
+
+def percent(share: float) -> str:
+    """A share as a percentage that does not round 99.96 up to 100."""
+    return f"{math.floor(1000 * share) / 10:g} %"
+
+
+def plus_minus(estimate: Estimate) -> str:
+    """A value and its standard error, rounded to the error's second digit; four digits without an error."""
+    value, error = estimate.value, estimate.error
+    if not math.isfinite(error) or error <= 0:
+        return f"{value:.4g}".replace("-", "−")
+    digits = max(0, 1 - math.floor(math.log10(error)))
+    return f"{value:.{digits}f} ± {error:.{digits}f}".replace("-", "−")
+
+
+def event_sizes(force: xr.Dataset, sticks: pd.DataFrame) -> str:
+    """Medians of ΔF, Λ_st and K, in the unit of the load."""
+    middle = sticks.median(numeric_only=True)
+    over_weight = force["load_N"].attrs["units"] == "1"
+    drop, slope = (" of the weight", "/mm") if over_weight else (" N", " N/mm")
+    sizes = f"median ΔF {middle['dF_N']:.3g}{drop}"
+    if math.isnan(middle["stick_length_um"]):
+        return f"{sizes}; lengths and K not known without the separation"
+    return f"{sizes}, Λ_st {middle['stick_length_um']:.3g} µm, K {middle['K_N_per_mm']:.4g}{slope}"
+
+
+def lowpass_correction(sticks: pd.DataFrame) -> str:
+    """Summarise the load-cell low-pass correction."""
+    facts = StickMetadata.of(sticks)
+    if facts.lowpass_how == "doubtful":
+        return "post-slip tails fit no single filter; not corrected (`force_lowpass_s`)"
+    if not facts.lowpass_s:
+        return "no low-pass corrected"
+    return f"corrected for a low-pass of {1e3 * facts.lowpass_s:.2g} ms ({facts.lowpass_how})"
+
+
+def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str]:
+    strip, found = StripMetadata.of(tracks), TrackMetadata.of(tracks)
+    side, flags = tracks["side"].values, flag_counts(tracks)
+    noise = noise_figures(tracks, pixel_size_um)
+    length = "" if pixel_size_um is None else f" = {noise['measured_um']:.3f} µm"
+    other = ", ".join(f"{count} {name}" for name, count in flags.items() if name != "ok") or "none missing"
+    tilt = f", lean {strip.tilt_deg:+.2f}°" if math.isfinite(strip.tilt_deg) else ""
+    corrupt = f" ({strip.frames_corrupt} of them corrupt)" if strip.frames_corrupt else ""
+    scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
+    return [
+        f"sheets     {found.sheets} {found.ridges} ridges ({(side < 0).sum()} left, {(side > 0).sum()} right)"
+        f"; {found.ridges_dropped} other ridges left out",
+        f"frames     {strip.frames_read} of {strip.frames_expected} read; {strip.frames_lost} lost{corrupt}, "
+        f"{strip.frames_blank} blank",
+        f"positions  {flags.get('ok', 0)} measured; {other}",
+        f"noise      {noise['measured_px']:.4f} px{length} measured, "
+        f"{noise['predicted_px']:.4f} px predicted",
+        f"strip      rows {strip.strip_z0}:{strip.strip_z1} ({strip.strip_how}){tilt}",
+        f"ridges     {found.ridge_fwhm_px:.1f} px wide, {found.pitch_px:.1f} px apart; {found.fit} fit over "
+        f"{found.window_px} px",
+        f"axis       {found.axis_px:.1f} px ({_axis(found)})",
+        f"clock      {_frame_times(strip)}",
+        f"scale      {scale}",
+    ]
+
+
+def _axis(found: TrackMetadata) -> str:
+    if found.axis_how == "given":
+        return "given"
+    how = {"motion": "found from motion", "geometry": "the middle of the ridges in view"}[found.axis_how]
+    if not math.isfinite(found.axis_low_px):
+        return f"{how}; no motion detected"
+    return f"{how}; motion allows {found.axis_low_px:.0f} to {found.axis_high_px:.0f}"
+
+
+def _frame_times(strip: StripMetadata) -> str:
+    if not math.isfinite(strip.fps) and strip.clock_kind == "playback":
+        return "the file holds no frame rate: give the camera's with `fps`"
+    rate = f"{strip.fps:g} frames/s"
+    kinds: Mapping[str, str] = {
+        "playback": f"{rate} is the file's playback rate: confirm it or give the camera's with `fps`",
+        "file": f"{rate}, from the recording's own time stamps",
+        "given": f"{rate}, as given",
+    }
+    return kinds[strip.clock_kind]
+
+
+def _models(fits: ModelFits) -> str:
+    return f"μ {plus_minus(fits.mu)}, A {plus_minus(fits.amplitude)}, N̂ {plus_minus(fits.n_hat_N)} N"
+
+
+def _clocks(clock: Clock) -> str:
+    spread = f" to {clock.residual_ms:.1f} ms" if math.isfinite(clock.residual_ms) else ""
+    return (
+        f"{clock.status}: offset {clock.offset_s:.4f} s, drift {clock.drift_ppm:.0f} ppm, "
+        f"{clock.matched} slips matched{spread}"
+    )
+
+
+def _shells(motion: xr.Dataset, shells: pd.DataFrame) -> str:
+    size = shells["stiff_sheets"].dropna().astype(float)
+    found = f"{size.median():.0f} ({size.min():.0f} to {size.max():.0f})" if len(size) else "not known"
+    return f"{motion.sizes['event']} stick phases in the video; stiff sheets per side {found}"
