@@ -12,7 +12,7 @@ import xarray as xr
 
 from tests.scenes.comb_video import frames_of, positions, write_video
 from vision.command.main import run
-from vision.run.reading import read_run, slip_times_s
+from vision.run import read_run, slip_times_s
 
 SHEET, COLUMN = ["--sheet", "right:4"], 7  # the outermost on the right
 

@@ -9,9 +9,9 @@ import pytest
 import xarray as xr
 
 from vision.errors import InputError
-from vision.run import export_files
+from vision.run import export
 from vision.run.export import ENDINGS, FORMATS, export_run
-from vision.run.provenance import Parameter, write_run_json
+from vision.run.provenance import Parameter, write_json
 from vision.run.reading import read_run
 from vision.run.tables import sheets_table, write_tracks_nc
 
@@ -59,9 +59,8 @@ def make_run(folder, *, size=SIZE_UM, force=True):
         events.assign(flag=["ok", "short"]).to_csv(folder / "events.csv", index=False)
         pd.DataFrame({"event": [0], "ratio": [np.inf]}).to_csv(folder / "deformation.csv", index=False)
         (folder / "clock.json").write_text(json.dumps({"offset_s": 3.5, "status": "ok"}))
-    write_run_json(
-        folder, {"command": "track \u00b5", "parameters": {"pixel_size": Parameter(size, "given")}}
-    )
+    facts = {"command": "track \u00b5", "parameters": {"pixel_size": Parameter(size, "given")}}
+    write_json(facts, folder / "run.json")
     return read_run(folder)
 
 
@@ -225,11 +224,11 @@ def test_a_run_of_a_force_alone_exports_its_events(tmp_path, monkeypatch):
 def test_a_table_too_long_for_a_worksheet_is_said(run, monkeypatch):
     """A failure means rows cut off without a word."""
     openpyxl = pytest.importorskip("openpyxl")
-    monkeypatch.setattr(export_files, "EXCEL_ROWS", 40)
+    monkeypatch.setattr(export, "EXCEL_ROWS", 40)
     done = export_run(run, "xlsx")
     assert "tracks: 48 rows" in done.notes[0]
     assert "tracks" not in openpyxl.load_workbook(done.target).sheetnames
-    monkeypatch.setattr(export_files, "EXCEL_ROWS", 11)
+    monkeypatch.setattr(export, "EXCEL_ROWS", 11)
     with pytest.raises(InputError, match="parquet"):
         export_run(run, "xlsx", overwrite=True)
     assert openpyxl.load_workbook(done.target).sheetnames  # the earlier one stands
@@ -238,7 +237,7 @@ def test_a_table_too_long_for_a_worksheet_is_said(run, monkeypatch):
 def test_long_tables_are_written_in_parts(run, truth, monkeypatch):
     """A failure means rows lost or doubled between the parts of a long table."""
     openpyxl = pytest.importorskip("openpyxl")
-    monkeypatch.setattr(export_files, "ROWS_AT_ONCE", 7)
+    monkeypatch.setattr(export, "ROWS_AT_ONCE", 7)
     rows = list(openpyxl.load_workbook(export_run(run, "xlsx").target)["tracks"].values)[1:]
     assert [row[0] for row in rows] == np.repeat(truth["frame"].values, 4).tolist()
 

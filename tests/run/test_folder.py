@@ -5,6 +5,7 @@ import errno
 import pytest
 
 from vision.errors import InputError
+from vision.run import folder
 from vision.run.folder import run_folder
 
 
@@ -48,7 +49,7 @@ def test_only_run_folders_are_ever_overwritten(tmp_path):
     with pytest.raises(InputError, match=r"no run\.json"), run_folder(tmp_path / "thesis", overwrite=True):
         pass
     assert (tmp_path / "thesis" / "chapter1.tex").exists()
-    with pytest.raises(InputError, match="--overwrite"), run_folder(tmp_path / "thesis"):
+    with pytest.raises(InputError, match="overwrite"), run_folder(tmp_path / "thesis"):
         pass
 
 
@@ -57,3 +58,51 @@ def test_a_place_that_cannot_be_written_is_said(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError), run_folder(tmp_path / "file" / "out"):
         pass
+
+
+def leave_behind(folder, name, text):
+    (folder / name).mkdir()
+    write_run(folder / name, text)
+
+
+def test_what_a_killed_process_left_is_removed(tmp_path):
+    """A failure means that hidden folders pile up beside the data."""
+    with run_folder(tmp_path / "out") as folder:
+        write_run(folder, "first")
+    leave_behind(tmp_path, ".out.0123abcd.part", "half")
+    leave_behind(tmp_path, ".other.0123abcd.part", "not ours")
+    with run_folder(tmp_path / "out", overwrite=True) as folder:
+        write_run(folder, "second")
+    assert {p.name for p in tmp_path.iterdir()} == {"out", ".other.0123abcd.part"}
+
+
+def test_a_run_that_was_moved_aside_is_put_back(tmp_path):
+    """A failure means that a kill between two renames loses the earlier run."""
+    leave_behind(tmp_path, ".out.0123abcd.old", "first")
+    with pytest.raises(InputError, match="overwrite"), run_folder(tmp_path / "out"):
+        pass
+    assert (tmp_path / "out" / "run.json").read_text() == "first"
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_two_runs_at_once_do_not_remove_each_other_s_files(tmp_path):
+    """A failure means that a run started meanwhile deletes what another is writing."""
+    with run_folder(tmp_path / "out") as first:
+        write_run(first, "first")
+        with run_folder(tmp_path / "out2") as other:
+            write_run(other)
+        folder.clean_up(tmp_path / "out")
+        assert (first / "run.json").read_text() == "first"
+
+
+@pytest.mark.parametrize("exchange", [True, False])
+def test_an_earlier_run_is_replaced_whole(exchange, tmp_path, monkeypatch):
+    """A failure means that files of two runs are mixed, or that a copy of the old one stays."""
+    if not exchange:
+        monkeypatch.setattr(folder, "_exchange", lambda one, other: False)
+    for text in ("first", "second"):
+        with run_folder(tmp_path / "out", overwrite=True) as made:
+            write_run(made, text)
+            (made / text).touch()
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"run.json", "tracks.csv", "second"}
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]

@@ -1,23 +1,24 @@
-"""Checksums of inputs, made while the recording is decoded."""
+"""Fingerprints of inputs and JSON."""
 
 import errno
 import hashlib
-import threading
-import time
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from vision.errors import InputError
-from vision.run import provenance
-from vision.run.provenance import CHUNK_BYTES, described_meanwhile
+from vision.run.provenance import MIB, PARTS, Parameter, describe_input, write_json
 
 
-def test_the_checksum_is_that_of_the_whole_input(tmp_path):
+def test_the_checksum_of_a_small_input_is_that_of_all_of_it(tmp_path):
     """A failure means that run.json names another file than the one that was tracked."""
-    data = bytes(range(256)) * (CHUNK_BYTES // 200)  # a little over one chunk
+    data = bytes(range(256)) * (MIB // 200)  # a little over one chunk
     (tmp_path / "a.bin").write_bytes(data)
-    with described_meanwhile(tmp_path / "a.bin") as describe:
-        facts = describe()
+    facts = describe_input(tmp_path / "a.bin")
     assert facts["sha256"] == hashlib.sha256(data).hexdigest()
     assert facts["size_bytes"] == len(data)
 
@@ -29,34 +30,59 @@ def test_folders_and_patterns_are_hashed_as_one(given, tmp_path, monkeypatch):
     (tmp_path / "f").mkdir()
     for name in "cab":
         (tmp_path / "f" / f"{name}.bin").write_bytes(name.encode())
-    with described_meanwhile(tmp_path / given) as describe:
-        assert describe()["sha256"] == hashlib.sha256(b"abc").hexdigest()
+    assert describe_input(Path(given))["sha256"] == hashlib.sha256(b"abc").hexdigest()
 
 
-def test_an_input_that_is_gone_is_told(tmp_path, monkeypatch):
+def test_a_large_input_has_a_fingerprint_that_sees_its_ends_and_its_size(tmp_path):
+    """A failure means that a film that was cut or replaced passes as the one that was tracked."""
+    path = tmp_path / "big.bin"
+    with path.open("wb") as file:
+        file.truncate((PARTS + 40) * MIB)  # takes no room
+    plain = describe_input(path)
+    assert "sha256" not in plain
+    with path.open("r+b") as file:
+        file.seek(-1, 2)
+        file.write(b"x")
+    changed = describe_input(path)
+    with path.open("r+b") as file:
+        file.truncate((PARTS + 41) * MIB)
+    longer = describe_input(path)
+    assert len({facts["fingerprint"] for facts in (plain, changed, longer)}) == 3
+    assert describe_input(path, whole=True)["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_an_input_that_is_gone_is_one_line(tmp_path, monkeypatch):
     """A failure means that a drive pulled out in the middle ends in a traceback."""
     (tmp_path / "a.bin").write_bytes(b"a")
 
     def gone(*arguments, **options):
         raise OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr(provenance, "describe_input", gone)
-    with (
-        described_meanwhile(tmp_path / "a.bin") as describe,
-        pytest.raises(InputError, match=r"a\.bin.*input/output error"),
-    ):
-        describe()
+    monkeypatch.setattr(Path, "open", gone)
+    with pytest.raises(InputError, match=r"a\.bin.*input/output error"):
+        describe_input(tmp_path / "a.bin")
 
 
-def test_leaving_early_stops_the_thread(tmp_path):
-    """A failure means that Ctrl-C waits until 100 GB are read."""
-    (tmp_path / "big.bin").touch()
-    with (tmp_path / "big.bin").open("r+b") as file:
-        file.truncate(1 << 34)  # 16 GiB that take no room
-    before = threading.active_count()
-    with described_meanwhile(tmp_path / "big.bin"):
-        assert threading.active_count() == before + 1
-    until = time.monotonic() + 5
-    while threading.active_count() > before and time.monotonic() < until:
-        time.sleep(0.01)
-    assert threading.active_count() == before
+@dataclass
+class Fact:
+    value: float
+
+
+def test_json_is_strict_and_null_where_there_is_no_number(tmp_path):
+    """A failure means that other programs cannot read run.json."""
+    content = {
+        "nan": math.nan,
+        "array": np.array([1.0, np.inf]),
+        "fact": Fact(np.float64(2)),
+        "given": Parameter(slice(1, 2), "given"),
+        3: (np.int64(4), True, None, Path("a")),
+    }
+    write_json(content, tmp_path / "a.json")
+    read = json.loads((tmp_path / "a.json").read_text(), parse_constant=pytest.fail)
+    assert read == {
+        "nan": None,
+        "array": [1.0, None],
+        "fact": {"value": 2.0},
+        "given": {"value": "slice(1, 2, None)", "how": "given"},
+        "3": [4, True, None, "a"],
+    }

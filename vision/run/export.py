@@ -23,7 +23,7 @@ from vision.run.tables import sheets_table, tracks_table
 Format = Literal["csv", "xlsx", "parquet", "mat", "trackpy", "napari"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 ENDINGS = {"xlsx": ".xlsx", "mat": ".mat", "trackpy": "_trackpy.csv", "napari": "_napari.csv"}
-NEEDS = {"xlsx": "openpyxl", "parquet": "pyarrow"}
+NEEDS = {"xlsx": "openpyxl"}
 MARK = "export"  # of run.json: tells a folder of exported tables from a run
 
 PER_EVENT = ("events", "deformation", "shells")

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
+import glob
 import os
 import secrets
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from vision.errors import InputError
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 MARK = "run.json"  # what makes a folder a run folder
+PART, OLD = ".part", ".old"  # endings of a run that is being written, and of one that was moved aside
+RENAME_EXCHANGE = 2  # of Linux's renameat2
 
 
 def check_target(target: Path, *, overwrite: bool) -> None:
@@ -51,41 +61,105 @@ def run_folder(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """A temporary folder beside `target` that takes its place when everything in it is written.
 
     If anything goes wrong, an interrupt included, the temporary folder is removed and an earlier run stays
-    as it was.
+    as it was. What a killed process left behind is removed, or put back where the kill came between moving
+    an earlier run aside and putting the new one in its place.
 
-    Raises: InputError where the target exists or cannot be written, or the disk is full.
+    Raises
+    ------
+    InputError
+        Where the target exists or cannot be written, or the disk is full.
     """
+    clean_up(target)
     check_target(target, overwrite=overwrite)
-    made = target.parent / f".{target.name}.{secrets.token_hex(4)}"  # named first: an interrupt finds it
+    made = (
+        target.parent / f".{target.name}.{secrets.token_hex(4)}{PART}"
+    )  # named first: an interrupt finds it
+    lock = None
     try:
         made.mkdir(parents=True)
+        lock = _lock(made)
         yield made
         _replace(made, target, overwrite=overwrite)
     except OSError as error:
         raise _unwritable(target, error) from error
     finally:
         shutil.rmtree(made, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
+
+
+def clean_up(target: Path) -> None:
+    """Remove or restore what processes that were killed left beside `target`."""
+    hidden = f".{glob.escape(target.name)}.*"
+    for old in target.parent.glob(hidden + OLD):
+        if (lock := _lock(old)) is not None:
+            with suppress(OSError):
+                if target.exists():
+                    shutil.rmtree(old)
+                else:
+                    old.rename(target)
+            os.close(lock)
+    for part in target.parent.glob(hidden + PART):
+        if (lock := _lock(part)) is not None:
+            shutil.rmtree(part, ignore_errors=True)
+            os.close(lock)
+
+
+def _lock(folder: Path) -> int | None:
+    """Claim a folder; None where a living process has it (or, off POSIX, always).
+
+    The claim ends with the process, however that ends.
+    """
+    if fcntl is None:
+        return None
+    try:
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(handle)
+        return None
+    return handle
 
 
 def _replace(made: Path, target: Path, *, overwrite: bool) -> None:
-    """Put `made` in the place of `target`; an earlier run is removed only when the new one stands.
+    """Put `made` in the place of `target`; an earlier run takes the temporary place, and is removed there.
 
-    Raises: InputError where another run has taken the place meanwhile.
+    Where the file system can exchange two names in one step, the target is at every moment the old run or
+    the new one; elsewhere a kill between two renames leaves the old run aside, and `clean_up` puts it back.
+
+    Raises
+    ------
+    InputError
+        Where another run has taken the place meanwhile.
     """
     if not target.exists():
         made.rename(target)
         return
     _check_earlier(target, overwrite=overwrite)
-    old = Path(tempfile.mkdtemp(prefix=f".{target.name}.old.", dir=target.parent))
+    if _exchange(made, target):
+        return
+    old = target.parent / f".{target.name}.{secrets.token_hex(4)}{OLD}"
+    target.rename(old)
     try:
-        earlier = target.rename(old / target.name)
-        try:
-            made.rename(target)
-        except OSError:
-            earlier.rename(target)
-            raise
-    finally:
-        shutil.rmtree(old, ignore_errors=True)
+        made.rename(target)
+    except OSError:
+        old.rename(target)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Swap two names in one step; False where the system or the file system cannot."""
+    if not sys.platform.startswith("linux"):
+        return False
+    call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if call is None:
+        return False
+    here = -100  # AT_FDCWD: relative names are those of the working directory
+    return int(call(here, os.fsencode(one), here, os.fsencode(other), RENAME_EXCHANGE)) == 0
 
 
 @contextmanager

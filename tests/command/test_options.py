@@ -2,7 +2,7 @@
 
 import pytest
 
-from vision.command.quantities import parse_length, parse_seconds, parse_sheets
+from vision.command.options import parse_length, parse_seconds, parse_sheets
 from vision.errors import InputError
 
 
