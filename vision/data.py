@@ -172,15 +172,18 @@ class StripMetadata(Metadata):
     source
         The video's path.
     codec
-        Of the pixels, as FFmpeg names it; "" for files that are not video. Lossy ones hide the noise.
-    pixel_format
-        How the pixels were read.
+        Of the pixels, as FFmpeg names it; "uncompressed" or "packed"; TIFF's compression; an image's suffix.
+        Lossy ones hide the noise.
+    container, pixel_format, decoder, grey
+        The kind of file, how a pixel is stored, what decoded it ("none" where nothing had to), and what a
+        grey value is.
     rotate
         Degrees clockwise by which frames were turned.
     depth_bits, saturation_level
         Significant bits per pixel (32 for float) and the value of a saturated one (NaN for float).
     strip_z0, strip_z1, strip_how, strip_clarity
-        Rows averaged, half-open; "found" or "given"; how clearly the ridges stand out in them.
+        Rows averaged, half-open; "found", "given" or "all rows" (none stood out); correlation of the ridges'
+        slopes in odd and even rows, 0 to 1.
     tilt_deg
         Lean of the ridges, NaN where it is not known.
     clock_kind, fps
@@ -193,8 +196,11 @@ class StripMetadata(Metadata):
     """
 
     source: str = "the video"
+    container: str = ""
     codec: str = ""
     pixel_format: str = ""
+    decoder: str = ""
+    grey: str = ""
     rotate: int = 0
     depth_bits: int = 32
     saturation_level: float = math.nan

@@ -1,19 +1,23 @@
 """A file becomes frames becomes I(x, t)."""
 
-from vision.video.opening import open_video
-from vision.video.source import Block, FrameClock, Status, Video
+from vision.video.reader import Block, Facts, Reader
+from vision.video.settings import VideoSettings
 from vision.video.strip import reference_frame, strip_profile
 from vision.video.strip_find import Strip, find_strip, measure_strip
+from vision.video.video import FrameClock, Video, open_video, read_timestamps
 
 __all__ = [
     "Block",
+    "Facts",
     "FrameClock",
-    "Status",
+    "Reader",
     "Strip",
     "Video",
+    "VideoSettings",
     "find_strip",
     "measure_strip",
     "open_video",
+    "read_timestamps",
     "reference_frame",
     "strip_profile",
 ]

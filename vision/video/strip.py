@@ -1,26 +1,30 @@
-"""strip_profile(): a recording becomes I(x, t), the mean of the strip's rows in every frame."""
+"""I(x, t), the mean of the strip's rows in every frame; blank frames, and frames that were lost."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+import contextlib
+import math
+import os
+import queue
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+import xarray as xr
 
+from vision.data import STRIP, StripMetadata, record
 from vision.errors import InputError
-from vision.video.blank import is_blank
-from vision.video.frame_counts import BLANK, CORRUPT, OK, STATUS, Counts, count_frames
-from vision.video.prefetch import prefetch
-from vision.video.profile_store import SPILL_BYTES, ProfileStore
-from vision.video.recording import cut
-from vision.video.source import Block, Video
+from vision.numeric import Bools, Floats, Floats32, Ints, Pixels, Strings
+from vision.video.settings import DEFAULTS, VideoSettings
 from vision.video.strip_find import Strip, find_strip, measure_strip
-
-if TYPE_CHECKING:
-    import xarray as xr
+from vision.video.video import Video, cut
 
 Progress = Callable[[int, int | None], None]
+Item = TypeVar("Item")
+_STATUS = "<U7"  # ok, blank, corrupt, lost
 
 
 def strip_profile(
@@ -29,77 +33,112 @@ def strip_profile(
     *,
     columns: slice | None = None,
     progress: Progress | None = None,
-    spill_bytes: int = SPILL_BYTES,
+    settings: VideoSettings = DEFAULTS,
 ) -> xr.DataArray:
-    """I(x, t): the mean over the strip's rows, for every frame of the recording.
+    r"""I(x, t): the mean over the strip's rows, for every frame of the recording.
 
-    Args: rows and columns, half-open, in pixels after rotation; no rows: `find_strip`.  progress is
-    called with (frames done, frames in all or None) after every block.  spill_bytes: a larger I(x, t)
-    lives in a temporary file.
-    Returns: float32 "intensity" (frame, x) in grey levels. Coordinates: frame (number in the file), x
-    (column), time_s and status on frame: "ok", "blank" (nothing to see), "corrupt" (could not be decoded),
-    "lost" (recorded nowhere); rows of frames that are not "ok" are NaN. Frame counts, clock, strip and
-    warnings are in the attributes.
-    Raises: InputError for rows or columns outside the frame, or when no frame can be used.
+    Parameters
+    ----------
+    video
+        As `open_video` gives it. It is read in one sequential pass.
+    rows, columns
+        Half-open, px, after rotation. Without `rows` the strip is found (`find_strip`); without `columns` all
+        are taken.
+    progress
+        Called with (frames done, frames in all or None) after every block.
+    settings
+        See `VideoSettings`.
+
+    Returns
+    -------
+    xarray.DataArray
+        "intensity" (frame, x), float32 grey levels, as `vision.data.STRIP` declares it. Coordinates are frame
+        (number in the file), x (column), time_s, NaN where unknown, and status: "ok", "blank" (nothing to
+        see), "corrupt" (could not be decoded) or "lost" (recorded nowhere). Rows of frames that are not "ok"
+        are NaN. Frame counts, clock, strip and warnings are in the attributes (`vision.data.StripMetadata`).
+
+    Raises
+    ------
+    InputError
+        For rows or columns outside the frame, when no frame can be used, or when the disk is full.
+
+    Notes
+    -----
+    With rows :math:`z_0 \le z < z_1`,
+
+    .. math:: I(x, t) = \frac{1}{z_1 - z_0} \sum_{z=z_0}^{z_1 - 1} g(x, z, t).
+
+    Integers are summed exactly; the mean is rounded once, to float32. Source: paper, appendix B.
     """
-    import xarray as xr
-
-    _, width = video.shape
-    x = cut(columns, width, what=f"{video.path}: columns")
-    strip = find_strip(video, columns=x) if rows is None else measure_strip(video, rows, columns=x)
-    intensity, numbers, codes, times_s = _reduce(video, strip.rows, x, progress, spill_bytes)
-    codes[is_blank(intensity, codes == OK, saturation_level=video.saturation_level)] = BLANK
-    intensity[codes != OK] = np.nan
-    _check_any(video, codes)
-    counts = count_frames(video, codes, times_s)
-    return xr.DataArray(
+    x = cut(columns, video.shape[1], what=f"{video.path}: `columns`")
+    if rows is None:
+        strip = find_strip(video, columns=x, settings=settings)
+    else:
+        strip = measure_strip(video, rows, columns=x, settings=settings)
+    intensity, numbers, status, times_s = _read_means(video, strip.rows, x, progress, settings)
+    blank = is_blank(intensity, status == "ok", saturation_level=video.saturation_level, settings=settings)
+    status[blank] = "blank"
+    intensity[status != "ok"] = np.nan
+    if not (status == "ok").any():
+        raise _nothing_to_see(video, status)
+    profile = xr.DataArray(
         intensity,
         dims=("frame", "x"),
         coords={
-            "frame": numbers,
-            "x": np.arange(x.start, x.stop, dtype=np.int64),
-            "time_s": ("frame", times_s, {"units": "s"}),
-            "status": ("frame", STATUS[codes]),
+            "frame": ("frame", numbers, STRIP["frame"].attrs),
+            "x": ("x", np.arange(x.start, x.stop, dtype=np.int64), STRIP["x"].attrs),
+            "time_s": ("frame", times_s, STRIP["time_s"].attrs),
+            "status": ("frame", status, STRIP["status"].attrs),
         },
         name="intensity",
-        attrs=_attributes(video, strip, counts),
+        attrs=STRIP["intensity"].attrs | _metadata(video, strip, status, times_s, settings).attrs(),
     )
+    spans = {name: span and [span.start, span.stop] for name, span in (("rows", rows), ("columns", columns))}
+    return record(profile, "strip_profile", **spans, settings=asdict(settings))
 
 
-def reference_frame(video: Video) -> NDArray[np.generic]:
-    """The first readable frame that is not constant, whole, after rotation. InputError for none."""
+def reference_frame(video: Video) -> Pixels:
+    """The first readable frame that is not constant, whole, after rotation.
+
+    Raises
+    ------
+    InputError
+        Where there is none.
+    """
     for pixels in video.frames():
         if pixels.min() < pixels.max():
             return pixels
     raise InputError(video.path, "at least one frame that shows something", "none")
 
 
-def _reduce(
-    video: Video, rows: slice, columns: slice, progress: Progress | None, spill_bytes: int
-) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int8], NDArray[np.float64]]:
-    """One pass: row means, frame numbers, status codes (places in `STATUS`), times."""
-    store = ProfileStore(columns.stop - columns.start, expected=video.about, spill_bytes=spill_bytes)
-    numbers: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
-    codes: list[NDArray[np.int8]] = [np.empty(0, np.int8)]
-    times: list[NDArray[np.float64]] = [np.empty(0)]
+def _read_means(
+    video: Video, rows: slice, columns: slice, progress: Progress | None, settings: VideoSettings
+) -> tuple[Floats32, Ints, Strings, Floats]:
+    """One pass: row means, frame numbers, status, times."""
+    store = ProfileStore(
+        columns.stop - columns.start, expected=video.estimated, spill_bytes=settings.spill_bytes
+    )
+    numbers: list[Ints] = [np.empty(0, np.int64)]
+    status: list[Strings] = [np.empty(0, _STATUS)]
+    times: list[Floats] = [np.empty(0)]
     done = 0
     for block in prefetch(video.blocks(rows, columns)):
         means = row_means(block.pixels)
-        state = _codes(block)
+        state = np.array(block.status, _STATUS)
         odd = ~np.isfinite(means).all(axis=1)
         means[odd] = np.nan  # infinities would spread into sums over frames
-        state[(state == OK) & odd] = CORRUPT
+        state[(state == "ok") & odd] = "corrupt"
         store.append(means)
-        codes.append(state)
+        status.append(state)
         numbers.append(np.arange(block.start, block.start + state.size, dtype=np.int64))
         times.append(video.times(numbers[-1]) if block.times_s is None else block.times_s)
         done += state.size
         if progress is not None:
-            progress(done, video.about)
-    return store.rows(), np.concatenate(numbers), np.concatenate(codes), np.concatenate(times)
+            progress(done, video.estimated)
+    return store.rows(), np.concatenate(numbers), np.concatenate(status), np.concatenate(times)
 
 
-def row_means(pixels: NDArray[np.generic]) -> NDArray[np.float32]:
+def row_means(pixels: Pixels) -> Floats32:
     """Mean over the rows of each frame, (k, rows, columns) to (k, columns).
 
     Integers are summed exactly, in the narrowest type that cannot overflow, which is three times as fast
@@ -113,44 +152,325 @@ def row_means(pixels: NDArray[np.generic]) -> NDArray[np.float32]:
     return np.asarray(np.add.reduce(pixels, axis=1, dtype=wide) / rows, np.float32)
 
 
-def _codes(block: Block) -> NDArray[np.int8]:
-    places = {str(name): place for place, name in enumerate(STATUS)}
-    return np.array([places[status] for status in block.status], np.int8)
-
-
-def _check_any(video: Video, codes: NDArray[np.int8]) -> None:
-    """InputError where no frame can be used; it says why."""
-    if (codes == OK).any():
-        return
-    if not codes.size:
-        raise InputError(video.path, "frames within --frames", "the file ends before them")
-    names, counts = np.unique(STATUS[codes], return_counts=True)
+def _nothing_to_see(video: Video, status: Strings) -> InputError:
+    """Why no frame can be used."""
+    if not status.size:
+        return InputError(video.path, "frames within `frames`", "the file ends before them")
+    names, counts = np.unique(status, return_counts=True)
     found = ", ".join(f"{count} {name}" for name, count in zip(names, counts, strict=True))
-    advice = "cut NaN off with --columns" if video.saturation_level is None else "check --strip and --columns"
-    raise InputError(video.path, "at least one frame that shows something", f"none ({found})", advice)
+    is_float = video.saturation_level is None
+    advice = "cut NaN off with `columns`" if is_float else "check `rows` and `columns`"
+    return InputError(video.path, "at least one frame that shows something", f"none ({found})", advice)
 
 
-def _attributes(video: Video, strip: Strip, counts: Counts) -> dict[str, Any]:
-    clock = video.clock
-    return {
-        "units": "grey level",
-        "long_name": "mean intensity of the strip",
-        "source": str(video.path),
-        "rotate": video.rotate,
-        "depth_bits": video.depth_bits,
-        "saturation_level": float("nan") if video.saturation_level is None else video.saturation_level,
-        "strip_z0": strip.rows.start,
-        "strip_z1": strip.rows.stop,
-        "strip_how": strip.how,
-        "strip_clarity": strip.clarity,
-        "tilt_deg": strip.tilt_deg,
-        "clock_kind": clock.kind,
-        "fps": float("nan") if clock.fps is None else clock.fps,
-        "frames_expected": counts.expected,
-        "frames_read": counts.read,
-        "frames_lost": counts.lost,
-        "frames_blank": counts.blank,
-        "frames_corrupt": counts.corrupt,
-        "warnings": "\n".join((*video.warnings, *strip.warnings, *counts.warnings)),
-        **video.notes,
-    }
+def _metadata(
+    video: Video, strip: Strip, status: Strings, times_s: Floats, settings: VideoSettings
+) -> StripMetadata:
+    facts, clock = video.facts, video.clock
+    counts = count_frames(video, status, times_s, settings=settings)
+    return StripMetadata(
+        source=str(video.path),
+        container=facts.container,
+        codec=facts.codec,
+        pixel_format=facts.pixel_format,
+        decoder=facts.decoder,
+        grey=facts.grey,
+        rotate=video.rotate,
+        depth_bits=video.depth_bits,
+        saturation_level=math.nan if video.saturation_level is None else video.saturation_level,
+        strip_z0=strip.rows.start,
+        strip_z1=strip.rows.stop,
+        strip_how=strip.how,
+        strip_clarity=strip.clarity,
+        tilt_deg=strip.tilt_deg,
+        clock_kind=clock.kind,
+        fps=math.nan if clock.fps is None else clock.fps,
+        frames_expected=counts.expected,
+        frames_read=counts.read,
+        frames_lost=counts.expected - counts.read,
+        frames_blank=counts.blank,
+        frames_corrupt=counts.corrupt,
+        warnings=[*video.warnings, *strip.warnings, *counts.warnings],
+    )
+
+
+# --- blank frames -------------------------------------------------------------------------------------------
+
+
+def is_blank(
+    profiles: Floats32,
+    readable: Bools,
+    *,
+    saturation_level: float | None = None,
+    settings: VideoSettings = DEFAULTS,
+) -> Bools:
+    """Which readable frames show nothing of what the others show.
+
+    A frame is blank if its profile is constant or saturated throughout, if its contrast (standard deviation
+    along x) is below `settings.blank_contrast` of the recording's median contrast, or if the frame is
+    brighter than usual and its contrast, relative to its level, is below `settings.bright_contrast` of the
+    median. Dim frames keep their relative contrast and a tenth of the absolute one suffices; motion blur
+    leaves the light's gradient and the edges.
+
+    Parameters
+    ----------
+    profiles
+        Intensity (frame, x), grey levels.
+    readable
+        (frame).
+    saturation_level
+        Grey level of a saturated pixel; None for float.
+    settings
+        See `VideoSettings`.
+
+    Returns
+    -------
+    (frame), False where not readable. Where more than half of a recording is blank, only constant and
+    saturated frames are found.
+    """
+    level, contrast, darkest = np.empty((3, len(profiles)))
+    for start in range(0, len(profiles), 4096):  # in parts: the profiles may exceed memory
+        span = slice(start, start + 4096)
+        level[span] = profiles[span].mean(axis=1, dtype=np.float64)
+        contrast[span] = profiles[span].std(axis=1, dtype=np.float64)
+        darkest[span] = profiles[span].min(axis=1)
+    blank = contrast <= 1e-6 * np.maximum(np.abs(level), 1.0)
+    if saturation_level is not None:
+        blank |= darkest >= settings.saturated * saturation_level
+    usual = readable & ~blank
+    if usual.any():
+        usual_level = float(np.median(level[usual]))
+        usual_contrast = float(np.median(contrast[usual]))
+        blank |= contrast < settings.blank_contrast * usual_contrast
+        flat = contrast * usual_level < settings.bright_contrast * usual_contrast * level
+        blank |= flat & (level > settings.bright_level * usual_level)
+    return np.asarray(blank & readable, bool)
+
+
+# --- frames that are not there ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class FrameCounts:
+    """Frames `expected` and `read`; `blank` ones are among the read, `corrupt` ones among the others.
+
+    warnings: one line for each kind of frame that is not there.
+    """
+
+    expected: int
+    read: int
+    blank: int
+    corrupt: int
+    warnings: tuple[str, ...]
+
+
+def count_frames(
+    video: Video, status: Strings, times_s: Floats, *, settings: VideoSettings = DEFAULTS
+) -> FrameCounts:
+    """Frames declared and delivered: by number, by the file's stated duration, and by gaps in its times.
+
+    Frames lost between time stamps, or before the end the file states, have no row, yet are counted.
+
+    Parameters
+    ----------
+    video
+        The recording.
+    status, times_s
+        Of every frame that was delivered (frame); s.
+    settings
+        See `VideoSettings`.
+    """
+    name, warnings = video.path.name, []
+    if video.expected is not None and status.size < video.expected:
+        missing = video.expected - status.size
+        found = f"{status.size} of {video.expected} expected frames are in the file"
+        warnings.append(f"{name}: {found}; {missing} are missing")
+    reasons = {"corrupt": "corrupt", "lost": "lost by the camera", "blank": "blank"}
+    for state, reason in reasons.items():
+        which = np.flatnonzero(status == state)
+        if which.size:
+            warnings.append(f"{name}: {which.size} frame(s) {reason}, the first at place {which[0]}")
+    measured = video.clock.kind == "file" or (video.clock.kind == "given" and _uneven(times_s))
+    between, first = lost_between(times_s, settings=settings) if measured else (0, 0)
+    if between:
+        where = f"where its times leap, the first after place {first}"
+        warnings.append(f"{name}: {between} frame(s) lost {where}")
+    beyond = 0
+    if video.duration_s is not None:
+        known = times_s[np.isfinite(times_s)]
+        usual_s = usual_step_s(known)
+        missing_s = video.duration_s - float(known[-1]) if usual_s > 0 else 0.0
+        if missing_s > settings.early_end_steps * usual_s:
+            beyond = round(missing_s / usual_s) - 1  # the last frame itself lasts one step
+            stated = f"the file should last {video.duration_s:.3f} s"
+            warnings.append(
+                f"{name}: {stated}; its last {missing_s:.3f} s are missing, about {beyond} frames"
+            )
+    return FrameCounts(
+        expected=max(status.size, video.expected or 0) + between + beyond,
+        read=int(np.isin(status, ("ok", "blank")).sum()),
+        blank=int((status == "blank").sum()),
+        corrupt=int((status == "corrupt").sum()),
+        warnings=tuple(warnings),
+    )
+
+
+def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> tuple[int, int]:
+    """Frames lost between time stamps, and the place of the frame before the first of them.
+
+    A step over `settings.gap_steps` usual ones counts if the frames after it stay late against the usual
+    rate: a frame that only came late is followed by short steps. Where the rate itself changes the slower
+    part counts as if frames were lost; where more than a fifth is lost too few are counted.
+
+    Parameters
+    ----------
+    times_s
+        s (frame), NaN where unknown.
+    settings
+        See `VideoSettings`.
+
+    Returns
+    -------
+    (0, 0) for none, or fewer than three known times.
+    """
+    places = np.flatnonzero(np.isfinite(times_s))
+    known = times_s[places]
+    usual_s = usual_step_s(known)
+    if not usual_s > 0:
+        return 0, 0
+    steps = np.diff(known) / usual_s - (np.diff(places) - 1)  # frames without a time took theirs
+    late = np.cumsum(np.concatenate([[0.0], steps - 1]))
+    gaps = np.flatnonzero(steps > settings.gap_steps)
+    gaps = gaps[_lasting_delay(late, gaps) > settings.late_steps]
+    lost = int(np.round(steps[gaps] - 1).sum())
+    return (lost, int(places[gaps[0]])) if lost else (0, 0)
+
+
+def usual_step_s(times_s: Floats) -> float:
+    """Time from one frame to the next, s, where nothing is lost; NaN for fewer than three times.
+
+    From the tenth percentile of the time that 20 frames take: rounded times have few distinct steps, and in
+    most of the shorter runs of frames nothing is lost.
+    """
+    if times_s.size < 3:
+        return math.nan
+    lag = min(20, max(1, times_s.size // 4))
+    return float(np.quantile(times_s[lag:] - times_s[:-lag], 0.1)) / lag
+
+
+def _lasting_delay(late: Floats, gaps: Ints) -> Floats:
+    """Median lateness of the nine frames after each gap less that of the nine before it, in usual steps."""
+    reach = np.arange(9)
+    before = np.where(reach <= gaps[:, np.newaxis], late[np.maximum(gaps[:, np.newaxis] - reach, 0)], np.nan)
+    after = gaps[:, np.newaxis] + 1 + reach
+    behind = np.where(after < late.size, late[np.minimum(after, late.size - 1)], np.nan)
+    return np.asarray(np.nanmedian(behind, axis=1) - np.nanmedian(before, axis=1), np.float64)
+
+
+def _uneven(times_s: Floats) -> bool:
+    """Whether times were measured rather than counted from a rate."""
+    steps = np.diff(times_s[np.isfinite(times_s)])
+    return bool(steps.size and np.ptp(steps) > 1e-6 * abs(float(steps.max())))
+
+
+# --- reading ahead, and keeping I(x, t) ---------------------------------------------------------------------
+
+
+def prefetch(items: Iterator[Item]) -> Iterator[Item]:
+    """The same items in the same order, up to two of them made ahead in one thread.
+
+    Decoders release the interpreter lock, so decoding and reducing share two cores. An exception raised by
+    `items` is raised here, at its place in the order. Abandoning the iterator stops the thread.
+    """
+    ready: queue.Queue[tuple[Item] | Exception | None] = queue.Queue(maxsize=2)
+    abandoned = threading.Event()
+
+    def hand_over(entry: tuple[Item] | Exception | None) -> None:
+        while not abandoned.is_set():
+            with contextlib.suppress(queue.Full):
+                ready.put(entry, timeout=0.1)
+                return
+
+    def work() -> None:
+        try:
+            for item in items:
+                hand_over((item,))
+                if abandoned.is_set():
+                    break
+            hand_over(None)
+        except Exception as error:  # whatever it is, the thread that reads is where it is handled
+            hand_over(error)
+        finally:
+            close = getattr(items, "close", None)
+            if close is not None:
+                close()
+
+    worker = threading.Thread(target=work, daemon=True)
+    worker.start()
+    try:
+        while (entry := ready.get()) is not None:
+            if isinstance(entry, Exception):
+                raise entry
+            yield entry[0]
+    finally:
+        abandoned.set()
+        worker.join()
+
+
+class ProfileStore:
+    """I(x, t) as it grows: rows of float32, in memory or in a temporary file.
+
+    Parameters
+    ----------
+    columns
+        Values in a row.
+    expected
+        A guess at the number of rows; more or fewer are fine.
+    spill_bytes
+        Above this size the rows live in a temporary file.
+
+    Raises
+    ------
+    InputError
+        Where the disk is full.
+    """
+
+    def __init__(
+        self, columns: int, *, expected: int | None, spill_bytes: int = VideoSettings.spill_bytes
+    ) -> None:
+        self._columns = columns
+        self._spill_bytes = spill_bytes
+        self._used = 0
+        most = max(1, 2 * spill_bytes // (4 * columns))  # a damaged header may announce any number
+        self._rows = self._allocate(max(1, min(expected or 1024, most)))
+
+    def append(self, rows: Floats32) -> None:
+        """Add `rows` (k, columns) at the end."""
+        needed = self._used + rows.shape[0]
+        if needed > self._rows.shape[0]:
+            old = self.rows()
+            self._rows = self._allocate(max(needed, 2 * self._rows.shape[0]))
+            self._rows[: self._used] = old
+        self._rows[self._used : needed] = rows
+        self._used = needed
+
+    def rows(self) -> Floats32:
+        """All rows so far, (n, columns), not copied."""
+        return self._rows[: self._used]
+
+    def _allocate(self, capacity: int) -> Floats32:
+        size = capacity * self._columns * 4
+        if size <= self._spill_bytes:
+            return np.empty((capacity, self._columns), np.float32)
+        with tempfile.TemporaryFile(prefix="sheetvision-") as file:  # the mapping keeps it
+            try:  # the whole length at once: a mapping that finds the disk full kills the process
+                if hasattr(os, "posix_fallocate"):
+                    os.posix_fallocate(file.fileno(), 0, size)
+                else:
+                    os.truncate(file.fileno(), size)
+            except OSError as error:
+                wanted = f"{size / (1 << 30):.1f} GiB for I(x, t)"
+                found = (error.strerror or str(error)).lower()
+                advice = "set TMPDIR, or give `columns`"
+                raise InputError(tempfile.gettempdir(), wanted, found, advice) from error
+            return np.memmap(file, np.float32, "r+", shape=(capacity, self._columns))

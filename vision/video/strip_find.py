@@ -1,47 +1,43 @@
-"""find_strip(): the rows where ridges are straightest and clearest, and how far they lean."""
+"""The rows to average: where ridges are straightest and clearest, and how far they lean."""
 
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
-from vision.video.recording import cut
-from vision.video.tilt import lean_px, ridge_width_px
-
-if TYPE_CHECKING:
-    from vision.video.source import Video
-
-SAMPLE_FRAMES = 8
-SMEAR = 0.3  # of a ridge's width: leaning further than this over the strip costs precision
-_BANDS = 96  # the height is judged in this many bands at most
-_SEGMENT_PX = 64  # judged apart along x, so that what one place adds can be limited
-_CAP = 0.65  # quantile of the segments with ridges above which slope does not count
-_LIVE = 0.02  # of the third-strongest segment: the comb need not fill the picture's width
-_OFTEN = 0.75  # quantile over the bands: what a segment shows in many rows, not in a label's few
-_HEIGHT_POWER = 0.5  # a row is worth adding if it brings 3/4 of the strip's own slope
-_SLOPE_SIGMA_PX = 1.5  # smoothing of the slope: below the narrowest ridge, above pixel noise
-_HALF = np.float32(0.5)
-_MIN_CLARITY = 0.3  # odd and even rows that agree less than this show no ridges
+from vision.numeric import Bools, Floats32, Ints, Pixels
+from vision.video.settings import DEFAULTS, VideoSettings
+from vision.video.video import Video, cut
 
 
 @dataclass(frozen=True)
 class Strip:
     """The rows to average, and what their ridges look like.
 
-    rows: half-open, after rotation.  how: "given", "found" or "all rows" (nothing stood out).
-    tilt_deg: lean of the ridges, positive where x grows downwards, NaN if nothing can be seen.
-    clarity: correlation of odd and even rows' mean slopes, 0 (noise) to 1.
-    warnings: what the user must be told.
+    Parameters
+    ----------
+    rows
+        Half-open, after rotation.
+    how
+        "given", "found" or "all rows" (nothing stood out).
+    tilt_deg
+        Lean of the ridges in degrees, positive where x grows downwards; NaN where no ridges can be seen.
+    clarity
+        Correlation of odd and even rows' mean slopes, 0 (noise) to 1.
+    warnings
+        What the user must be told.
     """
 
     rows: slice
     how: Literal["given", "found", "all rows"]
-    tilt_deg: float
-    clarity: float
+    tilt_deg: float = math.nan
+    clarity: float = 0.0
     warnings: tuple[str, ...] = ()
 
 
@@ -49,84 +45,120 @@ class Strip:
 class _Slopes:
     """Slopes along x of bands of rows in some frames.
 
-    mean: (frame, band, x).  difference: half the difference of odd and even rows, the same shape, noise
-    alone. band_rows: rows in a band.
+    mean: (frame, band, x). difference: half the difference of odd and even rows, the same shape, noise alone.
+    band_rows: rows in a band.
     """
 
-    mean: NDArray[np.float32]
-    difference: NDArray[np.float32]
+    mean: Floats32
+    difference: Floats32
     band_rows: int
 
 
-def find_strip(video: Video, *, columns: slice | None = None) -> Strip:
-    """Rows whose mean profile has the steepest ridges for the most rows.
+def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSettings = DEFAULTS) -> Strip:
+    r"""Rows whose mean profile has the steepest ridges for the most rows.
 
-    For every run of bands the slope power of its mean profile is measured, free of noise (odd against even
-    rows), and times sqrt(height) it is largest where ridges are clear, straight and upright: leaning or
-    bowed ridges blur the mean, clamps and black rows dilute it. No place along x counts for more than ridges
-    usually do, so labels and marks gain nothing by their strong edges.  Brightness and pitch do not matter,
-    nor does polarity.
+    Parameters
+    ----------
+    video
+        As `open_video` gives it; `settings.sample_frames` of its frames are looked at.
+    columns
+        Half-open, px, after rotation; all by default.
+    settings
+        See `VideoSettings`.
 
-    Looks at `SAMPLE_FRAMES` frames.  Returns: the whole height, how="all rows", where nothing is coherent.
+    Returns
+    -------
+    Strip
+        The whole height, with how = "all rows", where no rows agree on any ridges.
+
+    Raises
+    ------
+    InputError
+        For columns outside the frame.
+
+    Notes
+    -----
+    Slopes along x are averaged over the odd rows (:math:`o_b`) and the even rows (:math:`e_b`) of each band
+    :math:`b`. For every run of :math:`h` bands the power of the mean slope, free of white noise, is taken in
+    each segment :math:`s` along x,
+
+    .. math::
+        P_s = \frac{1}{h^2} \sum_{t,\, x \in s} \left[ \left(\sum_b \frac{o_b + e_b}{2}\right)^2
+              - \sum_b \left(\frac{o_b - e_b}{2}\right)^2 \right]
+
+    and the run with the largest :math:`\sqrt h \, \langle \min(P_s, P_{65\%}) \rangle_s` is taken. It is
+    largest where ridges are clear, straight and upright: leaning or bowed ridges blur the mean, clamps and
+    black rows dilute it. No segment counts for more than segments with ridges usually do, so labels and marks
+    gain nothing by their strong edges. Brightness, pitch and polarity do not matter.
     """
     height, width = video.shape
-    x = cut(columns, width, what=f"{video.path}: columns")
-    band_rows = max(2, round(height / _BANDS))
+    x = cut(columns, width, what=f"{video.path}: `columns`")
+    band_rows = max(2, round(height / settings.bands))
     if height < 2 * band_rows:
-        return Strip(slice(0, height), "all rows", float("nan"), 0.0)
-    slopes = _slopes(video, slice(0, height), x, band_rows)
-    best = _best_run(slopes)
+        return Strip(slice(0, height), "all rows")
+    slopes = _measure_slopes(video, slice(0, height), x, band_rows, settings)
+    best = _best_run(slopes, settings)
     if best is None:
-        return Strip(slice(0, height), "all rows", float("nan"), 0.0)
+        return Strip(slice(0, height), "all rows")
     first, last = best
     bottom = height if last == slopes.mean.shape[1] else last * band_rows
-    return _described(slopes, first, last, slice(first * band_rows, bottom), "found")
+    return _described(slopes, first, last, Strip(slice(first * band_rows, bottom), "found"), settings)
 
 
-def measure_strip(video: Video, rows: slice, *, columns: slice | None = None) -> Strip:
-    """The given rows with their tilt and clarity. InputError for rows outside the frame."""
+def measure_strip(
+    video: Video, rows: slice, *, columns: slice | None = None, settings: VideoSettings = DEFAULTS
+) -> Strip:
+    """The given rows with their tilt and clarity, both NaN for fewer than four rows.
+
+    Raises
+    ------
+    InputError
+        For rows or columns outside the frame.
+    """
     height, width = video.shape
-    z = cut(rows, height, what=f"{video.path}: strip rows")
-    x = cut(columns, width, what=f"{video.path}: columns")
+    z = cut(rows, height, what=f"{video.path}: `rows`")
+    x = cut(columns, width, what=f"{video.path}: `columns`")
     count = z.stop - z.start
     if count < 4:
-        return Strip(z, "given", float("nan"), float("nan"))
-    slopes = _slopes(video, z, x, max(2, round(count / _BANDS)))
-    return _described(slopes, 0, slopes.mean.shape[1], z, "given")
+        return Strip(z, "given", clarity=math.nan)
+    slopes = _measure_slopes(video, z, x, max(2, round(count / settings.bands)), settings)
+    return _described(slopes, 0, slopes.mean.shape[1], Strip(z, "given"), settings)
 
 
-def _described(slopes: _Slopes, first: int, last: int, rows: slice, how: Literal["given", "found"]) -> Strip:
-    """Tilt, clarity and the warning that goes with a lean."""
+def _described(slopes: _Slopes, first: int, last: int, strip: Strip, settings: VideoSettings) -> Strip:
+    """The strip with tilt, clarity, and a warning where the ridges lean too far."""
     bands = slopes.mean[:, first:last]
     clarity = _clarity(slopes, first, last)
-    if clarity < _MIN_CLARITY:
-        return Strip(rows, how, float("nan"), clarity)
-    height = rows.stop - rows.start
-    per_row = lean_px(bands) / slopes.band_rows
+    if clarity < settings.min_clarity:
+        return Strip(strip.rows, strip.how, clarity=clarity)
+    height = strip.rows.stop - strip.rows.start
+    per_row = lean_px(bands, furthest_px=settings.max_lean_px) / slopes.band_rows
     smear, ridge = abs(per_row) * height, ridge_width_px(bands.mean(axis=1))
-    warnings: tuple[str, ...] = ()
     tilt_deg = float(np.degrees(np.arctan(per_row)))
-    if smear > SMEAR * ridge:
-        text = f"ridges lean by {tilt_deg:+.2f} deg, {smear:.1f} px over the {height} rows of the strip"
-        warnings = (
-            f"{text}, and are about {ridge:.0f} px wide: turn the camera or take fewer rows (--strip)",
-        )
-    return Strip(rows, how, tilt_deg, clarity, warnings)
+    warning = (
+        f"ridges lean by {tilt_deg:+.2f} deg, {smear:.1f} px over the {height} rows of the strip, and are "
+        f"about {ridge:.0f} px wide: turn the camera or give fewer `rows`"
+    )
+    return Strip(
+        strip.rows, strip.how, tilt_deg, clarity, (warning,) if smear > settings.max_smear * ridge else ()
+    )
 
 
-def _slopes(video: Video, rows: slice, columns: slice, band_rows: int) -> _Slopes:
+def _measure_slopes(
+    video: Video, rows: slice, columns: slice, band_rows: int, settings: VideoSettings
+) -> _Slopes:
     """Slopes of the bands in sampled frames; in the first frames of a file that cannot be sampled."""
-    from scipy.ndimage import gaussian_filter1d
-
-    found = list(video.sample(SAMPLE_FRAMES)) or list(itertools.islice(video.frames(), SAMPLE_FRAMES))
-    odd_even = np.stack([_odd_even(frame[rows, columns], band_rows) for frame in found])
+    count = settings.sample_frames
+    frames = list(video.sample(count)) or list(itertools.islice(video.frames(), count))
+    odd_even = np.stack([_odd_even(frame[rows, columns], band_rows) for frame in frames])
     slope = np.empty_like(odd_even)
-    gaussian_filter1d(odd_even, _SLOPE_SIGMA_PX, axis=-1, order=1, mode="nearest", output=slope)
+    gaussian_filter1d(odd_even, settings.slope_sigma_px, axis=-1, order=1, mode="nearest", output=slope)
     odd, even = slope[:, 0], slope[:, 1]
-    return _Slopes((odd + even) * _HALF, (odd - even) * _HALF, band_rows)
+    half = np.float32(0.5)
+    return _Slopes((odd + even) * half, (odd - even) * half, band_rows)
 
 
-def _odd_even(frame: NDArray[np.generic], band_rows: int) -> NDArray[np.float32]:
+def _odd_even(frame: Pixels, band_rows: int) -> Floats32:
     """Means of each band's odd and even rows, (2, band, x); rows that fill no band are left out."""
     bands = frame.shape[0] // band_rows
     pixels = np.asarray(frame[: bands * band_rows], np.float32).reshape(bands, band_rows, -1)
@@ -135,39 +167,34 @@ def _odd_even(frame: NDArray[np.generic], band_rows: int) -> NDArray[np.float32]
     return np.stack([pixels[:, 0::2].mean(axis=1), pixels[:, 1::2].mean(axis=1)])
 
 
-def _segments(width: int) -> NDArray[np.int64]:
-    """Where the segments along x start."""
-    return np.linspace(0, width, max(1, width // _SEGMENT_PX) + 1).astype(np.int64)[:-1]
-
-
-def _best_run(slopes: _Slopes) -> tuple[int, int] | None:
-    """Half-open run of bands with the highest score; None where none is above nothing."""
-    bands = slopes.mean.shape[1]
+def _best_run(slopes: _Slopes, settings: VideoSettings) -> tuple[int, int] | None:
+    """Half-open run of bands with the highest score; None where none is above zero."""
+    bands, width = slopes.mean.shape[1:]
+    starts = np.linspace(0, width, max(1, width // settings.segment_px) + 1).astype(np.int64)[:-1]
     sums = np.concatenate([np.zeros_like(slopes.mean[:, :1]), np.cumsum(slopes.mean, axis=1)], axis=1)
-    starts = _segments(slopes.mean.shape[-1])
     noise = np.add.reduceat((slopes.difference**2).sum(axis=0), starts, axis=-1)
     noise_sums = np.concatenate([np.zeros_like(noise[:1]), np.cumsum(noise, axis=0)])
-    live = _live(slopes, starts)
+    with_ridges = _shows_ridges(slopes, starts, settings)
     best, score = None, 0.0
     for first in range(bands):  # over starting bands, not frames; every end at once
         count = np.arange(1, bands - first + 1)[:, np.newaxis]
         total = ((sums[:, first + 1 :] - sums[:, first : first + 1]) ** 2).sum(axis=0)
         power = np.add.reduceat(total, starts, axis=-1) - (noise_sums[first + 1 :] - noise_sums[first])
         each = np.maximum(power / count**2, 0.0)
-        cap = np.quantile(each[:, live], _CAP, axis=1, keepdims=True)
-        capped = np.minimum(each, cap).mean(axis=1)
-        scores = capped * count[:, 0] ** _HEIGHT_POWER
-        last = int(np.argmax(scores))
-        if scores[last] > score and _clarity(slopes, first, first + last + 1) >= _MIN_CLARITY:
-            best, score = (first, first + last + 1), float(scores[last])
+        cap = np.quantile(each[:, with_ridges], settings.segment_cap, axis=1, keepdims=True)
+        scores = np.minimum(each, cap).mean(axis=1) * count[:, 0] ** settings.height_power
+        last = first + int(np.argmax(scores)) + 1
+        highest = float(scores[last - first - 1])
+        if highest > score and _clarity(slopes, first, last) >= settings.min_clarity:
+            best, score = (first, last), highest
     return best
 
 
-def _live(slopes: _Slopes, starts: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _shows_ridges(slopes: _Slopes, starts: Ints, settings: VideoSettings) -> Bools:
     """Which segments show ridges in many rows."""
     power = np.add.reduceat((slopes.mean**2 - slopes.difference**2).sum(axis=0), starts, axis=-1)
-    usual = np.quantile(power, _OFTEN, axis=0)
-    return np.asarray(usual >= _LIVE * np.sort(usual)[-min(3, usual.size)], bool)
+    usual = np.quantile(power, settings.ridge_rows, axis=0)
+    return np.asarray(usual >= settings.ridge_share * np.sort(usual)[-min(3, usual.size)], bool)
 
 
 def _clarity(slopes: _Slopes, first: int, last: int) -> float:
@@ -175,3 +202,56 @@ def _clarity(slopes: _Slopes, first: int, last: int) -> float:
     signal = float((slopes.mean[:, first:last].mean(axis=1) ** 2).sum())
     noise = float((slopes.difference[:, first:last].mean(axis=1) ** 2).sum())
     return max(0.0, (signal - noise) / (signal + noise)) if signal > 0 else 0.0
+
+
+def lean_px(bands: NDArray[np.floating], *, furthest_px: float = VideoSettings.max_lean_px) -> float:
+    """Shift along x from one band to the next, px, positive to the right downwards.
+
+    The median over segments along x, so that a label or ridges bowed apart do not count as a lean. In each,
+    bands (frame, band, x) are shifted in proportion to their place until their sum is strongest. Of several
+    maxima, a pitch apart, the one nearest to upright is taken; leans beyond `furthest_px` over the stack are
+    not found. 0 for a single band.
+    """
+    count, width = bands.shape[1:]
+    if count < 2:
+        return 0.0
+    parts = np.array_split(bands, max(1, width // 256), axis=-1)  # each wider than the widest pitch
+    return float(np.median([_lean_of_stack(part, furthest_px) for part in parts]) / (count - 1))
+
+
+def _lean_of_stack(bands: NDArray[np.floating], furthest_px: float) -> float:
+    """Lean from the first band to the last: the best trial, refined by a parabola through its neighbours."""
+    spectrum = np.fft.rfft(bands - bands.mean(axis=-1, keepdims=True), axis=-1)
+    frequency = np.fft.rfftfreq(bands.shape[-1])
+    place = np.linspace(-0.5, 0.5, bands.shape[1])
+    step = 0.5
+    trials = np.arange(-furthest_px, furthest_px + step / 2, step)
+    power = np.array([_coherent_power(spectrum, frequency, place * lean) for lean in trials])
+    inner = power[1:-1]
+    peaks = np.flatnonzero((inner >= power[:-2]) & (inner > power[2:])) + 1
+    if not peaks.size:
+        return float(trials[np.argmax(power)])
+    best = int(peaks[np.argmin(np.abs(trials[peaks]))])
+    before, here, after = power[best - 1 : best + 2]
+    return float(trials[best] + step * 0.5 * (before - after) / (before - 2 * here + after))
+
+
+def _coherent_power(
+    spectrum: NDArray[np.complexfloating], frequency: NDArray[np.floating], shifts_px: NDArray[np.floating]
+) -> float:
+    """Power of the sum of bands after moving each back by its shift."""
+    phase = np.exp(2j * np.pi * np.outer(shifts_px, frequency)).astype(np.complex64)
+    return float((np.abs(np.einsum("fbk,bk->fk", spectrum, phase)) ** 2).sum())
+
+
+def ridge_width_px(slopes: NDArray[np.floating]) -> float:
+    """Full width of a typical ridge at half height, px, from slopes along x (frame, x); NaN for none.
+
+    A ridge's slope changes sign at its top: the slope's autocorrelation has its first minimum where one
+    flank meets the other, for a Gaussian at sqrt(6)/2.355 = 1.04 of the width; the smoothing of the slopes
+    is included.
+    """
+    power = np.abs(np.fft.rfft(slopes, n=2 * slopes.shape[-1], axis=-1)) ** 2
+    correlation = np.fft.irfft(power.sum(axis=0))[: slopes.shape[-1] // 2]
+    rising = np.flatnonzero(np.diff(correlation) > 0)
+    return float(rising[0]) / 1.04 if rising.size else math.nan

@@ -8,7 +8,7 @@ import tifffile
 from tests.scenes.films import comb
 from vision.errors import InputError
 from vision.video import find_strip, measure_strip, open_video, strip_profile
-from vision.video.tilt import lean_px, ridge_width_px
+from vision.video.strip_find import lean_px, ridge_width_px
 
 DATA = Path(__file__).parents[2] / "../shared/data"
 HEIGHT, WIDTH, CLAMP, LABEL = 240, 960, slice(0, 20), slice(205, 230)
@@ -96,7 +96,7 @@ def test_bowed_ridges_get_a_lower_strip():
     assert heights[0] > 1.15 * heights[1] > 1.3 * heights[2]
 
 
-def test_leaning_too_far_is_told_and_the_wrong_rows_are_worse():
+def test_leaning_too_far_is_reported_and_the_wrong_rows_are_worse():
     """Failure: a lean that smears the ridges goes unsaid; or an upright comb raises a false alarm."""
     leaning = find_strip(scene(tilt_deg=1.5))
     assert "lean by +1.5" in leaning.warnings[0] or "lean by +1.4" in leaning.warnings[0]

@@ -8,8 +8,7 @@ import pytest
 from tests.scenes.films import comb, states, whole, write_avi, write_encoded
 from vision.errors import InputError
 from vision.video import open_video, strip_profile
-from vision.video.encoded import EncodedReader
-from vision.video.mjpeg import MjpegReader
+from vision.video.encoded import EncodedReader, MjpegReader
 
 DATA = Path(__file__).parents[2] / "../shared/data"
 needs_data = pytest.mark.skipif(not DATA.exists(), reason="real recordings are not here")
@@ -52,7 +51,7 @@ def test_h264_gives_the_luma_plane(tmp_path):
         truth = np.stack([p.reshape(-1)[: 64 * (p.size // 64)].reshape(64, -1)[:, :width] for p in planes])
     video = open_video(path)
     assert np.array_equal(whole(video), truth)
-    assert "limited range" in video.notes["grey"]
+    assert "limited range" in video.facts.grey
     assert (video.expected, video.clock.kind) == (30, "playback")
     # still the comb that went in, scaled to 16..235
     assert np.abs(whole(video).astype(float) - (16 + frames.astype(float) * 219 / 255)).max() <= 2
@@ -116,7 +115,7 @@ def test_damaged_mjpeg_frame_is_flagged_and_counted(tmp_path):
     assert np.isnan(strip[5]).all()
     assert np.array_equal(strip[6:], clean[6:])
     assert (strip.frames_read, strip.frames_corrupt) == (11, 1)
-    assert "corrupt" in strip.warnings
+    assert "corrupt" in strip.warnings[0]
 
 
 def test_damaged_ffv1_frame_is_flagged_and_counted(tmp_path):
@@ -148,7 +147,7 @@ def test_truncated_mjpeg_gives_what_it_holds(tmp_path):
     path.write_bytes(data[: twelfth + 400])
     strip = strip_profile(open_video(path), slice(0, 48))
     assert (strip.frames_expected, strip.frames_read, strip.frames_lost) == (20, 11, 9)
-    assert "missing" in strip.warnings
+    assert "missing" in strip.warnings[0]
 
 
 def test_matroska_times_are_its_own(tmp_path):
@@ -161,18 +160,18 @@ def test_matroska_times_are_its_own(tmp_path):
     assert np.allclose(strip.time_s, np.arange(6) / 30, atol=6e-4)
 
 
-def test_cut_matroska_is_told(tmp_path):
+def test_cut_matroska_is_reported(tmp_path):
     """Failure: a container that promises no frame count loses its end without a word."""
     frames = comb(count=40, rows=32)
     path = write_encoded(
         tmp_path / "a.mkv", frames, codec="ffv1", pix_fmt="gray", source="gray", options={"g": "1"}
     )
-    assert strip_profile(open_video(path), slice(0, 32)).warnings == ""
+    assert strip_profile(open_video(path), slice(0, 32)).warnings == []
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     strip = strip_profile(open_video(path), slice(0, 32))
     assert 15 <= strip.frames_read <= 25
     assert np.allclose(strip[:15], frames[:15].mean(axis=1), rtol=1e-6)
-    assert "missing" in strip.warnings
+    assert "missing" in strip.warnings[0]
 
 
 def test_skipped_frames_in_an_encoded_avi_are_lost(tmp_path):

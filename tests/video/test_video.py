@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+import tifffile
+
+from tests.scenes.films import comb, write_avi, write_encoded
+from vision.errors import InputError
+from vision.video import open_video, read_timestamps, strip_profile
+
+TIMES_S = np.array([0.0, 0.021, 0.04, 0.0605, 0.08, 0.1])
+
+
+@pytest.mark.parametrize("rotate", [0, 90, 180, 270])
+def test_rotation_turns_clockwise_and_cuts_afterwards(tmp_path, rotate):
+    """Failure: strip rows are taken before turning, or turned the other way."""
+    frames = comb()
+    video = open_video(write_avi(tmp_path / "a.avi", frames), rotate=rotate)
+    turned = np.rot90(frames, -rotate // 90, axes=(1, 2))
+    assert video.shape == turned.shape[1:]
+    block = next(video.blocks(slice(2, 7), slice(3, 11)))
+    assert np.array_equal(block.pixels, turned[:, 2:7, 3:11])
+    assert np.array_equal(next(video.sample(1)), turned[0])
+
+
+def test_part_of_the_video(tmp_path):
+    """Failure: `--frames` renumbers frames, so times and tracks no longer fit the file."""
+    frames = comb(count=9)
+    video = open_video(write_avi(tmp_path / "a.avi", frames), frames=slice(3, 7), fps=10)
+    strip = strip_profile(video, slice(0, 12))
+    assert strip.frame.values.tolist() == [3, 4, 5, 6]
+    assert np.allclose(strip.time_s, [0.3, 0.4, 0.5, 0.6])
+    assert (strip.frames_expected, strip.clock_kind, strip.fps) == (4, "given", 10.0)
+    assert open_video(tmp_path / "a.avi", frames=slice(3, 9)).warnings == ()
+    assert "has 9" in open_video(tmp_path / "a.avi", frames=slice(3, 90)).warnings[0]
+
+
+def test_bad_requests_are_named(tmp_path):
+    """Failure: a slip of the pen ends in a traceback or in an empty result."""
+    path = write_avi(tmp_path / "a.avi", comb())
+    for rows in (slice(5, 40), slice(-3, 5), slice(5, 5)):
+        with pytest.raises(InputError, match="`rows`: expected a range within 0:12"):
+            strip_profile(open_video(path), rows)
+    for options in ({"rotate": 45}, {"fps": 0}, {"fps": float("nan")}, {"frames": slice(9, 12)}):
+        with pytest.raises(InputError, match=f"`{next(iter(options))}`"):
+            open_video(path, **options)
+
+
+def test_a_recording_shows_itself_in_one_line(tmp_path):
+    """Failure: a notebook shows addresses in memory in place of the recording's size and rate."""
+    tifffile.imwrite(tmp_path / "stack.tif", comb(6, 12, 50), photometric="minisblack")
+    assert repr(open_video(tmp_path / "stack.tif", fps=25)) == (
+        "<stack.tif: 6 frames of 50 x 12 px, 8 bit, 25 frames/s (given)>"
+    )
+
+
+def test_frames_beyond_the_end_are_reported_where_none_are_declared_too(tmp_path):
+    """Failure: frames 0:500 of a shorter Matroska file passes as if all were there."""
+    path = write_encoded(
+        tmp_path / "a.mkv", comb(count=20, rows=32), codec="ffv1", pix_fmt="gray", source="gray"
+    )
+    assert "500" in open_video(path, frames=slice(0, 500)).warnings[0]
+    assert open_video(path, frames=slice(0, 20)).warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("header", "scale", "line"),
+    [
+        ("", 1, "{t!r}"),
+        ("time_s\n", 1, "{t!r}"),
+        ("time_ms\n", 1e3, "{t!r}"),
+        ("Timestamp (us)\n", 1e6, "{t!r}"),
+        ("t [ns]\n", 1e9, "{t!r}"),
+        ("frame,time_ms\n", 1e3, "{n},{t!r}"),
+        ("# camera 7\nframe;timestamp [µs];gain\n", 1e6, "{n};{t!r};2.5"),
+        ("", 1, "{n}\t{t!r}"),
+        ("\ufefftime_s\r\n", 1, "{t!r}\r"),
+    ],
+)
+def test_layouts_and_units(tmp_path, header, scale, line):
+    """Failure: times are off by a factor of a thousand, or taken from the frame-number column."""
+    path = tmp_path / "t.csv"
+    rows = "\n".join(line.format(n=n, t=float(t * scale)) for n, t in enumerate(TIMES_S))
+    path.write_text(header + rows, encoding="utf-8", newline="")
+    times_s, warnings = read_timestamps(path)
+    assert np.allclose(times_s, TIMES_S, rtol=1e-12)
+    assert warnings == ()
+
+
+def test_times_reach_the_profile(tmp_path):
+    """Failure: given times are ignored in favour of the playback rate."""
+    video_path = write_avi(tmp_path / "a.avi", comb())
+    (tmp_path / "t.txt").write_text("\n".join(map(str, TIMES_S)))
+    strip = strip_profile(open_video(video_path, timestamps=tmp_path / "t.txt"), slice(0, 12))
+    assert np.array_equal(strip.time_s, TIMES_S)
+    assert (strip.clock_kind, round(strip.fps)) == ("given", 50)
+
+
+def test_backward_times_are_reported(tmp_path):
+    """Failure: a clock that was reset in the middle goes unnoticed."""
+    (tmp_path / "t.txt").write_text("0\n1\n2\n1.5\n3\n4\n")
+    video = open_video(write_avi(tmp_path / "a.avi", comb()), timestamps=tmp_path / "t.txt")
+    assert "do not grow" in video.warnings[0]
+
+
+@pytest.mark.parametrize(
+    "text", ["", "time_s\n", "0\n1\nx\n3\n4\n5", "0\n1\n2\n3\n4", "0\n1,2\n3\n4\n5\n6", "0\nnan\n2\n3\n4\n5"]
+)
+def test_bad_time_files(tmp_path, text):
+    """Failure: a wrong file of time stamps is used as far as it goes."""
+    (tmp_path / "t.txt").write_text(text)
+    video_path = write_avi(tmp_path / "a.avi", comb())
+    with pytest.raises(InputError):
+        open_video(video_path, timestamps=tmp_path / "t.txt")
+    with pytest.raises(InputError):
+        open_video(video_path, timestamps=tmp_path / "missing.txt")
+    with pytest.raises(InputError):
+        open_video(video_path, timestamps=tmp_path / "t.txt", fps=20)

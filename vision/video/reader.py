@@ -1,0 +1,199 @@
+"""What the code for one file format supplies: `Facts` from the headers, then blocks of grey frames."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import DTypeLike
+
+from vision.numeric import Floats, Pixels
+
+Status = Literal["ok", "corrupt", "lost"]
+Item = TypeVar("Item")
+
+LUMA_RULE = "BT.601 luma, 0.299 R + 0.587 G + 0.114 B, rounded"
+AS_STORED = "values as stored"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Facts:
+    """What the headers of a file say, in the file's own orientation.
+
+    Parameters
+    ----------
+    shape
+        (rows, columns).
+    depth_bits, saturation_level
+        Significant bits per pixel, 32 for float; value of a saturated pixel, None for float.
+    declared_frames
+        Frames the file says it holds; None where it does not say.
+    estimated_frames
+        Their number from duration and rate, where none is declared.
+    duration_s
+        How long the file says it lasts, if frames carry times.
+    playback_fps
+        The container's rate, which need not be the camera's.
+    times_s
+        The recording's own time of each frame (frame), where the headers hold them.
+    times_in_blocks
+        Whether those times come with the blocks instead.
+    container, codec, pixel_format, decoder, grey
+        How the pixels are stored, what decodes them, and what a grey value is.
+    warnings
+        What the user must be told.
+    """
+
+    shape: tuple[int, int]
+    depth_bits: int
+    saturation_level: float | None
+    declared_frames: int | None
+    container: str
+    codec: str
+    pixel_format: str
+    decoder: str
+    grey: str
+    estimated_frames: int | None = None
+    duration_s: float | None = None
+    playback_fps: float | None = None
+    times_s: Floats | None = None
+    times_in_blocks: bool = False
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive frames, cut to the rows and columns asked for.
+
+    Parameters
+    ----------
+    pixels
+        (k, rows, columns), grey, in the file's own unsigned type or float32; read only. Pixels of a frame
+        that is not "ok" mean nothing.
+    start
+        Number of the first frame, counted from 0 at the start of the file.
+    status
+        One entry per frame.
+    times_s
+        The recording's own time of each frame, s, where it is known only as frames are read.
+    """
+
+    pixels: Pixels
+    start: int
+    status: tuple[Status, ...]
+    times_s: Floats | None = None
+
+
+class Reader(Protocol):
+    """The code for one file format. Pixels come in the file's own orientation."""
+
+    @property
+    def facts(self) -> Facts:
+        """Known as soon as the file is open."""
+        ...
+
+    def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
+        """Frames `start` to `stop` in order, each number exactly once, cut to rows and columns."""
+        ...
+
+    def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
+        """Whole readable frames at or near these numbers; fewer where the file cannot be entered there."""
+        ...
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One whole decoded frame. pixels: None where there are none. time_s: its own time, if it has one."""
+
+    pixels: Pixels | None
+    status: Status = "ok"
+    time_s: float | None = None
+
+
+def frames_per_block(rows: int, columns: int, itemsize: int) -> int:
+    """Frames of this cut in a block: up to 16 MiB, which hides Python's cost per block in little memory."""
+    return max(1, min(256, (16 << 20) // max(1, rows * columns * itemsize)))
+
+
+def gather_blocks(
+    frames: Iterable[Frame], *, start: int, rows: slice, columns: slice, dtype: DTypeLike
+) -> Iterator[Block]:
+    """Blocks of single frames, numbered from `start`, cut to `rows` and `columns`."""
+    shape = (rows.stop - rows.start, columns.stop - columns.start)
+    size = frames_per_block(*shape, np.dtype(dtype).itemsize)
+    source = iter(frames)
+    while batch := list(itertools.islice(source, size)):
+        pixels = np.zeros((len(batch), *shape), dtype)
+        for out, frame in zip(pixels, batch, strict=True):
+            if frame.pixels is not None:
+                out[:] = frame.pixels[rows, columns]
+        times = [np.nan if frame.time_s is None else frame.time_s for frame in batch]
+        known = any(frame.time_s is not None for frame in batch)
+        yield Block(pixels, start, tuple(f.status for f in batch), np.array(times) if known else None)
+        start += len(batch)
+
+
+def decode_in_threads(decode: Callable[[Item], Frame], items: Iterable[Item]) -> Iterator[Frame]:
+    """`decode` of each item in order, on all cores; at most 32 frames are held at once."""
+    source = iter(items)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        while batch := list(itertools.islice(source, 32)):
+            yield from pool.map(decode, batch)
+
+
+@dataclass(frozen=True)
+class ImagesReader:
+    """A `Reader` of frames that are stored and decoded one by one: compressed TIFF pages, image files.
+
+    Parameters
+    ----------
+    facts
+        See `Facts`.
+    dtype
+        Of the decoded pixels.
+    count
+        Frame numbers in the file.
+    decode
+        Frames of the given numbers, in that order.
+    """
+
+    facts: Facts
+    dtype: np.dtype[np.generic]
+    count: int
+    decode: Callable[[Sequence[int]], Iterator[Frame]]
+
+    def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
+        """Frames in order, decoded in threads."""
+        numbers = range(start, self.count if stop is None else min(stop, self.count))
+        frames = self.decode(numbers)
+        yield from gather_blocks(frames, start=start, rows=rows, columns=columns, dtype=self.dtype)
+
+    def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
+        """Exactly these frames, whole; lost and corrupt ones are left out."""
+        for frame in self.decode([n for n in numbers if n < self.count]):
+            if frame.pixels is not None:
+                yield frame.pixels
+
+
+def luma(rgb: Pixels) -> Pixels:
+    """Grey (rows, columns) of RGB or RGBA (rows, columns, 3 or 4) in uint8, uint16 or float32: BT.601 luma.
+
+    Integers are rounded, so equal channels come out unchanged.
+    """
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(rgb[..., :3]), cv2.COLOR_RGB2GRAY))
+
+
+def full_scale(bits: int) -> float:
+    """The largest value of an unsigned integer of that many bits."""
+    return float((1 << bits) - 1)
+
+
+def shape_text(shape: Sequence[int]) -> str:
+    """(rows, columns) as messages write it: columns x rows."""
+    return f"{shape[1]} x {shape[0]}"

@@ -1,0 +1,77 @@
+"""Every number that finding the strip, recognising blank frames and counting lost ones depends on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoSettings:
+    """Settings of `find_strip`, `measure_strip` and `strip_profile`. The tests named are in tests/video."""
+
+    # the strip
+    sample_frames: int = 8
+    """Frames in which the strip is looked for. More average out noise and motion, and cost decoding; 8 are
+    spread over the recording. test_strip_find finds its rows in 4 noisy frames."""
+    bands: int = 96
+    """Height is judged in this many bands at most. More place the strip's ends more finely, at a cost that
+    grows with the square; 96 are 2–12 rows of usual pictures."""
+    segment_px: int = 64
+    """Segments along x that are judged apart. Narrower ones limit more of what a label adds but may fall
+    between two ridges; test_wide_ridges_avoid_clamp_and_label has ridges 160 px apart."""
+    segment_cap: float = 0.65
+    """Quantile of the segments above which slope does not count. Higher lets labels and marks decide, lower
+    the weakest ridges; shown by the labels in test_strip_find."""
+    ridge_share: float = 0.02
+    """A segment shows ridges if its slope power is at least this share of the third-strongest one's. Larger
+    leaves out weak ridges, smaller takes in empty width
+    (test_a_comb_that_fills_a_fifth_of_the_width_keeps_all_its_rows)."""
+    ridge_rows: float = 0.75
+    """Quantile over the bands of the slope power that stands for a segment: ridges run through many rows, a
+    label through a few. Larger takes a label for ridges."""
+    height_power: float = 0.5
+    """A strip's score grows with this power of its height. Larger takes in blurred or bowed rows, smaller
+    keeps only the clearest ones; 0.5 is the gain in signal over white noise. Shown by
+    test_bowed_ridges_get_a_lower_strip."""
+    slope_sigma_px: float = 1.5
+    """Gaussian smoothing of slopes along x. Larger than the narrowest ridge's sigma blurs it away (FWHM 4 px
+    in test_strip_find), smaller lets pixel noise in."""
+    min_clarity: float = 0.3
+    """Odd and even rows whose slopes correlate less than this show no ridges. Smaller finds a strip in noise
+    (test_nothing_to_find), larger misses faint combs."""
+    max_smear: float = 0.3
+    """Lean over the strip, in ridge widths, above which a warning is given. Larger keeps silent about blurred
+    ridges, which cost precision; shown by test_leaning_too_far_is_reported."""
+    max_lean_px: float = 12.0
+    """Furthest lean over the strip that is looked for. Larger may take the next ridge for the same one."""
+
+    # blank frames
+    blank_contrast: float = 0.1
+    """Frames with less than this part of the usual contrast are blank. Larger loses frames under a dimmed
+    lamp, smaller takes noise for a picture; test_strip has both."""
+    bright_contrast: float = 0.35
+    """The same, relative to the level, for frames that are also brighter than usual: flashes and white
+    frames. Larger loses motion-blurred frames in a flash (test_strip)."""
+    bright_level: float = 1.3
+    """Brighter than usual: this many times the median level. Smaller lets flicker count as a flash."""
+    saturated: float = 0.98
+    """Of the saturation level, in every column: a white frame, even where most frames are white."""
+
+    # lost frames
+    gap_steps: float = 1.5
+    """A step between frame times longer than this many usual ones may hide a lost frame. Smaller is misled by
+    jitter, larger than 2 misses single frames (test_lost_frames_are_counted_whatever_the_jitter)."""
+    late_steps: float = 0.6
+    """By how many steps the frames after a gap must stay late for it to count as a loss. Larger misses single
+    lost frames under jitter; smaller counts late stamps (test_a_frame_that_only_came_late_is_not_lost)."""
+    early_end_steps: float = 3.5
+    """Steps between the last frame and the end that the file states before its end is called missing. Files
+    that are whole differ by up to two (test_cut_matroska_is_reported)."""
+
+    # memory
+    spill_bytes: int = 1 << 30
+    """I(x, t) beyond this size lives in a temporary file. 1 GiB is 140 000 frames of 1920 columns; smaller
+    saves memory and costs time. The values are the same (test_spilled_profile_is_the_same)."""
+
+
+DEFAULTS = VideoSettings()

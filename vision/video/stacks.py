@@ -1,0 +1,355 @@
+"""Frames as pages or files: TIFF, BigTIFF, ImageJ and OME stacks; a folder or a glob of numbered images."""
+
+from __future__ import annotations
+
+import glob
+import math
+import re
+import struct
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tifffile
+
+from vision.errors import InputError
+from vision.numeric import Floats, Ints, Pixels
+from vision.video.reader import (
+    AS_STORED,
+    LUMA_RULE,
+    Facts,
+    Frame,
+    ImagesReader,
+    Reader,
+    decode_in_threads,
+    full_scale,
+    luma,
+    shape_text,
+)
+from vision.video.uncompressed import MappedReader
+
+IMAGES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"}
+_TIFF = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+_UNIT_S = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+
+Page = tifffile.TiffPage | tifffile.TiffFrame | None
+
+
+def is_tiff(head: bytes) -> bool:
+    """Whether a file that begins with these bytes is a TIFF or BigTIFF."""
+    return head[:4] in _TIFF
+
+
+def open_stack(path: Path) -> Reader:
+    """A reader of one page per frame; pages that are not compressed are mapped, others decoded in threads.
+
+    A stack has one dimension besides rows, columns and colour. An ImageJ stack cut short, which reads as
+    one page, gives every whole frame the file holds. Grey values are as stored, also under a look-up table
+    or "white is zero".
+
+    Raises
+    ------
+    InputError
+        For a damaged file, several dimensions (time and channel, say), pages of several sizes, signed or
+        64-bit pixels.
+    """
+    try:
+        with tifffile.TiffFile(path) as tif:
+            pages = _pages(tif, path)
+            return _reader_of_pages(tif, pages, path)
+    except (tifffile.TiffFileError, OSError, ValueError, IndexError, KeyError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(path, "a TIFF stack", f"a damaged one ({error})", "export it again") from None
+
+
+def _reader_of_pages(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) -> Reader:
+    first = tif.pages.first
+    if first.dtype is None or first.dtype.kind not in "uf" or first.dtype.itemsize > 4:
+        wanted, found = "unsigned integers of 8 or 16 bits, or float32", str(first.dtype)
+        raise InputError(path, wanted, found, "convert the stack")
+    channels = first.samplesperpixel
+    dtype = first.dtype.newbyteorder(tif.byteorder)
+    offsets = _offsets(tif, pages, path) if first.planarconfig == 1 or channels == 1 else None
+    if offsets is None:
+        facts = _stack_facts(tif, len(pages), path, decoder="tifffile")
+        return ImagesReader(facts, dtype.newbyteorder("="), len(pages), partial(_decode_pages, path))
+    facts = _stack_facts(tif, offsets.size, path, decoder="none")
+    return MappedReader(
+        path=path,
+        facts=facts,
+        offsets=offsets,
+        row_bytes=facts.shape[1] * dtype.itemsize * channels,
+        dtype=dtype,
+        channels=channels,
+    )
+
+
+def _decode_pages(path: Path, numbers: Sequence[int]) -> Iterator[Frame]:
+    with tifffile.TiffFile(path) as tif:
+        tif.filehandle.set_lock(True)  # the threads share one file
+        pages = _pages(tif, path)
+        yield from decode_in_threads(_decode_page, (pages[n] for n in numbers))
+
+
+def _decode_page(page: Page) -> Frame:
+    """The page as a frame, "corrupt" where it cannot be decoded."""
+    if page is None:
+        return Frame(None, "lost")
+    try:
+        pixels = page.asarray(maxworkers=1)
+    except Exception:  # tifffile and its codecs raise whatever they like for damaged data
+        return Frame(None, "corrupt")
+    return Frame(_grey_page(pixels))
+
+
+def _grey_page(pixels: Pixels) -> Pixels:
+    """Grey (rows, columns) of a page's array: as it is, or luma of colour in its last or first dimension."""
+    if pixels.ndim == 2:
+        return pixels
+    return luma(pixels if pixels.shape[-1] in (3, 4) else np.moveaxis(pixels, 0, -1))
+
+
+def _pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
+    """The frames' pages; InputError unless they are one run of images of one size."""
+    if not tif.series:
+        raise InputError(path, "a TIFF with an image", "none", "export it again")
+    series = tif.series[0]
+    sizes = zip(series.axes, series.shape, strict=True)
+    many = [f"{axis}={n}" for axis, n in sizes if axis not in "YXS" and n > 1]
+    if len(many) > 1:
+        raise InputError(path, "one dimension of frames", " ".join(many), "export one channel, one plane")
+    if len(tif.series) == 1:
+        return series.pages
+    if len(series.pages) == 1:  # written page by page, each its own series
+        return _single_pages(tif, path)
+    if len(tif.series[1].pages) == len(series.pages):
+        raise InputError(path, "one series of images", str(len(tif.series)), "export one of them")
+    return series.pages
+
+
+def _single_pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
+    """All pages but thumbnails; InputError for images of several sizes."""
+    pages = [page for page in tif.pages if not getattr(page, "is_reduced", False)]  # a TiffFrame never is
+    first = pages[0].shape
+    odd = next((page.shape for page in pages if page.shape != first), None)
+    if odd is not None:
+        found = f"{shape_text(first)} and {shape_text(odd)}"
+        raise InputError(path, "pages of one size", found, "split the stack")
+    return pages
+
+
+def _offsets(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) -> Ints | None:
+    """Place of every whole frame; None where pages are compressed, tiled, packed or scattered."""
+    first = tif.pages.first
+    if not first.is_memmappable and not (first.is_contiguous and first.compression == 1):
+        return None
+    frame_bytes, end = first.nbytes, path.stat().st_size
+    declared = _declared_frames(tif)
+    if (tif.is_imagej or tif.is_shaped) and declared > len(tif.pages):  # one page stands for all
+        held = min(declared, (end - first.dataoffsets[0]) // frame_bytes)
+        return first.dataoffsets[0] + frame_bytes * np.arange(held, dtype=np.int64)
+    runs = [[] if page is None else _contiguous_runs(page) for page in pages]
+    if not all(len(run) == 1 for run in runs):
+        return None
+    places = np.array(runs, np.int64)[:, 0]
+    return places[places + frame_bytes <= end]
+
+
+def _contiguous_runs(page: tifffile.TiffPage | tifffile.TiffFrame) -> list[int]:
+    """Where the page's contiguous pieces start: one number for a page stored in one run."""
+    starts, lengths = page.dataoffsets, page.databytecounts
+    pieces = zip(starts[1:], starts, lengths, strict=False)
+    return [starts[0], *(start for start, before, length in pieces if start != before + length)]
+
+
+def _stack_facts(tif: tifffile.TiffFile, held: int, path: Path, *, decoder: str) -> Facts:
+    first = tif.pages.first
+    is_float = first.dtype is not None and first.dtype.kind == "f"
+    bits = 32 if is_float else int(first.bitspersample)
+    if not held:
+        raise InputError(path, "at least one whole frame", "none", "the file was cut short; copy it again")
+    declared = max(_declared_frames(tif), held)
+    return Facts(
+        shape=(first.imagelength, first.imagewidth),
+        depth_bits=bits,
+        saturation_level=None if is_float else full_scale(bits),
+        declared_frames=declared,
+        container="tiff",
+        codec=first.compression.name.lower() if hasattr(first.compression, "name") else "uncompressed",
+        pixel_format=f"{first.samplesperpixel} x {first.dtype}",
+        decoder=decoder,
+        grey=LUMA_RULE if first.samplesperpixel > 1 else AS_STORED,
+        times_s=_own_times(tif, declared),
+        warnings=(f"{path.name}: the file was cut short; more pages were to follow",) * _is_cut_short(tif),
+    )
+
+
+def _declared_frames(tif: tifffile.TiffFile) -> int:
+    """Frames by the metadata of ImageJ, OME or tifffile; 0 where they do not say."""
+    if tif.is_imagej:
+        return int((tif.imagej_metadata or {}).get("images", 1))
+    if tif.is_ome:
+        sizes = re.findall(r'\bSize[TZC]="(\d+)"', _first_pixels(tif))
+        return math.prod(int(n) for n in sizes) if sizes else 0
+    if tif.is_shaped and tif.shaped_metadata:
+        shape = tif.shaped_metadata[0].get("shape", ())
+        colour = 1 if tif.pages.first.samplesperpixel > 1 else 0
+        return math.prod(shape[: len(shape) - 2 - colour])
+    return 0
+
+
+def _is_cut_short(tif: tifffile.TiffFile) -> bool:
+    """Whether the last page that can be reached names a following one."""
+    last, form, file = tif.pages[-1], tif.tiff, tif.filehandle
+    file.seek(last.offset)
+    tags = int(struct.unpack(form.tagnoformat, file.read(form.tagnosize))[0])
+    file.seek(last.offset + form.tagnosize + tags * form.tagsize)
+    following = file.read(form.offsetsize)
+    return len(following) < form.offsetsize or any(following)
+
+
+def _own_times(tif: tifffile.TiffFile, frames: int) -> Floats | None:
+    """Seconds of each frame from ImageJ's `finterval` or OME's `TimeIncrement`; None without a usable one."""
+    step, unit = 0.0, "s"
+    if tif.is_imagej:
+        metadata = tif.imagej_metadata or {}
+        step, unit = float(metadata.get("finterval", 0.0)), str(metadata.get("tunit", "s"))
+    elif tif.is_ome:
+        pixels = _first_pixels(tif)
+        found = re.search(r'\bTimeIncrement="([^"]+)"', pixels)
+        named = re.search(r'\bTimeIncrementUnit="([^"]+)"', pixels)
+        step, unit = float(found.group(1)) if found else 0.0, named.group(1) if named else "s"
+    seconds = step * _UNIT_S.get(unit.strip().lower(), 0.0)
+    return np.arange(frames, dtype=np.float64) * seconds if seconds > 0 else None
+
+
+def _first_pixels(tif: tifffile.TiffFile) -> str:
+    """The opening tag of OME's first Pixels element."""
+    found = re.search(r"<(?:\w+:)?Pixels\b[^>]*>", tif.ome_metadata or "")
+    return found.group() if found else ""
+
+
+def open_sequence(path: Path) -> ImagesReader:
+    """The images of a folder, of a glob pattern, or a single one; gaps in their numbers are lost frames.
+
+    Files are ordered by the last number in their names, as cameras count (`…_175055809_0008.tiff` is number
+    8). A file that cannot be decoded is a frame "corrupt".
+
+    Raises
+    ------
+    InputError
+        For no images, several kinds or series of them, or none that can be read; while reading, for an image
+        of another size or depth.
+    """
+    found = _image_files(path)
+    files, warnings = _numbered(found, path)
+    images = (_image(file) for file in files if file is not None)
+    first = next((pixels for pixels in images if pixels is not None), None)
+    if first is None:
+        raise InputError(path, "at least one readable image", f"{len(found)} that cannot be decoded")
+    is_float = first.dtype.kind == "f"
+    bits = 32 if is_float else 8 * first.dtype.itemsize
+    suffix = found[0].suffix.lower()
+    facts = Facts(
+        shape=(first.shape[0], first.shape[1]),
+        depth_bits=bits,
+        saturation_level=None if is_float else full_scale(bits),
+        declared_frames=len(files),
+        container="images",
+        codec=suffix.lstrip("."),
+        pixel_format=str(first.dtype),
+        decoder="tifffile" if suffix in (".tif", ".tiff") else "OpenCV",
+        grey=f"{AS_STORED}; colour by {LUMA_RULE}",
+        warnings=warnings,
+    )
+
+    def decode(numbers: Sequence[int]) -> Iterator[Frame]:
+        one = partial(_decode_image, shape=facts.shape, dtype=first.dtype)
+        return decode_in_threads(one, (files[n] for n in numbers))
+
+    return ImagesReader(facts, first.dtype, len(files), decode)
+
+
+def _decode_image(file: Path | None, shape: tuple[int, int], dtype: np.dtype[np.generic]) -> Frame:
+    """One file as a frame; InputError where it has another size or depth."""
+    if file is None:
+        return Frame(None, "lost")
+    pixels = _image(file)
+    if pixels is None:
+        return Frame(None, "corrupt")
+    if pixels.shape != shape or pixels.dtype != dtype:
+        wanted = f"{shape_text(shape)} in {dtype}, as the first image"
+        raise InputError(file, wanted, f"{shape_text(pixels.shape)} in {pixels.dtype}")
+    return Frame(pixels)
+
+
+def _image_files(path: Path) -> list[Path]:
+    """Image files of one kind; InputError for none or for several kinds."""
+    if path.is_dir():
+        everything = list(path.iterdir())
+    elif path.exists():
+        everything = [path]
+    else:
+        everything = [Path(name) for name in glob.glob(str(path))]  # noqa: PTH207  # may be absolute
+    images = [file for file in everything if file.suffix.lower() in IMAGES and file.is_file()]
+    if not images:
+        wanted = "numbered images (PNG, TIFF, JPEG, BMP)"
+        raise InputError(path, wanted, "none", "check the folder or the pattern")
+    kinds = Counter(file.suffix.lower() for file in images)
+    if len(kinds) > 1:
+        found = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
+        raise InputError(path, "images of one kind", found, "give a pattern such as 'folder/*.tiff'")
+    return images
+
+
+def _numbered(files: list[Path], path: Path) -> tuple[tuple[Path | None, ...], tuple[str, ...]]:
+    """The files by frame number, None for numbers left out, and warnings."""
+    if len(files) == 1:
+        return (files[0],), ()
+    by_number: dict[int, Path] = {}
+    for file in files:
+        digits = re.findall(r"\d+", file.stem)
+        if not digits:
+            raise InputError(path, "a number in every image's name", file.name, "give a pattern")
+        number = int(digits[-1])
+        if number in by_number:
+            both = f"{by_number[number].name} and {file.name}"
+            raise InputError(path, "one image per frame number", both, "give a pattern that fits one series")
+        by_number[number] = file
+    numbers = np.array(sorted(by_number), np.int64)
+    places, warnings = _frame_numbers(numbers, path)
+    frames: list[Path | None] = [None] * (int(places[-1]) + 1)
+    for place, number in zip(places.tolist(), numbers.tolist(), strict=True):
+        frames[place] = by_number[number]
+    return tuple(frames), warnings
+
+
+def _frame_numbers(numbers: Ints, path: Path) -> tuple[Ints, tuple[str, ...]]:
+    """Frame numbers from 0 out of file numbers, which may count in steps or be no count at all."""
+    steps, counts = np.unique(np.diff(numbers), return_counts=True)
+    usual = int(steps[np.argmax(counts)])
+    if usual > 1 and numbers.size >= 10 and not (steps % usual).any():  # too few files prove no step
+        return (numbers - numbers[0]) // usual, (f"{path.name}: file numbers count in steps of {usual}",)
+    if numbers[-1] - numbers[0] > 10 * numbers.size:  # nine frames in ten are not lost: clock times, say
+        text = f"{path.name}: file numbers are no frame count; only their order is used"
+        return np.arange(numbers.size), (text,)
+    return numbers - numbers[0], ()
+
+
+def _image(file: Path) -> Pixels | None:
+    """Grey pixels of an image file at its full depth; None where it cannot be decoded."""
+    if file.suffix.lower() in (".tif", ".tiff"):
+        try:
+            grey = _grey_page(tifffile.imread(file, maxworkers=1))
+        except Exception:  # tifffile and its codecs raise whatever they like for damaged data
+            return None
+        return grey.astype(grey.dtype.newbyteorder("="), copy=False)
+    data = np.fromfile(file, np.uint8)
+    pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    if pixels is None:
+        return None
+    return np.asarray(pixels) if pixels.ndim == 2 else luma(np.asarray(pixels)[..., 2::-1])

@@ -1,0 +1,363 @@
+"""Uncompressed frames, memory-mapped; raw AVI: 8-bit grey, palettes, BGR, 10 to 16 bits in two bytes."""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vision.errors import InputError
+from vision.numeric import Ints, Pixels
+from vision.video.reader import (
+    AS_STORED,
+    LUMA_RULE,
+    Block,
+    Facts,
+    Status,
+    frames_per_block,
+    full_scale,
+    luma,
+    shape_text,
+)
+
+_LISTS = {b"RIFF", b"LIST"}
+_SKIPPED_LISTS = {b"INFO", b"odml"}
+_CHUNK = struct.Struct("<4sI")
+_PLAIN = {bytes(4), b"DIB ", b"RGB ", b"RAW "}
+_GREY_BITS = {
+    b"Y800": 8,
+    b"GREY": 8,
+    b"Y8  ": 8,
+    b"Y16 ": 16,
+    b"Y10 ": 10,
+    b"Y12 ": 12,
+    b"Y1\x00\x10": 16,
+    b"Y1\x00\x0e": 14,
+    b"Y1\x00\x0c": 12,
+    b"Y1\x00\x0a": 10,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class MappedReader:
+    """A `Reader` of frames that lie uncompressed in a file; only the pages of the wanted rows are touched.
+
+    Each block is mapped on its own, so memory does not grow with the file.
+
+    Parameters
+    ----------
+    path, facts
+        The file, and what its headers say.
+    offsets
+        Byte at which every frame's first stored row begins, -1 for a frame the camera lost.
+    row_bytes
+        From one stored row to the next.
+    dtype, channels
+        Type of one channel; 1, or 3 or 4 for colour.
+    blue_first, bottom_up
+        Colour is BGR; the lowest row is stored first.
+    grey_levels
+        Value of every stored 8-bit index (a palette); None where values are what they mean.
+    """
+
+    path: Path
+    facts: Facts
+    offsets: Ints
+    row_bytes: int
+    dtype: np.dtype[np.generic]
+    channels: int = 1
+    blue_first: bool = False
+    bottom_up: bool = False
+    grey_levels: NDArray[np.uint8] | None = None
+
+    def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
+        """Runs of equally spaced frames, each block one strided view of the file."""
+        end = self.offsets.size if stop is None else min(stop, self.offsets.size)
+        shape = (rows.stop - rows.start, columns.stop - columns.start)
+        size = frames_per_block(*shape, self.dtype.itemsize * self.channels)
+        for first, last in _even_runs(self.offsets, start, end):
+            for at in range(first, last, size):
+                yield self._block(at, min(at + size, last), rows, columns)
+
+    def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
+        """Exactly these frames, whole; those the file does not hold are left out."""
+        height, width = self.facts.shape
+        for n in numbers:
+            if n < self.offsets.size and self.offsets[n] >= 0:
+                yield self._block(n, n + 1, slice(0, height), slice(0, width)).pixels[0]
+
+    def _block(self, first: int, last: int, rows: slice, columns: slice) -> Block:
+        count = last - first
+        if self.offsets[first] < 0:
+            nothing = np.zeros((count, rows.stop - rows.start, columns.stop - columns.start), self._native)
+            return Block(nothing, first, _repeated("lost", count))
+        return Block(self._grey(self._view(first, last)[:, rows, columns]), first, _repeated("ok", count))
+
+    def _view(self, first: int, last: int) -> Pixels:
+        """Frames first..last, (k, rows, columns) or with channels last, top row first, not copied."""
+        height, width = self.facts.shape
+        step = int(self.offsets[first + 1] - self.offsets[first]) if last - first > 1 else 0
+        pixel = self.dtype.itemsize * self.channels
+        length = step * (last - first - 1) + (height - 1) * self.row_bytes + width * pixel
+        raw = np.memmap(self.path, np.uint8, "r", offset=int(self.offsets[first]), shape=(length,))
+        view: Pixels = np.ndarray(
+            (last - first, height, width, self.channels),
+            self.dtype,
+            raw,
+            strides=(step, self.row_bytes, pixel, self.dtype.itemsize),
+        )
+        view = view if self.channels > 1 else view[..., 0]
+        return view[:, ::-1] if self.bottom_up else view
+
+    def _grey(self, pixels: Pixels) -> Pixels:
+        if self.channels > 1:
+            k, height, width = pixels.shape[:3]
+            colour = pixels[..., 2::-1] if self.blue_first else pixels[..., :3]
+            return luma(colour.astype(self._native).reshape(k * height, width, 3)).reshape(k, height, width)
+        if self.grey_levels is not None:
+            flat = np.ascontiguousarray(pixels).reshape(-1, pixels.shape[-1])
+            return np.asarray(cv2.LUT(flat, self.grey_levels)).reshape(pixels.shape)
+        return pixels if self.dtype.isnative else pixels.astype(self._native)
+
+    @property
+    def _native(self) -> np.dtype[np.generic]:
+        return self.dtype.newbyteorder("=")
+
+
+def _repeated(status: Status, count: int) -> tuple[Status, ...]:
+    return (status,) * count
+
+
+def _even_runs(offsets: Ints, start: int, stop: int) -> Iterator[tuple[int, int]]:
+    """Half-open ranges within which frames are equally spaced and forward, or all lost."""
+    while start < stop:
+        steps = np.diff(offsets[start:stop])
+        lost = offsets[start] < 0
+        even = offsets[start + 1 : stop] < 0 if lost else (steps == steps[:1]) & (steps > 0)
+        if not lost:
+            even &= offsets[start + 1 : stop] >= 0
+        length = int(np.argmin(even)) + 1 if not even.all() else even.size + 1
+        yield start, start + length
+        start += length
+
+
+@dataclass(frozen=True, kw_only=True)
+class AviLayout:
+    """What an AVI file says of its first video stream, and where the frames lie, from its chunks alone.
+
+    Parameters
+    ----------
+    fourcc, bits
+        Compression, four bytes, zeros for plain bitmaps; bits per pixel.
+    width, height, top_down
+        Picture in px; top_down for a height that was stored as a negative number.
+    palette
+        (entries, 4): blue, green, red, 0.
+    declared_frames, fps
+        By the header; None where it does not say.
+    offsets, sizes
+        Place and length of every whole frame; length 0 is a frame the camera dropped.
+    cut_short
+        Whether the file ends inside a frame.
+
+    Notes
+    -----
+    Source: Microsoft AVI RIFF reference; OpenDML AVI file format extensions 1.02.
+    """
+
+    fourcc: bytes
+    bits: int
+    width: int
+    height: int
+    top_down: bool
+    palette: NDArray[np.uint8]
+    declared_frames: int | None
+    fps: float | None
+    offsets: Ints
+    sizes: Ints
+    cut_short: bool
+
+    @property
+    def is_uncompressed(self) -> bool:
+        """Whether `open_raw_avi` reads or refuses the frames; other codecs are for a decoder."""
+        return self.fourcc in _PLAIN or self.fourcc in _GREY_BITS
+
+
+def is_avi(head: bytes) -> bool:
+    """Whether a file that begins with these 12 bytes is an AVI."""
+    return head[:4] == b"RIFF" and head[8:12] == b"AVI "
+
+
+def read_avi_layout(path: Path) -> AviLayout:
+    """Walk through the chunks, OpenDML segments included; index and list sizes are not trusted.
+
+    Files without index, with a broken one, over 1 GiB or cut short so give every whole frame they hold.
+
+    Raises
+    ------
+    InputError
+        For an AVI without a video stream, or with a palette that changes.
+    """
+    with path.open("rb", buffering=0) as file:
+        header, frames, cut_short = _walk(file, os.fstat(file.fileno()).st_size, path)
+    if len(header.strf) < 40:
+        raise InputError(path, "an AVI with a video stream", "none in its header", "record or copy it again")
+    _, width, height, _, bits, fourcc, _, _, _, used, _ = struct.unpack_from("<IiiHH4sIiiII", header.strf)
+    scale, rate, _, length = struct.unpack_from("<4I", header.strh, 20)
+    table = np.frombuffer(header.strf[40 : 40 + 4 * (used or 256)], np.uint8)
+    where = np.array(frames, np.int64).reshape(-1, 2)
+    return AviLayout(
+        fourcc=fourcc,
+        bits=bits,
+        width=width,
+        height=abs(height),
+        top_down=height < 0,
+        palette=table[: table.size // 4 * 4].reshape(-1, 4),
+        declared_frames=max(length, header.total_frames) or None,
+        fps=rate / scale if scale and rate else None,
+        offsets=where[:, 0],
+        sizes=where[:, 1],
+        cut_short=cut_short,
+    )
+
+
+@dataclass
+class _Header:
+    """Header chunks found so far: number of the present and of the video stream, its strh and strf, dmlh."""
+
+    stream: int = -1
+    video: int = -1
+    strh: bytes = b""
+    strf: bytes = b""
+    total_frames: int = 0
+
+    def add(self, name: bytes, data: bytes) -> None:
+        """Keep a chunk that describes the first video stream."""
+        if name == b"LIST":
+            if data[4:8] == b"dmlh":
+                self.total_frames = struct.unpack_from("<I", data, 12)[0]
+        elif name == b"strh":
+            self.stream += 1
+            if data[:4] == b"vids" and self.video < 0:
+                self.video, self.strh = self.stream, data
+        elif self.stream == self.video:
+            self.strf = data
+
+
+def _walk(file: BinaryIO, size: int, path: Path) -> tuple[_Header, list[tuple[int, int]], bool]:
+    """Chunk by chunk to the end of the file: header, frames (place, length), whether the last is cut."""
+    header, at = _Header(), 0
+    frames: list[tuple[int, int]] = []
+    while at + 8 <= size:
+        file.seek(at)
+        head = file.read(12)
+        name, length = _CHUNK.unpack_from(head)
+        if name in _LISTS and head[8:12] not in _SKIPPED_LISTS:
+            at += 12
+            continue
+        if name[2:] in (b"db", b"dc") and name[:2] == b"%02d" % header.video:
+            if at + 8 + length > size:
+                return header, frames, True
+            frames.append((at + 8, length))
+        elif name[2:] == b"pc":
+            advice = "export the video as grey"
+            raise InputError(path, "one palette for all frames", "a palette change", advice)
+        elif not name.isascii() or name == bytes(4):  # space a camera reserved and never filled
+            break
+        elif name in (b"strh", b"strf", b"LIST"):
+            file.seek(at + 8)
+            header.add(name, file.read(min(length, 4096)))
+        at += 8 + length + length % 2
+    return header, frames, False
+
+
+def open_raw_avi(path: Path, layout: AviLayout) -> MappedReader:
+    """A reader of uncompressed frames.
+
+    Plain bitmaps are bottom-up unless their height is negative, fourcc greys are top-down; rows may be
+    padded to 4 bytes. Palette colours and BGR become grey by `LUMA_RULE`. More than 8 bits are 10 to 16
+    bits in two bytes, low byte first.
+
+    Raises
+    ------
+    InputError
+        For plain bitmaps of 16 bits (15-bit colour or a deep camera: the file does not say), for packed deep
+        formats, and for a file without a whole frame.
+    """
+    bits, channels, name = _pixel_format(path, layout)
+    pixel_bytes = channels * (1 if bits == 8 else 2)
+    held = layout.sizes[layout.sizes > 0]
+    if not held.size:
+        advice = "the recording was cut short; copy it again"
+        raise InputError(path, "at least one whole frame", "none", advice)
+    frame_bytes = int(np.median(held))
+    packed = layout.width * pixel_bytes
+    padded = (packed + 3) // 4 * 4
+    row_bytes = next((row for row in (padded, packed) if frame_bytes == row * layout.height), None)
+    if row_bytes is None:
+        size = shape_text((layout.height, layout.width))
+        wanted = f"{padded * layout.height} bytes a frame for {size}, {name}"
+        advice = "packed depths are not read; export as FFV1 or TIFF"
+        raise InputError(path, wanted, f"{frame_bytes} bytes", advice)
+    if (held < row_bytes * (layout.height - 1) + packed).any():
+        found = f"one of {int(held.min())}"
+        raise InputError(path, f"frames of {frame_bytes} bytes", found, "a damaged recording")
+    plain = layout.fourcc in _PLAIN
+    return MappedReader(
+        path=path,
+        facts=_avi_facts(path, layout, bits, name, colour=channels > 1 or (plain and layout.bits == 8)),
+        offsets=np.where(layout.sizes > 0, layout.offsets, -1),
+        row_bytes=row_bytes,
+        dtype=np.dtype("u1" if bits == 8 else "<u2"),
+        channels=channels,
+        blue_first=True,
+        bottom_up=plain and not layout.top_down,
+        grey_levels=_grey_levels(layout) if plain and layout.bits == 8 else None,
+    )
+
+
+def _pixel_format(path: Path, layout: AviLayout) -> tuple[int, int, str]:
+    """Significant bits and number of channels of a pixel, and its name."""
+    if layout.fourcc in _GREY_BITS:
+        bits = _GREY_BITS[layout.fourcc]
+        return bits, 1, f"grey {bits} bit"
+    if layout.bits in (8, 24, 32):
+        name = {8: "8-bit palette", 24: "BGR24", 32: "BGR32"}[layout.bits]
+        return 8, max(1, layout.bits // 8), name
+    found = f"{layout.bits} bits per pixel without a name for them"
+    raise InputError(path, "a raw AVI of 8, 24 or 32 bits per pixel", found, "export as FFV1 or 16-bit TIFF")
+
+
+def _grey_levels(layout: AviLayout) -> NDArray[np.uint8] | None:
+    """Grey of each palette entry; None where the palette is the plain grey ramp or absent."""
+    if not layout.palette.size:
+        return None
+    levels = np.zeros(256, np.uint8)
+    colours = layout.palette[:256, 2::-1]
+    levels[: len(colours)] = luma(colours[np.newaxis])[0]
+    return None if np.array_equal(levels, np.arange(256)) else levels
+
+
+def _avi_facts(path: Path, layout: AviLayout, bits: int, pixel_format: str, *, colour: bool) -> Facts:
+    held = layout.offsets.size
+    cut = (f"{path.name}: the file ends inside frame {held}, which is left out",) * layout.cut_short
+    return Facts(
+        shape=(layout.height, layout.width),
+        depth_bits=bits,
+        saturation_level=full_scale(bits),
+        declared_frames=max(layout.declared_frames or held, held),
+        container="avi",
+        codec="uncompressed",
+        pixel_format=pixel_format,
+        decoder="none",
+        grey=LUMA_RULE if colour else AS_STORED,
+        playback_fps=layout.fps,
+        warnings=cut,
+    )

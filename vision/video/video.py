@@ -1,0 +1,382 @@
+"""open_video() and Video: a file turned, cut to a range of frames, on the chosen clock."""
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from vision.errors import InputError
+from vision.numeric import Floats, Ints, Pixels
+from vision.video.cine import is_cine, open_cine
+from vision.video.encoded import open_encoded
+from vision.video.reader import Block, Facts, Reader
+from vision.video.stacks import IMAGES, is_tiff, open_sequence, open_stack
+from vision.video.uncompressed import is_avi, open_raw_avi, read_avi_layout
+
+_SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
+_UNIT = re.compile(r"(?:^|[\s_(\[.,;/-])(s|sec|seconds|ms|us|µs|μs|ns)(?:$|[\s)\],;])", re.IGNORECASE)
+_TIME_NAME = re.compile(r"time|stamp|zeit|temps", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class FrameClock:
+    """Where frame times come from.
+
+    Parameters
+    ----------
+    kind
+        "file" (time stamps of the recording itself), "given" (`fps` or `timestamps`) or "playback" (a
+        container's rate, which need not be the camera's).
+    fps
+        Frames per second; None where not known.
+    """
+
+    kind: Literal["file", "given", "playback"]
+    fps: float | None
+
+
+@dataclass(repr=False, frozen=True, kw_only=True)
+class Video:
+    """A recording, opened by `open_video`: facts at once, pixels in one sequential pass.
+
+    Nothing here loads the whole file.
+
+    Parameters
+    ----------
+    path, reader
+        The file, and the code for its format.
+    rotate
+        Degrees clockwise by which frames are turned, a multiple of 90.
+    first, stop
+        Frame numbers kept, half-open; stop None is the end.
+    given_fps, given_times_s
+        The camera's clock as the user states it, which outranks the file's.
+    warnings
+        What is wrong with the file as far as its headers tell.
+    """
+
+    path: Path
+    reader: Reader
+    rotate: int = 0
+    first: int = 0
+    stop: int | None = None
+    given_fps: float | None = None
+    given_times_s: Floats | None = None
+    warnings: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        count = "an unknown number of" if self.expected is None else self.expected
+        rate = "" if self.clock.fps is None else f", {self.clock.fps:g} frames/s ({self.clock.kind})"
+        rows, columns = self.shape
+        return f"<{self.path.name}: {count} frames of {columns} x {rows} px, {self.depth_bits} bit{rate}>"
+
+    @property
+    def facts(self) -> Facts:
+        """What the file's headers say, before rotation and cuts."""
+        return self.reader.facts
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) after rotation."""
+        rows, columns = self.facts.shape
+        return (columns, rows) if self.rotate % 180 else (rows, columns)
+
+    @property
+    def depth_bits(self) -> int:
+        """Significant bits per pixel; 32 for float."""
+        return self.facts.depth_bits
+
+    @property
+    def saturation_level(self) -> float | None:
+        """Value of a saturated pixel; None for float."""
+        return self.facts.saturation_level
+
+    @property
+    def expected(self) -> int | None:
+        """Frames within `first:stop` by the file's headers; None where they do not say."""
+        return self._kept(self.facts.declared_frames)
+
+    @property
+    def estimated(self) -> int | None:
+        """`expected`, or an estimate from duration and rate; None without either."""
+        return self._kept(self.facts.declared_frames or self.facts.estimated_frames)
+
+    def _kept(self, held: int | None) -> int | None:
+        if held is None:
+            return None
+        return max(0, (held if self.stop is None else min(held, self.stop)) - self.first)
+
+    @property
+    def duration_s(self) -> float | None:
+        """How long the file says it lasts by its own clock; None if it does not, or for a part of it."""
+        return self.facts.duration_s if self.stop is None and self.clock.kind == "file" else None
+
+    @property
+    def clock(self) -> FrameClock:
+        """The clock in use: given, else the file's own, else the playback rate."""
+        if self.given_times_s is not None:
+            return FrameClock("given", _median_rate(self.given_times_s))
+        if self.given_fps is not None:
+            return FrameClock("given", self.given_fps)
+        if self.facts.times_s is not None:
+            return FrameClock("file", _median_rate(self.facts.times_s))
+        return FrameClock("file" if self.facts.times_in_blocks else "playback", self.facts.playback_fps)
+
+    def times(self, frames: Ints) -> Floats:
+        """Seconds of each frame number; NaN where unknown."""
+        table = self.given_times_s
+        if table is None and self.given_fps is None:
+            table = self.facts.times_s
+        if table is None:
+            fps = self.clock.fps
+            return np.full(frames.shape, np.nan) if fps is None else frames / fps
+        out = np.full(frames.shape, np.nan)
+        known = (frames >= 0) & (frames < table.size)
+        out[known] = table[frames[known]]
+        return out
+
+    def blocks(self, rows: slice | None = None, columns: slice | None = None) -> Iterator[Block]:
+        """One sequential pass, cut after rotation.
+
+        Raises
+        ------
+        InputError
+            For a cut outside the frame.
+        """
+        height, width = self.shape
+        r = cut(rows, height, what=f"{self.path}: `rows`")
+        c = cut(columns, width, what=f"{self.path}: `columns`")
+        file_rows, file_columns = _before_rotation(r, c, self.facts.shape, self.rotate)
+        for block in self.reader.read(self.first, self.stop, file_rows, file_columns):
+            times_s = block.times_s if self.clock.kind == "file" else None
+            yield Block(self._turned(block.pixels), block.start, block.status, times_s)
+
+    def frames(self) -> Iterator[Pixels]:
+        """Every readable frame, whole."""
+        for block in self.blocks():
+            for pixels, status in zip(block.pixels, block.status, strict=True):
+                if status == "ok":
+                    yield pixels
+
+    def sample(self, count: int) -> Iterator[Pixels]:
+        """Up to `count` readable whole frames over the recording; its first ones if its length is unknown."""
+        last = self.facts.declared_frames or self.facts.estimated_frames or self.first + count
+        last = last if self.stop is None else min(last, self.stop)
+        spread = np.linspace(self.first, max(last - 1, self.first), count)
+        for pixels in self.reader.sample(np.unique(np.round(spread).astype(np.int64)).tolist()):
+            yield self._turned(pixels)
+
+    def _turned(self, pixels: Pixels) -> Pixels:
+        return np.rot90(pixels, k=-(self.rotate // 90), axes=(-2, -1)) if self.rotate else pixels
+
+
+def open_video(
+    path: str | os.PathLike[str],
+    *,
+    rotate: int = 0,
+    frames: slice | None = None,
+    fps: float | None = None,
+    timestamps: str | os.PathLike[str] | None = None,
+) -> Video:
+    """A recording, ready to be read in one pass.
+
+    Parameters
+    ----------
+    path
+        A video file, a TIFF, a cine, a folder or a glob of numbered images.
+    rotate
+        Degrees clockwise by which each frame is turned: 0, 90, 180 or 270.
+    frames
+        Half-open range of frame numbers kept; frames keep their numbers and times.
+    fps
+        The camera's rate, Hz.
+    timestamps
+        A text file with the time of every frame (`read_timestamps`). With neither `fps` nor `timestamps` the
+        file's own time stamps count where it has them, else its playback rate.
+
+    Returns
+    -------
+    Video
+        Its facts are known at once; no frame but the first is decoded yet.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read or an argument does not fit it.
+    """
+    where = Path(path)
+    if rotate not in (0, 90, 180, 270):
+        raise InputError("`rotate`", "0, 90, 180 or 270", str(rotate))
+    if fps is not None and not 0 < fps < float("inf"):
+        raise InputError("`fps`", "a positive number of frames per second", str(fps))
+    if fps is not None and timestamps is not None:
+        raise InputError("`fps` and `timestamps`", "one of the two", "both")
+    reader = _open_reader(where)
+    facts = reader.facts
+    first, stop = _frame_range(frames, facts.declared_frames, where)
+    warnings, times_s = [*facts.warnings], None
+    if timestamps is not None:
+        times_s, odd = read_timestamps(Path(timestamps))
+        warnings += odd
+        if facts.declared_frames not in (None, times_s.size):
+            wanted = f"{facts.declared_frames} times, one per frame of {where.name}"
+            raise InputError(timestamps, wanted, f"{times_s.size} times")
+    held = facts.declared_frames or facts.estimated_frames
+    if stop is not None and held is not None and stop > held:
+        about = "" if facts.declared_frames else "about "
+        warnings.append(f"`frames`: asked for frames up to {stop}, the file has {about}{held}")
+    return Video(
+        path=where,
+        reader=reader,
+        rotate=rotate,
+        first=first,
+        stop=stop,
+        given_fps=fps,
+        given_times_s=times_s,
+        warnings=tuple(warnings),
+    )
+
+
+def _open_reader(path: Path) -> Reader:
+    """The reader for this kind of file, recognised by its first bytes."""
+    if path.is_dir() or (not path.exists() and glob.has_magic(str(path))):
+        return open_sequence(path)
+    try:
+        with path.open("rb") as file:
+            head = file.read(12)
+    except OSError as error:
+        wanted, found = "a video, a TIFF, a folder or glob of images", error.strerror or type(error).__name__
+        raise InputError(path, wanted, found, "check the path") from None
+    if not head:
+        advice = "copy it again from the camera's computer"
+        raise InputError(path, "a video", "an empty file (0 bytes)", advice)
+    if is_avi(head) and (layout := read_avi_layout(path)).is_uncompressed:
+        return open_raw_avi(path, layout)
+    if is_tiff(head):
+        return open_stack(path)
+    if is_cine(head):
+        return open_cine(path)
+    if path.suffix.lower() in IMAGES:
+        return open_sequence(path)
+    return open_encoded(path)
+
+
+def _frame_range(frames: slice | None, declared: int | None, path: Path) -> tuple[int, int | None]:
+    """`frames` as first and stop; InputError where it is no range or holds none of the frames."""
+    if frames is None:
+        return 0, None
+    first = 0 if frames.start is None else int(frames.start)
+    stop = None if frames.stop is None else int(frames.stop)
+    if frames.step not in (None, 1) or first < 0 or (stop is not None and stop <= first):
+        raise InputError("`frames`", "A:B with 0 <= A < B", f"{frames.start}:{frames.stop}")
+    if declared is not None and first >= declared:
+        raise InputError(f"{path}: `frames`", f"a start below {declared}, the frames in the file", str(first))
+    return first, stop
+
+
+def cut(wanted: slice | None, size: int, *, what: str) -> slice:
+    """`wanted` checked against `size` pixels: InputError unless 0 <= start < stop <= size."""
+    if wanted is None:
+        return slice(0, size)
+    start = 0 if wanted.start is None else int(wanted.start)
+    stop = size if wanted.stop is None else int(wanted.stop)
+    if wanted.step not in (None, 1) or not 0 <= start < stop <= size:
+        advice = "counted from 0, end not included"
+        raise InputError(what, f"a range within 0:{size}", f"{start}:{stop}", advice)
+    return slice(start, stop)
+
+
+def _before_rotation(rows: slice, columns: slice, shape: tuple[int, int], rotate: int) -> tuple[slice, slice]:
+    """The file's rows and columns that become `rows` and `columns` after turning clockwise."""
+    height, width = shape
+    if rotate == 90:
+        return _mirror(columns, height), rows
+    if rotate == 180:
+        return _mirror(rows, height), _mirror(columns, width)
+    if rotate == 270:
+        return columns, _mirror(rows, width)
+    return rows, columns
+
+
+def _mirror(span: slice, size: int) -> slice:
+    return slice(size - span.stop, size - span.start)
+
+
+def _median_rate(times_s: Floats) -> float | None:
+    """Frames per second from the median interval; None for fewer than two times or a still clock."""
+    if times_s.size < 2:
+        return None
+    step = float(np.nanmedian(np.diff(times_s)))
+    return 1.0 / step if step > 0 else None
+
+
+def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
+    """The camera's own times of all frames, s, from a text or CSV file, and what is odd about them.
+
+    One time per line, or columns divided by comma, semicolon, tab or space; a header names the column
+    ("time", "timestamp") and its unit: `time_ms`, `Timestamp (us)`, `t [ns]`. Lines starting with # are
+    header too. Without a header the last column is taken when there are two (number, time), and the unit is
+    s.
+
+    Raises
+    ------
+    InputError
+        For a missing or empty file, or text where a number is due.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig", errors="replace")
+    except OSError as error:
+        found = error.strerror or type(error).__name__
+        raise InputError(path, "a readable file of time stamps", found) from None
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    rows = [_numbers(line) for line in lines]
+    first = next((n for n, row in enumerate(rows) if row), None)
+    if first is None:
+        raise InputError(path, "one time per line", "no numbers", "give one time per frame, in s")
+    broken = next((line for line, row in zip(lines[first:], rows[first:], strict=True) if not row), None)
+    if broken is not None:
+        raise InputError(path, "a number in every line", repr(broken[:40]))
+    widths = {len(row) for row in rows[first:]}
+    if len(widths) > 1:
+        raise InputError(path, "the same number of columns in every line", f"{min(widths)} to {max(widths)}")
+    column, unit_s = _time_column(lines[first - 1] if first else "", widths.pop())
+    times_s = np.array([row[column] for row in rows[first:]]) * unit_s
+    if not np.isfinite(times_s).all():
+        raise InputError(path, "a time for every frame", "NaN or infinity")
+    backwards = np.flatnonzero(np.diff(times_s) <= 0)
+    if not backwards.size:
+        return times_s, ()
+    where = f"the first at frame {backwards[0] + 1}"
+    return times_s, (f"{path.name}: {backwards.size} time(s) do not grow, {where}",)
+
+
+def _cells(line: str) -> list[str]:
+    parts = re.split(r"[;\t]", line) if re.search(r"[;\t]", line) else line.split(",")
+    return [cell.strip() for cell in (parts if len(parts) > 1 else line.split())]
+
+
+def _numbers(line: str) -> list[float]:
+    """The line's numbers; none where a cell is no number. Beside ; or tab decimal commas are understood."""
+    cells = [cell for cell in _cells(line) if cell]
+    if re.search(r"[;\t]", line):
+        cells = [cell.replace(",", ".") for cell in cells]
+    try:
+        return [float(cell) for cell in cells]
+    except ValueError:
+        return []
+
+
+def _time_column(header: str, width: int) -> tuple[int, float]:
+    """Which column holds times, and its unit in s."""
+    names = [name for name in _cells(header.lstrip("# ")) if name] if width > 1 else [header.lstrip("# ")]
+    place = next((n for n, name in enumerate(names) if _TIME_NAME.search(name)), width - 1)
+    place = place if place < width else width - 1
+    unit = _UNIT.search(names[place] if place < len(names) else header)
+    return place, _SECONDS[unit.group(1).lower()] if unit else 1.0
