@@ -5,7 +5,7 @@ import pytest
 
 from tests.scenes.combs import as_strip, comb, ridges, strip
 from vision.errors import InputError
-from vision.sheets.tracks import track_sheets
+from vision.sheets import track_sheets
 
 
 def refusal(picture, **options):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vision.experiment import Experiment, profiles
-from vision.sheets.tracks import track_sheets
+from vision.sheets import track_sheets
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.scenes.combs import as_strip, comb, ridges, strip
-from vision.sheets.tracks import track_sheets
+from vision.sheets import track_sheets
 
 few = settings(max_examples=8, deadline=None, derandomize=True)
 seeds = st.integers(0, 1000)
