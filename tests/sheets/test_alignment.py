@@ -49,7 +49,7 @@ def cost(candidates, contrast, row, sheets, chosen):
     total = 0.0
     for n, k in zip(sheets, chosen, strict=True):
         bright = light[k] - flicker
-        total += min((bright - contrast[n]) ** 2 / (2 * COSTS.brightness_spread**2), COSTS.brightness_limit)
+        total += min((bright - contrast[n]) ** 2 / (2 * COSTS.brightness_spread**2), 4)
         total += COSTS.stay_cost / SHEETS * min(((x[k] - REST[n]) / (PITCH / 2)) ** 2, 1)
         total -= COSTS.missing_cost
         total -= COSTS.false_detection_cost * np.clip(np.exp(bright - np.median(contrast)) / 0.5, 0.3, 1)

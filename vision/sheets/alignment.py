@@ -22,6 +22,7 @@ from vision.sheets.settings import DEFAULT, TrackingSettings
 
 LISTS_PER_BATCH = 128
 BAND = 8  # missing sheets or false detections on one side of a pair that are considered
+BRIGHTNESS_LIMIT = 4.0  # nats: a sheet may change its looks at this cost
 MOST_CROSSING = 3  # sheets that cross an edge of the picture in one displacement
 # Steps (sheets, candidates) from one pair to the next: to a neighbour, over missing sheets, over false
 # detections, over some of both.
@@ -189,14 +190,14 @@ def _pair_costs(candidates: Candidates, expected: ExpectedSheets) -> tuple[Float
     sheets, pitch, costs = expected.x_px.shape[1], expected.pitch_px, expected.settings
     brightness = candidates.log_contrast - _flicker(candidates, expected)[:, None]
     off = brightness[None] - expected.log_contrast[:, None, None]
-    cost = np.minimum(off**2 / (2 * costs.brightness_spread**2), costs.brightness_limit)
+    cost = np.minimum(off**2 / (2 * costs.brightness_spread**2), BRIGHTNESS_LIMIT)
     moved = (candidates.x_px[None] - expected.x_px.T[:, :, None]) / (0.5 * pitch)
     cost += costs.stay_cost / sheets * np.minimum(moved**2, 1.0)
     relative = np.exp(brightness - np.median(expected.log_contrast)) / 0.5
     false_detection = costs.false_detection_cost * np.clip(relative, 0.3, 1.0)
     low, high = expected.view_px
     inside = (expected.x_px > low) & (expected.x_px < high)
-    missing = np.where(inside, expected.missing_cost, costs.outside_cost)
+    missing = np.where(inside, expected.missing_cost, 0.5)
     cost -= false_detection[None] + missing.T[:, :, None]
     return np.where(np.isfinite(cost), cost, np.inf), missing, false_detection
 

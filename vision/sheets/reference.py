@@ -21,6 +21,8 @@ from vision.sheets.settings import DEFAULT, TrackingSettings
 REVISIONS = 4  # of the reference comb, at most; it usually settles after two
 LISTS_USED = 384  # candidate lists: the longest, and others spread over the recording
 
+PRESENT_AT_EDGE = 0.04  # fraction of the frames for a sheet that may have come in or gone out at an edge
+
 
 @dataclass(frozen=True)
 class ReferenceComb:
@@ -133,7 +135,7 @@ def build_reference(
             source, f"{sheets} ridges (`sheets`)", f"{reference.sheets}", "give the number that is in view"
         )
     score = _sheet_score(reference, settings)
-    best = reference.only(choose_sheets(reference.x_px, score, comb.pitch_px, sheets, settings=settings))
+    best = reference.only(_choose_sheets(reference.x_px, score, comb.pitch_px, sheets, settings))
     if sheets is not None:
         _check_ends(best.x_px, sheets, source, settings)
     return best
@@ -199,7 +201,7 @@ def _revise(
     everything = ReferenceComb(columns[0], columns[1], columns[2], columns[3])
     everything = everything.only(np.argsort(everything.x_px))
     found = everything.found
-    least = np.where(_at_ends(found), settings.present_at_edge, settings.present_inside)
+    least = np.where(_at_ends(found), PRESENT_AT_EDGE, settings.present_inside)
     return replace(everything.only(np.flatnonzero(found >= least)), dropped=0)
 
 
@@ -225,7 +227,7 @@ def _unmatched(
     rest = _at_rest(x[list_, column], _of_match(x, match)[list_], reference.x_px)
     interval = np.searchsorted(reference.x_px, rest)
     share = np.bincount(interval, weights=weight[list_], minlength=reference.sheets + 1) / weight.sum()
-    mine = [interval == i for i in np.flatnonzero(share >= settings.present_at_edge)]
+    mine = [interval == i for i in np.flatnonzero(share >= PRESENT_AT_EDGE)]
     position = np.array([np.median(rest[m]) for m in mine])
     contrast, width = (
         np.array([np.median(values[list_[m], column[m]]) for m in mine])
@@ -254,42 +256,20 @@ def _of_match(values: Floats, match: Ints) -> Floats:
 def _sheet_score(reference: ReferenceComb, settings: TrackingSettings) -> Floats:
     """How likely each entry is a sheet, (entries,): by presence, contrast, and a width like the others'."""
     width, contrast = reference.log_width, reference.log_contrast
-    odd = np.maximum(np.abs(width - np.median(width)) - settings.usual_widths, 0)
+    odd = np.maximum(np.abs(width - np.median(width)) - 0.35, 0)
     faint = np.maximum(contrast - np.median(contrast), -2.5)
     score = 1 + 1.5 * reference.found + settings.contrast_score * faint - settings.odd_width_cost * odd
     return np.asarray(np.maximum(score, 0.3), np.float64)
 
 
-def choose_sheets(
-    x_px: Floats,
-    score: Floats,
-    pitch_px: float,
-    sheets: int | None = None,
-    *,
-    settings: TrackingSettings = DEFAULT,
+def _choose_sheets(
+    x_px: Floats, score: Floats, pitch_px: float, sheets: int | None, settings: TrackingSettings
 ) -> Ints:
-    """Numbers of the entries that together make the best comb.
+    """Numbers of the entries that together make the best comb, of exactly `sheets` where that is given.
 
     Each entry counts for its score, each spacing against its departure from the local pitch; a dynamic
     programme over the entries in order finds the best chain. A faint sheet in its place is kept, since
     without it the spacing is double; dust between two sheets is not.
-
-    Parameters
-    ----------
-    x_px
-        Rest positions, ascending (entries,).
-    score
-        How likely each entry is a sheet, (entries,).
-    pitch_px
-        Typical spacing.
-    sheets
-        Length of the chain, if known.
-    settings
-        Cost of uneven spacings.
-
-    Returns
-    -------
-    Ascending numbers of the entries kept.
     """
     if sheets is None:
         local = _local_pitch(x_px, pitch_px)

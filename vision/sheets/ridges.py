@@ -191,7 +191,7 @@ def _measure(
     prominence, frame = facts["prominences"], at // walled.shape[1]
     upper = float(np.quantile(prominence, 0.9)) if len(prominence) else np.inf
     strength = np.where(prominence >= 0.3 * upper, prominence, 0.0)
-    width, main = _commonest_width(facts["widths"], strength, frame, sheets, settings)
+    width, main = _commonest_width(facts["widths"], strength, frame, sheets)
     if not main.any():
         return None
     fwhm = float(np.sqrt(max(width**2 - (FWHM * sigma) ** 2, 1.0)))
@@ -204,7 +204,7 @@ def _measure(
 
 
 def _commonest_width(
-    widths: Floats, strength: Floats, frame: Ints, sheets: int | None, settings: TrackingSettings
+    widths: Floats, strength: Floats, frame: Ints, sheets: int | None
 ) -> tuple[float, Bools]:
     """Width of the kind of ridge with the largest total prominence, and which entries are of that kind.
 
@@ -213,7 +213,7 @@ def _commonest_width(
     """
     tried = np.geomspace(1.5, max(2.0, float(widths.max(initial=2.0))), 40)
     off = np.abs(np.log(np.maximum(widths, 0.1) / tried[:, None]))
-    kinds = (strength > 0) & (off < np.log(settings.same_width_factor))
+    kinds = (strength > 0) & (off < np.log(1.6))
     if sheets:
         kinds = np.array([kind & _strongest(np.where(kind, strength, -1.0), frame, sheets) for kind in kinds])
     best = kinds[int(np.argmax((kinds * strength).sum(axis=1) / np.sqrt(tried)))]
