@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
+from vision.data import STRIP, TRACKS
 from vision.errors import InputError
-
-if TYPE_CHECKING:
-    import xarray as xr
+from vision.numeric import Bools, Floats, Floats32, Ints
 
 Sheet = tuple[str, int] | int  # ("right", 23), or the index counted from the left
-Doubles = NDArray[np.float64]
 
 SIDES = {"left": -1, "right": 1}
 
@@ -25,7 +24,7 @@ class _Place:
 
     index: int
     name: str
-    x_px: Doubles
+    x_px: Floats
 
 
 def space_time(
@@ -47,23 +46,44 @@ def space_time(
     at x = 0 in every row: rows are shifted by fractions of a pixel with Catmull-Rom's cubic. Where the
     sheet was not found, the window moves on a straight line between the frames where it was.
 
-    Args: strip, I(x, t) of `strip_profile`.  around, tracks of `track_sheets`, and sheet, ("right", 23) or
-    the index from the left: the window's middle; neither, the whole strip.  width_um or width_px, its
-    width, rounded to whole pixels.  pixel_size_um, µm per pixel; needed for width_um.  follow, move with
-    the sheet.  frames, half-open range of frame numbers; time_s, half-open range of seconds, None for an
-    open end.
-    Returns: float32 "intensity" (frame, x) in grey levels with the strip's coordinates; of the whole strip a
-    view. x is the column
-    number or, where the window follows, px from the sheet. NaN outside the picture and in frames that are
-    not there. x_sheet_px (frame) is the sheet's measured position, NaN where there is none. What was cut is
-    in the attributes: sheet, sheet_index, centre_px, follow, pixel_size_um.
-    Raises: InputError for a sheet, a time or a width that the recording does not have.
+    Parameters
+    ----------
+    strip
+        I(x, t) of `vision.strip_profile`.
+    around, sheet
+        Tracks of `vision.track_sheets`, and ("right", 23) or the index from the left: the window's middle.
+        Without both, the whole strip.
+    width_um, width_px
+        Width of the window, one of the two; rounded to whole pixels.
+    pixel_size_um
+        µm per pixel; needed for `width_um`.
+    follow
+        Move with the sheet.
+    frames
+        Half-open range of frame numbers.
+    time_s
+        Half-open range of seconds, None for an open end.
+
+    Returns
+    -------
+    xarray.DataArray
+        float32 "intensity" (frame, x) in grey levels with the strip's coordinates; of the whole strip a view.
+        x is the column number or, where the window follows, px from the sheet. NaN outside the picture and in
+        frames that are not there. x_sheet_px (frame) is the sheet's measured position, NaN where there is
+        none. What was cut is in the attributes: sheet, sheet_index, centre_px, follow, pixel_size_um.
+
+    Raises
+    ------
+    InputError
+        For a sheet, a time or a width that the recording does not have.
     """
+    STRIP.check(strip)
     part = _part(strip, frames, time_s)
     about: dict[str, Any] = {} if pixel_size_um is None else {"pixel_size_um": pixel_size_um}
     if around is None or sheet is None:
         _refuse_window(around, sheet, width_um, width_px, follow)
         return part.assign_attrs(about)
+    TRACKS.check(around)
     place = _find(around, sheet, part)
     width = _width(width_um, width_px, pixel_size_um, part)
     centre = float(np.nanmedian(place.x_px))
@@ -85,11 +105,13 @@ def _refuse_window(
     width_px: float | None,
     follow: bool,
 ) -> None:
-    """Half of what a window needs is a mistake, not a wish for the whole strip."""
+    """Refuse half of what a window needs: it does not ask for the whole strip."""
     if sheet is not None:
-        raise InputError("space_time", "tracks to find the sheet in", "none", "give around=tracks")
+        raise InputError("`sheet`", "tracks to find the sheet in", "none", "give `around`")
     if around is not None or width_um is not None or width_px is not None or follow:
-        raise InputError("space_time", "a sheet for the window", "none", 'give sheet=("right", 1)')
+        raise InputError(
+            "the window", "a sheet to centre it on", "none", 'give `sheet`, such as ("right", 1)'
+        )
 
 
 def _part(
@@ -103,7 +125,7 @@ def _part(
     if time_s is not None:
         times = np.asarray(strip["time_s"].values, np.float64)
         if not np.isfinite(times).any():
-            raise InputError("time", "frames with times", "a recording without a clock", "give --fps")
+            raise InputError("`time_s`", "frames with times", "a recording without a clock", "give `fps`")
         keep &= _within(times, *time_s)
     found = np.flatnonzero(keep)
     if not found.size:
@@ -111,7 +133,7 @@ def _part(
     return strip.isel(frame=slice(int(found[0]), int(found[-1]) + 1))
 
 
-def _within(values: NDArray[Any], start: float | None, stop: float | None) -> NDArray[np.bool_]:
+def _within(values: NDArray[Any], start: float | None, stop: float | None) -> Bools:
     low, high = -np.inf if start is None else start, np.inf if stop is None else stop
     return np.asarray((values >= low) & (values < high))
 
@@ -136,10 +158,10 @@ def _find(tracks: xr.Dataset, sheet: Sheet, part: xr.DataArray) -> _Place:
     else:
         match, asked = np.flatnonzero(np.arange(n.size) == sheet), f"index {sheet}"
     if not match.size:
-        raise InputError("sheet", f"one of {_sheets_there(side, n)}", asked)
+        raise InputError("`sheet`", f"one of {_sheets_there(side, n)}", asked)
     index = int(match[0])
     if not np.isin(part["frame"].values, tracks["frame"].values).all():
-        raise InputError("tracks", "positions for every frame of the strip", "fewer frames")
+        raise InputError("the tracks", "positions for every frame of the strip", "fewer frames")
     x = np.asarray(tracks["x_px"].isel(sheet=index).sel(frame=part["frame"].values).values, np.float64)
     name = f"{'left' if side[index] < 0 else 'right'}:{n[index]}"
     if not np.isfinite(x).any():
@@ -162,18 +184,18 @@ def _width(
     """Whole pixels, from 1 to the strip's own width."""
     if (width_um is None) == (width_px is None):
         found = "neither" if width_um is None else "both"
-        raise InputError("width", "one of width_um and width_px", found)
+        raise InputError("the width", "one of `width_um` and `width_px`", found)
     if width_um is not None:
         if pixel_size_um is None:
-            raise InputError("width", "a pixel size to turn µm into px", "none", "give --pixel-size or px")
+            raise InputError("`width_um`", "a pixel size to turn µm into px", "none", "give `pixel_size_um`")
         width_px = width_um / pixel_size_um
     most = part.sizes["x"]
     if not (width_px is not None and 0.5 <= width_px <= most):
-        raise InputError("width", f"1 to {most} px, the strip's width", f"{width_px:.6g} px")
+        raise InputError("the width", f"1 to {most} px, the strip's width", f"{width_px:.6g} px")
     return round(width_px)
 
 
-def _fixed(part: xr.DataArray, centre_px: float, width: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+def _fixed(part: xr.DataArray, centre_px: float, width: int) -> tuple[Floats32, Ints]:
     """Whole columns; NaN where the window hangs over the picture's edge."""
     first = round(centre_px - (width - 1) / 2)
     origin, columns = int(part["x"].values[0]), part.sizes["x"]
@@ -183,7 +205,7 @@ def _fixed(part: xr.DataArray, centre_px: float, width: int) -> tuple[NDArray[np
     return values, np.arange(first, first + width)
 
 
-def _following(part: xr.DataArray, x_px: Doubles, width: int) -> tuple[NDArray[np.float32], Doubles]:
+def _following(part: xr.DataArray, x_px: Floats, width: int) -> tuple[Floats32, Floats]:
     """Rows shifted so that the sheet stands at x = 0."""
     known = np.flatnonzero(np.isfinite(x_px))
     centre = np.interp(np.arange(x_px.size), known, x_px[known]) - float(part["x"].values[0])
@@ -191,11 +213,11 @@ def _following(part: xr.DataArray, x_px: Doubles, width: int) -> tuple[NDArray[n
     return _cubic(part.values, centre[:, None] + offset), offset
 
 
-def _cubic(rows: NDArray[np.float32], at: Doubles) -> NDArray[np.float32]:
-    """Values between the pixels of each row by Catmull-Rom's cubic (Keys 1981, a = −1/2).
+def _cubic(rows: Floats32, at: Floats) -> Floats32:
+    """Values of rows (k, columns) at places between their pixels (k, w), by Catmull-Rom's cubic.
 
-    Args: rows (k, columns); at (k, w), places in columns.  Returns: (k, w); NaN outside the outermost
-    pixel centres; the outermost pixel is repeated where the cubic looks past it.
+    NaN outside the outermost pixel centres; the outermost pixel is repeated where the cubic looks past it.
+    Source: Keys 1981, with a = −1/2.
     """
     last = rows.shape[1] - 1
     left = np.floor(at).astype(np.int64)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.special import erf
+
+from vision.numeric import Floats, Floats32, Strings
 
 FWHM = 2.3548  # of a Gaussian, in standard deviations
 CONTRAST = 60.0  # grey levels
@@ -27,7 +28,7 @@ def comb(
     slip: float = 0.3,
     uneven: float = 0.0,
     seed: int = 1,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Positions (frame, 2·per_side): inwards in every stick, back in one frame.
 
     The outermost sheets slip by `slip` pitches, those inside by a power law that gives the stiff centre (half
@@ -43,13 +44,13 @@ def comb(
 
 
 def ridges(
-    x_px: NDArray[np.float64],
+    x_px: Floats,
     *,
     width: int = 1200,
-    fwhm_px: float | NDArray[np.float64] = 7.0,
-    contrast: float | NDArray[np.float64] = 1.0,
+    fwhm_px: float | Floats = 7.0,
+    contrast: float | Floats = 1.0,
     flat_px: float = 0.0,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Sum of ridges of height `contrast` at x_px (frame, N), each averaged over every pixel it covers.
 
     A ridge is a Gaussian; with `flat_px` a box of that width with edges as soft as the Gaussian. NaN: none.
@@ -70,7 +71,7 @@ def ridges(
     return picture
 
 
-def _ridge(away: NDArray[np.float64], sigma: float, flat_px: float) -> NDArray[np.float64]:
+def _ridge(away: Floats, sigma: float, flat_px: float) -> Floats:
     if not flat_px:
         return (
             np.asarray(_step_up(away + 0.5, sigma) - _step_up(away - 0.5, sigma)) * sigma * np.sqrt(2 * np.pi)
@@ -79,18 +80,18 @@ def _ridge(away: NDArray[np.float64], sigma: float, flat_px: float) -> NDArray[n
     return np.asarray(_step_up(away + flat_px / 2, sigma) - _step_up(away - flat_px / 2, sigma))
 
 
-def _step_up(at: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+def _step_up(at: Floats, sigma: float) -> Floats:
     return np.asarray((1 + erf(at / sigma / np.sqrt(2))) / 2)
 
 
 def strip(
-    light: NDArray[np.float64],
+    light: Floats,
     *,
     snr: float = 100.0,
     sign: int = 1,
     seed: int = 0,
     origin: int = 0,
-    status: NDArray[np.str_] | None = None,
+    status: Strings | None = None,
 ) -> xr.DataArray:
     """The light as `vision.strip_profile` hands it on: grey levels (frame, x), noise CONTRAST/snr."""
     noise = np.random.default_rng(seed).normal(0, CONTRAST / snr, light.shape)
@@ -98,9 +99,7 @@ def strip(
     return as_strip(grey, origin=origin, status=status)
 
 
-def as_strip(
-    grey: NDArray[np.float32], *, origin: int = 0, status: NDArray[np.str_] | None = None
-) -> xr.DataArray:
+def as_strip(grey: Floats32, *, origin: int = 0, status: Strings | None = None) -> xr.DataArray:
     """Grey levels (frame, x) with the coordinates of a strip; 25 frames per second."""
     frames, width = grey.shape
     coords = {
@@ -109,4 +108,6 @@ def as_strip(
         "time_s": ("frame", np.arange(frames) / 25.0),
         "status": ("frame", np.full(frames, "ok") if status is None else status),
     }
-    return xr.DataArray(grey, dims=("frame", "x"), coords=coords, attrs={"source": "scene.avi"})
+    return xr.DataArray(
+        grey, dims=("frame", "x"), coords=coords, name="intensity", attrs={"source": "scene.avi"}
+    )

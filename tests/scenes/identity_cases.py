@@ -7,28 +7,30 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from tests.scenes.combs import comb, ridges, strip
+from vision.numeric import Bools, Floats
 
 FRAMES = 300
-Doubles = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Case:
-    """truth_px: where every sheet is (frame, N), seen or not.  seen: where it is drawn, inside the picture.
-    least_found: share of those that must have a position."""
+    """One recording.
 
-    truth_px: Doubles
+    truth_px is where every sheet is (frame, N), seen or not; seen, where it is drawn inside the picture;
+    least_found, the fraction of those that must have a position.
+    """
+
+    truth_px: Floats
     picture: xr.DataArray
     pitch_px: float = 20.0
-    seen: NDArray[np.bool_] | None = None
+    seen: Bools | None = None
     least_found: float = 0.995
     sheets: int | None = None
 
     @property
-    def visible(self) -> NDArray[np.bool_]:
+    def visible(self) -> Bools:
         """Sheets drawn and at least half a pitch away from the border."""
         width = self.picture.sizes["x"]
         inside = (self.truth_px > self.pitch_px / 2) & (self.truth_px < width - 1 - self.pitch_px / 2)
@@ -48,12 +50,12 @@ def case(name: str) -> Callable[[Callable[[], Case]], Callable[[], Case]]:
     return register
 
 
-def brightness(sheets: int = 50, seed: int = 5) -> Doubles:
+def brightness(sheets: int = 50, seed: int = 5) -> Floats:
     """Contrasts as sheets have them: 15 % scatter."""
     return np.asarray(np.clip(1 + 0.15 * np.random.default_rng(seed).normal(size=sheets), 0.5, 1.5))
 
 
-def jumps(*pitches: float, pitch_px: float = 20.0, every: int = 30, frames: int = FRAMES) -> Doubles:
+def jumps(*pitches: float, pitch_px: float = 20.0, every: int = 30, frames: int = FRAMES) -> Floats:
     """Displacement (frame, 1) of a whole comb that jumps by these pitches in turn, between two frames."""
     step = np.zeros(frames)
     at = np.arange(every, frames, every)
@@ -188,7 +190,7 @@ def _() -> Case:
 # what disturbs
 
 
-def _faint() -> Doubles:
+def _faint() -> Floats:
     level = brightness()
     level[[0, 5, 20, 21, 49]] = 0.2
     return level
@@ -210,7 +212,7 @@ def _() -> Case:
     return Case(x, strip(ridges(np.where(seen, x, np.nan), contrast=_faint())), seen=seen)
 
 
-def _dust(places: Doubles, heights: Doubles, *, width_px: float = 5.0) -> Doubles:
+def _dust(places: Floats, heights: Floats, *, width_px: float = 5.0) -> Floats:
     return ridges(places, fwhm_px=width_px, contrast=heights)
 
 

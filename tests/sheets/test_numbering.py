@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.scenes.combs import comb, ridges, strip
-from vision.sheets.tracks import track_sheets
+from vision.sheets import track_sheets
 
 PITCH = 20.0
 

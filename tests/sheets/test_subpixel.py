@@ -5,10 +5,8 @@ import pytest
 
 from tests.scenes.combs import ridges, strip
 from vision.errors import InputError
-from vision.sheets.comb import Comb
-from vision.sheets.fitting import choose_window
-from vision.sheets.subpixel import Starts, paper_vertex, sliding_vertex, template_shift
-from vision.sheets.tracks import track_sheets
+from vision.sheets import Starts, choose_window, paper_vertex, sliding_vertex, template_shift, track_sheets
+from vision.sheets.ridges import RidgeComb
 
 PLACES = np.linspace(49.5, 51.5, 201)
 
@@ -82,7 +80,7 @@ def test_without_a_ridge_there_is_no_position():
 @pytest.mark.parametrize(("fwhm", "expected"), [(3, 5), (6, 9), (9, 9), (14, 9), (20, 29)])
 def test_the_window_follows_the_width_outside_6_to_14_px(fwhm, expected):
     """A failure means the publication's window is used where it does not fit, or not where it does."""
-    comb = Comb("bright", fwhm, pitch_px=60.0, contrast=50.0, noise=1.0, count=10.0, ends_px=60.0)
+    comb = RidgeComb("bright", fwhm, pitch_px=60.0, contrast=50.0, noise=1.0, count=10.0, ends_px=60.0)
     assert choose_window(comb, None) == expected
 
 

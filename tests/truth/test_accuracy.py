@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.scenes.combs import bound_px, comb, ridges, strip
-from vision.sheets.tracks import track_sheets
+from vision.sheets import track_sheets
 
 SNR = 100
 FRAMES = 400
@@ -56,7 +56,7 @@ def test_template_is_at_the_bound(usual):
 def test_the_papers_fit_locks_to_whole_pixels(usual):
     """The same scenes with the paper's fit: had they no locking, the tests above would prove nothing.
 
-    The narrower the ridge, the stronger: 125, 80 and 55 mpx here (50–190 in the physics notes).
+    The narrower the ridge, the stronger: 125, 80 and 55 mpx here.
     """
     fwhm, truth, picture = usual
     x = track_sheets(picture, fit="paper").x_px.values

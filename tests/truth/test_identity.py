@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.scenes.identity_cases import CASES, Case
-from vision.sheets.tracks import track_sheets
+from vision.sheets import track_sheets
 
 
 def check(case: Case, tracks) -> None:

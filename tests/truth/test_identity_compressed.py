@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.scenes.combs import bound_px, comb, ridges, strip
-from vision.sheets.tracks import track_sheets
+from vision.sheets import track_sheets
 from vision.video import open_video, strip_profile
 
 FRAMES, ROWS, WIDTH, PITCH = 120, 32, 640, 20.0

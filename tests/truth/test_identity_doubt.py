@@ -5,7 +5,7 @@ import pytest
 
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import FRAMES, brightness, jumps
-from vision.sheets.tracks import track_sheets
+from vision.sheets import track_sheets
 
 PITCH = 20.0
 

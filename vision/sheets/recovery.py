@@ -1,139 +1,176 @@
-"""Where each sheet is seen in each frame, faint glimpses included, and why it is not where it is not."""
+"""Where each sheet is detected in each frame, and why it is not where it is not.
+
+`assign_detections` takes what `identify_sheets` paired, withdraws what is doubtful, and looks again, more
+closely, where a sheet is missing.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vision.sheets.alignment import CROSSING_COST, EDGE_REACH, STAY_COST
-from vision.sheets.comb import Comb
-from vision.sheets.linking import Links, fill_rows
-from vision.sheets.medians import nan_median
-from vision.sheets.ridges import Ridges, find_ridges
-
-Doubles = NDArray[np.float64]
-
-DOUBT = 3.0  # nats: odds below 20 to 1
-# in a comb without ends that leaps by pitches: what staying and edges alone can bring, and a little
-LEAP_DOUBT = STAY_COST + 2 * CROSSING_COST + 1.0
-GLIMPSE_REACH = 0.3  # of the pitch: a faint ridge this near to where a missing sheet must be is that sheet
-GLIMPSE_CONTRAST = 0.2  # of the sheet's usual contrast
-TEAR = 0.6  # of the pitch: neighbours' displacements differ by less, even in a slip
-LEAST_SEEN = 0.5  # of the sheets: below this a frame does not tell where a missing one must be
-MERGED = 0.8  # of the ridge width: two sheets this near to each other are one ridge
+from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median
+from vision.sheets.identities import Identities, fill_rows
+from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
+from vision.sheets.settings import DEFAULT, TrackingSettings
 
 
 @dataclass(frozen=True)
-class Sightings:
-    """start_px: whole pixel of the ridge, NaN where flag is not "ok"; contrast, grey levels; fwhm_px; flag:
-    "ok",
-    "missing", "merged", "edge" or "doubtful". All (frame, N).
+class Detections:
+    """One ridge per sheet and frame, all (frame, N).
+
+    Parameters
+    ----------
+    start_px
+        Whole pixel of the ridge, NaN where flag is not "ok".
+    contrast, fwhm_px
+        Its prominence, grey levels, and width.
+    flag
+        "ok", "missing", "merged", "edge" or "doubtful".
     """
 
-    start_px: Doubles
-    contrast: Doubles
-    fwhm_px: Doubles
-    flag: NDArray[np.str_]
+    start_px: Floats
+    contrast: Floats
+    fwhm_px: Floats
+    flag: Strings
 
 
-def sightings(profile: NDArray[np.float32], ridges: Ridges, links: Links, comb: Comb) -> Sightings:
-    """Candidates paired with sheets, and for sheets that went missing a second, closer look.
+def assign_detections(
+    profile: Floats32,
+    ridges: Ridges,
+    identities: Identities,
+    comb: RidgeComb,
+    *,
+    settings: TrackingSettings = DEFAULT,
+) -> Detections:
+    """One ridge for each sheet in each frame, or the reason why there is none.
 
     Where a missing sheet must be follows from its neighbours' displacement in the same frame. A ridge there
-    that was too faint for the first search is taken if it reaches a fifth of the sheet's usual contrast.
-    Positions whose identity is not certain (margin below 3 nats, displaced unlike the other sheets, or in a
-    comb without ends that leapt by pitches) are flagged "doubtful" and not given.
+    that was too faint for the first search is taken if it reaches a fraction of the sheet's usual contrast.
+    Positions whose identity is not certain (small margin, displaced unlike the other sheets, or in a comb
+    without ends that jumped by pitches) are flagged "doubtful" and not given.
+
+    Parameters
+    ----------
+    profile
+        Grey levels (frame, x).
+    ridges
+        Candidates of every frame.
+    identities
+        Candidates paired with sheets.
+    comb
+        Width, pitch and contrast of the ridges.
+    settings
+        Thresholds.
+
+    Returns
+    -------
+    Detections
     """
-    doubtful = (links.match >= 0) & ~(links.margin >= DOUBT)
-    found = np.where(links.match >= 0, _paired(ridges.x_px, links), np.nan)
-    doubtful |= _torn(found - links.rest_px, comb)
-    doubtful |= _leapt(found, links, comb, profile.shape[1])
-    sure = (links.match >= 0) & ~doubtful
-    table = [_paired(values, links) for values in (ridges.x_px, ridges.contrast, ridges.fwhm_px)]
-    start, contrast, fwhm = (np.where(sure, values, np.nan) for values in table)
-    expected = _expected(start, links.rest_px)
-    rows, sheet, values = _glimpses(profile, start, contrast, expected, doubtful, comb)
+    paired = identities.match >= 0
+    table = [
+        _of_sheets(values, identities.match) for values in (ridges.x_px, ridges.contrast, ridges.fwhm_px)
+    ]
+    found = np.where(paired, table[0], np.nan)
+    doubtful = paired & ~(identities.margin >= settings.doubt)
+    doubtful |= _outliers(found - identities.rest_px, comb, settings)
+    doubtful |= _after_jumps(found, identities, comb, profile.shape[1], settings)
+    start, contrast, fwhm = (np.where(paired & ~doubtful, values, np.nan) for values in table)
+    expected = _expected(start, identities.rest_px)
+    rows, sheet, values = _faint_ridges(profile, start, contrast, expected, doubtful, comb, settings)
     start[rows, sheet], contrast[rows, sheet], fwhm[rows, sheet] = values
     flag = np.where(np.isfinite(start), "ok", "missing").astype("<U8")
-    flag[_merged(start, expected, comb)] = "merged"
+    flag[_merged(start, expected, comb, settings)] = "merged"
     half = comb.fwhm_px / 2
     outside = (expected < half) | (expected > profile.shape[1] - 1 - half)
     flag[(flag != "ok") & outside] = "edge"
     flag[doubtful] = "doubtful"
-    seen = flag == "ok"
-    start, contrast, fwhm = (np.where(seen, values, np.nan) for values in (start, contrast, fwhm))
-    return Sightings(start, contrast, fwhm, flag)
+    ok = flag == "ok"
+    start, contrast, fwhm = (np.where(ok, values, np.nan) for values in (start, contrast, fwhm))
+    return Detections(start, contrast, fwhm, flag)
 
 
-def _torn(moved: Doubles, comb: Comb) -> NDArray[np.bool_]:
-    """Sheets on the smaller side of a tear: neighbours displaced from their resting places by very different
-    amounts, in one frame.
+def _of_sheets(values: Floats32, match: Ints) -> Floats:
+    """Values of the paired candidates; arbitrary where there is none."""
+    return np.take_along_axis(values.astype(np.float64), np.maximum(match, 0), axis=1)
 
-    A slip moves neighbours alike, however far; what does not is a wrong identity, or as good as one.
-    Tears cut the sheets of a frame into groups, and all but the largest group are doubtful.
+
+# --- doubt --------------------------------------------------------------------------------------------------
+
+
+def _outliers(moved: Floats, comb: RidgeComb, settings: TrackingSettings) -> Bools:
+    """Sheets displaced from rest very differently from their neighbours in the same frame.
+
+    A slip moves neighbours alike, however far; where neighbours differ by more than `tear_fraction` pitches,
+    one of the identities is wrong. Such tears cut the sheets of a frame into groups, and all but the largest
+    group are doubtful.
     """
     frames, sheets = moved.shape
     seen = np.isfinite(moved)
     before = np.hstack([np.full((frames, 1), np.nan), _last_seen(moved)[:, :-1]])
-    group = np.cumsum(np.abs(moved - before) > TEAR * comb.pitch_px, axis=1)
+    group = np.cumsum(np.abs(moved - before) > settings.tear_fraction * comb.pitch_px, axis=1)
     key = (group + sheets * np.arange(frames)[:, None])[seen]
     size = np.bincount(key, minlength=frames * sheets).reshape(frames, sheets)
     own = np.take_along_axis(size, group, axis=1)
     return np.asarray(seen & (own < size.max(axis=1, keepdims=True)), bool)
 
 
-def _leapt(x: Doubles, links: Links, comb: Comb, width_px: int) -> NDArray[np.bool_]:
+def _after_jumps(
+    x: Floats, identities: Identities, comb: RidgeComb, width_px: int, settings: TrackingSettings
+) -> Bools:
     """Frames in which a comb that fills the picture stands whole pitches from where it mostly does.
 
-    With neither end in view, only brightness tells such a leap from none: what rests on less is doubtful.
+    With neither end in view, only brightness distinguishes such a jump from none: a margin that the costs of
+    staying in place and of sheets crossing the edges can bring by themselves is not enough.
     """
     seen = np.flatnonzero(np.isfinite(x).any(axis=1))
     step = np.nan_to_num(nan_median(np.diff(x[seen], axis=0), axis=1)) / comb.pitch_px
-    leap = np.where(np.abs(step) > TEAR, np.rint(step), 0).astype(np.int64)
+    jump = np.where(np.abs(step) > settings.tear_fraction, np.rint(step), 0).astype(np.int64)
     place = np.zeros(len(x), np.int64)
-    place[seen[1:]] = np.cumsum(leap)
+    place[seen[1:]] = np.cumsum(jump)
     values, counts = np.unique(place[seen], return_counts=True)
     usual = values[np.argmax(counts)] if len(values) else 0
-    reach = EDGE_REACH * comb.pitch_px
-    filled = (links.rest_px[:, 0] < reach) & (links.rest_px[:, -1] > width_px - 1 - reach)
-    return np.asarray((filled & (place != usual))[:, None] & (links.margin < LEAP_DOUBT), bool)
+    reach = settings.edge_pitches * comb.pitch_px
+    rest = identities.rest_px
+    filled = (rest[:, 0] < reach) & (rest[:, -1] > width_px - 1 - reach)
+    least = settings.stay_cost + 2 * settings.crossing_cost + 1.0
+    return np.asarray((filled & (place != usual))[:, None] & (identities.margin < least), bool)
 
 
-def _last_seen(values: Doubles) -> Doubles:
+def _last_seen(values: Floats) -> Floats:
     """NaN replaced by the last value before it in the row."""
     number = np.where(np.isfinite(values), np.arange(values.shape[1]), 0)
     return np.asarray(np.take_along_axis(values, np.maximum.accumulate(number, axis=1), axis=1), np.float64)
 
 
-def _paired(values: NDArray[np.float32], links: Links) -> Doubles:
-    return np.take_along_axis(values.astype(np.float64), np.maximum(links.match, 0), axis=1)
+# --- a second look ------------------------------------------------------------------------------------------
 
 
-def _expected(start: Doubles, rest: Doubles) -> Doubles:
-    """Where each sheet must be in each frame: its resting place moved as its neighbours are; NaN with few in
-    view."""
+def _expected(start: Floats, rest: Floats) -> Floats:
+    """Where each sheet must be in each frame: its rest position moved as its neighbours are; NaN with fewer
+    than half of the sheets detected."""
     moved = fill_rows(start - rest, np.median(rest, axis=0))
-    enough = np.isfinite(start).mean(axis=1) >= LEAST_SEEN
+    enough = np.isfinite(start).mean(axis=1) >= 0.5
     return np.where(enough[:, None], rest + moved, np.nan)
 
 
-def _glimpses(
-    profile: NDArray[np.float32],
-    start: Doubles,
-    contrast: Doubles,
-    expected: Doubles,
-    doubtful: NDArray[np.bool_],
-    comb: Comb,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], tuple[Doubles, ...]]:
+def _faint_ridges(
+    profile: Floats32,
+    start: Floats,
+    contrast: Floats,
+    expected: Floats,
+    doubtful: Bools,
+    comb: RidgeComb,
+    settings: TrackingSettings,
+) -> tuple[Ints, Ints, tuple[Floats, ...]]:
     """Faint ridges where missing sheets must be: frame, sheet, and (x, contrast, width) of each."""
     wanted = np.isnan(start) & np.isfinite(expected) & ~doubtful
     rows = np.flatnonzero(wanted.any(axis=1))
     if not len(rows):
         nothing = np.zeros(0, np.int64)
         return nothing, nothing, (np.zeros(0),) * 3
-    faint = find_ridges(profile[rows], replace(comb, contrast=0.0))
+    faint = find_ridges(profile[rows], replace(comb, contrast=0.0), settings=settings)
     row, sheet = np.nonzero(wanted[rows])
     frame = rows[row]
     distance = np.abs(faint.x_px[row] - expected[frame, sheet][:, None])
@@ -141,15 +178,15 @@ def _glimpses(
     best = np.argmin(distance, axis=1)
     x, height, width = (v[row, best].astype(np.float64) for v in (faint.x_px, faint.contrast, faint.fwhm_px))
     usual = np.nan_to_num(nan_median(contrast, axis=0))[sheet]
-    near = np.take_along_axis(distance, best[:, None], axis=1)[:, 0] <= GLIMPSE_REACH * comb.pitch_px
+    near = np.take_along_axis(distance, best[:, None], axis=1)[:, 0] <= settings.faint_reach * comb.pitch_px
     own = np.nan_to_num(np.abs(start[frame] - x[:, None]), nan=np.inf).min(axis=1, initial=np.inf)
-    keep = near & (height >= GLIMPSE_CONTRAST * usual) & (own > 0.5 * comb.fwhm_px)
-    keep &= _first_of_each(frame, x, keep)
+    keep = near & (height >= settings.faint_contrast * usual) & (own > 0.5 * comb.fwhm_px)
+    keep &= _unshared(frame, x, keep)
     return frame[keep], sheet[keep], (x[keep], height[keep], width[keep])
 
 
-def _first_of_each(frame: NDArray[np.int64], x: Doubles, keep: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """No ridge is given to two sheets: True for the entries whose (frame, x) no kept entry has in common."""
+def _unshared(frame: Ints, x: Floats, keep: Bools) -> Bools:
+    """False for kept entries whose (frame, x) another kept entry has too: no ridge is given to two sheets."""
     _, which, counts = np.unique(
         np.stack([frame[keep], x[keep]]), axis=1, return_inverse=True, return_counts=True
     )
@@ -158,11 +195,11 @@ def _first_of_each(frame: NDArray[np.int64], x: Doubles, keep: NDArray[np.bool_]
     return alone
 
 
-def _merged(start: Doubles, expected: Doubles, comb: Comb) -> NDArray[np.bool_]:
-    """Missing sheets that must be within a ridge's width of a neighbour that is seen, and those
+def _merged(start: Floats, expected: Floats, comb: RidgeComb, settings: TrackingSettings) -> Bools:
+    """Missing sheets that must be within a ridge's width of a neighbour that is detected, and those
     neighbours."""
     gone = np.isnan(start) & np.isfinite(expected)
-    close = np.abs(np.diff(np.where(gone, expected, start), axis=1)) < MERGED * comb.fwhm_px
-    pair = close & (gone[:, 1:] ^ gone[:, :-1])
+    apart = np.abs(np.diff(np.where(gone, expected, start), axis=1))
+    pair = (apart < settings.merged_widths * comb.fwhm_px) & (gone[:, 1:] ^ gone[:, :-1])
     none = np.zeros((len(start), 1), bool)
     return np.asarray(np.hstack([pair, none]) | np.hstack([none, pair]), bool)

@@ -1,42 +1,49 @@
-"""Which of all candidates are the sheets: the comb that the whole recording agrees on."""
+"""Which of all candidates are sheets: the reference comb that most of the recording agrees on.
+
+`build_reference` collects the ridges that persist and chooses those that together make a comb: dust, labels
+and marks are dropped. `static_ridges` finds marks that stand still while the sheets beside them move, and
+`wide_spacings` the places where a sheet may have been overlooked.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from vision.errors import InputError
-from vision.sheets.alignment import MISSING_COST, Candidates, Reference, align
-from vision.sheets.choice import choose_sheets, sheet_worth
-from vision.sheets.comb import Comb
-from vision.sheets.medians import nan_median
-from vision.sheets.segments import Segments
+from vision.numeric import Bools, Floats, Ints, nan_median
+from vision.sheets.alignment import Candidates, ExpectedSheets, align
+from vision.sheets.ridges import RidgeComb
+from vision.sheets.settings import DEFAULT, TrackingSettings
 
-Doubles = NDArray[np.float64]
-Ints = NDArray[np.int64]
+REVISIONS = 4  # of the reference comb, at most; it usually settles after two
+LISTS_USED = 384  # candidate lists: the longest, and others spread over the recording
 
-ROUNDS = 4
-SEGMENTS_ASKED = 384  # the longest, and others spread over the recording
-PRESENT_INSIDE = 0.3  # share of the frames in which a candidate between sheets must be there to be a sheet
-PRESENT_AT_EDGE = 0.04  # and one that may have come in or gone out at the edge of the comb
-LEAST_COMB = 9  # ridges that make a comb to lie outside of
-FAR_OUTSIDE = 2.6  # median spacings
+PRESENT_AT_EDGE = 0.04  # fraction of the frames for a sheet that may have come in or gone out at an edge
 
 
 @dataclass(frozen=True)
-class Model:
-    """The comb of sheets: resting positions, logarithms of contrast and width, share of frames found, all
-    (N,).
+class ReferenceComb:
+    """The sheets, from left to right; all (N,).
 
-    dropped: how many ridges were taken out of it.
+    Parameters
+    ----------
+    x_px
+        Rest positions.
+    log_contrast, log_width
+        Logarithms of contrast and width.
+    found
+        Fraction of the frames in which each is found.
+    dropped
+        How many persistent ridges were taken out.
     """
 
-    x_px: Doubles
-    log_contrast: Doubles
-    log_width: Doubles
-    found: Doubles
+    x_px: Floats
+    log_contrast: Floats
+    log_width: Floats
+    found: Floats
     dropped: int = 0
 
     @property
@@ -44,155 +51,353 @@ class Model:
         """Number of sheets."""
         return len(self.x_px)
 
-    def only(self, kept: Ints) -> Model:
+    def only(self, kept: Ints) -> ReferenceComb:
         """The comb of these entries."""
         fewer = self.dropped + self.sheets - len(kept)
-        return Model(
+        return ReferenceComb(
             self.x_px[kept], self.log_contrast[kept], self.log_width[kept], self.found[kept], dropped=fewer
         )
 
-    def reference(self, x_px: Doubles, comb: Comb, width_px: int, *, open_ended: bool = True) -> Reference:
-        """This comb expected at x_px (lists, N)."""
-        seldom = np.clip(-np.log(np.clip(1 - self.found, 1e-3, 1)), 1.0, MISSING_COST)
+    def expected(
+        self,
+        x_px: Floats,
+        comb: RidgeComb,
+        width_px: int,
+        *,
+        open_ended: bool = True,
+        settings: TrackingSettings = DEFAULT,
+    ) -> ExpectedSheets:
+        """This comb with its sheets expected at x_px (lists, N)."""
+        unseen = -np.log(np.clip(1 - self.found, 1e-3, 1))
+        missing = np.clip(unseen, 1.0, settings.missing_cost)
         half = comb.fwhm_px / 2
-        inside = (half, width_px - 1 - half)
-        return Reference(x_px, self.log_contrast, seldom, comb.pitch_px, inside, open_ended)
+        view = (half, width_px - 1 - half)
+        return ExpectedSheets(x_px, self.log_contrast, missing, comb.pitch_px, view, open_ended, settings)
 
 
-def build_model(segments: Segments, comb: Comb, *, width_px: int, sheets: int | None, source: str) -> Model:
-    """The comb that most frames agree on, from the longest undisturbed segment outwards.
+def build_reference(
+    candidates: Candidates,
+    frames: Ints,
+    comb: RidgeComb,
+    *,
+    width_px: int,
+    sheets: int | None,
+    source: str,
+    settings: TrackingSettings = DEFAULT,
+) -> ReferenceComb:
+    """The comb that most frames agree on.
 
-    All candidates of a seed segment are taken for sheets; segments from the whole recording are aligned
-    with it; candidates that many frames show and the comb lacks are added, and those that few show are
-    dropped; then what is too near to a brighter neighbour for the spacing of the comb, or lies far
-    outside it, is dropped as dust. With `sheets` given, the most convincing such comb of that many.
+    All candidates of one long list are taken for sheets; lists from the whole recording are aligned with
+    them; candidates that many frames show and the comb lacks are added, and those that few show are
+    dropped. Then what is too near to a brighter neighbour for the spacing of the comb, or lies far outside
+    it, is dropped as dust.
 
-    Raises: InputError where there is no candidate at all, or fewer ridges than `sheets`, not counting specks
-    far outside the comb.
+    Parameters
+    ----------
+    candidates
+        Lists of candidates, one for each undisturbed run of frames.
+    frames
+        Number of frames each list stands for, (lists,).
+    comb
+        Width, pitch and contrast of the ridges.
+    width_px
+        Width of the profile.
+    sheets
+        Their number where known: the best comb of exactly that many is chosen.
+    source
+        What a message calls the recording.
+    settings
+        Costs and thresholds.
+
+    Returns
+    -------
+    ReferenceComb
+
+    Raises
+    ------
+    InputError
+        Where there is no candidate at all, or fewer ridges than `sheets`, not counting specks far outside the
+        comb.
     """
-    chosen = _representative(segments)
-    candidates, weight = segments.candidates.take(chosen), segments.length[chosen].astype(np.float64)
-    if not np.isfinite(candidates.x_px).any():
-        raise InputError(
-            source, "upright ridges", "none in any frame", "check --strip, --rotate and --ridges"
-        )
-    model = _seed(segments)
-    for _ in range(ROUNDS):
-        grown = _revise(model, candidates, weight, comb, width_px)
-        settled = grown.sheets == model.sheets
-        model = grown
+    chosen = _representative(frames)
+    some, weight = candidates.take(chosen), frames[chosen].astype(np.float64)
+    if not np.isfinite(some.x_px).any():
+        raise InputError(source, "upright ridges", "none in any frame", "check `rows`, `rotate` and `ridges`")
+    reference = _seed(candidates, frames)
+    for _ in range(REVISIONS):
+        revised = _revise(reference, some, weight, comb, width_px, settings)
+        settled = revised.sheets == reference.sheets
+        reference = revised
         if settled:
             break
-    if sheets is not None and model.sheets < sheets:
+    if sheets is not None and reference.sheets < sheets:
         raise InputError(
-            source, f"{sheets} ridges (--sheets)", f"{model.sheets}", "give the number that is in view"
+            source, f"{sheets} ridges (`sheets`)", f"{reference.sheets}", "give the number that is in view"
         )
-    worth = sheet_worth(model.log_contrast, model.log_width, model.found)
-    best = model.only(choose_sheets(model.x_px, worth, comb.pitch_px, sheets))
+    score = _sheet_score(reference, settings)
+    best = reference.only(_choose_sheets(reference.x_px, score, comb.pitch_px, sheets, settings))
     if sheets is not None:
-        _check_ends(best.x_px, sheets, source)
+        _check_ends(best.x_px, sheets, source, settings)
     return best
 
 
-def _check_ends(x_px: Doubles, sheets: int, source: str) -> None:
-    """A number of ridges that only specks far outside the comb make up is not believed."""
-    if len(x_px) < LEAST_COMB:
+def _check_ends(x_px: Floats, sheets: int, source: str, settings: TrackingSettings) -> None:
+    """Refuse a number of ridges that is reached only with specks far outside a comb of nine or more."""
+    if len(x_px) < 9:
         return
     spacing = np.diff(x_px)
-    far = int((spacing[[0, -1]] > FAR_OUTSIDE * np.median(spacing)).sum())
+    far = int((spacing[[0, -1]] > settings.far_outside * np.median(spacing)).sum())
     if far:
         raise InputError(
             source,
-            f"{sheets} ridges (--sheets)",
+            f"{sheets} ridges (`sheets`)",
             f"{sheets - far} and {far} far outside their comb",
-            "give the number that is in view, or leave --sheets out",
+            "give the number that is in view, or leave `sheets` out",
         )
 
 
-def _representative(segments: Segments) -> Ints:
-    order = np.argsort(-segments.length, kind="stable")
-    spread = np.linspace(0, len(order) - 1, SEGMENTS_ASKED // 2).astype(int)
-    return np.asarray(np.unique(np.r_[order[: SEGMENTS_ASKED // 2], spread]), np.int64)
+def _representative(frames: Ints) -> Ints:
+    order = np.argsort(-frames, kind="stable")
+    spread = np.linspace(0, len(order) - 1, LISTS_USED // 2).astype(int)
+    return np.asarray(np.unique(np.r_[order[: LISTS_USED // 2], spread]), np.int64)
 
 
-def _seed(segments: Segments) -> Model:
-    """The longest segment of the commonest count (counted in frames)."""
-    x = segments.candidates.x_px
+def _seed(candidates: Candidates, frames: Ints) -> ReferenceComb:
+    """The longest list of the commonest number of candidates (counted in frames)."""
+    x = candidates.x_px
     count = np.isfinite(x).sum(axis=1)
-    frames = np.bincount(count, weights=segments.length)
-    frames[0] = 0
-    of_count = np.flatnonzero(count == np.argmax(frames))
-    seed = of_count[np.argmax(segments.length[of_count])]
+    total = np.bincount(count, weights=frames)
+    total[0] = 0
+    of_count = np.flatnonzero(count == np.argmax(total))
+    seed = of_count[np.argmax(frames[of_count])]
     real = np.isfinite(x[seed])
-    own = segments.candidates
-    return Model(x[seed][real], own.log_contrast[seed][real], own.log_width[seed][real], np.ones(real.sum()))
+    return ReferenceComb(
+        x[seed][real],
+        candidates.log_contrast[seed][real],
+        candidates.log_width[seed][real],
+        np.ones(real.sum()),
+    )
 
 
-def _revise(model: Model, candidates: Candidates, weight: Doubles, comb: Comb, width_px: int) -> Model:
-    """Add what many segments show and the comb lacks, drop what few show; positions and contrasts anew."""
-    rest = np.broadcast_to(model.x_px, (len(weight), model.sheets))
-    match = align(candidates, model.reference(rest, comb, width_px)).match
+def _revise(
+    reference: ReferenceComb,
+    candidates: Candidates,
+    weight: Floats,
+    comb: RidgeComb,
+    width_px: int,
+    settings: TrackingSettings,
+) -> ReferenceComb:
+    """Add what many lists show and the comb lacks, drop what few show; positions and contrasts anew."""
+    rest = np.broadcast_to(reference.x_px, (len(weight), reference.sheets))
+    match = align(candidates, reference.expected(rest, comb, width_px, settings=settings)).match
     tables = (candidates.x_px, candidates.log_contrast, candidates.log_width)
     x, log_contrast, log_width = (_of_match(values, match) for values in tables)
-    moved = x - model.x_px
+    moved = x - reference.x_px
     found = np.where(np.isfinite(x), weight[:, None], 0).sum(axis=0) / weight.sum()
-    rest_px = model.x_px + nan_median(moved - nan_median(moved, axis=1)[:, None])
+    rest_px = reference.x_px + nan_median(moved - nan_median(moved, axis=1)[:, None])
     known = (rest_px, nan_median(log_contrast), nan_median(log_width), found)
-    x_px, contrast, width, share = (
-        np.concatenate(column)
-        for column in zip(known, _strangers(model, candidates, match, weight), strict=True)
-    )
-    everything = Model(x_px, contrast, width, share)
+    more = _unmatched(reference, candidates, match, weight, settings)
+    columns = [np.concatenate(pair) for pair in zip(known, more, strict=True)]
+    everything = ReferenceComb(columns[0], columns[1], columns[2], columns[3])
     everything = everything.only(np.argsort(everything.x_px))
-    share = everything.found
-    keep = share >= np.where(_at_ends(share), PRESENT_AT_EDGE, PRESENT_INSIDE)
-    return replace(everything.only(np.flatnonzero(keep)), dropped=0)
+    found = everything.found
+    least = np.where(_at_ends(found), PRESENT_AT_EDGE, settings.present_inside)
+    return replace(everything.only(np.flatnonzero(found >= least)), dropped=0)
 
 
-def _at_ends(share: Doubles) -> NDArray[np.bool_]:
-    """Entries outside all those that are surely sheets."""
-    sure = np.flatnonzero(share >= 0.5)
-    number = np.arange(len(share))
-    return (number < sure[0]) | (number > sure[-1]) if len(sure) else np.zeros(len(share), bool)
+def _at_ends(found: Floats) -> Bools:
+    """Entries outside all those that are certainly sheets."""
+    certain = np.flatnonzero(found >= 0.5)
+    number = np.arange(len(found))
+    if not len(certain):
+        return np.zeros(len(found), bool)
+    return np.asarray((number < certain[0]) | (number > certain[-1]), bool)
 
 
-def _strangers(
-    model: Model, candidates: Candidates, match: Ints, weight: Doubles
-) -> tuple[Doubles, Doubles, Doubles, Doubles]:
-    """Unpaired candidates by the place they have between the sheets: position, log contrast, log width,
-    share.
-
-    Place is the number of the next sheet to the left plus the fraction of the spacing; one stranger per
-    interval and round is taken in, the one that most frames show.
-    """
+def _unmatched(
+    reference: ReferenceComb, candidates: Candidates, match: Ints, weight: Floats, settings: TrackingSettings
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Unpaired candidates that persist between the sheets: rest position, log contrast, log width, fraction
+    of the frames; one per spacing and revision, the one that most frames show."""
     x = candidates.x_px
     taken = np.zeros(x.shape, bool)
     rows, sheet = np.nonzero(match >= 0)
     taken[rows, match[rows, sheet]] = True
     list_, column = np.nonzero(np.isfinite(x) & ~taken)
-    expected = _place(x[list_, column], _of_match(x, match)[list_], model.x_px)
-    interval = np.searchsorted(model.x_px, expected)
-    share = np.bincount(interval, weights=weight[list_], minlength=model.sheets + 1) / weight.sum()
-    many = np.flatnonzero(share >= PRESENT_AT_EDGE)
-    mine = [interval == i for i in many]
-    position = np.array([np.median(expected[m]) for m in mine])
+    rest = _at_rest(x[list_, column], _of_match(x, match)[list_], reference.x_px)
+    interval = np.searchsorted(reference.x_px, rest)
+    share = np.bincount(interval, weights=weight[list_], minlength=reference.sheets + 1) / weight.sum()
+    mine = [interval == i for i in np.flatnonzero(share >= PRESENT_AT_EDGE)]
+    position = np.array([np.median(rest[m]) for m in mine])
     contrast, width = (
         np.array([np.median(values[list_[m], column[m]]) for m in mine])
         for values in (candidates.log_contrast, candidates.log_width)
     )
-    lists = np.array([weight[np.unique(list_[m])].sum() for m in mine]) / weight.sum()
-    return position, contrast, width, lists
+    found = np.array([weight[np.unique(list_[m])].sum() for m in mine]) / weight.sum()
+    return position, contrast, width, found
 
 
-def _place(x: Doubles, sheet_x: Doubles, rest: Doubles) -> Doubles:
-    """Positions x carried back to the rest frame with the displacement of the nearest sheet found,
-    (points,)."""
+def _at_rest(x: Floats, sheet_x: Floats, rest_px: Floats) -> Floats:
+    """Positions x less the displacement of the nearest sheet found, (points,)."""
     distance = np.where(np.isfinite(sheet_x), np.abs(sheet_x - x[:, None]), np.inf)
     nearest = np.argmin(distance, axis=1)
-    shift = (sheet_x - rest)[np.arange(len(x)), nearest]
+    shift = (sheet_x - rest_px)[np.arange(len(x)), nearest]
     return np.asarray(x - np.nan_to_num(shift), np.float64)
 
 
-def _of_match(values: Doubles, match: Ints) -> Doubles:
+def _of_match(values: Floats, match: Ints) -> Floats:
     """Values of the candidates paired with each sheet, NaN where missing, (lists, N)."""
     return np.where(match >= 0, np.take_along_axis(values, np.maximum(match, 0), axis=1), np.nan)
+
+
+# --- which persistent ridges make a comb --------------------------------------------------------------------
+
+
+def _sheet_score(reference: ReferenceComb, settings: TrackingSettings) -> Floats:
+    """How likely each entry is a sheet, (entries,): by presence, contrast, and a width like the others'."""
+    width, contrast = reference.log_width, reference.log_contrast
+    odd = np.maximum(np.abs(width - np.median(width)) - 0.35, 0)
+    faint = np.maximum(contrast - np.median(contrast), -2.5)
+    score = 1 + 1.5 * reference.found + settings.contrast_score * faint - settings.odd_width_cost * odd
+    return np.asarray(np.maximum(score, 0.3), np.float64)
+
+
+def _choose_sheets(
+    x_px: Floats, score: Floats, pitch_px: float, sheets: int | None, settings: TrackingSettings
+) -> Ints:
+    """Numbers of the entries that together make the best comb, of exactly `sheets` where that is given.
+
+    Each entry counts for its score, each spacing against its departure from the local pitch; a dynamic
+    programme over the entries in order finds the best chain. A faint sheet in its place is kept, since
+    without it the spacing is double; dust between two sheets is not.
+    """
+    if sheets is None:
+        local = _local_pitch(x_px, pitch_px)
+        uneven = _uneven_cost(x_px, local, settings) / _unevenness(x_px, local, settings)
+        return _best_chain(score, uneven)
+    # the pitch was measured on that many ridges, so other entries have not spoilt it
+    uneven = _uneven_cost(x_px, np.full(len(x_px), pitch_px), settings)
+    return _best_chain_of(sheets, score, uneven)
+
+
+def _unevenness(x_px: Floats, local: Floats, settings: TrackingSettings) -> float:
+    """Scatter of the spacings relative to an even comb's, at least 1: the larger, the less spacings mean."""
+    if len(x_px) < 6:
+        return 1.0
+    off = np.abs(np.log(np.maximum(np.diff(x_px), 1e-3) / local[:-1]))
+    return max(1.0, float(np.median(off)) / 0.6745 / settings.even_spread)
+
+
+def _uneven_cost(x_px: Floats, local: Floats, settings: TrackingSettings) -> Floats:
+    """Cost of having entry j next after entry i, (i, j); inf where j is not to the right of i."""
+    gap = x_px[None, :] - x_px[:, None]
+    local = (local[None, :] + local[:, None]) / 2
+    off = np.abs(np.log(np.where(gap > 0, gap, 1.0) / local))
+    return np.where(gap > 0, settings.uneven_cost * off, np.inf)
+
+
+def _local_pitch(x_px: Floats, pitch_px: float) -> Floats:
+    """Median spacing of the nine entries around each, within a quarter of the pitch."""
+    if len(x_px) < 6:
+        return np.full(len(x_px), pitch_px)
+    smooth = median_filter(np.diff(x_px), size=9, mode="nearest")
+    return np.asarray(np.clip(np.r_[smooth, smooth[-1]], 0.75 * pitch_px, 1.25 * pitch_px), np.float64)
+
+
+def _best_chain(score: Floats, cost: Floats) -> Ints:
+    best, origin = np.array(score), np.full(len(score), -1)
+    for i in range(1, len(score)):
+        before = best[:i] - cost[:i, i]
+        if before.max() > 0:
+            origin[i] = int(np.argmax(before))
+            best[i] += before.max()
+    chain = [int(np.argmax(best))]
+    while origin[chain[-1]] >= 0:
+        chain.append(int(origin[chain[-1]]))
+    return np.array(chain[::-1], np.int64)
+
+
+def _best_chain_of(sheets: int, score: Floats, cost: Floats) -> Ints:
+    best, origin = score, []
+    for _ in range(sheets - 1):
+        total = best[:, None] - cost
+        origin.append(np.argmax(total, axis=0))
+        best = total.max(axis=0) + score
+    chain = [int(np.argmax(best))]
+    for step in reversed(origin):
+        chain.append(int(step[chain[-1]]))
+    return np.array(chain[::-1], np.int64)
+
+
+# --- marks and gaps -----------------------------------------------------------------------------------------
+
+
+def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettings = DEFAULT) -> Bools:
+    """Which entries stand still while the sheets beside them move: dust on the lens or the sensor, marks.
+
+    A sheet moves at least as much as its neighbours on one of its sides: motion grows outwards. So each entry
+    is compared with the smaller of the motions to its left and to its right (each the mean of two
+    neighbours), as far as these go the same way, where that motion is large enough. The centre of the comb
+    hardly moves, so nothing is decided there; at its ends only where their spacing is not the comb's.
+
+    Parameters
+    ----------
+    moved_px
+        Displacement from the rest position (frame, N), NaN where missing.
+    rest_px
+        Rest positions (N,).
+    settings
+        Thresholds.
+
+    Returns
+    -------
+    True for static entries, (N,).
+    """
+    left, right = _beside(moved_px), _beside(moved_px[:, ::-1])[:, ::-1]
+    gap = np.diff(rest_px)
+    odd = np.abs(np.log(gap / np.median(gap))) > 0.25 if len(gap) > 1 else np.zeros(2, bool)
+    if odd[0]:
+        left[:, 0] = right[:, 0]
+    if odd[-1]:
+        right[:, -1] = left[:, -1]
+    common = np.where(left * right > 0, np.minimum(np.abs(left), np.abs(right)), 0.0)
+    both = np.isfinite(left) & np.isfinite(right) & np.isfinite(moved_px)
+    power = np.where(both, common**2, 0.0).sum(axis=0)
+    own = np.where(both, np.nan_to_num(moved_px) ** 2, 0.0).sum(axis=0)
+    frames = both.sum(axis=0)
+    certain = (frames >= 50) & (power > frames * settings.moving_px**2)
+    return np.asarray(certain & (own < settings.static_fraction**2 * power), bool)
+
+
+def _beside(moved_px: Floats) -> Floats:
+    """Mean motion of the two entries before each in its row, NaN where neither is seen."""
+    padded = np.pad(moved_px, ((0, 0), (2, 0)), constant_values=np.nan)
+    pair = np.stack([padded[:, :-2], padded[:, 1:-1]])
+    count = np.isfinite(pair).sum(axis=0)
+    return np.asarray(np.where(count, np.nan_to_num(pair).sum(axis=0) / np.maximum(count, 1), np.nan))
+
+
+def wide_spacings(x_px: Floats, *, settings: TrackingSettings = DEFAULT) -> tuple[Floats, Floats]:
+    """Spacings in which a sheet seems to be missing.
+
+    Parameters
+    ----------
+    x_px
+        Rest positions of the sheets, ascending (N,).
+    settings
+        Width from which a spacing is too wide.
+
+    Returns
+    -------
+    middle_px, size
+        Middles of these spacings, and their sizes in local pitches (the median of the nine spacings around).
+        None for fewer than nine sheets, since there is no comb to compare with.
+    """
+    spacing = np.diff(x_px)
+    if spacing.size < 8:
+        return np.empty(0), np.empty(0)
+    size = spacing / median_filter(spacing, size=9, mode="nearest")
+    log = np.log(size)
+    scatter = float(np.median(np.abs(log - np.median(log)))) / 0.6745
+    wide = log > max(np.log(settings.wide_pitches), 3.0 * scatter)  # an uneven comb has wide spacings anyway
+    return (x_px[:-1] + 0.5 * spacing)[wide], size[wide]

@@ -1,96 +1,312 @@
-"""Where the ridges are: local extrema of I(x) that stand out from their surroundings."""
+"""What the ridges look like, and where in each frame something like a ridge stands.
+
+`describe_ridges` measures polarity, width, pitch and contrast once per recording; `find_ridges` then lists
+the candidates of every frame. Which candidate is which sheet is decided later, from all frames together.
+"""
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import find_peaks
 
-from vision.sheets.comb import FWHM, Comb, smoothed
+from vision.errors import InputError
+from vision.numeric import Bools, Floats, Floats32, Ints
+from vision.sheets.settings import DEFAULT, TrackingSettings
 
-Floats = NDArray[np.float32]
+Polarity = Literal["bright", "dark"]
 
+FWHM = 2.3548  # of a Gaussian, in standard deviations
+SAMPLE_FRAMES = 48
 FRAMES_PER_BLOCK = 256
-NARROWEST_SHARE = 0.25  # of the typical width: narrower is a hot pixel; half-merged ridges look narrow, too
-WIDEST_SHARE = 2.5  # wider is the background between ridges
+
+
+@dataclass(frozen=True)
+class RidgeComb:
+    """Facts about the ridges, measured once per recording.
+
+    Parameters
+    ----------
+    polarity
+        Bright or dark ridges.
+    fwhm_px, pitch_px
+        Typical width and spacing.
+    contrast
+        Typical prominence, grey levels.
+    noise
+        Standard deviation of the profile's noise, grey levels.
+    count
+        Main ridges in a frame.
+    ends_px
+        Distance from the outermost main ridge to the picture's edge, the smaller of the two sides.
+    """
+
+    polarity: Polarity
+    fwhm_px: float
+    pitch_px: float
+    contrast: float
+    noise: float
+    count: float
+    ends_px: float
+
+    @property
+    def sign(self) -> int:
+        """+1 for bright ridges, −1 for dark ones."""
+        return 1 if self.polarity == "bright" else -1
 
 
 @dataclass(frozen=True)
 class Ridges:
-    """Candidate ridges of every frame, left to right, padded with NaN to the largest count K.
+    """Candidates of every frame, left to right, padded with NaN to the largest count K; all (frame, K).
 
-    x_px: whole-pixel position (frame, K), NaN where there is no further ridge.  contrast: prominence,
-    grey levels (frame, K).  fwhm_px: width at half prominence, smoothing taken off (frame, K).
+    Parameters
+    ----------
+    x_px
+        Position, whole pixels.
+    contrast
+        Prominence, grey levels.
+    fwhm_px
+        Width at half prominence; the widening by the smoothing is subtracted.
     """
 
-    x_px: Floats
-    contrast: Floats
-    fwhm_px: Floats
+    x_px: Floats32
+    contrast: Floats32
+    fwhm_px: Floats32
 
     @property
-    def count(self) -> NDArray[np.int64]:
-        """Ridges in each frame (frame,)."""
+    def count(self) -> Ints:
+        """Candidates in each frame (frame,)."""
         return np.asarray(np.isfinite(self.x_px).sum(axis=1), np.int64)
 
 
-class _Found(NamedTuple):
-    frame: NDArray[np.int64]
-    x: NDArray[np.int64]
-    contrast: NDArray[np.float64]
-    fwhm: NDArray[np.float64]
+# --- what the ridges look like ------------------------------------------------------------------------------
 
 
-def find_ridges(profile: Floats, comb: Comb) -> Ridges:
+def describe_ridges(
+    profile: Floats32,
+    *,
+    polarity: Literal["bright", "dark", "auto"] = "auto",
+    sheets: int | None = None,
+    source: str = "the strip",
+    settings: TrackingSettings = DEFAULT,
+) -> RidgeComb:
+    """Polarity, width, pitch and contrast of the ridges.
+
+    Local extrema of lightly smoothed profiles are ranked by prominence; the strongest (`sheets` per frame
+    where that number is known) are the main ridges, and their medians describe the comb.
+
+    Parameters
+    ----------
+    profile
+        Grey levels (frame, x), at least one frame without NaN.
+    polarity
+        "auto" takes the polarity with more ridges where both ends of the comb are in view, else that of the
+        narrower stripes.
+    sheets
+        Number of ridges in view, if known.
+    source
+        What a message calls the recording.
+    settings
+        Thresholds.
+
+    Returns
+    -------
+    RidgeComb
+
+    Raises
+    ------
+    InputError
+        Where no structure rises above the noise.
+    """
+    sample = _sample(profile)
+    noise = profile_noise(sample)
+    names: tuple[Polarity, ...] = ("bright", "dark") if polarity == "auto" else (polarity,)
+    measured = (_measure(sample, name, noise, sheets, settings) for name in names)
+    found = [comb for comb in measured if comb is not None]
+    if not found:
+        raise InputError(
+            source, "upright ridges", "no ridge above the noise", "check `rows`, `rotate` and `ridges`"
+        )
+    return _likelier(found[0], found[1], settings) if len(found) == 2 else found[0]
+
+
+def profile_noise(profile: Floats32) -> float:
+    """Standard deviation of the pixel noise of profiles (frame, x), grey levels.
+
+    From sixth differences along x, in which a smooth ridge hardly shows: median absolute value over all
+    pixels. 0 for a noise-free profile; too small where compression has smoothed the noise.
+    """
+    kernel = np.array([1, -6, 15, -20, 15, -6, 1], np.float64)[None, :]
+    spread = cv2.filter2D(np.ascontiguousarray(profile, np.float32), cv2.CV_32F, kernel)[:, 3:-3]
+    return float(np.median(np.abs(spread)) / 0.6745 / np.sqrt(924.0))
+
+
+def _smoothed(profile: Floats32, sigma_px: float) -> Floats32:
+    """Profiles (frame, x) smoothed along x with a Gaussian; NaN taken as 0."""
+    clean = np.nan_to_num(np.ascontiguousarray(profile, np.float32), nan=0.0)
+    half = max(1, int(np.ceil(4 * sigma_px)))
+    kernel = cv2.getGaussianKernel(2 * half + 1, sigma_px).reshape(1, -1)
+    return np.asarray(cv2.filter2D(clean, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE), np.float32)
+
+
+def _noise_floor(noise: float, smoothing_px: float, settings: TrackingSettings) -> float:
+    """Prominence, grey levels, that white noise does not reach after Gaussian smoothing."""
+    left = noise / np.sqrt(2 * np.sqrt(np.pi) * max(smoothing_px, 0.3))
+    return max(1e-6, float(settings.noise_factor * left))
+
+
+def _likelier(bright: RidgeComb, dark: RidgeComb, settings: TrackingSettings) -> RidgeComb:
+    """Of two readings of the same stripes the likelier one; ties are bright.
+
+    Where both ends of the comb are in view, that with more ridges (between N ridges there are N − 1 gaps), as
+    long as dark ones are also narrower; else the one with the narrower ridges.
+    """
+    in_view = all(comb.ends_px > 1.3 * comb.pitch_px for comb in (bright, dark))
+    if in_view and bright.count != dark.count:
+        return dark if dark.count > bright.count and dark.fwhm_px < bright.fwhm_px else bright
+    return dark if dark.fwhm_px < settings.dark_width_ratio * bright.fwhm_px else bright
+
+
+def _sample(profile: Floats32) -> Floats32:
+    """Frames spread over the recording, those with NaN left out."""
+    good = np.flatnonzero(np.isfinite(profile[:, :1]).all(axis=1))
+    picked = good[np.unique(np.linspace(0, len(good) - 1, SAMPLE_FRAMES).astype(int))]
+    return np.ascontiguousarray(profile[picked], np.float32)
+
+
+def _measure(
+    sample: Floats32, polarity: Polarity, noise: float, sheets: int | None, settings: TrackingSettings
+) -> RidgeComb | None:
+    """Medians over the main ridges of this polarity; None where there are none."""
+    sigma = 1.0
+    line = _smoothed(sample if polarity == "bright" else -sample, sigma)
+    walled = np.pad(line, ((0, 0), (1, 1)), constant_values=line.min())
+    floor = _noise_floor(noise, sigma, settings)
+    at, facts = find_peaks(walled.ravel(), prominence=floor, width=0.0, rel_height=0.5)
+    prominence, frame = facts["prominences"], at // walled.shape[1]
+    upper = float(np.quantile(prominence, 0.9)) if len(prominence) else np.inf
+    strength = np.where(prominence >= 0.3 * upper, prominence, 0.0)
+    width, main = _commonest_width(facts["widths"], strength, frame, sheets)
+    if not main.any():
+        return None
+    fwhm = float(np.sqrt(max(width**2 - (FWHM * sigma) ** 2, 1.0)))
+    gaps = np.diff(at[main])[np.diff(frame[main]) == 0]
+    pitch = float(np.median(gaps)) if len(gaps) else float(sample.shape[1])
+    x, columns = at[main] % walled.shape[1], walled.shape[1]
+    count = float(np.median(np.bincount(frame[main], minlength=len(sample))))
+    ends = float(min(np.quantile(x, 0.01), columns - 1 - np.quantile(x, 0.99)))
+    return RidgeComb(polarity, fwhm, pitch, float(np.median(prominence[main])), noise, count, ends)
+
+
+def _commonest_width(
+    widths: Floats, strength: Floats, frame: Ints, sheets: int | None
+) -> tuple[float, Bools]:
+    """Width of the kind of ridge with the largest total prominence, and which entries are of that kind.
+
+    Narrow ones win ties (the sum is divided by the root of the width): the gap between two ridges is not a
+    ridge.
+    """
+    tried = np.geomspace(1.5, max(2.0, float(widths.max(initial=2.0))), 40)
+    off = np.abs(np.log(np.maximum(widths, 0.1) / tried[:, None]))
+    kinds = (strength > 0) & (off < np.log(1.6))
+    if sheets:
+        kinds = np.array([kind & _strongest(np.where(kind, strength, -1.0), frame, sheets) for kind in kinds])
+    best = kinds[int(np.argmax((kinds * strength).sum(axis=1) / np.sqrt(tried)))]
+    return (float(np.median(widths[best])) if best.any() else 0.0), best
+
+
+def _strongest(strength: Floats, frame: Ints, most: int) -> Bools:
+    """Which entries are among the `most` strongest of their frame (entries are ordered by frame)."""
+    order = np.lexsort((-strength, frame))
+    first = np.searchsorted(frame, frame)
+    kept = np.zeros(len(frame), bool)
+    kept[order] = np.arange(len(frame)) - first < most
+    return kept
+
+
+# --- where they are -----------------------------------------------------------------------------------------
+
+
+def find_ridges(profile: Floats32, comb: RidgeComb, *, settings: TrackingSettings = DEFAULT) -> Ridges:
     """Candidate ridges of every frame.
 
-    A ridge is a local maximum of the lightly smoothed profile (a minimum where ridges are dark) whose
-    prominence within its surroundings passes `comb.threshold`; shoulders have none, and what is much
-    narrower than a ridge is dust. Faint sheets pass: whether a candidate is a sheet is decided by
-    linking, from all frames together.
+    A candidate is a local maximum of the lightly smoothed profile (a minimum where ridges are dark) whose
+    prominence within its surroundings reaches a threshold; shoulders have no prominence, and what is much
+    narrower than a ridge is a hot pixel. Faint sheets pass.
 
-    Args: profile, grey levels (frame, x); frames of NaN hold no ridge.  comb: width, polarity and threshold.
+    Parameters
+    ----------
+    profile
+        Grey levels (frame, x); frames of NaN hold no ridge.
+    comb
+        From `describe_ridges`. The threshold follows its noise and contrast; with `contrast` 0, its noise
+        alone.
+    settings
+        Thresholds.
+
+    Returns
+    -------
+    Ridges
+
+    Notes
+    -----
     Source: paper, appendix B (local maxima of I(x)).
     """
     starts = range(0, len(profile), FRAMES_PER_BLOCK)
     with ThreadPoolExecutor(2) as pool:
-        parts = list(pool.map(lambda i: _find_block(profile[i : i + FRAMES_PER_BLOCK], i, comb), starts))
+        parts = list(
+            pool.map(lambda i: _find_block(profile[i : i + FRAMES_PER_BLOCK], i, comb, settings), starts)
+        )
     return _padded(parts, len(profile))
 
 
-def _find_block(profile: Floats, start: int, comb: Comb) -> _Found:
-    """Ridges of a block of frames, searched as one long line with walls between the frames."""
-    from scipy.signal import find_peaks
+class _Peaks(NamedTuple):
+    """Candidates one after the other."""
 
-    walled = np.pad(smoothed(profile * comb.sign, comb.smoothing_px), ((0, 0), (1, 1)), mode="edge")
+    frame: Ints
+    x: Ints
+    contrast: Floats
+    fwhm: Floats
+
+
+def _find_block(profile: Floats32, start: int, comb: RidgeComb, settings: TrackingSettings) -> _Peaks:
+    """Ridges of a block of frames, searched as one long line with walls between the frames."""
+    smoothing_px = max(0.5, settings.smoothing_widths * comb.fwhm_px)
+    threshold = max(_noise_floor(comb.noise, smoothing_px, settings), settings.faint_fraction * comb.contrast)
+    reach_px = max(4, round(settings.surroundings_widths * comb.fwhm_px))
+    walled = np.pad(_smoothed(profile * comb.sign, smoothing_px), ((0, 0), (1, 1)), mode="edge")
     walled[:, [0, -1]] += 1  # a wall is no ridge, and what slopes up to it is none either
     at, facts = find_peaks(
         walled.ravel(),
-        plateau_size=(1, comb.reach_px),  # wider is a flat background, of which no prominence can be told
-        prominence=comb.threshold,
+        plateau_size=(1, reach_px),  # a wider plateau is flat background, whose prominence is not defined
+        prominence=threshold,
         width=0.0,
         rel_height=0.5,
-        wlen=2 * comb.reach_px + 1,
+        wlen=2 * reach_px + 1,
     )
     frame, x = np.divmod(at, walled.shape[1])
-    fwhm = np.sqrt(np.maximum(facts["widths"] ** 2 - (FWHM * comb.smoothing_px) ** 2, 0.25))
-    keep = (fwhm >= NARROWEST_SHARE * comb.fwhm_px) & (fwhm <= WIDEST_SHARE * comb.fwhm_px)
+    fwhm = np.sqrt(np.maximum(facts["widths"] ** 2 - (FWHM * smoothing_px) ** 2, 0.25))
+    keep = (fwhm >= settings.narrowest_widths * comb.fwhm_px) & (
+        fwhm <= settings.widest_widths * comb.fwhm_px
+    )
     keep &= (x > 0) & (x < walled.shape[1] - 1)
-    flattened = np.hypot(
-        1, FWHM * comb.smoothing_px / comb.fwhm_px
-    )  # what smoothing takes off a Gaussian's height
-    return _Found(frame[keep] + start, x[keep] - 1, facts["prominences"][keep] * flattened, fwhm[keep])
+    flattened = np.hypot(1, FWHM * smoothing_px / comb.fwhm_px)  # height a Gaussian loses to the smoothing
+    return _Peaks(frame[keep] + start, x[keep] - 1, facts["prominences"][keep] * flattened, fwhm[keep])
 
 
-def _padded(parts: list[_Found], frames: int) -> Ridges:
+def _padded(parts: list[_Peaks], frames: int) -> Ridges:
+    """One row per frame."""
     frame, x, contrast, fwhm = (np.concatenate(column) for column in zip(*parts, strict=True))
     counts = np.bincount(frame, minlength=frames)
     rank = np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)
     shape = (frames, max(1, int(counts.max(initial=0))))
 
-    def spread(values: NDArray[np.generic]) -> Floats:
+    def spread(values: NDArray[np.generic]) -> Floats32:
         table = np.full(shape, np.nan, np.float32)
         table[frame, rank] = values
         return table

@@ -1,51 +1,92 @@
 """Ridge positions to a hundredth of a pixel, one function per fit, each with its error.
 
-All take the profile (frame, x) and whole-pixel starting points, and return positions in px (pixel centres
-at integers) and the error that one grey level of white pixel noise would give them. Ridges are bright:
-pass the negative profile for dark ones.
+The fits take the profile (frame, x) and whole-pixel starting points, and return positions in px (pixel
+centres at integers) and the error that one grey level of white pixel noise would give them. Ridges are
+bright: pass the negative profile for dark ones. `fit_sheets` runs a fit on all sheets of all frames;
+`intensity_noise` and `position_noise` measure the noise that errors of positions come from.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from concurrent.futures import ThreadPoolExecutor
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_lsq_spline
 
-Doubles = NDArray[np.float64]
+from vision.errors import InputError
+from vision.numeric import Bools, Floats, Floats32, Ints, nan_median
+from vision.sheets.ridges import RidgeComb
+from vision.sheets.settings import DEFAULT, TrackingSettings
+
+FitName = Literal["sliding", "paper", "template"]
+
+FRAMES_PER_BLOCK = 512
+TRIPLES = 400  # groups of three consecutive frames from which noise is measured, spread over the recording
+LEAST_TRIPLES = 8
+NORMAL_MEDIAN = 0.6745  # median of the absolute value of a standard normal variable
 
 
-class Fit(NamedTuple):
-    """Positions and what they rest on, one entry per starting point.
+class FittedPositions(NamedTuple):
+    """One entry per starting point.
 
-    x_px: position, NaN where the fit has no answer.  err_per_noise: px of position error (standard
-    deviation) per grey level of white noise in the profile.
+    Parameters
+    ----------
+    x_px
+        Position, NaN where the fit has no answer.
+    err_per_noise
+        Standard error of the position, px, per grey level of white noise in the profile.
     """
 
-    x_px: Doubles
-    err_per_noise: Doubles
+    x_px: Floats
+    err_per_noise: Floats
 
 
 class Starts(NamedTuple):
     """Where to fit: frame number (row of the profile) and whole pixel, both (points,)."""
 
-    frame: NDArray[np.int64]
-    x: NDArray[np.int64]
+    frame: Ints
+    x: Ints
+
+
+# --- the three fits -----------------------------------------------------------------------------------------
 
 
 def paper_vertex(
     profile: NDArray[np.floating], starts: Starts, *, window_px: int = 9, search_px: int = 3
-) -> Fit:
-    """Vertex of the least-squares parabola through `window_px` pixels centred on the brightest one.
+) -> FittedPositions:
+    r"""Vertex of the least-squares parabola through `window_px` pixels centred on the brightest one.
 
-    The publication's method, exactly (appendix B): the brightest pixel is looked for within `search_px`
-    of the start, a second-degree polynomial is fitted around it, its vertex is the position. Equals
-    `numpy.polyfit` to rounding. It locks to whole pixels (50–190 mpx peak to peak), which
+    The publication's method, exactly. It locks to whole pixels (50–190 mpx peak to peak), which
     `sliding_vertex` does not.
 
-    NaN where the window leaves the frame, the brightest pixel lies at the end of the search, the parabola
-    has no maximum, or its vertex lies outside the window.
+    Parameters
+    ----------
+    profile
+        Grey levels (frame, x), bright ridges.
+    starts
+        Where to look, (points,).
+    window_px
+        Odd width of the fit window.
+    search_px
+        The brightest pixel is looked for this far to either side of the start.
+
+    Returns
+    -------
+    FittedPositions
+        NaN where the window leaves the frame, the brightest pixel lies at the end of the search, the parabola
+        has no maximum, or its vertex lies outside the window.
+
+    Notes
+    -----
+    With the parabola :math:`I = a + b\,(x - x_0) + c\,(x - x_0)^2` fitted around the brightest pixel
+    :math:`x_0`, the position is
+
+    .. math:: x = x_0 - \frac{b}{2c}, \qquad c < 0 .
+
+    Equals `numpy.polyfit` to rounding. Source: paper, appendix B.
     """
     half = window_px // 2
     around = np.arange(-search_px, search_px + 1)
@@ -67,20 +108,39 @@ def paper_vertex(
         | ~(curvature < 0)
         | ~(np.abs(vertex) <= half)
     )
-    return Fit(np.where(bad, np.nan, centre + vertex), np.where(bad, np.nan, noise))
+    return FittedPositions(np.where(bad, np.nan, centre + vertex), np.where(bad, np.nan, noise))
 
 
-def sliding_vertex(profile: NDArray[np.floating], starts: Starts, *, window_px: int = 9) -> Fit:
-    """Ridge positions where the slope of the least-squares parabola is zero.
+def sliding_vertex(profile: NDArray[np.floating], starts: Starts, *, window_px: int = 9) -> FittedPositions:
+    r"""Ridge positions where the slope of the least-squares parabola is zero.
 
     A parabola fitted to `window_px` pixels has, at its centre, a slope that is one fixed linear filter of
     the profile. A ridge lies where that slope falls through zero as the window slides, so unlike the
-    vertex of a window pinned to the brightest pixel the result does not lock to whole pixels. Between
-    pixels the slope is interpolated by the cubic through its four neighbours; of several zeros the one
-    nearest the start counts.
+    vertex of a window pinned to the brightest pixel the result does not lock to whole pixels.
 
-    NaN where the slope does not fall through zero within half a window of the start, or the window leaves
-    the frame.
+    Parameters
+    ----------
+    profile
+        Grey levels (frame, x), bright ridges.
+    starts
+        Where to look, (points,).
+    window_px
+        Odd width of the fit window.
+
+    Returns
+    -------
+    FittedPositions
+        NaN where the slope does not fall through zero within half a window of the start, or the window leaves
+        the frame.
+
+    Notes
+    -----
+    The slope, with :math:`h` half the window,
+
+    .. math:: b(x) = \frac{\sum_{j=-h}^{h} j\, I(x + j)}{\sum_{j=-h}^{h} j^2} ,
+
+    is interpolated between pixels by the cubic through its four neighbours; of several zeros the one nearest
+    the start counts. Its error is that of the slope over :math:`|b'(x)|`.
     Source: paper, appendix B; Savitzky & Golay 1964.
     """
     half, width = window_px // 2, profile.shape[1]
@@ -93,23 +153,40 @@ def sliding_vertex(profile: NDArray[np.floating], starts: Starts, *, window_px: 
     step, steepness = _cubic_zero(four)
     found &= np.isfinite(step) & (at // width == starts.frame)
     err = 1 / np.sqrt((np.arange(-half, half + 1) ** 2).sum()) / np.abs(steepness)
-    return Fit(np.where(found, at % width + step, np.nan), np.where(found, err, np.nan))
+    return FittedPositions(np.where(found, at % width + step, np.nan), np.where(found, err, np.nan))
 
 
 def template_shift(
-    profile: NDArray[np.floating], starts: Starts, shape: NDArray[np.integer], x_px: Doubles, *, half_px: int
-) -> Fit:
+    profile: NDArray[np.floating], starts: Starts, shape: NDArray[np.integer], x_px: Floats, *, half_px: int
+) -> FittedPositions:
     """Positions by matching each ridge to its own mean shape.
 
     For each shape (one per sheet) the pixels of all its ridges, each shifted by its first position, give
     the mean profile and its derivative at any fraction of a pixel (a smoothing spline through all of
-    them). One Gauss-Newton step then fits shift, brightness and background together, twice over;
-    residuals of the shift are taken out in the mean over all of a sheet's ridges, so a template never
-    moves a sheet's mean position.
+    them). One Gauss-Newton step then fits shift, brightness and background together, twice over. The mean
+    shift over all of a sheet's ridges is subtracted, so a template never moves a sheet's mean position.
 
-    Args: shape, which template each start belongs to (points,); x_px, first positions, from `sliding_vertex`.
-    NaN where x_px is NaN, the window leaves the frame, or the step is larger than a pixel.
-    Source: least-squares matching, Cramér-Rao bound in physics notes: 1.00–1.04 of it at FWHM 6–10 px.
+    Parameters
+    ----------
+    profile
+        Grey levels (frame, x), bright ridges.
+    starts
+        Frame and whole pixel of each ridge, (points,).
+    shape
+        Which template each ridge belongs to, (points,).
+    x_px
+        First positions, from `sliding_vertex`, (points,).
+    half_px
+        Half-width of the template.
+
+    Returns
+    -------
+    FittedPositions
+        NaN where x_px is NaN, the window leaves the frame, or the step is larger than a pixel.
+
+    Notes
+    -----
+    Least-squares matching. The scatter is 1.00–1.04 of the Cramér–Rao bound at FWHM 6–10 px.
     """
     centre = np.rint(np.nan_to_num(x_px)).astype(np.int64)
     offsets = np.arange(-half_px, half_px + 1)
@@ -118,11 +195,12 @@ def template_shift(
     usable = np.isfinite(position) & np.isfinite(pixels).all(axis=1)
     for which in np.unique(shape[usable]):
         mine = np.flatnonzero(usable & (shape == which))
-        position[mine], err[mine] = _match(pixels[mine], offsets, position[mine] - centre[mine], centre[mine])
-    return Fit(np.where(np.isfinite(err), position, np.nan), err)
+        fraction = position[mine] - centre[mine]
+        position[mine], err[mine] = _match(pixels[mine], offsets, fraction, centre[mine])
+    return FittedPositions(np.where(np.isfinite(err), position, np.nan), err)
 
 
-def gather(profile: NDArray[np.floating], starts: Starts, offsets: NDArray[np.integer]) -> Doubles:
+def gather(profile: NDArray[np.floating], starts: Starts, offsets: NDArray[np.integer]) -> Floats:
     """Pixels at `offsets` from each start, (points, offsets), NaN outside the frame."""
     columns = starts.x[:, None] + offsets
     inside = (columns >= 0) & (columns < profile.shape[1])
@@ -135,7 +213,7 @@ def _quadratic_norm(offsets: NDArray[np.integer]) -> float:
     return float(((centred - centred.mean()) ** 2).sum())
 
 
-def _parabola(pixels: Doubles, offsets: NDArray[np.integer]) -> tuple[Doubles, Doubles]:
+def _parabola(pixels: Floats, offsets: NDArray[np.integer]) -> tuple[Floats, Floats]:
     """Slope and second-degree coefficient of the least-squares parabola through rows of pixels."""
     linear = offsets / (offsets**2).sum()
     square = offsets.astype(np.float64) ** 2
@@ -144,7 +222,7 @@ def _parabola(pixels: Doubles, offsets: NDArray[np.integer]) -> tuple[Doubles, D
     return level @ linear, level @ quadratic
 
 
-def _slope(profile: NDArray[np.floating], window_px: int) -> NDArray[np.float32]:
+def _slope(profile: NDArray[np.floating], window_px: int) -> Floats32:
     """Slope of the sliding parabola at every pixel, grey levels per px."""
     offsets = np.arange(-(window_px // 2), window_px // 2 + 1)
     kernel = (offsets / (offsets**2).sum())[None, :]
@@ -152,9 +230,7 @@ def _slope(profile: NDArray[np.floating], window_px: int) -> NDArray[np.float32]
     return np.asarray(cv2.filter2D(clean, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE), np.float32)
 
 
-def _nearest(
-    left: NDArray[np.int64], slope: NDArray[np.float32], start: NDArray[np.int64], reach: int
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def _nearest(left: Ints, slope: Floats32, start: Ints, reach: int) -> tuple[Ints, Bools]:
     """Of the pixels just left of a zero, the one whose zero is nearest each start, and whether it is within
     reach."""
     if not len(left):
@@ -166,7 +242,7 @@ def _nearest(
     return left[chosen], np.abs(zero[chosen] - start) <= reach
 
 
-def _cubic_zero(four: Doubles) -> tuple[Doubles, Doubles]:
+def _cubic_zero(four: Floats) -> tuple[Floats, Floats]:
     """Zero in [0, 1] of the cubic through values at −1, 0, 1, 2, and its derivative there; Newton from the
     chord."""
     a, b, c, d = four.T
@@ -181,11 +257,9 @@ def _cubic_zero(four: Doubles) -> tuple[Doubles, Doubles]:
 
 
 def _match(
-    pixels: Doubles, offsets: NDArray[np.integer], fraction: Doubles, centre: NDArray[np.int64]
-) -> tuple[Doubles, Doubles]:
+    pixels: Floats, offsets: NDArray[np.integer], fraction: Floats, centre: Ints
+) -> tuple[Floats, Floats]:
     """Positions of one sheet's ridges against their mean shape, and their error per grey level of noise."""
-    from scipy.interpolate import make_lsq_spline
-
     bins = np.arange(offsets[0] - 0.5, offsets[-1] + 0.51, 1.0)
     knots = np.r_[[bins[0]] * 3, bins, [bins[-1]] * 3]
     step = np.zeros_like(fraction)
@@ -204,9 +278,216 @@ def _match(
     return np.where(bad, np.nan, fraction + step + centre), np.where(bad, np.nan, err)
 
 
-def _gauss_newton(pixels: Doubles, mean: Doubles, rise: Doubles) -> tuple[Doubles, Doubles]:
+def _gauss_newton(pixels: Floats, mean: Floats, rise: Floats) -> tuple[Floats, Floats]:
     """Shift that brings the mean shape onto the pixels, with brightness and level fitted alongside."""
     basis = np.stack([-rise, mean - mean.mean(axis=1, keepdims=True), np.ones_like(mean)], axis=2)
     inverse = np.linalg.pinv(np.swapaxes(basis, 1, 2) @ basis, hermitian=True)
     fitted = (inverse @ (np.swapaxes(basis, 1, 2) @ (pixels - mean)[:, :, None]))[:, :, 0]
     return fitted[:, 0], np.sqrt(np.maximum(inverse[:, 0, 0], 0.0))
+
+
+# --- all sheets of all frames -------------------------------------------------------------------------------
+
+
+def choose_window(
+    comb: RidgeComb,
+    asked: int | Literal["auto"] | None,
+    *,
+    settings: TrackingSettings = DEFAULT,
+) -> int:
+    """Width of the fit window, px, odd.
+
+    Parameters
+    ----------
+    comb
+        Width and pitch of the ridges.
+    asked
+        A width, which is taken as it is; "auto" for one that follows the ridges' width; None for the
+        publication's where that suits the ridges' width, else as "auto".
+    settings
+        Standard window, and window per ridge width.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    InputError
+        For an even window, one below 3 px, or one wider than the ridges' spacing.
+    """
+    if isinstance(asked, int):
+        if asked < 3 or asked % 2 == 0:
+            raise InputError(
+                "`window_px`", "an odd number of pixels, 3 or more", str(asked), "try `window_px` auto"
+            )
+        if asked > comb.pitch_px:
+            near = f"a window no wider than the ridges' spacing, {comb.pitch_px:.0f} px"
+            raise InputError("`window_px`", near, str(asked), "try `window_px` auto")
+        return asked
+    narrow, wide = settings.standard_widths_px
+    if asked is None and narrow <= comb.fwhm_px <= wide:
+        return settings.standard_window_px
+    widest = max(5.0, 0.9 * comb.pitch_px)
+    return 2 * round((min(max(5.0, settings.window_per_width * comb.fwhm_px), widest) - 1) / 2) + 1
+
+
+def fit_sheets(
+    bright: Floats32, start_px: Floats, *, fit: FitName, window_px: int, comb: RidgeComb
+) -> tuple[Floats, Floats]:
+    """Positions and their error per grey level of noise, both (frame, N), NaN where start_px is.
+
+    Parameters
+    ----------
+    bright
+        Profile with bright ridges (frame, x).
+    start_px
+        Whole pixels (frame, N), NaN for none.
+    fit, window_px
+        Method and width of its window.
+    comb
+        Width and pitch of the ridges.
+    """
+    x, err = np.full(start_px.shape, np.nan), np.full(start_px.shape, np.nan)
+    search_px = max(2, round(comb.fwhm_px / 2))
+
+    def run(rows: slice) -> None:
+        known = np.isfinite(start_px[rows])
+        frame, sheet = np.nonzero(known)
+        starts = Starts(frame, start_px[rows][known].astype(np.int64))
+        if fit == "paper":
+            done = paper_vertex(bright[rows], starts, window_px=window_px, search_px=search_px)
+        else:
+            done = sliding_vertex(bright[rows], starts, window_px=window_px)
+        x[rows][frame, sheet], err[rows][frame, sheet] = done
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(run, [slice(i, i + FRAMES_PER_BLOCK) for i in range(0, len(bright), FRAMES_PER_BLOCK)]))
+    return _matched(bright, x, comb) if fit == "template" else (x, err)
+
+
+def locking_error(
+    x_px: Floats, bright: Floats32, start_px: Floats, window_px: int, comb: RidgeComb
+) -> Floats:
+    """Distance of the paper fit's positions from where the sliding slope is zero, px, (frame, N).
+
+    The paper's fit locks to whole pixels by more than the noise; this is that error, as the recording itself
+    shows it. 0 where it is unknown.
+    """
+    free, _ = fit_sheets(bright, start_px, fit="sliding", window_px=window_px, comb=comb)
+    return np.nan_to_num(np.abs(x_px - free), nan=0.0)
+
+
+def _matched(bright: Floats32, x: Floats, comb: RidgeComb) -> tuple[Floats, Floats]:
+    """Positions against each sheet's own mean shape, from those of the sliding window."""
+    known = np.isfinite(x)
+    frame, sheet = np.nonzero(known)
+    half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
+    done = template_shift(
+        bright, Starts(frame, np.rint(x[known]).astype(np.int64)), sheet, x[known], half_px=half
+    )
+    out, err = np.full(x.shape, np.nan), np.full(x.shape, np.nan)
+    out[known], err[known] = done
+    return out, err
+
+
+# --- noise --------------------------------------------------------------------------------------------------
+
+
+def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int, fallback: float) -> Floats:
+    """Standard deviation of the profile's noise around each sheet, grey levels.
+
+    Second differences in time of the pixels around a ridge hold its noise, its motion and its flicker;
+    motion and flicker (level, brightness, first and second derivative of the ridge) are fitted and
+    subtracted, the rest is noise. Unlike a figure taken along x this does not mistake paper texture for
+    noise, and finds that bright ridges are noisier. The median over groups of three frames ignores slips.
+
+    Parameters
+    ----------
+    profile
+        Grey levels (frame, x).
+    x_px
+        Positions (frame, N), NaN where missing.
+    half_px
+        Half-width of the pixels taken, at least 5.
+    fallback
+        For sheets seen in fewer than eight groups of three frames.
+
+    Returns
+    -------
+    Noise of each sheet, (N,).
+    """
+    half = max(half_px, 5)
+    middle = _triples(x_px)
+    if len(middle) < LEAST_TRIPLES:
+        return np.full(x_px.shape[1], fallback)
+    centre = np.nan_to_num(np.rint(x_px[middle]), nan=-10 * half).astype(np.int64)
+    offsets = np.arange(-half - 1, half + 2)
+    before, now, after = (
+        gather(profile, Starts(np.repeat(middle + step, x_px.shape[1]), centre.ravel()), offsets)
+        for step in (-1, 0, 1)
+    )
+    variance = _residual_variance(before + after - 2 * now, (before + now + after) / 3)
+    variance = variance.reshape(len(middle), -1) / 6
+    known = np.isfinite(variance).sum(axis=0) >= LEAST_TRIPLES
+    typical = nan_median(variance, axis=0)
+    return np.asarray(np.where(known, np.sqrt(typical), fallback), np.float64)
+
+
+def position_noise(x_px: Floats) -> Floats:
+    """Standard deviation of the positions from frame to frame, px, as measured.
+
+    From second differences in time, so that a steady creep does not count, less their median over the
+    sheets, so that vibration of the camera does not either (with five sheets or more); median absolute
+    value, so slips do not.
+
+    Parameters
+    ----------
+    x_px
+        Positions (frame, N), NaN where missing.
+
+    Returns
+    -------
+    (N,), NaN for sheets seen in fewer than eight groups of three consecutive frames.
+    """
+    second = x_px[2:] - 2 * x_px[1:-1] + x_px[:-2]
+    if x_px.shape[1] >= 5 and len(second):
+        second = second - np.nan_to_num(nan_median(second, axis=1))[:, None]
+    known = np.isfinite(second).sum(axis=0) >= LEAST_TRIPLES
+    if not len(second):
+        return np.full(x_px.shape[1], np.nan)
+    typical = nan_median(np.abs(second), axis=0)
+    return np.asarray(np.where(known, typical / NORMAL_MEDIAN / np.sqrt(6), np.nan), np.float64)
+
+
+def _triples(x_px: Floats) -> Ints:
+    """Middle frames of triples in which most sheets are seen, spread over the recording."""
+    seen = np.isfinite(x_px).mean(axis=1) > 0.5
+    middle = 1 + np.flatnonzero(seen[2:] & seen[1:-1] & seen[:-2])
+    if not len(middle):
+        return np.asarray(middle, np.int64)
+    return np.unique(middle[np.linspace(0, len(middle) - 1, TRIPLES).astype(int)])
+
+
+def _residual_variance(change: Floats, mean: Floats) -> Floats:
+    """Variance of what is left of `change` (points, pixels) when the mean ridge's own changes are fitted and
+    removed."""
+    inner = mean[:, 1:-1]
+    basis = np.stack(
+        [
+            np.ones_like(inner),
+            inner - inner.mean(axis=1, keepdims=True),
+            (mean[:, 2:] - mean[:, :-2]) / 2,
+            mean[:, 2:] - 2 * inner + mean[:, :-2],
+        ],
+        axis=2,
+    )
+    known = np.isfinite(basis).all(axis=(1, 2)) & np.isfinite(change).all(axis=1)
+    out = np.full(len(change), np.nan)
+    q = np.linalg.qr(basis[known] + 1e-9)[0]
+    rest = change[known][:, 1:-1]
+    rest = rest - (q @ (np.swapaxes(q, 1, 2) @ rest[:, :, None]))[:, :, 0]
+    dof = inner.shape[1] - basis.shape[2]
+    # the median of a chi-squared variable with k degrees of freedom is about k (1 − 2/(9k))³
+    out[known] = (rest**2).sum(axis=1) / (dof * (1 - 2 / (9 * dof)) ** 3)
+    return out

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from tests.scenes.combs import comb, ridges, strip
 from vision.errors import InputError
 from vision.run.summary import warnings_that_matter
-from vision.sheets.holes import wide_spacings
-from vision.sheets.tracks import track_sheets
+from vision.sheets import track_sheets, wide_spacings
 
 
 def without_one(k: int):
@@ -32,7 +31,7 @@ def test_an_overlooked_sheet_is_pointed_out_where_it_is():
 def test_a_given_number_settles_it():
     """A failure means that who has counted the sheets is still asked to."""
     _, picture = without_one(4)
-    assert track_sheets(picture, sheets=15).attrs["wide_spacings"] == ""
+    assert track_sheets(picture, sheets=15).attrs["wide_spacings"] == []
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)

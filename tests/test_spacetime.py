@@ -5,8 +5,8 @@ import pytest
 import xarray as xr
 from scipy.special import erf
 
+from vision import space_time
 from vision.errors import InputError
-from vision.spacetime import space_time
 
 SIGMA_PX = 2.6  # FWHM 6 px, the narrowest ridge in view
 FRAMES, SHEETS, PITCH, COLUMNS, ORIGIN = 80, 6, 20.0, 140, 30
@@ -41,14 +41,21 @@ def strip_of(x, fps=25.0):
 def tracks_of(x):
     side = np.repeat([-1, 1], SHEETS // 2)
     n = np.array([3, 2, 1, 1, 2, 3])
+    both = ("frame", "sheet")
     return xr.Dataset(
-        {"x_px": (("frame", "sheet"), x)},
+        {
+            "x_px": (both, x),
+            "x_err_px": (both, np.full(x.shape, 0.01)),
+            "flag": (both, np.where(np.isfinite(x), "ok", "missing")),
+        },
         {
             "frame": np.arange(len(x)),
+            "time_s": ("frame", np.arange(len(x)) / 25.0),
             "sheet": np.arange(SHEETS),
             "side": ("sheet", side),
             "n": ("sheet", n),
         },
+        {"fit": "sliding"},
     )
 
 
@@ -172,14 +179,14 @@ BAD = {
     "index outside": ({"sheet": 6, "width_px": 9}, "index 0 to 5"),
     "no width": ({"sheet": 1}, "neither"),
     "two widths": ({"sheet": 1, "width_px": 9, "width_um": 90}, "both"),
-    "µm without a scale": ({"sheet": 1, "width_um": 90}, "--pixel-size"),
+    "µm without a scale": ({"sheet": 1, "width_um": 90}, "pixel_size_um"),
     "negative width": ({"sheet": 1, "width_px": -3}, "1 to 140 px"),
     "NaN width": ({"sheet": 1, "width_px": float("nan")}, "1 to 140 px"),
     "wider than the strip": ({"sheet": 1, "width_px": 141}, "1 to 140 px"),
     "frames outside": ({"frames": slice(80, 90), "around": None}, "frames 0 to 79"),
     "time outside": ({"time_s": (9.0, 10.0), "around": None}, "3.16 s"),
     "window without a sheet": ({"width_px": 9}, "sheet"),
-    "sheet without tracks": ({"sheet": 1, "width_px": 9, "around": None}, "around=tracks"),
+    "sheet without tracks": ({"sheet": 1, "width_px": 9, "around": None}, "`around`"),
 }
 
 

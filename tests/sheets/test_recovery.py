@@ -1,0 +1,74 @@
+"""Why a sheet has no position, and faint ridges that are found on a second look."""
+
+import numpy as np
+import pytest
+
+from tests.scenes.combs import comb, ridges, strip
+from vision.sheets import track_sheets
+from vision.sheets.identities import Identities, identify_sheets
+from vision.sheets.recovery import assign_detections
+from vision.sheets.ridges import describe_ridges, find_ridges
+
+FRAMES, WIDTH = 120, 520
+
+
+def truth(slip=0.2):
+    return comb(FRAMES, per_side=8, axis_px=WIDTH / 2, slip=slip)
+
+
+def flags(x, **options):
+    return track_sheets(strip(ridges(x, width=WIDTH, **options)), sheets=16)["flag"].values
+
+
+def faded(level):
+    """Sheet 5 at another contrast in frames 60 to 79."""
+    contrast = np.ones((FRAMES, 16))
+    contrast[60:80, 5] = level
+    return contrast
+
+
+def test_a_sheet_that_fades_is_found_on_a_second_look_and_one_that_is_gone_is_missing():
+    """A failure means that shadow loses sheets, or that positions are made up where there is nothing."""
+    at = (slice(60, 80), 5)
+    assert (flags(truth(), contrast=faded(0.25))[at] == "ok").all()
+    assert (flags(truth(), contrast=faded(0.0))[at] == "missing").all()
+
+
+@pytest.mark.parametrize(("away_px", "flag"), [(3.0, "merged"), (10.0, "missing")])
+def test_a_sheet_hidden_in_its_neighbour_s_ridge_is_merged_with_it(away_px, flag):
+    """A failure means that the middle between two sheets passes for the position of one."""
+    x = truth(slip=0.0)
+    hidden = np.insert(x, 6, x[:, 6] - away_px, axis=1)  # a sheet that has no ridge of its own
+    profile = strip(ridges(x, width=WIDTH)).values
+    described = describe_ridges(profile)
+    found = find_ridges(profile, described)
+    identities = identify_sheets(found, described, width_px=WIDTH)
+    one_more = Identities(
+        np.insert(identities.match, 6, -1, axis=1),
+        np.insert(identities.margin, 6, np.nan, axis=1),
+        hidden,
+        identities.reference,
+    )
+    got = assign_detections(profile, found, one_more, described).flag
+    assert (got[:, 6] == flag).all()
+    assert (got[:, 7] == ("merged" if flag == "merged" else "ok")).all()
+    assert (np.delete(got, (6, 7), axis=1) == "ok").all()
+
+
+def test_a_sheet_that_leaves_the_picture_is_at_the_edge():
+    """A failure means that a sheet out of view counts as lost by the program."""
+    x = truth(slip=0.0) - 115.0 * (np.arange(FRAMES) >= 60)[:, None]
+    got = flags(x)
+    gone = x[:, 0] < 0
+    assert gone.any()
+    assert (got[gone, 0] == "edge").all()
+    assert (got[:60] == "ok").all()
+
+
+def test_a_sheet_displaced_unlike_its_neighbours_is_doubtful():
+    """A failure means that a speck where a sheet was lost passes for the sheet."""
+    x = truth(slip=0.0)
+    x[60:63, 5] -= 13.0  # two thirds of a pitch, alone
+    got = flags(x)
+    assert not (got[60:63, 5] == "ok").any()
+    assert (np.delete(got, 5, axis=1) == "ok").all()

@@ -1,0 +1,69 @@
+"""Width, pitch, contrast and polarity of a comb; and the candidates of every frame."""
+
+import numpy as np
+import pytest
+
+from tests.scenes.combs import CONTRAST, comb, ridges, strip
+from vision.sheets.ridges import describe_ridges, find_ridges, profile_noise
+
+FRAMES, SHEETS, PITCH, FWHM = 40, 16, 20.0, 7.0
+
+
+def drawn(*, sign=1, snr=100.0, fwhm_px=FWHM, width=520):
+    truth = comb(FRAMES, per_side=SHEETS // 2, axis_px=width / 2, slip=0.2)
+    return truth, strip(ridges(truth, width=width, fwhm_px=fwhm_px), sign=sign, snr=snr).values
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("fwhm", [4.0, 7.0, 9.0])
+def test_a_known_comb_is_described_as_drawn(sign, fwhm):
+    """A failure means that thresholds and windows, which follow these figures, are wrong."""
+    _, profile = drawn(sign=sign, fwhm_px=fwhm)
+    found = describe_ridges(profile)
+    assert found.polarity == ("bright" if sign > 0 else "dark")
+    assert found.fwhm_px == pytest.approx(fwhm, rel=0.12)
+    assert found.pitch_px == pytest.approx(PITCH, abs=1)
+    assert found.contrast == pytest.approx(CONTRAST, rel=0.15)
+    assert found.noise == pytest.approx(CONTRAST / 100, rel=0.1)
+    assert found.count == SHEETS
+
+
+def test_noise_is_measured_beside_ridges_and_not_made_of_them():
+    """A failure means that sharp ridges count as noise, and faint sheets are then missed."""
+    _, clean = drawn(snr=1e6)
+    assert profile_noise(clean) < 0.01
+    white = np.random.default_rng(1).normal(0, 2.5, clean.shape).astype(np.float32)
+    assert profile_noise(clean + white) == pytest.approx(2.5, rel=0.03)
+
+
+def test_every_ridge_of_every_frame_is_a_candidate_at_its_pixel():
+    """A failure means that fits start at the wrong pixel, or that sheets are missed."""
+    truth, profile = drawn()
+    found = find_ridges(profile, describe_ridges(profile))
+    assert (found.count == SHEETS).all()
+    assert np.abs(found.x_px - truth).max() <= 1
+    np.testing.assert_allclose(found.contrast, CONTRAST, rtol=0.2)
+    np.testing.assert_allclose(found.fwhm_px, FWHM, rtol=0.3)
+
+
+def test_hot_pixels_edges_and_empty_frames_are_no_candidates():
+    """A failure means that a defect of the sensor, the picture's rim or a lost frame passes for a sheet."""
+    truth, profile = drawn()
+    described = describe_ridges(profile)
+    hot = profile.copy()
+    hot[:, 20] += CONTRAST
+    hot[:, -1] += CONTRAST
+    hot[7] = np.nan
+    found = find_ridges(hot, described)
+    assert truth.min() > 40
+    assert not (found.x_px < 40).any()
+    assert found.count[7] == 0
+    assert (np.delete(found.count, 7) == SHEETS).all()
+
+
+def test_what_no_longer_stands_out_is_no_candidate():
+    """The same ridges in forty times the noise: had these candidates too, thresholds would do nothing."""
+    _, profile = drawn()
+    noise = np.random.default_rng(2).normal(0, CONTRAST, profile.shape).astype(np.float32)
+    loud = find_ridges(profile + noise, describe_ridges(profile + noise, sheets=SHEETS))
+    assert loud.count.mean() < SHEETS / 2

@@ -1,0 +1,201 @@
+"""What must hold for every recording: symmetries, order, inputs left alone; and strips that are refused."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.scenes.combs import as_strip, comb, ridges, strip
+from vision.data import TRACKS, TrackMetadata
+from vision.errors import InputError
+from vision.sheets import track_sheets
+
+few = settings(max_examples=8, deadline=None, derandomize=True)
+seeds = st.integers(0, 1000)
+
+
+def recording(seed: int, frames: int = 60):
+    """Twelve to twenty sheets of uneven pitch and brightness, slipping."""
+    rng = np.random.default_rng(seed)
+    truth = comb(frames, per_side=int(rng.integers(6, 11)), axis_px=260, slip=0.7, uneven=0.08, seed=seed)
+    bright = rng.uniform(0.6, 1.4, truth.shape[1])
+    return truth, strip(ridges(truth, width=520, contrast=bright), seed=seed)
+
+
+@few
+@given(seed=seeds, by=st.integers(1, 25))
+def test_a_shift_of_the_picture_shifts_every_position(seed, by):
+    """A failure means positions depend on where in the picture a ridge lies."""
+    _, picture = recording(seed)
+    moved = as_strip(np.pad(picture.values[:, :-by], ((0, 0), (by, 0)), mode="edge"))
+    here, there = track_sheets(picture), track_sheets(moved)
+    np.testing.assert_allclose(there.x_px, here.x_px + by, atol=1e-4)
+    assert (here.side.values == there.side.values).all()
+
+
+@few
+@given(seed=seeds, origin=st.integers(1, 900))
+def test_columns_cut_off_on_the_left_are_counted(seed, origin):
+    """A failure means positions with --columns are not those of the whole picture."""
+    _, picture = recording(seed)
+    cut = as_strip(picture.values, origin=origin)
+    np.testing.assert_allclose(track_sheets(cut).x_px, track_sheets(picture).x_px + origin, atol=1e-9)
+
+
+@few
+@given(seed=seeds)
+def test_a_mirror_swaps_the_sides(seed):
+    """A failure means left and right are treated differently."""
+    _, picture = recording(seed)
+    mirrored = as_strip(np.ascontiguousarray(picture.values[:, ::-1]))
+    here, there = track_sheets(picture), track_sheets(mirrored)
+    np.testing.assert_allclose(there.x_px.values[:, ::-1], 519 - here.x_px.values, atol=1e-4)
+    assert (there.side.values[::-1] == -here.side.values).all()
+    assert (there.n.values[::-1] == here.n.values).all()
+
+
+@few
+@given(seed=seeds, gain=st.sampled_from([0.01, 0.5, 2.0, 250.0]), offset=st.sampled_from([-500.0, 0.0, 3e3]))
+def test_gain_and_offset_change_only_the_contrast(seed, gain, offset):
+    """A failure means thresholds are in grey levels: 8 and 12 bit cameras would give different sheets."""
+    _, picture = recording(seed)
+    scaled = as_strip((picture.values * gain + offset).astype(np.float32))
+    here, there = track_sheets(picture), track_sheets(scaled)
+    rounding = 1e-4 + 1e-5 * abs(offset) / gain / 60  # float32 grey levels on a large offset
+    np.testing.assert_allclose(there.x_px, here.x_px, atol=20 * rounding)
+    np.testing.assert_allclose(there.attrs["contrast"], here.attrs["contrast"] * gain, rtol=0.05)
+
+
+@few
+@given(seed=seeds)
+def test_sheets_stand_in_order_near_the_truth(seed):
+    """A failure means two sheets have changed places in some frame."""
+    truth, picture = recording(seed)
+    tracks = track_sheets(picture)
+    assert tracks.x_px.shape == truth.shape
+    assert (np.diff(tracks.x_px.values, axis=1) > 0).all()
+    assert np.abs(tracks.x_px.values - truth).max() < 0.3
+
+
+@few
+@given(seed=seeds)
+def test_the_input_is_left_as_it_is_and_the_result_is_the_same_again(seed):
+    """A failure means a second call on the same strip may give other numbers."""
+    _, picture = recording(seed)
+    before = picture.copy(deep=True)
+    first, second = track_sheets(picture), track_sheets(picture)
+    assert picture.identical(before)
+    assert first.identical(second)
+
+
+@few
+@given(seed=seeds)
+def test_negative_film_gives_the_same_sheets(seed):
+    """A failure means dark ridges are tracked differently from bright ones."""
+    _, picture = recording(seed)
+    negative = as_strip((255 - picture.values).astype(np.float32))
+    here, there = track_sheets(picture, ridges="bright"), track_sheets(negative, ridges="dark")
+    np.testing.assert_allclose(there.x_px, here.x_px, atol=1e-4)
+
+
+def test_what_comes_out_is_as_declared():
+    """A failure means that a later stage refuses the tracks, or that units and facts are lost on the way."""
+    _, picture = recording(1)
+    tracks = track_sheets(picture.assign_attrs(strip_z0=60, warnings=["two frames lost"]), axis_px=260.0)
+    TRACKS.check(tracks)
+    assert set(TRACKS.variables) <= set(tracks.variables)
+    assert tracks["x_err_px"].attrs["units"] == "px"
+    facts = TrackMetadata.of(tracks)
+    assert (facts.fit, facts.window_px, facts.sheets) == ("sliding", 9, tracks.sizes["sheet"])
+    assert (facts.axis_px, facts.axis_how) == (260.0, "given")
+    assert tracks.attrs["strip_z0"] == 60 and tracks.attrs["warnings"] == ["two frames lost"]
+    last = tracks.attrs["operations"][-1]
+    assert last["operation"] == "track_sheets" and last["parameters"]["axis_px"] == 260.0
+
+
+@pytest.mark.parametrize(("codec", "raised"), [("mjpeg", True), ("rawvideo", False)])
+def test_errors_of_lossy_video_are_no_smaller_than_the_scatter(codec, raised):
+    """A failure means that compression, which hides the noise, makes error bars too small."""
+    truth = comb(120, per_side=8, axis_px=260, slip=0.0)
+    shaken = truth + np.random.default_rng(1).normal(0, 0.05, truth.shape)  # an artefact of 0.05 px
+    tracks = track_sheets(strip(ridges(shaken, width=520), snr=1000).assign_attrs(codec=codec))
+    stated = float(np.median(tracks["x_err_px"]))
+    assert (stated > 0.04) if raised else (stated < 0.01)
+
+
+@pytest.mark.parametrize("lacking", ["time_s", "status"])
+def test_a_strip_that_lacks_something_is_refused_by_name(lacking):
+    """A failure means a KeyError in the middle of the work."""
+    _, picture = recording(1)
+    assert f"no {lacking}" in refusal(picture.drop_vars(lacking))
+
+
+def test_dimensions_in_another_order_are_refused():
+    """A failure means that x and t are exchanged without a word."""
+    _, picture = recording(1)
+    turned: xr.DataArray = picture.transpose("x", "frame")
+    assert "dimensions" in refusal(turned)
+
+
+def refusal(picture, **options):
+    """The message, which must be one line that names the recording."""
+    with pytest.raises(InputError) as caught:
+        track_sheets(picture, **options)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert "expected" in message and "found" in message
+    return message
+
+
+def grey(level, frames=20, columns=200):
+    return np.full((frames, columns), level, np.float32)
+
+
+def test_constant_picture():
+    """A failure means a covered lens ends in a traceback or in sheets."""
+    assert "scene.avi: expected a picture with ridges; found a constant one" in refusal(as_strip(grey(80)))
+
+
+def test_noise_alone():
+    """A failure means noise is tracked as sheets."""
+    assert "expected upright ridges" in refusal(strip(np.zeros((40, 400)), snr=20))
+
+
+def test_a_slope_of_light_alone():
+    """A failure means uneven light is tracked as sheets."""
+    fall = np.broadcast_to(np.linspace(0, 2, 400), (40, 400))
+    assert "ridge" in refusal(strip(fall, snr=100))
+
+
+def test_fewer_ridges_than_asked():
+    """A failure means sheets are invented to reach the number asked for."""
+    picture = strip(ridges(comb(40, per_side=4, axis_px=150), width=300))
+    message = refusal(picture, sheets=12)
+    assert "12 ridges" in message and "found 8" in message
+
+
+def test_no_usable_frame():
+    """A failure means a recording of corrupt frames ends in a traceback."""
+    assert "at least one usable frame" in refusal(as_strip(grey(np.nan)))
+
+
+def test_too_few_columns():
+    """A failure means a strip cut too narrow ends in a traceback."""
+    assert "at least 8 columns" in refusal(as_strip(grey(80, columns=5)))
+
+
+def test_axis_outside_the_picture_on_the_wrong_scale():
+    """A failure means an axis typed in µm instead of px numbers every sheet wrongly without a word."""
+    picture = strip(ridges(comb(40, per_side=4, axis_px=150), width=300))
+    assert "axis" in refusal(picture, axis_px=1e6)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3])
+def test_a_few_frames_are_enough_for_positions(frames):
+    """One frame gives positions, and no error made up: a failure means short clips crash or warn."""
+    truth = comb(frames, per_side=4, axis_px=150)
+    tracks = track_sheets(strip(ridges(truth, width=300)))
+    assert np.abs(tracks.x_px.values - truth).max() < 0.2
+    assert np.isfinite(tracks.x_err_px.values).all()
+    assert np.isnan(tracks.x_noise_px.values).all()

@@ -1,0 +1,309 @@
+"""Identities: every sheet keeps its index through every slip, or its position is flagged as doubtful.
+
+Frames are first joined to segments in which candidates can be followed without doubt; then all segments are
+aligned with one reference comb. No frame depends on the one before, so a mistake cannot spread.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision.numeric import Bools, Floats, Floats32, Ints, nan_median
+from vision.sheets.alignment import Candidates, Pairing, align
+from vision.sheets.reference import ReferenceComb, build_reference, static_ridges
+from vision.sheets.ridges import RidgeComb, Ridges
+from vision.sheets.settings import DEFAULT, TrackingSettings
+
+ALIGNMENTS = 2  # with each sheet expected where it was found around that time
+
+
+@dataclass(frozen=True)
+class Identities:
+    """Which candidate is which sheet.
+
+    Parameters
+    ----------
+    match
+        Candidate of each sheet in each frame, −1 where missing, (frame, N).
+    margin
+        Nats by which this identity beats the next best, (frame, N), NaN where missing.
+    rest_px
+        Where each sheet was around that time, (frame, N).
+    reference
+        The comb.
+    """
+
+    match: Ints
+    margin: Floats
+    rest_px: Floats
+    reference: ReferenceComb
+
+
+def identify_sheets(
+    ridges: Ridges,
+    comb: RidgeComb,
+    *,
+    width_px: int,
+    sheets: int | None = None,
+    source: str = "the strip",
+    settings: TrackingSettings = DEFAULT,
+) -> Identities:
+    """Pair the candidates of all frames with the sheets.
+
+    Frames are joined to segments in which nothing can be mistaken; one comb is found that most of the
+    recording agrees on; then all segments are aligned with that comb at once, and again with each sheet
+    expected where it was found around that time.
+
+    Parameters
+    ----------
+    ridges
+        Candidates of every frame.
+    comb
+        Width, pitch and contrast of the ridges.
+    width_px
+        Width of the profile.
+    sheets
+        Their number where known.
+    source
+        What a message calls the recording.
+    settings
+        Costs and thresholds.
+
+    Returns
+    -------
+    Identities
+
+    Raises
+    ------
+    InputError
+        Where there are no ridges, or fewer than `sheets`.
+    """
+    segments = split_segments(ridges, comb, width_px=width_px, settings=settings)
+    reference = build_reference(
+        segments.candidates,
+        segments.length,
+        comb,
+        width_px=width_px,
+        sheets=sheets,
+        source=source,
+        settings=settings,
+    )
+
+    def aligned(reference: ReferenceComb, rest: Floats) -> Pairing:
+        middle = rest[segments.start + segments.length // 2]
+        open_ended = sheets is None
+        expected = reference.expected(middle, comb, width_px, open_ended=open_ended, settings=settings)
+        return align(segments.candidates, expected)
+
+    rest = np.broadcast_to(reference.x_px, (len(ridges.x_px), reference.sheets))
+    match = segments.in_frames(aligned(reference, rest).match, ridges.count)
+    if sheets is None:
+        x = _positions(ridges, match)
+        moved = x - _rest_positions(x, reference, settings)
+        real = ~static_ridges(moved, reference.x_px, settings=settings)
+        reference, match = reference.only(np.flatnonzero(real)), match[:, real]
+    for _ in range(ALIGNMENTS):
+        rest = _rest_positions(_positions(ridges, match), reference, settings)
+        pairing = aligned(reference, rest)
+        before, match = match, segments.in_frames(pairing.match, ridges.count)
+        if np.array_equal(before, match):
+            break
+    margin = np.where(match >= 0, pairing.margin[segments.of_frames()], np.nan)
+    return Identities(match, margin, rest, reference)
+
+
+def _positions(ridges: Ridges, match: Ints) -> Floats:
+    x = np.take_along_axis(ridges.x_px.astype(np.float64), np.maximum(match, 0), axis=1)
+    return np.where(match >= 0, x, np.nan)
+
+
+def _rest_positions(x_px: Floats, reference: ReferenceComb, settings: TrackingSettings) -> Floats:
+    """Median position of each sheet over about thirty frames, on every frame; gaps filled from neighbours
+    and time."""
+    frames = len(x_px)
+    blocks = max(1, round(frames / settings.frames_per_rest))
+    edges = np.linspace(0, frames, blocks + 1).astype(int)
+    size = int(np.diff(edges).max())
+    index = np.minimum(edges[:-1, None] + np.arange(size), edges[1:, None] - 1)
+    moved = x_px[index] - reference.x_px
+    rare = np.isfinite(moved).mean(axis=1) < 0.25
+    moved = np.where(rare, np.nan, nan_median(moved, axis=1))
+    moved = fill_rows(fill_rows(moved, reference.x_px).T, np.arange(blocks, dtype=np.float64)).T
+    at = np.searchsorted(edges[1:], np.arange(frames), side="right")
+    return np.asarray(reference.x_px + np.nan_to_num(moved)[np.minimum(at, blocks - 1)], np.float64)
+
+
+def fill_rows(values: Floats, at: Floats) -> Floats:
+    """NaN replaced by linear interpolation along each row, ends held; rows of NaN stay NaN.
+
+    Parameters
+    ----------
+    values
+        (rows, columns).
+    at
+        Ascending abscissa of the columns.
+    """
+    known = np.isfinite(values)
+    number = np.arange(values.shape[1])
+    left = np.maximum.accumulate(np.where(known, number, -1), axis=1)
+    right = np.minimum.accumulate(np.where(known, number, len(number))[:, ::-1], axis=1)[:, ::-1]
+    lower = np.where(left < 0, right, left)
+    upper = np.where(right >= len(number), left, right)
+    usable = (lower >= 0) & (lower < len(number)) & (upper >= 0)
+    lower, upper = np.where(usable, lower, 0), np.where(usable, upper, 0)
+    span = at[upper] - at[lower]
+    fraction = np.where(span > 0, (at - at[lower]) / np.where(span > 0, span, 1), 0.0)
+    low = np.take_along_axis(values, lower, axis=1)
+    filled = low + fraction * (np.take_along_axis(values, upper, axis=1) - low)
+    return np.where(usable, filled, np.nan)
+
+
+# --- segments -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Runs of frames in which candidates do not move far between frames, and come and go at the picture's
+    edges only.
+
+    Parameters
+    ----------
+    start, length
+        First frame and number of frames, (segments,).
+    place
+        Where in the segment's list each frame's own list begins, (frame,).
+    candidates
+        Mean position of each (as if seen in the middle frame), log contrast and log width, (segments, K).
+    """
+
+    start: Ints
+    length: Ints
+    place: Ints
+    candidates: Candidates
+
+    def of_frames(self) -> Ints:
+        """Segment of every frame (frame,)."""
+        return np.repeat(np.arange(len(self.start)), self.length)
+
+    def in_frames(self, match: Ints, count: Ints) -> Ints:
+        """Candidate of each sheet in each frame (frame, N), from that in each segment (segments, N), with
+        `count` candidates in each frame; −1 where none."""
+        own = match[self.of_frames()]
+        number = own - self.place[:, None]
+        return np.where((own >= 0) & (number >= 0) & (number < count[:, None]), number, -1)
+
+
+def split_segments(
+    ridges: Ridges,
+    comb: RidgeComb,
+    *,
+    width_px: int,
+    settings: TrackingSettings = DEFAULT,
+) -> Segments:
+    """Cut the recording where a candidate comes, goes or jumps, except where sheets cross the picture's edge.
+
+    Inside a segment every candidate of one frame is one of the next, or crosses the edge there, and every
+    step is small against the spacing to the nearer neighbour (or the pitch, if smaller). A comb that jumps
+    by a whole pitch so that one sheet leaves the picture as another enters looks still; but its brightnesses
+    change, and so the recording is cut there.
+    """
+    joints = _joints(ridges, comb, width_px, settings)
+    start = np.r_[0, 1 + np.flatnonzero(~joints.holds)].astype(np.int64)
+    length = np.diff(np.r_[start, len(ridges.x_px)])
+    of_frame = np.repeat(np.arange(len(start)), length)
+    place = np.r_[0, -np.cumsum(joints.came)]
+    place -= np.minimum.reduceat(place, start)[of_frame]
+    drift = np.r_[0.0, np.cumsum(joints.moved_px)]
+    drift -= drift[start + length // 2][of_frame]
+    tables = [
+        _means(values, of_frame, place)
+        for values in (ridges.x_px - drift[:, None], np.log(ridges.contrast), np.log(ridges.fwhm_px))
+    ]
+    return Segments(start, length, place, Candidates(*tables))
+
+
+class _Joints(NamedTuple):
+    """How each frame follows on the one before, (frame − 1,): whether it does; how many candidates came in on
+    the left; how far those in both moved in the mean, px."""
+
+    holds: Bools
+    came: Ints
+    moved_px: Floats
+
+
+def _joints(ridges: Ridges, comb: RidgeComb, width_px: int, settings: TrackingSettings) -> _Joints:
+    """Frames of equal count first; where these do not follow on each other, with sheets crossing the edge."""
+    frames = len(ridges.x_px)
+    pairs = _pairs(ridges, np.arange(frames - 1), 0, comb, width_px, settings)
+    usual = float(np.median(pairs.change)) if frames > 1 else 0.0
+    most = max(settings.least_change, 5.0 * usual)
+    holds, moved = pairs.holds & (pairs.change <= most), pairs.moved_px
+    came = np.zeros(frames - 1, np.int64)
+    for number in (1, -1, 2, -2):
+        rows = np.flatnonzero(~holds)
+        pairs = _pairs(ridges, rows, number, comb, width_px, settings)
+        good = pairs.holds & (pairs.change <= most)
+        holds[rows[good]], came[rows[good]], moved[rows[good]] = True, number, pairs.moved_px[good]
+    return _Joints(holds, came, np.where(holds, moved, 0.0))
+
+
+class _FramePairs(NamedTuple):
+    """Whether a frame follows on another; mean step, px; change of the brightnesses, natural logarithm."""
+
+    holds: Bools
+    moved_px: Floats
+    change: Floats
+
+
+def _pairs(
+    ridges: Ridges, rows: Ints, came: int, comb: RidgeComb, width_px: int, settings: TrackingSettings
+) -> _FramePairs:
+    """Frames `rows` against those after them, if `came` new candidates came in on the left (left, if
+    negative)."""
+    before, after = ridges.x_px[rows], _shifted(ridges.x_px[rows + 1], came)
+    paired = np.isfinite(before) & np.isfinite(after)
+    step = np.where(paired, after - before, 0.0)
+    spacing = np.fmin(np.fmin(_spacing(before), _spacing(after)), comb.pitch_px)
+    still = (np.abs(step) < settings.step_fraction * spacing) | ~paired
+    edge = comb.fwhm_px + settings.step_fraction * comb.pitch_px
+    single = [np.where(paired, np.nan, x) for x in (before, after)] + [ridges.x_px[rows + 1, : max(came, 0)]]
+    crossing = [np.isnan(x) | (x < edge) | (x > width_px - 1 - edge) for x in single]
+    count = paired.sum(axis=1)
+    alone = ridges.count[rows] + ridges.count[rows + 1] - 2 * count
+    holds = still.all(axis=1) & np.hstack(crossing).all(axis=1) & (alone <= count)
+    bright = np.log(ridges.contrast)
+    change = np.where(paired, _shifted(bright[rows + 1], came) - bright[rows], 0.0)
+    total = np.maximum(count, 1)
+    return _FramePairs(holds, step.sum(axis=1) / total, np.sqrt((change**2).sum(axis=1) / total))
+
+
+def _shifted(values: Floats32, by: int) -> Floats32:
+    """Rows moved to the left by some places (to the right, if negative), NaN where that leaves a gap."""
+    moved = np.full_like(values, np.nan)
+    if by >= 0:
+        moved[:, : values.shape[1] - by] = values[:, by:]
+    else:
+        moved[:, -by:] = values[:, :by]
+    return moved
+
+
+def _spacing(x: Floats32) -> Floats32:
+    """Distance to the nearer neighbour, inf where there is none."""
+    gap = np.nan_to_num(np.diff(x, axis=1), nan=np.inf)
+    end = np.full((len(x), 1), np.inf, x.dtype)
+    return np.minimum(np.hstack([end, gap]), np.hstack([gap, end]))
+
+
+def _means(values: NDArray[np.floating], of_frame: Ints, place: Ints) -> Floats:
+    """Mean over the frames of each segment, (segments, places), NaN where there is nothing."""
+    frame, k = np.nonzero(np.isfinite(values))
+    column = place[frame] + k
+    shape = (int(of_frame[-1]) + 1, int(column.max(initial=0)) + 1)
+    index = of_frame[frame] * shape[1] + column
+    count = np.bincount(index, minlength=shape[0] * shape[1])
+    total = np.bincount(index, values[frame, k].astype(np.float64), minlength=shape[0] * shape[1])
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(shape)

@@ -1,0 +1,188 @@
+"""Everything about tracking that can be tuned, in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackingSettings:
+    """Thresholds and costs of `vision.track_sheets`.
+
+    Lengths are fractions of the ridges' width (FWHM) or of their pitch, so that they hold at every
+    magnification; costs are negative log-likelihoods in nats. Each setting names a scene or test that fails
+    where it is changed that far: scenes of tests/scenes/identity_cases.py by their names, and "cropped combs"
+    for those of tests/truth/test_identity_doubt.py, where neither end of the comb is in view.
+    """
+
+    # --- candidates (ridges.py) ---
+
+    noise_factor: float = 7.0
+    """Least prominence of a ridge, in standard deviations of the smoothed noise. Larger loses sheets ("SNR
+    10" at 14), smaller takes noise for sheets ("1 sheets" at 3.5)."""
+
+    faint_fraction: float = 0.08
+    """Least prominence, as a fraction of the typical ridge's. Larger loses faint sheets ("dust on the sensor
+    beside a faint sheet" at 0.16), smaller lets in paper texture."""
+
+    smoothing_widths: float = 0.2
+    """Standard deviation of the smoothing before the search, in ridge widths. Larger merges neighbours,
+    smaller leaves noise peaks; halving it changes flags in a fifth of the scenes."""
+
+    surroundings_widths: float = 1.7
+    """Half-width of the surroundings from which a ridge must stand out, in ridge widths; a Gaussian has
+    ended there. Smaller cuts off ridges ("cropped combs" at 0.85), larger lets background gradients
+    count."""
+
+    dark_width_ratio: float = 0.9
+    """Ridges are dark where the dark stripes are narrower than the bright ones by this factor. Nearer to 1
+    flips even stripes to dark ("sheets come in and go out at the edges"), smaller misses broad dark
+    ridges."""
+
+    narrowest_widths: float = 0.25
+    """A candidate narrower than this many typical widths is a hot pixel. Larger loses half-merged ridges
+    ("cropped combs" at 0.5); test_ridges.py puts in hot pixels."""
+
+    widest_widths: float = 2.5
+    """A candidate wider than this many typical widths is background. Smaller loses uneven ridges ("pitch 7
+    px" at 1.25)."""
+
+    # --- fit window (subpixel.py) ---
+
+    standard_window_px: int = 9
+    """The publication's window. Wider averages more noise but takes in the flanks, narrower the reverse."""
+
+    standard_widths_px: tuple[float, float] = (6.0, 14.0)
+    """Ridge widths that this window suits; outside them test_accuracy.py's 3 px and flat ridges lose up to
+    five times the accuracy."""
+
+    window_per_width: float = 1.4
+    """Window for other ridges, in ridge widths. Larger takes in flanks and neighbours, smaller more noise;
+    test_accuracy.py holds ridges of 3 to 30 px to 30 mpx."""
+
+    # --- segments (identities.py) ---
+
+    step_fraction: float = 0.3
+    """A candidate is followed from frame to frame while it moves less than this fraction of the spacing to
+    its neighbour. Larger risks mistakes ("cropped combs" at 0.6), smaller cuts more and leaves more to the
+    alignment."""
+
+    least_change: float = 0.2
+    """Change of the logarithms of brightness, rms over the sheets, at which a comb that looks still has
+    jumped by a pitch. Larger misses jumps ("cropped combs" at 0.4), smaller cuts at flicker."""
+
+    # --- reference comb (reference.py) ---
+
+    present_inside: float = 0.3
+    """Fraction of the frames in which a ridge between sheets must be found to be one. Larger loses faint
+    sheets ("dust on the sensor beside a faint sheet" at 0.6), smaller takes in specks that come and go."""
+
+    far_outside: float = 2.6
+    """Spacings by which a ridge lies outside the comb, above which it does not make up a number of sheets
+    that was given; test_reference.py puts a speck there."""
+
+    uneven_cost: float = 3.0
+    """Cost per unit of the logarithm of spacing over pitch. Smaller takes dust for sheets ("dust that comes
+    and goes" at 1.5), larger drops sheets of uneven combs."""
+
+    even_spread: float = 0.12
+    """Scatter of the logarithm of the spacings up to which a comb is even; beyond it spacings count for
+    less."""
+
+    contrast_score: float = 0.4
+    """Score per unit of the logarithm of contrast. Larger drops faint sheets, smaller keeps faint dust."""
+
+    odd_width_cost: float = 3.0
+    """Cost per unit of the logarithm of width beyond the usual differences. Larger drops sheets out of
+    focus, smaller keeps labels and scratches."""
+
+    moving_px: float = 0.7
+    """Motion, px rms, from which neighbours show that a ridge between them stands still. Larger keeps marks,
+    smaller takes noise for motion."""
+
+    static_fraction: float = 0.3
+    """A ridge that moves less than this fraction of its neighbours is a mark. Larger drops sheets of the
+    stiff centre, smaller keeps dust."""
+
+    wide_pitches: float = 1.6
+    """Spacing, in local pitches, in which a sheet may have been overlooked. Larger misses gaps, smaller
+    raises false alarms on uneven combs; test_reference.py draws 40 combs with and without a gap."""
+
+    # --- alignment (alignment.py), nats ---
+
+    spacing_spread: float = 0.08
+    """Change of a spacing that costs half a nat, in pitches. Smaller cuts combs at slips ("cropped combs" at
+    0.04), larger lets spacings decide less."""
+
+    spacing_limit: float = 8.0
+    """Largest cost of one spacing: a single sheet may part from its neighbours at this cost. Larger forbids
+    avalanches, smaller lets identities change anywhere."""
+
+    brightness_spread: float = 0.25
+    """Change of the logarithm of a sheet's brightness that costs half a nat. Larger ignores brightness
+    ("sheets come in and go out at the edges" at 0.5), smaller takes flicker for another sheet ("cropped
+    combs" at 0.125)."""
+
+    stay_cost: float = 4.0
+    """Cost for the whole comb to have moved by half a pitch or more. Larger denies jumps ("cropped combs" at
+    8), smaller finds some where nothing moved."""
+
+    missing_cost: float = 6.0
+    """Cost of not finding a sheet that is always seen. Smaller trades sheets for false detections ("cropped
+    combs" at 3), larger takes dust in place of a sheet."""
+
+    false_detection_cost: float = 7.0
+    """Cost of a candidate as bright as the sheets that is none. Smaller drops sheets, larger forces specks
+    into the comb ("cropped combs" at 3.5 and at 14)."""
+
+    crossing_cost: float = 2.0
+    """Cost of a sheet that leaves or enters the picture with the comb's displacement. Larger holds the comb
+    in the picture ("cropped combs" at 4), smaller makes drift too likely."""
+
+    edge_pitches: float = 1.5
+    """A comb that comes this near to the picture's edge may go on outside. Smaller closes cropped combs
+    ("cropped combs" at 0.75), larger opens those that end in view."""
+
+    frames_per_rest: int = 32
+    """Frames over which a sheet's rest position is taken. More smooth out slips and ringing, fewer follow
+    drift."""
+
+    # --- detections (recovery.py) ---
+
+    doubt: float = 3.0
+    """Margin, nats, below which an identity is flagged as doubtful: odds of 20 to 1. Larger flags more
+    positions, smaller lets wrong ones pass."""
+
+    faint_reach: float = 0.3
+    """Distance, in pitches, from where a missing sheet must be within which a faint ridge is that sheet."""
+
+    faint_contrast: float = 0.2
+    """Fraction of the sheet's usual contrast that this ridge must have. Larger loses shaded sheets, smaller
+    finds noise; test_recovery.py fades a sheet to 0.25 and to nothing."""
+
+    tear_fraction: float = 0.6
+    """Difference of two neighbours' displacements, in pitches, that no slip causes. Larger lets wrong
+    identities pass, smaller flags avalanches."""
+
+    merged_widths: float = 0.8
+    """Two sheets nearer to each other than this, in ridge widths, are one ridge: the resolution of two
+    Gaussians."""
+
+    # --- symmetry axis (numbering.py) ---
+
+    axis_sigmas: float = 4.0
+    """Standard errors by which the comb's ends must move for the motion to decide the axis."""
+
+    axis_slack: float = 0.02
+    """Fraction of all motion by which places of the axis may differ and still be equally good; larger widens
+    the choice in the stiff centre."""
+
+    vibration_sigmas: float = 2.0
+    """Times the common-mode vibration that is allowed for. Larger leaves the axis open, smaller lets a
+    shaking camera move it; test_numbering.py shakes lopsided and centred combs."""
+
+    decided_sheets: int = 2
+    """Sheets by which the axis may lie elsewhere for the motion still to have found it."""
+
+
+DEFAULT = TrackingSettings()
