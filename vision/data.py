@@ -340,7 +340,7 @@ FORCE = Schema(
     {
         "load_N": Variable(_TIME, "N", "load"),
         "d_mm": Variable(_TIME, "mm", "separation distance"),
-        "flag": Variable(_TIME, "", "ok, or what is wrong with the sample"),
+        "flag": Variable(_TIME, "", "ok, or what is wrong with the sample", required=False),
         "time_s": Variable(_TIME, "s", "machine's clock"),
         "crosshead_mm": Variable(_TIME, "mm", "crosshead", required=False),
         "video_time_s": Variable(_TIME, "s", "camera's clock", required=False),
@@ -358,7 +358,8 @@ class StickMetadata(Metadata):
     Parameters
     ----------
     noise_N, threshold_N, threshold_how
-        Noise of the load; smallest drop that counts as a slip; "found" or "given".
+        Noise of the load; smallest drop that counts as a slip; "noise" (a multiple of it), "gap" (between small
+        and large drops) or "given".
     period_samples, spikes
         Usual samples from slip to slip; impulsive spikes that were ignored.
     lowpass_s, lowpass_how
@@ -404,6 +405,19 @@ STICKS = Schema(
         "slip_length_um": Variable(_EVENT, "um", "Λ_sl, next d_v − d_p", required=False),
         "K_N_per_mm": Variable(_EVENT, "N/mm", "stiffness of the stick phase", required=False),
         "K_err_N_per_mm": Variable(_EVENT, "N/mm", "standard error of K", required=False),
+        "F_v_raw_N": Variable(_EVENT, "N", "lowest load near the valley, spikes aside", required=False),
+        "F_p_raw_N": Variable(_EVENT, "N", "highest load near the peak, spikes aside", required=False),
+        "K30_N_per_mm": Variable(_EVENT, "N/mm", "stiffness over the central 30 %", required=False),
+        "K70_N_per_mm": Variable(_EVENT, "N/mm", "stiffness over the central 70 %", required=False),
+        "K1_N_per_mm": Variable(_EVENT, "N/mm", "stiffness before the knee", required=False),
+        "K2_N_per_mm": Variable(_EVENT, "N/mm", "stiffness after the knee", required=False),
+        "knee": Variable(_EVENT, "1", "place of the knee, fraction of the fitted stretch", required=False),
+        "knee_gain": Variable(
+            _EVENT, "1", "squared residuals of one line over those with a knee", required=False
+        ),
+        "slip_time_s": Variable(_EVENT, "s", "duration of the slip", required=False),
+        "samples": Variable(_EVENT, "", "samples in the stick", required=False),
+        "flag": Variable(_EVENT, "", "ok, or what is wrong within the stick", required=False),
     },
     StickMetadata,
 )

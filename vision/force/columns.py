@@ -10,15 +10,124 @@ from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.force.table import Table
-from vision.force.units import Dimension, Unit, unit_of
+from vision.numeric import Floats
 
 Role = Literal["time", "load", "displacement", "video_time"]
+Dimension = Literal["time", "force", "length", "ratio"]
 ROLES: tuple[Role, ...] = get_args(Role)
-OPTION = "--force-columns time=…,load=…,displacement=…"
+_ADVICE = "`columns` time=…,load=…,displacement=…"
+
+# --- units --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit as written: what it measures and how many s, N or mm it is."""
+
+    text: str
+    dimension: Dimension
+    factor: float
+
+
+_POUND_N = 4.4482216152605
+_KILOGRAM_N = 9.80665
+
+# Written forms, case kept: mN and MN differ.
+_FACTORS: dict[Dimension, dict[str, float]] = {
+    "time": {
+        **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "seg"), 1.0),
+        **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
+        **dict.fromkeys(("µs", "us"), 1e-6),
+        **dict.fromkeys(("min", "minute", "minutes", "Minuten"), 60.0),
+        **dict.fromkeys(("h", "hr", "hour", "hours"), 3600.0),
+    },
+    "force": {
+        **dict.fromkeys(("N", "newton", "newtons"), 1.0),
+        **{"kN": 1e3, "MN": 1e6, "daN": 10.0, "mN": 1e-3, "µN": 1e-6, "uN": 1e-6},
+        **dict.fromkeys(("lbf", "lb", "lbs"), _POUND_N),
+        **dict.fromkeys(("kgf", "kp", "kg"), _KILOGRAM_N),
+        "gf": _KILOGRAM_N / 1000,
+    },
+    "length": {
+        **{"mm": 1.0, "cm": 10.0, "m": 1000.0, "µm": 1e-3, "um": 1e-3, "nm": 1e-6},
+        **dict.fromkeys(("in", "inch", "inches", '"'), 25.4),
+        "ft": 304.8,
+    },
+    "ratio": dict.fromkeys(("1", "-", "N/N", "dimensionless"), 1.0),
+}
+_EXACT = {text: Unit(text, dim, f) for dim, table in _FACTORS.items() for text, f in table.items()}
+_LOWER = {text.lower(): unit for text, unit in _EXACT.items() if text not in {"mN", "MN"}}
+_GREEK_MU = str.maketrans({"\u03bc": "µ"})
+
+
+def without_brackets(text: str) -> str:
+    """The unit without the brackets and spaces around it: "(kN)" and " [kN] " are both "kN"."""
+    return text.strip().strip("()[]{}<>").strip()
+
+
+def unit_of(text: str) -> Unit | None:
+    """The unit a text stands for; None where it is not a unit of time, force or length.
+
+    Case decides between mN and MN and is otherwise ignored.
+    """
+    key = without_brackets(text).translate(_GREEK_MU)
+    return _EXACT.get(key) or _LOWER.get(key.lower())
+
+
+_BRACKETED = re.compile(r"^(?P<name>.*?)\s*[\(\[\{<](?P<unit>[^()\[\]{}<>]*)[\)\]\}>]\s*$")
+_TRAILING = re.compile(r"^(?P<name>.*\S)(?:\s*[,/]\s*|_|\s+in\s+)(?P<unit>[^\s,/_]+)\s*$")
+
+
+def split_name(header: str) -> tuple[str, str]:
+    """("Load", "kN") from "Load (kN)", "Load [kN]", "Load, kN", "Load / kN", "Load in kN" or "load_kN".
+
+    A unit in brackets is split off whatever it is; the other forms only where the ending is a known unit.
+    """
+    bracketed = _BRACKETED.match(header)
+    if bracketed:
+        return bracketed["name"].strip(), bracketed["unit"].strip()
+    trailing = _TRAILING.match(header)
+    if trailing and unit_of(trailing["unit"]):
+        return trailing["name"].strip(), trailing["unit"].strip()
+    return header.strip(), ""
+
+
+# --- tables -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Table:
+    """One block of numbers of a file with its header, before anything is known about its meaning.
+
+    Parameters
+    ----------
+    names, units
+        One per column; units "" where none is written.
+    numbers
+        (rows, columns), NaN where a cell is empty or not a number.
+    facts
+        How the file was read: layout, encoding, separator, decimal.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    numbers: Floats
+    facts: dict[str, str] = field(default_factory=dict)
+
+    def listing(self) -> str:
+        """The columns for a message: 1 "Time" [s], 2 "Load" [N] …; the first value where there is no name."""
+        return ", ".join(self._label(k) for k in range(len(self.names)))
+
+    def _label(self, k: int) -> str:
+        if not self.names[k]:
+            first = self.numbers[0, k] if len(self.numbers) else float("nan")
+            return f"{k + 1} (no name, starts {first:g})"
+        return f'{k + 1} "{self.names[k]}"' + (f" [{self.units[k]}]" if self.units[k] else "")
+
+
+# --- roles --------------------------------------------------------------------------------------------------
 
 
 def _set(words: str) -> frozenset[str]:
@@ -53,47 +162,65 @@ _OVER_WEIGHT = frozenset({"fnorm"})
 
 @dataclass(frozen=True)
 class Column:
-    """A column put to use: its name in the file, its values in s, N or mm, and how its unit was known.
+    """A column with its role's unit.
 
-    unit: as written or given, "1" for a force over a weight.  assumed: no unit is written, the base unit is
-    taken.
+    Parameters
+    ----------
+    name
+        As in the file.
+    unit
+        As written or given, "1" for a force over a weight.
+    assumed
+        True where no unit is written and the base unit (s, N or mm) is taken.
+    values
+        In s, N or mm.
     """
 
     name: str
     unit: str
     assumed: bool
-    values: NDArray[np.float64] = field(repr=False)
+    values: Floats = field(repr=False)
 
 
 def parse_columns(text: str) -> dict[str, str]:
-    """The roles of `--force-columns time=Time,load=Load:kN,displacement=3`.
+    """The roles in a text such as ``time=Time,load=Load:kN,displacement=3``.
 
-    A value is a column's name, or its number counted from 1; `:unit` states the unit, a leading `-` turns
-    the sign, and `time=2000Hz` stands for a recording that has a sampling rate and no times.
-    Raises InputError.
+    Parameters
+    ----------
+    text
+        ``role=column`` pairs. A column is a name, or a number counted from 1; ``:unit`` states the unit, a
+        leading ``-`` turns the sign, and ``time=2000Hz`` stands for a recording that has a sampling rate and
+        no times.
+
+    Returns
+    -------
+    Role to column, as `read_force` takes it.
+
+    Raises
+    ------
+    InputError
+        For anything else.
     """
     found: dict[str, str] = {}
     for part in re.split(r",(?=\s*\w+\s*=)", text.strip().strip(",")):
         key, equals, value = part.partition("=")
         role = next((role for role in ROLES if role == key.strip()), None)
         if role is None or not equals or not value.strip():
-            raise InputError(
-                "--force-columns", f"ROLE=COLUMN with ROLE one of {', '.join(ROLES)}", f'"{part}"'
-            )
+            raise InputError("`columns`", f"ROLE=COLUMN with ROLE one of {', '.join(ROLES)}", f'"{part}"')
         found[role] = value.strip()
     return found
 
 
-def resolve(path: Path, table: Table, named: Mapping[str, str] | None = None) -> dict[Role, Column]:
+def find_columns(path: Path, table: Table, named: Mapping[str, str] | None = None) -> dict[Role, Column]:
     """The columns of a table by role; "displacement" and "video_time" only where there is one.
 
-    Raises InputError where time or load is missing, where two columns would do equally, or where a unit is
-    written that is not known: the message lists the columns and shows the option that names them.
+    Raises InputError where time or load is missing, where two columns would do equally, or where a written
+    unit is not known: the message lists the columns and shows how to name them.
     """
     named = named or {}
     unknown = set(named) - set(ROLES)
     if unknown:
-        raise InputError("--force-columns", f"roles {', '.join(ROLES)}", ", ".join(sorted(unknown)))
+        raise InputError("`columns`", f"roles {', '.join(ROLES)}", ", ".join(sorted(unknown)))
     columns: dict[Role, Column] = {}
     for role in ROLES:
         column = _named(path, table, role, named[role]) if role in named else _guessed(path, table, role)
@@ -101,18 +228,15 @@ def resolve(path: Path, table: Table, named: Mapping[str, str] | None = None) ->
             columns[role] = column
     for role in ("time", "load"):
         if role not in columns:
-            raise _missing(path, table, role)
+            rate = " (time=2000Hz where only the sampling rate is known)" if role == "time" else ""
+            raise InputError(
+                path, f"a {role} column", f"columns {table.listing()}", f"name them with {_ADVICE}{rate}"
+            )
     return columns
 
 
-def _missing(path: Path, table: Table, role: str) -> InputError:
-    rate = " (time=2000Hz where only the sampling rate is known)" if role == "time" else ""
-    return InputError(
-        path, f"a {role} column", f"columns {table.listing()}", f"name them with {OPTION}{rate}"
-    )
-
-
 def _named(path: Path, table: Table, role: Role, text: str) -> Column:
+    """The column that the user names for a role."""
     rate = re.fullmatch(r"([\d.]+)\s*Hz", text) if role == "time" else None
     if rate:
         return Column(text, "Hz", assumed=False, values=np.arange(len(table.numbers)) / float(rate[1]))
@@ -125,42 +249,41 @@ def _locate(path: Path, table: Table, text: str) -> tuple[int, int, str]:
     """(column, sign, unit or "") of a user's NAME, NUMBER, NAME:unit or -NAME."""
     name, _, unit_text = text.rpartition(":") if ":" in text and text not in table.names else (text, "", "")
     for candidate, sign in ((name, 1), (name.removeprefix("-"), -1)):
-        matches = [k for k, known in enumerate(table.names) if _same(known, candidate)]
+        asked = candidate.strip().casefold()
+        matches = [k for k, known in enumerate(table.names) if known and known.casefold() == asked]
         if len(matches) == 1:
             return matches[0], sign, unit_text
         if not matches and candidate.isdigit() and 1 <= int(candidate) <= len(table.names):
             return int(candidate) - 1, sign, unit_text
     raise InputError(
-        path, f'one column "{text}"', f"columns {table.listing()}", f"name or number them with {OPTION}"
+        path, f'one column "{text}"', f"columns {table.listing()}", f"name or number them with {_ADVICE}"
     )
 
 
-def _same(known: str, asked: str) -> bool:
-    return bool(known) and known.casefold() == asked.strip().casefold()
-
-
 def _guessed(path: Path, table: Table, role: Role) -> Column | None:
-    candidates = [k for k in range(len(table.names)) if _fits(table, role, k)]
+    """The column whose name, or else whose unit alone, fits a role best."""
+    every = range(len(table.names))
+    candidates = [k for k in every if _fits(table, role, k)]
     if not candidates and role in ("load", "displacement"):
-        candidates = [k for k in range(len(table.names)) if _fits_by_unit(table, role, k)]
+        candidates = [k for k in every if _fits_by_unit(table, role, k)]
     if not candidates:
         return None
     best = min(_rank(table, role, k) for k in candidates)
     chosen = [k for k in candidates if _rank(table, role, k) == best]
     if len(chosen) > 1:
         several = ", ".join(f'{k + 1} "{table.names[k]}"' for k in chosen)
-        raise InputError(path, f"one {role} column", f"{len(chosen)}: {several}", f"choose with {OPTION}")
+        raise InputError(path, f"one {role} column", f"{len(chosen)}: {several}", f"choose with {_ADVICE}")
     return _column(path, table, role, chosen[0], "")
 
 
 def _words(name: str) -> list[str]:
+    """Lower-case words of a name without accents; "TestTime" and "video_time" are two words each."""
     plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
-    # "TestTime" and "video_time" are two words each.
     return re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain).lower())
 
 
 def _fits(table: Table, role: Role, k: int) -> bool:
-    """A name of this role, and not a unit of something else."""
+    """Whether a column has a name of this role, and not a unit of something else."""
     words = set(_words(table.names[k]))
     unit = unit_of(table.units[k])
     if words & _NEVER or (unit and unit.dimension not in (_DIMENSION[role], "ratio")):
@@ -180,14 +303,12 @@ def _fits_by_unit(table: Table, role: Role, k: int) -> bool:
 def _rank(table: Table, role: Role, k: int) -> tuple[bool, bool, int]:
     """Smaller is better: with a unit, not an absolute machine position, and for time the shortest name."""
     words = _words(table.names[k])
-    return (
-        unit_of(table.units[k]) is None,
-        bool(set(words) & _ABSOLUTE),
-        len(words) if role == "time" else 0,
-    )
+    absolute = bool(set(words) & _ABSOLUTE)
+    return unit_of(table.units[k]) is None, absolute, len(words) if role == "time" else 0
 
 
 def _column(path: Path, table: Table, role: Role, k: int, given: str) -> Column:
+    """Column k in the base unit of its role; `given` unit, if any, instead of the written one."""
     written = given or table.units[k]
     name = table.names[k] or f"column {k + 1}"
     if not written and set(_words(name)) & _OVER_WEIGHT:
@@ -195,7 +316,7 @@ def _column(path: Path, table: Table, role: Role, k: int, given: str) -> Column:
     unit = unit_of(written) if written else Unit(_BASE[role], _DIMENSION[role], 1.0)
     allowed = (_DIMENSION[role], "ratio") if role == "load" else (_DIMENSION[role],)
     if unit is None or unit.dimension not in allowed:
-        advice = f"say it with --force-columns {role}={name}:{_BASE[role]} (or another unit)"
+        advice = f"state it with `columns` {role}={name}:{_BASE[role]} (or another unit)"
         raise InputError(path, f'a unit of {_DIMENSION[role]} for "{name}"', f'"{written}"', advice)
     shown = "1" if unit.dimension == "ratio" else unit.text
     return Column(name, shown, assumed=not written, values=table.numbers[:, k] * unit.factor)

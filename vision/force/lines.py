@@ -8,13 +8,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
+from vision.numeric import Floats, Ints
+
+LEAST_FOR_KNEE = 12  # samples of a stretch: fewer say nothing about two slopes
+_KNEES = np.linspace(0.15, 0.85, 15)  # tried, in parts of the stretch
+_NO_KNEE = 2.0
 
 
 def flat_ranges(start: Ints, stop: Ints) -> tuple[Ints, Ints]:
-    """(row, index) of every integer in [start, stop) of every row, one after the other."""
+    """Every integer of many ranges, one range after the other.
+
+    Parameters
+    ----------
+    start, stop
+        Half-open ranges, one per row.
+
+    Returns
+    -------
+    (row, index), both of the length of all ranges together.
+    """
     count = np.maximum(stop - start, 0)
     row = np.repeat(np.arange(start.size), count)
     index = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(start, count)
@@ -25,8 +37,16 @@ def flat_ranges(start: Ints, stop: Ints) -> tuple[Ints, Ints]:
 class Lines:
     """Least-squares lines, one per stretch: y = mean_y + slope (x - mean_x).
 
-    count: samples used.  spread: residual standard deviation.  sxx: sum of (x - mean_x)².  All NaN with fewer
-    than three samples or where x does not vary.
+    Parameters
+    ----------
+    slope, mean_x, mean_y
+        Of each line.
+    sxx
+        Sum of (x - mean_x)².
+    spread
+        Residual standard deviation.
+    count
+        Samples used. All are NaN with fewer than three samples or where x does not vary.
     """
 
     slope: Floats
@@ -56,10 +76,21 @@ class Lines:
 
 
 def fit_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: float = 0.0) -> Lines:
-    """Lines through (x, y) over [start, stop), one per row; NaN in y is left out.
+    """Lines through (x, y) over many stretches.
 
-    lag: time constant, in samples, of a first-order low-pass that y went through.  An exponential of free
-    height then takes up what it still had to catch up with, and the line is the one before the low-pass.
+    Parameters
+    ----------
+    x, y
+        The signal; NaN is left out.
+    start, stop
+        Half-open ranges of samples, one per line.
+    lag
+        Time constant, in samples, of a first-order low-pass that y went through. An exponential of free
+        height then takes up the transient, and the line is the one before the low-pass.
+
+    Returns
+    -------
+    One line per stretch, NaN where there are not enough samples.
     """
     row, index = flat_ranges(start, stop)
     keep = np.isfinite(y[index]) & np.isfinite(x[index])
@@ -72,16 +103,17 @@ def fit_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: float = 0.0
             mean_x = mean_x - lag * rows.total(dx * index) / rows.total(
                 (index - rows.mean(index)[row]) * index
             )
-            tail = np.exp(-(index - start[row]) / lag)
-            mean_tail = rows.mean(tail)
-            tail -= mean_tail[row]
-            height_x, height_y = (rows.total(part * tail) / rows.total(tail**2) for part in (dx, dy))
-            dx, dy = dx - height_x[row] * tail, dy - height_y[row] * tail
+            transient = np.exp(-(index - start[row]) / lag)
+            offset = rows.mean(transient)
+            transient -= offset[row]
+            squares = rows.total(transient**2)
+            height_x, height_y = (rows.total(part * transient) / squares for part in (dx, dy))
+            dx, dy = dx - height_x[row] * transient, dy - height_y[row] * transient
         sxx = rows.total(dx * dx)
         sxx[sxx <= 0] = np.nan
         slope = rows.total(dx * dy) / sxx
         if lag:
-            mean_y = mean_y - (height_y - slope * height_x) * mean_tail
+            mean_y = mean_y - (height_y - slope * height_x) * offset
         spread = np.sqrt(
             rows.total((dy - slope[row] * dx) ** 2) / np.maximum(rows.count - (3 if lag else 2), 1)
         )
@@ -105,10 +137,20 @@ class _Rows:
 
 @dataclass(frozen=True)
 class BrokenLines:
-    """Continuous two-slope lines: slope `first` up to `knee` (fraction of the stretch), then `second`.
+    """Continuous lines of two slopes, one per stretch.
 
-    low, span: the stretches in x.  level: value at low.  gain: how many times smaller the squared residual
-    is than a single line's; about 1 where one line does.
+    Parameters
+    ----------
+    first, second
+        Slope before and after the knee.
+    knee
+        Where the slope changes, as a fraction of the stretch.
+    low, span
+        The stretches in x.
+    level
+        Value at low.
+    gain
+        How many times smaller the squared residual is than a single line's; about 1 where one line does.
     """
 
     first: Floats
@@ -133,14 +175,10 @@ class BrokenLines:
         return self.first_at(self.knee_x) + self.second * (x - self.knee_x)
 
 
-_KNEES = np.linspace(0.15, 0.85, 15)
-_NO_KNEE = 2.0
-
-
 def fit_broken_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: float = 0.0) -> BrokenLines:
     """The best of 15 knees between 15 and 85 % of each stretch; NaN with fewer than 12 samples.
 
-    lag: as in `fit_lines`.
+    Parameters are those of `fit_lines`.
     """
     row, index = flat_ranges(start, stop)
     keep = np.isfinite(y[index]) & np.isfinite(x[index])
@@ -148,8 +186,8 @@ def fit_broken_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: floa
     low, span = _extent(x[index], row, start.size)
     u = (x[index] - low[row]) / span[row]
     late = lag / np.maximum(stop - start - 1.0, 1.0)
-    tail = np.exp(-(index - start[row]) / lag) if lag else np.zeros_like(u)
-    hinges = _Hinges(u, y[index], row, tail, late)
+    transient = np.exp(-(index - start[row]) / lag) if lag else np.zeros_like(u)
+    hinges = _Hinges(u, y[index], row, transient, late)
     straight, _ = hinges.fit(_NO_KNEE)
     fits = [hinges.fit(knee) for knee in _KNEES]
     squares = np.array([square for square, _ in fits])
@@ -179,7 +217,7 @@ def _extent(x: Floats, row: Ints, rows: int) -> tuple[Floats, Floats]:
     low, high = np.full(rows, np.inf), np.full(rows, -np.inf)
     np.minimum.at(low, row, x)
     np.maximum.at(high, row, x)
-    good = (np.bincount(row, minlength=rows) >= 12) & (high > low)
+    good = (np.bincount(row, minlength=rows) >= LEAST_FOR_KNEE) & (high > low)
     span = np.subtract(high, low, out=np.full(rows, np.nan), where=good)
     return np.where(good, low, 0.0), span
 
@@ -189,25 +227,24 @@ def bend_squares(x: Floats, y: Floats, start: Ints, stop: Ints, knee_x: Floats) 
     row, index = flat_ranges(start, stop)
     low, span = _extent(x[index], row, start.size)
     u, zero = (x[index] - low[row]) / span[row], np.zeros(start.size)
-    hinges = _Hinges(u, y[index], row, np.zeros_like(u), zero)
-    return hinges.fit(((knee_x - low) / span)[row])[0]
+    return _Hinges(u, y[index], row, np.zeros_like(u), zero).fit(((knee_x - low) / span)[row])[0]
 
 
 @dataclass(frozen=True)
 class _Hinges:
-    """y = a + b u + c max(0, u - knee) + tail, u from 0 to 1 in each row; late: the lag in u, (rows,)."""
+    """y = a + b u + c max(0, u - knee) + transient, u from 0 to 1 in each row; late: the lag in u, (rows,)."""
 
     u: Floats
     y: Floats
     row: Ints
-    tail: Floats
+    transient: Floats
     late: Floats
 
     def fit(self, knee: float | Floats) -> tuple[Floats, Floats]:
-        """(sum of squares left, (a, b, c, tail)) of every row."""
+        """(sum of squares left, (a, b, c, transient)) of every row."""
         rows = self.late.size
         hinge = lagged_hinge(self.u - knee, self.late[self.row])
-        design = np.stack([np.ones_like(self.u), self.u, hinge, self.tail], axis=1)
+        design = np.stack([np.ones_like(self.u), self.u, hinge, self.transient], axis=1)
         design[~np.isfinite(self.u)] = 0.0
         matrix = np.zeros((rows, 4, 4))
         right = np.zeros((rows, 4))

@@ -1,26 +1,22 @@
-"""A testing machine's file becomes load and separation against time."""
+"""A testing machine's file becomes load and separation against time, with quality flags."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+import xarray as xr
+from scipy.ndimage import median_filter
 
+from vision.data import FORCE, ForceMetadata, record
 from vision.errors import InputError
-from vision.force.columns import Column, Role, resolve
-from vision.force.flags import sample_flags, usable
-from vision.force.matfile import read_mat
-from vision.force.table import Table
-from vision.force.textfile import read_text
+from vision.force.columns import Column, Role, Table, find_columns
+from vision.force.files import read_tables
+from vision.force.settings import DEFAULTS, ForceSettings
+from vision.numeric import Bools, Floats, Strings
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-_MIN_SAMPLES = 10
-_SPEED_TOLERANCE = 0.05
+_LEAST_SAMPLES = 10
 
 
 def read_force(
@@ -29,64 +25,95 @@ def read_force(
     speed_mm_min: float | None = None,
     d0_mm: float | None = None,
     columns: Mapping[str, str] | None = None,
+    settings: ForceSettings = DEFAULTS,
 ) -> xr.Dataset:
     """Load and separation of a traction test, as recorded: nothing is smoothed, sorted or left out.
 
-    d = d0 + crosshead where a displacement is recorded, else d0 + V (t - t0) where a speed is given; `d_mm`
-    is NaN where neither is there.  Without `d0_mm` it counts from the crosshead's zero and a note says so; 0
-    means that the column is the separation itself.  Tension is positive.
+    Parameters
+    ----------
+    path
+        Recording of a testing machine in any layout (text, CSV, .TRA, .mat).
+    speed_mm_min
+        V, pulling speed; used where no displacement is recorded, else compared with the displacement.
+    d0_mm
+        Separation at crosshead 0; 0 where the column is the separation itself. Without it `d_mm` counts from
+        the crosshead's zero, which a note says.
+    columns
+        ``{"time": …, "load": …, "displacement": …, "video_time": …}`` as `parse_columns` returns, for columns
+        that are not found by their names.
+    settings
+        See `ForceSettings`.
 
-    Args: path, any layout of a testing machine (text, CSV, .TRA, .mat).  speed_mm_min, V.  d0_mm, separation
-    at crosshead 0.  columns, {"time": …, "load": …, "displacement": …, "video_time": …} as `parse_columns`
-    returns.
+    Returns
+    -------
+    Dataset with dimension ``time_s``: ``load_N`` (tension positive), ``d_mm``, ``flag`` and, where recorded,
+    ``crosshead_mm`` and ``video_time_s``; attributes as `vision.data.ForceMetadata`. Rows with a bad time
+    stay, so ``time_s`` may hold NaN or run backwards: use `good_samples`. ``d_mm`` is NaN where neither a
+    displacement nor a speed is known. A load that is a force over a weight keeps its name and has units "1".
 
-    Returns: load_N, d_mm, flag (time_s) and, where recorded, crosshead_mm and video_time_s.  `flag` as in
-    `sample_flags`; rows with a bad time stay, so time_s may hold NaN or run backwards: use `good_samples`.
-    A load that is a force over a weight (unit "1") keeps its name and has units "1".  attrs: layout,
-    encoding, separator, decimal, columns, source ("displacement", "speed" or "none"), speed_mm_min, d0_mm,
-    notes, warnings.
+    Raises
+    ------
+    InputError
+        For a missing, unreadable or unrecognised file, ambiguous columns or unknown units.
 
-    Raises InputError for a missing, unreadable or unrecognised file, ambiguous columns or unknown units.
+    Notes
+    -----
+    .. math:: d = d_0 + x_\\mathrm{crosshead} \\quad\\text{or}\\quad d = d_0 + V (t - t_0)
     """
     path = Path(path)
     if not path.is_file():
         raise InputError(path, "a force recording", "a folder" if path.is_dir() else "no such file")
     with np.errstate(invalid="ignore"):
-        tables = read_mat(path) if path.suffix.lower() == ".mat" else read_text(path)
-        found, facts = _joined(path, tables, columns)
-        return _dataset(path, found, facts, speed_mm_min, d0_mm)
+        found, facts = _joined(path, read_tables(path), columns)
+        force = _dataset(path, found, facts, speed_mm_min, d0_mm, settings)
+    return record(
+        force,
+        "read_force",
+        path=str(path),
+        speed_mm_min=speed_mm_min,
+        d0_mm=d0_mm,
+        columns=dict(columns) if columns else None,
+        settings=settings.changed(),
+    )
 
 
 def good_samples(force: xr.Dataset) -> xr.Dataset:
-    """The samples that can be measured on: finite, times strictly rising, load cell not saturated."""
-    return force.isel(time_s=np.flatnonzero(usable(force["flag"].values)))
+    """The samples that can be measured on: finite, times strictly rising, load cell not saturated.
+
+    Parameters
+    ----------
+    force
+        As from `read_force`; without flags all its samples are good.
+
+    Returns
+    -------
+    The same dataset with fewer samples.
+    """
+    return force.isel(time_s=np.flatnonzero(usable(force["flag"].values))) if "flag" in force else force
 
 
 def _joined(
     path: Path, tables: list[Table], named: Mapping[str, str] | None
 ) -> tuple[dict[Role, Column], dict[str, str]]:
-    """The columns of the blocks that hold time and load, one after the other."""
+    """The columns of the blocks that hold time and load, one block after the other, and the file's facts."""
     largest = max(tables, key=lambda table: table.numbers.size)
-    resolved: list[tuple[dict[Role, Column], Table]] = []
+    wanted = find_columns(path, largest, named)
+    used: list[dict[Role, Column]] = []
     for table in tables:
         try:
-            resolved.append((resolve(path, table, named), table))
+            columns = wanted if table is largest else find_columns(path, table, named)
         except InputError:
-            if table is largest:
-                raise
-    roles = set(resolved[[table is largest for _, table in resolved].index(True)][0])
-    used = [columns for columns, _ in resolved if set(columns) == roles]
+            continue  # a smaller block of something else, such as a table of peaks
+        if set(columns) == set(wanted):
+            used.append(columns)
     joined: dict[Role, Column] = {
         role: Column(
-            column.name,
-            column.unit,
-            column.assumed,
-            np.concatenate([columns[role].values for columns in used]),
+            first.name, first.unit, first.assumed, np.concatenate([columns[role].values for columns in used])
         )
-        for role, column in used[0].items()
+        for role, first in used[0].items()
     }
-    facts = {**largest.facts, "blocks": f"{len(used)} of {len(tables)}", "seen": largest.listing()}
-    return joined, facts
+    facts = {"blocks": f"{len(used)} of {len(tables)}", "columns_seen": largest.listing()}
+    return joined, largest.facts | facts
 
 
 def _dataset(
@@ -95,104 +122,79 @@ def _dataset(
     facts: dict[str, str],
     speed_mm_min: float | None,
     d0_mm: float | None,
+    settings: ForceSettings,
 ) -> xr.Dataset:
-    import xarray as xr
-
+    """The dataset of `read_force` from the columns found."""
     time, load = found["time"].values, found["load"].values
     crosshead = found["displacement"].values if "displacement" in found else None
-    if time.size < _MIN_SAMPLES:
-        raise InputError(path, f"at least {_MIN_SAMPLES} samples", f"{time.size}")
-    flags = sample_flags(time, load, crosshead)
+    if time.size < _LEAST_SAMPLES:
+        raise InputError(path, f"at least {_LEAST_SAMPLES} samples", f"{time.size}")
+    flags = sample_flags(time, load, crosshead, settings=settings)
     good = usable(flags)
     if not good.any():
         raise InputError(path, "rising times and finite loads", f"none among {time.size} rows")
-    travel, source = _travel(time, crosshead, speed_mm_min, start_s=float(time[good][0]))
-    unit = found["load"].unit
-    data = {
-        "load_N": ("time_s", load, {"units": "1" if unit == "1" else "N", "long_name": "load"}),
-        "d_mm": ("time_s", (d0_mm or 0.0) + travel, {"units": "mm", "long_name": "separation"}),
-        "flag": ("time_s", flags),
-    }
     if crosshead is not None:
-        data["crosshead_mm"] = ("time_s", crosshead, {"units": "mm", "long_name": "crosshead"})
-    if "video_time" in found:
-        data["video_time_s"] = (
-            "time_s",
-            found["video_time"].values,
-            {"units": "s", "long_name": "camera's clock"},
-        )
+        travel, source = crosshead, "displacement"
+    elif speed_mm_min is not None:
+        travel, source = speed_mm_min / 60.0 * (time - float(time[good][0])), "speed"
+    else:
+        travel, source = np.full(time.shape, np.nan), "none"
+    values = {"load_N": load, "d_mm": (d0_mm or 0.0) + travel, "flag": flags}
+    values |= {} if crosshead is None else {"crosshead_mm": crosshead}
+    values |= {"video_time_s": found["video_time"].values} if "video_time" in found else {}
     force = xr.Dataset(
-        data, coords={"time_s": ("time_s", time, {"units": "s", "long_name": "machine's clock"})}
+        {name: ("time_s", column, FORCE[name].attrs) for name, column in values.items()},
+        coords={"time_s": ("time_s", time, FORCE["time_s"].attrs)},
     )
+    if found["load"].unit == "1":
+        force["load_N"].attrs["units"] = "1"
     measured = _speed(time[good], travel[good])
-    notes, warnings = _remarks(found, flags, good, source, speed_mm_min, d0_mm, measured, load[good])
-    return force.assign_attrs(
-        {
-            "path": str(path),
-            **facts,
-            "columns": "; ".join(f"{role} = {c.name} [{c.unit}]" for role, c in found.items()),
-            "source": source,
-            "speed_mm_min": measured if source == "displacement" else speed_mm_min or float("nan"),
-            "d0_mm": float("nan") if d0_mm is None else d0_mm,
-            "notes": "\n".join(notes),
-            "warnings": "\n".join(warnings),
-        }
+    metadata = ForceMetadata(
+        source=str(path),
+        separation_from=source,
+        speed_mm_min=measured if source == "displacement" else speed_mm_min or float("nan"),
+        d0_mm=float("nan") if d0_mm is None else d0_mm,
+        columns="; ".join(f"{role} = {c.name} [{c.unit}]" for role, c in found.items()),
+        notes=_notes(found, source, d0_mm),
+        warnings=_warnings(flags, load[good], source, speed_mm_min, measured),
+        **facts,
     )
+    return force.assign_attrs(metadata.attrs())
 
 
-def _travel(
-    time: NDArray[np.float64],
-    crosshead: NDArray[np.float64] | None,
-    speed_mm_min: float | None,
-    *,
-    start_s: float,
-) -> tuple[NDArray[np.float64], str]:
-    if crosshead is not None:
-        return crosshead, "displacement"
-    if speed_mm_min is not None:
-        return speed_mm_min / 60.0 * (time - start_s), "speed"
-    return np.full(time.shape, np.nan), "none"
-
-
-def _speed(time: NDArray[np.float64], travel: NDArray[np.float64]) -> float:
+def _speed(time: Floats, travel: Floats) -> float:
     """mm/min: the median speed over stretches of a twentieth of the recording, so that holds do not count."""
     knots = np.unique(np.linspace(0, time.size - 1, 21).astype(int))
     steps = np.diff(time[knots])
-    return (
-        float(np.median(np.diff(travel[knots]) / steps) * 60.0)
-        if np.all(steps > 0) and steps.size
-        else float("nan")
-    )
+    if not steps.size or not np.all(steps > 0):
+        return float("nan")
+    return float(np.median(np.diff(travel[knots]) / steps) * 60.0)
 
 
-def _remarks(
-    found: dict[Role, Column],
-    flags: NDArray[np.str_],
-    good: NDArray[np.bool_],
-    source: str,
-    speed_mm_min: float | None,
-    d0_mm: float | None,
-    measured: float,
-    load: NDArray[np.float64],
-) -> tuple[list[str], list[str]]:
-    """(notes, warnings): what was taken for granted, and what may spoil the results."""
+def _notes(found: dict[Role, Column], source: str, d0_mm: float | None) -> list[str]:
+    """What was assumed."""
     notes = [f'"{c.name}" has no unit: {role} taken in {c.unit}' for role, c in found.items() if c.assumed]
-    warnings = []
     if found["load"].unit == "1":
         notes.append("load is a force over a weight (unit 1): every _N below is in units of that weight")
     if source == "speed":
         notes.append("no displacement recorded: d = d0 + V t with the speed given")
+    elif source == "displacement" and d0_mm is None:
+        notes.append("`d0_mm` not given: d counts from the crosshead's zero")
+    return notes
+
+
+def _warnings(
+    flags: Strings, load: Floats, source: str, speed_mm_min: float | None, measured: float
+) -> list[str]:
+    """What may spoil the results."""
+    warnings = []
     if source == "none":
-        warnings.append("no displacement recorded and no --speed: d, lengths and stiffness are empty")
-    elif d0_mm is None:
-        notes.append("--d0 not given: d counts from the crosshead's zero")
-    if (
-        source == "displacement"
-        and speed_mm_min
-        and not np.isclose(measured, speed_mm_min, rtol=_SPEED_TOLERANCE)
-    ):
+        warnings.append("no displacement recorded and no `speed_mm_min`: d, lengths and stiffness are empty")
+    # A machine holds its speed to a per cent; five leave room for the start and stop.
+    if source == "displacement" and speed_mm_min and not np.isclose(measured, speed_mm_min, rtol=0.05):
         warnings.append(
-            f"the crosshead moved at {measured:.3g} mm/min, --speed says {speed_mm_min:g}: crosshead used"
+            f"the crosshead moved at {measured:.3g} mm/min, not at `speed_mm_min` {speed_mm_min:g}: "
+            "crosshead used"
         )
     counts = {word: int(np.sum(flags == word)) for word in ("nan", "repeated", "backwards", "saturated")}
     warnings += [
@@ -202,10 +204,119 @@ def _remarks(
         warnings.append(f"{count} gaps in time")
     if is_compression(load):
         warnings.append("the load is negative: a recording in compression, or tension counted negative")
-    return notes, warnings
+    return warnings
 
 
-def is_compression(load: NDArray[np.float64]) -> bool:
+def is_compression(load: Floats) -> bool:
     """True where the load is mostly negative and reaches further below zero than above."""
     low, high = np.percentile(load[np.isfinite(load)], (1, 99))
     return bool(-low > high and np.nanmedian(load) < 0)
+
+
+# --- quality flags; the data stay unchanged -----------------------------------------------------------------
+
+
+def sample_flags(
+    time_s: Floats, load: Floats, displacement: Floats | None, *, settings: ForceSettings = DEFAULTS
+) -> Strings:
+    """One word per sample: the first of these that applies, else "ok".
+
+    Parameters
+    ----------
+    time_s, load, displacement
+        Columns of the recording, one value per sample.
+    settings
+        ``gap_intervals`` and ``saturated_run``.
+
+    Returns
+    -------
+    "nan": time, load or displacement is not a number. "backwards": time is earlier than a time already seen.
+    "repeated": time is the same. "saturated": one of a run of equal samples at the largest absolute load.
+    "gap": the time before this sample spans several sampling intervals (the sample itself is good).
+    """
+    flags = np.full(time_s.shape, "ok", dtype="<U9")
+    bad = ~np.isfinite(time_s) | ~np.isfinite(load)
+    if displacement is not None:
+        bad |= ~np.isfinite(displacement)
+    latest = np.fmax.accumulate(np.r_[-np.inf, np.where(bad, -np.inf, time_s)])[:-1]
+    step = np.where(bad, np.nan, time_s) - latest
+    forward = step[np.isfinite(step) & (step > 0)]
+    usual = np.median(forward) if forward.size else np.nan
+    flags[np.isfinite(step) & (step > settings.gap_intervals * usual)] = "gap"
+    flags[_saturated(load, settings.saturated_run)] = "saturated"
+    flags[step == 0] = "repeated"
+    flags[step < 0] = "backwards"
+    flags[bad] = "nan"
+    return flags
+
+
+def _saturated(load: Floats, least: int) -> Bools:
+    """Runs of at least so many samples at exactly the largest |load|; none where that is the resting value."""
+    finite = np.abs(load[np.isfinite(load)])
+    if not finite.size or finite.max() == np.median(finite):
+        return np.zeros(load.shape, dtype=bool)
+    at_limit = np.abs(load) == finite.max()
+    edges = np.flatnonzero(np.diff(np.r_[False, at_limit, False]))
+    starts, stops = edges[::2], edges[1::2]
+    long = stops - starts >= least
+    marks = np.zeros(load.size + 1, dtype=int)
+    np.add.at(marks, starts[long], 1)
+    np.add.at(marks, stops[long], -1)
+    return np.asarray(np.cumsum(marks[:-1]) > 0)
+
+
+def usable(flags: Strings) -> Bools:
+    """Samples that can be measured on: good ones and those after a gap."""
+    return np.isin(flags, ("ok", "gap"))
+
+
+# --- noise --------------------------------------------------------------------------------------------------
+
+
+def noise_sigma(y: Floats) -> float:
+    """Standard deviation of white noise on a signal of slow rises and sudden drops.
+
+    Parameters
+    ----------
+    y
+        Load, finite, at least three samples.
+
+    Returns
+    -------
+    In the unit of y; never below what the quantum q of the recording causes, nor zero.
+
+    Notes
+    -----
+    The median absolute second difference sees neither the rises nor the few drops:
+
+    .. math:: \\sigma = \\max(1.4826\\,\\mathrm{MAD}(\\Delta^2 y) / \\sqrt 6,\\; q / \\sqrt{12})
+    """
+    second = np.diff(y, 2)
+    spread = 1.4826 * float(np.median(np.abs(second - np.median(second)))) / np.sqrt(6.0)
+    range_ = float(np.ptp(y))
+    steps = np.diff(np.unique(y))
+    steps = steps[steps > 1e-6 * range_]  # smaller ones are rounding errors
+    quantum = float(steps.min()) if steps.size else 0.0
+    return float(max(spread, quantum / np.sqrt(12.0), 1e-9 * range_, np.finfo(float).tiny))
+
+
+def find_spikes(y: Floats, sigma: float, *, settings: ForceSettings = DEFAULTS) -> tuple[Bools, Floats]:
+    """Impulsive spikes of one or two samples.
+
+    Parameters
+    ----------
+    y, sigma
+        Load and its noise.
+    settings
+        ``spike_sigmas``, from the median of the five samples around. Slips and corners of a sawtooth stay,
+        because that median follows them.
+
+    Returns
+    -------
+    Which samples are spikes, and the signal with the median in their place.
+    """
+    middle = median_filter(y, size=5, mode="nearest")
+    # The corner of a steep sawtooth also lies off the median, by at most two rises between samples.
+    rise = 2.0 * float(np.median(np.abs(np.diff(middle))))
+    is_spike = np.abs(y - middle) > settings.spike_sigmas * sigma + rise
+    return is_spike, np.where(is_spike, middle, y)

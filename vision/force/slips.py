@@ -1,36 +1,36 @@
-"""Where a sawtooth drops: candidates from a step filter, kept where the stick lines say there is a drop."""
+"""Where a sawtooth drops: candidates from a step filter, kept where the stick lines show a drop."""
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from scipy.signal import find_peaks
 
-from vision.force.lines import Bools, Floats, Ints, Lines, bend_squares, fit_lines
-
-_WIDTH_OF_PERIOD = 0.15
-_CANDIDATE_Z = 5.5
-_SPLIT_Z = 5.0
-_LEAST_FOR_KNEE = 12
-_THRESHOLD_SIGMAS = 4.0
-_GAP_FACTOR = 3.0
-_EVENTS_PER_STRETCH = 20
-_LINE_PART = 0.8
-_REACH_WIDTHS = 16
-_RUNNING = 9
+from vision.force.lines import LEAST_FOR_KNEE, Lines, bend_squares, fit_lines
+from vision.force.settings import DEFAULTS, ForceSettings
+from vision.numeric import Bools, Floats, Ints
 
 
 @dataclass(frozen=True)
 class Slips:
-    """Drops between samples, and the stick lines on both sides.
+    """Drops of the load, each between two samples.
 
-    edge: index of the first sample after the steepest drop.  drop: height between the two lines there.
-    period: median samples from slip to slip.  threshold: smallest drop kept.
-    threshold_how: "noise", "gap" or "given".
+    Parameters
+    ----------
+    edge
+        Index of the first sample after the steepest drop.
+    drop
+        Height between the stick lines on both sides there.
+    period
+        Median samples from slip to slip; NaN with fewer than two.
+    threshold
+        Smallest drop kept.
+    threshold_how
+        "noise" (a multiple of it), "gap" (between small and large drops) or "given".
     """
 
     edge: Ints
@@ -40,40 +40,57 @@ class Slips:
     threshold_how: str
 
 
-def find_slips(y: Floats, sigma: float, *, threshold: float | None = None) -> Slips:
-    """Slips of a spike-free sawtooth with white noise `sigma`.
+def find_slips(
+    y: Floats, sigma: float, *, threshold: float | None = None, settings: ForceSettings = DEFAULTS
+) -> Slips:
+    """Slips of a sawtooth without spikes.
 
-    A step filter as wide as 0.15 periods (found stretch by stretch) proposes drops.  Neighbouring sticks are
-    joined where one line, straight or with a knee, fits both as well as two, or where what lies between two
-    drops falls.
-    What stays is kept where the lines on both sides, extended to the drop, differ by the threshold: unless
-    given 4 σ of one sample, or the middle of the widest gap in the logarithm of the drops where one parts
-    small ones from the rest.  Drops are measured between fitted lines, so 4 σ here is stricter than 6 σ
-    between single samples.  No slips: empty arrays.
+    Parameters
+    ----------
+    y
+        Load, finite.
+    sigma
+        Standard deviation of its white noise, in the unit of y.
+    threshold
+        Smallest drop that is a slip. By default 4 sigma, or the middle of the widest gap in the logarithm of
+        the drops where one separates small from large ones.
+    settings
+        See `ForceSettings`.
 
-    Args: y, load, finite.  sigma and threshold in the unit of y.
+    Returns
+    -------
+    The slips in order; empty arrays where there are none.
+
+    Notes
+    -----
+    A step filter as wide as 0.15 periods, the period found stretch by stretch, proposes drops. Neighbouring
+    sticks are joined where one line, straight or with a knee, fits both as well as two, or where the load
+    falls between two drops. What remains is kept where the lines on both sides, extended to the drop, differ
+    by the threshold. Drops are measured between fitted lines, so 4 sigma here is stricter than 6 sigma
+    between single samples.
     """
-    edge = _edges(y, _first_period(y, sigma), sigma)
-    edge = _edges(y, _local_period(edge, y.size), sigma)
-    drop = stick_drops(y, edge)
-    least, how = (_THRESHOLD_SIGMAS * sigma, "noise") if threshold is None else (threshold, "given")
+    edge = _edges(y, _first_period(y, sigma, settings), sigma, settings)
+    edge = _edges(y, _local_period(edge, y.size), sigma, settings)
+    drop = _stick_drops(y, edge, settings)
+    least, how = (settings.threshold_sigmas * sigma, "noise") if threshold is None else (threshold, "given")
     keep = drop >= least
-    if threshold is None and (gap := _gap(drop[keep])) > least:
+    if threshold is None and (gap := _gap(drop[keep], settings.threshold_gap)) > least:
         keep, least, how = drop >= gap, gap, "gap"
     period = float(np.median(np.diff(edge[keep]))) if keep.sum() > 1 else float("nan")
     return Slips(edge[keep], drop[keep], period, least, how)
 
 
-def stick_lines(y: Floats, edge: Ints) -> Lines:
-    """Lines through the middle 80 % of the stretches between edges: one more than there are edges."""
-    return fit_lines(np.arange(y.size, dtype=float), y, *stick_middles(edge, y.size))
+def stick_lines(y: Floats, edge: Ints, settings: ForceSettings) -> Lines:
+    """Lines through the central part of the stretches between edges: one more than there are edges."""
+    return fit_lines(np.arange(y.size, dtype=float), y, *stick_middles(edge, y.size, settings))
 
 
-def stick_middles(edge: Ints, size: int) -> tuple[Ints, Ints]:
-    """[start, stop) of the middle 80 % of each stretch between edges."""
+def stick_middles(edge: Ints, size: int, settings: ForceSettings) -> tuple[Ints, Ints]:
+    """[start, stop) of the central part (`line_part`) of each stretch between edges."""
     bounds = np.r_[0, edge, size]
     length = np.diff(bounds)
-    margin = np.minimum((0.5 * (1 - _LINE_PART) * length).astype(np.int64), np.maximum(length - 3, 0) // 2)
+    margin = (0.5 * (1 - settings.line_part) * length).astype(np.int64)
+    margin = np.minimum(margin, np.maximum(length - 3, 0) // 2)  # a line needs three samples
     return bounds[:-1] + margin, bounds[1:] - margin
 
 
@@ -88,33 +105,35 @@ def _step(y: Floats, half: Ints) -> Floats:
     return np.where(inside, step, np.nan)
 
 
-def _peaks(y: Floats, half: Ints, sigma: float) -> Ints:
-    """Where the step filter stands out by 5.5 of its own standard deviations for white noise.
+def _peaks(y: Floats, half: Ints, sigma: float, settings: ForceSettings) -> Ints:
+    """Where the step filter stands out by `candidate_sigmas` of its own standard deviation for white noise.
 
     Prominence, not height: the filter's level on a stick follows the stiffness and the filter's width.
     """
-    from scipy.signal import find_peaks
-
     standard = np.nan_to_num(_step(y, half) / (sigma * np.sqrt(2.0 / half)), nan=-np.inf)
-    narrowest, reach = max(int(half.min()), 1), _REACH_WIDTHS * int(half.max())
+    narrowest, reach = max(int(half.min()), 1), 16 * int(half.max())
     with warnings.catch_warnings():
         # A load that holds still leaves a level filter: no peak, and nothing to warn of.
         warnings.filterwarnings("ignore", "some peaks have a prominence of 0", RuntimeWarning)
-        found, _ = find_peaks(standard, prominence=_CANDIDATE_Z, distance=narrowest, wlen=reach)
+        found, _ = find_peaks(
+            standard, prominence=settings.candidate_sigmas, distance=narrowest, wlen=reach
+        )
     return np.asarray(found, dtype=np.int64)
 
 
-def _edges(y: Floats, period: Floats, sigma: float) -> Ints:
-    half = np.clip(np.rint(_WIDTH_OF_PERIOD * period), 2, None).astype(np.int64)
-    return _slips_only(y, _whole(y, _significant(y, _peaks(y, half, sigma), sigma)), sigma)
+def _edges(y: Floats, period: Floats, sigma: float, settings: ForceSettings) -> Ints:
+    """Drops of a signal whose period, in samples, is known at every sample."""
+    half = np.clip(np.rint(settings.step_width * period), 2, None).astype(np.int64)
+    edge = _significant(y, _peaks(y, half, sigma, settings), sigma, settings)
+    return _without_knees(y, _whole(y, edge, settings), sigma, settings)
 
 
-def _first_period(y: Floats, sigma: float) -> Floats:
+def _first_period(y: Floats, sigma: float, settings: ForceSettings) -> Floats:
     """Samples from drop to drop at every sample, each stretch at the scale of filter that suits it."""
     scales = np.unique(np.geomspace(2, max(y.size // 12, 3), 24).astype(np.int64))
-    found = [_peaks(y, np.full(1, scale), sigma) for scale in scales]
+    found = [_peaks(y, np.full(1, scale), sigma, settings) for scale in scales]
     whole = _best_scale(scales, found, 0, y.size) or (y.size / 3, 0)
-    stretches = int(np.clip(whole[1] // _EVENTS_PER_STRETCH, 1, 64))
+    stretches = int(np.clip(whole[1] // 20, 1, 64))  # of 20 events or more: fewer give no median
     bounds = np.linspace(0, y.size, stretches + 1)
     periods = np.array([(_best_scale(scales, found, a, b) or whole)[0] for a, b in pairwise(bounds)])
     return _spread(0.5 * (bounds[:-1] + bounds[1:]), periods, y.size)
@@ -122,15 +141,14 @@ def _first_period(y: Floats, sigma: float) -> Floats:
 
 def _local_period(edge: Ints, size: int) -> Floats:
     """The same from drops already found: a running median of nine spacings."""
-    from scipy.ndimage import median_filter
-
     if edge.size < 3:
         return np.full(size, max(size / 3, 1.0))
-    spacing = median_filter(np.diff(edge).astype(float), size=_RUNNING, mode="nearest")
+    spacing = median_filter(np.diff(edge).astype(float), size=9, mode="nearest")
     return _spread(0.5 * (edge[1:] + edge[:-1]), spacing, size)
 
 
-def _spread(index: NDArray[np.floating[Any]], period: Floats, size: int) -> Floats:
+def _spread(index: Floats, period: Floats, size: int) -> Floats:
+    """Periods known at some samples, at every sample."""
     return np.exp(np.interp(np.arange(size), index, np.log(period)))
 
 
@@ -146,12 +164,12 @@ def _best_scale(scales: Ints, found: list[Ints], start: float, stop: float) -> t
     return best
 
 
-def _significant(y: Floats, edge: Ints, sigma: float) -> Ints:
+def _significant(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) -> Ints:
     """Joins neighbouring sticks that one line fits as well as two, least certain edge first."""
     while edge.size:
-        lines = stick_lines(y, edge)
+        lines = stick_lines(y, edge, settings)
         score = _split_gain(lines.take(slice(None, -1)), lines.take(slice(1, None))) / sigma**2
-        weak = ~(score > _SPLIT_Z**2)
+        weak = ~(score > settings.split_sigmas**2)
         if not weak.any():
             break
         score = np.where(weak, np.nan_to_num(score, nan=-1.0), np.inf)
@@ -160,18 +178,18 @@ def _significant(y: Floats, edge: Ints, sigma: float) -> Ints:
     return edge
 
 
-def _whole(y: Floats, edge: Ints) -> Ints:
-    """Joins the parts of one slip: between two of them the load falls, or there is no room for a line."""
+def _whole(y: Floats, edge: Ints, settings: ForceSettings) -> Ints:
+    """Joins the parts of one slip: between two of them the load falls, or is too short for a line."""
     while edge.size > 1:
-        falling = np.flatnonzero(~(stick_lines(y, edge).slope[1:-1] > 0))
+        falling = np.flatnonzero(~(stick_lines(y, edge, settings).slope[1:-1] > 0))
         if not falling.size:
             break
-        drop = np.nan_to_num(stick_drops(y, edge), nan=-np.inf)
+        drop = np.nan_to_num(_stick_drops(y, edge, settings), nan=-np.inf)
         edge = np.delete(edge, np.where(drop[falling] < drop[falling + 1], falling, falling + 1))
     return edge
 
 
-def _slips_only(y: Floats, edge: Ints, sigma: float) -> Ints:
+def _without_knees(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) -> Ints:
     """Joins what a line with a knee, without any drop, fits as well as two lines.
 
     The load never falls at a knee, but lines that meet a little before an edge lie apart at it.
@@ -181,7 +199,7 @@ def _slips_only(y: Floats, edge: Ints, sigma: float) -> Ints:
     while doubtful.size:
         bounds = np.r_[0, edge, y.size]
         low, at, high = bounds[doubtful], edge[doubtful], bounds[doubtful + 2]
-        knee = _is_knee(x, y, low, at, high, sigma)
+        knee = _is_knee(x, y, low, at, high, settings.split_sigmas * sigma)
         # One of two neighbours at a time: the other may be a slip once they are joined.
         gone = doubtful[knee]
         gone = gone[np.diff(gone, prepend=-2) > 1]
@@ -192,15 +210,15 @@ def _slips_only(y: Floats, edge: Ints, sigma: float) -> Ints:
     return edge
 
 
-def _is_knee(x: Floats, y: Floats, low: Ints, edge: Ints, high: Ints, sigma: float) -> Bools:
+def _is_knee(x: Floats, y: Floats, low: Ints, edge: Ints, high: Ints, tolerance: float) -> Bools:
     """Whether a line with a knee fits [low, high) about as well as one line before and one after the edge."""
     before, after = fit_lines(x, y, low, edge), fit_lines(x, y, edge, high)
     here = np.asarray(edge - 0.5, dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):
         meet = here - (before.at(here) - after.at(here)) / (before.slope - after.slope)
-    knee = (meet > low) & (meet < high) & (high - low >= _LEAST_FOR_KNEE)
+    knee = (meet > low) & (meet < high) & (high - low >= LEAST_FOR_KNEE)
     squares = bend_squares(x, y, low[knee], high[knee], meet[knee])
-    knee[knee] = squares - (before.squares + after.squares)[knee] < _SPLIT_Z**2 * sigma**2
+    knee[knee] = squares - (before.squares + after.squares)[knee] < tolerance**2
     return np.asarray(knee)
 
 
@@ -214,20 +232,21 @@ def _split_gain(a: Lines, b: Lines) -> Floats:
     return weight * apart_y**2 + a.slope**2 * a.sxx + b.slope**2 * b.sxx - joint_sxy**2 / joint_sxx
 
 
-def stick_drops(y: Floats, edge: Ints) -> Floats:
+def _stick_drops(y: Floats, edge: Ints, settings: ForceSettings) -> Floats:
     """Height between the stick lines on both sides of each edge."""
-    lines = stick_lines(y, edge)
+    lines = stick_lines(y, edge, settings)
     here = np.asarray(edge - 0.5, dtype=float)
     return lines.take(slice(None, -1)).at(here) - lines.take(slice(1, None)).at(here)
 
 
-def _gap(drop: NDArray[np.float64]) -> float:
-    """The middle of the widest gap in log(drop) below the median; 0 where none spans a factor of 3."""
+def _gap(drop: Floats, ratio: float) -> float:
+    """The middle of the widest gap in log(drop) below the median; 0 where none spans that ratio."""
     ordered = np.sort(drop[drop > 0])
     if ordered.size < 8:
         return 0.0
     lower = np.log(ordered[: ordered.size // 2 + 1])
     widest = int(np.argmax(np.diff(lower)))
-    if np.diff(lower)[widest] < np.log(_GAP_FACTOR) or widest + 1 < 0.02 * ordered.size:
+    # A single small drop below all others is no cluster of noise.
+    if np.diff(lower)[widest] < np.log(ratio) or widest + 1 < 0.02 * ordered.size:
         return 0.0
     return float(np.exp(0.5 * (lower[widest] + lower[widest + 1])))

@@ -1,36 +1,19 @@
-"""The paper's equations for the whole assembly: amplification, traction, normal force, stiffness.
+"""The paper's equations for the whole sample: amplification, traction, normal force, stiffness.
 
-Every function is vectorised over separation (and sheet number, where there is one) and follows NumPy
-broadcasting. Separations are in mm, forces in N, moduli in GPa. Defaults are the paper's sample: M = 25
-sheets on each side of the axis, 0.1 mm thick, 45 mm wide, 57 mm from clamp to sheet end (`PAPER`), and
-T* = 3 mN. NaN comes back only where an input is NaN or has no meaning (negative friction, separation not
-positive).
+Every function follows NumPy broadcasting over separation (and sheet number, where there is one). Separations
+are in mm, forces in N, moduli in GPa; the sample is the publication's unless another is given. NaN comes back
+only where an input is NaN or has no meaning (negative friction, separation not positive).
 Source: Plati, Restagno & Poulard, Eqs. 1-2 and section IV; Alarcon et al. 2016 for the traction model.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.special import erf
 
-Array = NDArray[np.float64]
-
-T_STAR_N = 0.003
-
-
-@dataclass(frozen=True, kw_only=True)
-class Assembly:
-    """A sample: sheets on each side of the axis, their thickness and width, clamp to sheet end."""
-
-    sheets_per_side: int = 25
-    thickness_mm: float = 0.1
-    width_mm: float = 45.0
-    length_mm: float = 57.0
-
-
-PAPER = Assembly()
+from vision.numeric import Floats
+from vision.sample import PUBLISHED, Sample
 
 _LARGEST_EXPONENT = 700.0
 """exp() of this is still a finite double: forces saturate there, so a fit that strays meets no infinity."""
@@ -38,22 +21,25 @@ _SERIES_BELOW = 1e-4
 """Below this amplification the closed form of the mean excess loses digits and its series takes over."""
 
 
-def amplification(d_mm: ArrayLike, *, mu: ArrayLike, assembly: Assembly = PAPER) -> Array:
-    """Amplification parameter alpha = 2 eps mu M^2 / d, without unit; NaN where d <= 0 or mu < 0."""
+def amplification(d_mm: ArrayLike, *, mu: ArrayLike, sample: Sample = PUBLISHED) -> Floats:
+    r"""Amplification parameter, without unit; NaN where d <= 0 or mu < 0.
+
+    .. math:: \alpha = 2 \epsilon \mu M^2 / d
+    """
     d, friction = np.asarray(d_mm, float), np.asarray(mu, float)
     with np.errstate(divide="ignore", invalid="ignore"):
-        alpha = 2 * assembly.thickness_mm * friction * assembly.sheets_per_side**2 / d
+        alpha = 2 * sample.thickness_mm * friction * sample.sheets_per_block**2 / d
     return np.where((d > 0) & (friction >= 0), alpha, np.nan)
 
 
-def mean_amplification_excess(alpha: ArrayLike) -> Array:
-    """Mean over s = n/M from 0 to 1 of e^(alpha (1 - s^2)) - 1.
+def mean_amplification_excess(alpha: ArrayLike) -> Floats:
+    r"""Mean over s = n/M from 0 to 1 of the amplification of the normal force less one.
 
-    In closed form sqrt(pi/4 alpha) e^alpha erf(sqrt alpha) - 1; 0 at alpha = 0 (no amplification).
-    Saturates instead of overflowing; NaN for negative alpha.
+    .. math:: \int_0^1 e^{\alpha (1 - s^2)} ds - 1
+        = \sqrt{\frac{\pi}{4 \alpha}}\, e^\alpha\, \mathrm{erf}\sqrt\alpha - 1
+
+    0 at alpha = 0 (no amplification); saturates instead of overflowing; NaN for negative alpha.
     """
-    from scipy.special import erf
-
     a = np.asarray(alpha, float)
     positive = np.where(a > _SERIES_BELOW, a, 1.0)
     exponent = np.minimum(positive, _LARGEST_EXPONENT)
@@ -62,107 +48,97 @@ def mean_amplification_excess(alpha: ArrayLike) -> Array:
     return np.where(a < 0, np.nan, np.where(a > _SERIES_BELOW, closed, series))
 
 
-def traction(
-    d_mm: ArrayLike, *, mu: ArrayLike, t_star_N: float = T_STAR_N, assembly: Assembly = PAPER
-) -> Array:
-    """Total static friction in N that resists the pull, Eq. 1.
+def traction(d_mm: ArrayLike, *, mu: ArrayLike, sample: Sample = PUBLISHED) -> Floats:
+    r"""Total static friction in N that resists the pull, Eq. 1; 2 M T* for large d.
 
-    2 M T* sqrt(pi/4 alpha) e^alpha erf(sqrt alpha), which tends to 2 M T* for large d. The peaks of a
-    recording follow it up to a constant offset, since the load cell is zeroed at d0. This is the continuum
-    limit as printed; the sum over 25 discrete sheets lies 6-7 % below.
+    .. math:: \mathcal T = 2 M T^* \sqrt{\frac{\pi}{4 \alpha}}\, e^\alpha\, \mathrm{erf}\sqrt\alpha
+
+    The peaks of a recording follow it up to a constant offset, since the load cell is zeroed at d0. This is
+    the continuum limit as printed; the sum over 25 discrete sheets lies 6-7 % below.
     """
-    alpha = amplification(d_mm, mu=mu, assembly=assembly)
-    return np.asarray(2 * assembly.sheets_per_side * t_star_N * (1 + mean_amplification_excess(alpha)))
+    alpha = amplification(d_mm, mu=mu, sample=sample)
+    return np.asarray(2 * sample.sheets_per_block * sample.t_star_N * (1 + mean_amplification_excess(alpha)))
 
 
-def normal_force(
-    n: ArrayLike, d_mm: ArrayLike, *, mu: ArrayLike, t_star_N: float = T_STAR_N, assembly: Assembly = PAPER
-) -> Array:
-    """Normal force in N on sheet n, Eq. 2: (T*/2mu) (e^(alpha (1 - (n/M)^2)) - 1).
+def normal_force(n: ArrayLike, d_mm: ArrayLike, *, mu: ArrayLike, sample: Sample = PUBLISHED) -> Floats:
+    r"""Normal force in N on sheet n, Eq. 2.
+
+    .. math:: N(n) = \frac{T^*}{2 \mu} \left(e^{\alpha (1 - (n/M)^2)} - 1\right)
 
     n counts from the centre outwards (0 is the axis itself, M the outermost sheet, where the force is 0).
     """
-    alpha = amplification(d_mm, mu=mu, assembly=assembly)
-    share = 1 - (np.asarray(n, float) / assembly.sheets_per_side) ** 2
+    alpha = amplification(d_mm, mu=mu, sample=sample)
+    m, t_star = sample.sheets_per_block, sample.t_star_N
+    share = 1 - (np.asarray(n, float) / m) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):
-        force = (
-            t_star_N / (2 * np.asarray(mu, float)) * np.expm1(np.minimum(alpha * share, _LARGEST_EXPONENT))
-        )
-    without_friction = (
-        t_star_N * assembly.thickness_mm * assembly.sheets_per_side**2 / np.asarray(d_mm, float) * share
-    )
+        excess = np.expm1(np.minimum(alpha * share, _LARGEST_EXPONENT))
+        force = t_star / (2 * np.asarray(mu, float)) * excess
+        without_friction = t_star * sample.thickness_mm * m**2 / np.asarray(d_mm, float) * share
     return np.where(np.asarray(mu) == 0, without_friction, force)
 
 
-def total_normal_force(
-    d_mm: ArrayLike, *, mu: ArrayLike, t_star_N: float = T_STAR_N, assembly: Assembly = PAPER
-) -> Array:
-    """Normal force in N summed over the 4M faces: 4M times the mean of Eq. 2 = (traction - 2 M T*) / mu.
+def total_normal_force(d_mm: ArrayLike, *, mu: ArrayLike, sample: Sample = PUBLISHED) -> Floats:
+    r"""Normal force in N summed over the 4M faces; NaN at mu = 0, where it has no use.
 
-    The paper calls it an average; it is a total. NaN at mu = 0, where it has no use.
+    .. math:: \mathcal N = 4 M \int_0^1 N(M s)\, ds = (\mathcal T - 2 M T^*) / \mu
+
+    The paper calls it an average; it is a total.
     """
-    alpha = amplification(d_mm, mu=mu, assembly=assembly)
+    alpha = amplification(d_mm, mu=mu, sample=sample)
     friction = np.where(np.asarray(mu, float) > 0, mu, np.nan)
-    return np.asarray(2 * assembly.sheets_per_side * t_star_N * mean_amplification_excess(alpha) / friction)
+    excess = mean_amplification_excess(alpha)
+    return np.asarray(2 * sample.sheets_per_block * sample.t_star_N * excess / friction)
 
 
 def stick_slip_amplitude(
-    d_mm: ArrayLike,
-    *,
-    mu: ArrayLike,
-    prefactor: float = 0.34,
-    t_star_N: float = T_STAR_N,
-    assembly: Assembly = PAPER,
-) -> Array:
-    """Force drop of one event in N: A (`prefactor`) times the total normal force."""
-    total = total_normal_force(d_mm, mu=mu, t_star_N=t_star_N, assembly=assembly)
-    return prefactor * total
+    d_mm: ArrayLike, *, mu: ArrayLike, prefactor: float = 0.34, sample: Sample = PUBLISHED
+) -> Floats:
+    r"""Force drop of one event in N; `prefactor` is A.
+
+    .. math:: \Delta F = A \mathcal N
+    """
+    return prefactor * total_normal_force(d_mm, mu=mu, sample=sample)
 
 
-def separation_scale_mm(
-    *, mu: ArrayLike, n_hat_N: ArrayLike, t_star_N: float = T_STAR_N, assembly: Assembly = PAPER
-) -> Array:
-    """Separation in mm beyond which no sheet is pressed harder than N-hat.
+def separation_scale_mm(*, mu: ArrayLike, n_hat_N: ArrayLike, sample: Sample = PUBLISHED) -> Floats:
+    r"""Separation in mm beyond which no sheet is pressed harder than N-hat.
 
-    2 mu eps M^2 / ln(1 + 2 mu N-hat / T*).
+    .. math:: \hat\Lambda = \frac{2 \mu \epsilon M^2}{\ln(1 + 2 \mu \hat N / T^*)}
     """
     friction = np.asarray(mu, float)
-    return np.asarray(
-        2
-        * friction
-        * assembly.thickness_mm
-        * assembly.sheets_per_side**2
-        / np.log1p(2 * friction * np.asarray(n_hat_N) / t_star_N)
-    )
+    length = 2 * friction * sample.thickness_mm * sample.sheets_per_block**2
+    return np.asarray(length / np.log1p(2 * friction * np.asarray(n_hat_N) / sample.t_star_N))
 
 
 def reduced_separation(
-    d_mm: ArrayLike,
-    *,
-    mu: ArrayLike,
-    n_hat_N: ArrayLike,
-    t_star_N: float = T_STAR_N,
-    assembly: Assembly = PAPER,
-) -> Array:
-    """Reduced separation d-hat = ln(1 + 2 mu N-hat / T*) / alpha = d / separation scale, without unit."""
-    scale = separation_scale_mm(mu=mu, n_hat_N=n_hat_N, t_star_N=t_star_N, assembly=assembly)
-    return np.asarray(d_mm, float) / scale
+    d_mm: ArrayLike, *, mu: ArrayLike, n_hat_N: ArrayLike, sample: Sample = PUBLISHED
+) -> Floats:
+    r"""Reduced separation, without unit.
+
+    .. math:: \hat d = \ln(1 + 2 \mu \hat N / T^*) / \alpha = d / \hat\Lambda
+    """
+    return np.asarray(d_mm, float) / separation_scale_mm(mu=mu, n_hat_N=n_hat_N, sample=sample)
 
 
-def effective_sheets(d_hat: ArrayLike, *, assembly: Assembly = PAPER) -> Array:
-    """Sheets a side that carry the pull, M_eff = M sqrt(1 - d-hat).
+def effective_sheets(d_hat: ArrayLike, *, sample: Sample = PUBLISHED) -> Floats:
+    r"""Sheets per side that carry the pull.
+
+    .. math:: M_\mathrm{eff} = M \sqrt{1 - \hat d}
 
     0 (not NaN) where d-hat > 1, which happens inside the quoted ranges: there no sheet is pressed beyond
     N-hat.
     """
     d = np.asarray(d_hat, float)
-    return np.where(np.isnan(d), np.nan, assembly.sheets_per_side * np.sqrt(np.maximum(1 - d, 0)))
+    return np.where(np.isnan(d), np.nan, sample.sheets_per_block * np.sqrt(np.maximum(1 - d, 0)))
 
 
-def sheet_stiffness(*, modulus_GPa: ArrayLike, assembly: Assembly = PAPER) -> Array:
-    """Stiffness of one sheet in N/mm, eps W Y / L (Y_p gives K_p, Y_eff gives K_eff)."""
+def sheet_stiffness(*, modulus_GPa: ArrayLike, sample: Sample = PUBLISHED) -> Floats:
+    r"""Stiffness of one sheet in N/mm (Y_p gives K_p, Y_eff gives K_eff).
+
+    .. math:: K = \epsilon W Y / L
+    """
     newton_per_mm2 = 1000 * np.asarray(modulus_GPa, float)
-    return np.asarray(assembly.thickness_mm * assembly.width_mm * newton_per_mm2 / assembly.length_mm)
+    return np.asarray(sample.thickness_mm * sample.width_mm * newton_per_mm2 / sample.length_mm)
 
 
 def assembly_stiffness(
@@ -171,10 +147,11 @@ def assembly_stiffness(
     mu: ArrayLike,
     n_hat_N: ArrayLike,
     modulus_GPa: ArrayLike,
-    t_star_N: float = T_STAR_N,
-    assembly: Assembly = PAPER,
-) -> Array:
-    """Stiffness of the assembly in N/mm, K = M_eff K_eff; 0 where d-hat > 1."""
-    d_hat = reduced_separation(d_mm, mu=mu, n_hat_N=n_hat_N, t_star_N=t_star_N, assembly=assembly)
-    one = sheet_stiffness(modulus_GPa=modulus_GPa, assembly=assembly)
-    return effective_sheets(d_hat, assembly=assembly) * one
+    sample: Sample = PUBLISHED,
+) -> Floats:
+    r"""Stiffness of the sample in N/mm; 0 where d-hat > 1.
+
+    .. math:: K = M_\mathrm{eff} K_\mathrm{eff}
+    """
+    d_hat = reduced_separation(d_mm, mu=mu, n_hat_N=n_hat_N, sample=sample)
+    return effective_sheets(d_hat, sample=sample) * sheet_stiffness(modulus_GPa=modulus_GPa, sample=sample)

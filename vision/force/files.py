@@ -1,36 +1,63 @@
-"""Text recordings: encoding, separator, decimal mark, header and blocks found; pandas reads the numbers."""
+"""Files of testing machines, text and MATLAB, as tables: encoding, separator, decimal mark, header, blocks."""
 
 from __future__ import annotations
 
 import csv
 import io
 import re
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import h5py
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
+from scipy.io import loadmat
 
 from vision.errors import InputError
-from vision.force.table import Table
-from vision.force.units import bare, split_name, unit_of
+from vision.force.columns import Table, split_name, unit_of, without_brackets
+from vision.numeric import Bools, Floats
+
+_LEAST_ROWS = 3
+_MOST_MATRIX_COLUMNS = 20  # of a matrix in a .mat file; wider ones are images or tables of something else
+
+
+def read_tables(path: Path) -> list[Table]:
+    """Every block of numbers of a recording, in file order.
+
+    Parameters
+    ----------
+    path
+        Text as MTS TestSuite (text and CSV), MTS 793, Instron Bluehill and Zwick TRA write it, plain tables
+        with or without a header, one column with a unit in each line; or a MATLAB .mat file, v4 to v7.3.
+
+    Returns
+    -------
+    One table per block; of a .mat file one table of the vectors that share the commonest length. There fields
+    of a struct appear as "struct.field" and columns of a matrix as "matrix 1", "matrix 2" …; units are ""
+    unless a name ends in one ("load_N").
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be read, no block of three rows of numbers, or no vectors.
+    """
+    return _read_mat(path) if path.suffix.lower() == ".mat" else _read_text(path)
+
+
+# --- text ---------------------------------------------------------------------------------------------------
 
 _WHITESPACE = r"\s+"
 _SEPARATORS = ("\t", ";", ",", "|", _WHITESPACE)
 _SEPARATOR_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", _WHITESPACE: "spaces"}
 _NOT_A_NUMBER = ("nan", "n/a", "#n/a", "na", "inf", "-inf", "+inf", "--", "---", "")
-_MIN_ROWS = 3
-_SAMPLE = 400
 _SUFFIXED = re.compile(r"^\s*(?P<number>[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?)\s*(?P<unit>[A-Za-zµ]+?)\d*\s*$")
 
 
-def read_text(path: Path) -> list[Table]:
-    """Every block of numbers of a text recording, in file order.
-
-    Layouts: MTS TestSuite (text and CSV), MTS 793, Instron Bluehill, Zwick TRA, plain tables with or without
-    a header, one column with a unit in each line.  Raises InputError where no block of 3 rows of numbers is
-    found.
-    """
+def _read_text(path: Path) -> list[Table]:
+    """Every block of numbers of a text recording."""
     text, encoding = _decode(path)
     lines = text.splitlines()
     style = _find_style(lines)
@@ -46,6 +73,7 @@ def read_text(path: Path) -> list[Table]:
 
 
 def _decode(path: Path) -> tuple[str, str]:
+    """(text, encoding) of a file."""
     data = path.read_bytes()
     if not data.strip():
         raise InputError(path, "a force recording", "an empty file")
@@ -57,16 +85,12 @@ def _decode(path: Path) -> tuple[str, str]:
         )
     for encoding in ("utf-8-sig", "cp1252"):
         try:
-            return data.decode(encoding), _encoding_name(data, encoding)
+            text = data.decode(encoding)
         except UnicodeDecodeError:
             continue
+        unicode = "utf-8 with BOM" if data.startswith(b"\xef\xbb\xbf") else "utf-8"
+        return text, unicode if encoding == "utf-8-sig" else "latin-1"
     return data.decode("latin-1"), "latin-1"
-
-
-def _encoding_name(data: bytes, encoding: str) -> str:
-    if encoding == "cp1252":
-        return "latin-1"
-    return "utf-8 with BOM" if data.startswith(b"\xef\xbb\xbf") else "utf-8"
 
 
 @dataclass(frozen=True)
@@ -78,10 +102,12 @@ class _Style:
 
     @property
     def number(self) -> str:
+        """Pattern of one number."""
         mark = re.escape(self.decimal)
         return rf"[-+]?(?:\d+(?:{mark}\d*)?|{mark}\d+)(?:[eE][-+]?\d+)?"
 
     def patterns(self) -> tuple[re.Pattern[str], re.Pattern[str]]:
+        """(one number, a whole line of numbers)."""
         words = "|".join(re.escape(word) for word in _NOT_A_NUMBER if word)
         value = rf"(?:{self.number}|{words})"
         if self.separator == _WHITESPACE:
@@ -97,12 +123,13 @@ class _Style:
         return re.compile(self.number), re.compile(line, re.IGNORECASE)
 
     def cells(self, line: str) -> list[str]:
+        """The cells of a line; where spaces separate, a single one may be part of a name."""
         if self.separator != _WHITESPACE:
             return [cell.strip() for cell in next(csv.reader([line], delimiter=self.separator), [])]
         return re.split(r"\s{2,}|\t", line.strip()) if re.search(r"\S\s{2,}\S|\t", line) else line.split()
 
 
-def _data_lines(lines: list[str], style: _Style) -> NDArray[np.bool_]:
+def _data_lines(lines: list[str], style: _Style) -> Bools:
     """Which lines hold numbers: all cells, or at least two of them and half of the cells."""
     number, whole = style.patterns()
 
@@ -120,15 +147,16 @@ def _data_lines(lines: list[str], style: _Style) -> NDArray[np.bool_]:
 
 def _find_style(lines: list[str]) -> _Style | None:
     """The separator and decimal mark under which most lines are numbers; None where none are."""
-    middle = len(lines) // 2
-    sample = [*lines[:_SAMPLE], *lines[max(_SAMPLE, middle) : middle + _SAMPLE]]
+    few, middle = 400, len(lines) // 2  # enough to tell; all lines would take as long as reading them
+    sample = [*lines[:few], *lines[max(few, middle) : middle + few]]
     styles = [_Style(separator, decimal) for separator in _SEPARATORS for decimal in (".", ",")]
     counts = [int(_data_lines(sample, style).sum()) for style in styles]
     best = int(np.argmax(counts))
-    return styles[best] if counts[best] >= _MIN_ROWS else None
+    return styles[best] if counts[best] >= _LEAST_ROWS else None
 
 
 def _layout(lines: list[str]) -> str:
+    """The program that wrote a file, by its marks; "table" for none of those known."""
     head = "\n".join(lines[:40]).lower()
     known = {
         "mts793": "MTS 793",
@@ -143,6 +171,7 @@ def _layout(lines: list[str]) -> str:
 
 
 def _read_blocks(lines: list[str], style: _Style, facts: dict[str, str]) -> list[Table]:
+    """Each run of data lines as a table, with the header above it."""
     tables: list[Table] = []
     header_from = 0
     for start, stop in _runs(lines, style):
@@ -167,13 +196,12 @@ def _runs(lines: list[str], style: _Style) -> list[tuple[int, int]]:
     first = np.flatnonzero(np.r_[True, np.diff(run[rows]) > 0])
     last = np.r_[first[1:], rows.size] - 1
     return [
-        (int(rows[a]), int(rows[b]) + 1) for a, b in zip(first, last, strict=True) if b - a + 1 >= _MIN_ROWS
+        (int(rows[a]), int(rows[b]) + 1) for a, b in zip(first, last, strict=True) if b - a + 1 >= _LEAST_ROWS
     ]
 
 
-def _numbers(lines: list[str], style: _Style) -> NDArray[np.float64]:
-    import pandas as pd
-
+def _numbers(lines: list[str], style: _Style) -> Floats:
+    """Lines of numbers as an array, NaN where a cell is not a number."""
     if style.separator == _WHITESPACE:
         width = max(len(line.split()) for line in lines)
     else:
@@ -193,10 +221,7 @@ def _numbers(lines: list[str], style: _Style) -> NDArray[np.float64]:
     return np.column_stack([_as_floats(frame[column], style.decimal) for column in frame.columns])
 
 
-def _as_floats(column: object, decimal: str) -> NDArray[np.float64]:
-    import pandas as pd
-
-    series = pd.Series(column)
+def _as_floats(series: pd.Series[Any], decimal: str) -> Floats:
     if not pd.api.types.is_numeric_dtype(series):
         series = pd.to_numeric(series.astype(str).str.strip().str.replace(decimal, "."), errors="coerce")
     return series.to_numpy(dtype=float)
@@ -210,7 +235,7 @@ def _header(lines: list[str], style: _Style, width: int) -> tuple[tuple[str, ...
         return blank, blank
     if _is_unit_row(rows[-1]) and len(rows) > 1:
         names = _fit(rows[-2], width)
-        return names, tuple(bare(cell) for cell in _fit(rows[-1], width))
+        return names, tuple(without_brackets(cell) for cell in _fit(rows[-1], width))
     split = [split_name(cell) for cell in _fit(rows[-1], width)]
     return tuple(name for name, _ in split), tuple(unit for _, unit in split)
 
@@ -223,6 +248,7 @@ def _is_unit_row(cells: list[str]) -> bool:
 
 
 def _fit(cells: list[str], width: int) -> tuple[str, ...]:
+    """Exactly `width` cells: cut off, or filled up with ""."""
     return tuple([*(cell.strip() for cell in cells), *[""] * width][:width])
 
 
@@ -241,7 +267,7 @@ def _suffixed_column(path: Path, lines: list[str], encoding: str) -> Table:
     """One column whose every line carries its unit, as in "0.00 N1", or no unit at all."""
     found = [match for line in lines if (match := _SUFFIXED.match(line))]
     plain = [line for line in lines if re.fullmatch(_Style(";", ".").number, line.strip())]
-    if max(len(found), len(plain)) < _MIN_ROWS:
+    if max(len(found), len(plain)) < _LEAST_ROWS:
         raise InputError(
             path,
             "columns of numbers (time, load, displacement)",
@@ -253,3 +279,56 @@ def _suffixed_column(path: Path, lines: list[str], encoding: str) -> Table:
         values = np.array([float(match["number"]) for match in found])
         return Table(("",), (found[0]["unit"],), values[:, np.newaxis], facts)
     return Table(("",), ("",), np.array([float(line) for line in plain])[:, np.newaxis], facts)
+
+
+# --- MATLAB -------------------------------------------------------------------------------------------------
+
+
+def _read_mat(path: Path) -> list[Table]:
+    """The vectors of a .mat file that share the commonest length, as one table."""
+    version, variables = _load(path)
+    vectors = dict(_vectors(variables))
+    if not vectors:
+        raise InputError(
+            path, "vectors of time and force", "no numeric vectors", "save them with plain names"
+        )
+    length = Counter(v.size for v in vectors.values()).most_common(1)[0][0]
+    chosen = {name: v for name, v in vectors.items() if v.size == length}
+    names, units = zip(*(split_name(name) for name in chosen), strict=True)
+    values = np.column_stack(list(chosen.values()))
+    return [Table(tuple(names), tuple(units), values, {"layout": f"MATLAB {version}", "encoding": "binary"})]
+
+
+def _load(path: Path) -> tuple[str, Mapping[str, Any]]:
+    """(version, variables by name) of a .mat file; fields of groups as "group.field"."""
+    try:
+        if not h5py.is_hdf5(path):
+            return "v5", loadmat(path, squeeze_me=True, struct_as_record=True)
+        found: dict[str, Any] = {}
+
+        def keep(name: str, item: object) -> None:
+            if isinstance(item, h5py.Dataset) and not name.startswith("#"):
+                # MATLAB stores columns first: a matrix comes out of HDF5 transposed.
+                found[name.replace("/", ".")] = np.squeeze(np.asarray(item).T)
+
+        with h5py.File(path) as file:
+            file.visititems(keep)
+    except Exception as error:  # SciPy's and HDF5's readers raise many kinds on damaged files
+        raise InputError(
+            path, "a MATLAB .mat file", f"one that cannot be read ({error})", "save it again"
+        ) from error
+    return "v7.3", found
+
+
+def _vectors(variables: Mapping[str, Any]) -> Iterator[tuple[str, Floats]]:
+    """Numeric vectors, and columns of matrices, by name."""
+    for name, value in variables.items():
+        array = np.asarray(value)
+        if name.startswith("__"):
+            continue
+        if array.dtype.names and array.ndim == 0:
+            yield from _vectors({f"{name}.{key}": array[key].item() for key in array.dtype.names})
+        elif array.dtype.kind in "fiu" and array.ndim == 1 and array.size >= _LEAST_ROWS:
+            yield name, array.astype(float)
+        elif array.dtype.kind in "fiu" and array.ndim == 2 and array.shape[1] <= _MOST_MATRIX_COLUMNS:
+            yield from ((f"{name} {k + 1}", column.astype(float)) for k, column in enumerate(array.T))
