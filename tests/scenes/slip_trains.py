@@ -10,15 +10,14 @@ import xarray as xr
 from scipy.signal import lfilter
 
 from tests.scenes.sawtooth import recording
-from vision.clock.sizes import Sizes, scored
-from vision.clock.trains import Trains
+from vision.clock.alignment import SlipSizes, SlipTrains
 
 
 @dataclass(frozen=True)
 class Pair:
     """Two trains, and the clock between them: t_force = offset_s + rate t_video."""
 
-    trains: Trains
+    trains: SlipTrains
     offset_s: float
     rate: float
 
@@ -55,10 +54,10 @@ def seen_by_camera(rng, times, frame_s, lost=0.0):
     return frames[after] - 0.5 * length, length / np.sqrt(12), which
 
 
-def sizes_of(rng, which, about, noise=0.02) -> Sizes:
+def sizes_of(rng, which, about, noise=0.02) -> SlipSizes:
     """Scored sizes of slips whose sizes are `about`; false ones are small."""
     size = np.where(which < 0, 0.4, about[which]) * (1 + noise * rng.standard_normal(len(which)))
-    return scored(size, noise)
+    return SlipSizes.of(size, noise)
 
 
 def pair(
@@ -92,7 +91,7 @@ def pair(
     middle, error, seen = seen_by_camera(rng, (camera - offset) / rate, frame_s, lost)
     machine, which_f = damaged(rng, slips[first_f : first_f + force], missed[1], false[1])
     machine = np.sort(machine + 0.001 * rng.standard_normal(len(machine)))
-    trains = Trains(middle, np.hypot(error, 0.0014), machine)
+    trains = SlipTrains(middle, np.hypot(error, 0.0014), machine)
     if sizes is not None:
         about = [slip_sizes(rng, len(slips), sizes) for _ in range(2)]
         at_video = sizes_of(rng, which_v[seen], about[int(unrelated or foreign)][first_v:])
@@ -141,10 +140,20 @@ def tracks(
     picture = shake_px * rng.standard_normal((len(time), 1)) + np.linspace(0, drift_px, len(time))[:, None]
     x = 500 + side * (20 * n + outward) + picture + noise_px * rng.standard_normal(outward.shape)
     x[rng.random(x.shape) < missing] = np.nan
-    coords = {"time_s": ("frame", time), "side": ("sheet", side), "n": ("sheet", n)}
-    return xr.Dataset(
-        {"x_px": (("frame", "sheet"), x)}, coords, {"source": "film.avi", "clock_kind": "given"}
-    )
+    return as_tracks(x, time, side, n, noise_px)
+
+
+def as_tracks(x_px, time_s, side, n, noise_px) -> xr.Dataset:
+    """Positions (frame, sheet) as `track_sheets` returns them."""
+    where = ("frame", "sheet")
+    flag = np.where(np.isfinite(x_px), "ok", "missing")
+    variables = {
+        "x_px": (where, x_px),
+        "x_err_px": (where, np.full(x_px.shape, noise_px)),
+        "flag": (where, flag),
+    }
+    coords = {"time_s": ("frame", time_s), "side": ("sheet", side), "n": ("sheet", n)}
+    return xr.Dataset(variables, coords, {"source": "film.avi", "clock_kind": "given", "fit": "sliding"})
 
 
 def sawtooth(
@@ -170,7 +179,19 @@ def sawtooth(
 def sticks_of(slips_s, *, drop_N=30.0, sizes=None) -> pd.DataFrame:
     """The event table of a recording with these slips, corners exact."""
     peak_N = 100 + drop_N * (np.ones(len(slips_s)) if sizes is None else sizes)
-    corners = {"t_v_s": slips_s[:-1] + 0.001, "t_p_s": slips_s[1:], "F_v_N": 100.0, "F_p_N": peak_N[1:]}
-    table = pd.DataFrame(corners)
+    t_v_s, t_p_s = slips_s[:-1] + 0.001, slips_s[1:]
+    table = pd.DataFrame(
+        {
+            "event": np.arange(len(t_v_s)),
+            "t_v_s": t_v_s,
+            "t_p_s": t_p_s,
+            "d_v_mm": 13 + t_v_s / 60,
+            "d_p_mm": 13 + t_p_s / 60,
+            "F_v_N": 100.0,
+            "F_p_N": peak_N[1:],
+            "dF_N": peak_N[1:] - 100.0,
+            "stick_length_um": 1e3 * (t_p_s - t_v_s) / 60,
+        }
+    )
     table.attrs["first_slip_s"] = float(slips_s[0])
     return table

@@ -3,28 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
+import xarray as xr
 
+from vision.clock.settings import ClockSettings
+from vision.data import StripMetadata
 from vision.errors import InputError
-from vision.force.noise import MAD_TO_SIGMA
-from vision.sheets.medians import nan_median
+from vision.numeric import Floats, Ints, nan_median
 
-if TYPE_CHECKING:
-    import pandas as pd
-    import xarray as xr
-
-Doubles = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-
-_CLEAR = 6.0  # standard errors by which a step must stand out
-_PART = 3.0  # the same for a frame that shows part of it
-_SMALL = 0.1  # of the large steps: below this a step is one of few sheets, not a slip
-_UNDONE = 0.6  # a step that falls back by this much at once was a bad frame
-_ROUNDS = 3
-_LEAST_SHEETS = 0.2  # of all: with fewer, a frame is left out
+_MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True)
@@ -35,33 +24,52 @@ class _Steps:
     what a movement of the whole picture looks like in outward terms.
     """
 
-    time_s: Doubles
-    moved_px: Doubles
-    uniform: Doubles
+    time_s: Floats
+    moved_px: Floats
+    uniform: Floats
 
 
-def video_slips(tracks: xr.Dataset) -> pd.DataFrame:
-    """Common outward steps of all sheets, in order of time.
+def video_slips(tracks: xr.Dataset, *, settings: ClockSettings = ClockSettings()) -> pd.DataFrame:
+    r"""Common outward steps of all sheets, in order of time.
 
-    The movement of all sheets from frame to frame is fitted by one pattern, how far each moves in a slip,
-    and by a shift of the whole picture (drift, vibration) where both sides are in view; sheets weigh by
-    their noise.  Missing positions and frames are left out.  A slip during an exposure shows as a frame in
-    between, which places it within the exposure; one between two exposures lies anywhere between them.
+    Parameters
+    ----------
+    tracks
+        From `track_sheets`: x_px (frame, sheet), time_s, side and n. Missing positions and frames are left
+        out.
+    settings
+        See `ClockSettings`.
 
-    Args: tracks, from `track_sheets`: x_px (frame, sheet), time_s, side and n.
-    Returns: time_s, error_s (standard error), step_px (of a typical outer sheet), step_err_px and frames
-    (that the step takes: 1 between two frames); empty where nothing steps.  attrs: noise_px, share_exposed.
+    Returns
+    -------
+    A table, empty where nothing steps, with the columns time_s, error_s (standard error), step_px (of a
+    typical outer sheet), step_err_px and frames (that the step takes; 1 between two frames). ``attrs``:
+    noise_px of the common movement, and share_exposed, the part of the frame time during which the shutter is
+    open.
 
-    Raises InputError where frames have no times or fewer than three can be used.
+    Raises
+    ------
+    InputError
+        Where frames have no times or fewer than three can be used.
+
+    Notes
+    -----
+    From frame to frame :math:`f`, sheet :math:`n` moves outwards by
+
+    .. math:: \Delta x_{nf} = a_f p_n + s_f u_n,
+
+    where :math:`p_n` is how far each sheet moves in a slip and :math:`s_f` is a shift of the whole picture
+    (drift, vibration), fitted where both sides are in view, :math:`u_n = \pm 1` being a sheet's side. Both
+    are weighted least squares by the sheets' noise. A slip is an :math:`a_f` that stands out from the creep.
+    One during an exposure shows as a frame in between, which places it within the exposure; one between two
+    exposures lies anywhere between them.
     """
-    import pandas as pd
-
-    steps = _steps(tracks)
+    steps = _steps(tracks, settings.least_sheets)
     pattern = _first_pattern(np.asarray(tracks["n"].values, np.float64))
     noise = _noise(steps.moved_px)
-    for _ in range(_ROUNDS):
+    for _ in range(3):
         above, error, creep = _common(steps, pattern, noise)
-        first, last = _runs(above, error, creep)
+        first, last = _find_steps(above, error, creep, settings)
         pattern = _pattern(steps, pattern, first, last)
     time_s, error_s, share = _placed(steps.time_s, above, first, last)
     table = pd.DataFrame(
@@ -77,14 +85,14 @@ def video_slips(tracks: xr.Dataset) -> pd.DataFrame:
     return table
 
 
-def _steps(tracks: xr.Dataset) -> _Steps:
+def _steps(tracks: xr.Dataset, least_sheets: float) -> _Steps:
     x = np.asarray(tracks["x_px"].values, np.float64)
     time = np.asarray(tracks["time_s"].values, np.float64)
     side = np.asarray(tracks["side"].values, np.float64)
-    about = str(tracks.attrs.get("source", "the tracks"))
+    about = StripMetadata.of(tracks).source
     if not np.isfinite(time).any():
-        raise InputError(about, "a time for each frame", "none", "give --fps or --timestamps")
-    seen = np.isfinite(x).mean(axis=1) >= _LEAST_SHEETS
+        raise InputError(about, "a time for each frame", "none", "give `fps` or `timestamps`")
+    seen = np.isfinite(x).mean(axis=1) >= least_sheets
     # A time stamp that does not rise is stale: the frame's true time is not known.
     before = np.maximum.accumulate(np.r_[-np.inf, np.where(np.isfinite(time), time, -np.inf)])[:-1]
     good = np.flatnonzero(seen & (time > before))
@@ -95,21 +103,21 @@ def _steps(tracks: xr.Dataset) -> _Steps:
     return _Steps(time[good], moved, side if two_sided else np.zeros_like(side))
 
 
-def _first_pattern(n: Doubles) -> Doubles:
+def _first_pattern(n: Floats) -> Floats:
     """Outer sheets move more."""
     return np.asarray(n / n.max())
 
 
-def _noise(moved_px: Doubles) -> Doubles:
+def _noise(moved_px: Floats) -> Floats:
     """Standard error of one movement of each sheet, (sheet,); slips are too few to matter to a median."""
     away = moved_px - nan_median(moved_px)
-    noise = MAD_TO_SIGMA * nan_median(np.abs(away))
+    noise = _MAD_TO_SIGMA * nan_median(np.abs(away))
     usual = noise[np.isfinite(noise)]
     floor = max(0.1 * float(np.median(usual)), 1e-6) if usual.size else 1.0
     return np.asarray(np.maximum(np.where(np.isfinite(noise), noise, np.inf), floor))
 
 
-def _common(steps: _Steps, pattern: Doubles, noise: Doubles) -> tuple[Doubles, Doubles, float]:
+def _common(steps: _Steps, pattern: Floats, noise: Floats) -> tuple[Floats, Floats, float]:
     """(size of the pattern in each movement above the creep, its standard error, the creep), (F-1,) each.
 
     A uniform shift of all sheets is fitted along.
@@ -133,7 +141,7 @@ def _common(steps: _Steps, pattern: Doubles, noise: Doubles) -> tuple[Doubles, D
     return np.where(useful, size - creep, 0.0), np.where(useful, error, np.inf), creep
 
 
-def _shortest_half(values: Doubles) -> tuple[float, float]:
+def _shortest_half(values: Floats) -> tuple[float, float]:
     """Middle and standard deviation of what is not a slip, though slips be nearly half of all movements.
 
     From the shortest interval that holds half the values (Rousseeuw & Leroy 1988).
@@ -142,37 +150,35 @@ def _shortest_half(values: Doubles) -> tuple[float, float]:
     half = len(ordered) // 2
     length = ordered[half:] - ordered[: len(ordered) - half]
     k = int(np.argmin(length))
-    return float(ordered[k : k + half + 1].mean()), MAD_TO_SIGMA / 2 * float(length[k])
+    return float(ordered[k : k + half + 1].mean()), _MAD_TO_SIGMA / 2 * float(length[k])
 
 
-def _runs(above: Doubles, error: Doubles, creep: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _find_steps(above: Floats, error: Floats, creep: float, settings: ClockSettings) -> tuple[Ints, Ints]:
     """First and last movement of each step.
 
     In a stick the sheets creep inwards, or rest where the machine does: only what goes outwards is a step.
     """
     outward = above + min(creep, 0.0)
-    part = outward > _PART * error
+    part = outward > settings.step_part_significance * error
     edges = np.diff(np.r_[0, part.astype(np.int8), 0])
     first, last = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
     height = _sums(above, first, last)
     sudden = np.maximum.reduceat(np.r_[outward, -np.inf], np.stack([first, last + 1], axis=1).ravel())[::2]
     padded = np.r_[0.0, above, 0.0]
-    clear = (sudden > _CLEAR * error[first]) & (
-        np.minimum(padded[first], padded[last + 2]) > -_UNDONE * height
+    clear = (sudden > settings.step_significance * error[first]) & (
+        np.minimum(padded[first], padded[last + 2]) > -settings.bad_frame_return * height
     )
     if clear.any():
-        clear &= height > _SMALL * np.percentile(height[clear], 90)
-    return _completed(above, error, first[clear], last[clear])
+        clear &= height > 0.1 * np.percentile(height[clear], 90)
+    return _with_other_part(above, settings.step_part_significance * error, first[clear], last[clear])
 
 
-def _completed(
-    above: Doubles, error: Doubles, first: NDArray[np.int64], last: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Steps of one movement with the neighbour that shows another part, though it be less than the creep.
+def _with_other_part(above: Floats, least: Floats, first: Ints, last: Ints) -> tuple[Ints, Ints]:
+    """Extend steps of one movement by the neighbour that shows another part, though less than the creep.
 
-    A part is more than the next movement further away: there may be no creep at all before a slip.
+    A part exceeds the next movement further away: there may be no creep at all before a slip.
     """
-    single, least = first == last, _PART * error[first]
+    single, least = first == last, least[first]
     padded = np.maximum(np.r_[0.0, 0.0, above, 0.0, 0.0], 0.0)
     before, after = padded[first + 1] - padded[first], padded[last + 3] - padded[last + 4]
     earlier = single & (before > least) & (before >= after)
@@ -180,12 +186,12 @@ def _completed(
     return first - earlier, last + later
 
 
-def _sums(values: Doubles, first: NDArray[np.int64], last: NDArray[np.int64]) -> Doubles:
+def _sums(values: Floats, first: Ints, last: Ints) -> Floats:
     total = np.r_[0.0, np.cumsum(values)]
     return np.asarray(total[last + 1] - total[first])
 
 
-def _pattern(steps: _Steps, pattern: Doubles, first: NDArray[np.int64], last: NDArray[np.int64]) -> Doubles:
+def _pattern(steps: _Steps, pattern: Floats, first: Ints, last: Ints) -> Floats:
     """How far each sheet moves in the median step, the outermost tenth being 1; as it was without steps."""
     if len(first) < 3:
         return pattern
@@ -196,14 +202,12 @@ def _pattern(steps: _Steps, pattern: Doubles, first: NDArray[np.int64], last: ND
     return np.asarray(typical / top) if top > 0 else pattern
 
 
-def _placed(
-    time_s: Doubles, above: Doubles, first: NDArray[np.int64], last: NDArray[np.int64]
-) -> tuple[Doubles, Doubles, float]:
+def _placed(time_s: Floats, above: Floats, first: Ints, last: Ints) -> tuple[Floats, Floats, float]:
     """(time, standard error) of each step, and the share of the frame time during which light is collected.
 
-    That share is how often a step shows as a frame in between.  Where it is e, a step without such a frame
-    lies within the dark time, evenly; one with it within the exposure, where the part of the step already
-    shown says.
+    That share is how often a step shows as a frame in between. A step without such a frame lies anywhere in
+    the time between exposures; one with it lies within the exposure, and the part of the step that the frame
+    shows gives the place.
     """
     above = np.maximum(above, 0.0)
     middle, length = 0.5 * (time_s[1:] + time_s[:-1]), np.diff(time_s)

@@ -1,0 +1,366 @@
+"""The camera's clock against the testing machine's: `Clock` and `synchronise`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from vision.clock.alignment import CandidateClocks, ClockFits, SlipSizes, SlipTrains, fit_clocks
+from vision.clock.ambiguity import Alignments, align
+from vision.clock.force_slips import force_slips
+from vision.clock.settings import ClockSettings
+from vision.clock.video_slips import video_slips
+from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata
+from vision.errors import InputError
+from vision.force.recording import good_samples
+from vision.numeric import Floats, nan_median
+
+Status = Literal["ok", "ambiguous", "given"]
+How = Literal["given", "video time column", "events"]
+
+_MAD_TO_SIGMA = 1.4826
+_SLIP_DURATION_S = 0.001
+_CANDIDATES_LISTED = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """One alignment of the slips.
+
+    Parameters
+    ----------
+    offset_s, drift_ppm
+        Its clock.
+    log_likelihood
+        Less that of no slip in common.
+    matched
+        Slips paired.
+    """
+
+    offset_s: float
+    drift_ppm: float
+    log_likelihood: float
+    matched: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clock:
+    r"""How video time maps to the force clock.
+
+    Parameters
+    ----------
+    offset_s
+        Force clock at video time 0.
+    drift_ppm
+        By how much the force clock is faster than the camera's.
+    residual_ms
+        Median absolute residual of the matched slips; NaN without any.
+    matched, unmatched_video, unmatched_force
+        Slips within the time that both recordings cover.
+    margin
+        Log-likelihood over the next different alignment; NaN where slips did not decide.
+    status
+        "ok"; "ambiguous": the numbers are those of the best candidate and may be wrong by whole slips, not to
+        be used unseen; or "given": an offset or a column of video times decided.
+    how
+        What decided.
+    error_ms
+        Standard error of a mapped time in the middle of the matched slips; NaN where it is not known (given).
+    drift_err_ppm
+        Standard error of the drift; NaN likewise.
+    candidates
+        Alignments considered, best first.
+    warnings
+        What the user must be told.
+
+    Notes
+    -----
+    .. math:: t_\mathrm{force} = \mathtt{offset\_s} + (1 + 10^{-6}\,\mathtt{drift\_ppm})\, t_\mathrm{video}
+    """
+
+    offset_s: float
+    drift_ppm: float
+    residual_ms: float
+    matched: int
+    unmatched_video: int
+    unmatched_force: int
+    margin: float
+    status: Status
+    how: How
+    error_ms: float = math.nan
+    drift_err_ppm: float = math.nan
+    candidates: tuple[Candidate, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def to_force_s(self, video_time_s: ArrayLike) -> Floats:
+        """Force clock at these video times, s; NaN stays NaN."""
+        return self.offset_s + (1 + 1e-6 * self.drift_ppm) * np.asarray(video_time_s, np.float64)
+
+    def to_video_s(self, force_time_s: ArrayLike) -> Floats:
+        """Video time at these times of the force clock, s; NaN stays NaN."""
+        return (np.asarray(force_time_s, np.float64) - self.offset_s) / (1 + 1e-6 * self.drift_ppm)
+
+    def to_json(self) -> dict[str, Any]:
+        """What `clock.json` holds; numbers that are not known are null."""
+        return {name: _plain(value) for name, value in asdict(self).items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+# --- synchronise --------------------------------------------------------------------------------------------
+
+
+def synchronise(
+    tracks: xr.Dataset,
+    force: xr.Dataset,
+    sticks: pd.DataFrame,
+    *,
+    offset_s: float | None = None,
+    settings: ClockSettings = ClockSettings(),
+) -> Clock:
+    """Find the straight line from video time to the force clock.
+
+    A given offset decides (the drift is then 0), else a column of the camera's times in the force recording,
+    else the slips that both instruments saw. Slips that do not decide are still compared, and a contradiction
+    is a warning.
+
+    Parameters
+    ----------
+    tracks
+        From `track_sheets`.
+    force
+        From `read_force`.
+    sticks
+        From `find_stick_slip`.
+    offset_s
+        Force clock at video time 0, where it is known.
+    settings
+        See `ClockSettings`.
+
+    Returns
+    -------
+    The clock. Slips are nearly periodic, so an alignment shifted by whole slips fits nearly as well as the
+    right one: the status is "ok" only where `align` finds no ambiguity, else "ambiguous", with the
+    candidates.
+
+    Raises
+    ------
+    InputError
+        Where the frames have no times, where a given clock puts the video outside the force recording, or,
+        with slips to decide, where either recording has fewer than four or none coincide.
+    """
+    TRACKS.check(tracks)
+    FORCE.check(force)
+    STICKS.check(sticks)
+    warnings = _playback_warning(tracks)
+    if offset_s is not None:
+        _check_overlap(tracks, force, (offset_s, 0.0), "`offset_s`")
+        clock = _given(tracks, force, sticks, (offset_s, 0.0), "given", settings)
+    elif (column := clock_from_column(force)) is not None:
+        _check_overlap(tracks, force, column, ForceMetadata.of(force).source)
+        clock = _given(tracks, force, sticks, column, "video time column", settings)
+    else:
+        clock = _from_slips(tracks, force, sticks, settings)
+        if "video_time_s" in force:
+            unusable = "the column of video times in the force recording is not usable: slips decide"
+            warnings = (*warnings, unusable)
+    return replace(clock, warnings=(*warnings, *clock.warnings))
+
+
+def _playback_warning(tracks: xr.Dataset) -> tuple[str, ...]:
+    if StripMetadata.of(tracks).clock_kind != "playback":
+        return ()
+    return ("frame times are the file's playback rate, which need not be the camera's: give `fps`",)
+
+
+def _check_overlap(tracks: xr.Dataset, force: xr.Dataset, line: tuple[float, float], about: str) -> None:
+    """Raises InputError for a clock at which the video lies outside the force recording."""
+    times = tracks["time_s"].to_numpy()
+    times = times[np.isfinite(times)]
+    if not len(times):
+        source = StripMetadata.of(tracks).source
+        raise InputError(source, "a time for each frame", "none", "give `fps` or `timestamps`")
+    if not np.isfinite(line[0]):
+        raise InputError(about, "a number of seconds", f"{line[0]}")
+    machine = good_samples(force)["time_s"].to_numpy()
+    begin, end = (line[0] + (1 + 1e-6 * line[1]) * t for t in (times.min(), times.max()))
+    if end < machine[0] or begin > machine[-1]:
+        raise InputError(
+            about,
+            f"a video within the force recording, {machine[0]:.6g} to {machine[-1]:.6g} s",
+            f"one from {begin:.6g} to {end:.6g} s on that clock",
+            "check `offset_s`, or whether the two files belong together",
+        )
+
+
+def _slip_trains(seen: pd.DataFrame, drops: pd.DataFrame, settings: ClockSettings) -> SlipTrains:
+    force_error = float(np.hypot(np.median(drops["error_s"]), _SLIP_DURATION_S))
+    return SlipTrains(
+        seen["time_s"].to_numpy(),
+        np.hypot(seen["error_s"].to_numpy(), force_error),
+        drops["time_s"].to_numpy(),
+        SlipSizes.of(seen["step_px"].to_numpy(), seen["step_err_px"].to_numpy(), settings),
+        SlipSizes.of(drops["drop_N"].to_numpy(), settings=settings),
+        force_error,
+    )
+
+
+def _from_slips(
+    tracks: xr.Dataset, force: xr.Dataset, sticks: pd.DataFrame, settings: ClockSettings
+) -> Clock:
+    """The best alignment of the slips, "ok" or "ambiguous"."""
+    seen, drops = video_slips(tracks, settings=settings), force_slips(force, sticks, settings=settings)
+    video, machine = StripMetadata.of(tracks).source, ForceMetadata.of(force).source
+    for about, slips in ((video, seen), (machine, drops)):
+        if len(slips) < settings.least_slips:
+            need = f"at least {settings.least_slips} slips to set the clocks by"
+            raise InputError(about, need, f"{len(slips)}", "give `offset_s`")
+    found = align(_slip_trains(seen, drops, settings), settings)
+    if found.fits.log_likelihood[0] <= 0:
+        raise InputError(
+            video,
+            "slips at the same times as in the force recording",
+            f"{len(seen)} slips that coincide with none of its {len(drops)} at any offset",
+            "check whether the two files belong together, or give `offset_s`",
+        )
+    error, drift_error = found.errors()
+    return replace(
+        _compared(found.clocks, found.fits, "events"),
+        margin=found.margin,
+        status="ambiguous" if found.ambiguity else "ok",
+        error_ms=1e3 * float(np.hypot(error, drops.attrs["lag_s"])),
+        drift_err_ppm=1e6 * drift_error,
+        candidates=_candidates(found),
+        warnings=(f"clocks ambiguous: {found.ambiguity}; give `offset_s`",) if found.ambiguity else (),
+    )
+
+
+def _compared(clocks: CandidateClocks, fits: ClockFits, how: How) -> Clock:
+    """The first of the clocks with its counts of slips and its residual."""
+    return Clock(
+        offset_s=float(clocks.offset_s[0]),
+        drift_ppm=1e6 * float(clocks.drift[0]),
+        residual_ms=1e3 * float(nan_median(np.abs(fits.residual_s[0]))),
+        matched=int(fits.matched[0]),
+        unmatched_video=int(fits.video[0] - fits.matched[0]),
+        unmatched_force=int(fits.force[0] - fits.matched[0]),
+        margin=math.nan,
+        status="given",
+        how=how,
+    )
+
+
+def _candidates(found: Alignments) -> tuple[Candidate, ...]:
+    facts = (found.clocks.offset_s, 1e6 * found.clocks.drift, found.fits.log_likelihood, found.fits.matched)
+    return tuple(
+        Candidate(offset_s=float(a), drift_ppm=float(b), log_likelihood=float(c), matched=int(m))
+        for a, b, c, m in zip(*(fact[:_CANDIDATES_LISTED] for fact in facts), strict=True)
+    )
+
+
+def _given(
+    tracks: xr.Dataset,
+    force: xr.Dataset,
+    sticks: pd.DataFrame,
+    line: tuple[float, float],
+    how: How,
+    settings: ClockSettings,
+) -> Clock:
+    """A given clock, compared with the slips where there are enough."""
+    seen, drops = video_slips(tracks, settings=settings), force_slips(force, sticks, settings=settings)
+    if min(len(seen), len(drops)) < settings.least_slips:
+        return Clock(
+            offset_s=line[0],
+            drift_ppm=line[1],
+            residual_ms=math.nan,
+            matched=0,
+            unmatched_video=len(seen),
+            unmatched_force=len(drops),
+            margin=math.nan,
+            status="given",
+            how=how,
+        )
+    trains = _slip_trains(seen, drops, settings)
+    clocks = CandidateClocks(np.array([line[0]]), np.array([1e-6 * line[1]]), np.zeros(1))
+    given = _compared(clocks, fit_clocks(trains, clocks, settings), how)
+    return replace(given, warnings=_contradiction(given, align(trains, settings)))
+
+
+def _contradiction(given: Clock, found: Alignments) -> tuple[str, ...]:
+    """A warning where the slips do not match a given clock."""
+    centre = found.clocks.centre_s[0]
+    away = float(found.clocks.middle_s[0] - given.to_force_s(centre))
+    error = float(np.hypot(found.errors()[0], found.trains.typical_error_s))
+    if not found.ambiguity and abs(away) > found.settings.contradiction_sigma * error:
+        return (
+            f"by the slips the force clock is {found.clocks.offset_s[0]:.4f} s at video time 0, not "
+            f"{given.offset_s:.4f} s (margin {found.margin:.0f})",
+        )
+    if given.matched < min(given.unmatched_video, given.unmatched_force):
+        clock = "the given offset" if given.how == "given" else "the column of video times"
+        return (f"only {given.matched} slips match {clock}",)
+    return ()
+
+
+# --- a column of video times in the force recording ---------------------------------------------------------
+
+
+def clock_from_column(force: xr.Dataset) -> tuple[float, float] | None:
+    """Straight line through the column of video times that the testing machine wrote beside its own.
+
+    Parameters
+    ----------
+    force
+        From `read_force`. A value is repeated until the next frame arrives: only the first sample of each
+        counts. Values more than 5 σ off the line are left out.
+
+    Returns
+    -------
+    (offset_s, drift_ppm); None without a usable column: one with under ten different values, or whose seconds
+    differ from the machine's by over 2 %, is no clock of the recording.
+    """
+    if "video_time_s" not in force:
+        return None
+    video, machine = _first_samples(force["video_time_s"].to_numpy(), force["time_s"].to_numpy())
+    if len(video) < 10:
+        return None
+    centre = float(np.median(video))
+    slope, middle = _robust_line(video - centre, machine)
+    if abs(slope - 1) > 0.02:
+        return None
+    return middle - slope * centre, 1e6 * (slope - 1)
+
+
+def _first_samples(video: Floats, machine: Floats) -> tuple[Floats, Floats]:
+    """Both times at the first sample of each value."""
+    known = np.isfinite(video) & np.isfinite(machine)
+    video, machine = video[known], machine[known]
+    new = np.flatnonzero(np.diff(video) > 0) + 1
+    return video[new], machine[new]
+
+
+def _robust_line(x: Floats, y: Floats) -> tuple[float, float]:
+    """Slope and intercept without outliers; starts from the median of slopes across half the data."""
+    half = len(x) // 2
+    rise, run = y[-half:] - y[:half], x[-half:] - x[:half]
+    slope = float(np.median(rise[run > 0] / run[run > 0])) if np.any(run > 0) else float("nan")
+    intercept = float(np.median(y - slope * x))
+    for _ in range(10):
+        away = np.abs(y - intercept - slope * x)
+        near = away <= 5 * max(_MAD_TO_SIGMA * float(np.median(away)), 1e-6)
+        if not np.ptp(x[near]) > 0:
+            break
+        slope, intercept = (float(c) for c in np.polyfit(x[near], y[near], 1))
+    return slope, intercept
