@@ -7,12 +7,21 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from vision.experiment import Camera, Clocks, Experiment, Mechanics, Sheets, preset, simulate, with_settings
-from vision.experiment.force_file import force_recording
-from vision.experiment.images import frame_blocks
-from vision.experiment.mechanics import pull_apart
-from vision.experiment.raw_avi import RawAviWriter
-from vision.experiment.scene import make_scene
+from vision.experiment import (
+    Camera,
+    Clocks,
+    Experiment,
+    Mechanics,
+    Sheets,
+    force_recording,
+    frame_blocks,
+    make_scene,
+    preset,
+    simulate,
+    simulate_pull,
+    with_settings,
+)
+from vision.experiment.video_files import RawAviWriter
 from vision.force.recording import read_force
 from vision.video import open_video
 
@@ -130,7 +139,7 @@ def test_clocks_lose_and_repeat_as_asked(tmp_path):
 def test_load_cell_low_pass_noise_and_quantum():
     """A failure means the force file is cleaner or dirtier than its settings say."""
     quiet = with_settings(SMALL, {"load_cell.noise_N": 0, "load_cell.drift_N": 0, "load_cell.quantum_N": 0})
-    pull = pull_apart(quiet.mechanics, seed=0)
+    pull = simulate_pull(quiet.mechanics, seed=0)
     record = force_recording(quiet, pull)
     exact = pull.force_N(record["time_s"].to_numpy())
     lag = 0.003 * pull.stiffness_N_per_mm[0] / 60
@@ -155,7 +164,7 @@ def test_force_files_are_read_back_in_every_layout(tmp_path, layout, style):
     changes = {"layout": layout, "decimal": decimal, "encoding": encoding, "unit": unit}
     e = with_settings(SMALL, {f"force_file.{key}": value for key, value in changes.items()})
     test = simulate(with_settings(e, {"camera.duration_s": 0.05}), tmp_path / "t")
-    record = force_recording(e, pull_apart(e.mechanics, seed=0))
+    record = force_recording(e, simulate_pull(e.mechanics, seed=0))
     force = read_force(test.force, d0_mm=13.0)
     assert force["load_N"].values == pytest.approx(record["load_N"].to_numpy(), abs=1e-6)
     assert force["d_mm"].values == pytest.approx(13 + record["crosshead_mm"].to_numpy(), abs=1e-6)
@@ -175,7 +184,7 @@ def test_overwrite_replaces_only_when_asked(tmp_path):
     from vision.errors import InputError
 
     simulate(SMALL, tmp_path / "t")
-    with pytest.raises(InputError, match="--overwrite"):
+    with pytest.raises(InputError, match="`overwrite`"):
         simulate(SMALL, tmp_path / "t")
     simulate(with_settings(SMALL, {"seed": 2}), tmp_path / "t", overwrite=True)
     with xr.open_dataset(tmp_path / "t" / "truth.nc", engine="h5netcdf") as truth:

@@ -5,10 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vision.experiment import Camera, Experiment, Mechanics, Optics, Sheets, preset, profiles
-from vision.experiment.camera import electrons_per_level, grey_levels
-from vision.experiment.images import frame_blocks
-from vision.experiment.scene import make_scene
+from vision.experiment import (
+    Camera,
+    Experiment,
+    Mechanics,
+    Optics,
+    Sheets,
+    frame_blocks,
+    make_scene,
+    preset,
+    profiles,
+)
+from vision.experiment.images import electrons_per_level, grey_levels
 
 PLAIN = Optics(contrast_spread=0, gradient=0, texture=0, flicker=0, tilt_deg=0)
 WIDE = Sheets(count=8, pitch_px=70, bow_px=0)
@@ -102,10 +110,8 @@ def test_saturation_clips():
 
 def test_texture_travels_with_the_pulled_block():
     """Every second sheet's texture moves along z with d; the others' stays."""
-    from vision.experiment.surface import Surface
-
     e = Experiment(camera=Camera(duration_s=12, fps=5, height=60))
-    texture = Surface(make_scene(e)).texture(slice(None))
+    texture = make_scene(e).texture(slice(None))
     travel = round((e.mechanics.speed_mm_min / 60) * 11.8 * 1000 / 10)
     assert texture[59, :, 1] == pytest.approx(texture[0, :, 1])
     assert np.corrcoef(texture[59, : 60 - travel, 0], texture[0, travel:, 0])[0, 1] > 0.98

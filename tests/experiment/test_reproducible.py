@@ -5,9 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vision.experiment import Camera, Experiment, Optics, profiles
-from vision.experiment.images import frame_blocks
-from vision.experiment.scene import make_scene
+from vision.experiment import Camera, Experiment, Optics, frame_blocks, make_scene, profiles
 
 SHORT = Experiment(camera=Camera(duration_s=0.5, height=20, width=1200))
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from vision.errors import InputError
-from vision.experiment import Experiment, preset, settings_from_toml, simulate, with_settings
-from vision.experiment.mechanics import pull_apart
+from vision.experiment import Experiment, preset, settings_from_toml, simulate, simulate_pull, with_settings
 from vision.experiment.motion import comb_at_rest, sheet_motion
 
 
@@ -27,8 +26,8 @@ from vision.experiment.motion import comb_at_rest, sheet_motion
         ({"camera.gain": 3}, "one of width, height"),
         ({"lens.f": 3}, "GROUP.SETTING"),
         ({"camera.width": "wide"}, "a whole number; found wide"),
-        ({"force_file.layout": "word"}, "mts or instron"),
-        ({"seed": -1}, "from 0"),
+        ({"force_file.layout": "word"}, "mts, instron"),
+        ({"seed": -1}, "setting seed: expected zero or more; found -1"),
     ],
 )
 def test_bad_settings_are_refused_in_one_line(change, says):
@@ -69,7 +68,7 @@ def test_settings_come_from_toml_in_their_own_types(tmp_path):
 
 
 def outer_jump_px(e):
-    pull = pull_apart(e.mechanics, seed=e.seed)
+    pull = simulate_pull(e.mechanics, seed=e.seed)
     motion = sheet_motion(e, pull, comb_at_rest(e))
     seen = (pull.end_s > e.clocks.offset_s) & (pull.end_s < e.clocks.offset_s + e.camera.duration_s)
     return np.abs(motion.outer_px[1:] - motion.inner_px[:-1])[seen[:-1]].max(axis=1), pull
