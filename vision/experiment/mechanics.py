@@ -16,6 +16,7 @@ import pandas as pd
 from vision.experiment.settings import Experiment, Mechanics
 from vision.models import equations as eq
 from vision.numeric import Bools, Floats, Ints
+from vision.sample import PUBLISHED, Sample
 
 _SHORTEST_STICK_MM = 2e-4
 """Lower limit of a stick's length: without force (where the pull only builds up) it would be zero."""
@@ -104,15 +105,17 @@ class Pull:
         return pd.DataFrame(columns)
 
 
-def simulate_pull(m: Mechanics, *, seed: int) -> Pull:
+def simulate_pull(m: Mechanics, *, seed: int, sample: Sample = PUBLISHED) -> Pull:
     r"""The whole test, event by event.
 
     Parameters
     ----------
     m
-        The sample and the pull.
+        Friction, stiffness and the pull.
     seed
         Of the scatter.
+    sample
+        Sheets per block, their dimensions and T*.
 
     Notes
     -----
@@ -130,11 +133,11 @@ def simulate_pull(m: Mechanics, *, seed: int) -> Pull:
     rows: list[tuple[float, ...]] = []
     time, d, low = 0.0, m.d0_mm, 0.0
     while time < stop_s:
-        drop, stiffness, m_eff = _event_at(d, m, jitter=rng.standard_normal())
+        drop, stiffness, m_eff = _event_at(d, m, sample, jitter=rng.standard_normal())
         scatter = 1 + m.peak_scatter * rng.standard_normal()
-        length = drop / (stiffness * _mean_slope(m)) if rows else _loading_mm(stiffness, m)
+        length = drop / (stiffness * _mean_slope(m)) if rows else _loading_mm(stiffness, m, sample)
         length = max(length, _SHORTEST_STICK_MM)
-        high = _peak_force_N(d + length, m) * scatter
+        high = _peak_force_N(d + length, m, sample) * scatter
         low = max(high - drop, 0.0) if rows else 0.0
         end = time + length / speed
         rows.append((time, end, d, d + length, low, high, stiffness, m_eff))
@@ -154,31 +157,31 @@ def simulate_pull(m: Mechanics, *, seed: int) -> Pull:
     )
 
 
-def _assembly(m: Mechanics) -> eq.Assembly:
+def _assembly(sample: Sample) -> eq.Assembly:
     """The sample as the equations take it."""
     return eq.Assembly(
-        sheets_per_side=m.sheets_per_side,
-        thickness_mm=m.thickness_mm,
-        width_mm=m.width_mm,
-        length_mm=m.length_mm,
+        sheets_per_side=sample.sheets_per_block,
+        thickness_mm=sample.thickness_mm,
+        width_mm=sample.width_mm,
+        length_mm=sample.length_mm,
     )
 
 
-def _event_at(d_mm: float, m: Mechanics, *, jitter: float) -> tuple[float, float, float]:
+def _event_at(d_mm: float, m: Mechanics, sample: Sample, *, jitter: float) -> tuple[float, float, float]:
     """Force drop (N), stiffness (N/mm) and M_eff of an event that starts at d."""
-    sample = _assembly(m)
-    total = eq.total_normal_force(d_mm, mu=m.mu, t_star_N=m.t_star_N, assembly=sample)
-    d_hat = eq.reduced_separation(d_mm, mu=m.mu, n_hat_N=m.n_hat_N, t_star_N=m.t_star_N, assembly=sample)
-    sheets = float(eq.effective_sheets(d_hat, assembly=sample))
-    one = eq.sheet_stiffness(modulus_GPa=m.modulus_GPa, assembly=sample)
+    assembly, t_star_N = _assembly(sample), sample.t_star_N
+    total = eq.total_normal_force(d_mm, mu=m.mu, t_star_N=t_star_N, assembly=assembly)
+    d_hat = eq.reduced_separation(d_mm, mu=m.mu, n_hat_N=m.n_hat_N, t_star_N=t_star_N, assembly=assembly)
+    sheets = float(eq.effective_sheets(d_hat, assembly=assembly))
+    one = eq.sheet_stiffness(modulus_GPa=m.modulus_GPa, assembly=assembly)
     # A drop never turns negative, however large the jitter asked for.
     drop = m.amplitude * float(total) * max(1 + m.period_jitter * jitter, 0.1) * _built_up(d_mm, m)
     return drop, max(sheets, 1.0) * float(one), sheets
 
 
-def _peak_force_N(d_mm: float, m: Mechanics) -> float:
+def _peak_force_N(d_mm: float, m: Mechanics, sample: Sample) -> float:
     """Force at which the sample slips at d: Eq. 1 and the offset, smaller while the pull builds up."""
-    force = eq.traction(d_mm, mu=m.mu, t_star_N=m.t_star_N, assembly=_assembly(m))
+    force = eq.traction(d_mm, mu=m.mu, t_star_N=sample.t_star_N, assembly=_assembly(sample))
     return (float(force) + m.t0_N) * _built_up(d_mm, m)
 
 
@@ -187,11 +190,11 @@ def _built_up(d_mm: float, m: Mechanics) -> float:
     return 1 - float(np.exp(-(d_mm - m.d0_mm) / m.buildup_mm)) if m.buildup_mm else 1.0
 
 
-def _loading_mm(stiffness_N_per_mm: float, m: Mechanics) -> float:
+def _loading_mm(stiffness_N_per_mm: float, m: Mechanics, sample: Sample) -> float:
     """Length of the first elastic loading: where K (d - d0) meets the force at which the sample slips."""
     length = 0.0
     for _ in range(50):
-        length = _peak_force_N(m.d0_mm + length, m) / (stiffness_N_per_mm * _mean_slope(m))
+        length = _peak_force_N(m.d0_mm + length, m, sample) / (stiffness_N_per_mm * _mean_slope(m))
     return length
 
 

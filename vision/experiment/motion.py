@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vision.experiment.mechanics import Pull, random_stream
-from vision.experiment.settings import Experiment, Mechanics, Sheets
+from vision.experiment.settings import Experiment, Sheets
 from vision.numeric import Floats, Ints
 
 
@@ -34,16 +34,17 @@ def comb_at_rest(experiment: Experiment) -> RestingComb:
 
     With an odd number the middle one stands on the axis and counts as n = 1 on the right.
     """
-    sheets, middle = experiment.sheets, (experiment.camera.width - 1) / 2
-    right = {"both": (sheets.count + 1) // 2, "right": sheets.count, "left": 0}[sheets.side]
-    place = np.arange(sheets.count) - (sheets.count - right)
+    sheets, count = experiment.sheets, experiment.ridges_in_view
+    middle = (experiment.camera.width - 1) / 2
+    right = {"both": (count + 1) // 2, "right": count, "left": 0}[sheets.side]
+    place = np.arange(count) - (count - right)
     side = np.where(place >= 0, 1, -1)
     n = np.where(place >= 0, place + 1, -place)
-    odd = sheets.side == "both" and sheets.count % 2 == 1
+    odd = sheets.side == "both" and count % 2 == 1
     steps = place + (0.0 if odd else 0.5)
     axis = middle - steps.mean() * sheets.pitch_px
     rng = random_stream(experiment.seed, "comb")
-    uneven = sheets.pitch_jitter * rng.uniform(-1, 1, sheets.count)
+    uneven = sheets.pitch_jitter * rng.uniform(-1, 1, count)
     rank = np.abs(steps) + (0.0 if odd else 0.5)
     rest = axis + (steps + uneven) * sheets.pitch_px
     return RestingComb(axis_px=axis, rest_px=rest, side=side, n=n, rank=rank)
@@ -118,7 +119,8 @@ def sheet_motion(experiment: Experiment, pull: Pull, comb: RestingComb) -> Motio
     """
     sheets, m = experiment.sheets, experiment.mechanics
     rng = random_stream(experiment.seed, "motion")
-    ratio = _deformation_ratio(comb.rank / sheets.per_side, pull.effective_sheets, sheets, m)
+    stiff_share = pull.effective_sheets / experiment.sample.sheets_per_block
+    ratio = _deformation_ratio(comb.rank / experiment.ridges_per_side, stiff_share, sheets)
     ratio = ratio * np.maximum(1 + sheets.sweep_scatter * rng.standard_normal(ratio.shape), 0)
     stick_um = 1000 * (pull.d_end_mm - pull.d_start_mm)[:, None]
     sweep = np.sqrt(12) * ratio * stick_um / experiment.camera.pixel_size_um
@@ -150,12 +152,13 @@ def sheet_motion(experiment: Experiment, pull: Pull, comb: RestingComb) -> Motio
     return motion
 
 
-def _deformation_ratio(rank_share: Floats, m_eff: Floats, sheets: Sheets, m: Mechanics) -> Floats:
-    """σ_x/Λ_st (event, sheet) for sheets at rank/M and events of M_eff stiff sheets."""
-    stiff_share = np.clip(m_eff / m.sheets_per_side, 0.02, 0.98)[:, None]
+def _deformation_ratio(rank_share: Floats, stiff_share: Floats, sheets: Sheets) -> Floats:
+    """σ_x/Λ_st (event, sheet) for sheets at rank/M and events at which M_eff/M of the sheets are stiff."""
     if sheets.outer_ratio <= sheets.stiff_ratio:
-        return np.broadcast_to(sheets.outer_ratio * rank_share, (len(m_eff), len(rank_share))).copy()
-    power = np.log(sheets.stiff_ratio / sheets.outer_ratio) / np.log(stiff_share)
+        return np.broadcast_to(sheets.outer_ratio * rank_share, (len(stiff_share), len(rank_share))).copy()
+    power = (
+        np.log(sheets.stiff_ratio / sheets.outer_ratio) / np.log(np.clip(stiff_share, 0.02, 0.98))[:, None]
+    )
     return np.asarray(sheets.outer_ratio * rank_share**power)
 
 

@@ -52,7 +52,7 @@ class RidgeAppearance:
 
 def _ridge_appearance(experiment: Experiment) -> RidgeAppearance:
     """Unequal neighbours: widths, heights and shoulder sides drawn sheet by sheet."""
-    optics, count = experiment.optics, experiment.sheets.count
+    optics, count = experiment.optics, experiment.ridges_in_view
     rng = random_stream(experiment.seed, "looks")
     width = optics.fwhm_px * np.exp(optics.fwhm_spread * np.clip(rng.standard_normal(count), -2, 2))
     unequal = np.exp(optics.contrast_spread * np.clip(rng.standard_normal(count), -2, 2))
@@ -274,7 +274,7 @@ class Scene:
         """Relative brightness along each sheet, (row, sheet), long enough for the whole video."""
         e = self.experiment
         travel = int(np.ceil(self._travel_px(slice(None)).max())) + 2
-        noise = random_stream(e.seed, "texture").standard_normal((e.camera.height + travel, e.sheets.count))
+        noise = random_stream(e.seed, "texture").standard_normal((e.camera.height + travel, e.ridges_in_view))
         smooth = gaussian_filter1d(noise, e.optics.texture_px / 2.355, axis=0, mode="wrap")
         smooth /= smooth.std() or 1.0
         return np.asarray(e.optics.texture * np.clip(smooth, -3, 3))
@@ -320,7 +320,7 @@ def _dust(e: Experiment) -> Floats:
 
 def make_scene(experiment: Experiment) -> Scene:
     """Work out the pull, the sheets' motion, their appearance and the frame times of an experiment."""
-    pull = simulate_pull(experiment.mechanics, seed=experiment.seed)
+    pull = simulate_pull(experiment.mechanics, seed=experiment.seed, sample=experiment.sample)
     comb = comb_at_rest(experiment)
     return Scene(
         experiment=experiment,

@@ -12,9 +12,11 @@ import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from vision.errors import InputError
+from vision.sample import PUBLISHED, Sample
 
 Positive = Annotated[float, "more than zero"]
 NonNegative = Annotated[float, "zero or more"]
@@ -32,7 +34,7 @@ RidgeShape = Literal["gaussian", "flat", "shouldered"]
 
 @dataclass(frozen=True, kw_only=True)
 class Mechanics:
-    """The sample, the pull, and how regular the stick-slip events are."""
+    """Friction, stiffness, the pull, and how regular the stick-slip events are."""
 
     speed_mm_min: Positive = 1.0
     """V, of the crosshead."""
@@ -42,8 +44,6 @@ class Mechanics:
     """Separation at which the machine stops."""
     mu: Positive = 0.89
     """Friction coefficient."""
-    t_star_N: Positive = 0.003
-    """T*, traction of the outermost sheet."""
     t0_N: float = 0.0
     """𝒯0, constant offset of the peaks."""
     amplitude: Positive = 0.34
@@ -52,14 +52,6 @@ class Mechanics:
     """N̂, normal force above which a sheet is stiff."""
     modulus_GPa: Positive = 3.8
     """Effective modulus of a sheet."""
-    sheets_per_side: PositiveInt = 25
-    """M."""
-    thickness_mm: Positive = 0.1
-    """ε, of a sheet."""
-    width_mm: Positive = 45.0
-    """W, of the sheets."""
-    length_mm: Positive = 57.0
-    """L, from the clamp to the sheets' end."""
     peak_scatter: Fraction = 0.015
     """Relative standard deviation of the peak forces."""
     period_jitter: Fraction = 0.07
@@ -81,10 +73,10 @@ class Mechanics:
 class Sheets:
     """Where the ridges are and how far they move."""
 
-    count: PositiveInt = 50
-    """Ridges in view."""
-    per_side: PositiveInt = 25
-    """Ridges on one side of the axis in the whole sample (50 where the sheets of both blocks show). The
+    count: PositiveInt | None = None
+    """Ridges in view; None: all of the sides in view."""
+    per_side: PositiveInt | None = None
+    """Ridges on one side of the axis (2 M where the sheets of both blocks show); None: the sample's M. The
     displacement depends on rank / per_side."""
     side: Literal["both", "left", "right"] = "both"
     """Side of the axis that is in view."""
@@ -247,6 +239,8 @@ class Experiment:
 
     seed: NonNegativeInt = 0
     """Of all random numbers."""
+    sample: Sample = PUBLISHED
+    """Sheets per block M, their dimensions and T*."""
     mechanics: Mechanics = field(default_factory=Mechanics)
     sheets: Sheets = field(default_factory=Sheets)
     optics: Optics = field(default_factory=Optics)
@@ -263,9 +257,19 @@ class Experiment:
                 continue
             for name, kind in _types(type(value)).items():
                 _check_value(f"{part.name}.{name}", getattr(value, name), kind)
-        _check_pull(self.mechanics, self.camera, self.clocks)
-        _check_view(self.sheets, self.optics, self.camera)
+        _check_pull(self)
+        _check_view(self)
         _check_camera(self.camera)
+
+    @property
+    def ridges_per_side(self) -> int:
+        """`sheets.per_side`, or the sample's M where it is None."""
+        return self.sheets.per_side or self.sample.sheets_per_block
+
+    @property
+    def ridges_in_view(self) -> int:
+        """`sheets.count`, or every ridge of the sides in view where it is None."""
+        return self.sheets.count or self.ridges_per_side * (2 if self.sheets.side == "both" else 1)
 
 
 def with_settings(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
@@ -286,7 +290,8 @@ def with_settings(experiment: Experiment, changes: Mapping[str, Any]) -> Experim
     """
     groups: dict[str, dict[str, Any]] = {}
     top: dict[str, Any] = {}
-    for name, value in changes.items():
+    for given, value in changes.items():
+        name = _EARLIER_NAMES.get(given, given)
         if name == "seed":
             top["seed"] = _converted(value, int, name)
             continue
@@ -303,7 +308,7 @@ def settings_from_toml(path: Path) -> dict[str, Any]:
     Parameters
     ----------
     path
-        A file with tables [mechanics], [sheets], [optics], [camera], [clocks] …
+        A file with tables [sample], [mechanics], [sheets], [optics], [camera], [clocks] …
 
     Raises
     ------
@@ -320,6 +325,15 @@ def settings_from_toml(path: Path) -> dict[str, Any]:
     for name, value in content.items():
         flat |= {f"{name}.{key}": v for key, v in value.items()} if isinstance(value, dict) else {name: value}
     return flat
+
+
+_EARLIER_NAMES = {
+    "mechanics.sheets_per_side": "sample.sheets_per_block",
+    "mechanics.thickness_mm": "sample.thickness_mm",
+    "mechanics.width_mm": "sample.width_mm",
+    "mechanics.length_mm": "sample.length_mm",
+    "mechanics.t_star_N": "sample.t_star_N",
+}
 
 
 def _known(name: str, experiment: Experiment) -> tuple[str, str]:
@@ -358,6 +372,8 @@ def _plain_type(declared: Any) -> type:
     """float, int, bool or str."""
     if get_origin(declared) is Literal:
         return str
+    if NoneType in get_args(declared):
+        declared = get_args(declared)[0]
     kind: type = get_args(declared)[0] if get_origin(declared) is Annotated else declared
     return kind
 
@@ -373,18 +389,23 @@ def _check_value(name: str, value: Any, declared: Any) -> None:
         choices = get_args(declared)
         _require(value in choices, name, ", ".join(choices), value)
         return
+    if NoneType in get_args(declared):
+        if value is None:
+            return
+        declared = get_args(declared)[0]
     _require(math.isfinite(value), name, "a finite number", value)
     for expected in getattr(declared, "__metadata__", ()):
         _require(_IN_RANGE[expected](value), name, expected, value)
 
 
-def _check_pull(m: Mechanics, camera: Camera, clocks: Clocks) -> None:
+def _check_pull(e: Experiment) -> None:
     """The pull ends before the blocks are apart, and the video sees some of it."""
+    m, camera, clocks = e.mechanics, e.camera, e.clocks
     _require(m.d0_mm < m.d_end_mm, "mechanics.d_end_mm", f"more than d0 = {m.d0_mm:g} mm", m.d_end_mm)
     _require(
-        m.d_end_mm < m.length_mm,
+        m.d_end_mm < e.sample.length_mm,
         "mechanics.d_end_mm",
-        f"less than the sheet length {m.length_mm:g} mm",
+        f"less than the sheet length {e.sample.length_mm:g} mm",
         m.d_end_mm,
         "beyond it the blocks are apart",
     )
@@ -401,20 +422,21 @@ def _check_pull(m: Mechanics, camera: Camera, clocks: Clocks) -> None:
     )
 
 
-def _check_view(sheets: Sheets, optics: Optics, camera: Camera) -> None:
+def _check_view(e: Experiment) -> None:
     """The sheets in view exist and fit in the frame."""
-    comb_px = sheets.count * sheets.pitch_px
+    sheets, camera, count = e.sheets, e.camera, e.ridges_in_view
+    comb_px = count * sheets.pitch_px
     _require(
         comb_px <= camera.width,
         "sheets.count",
         f"sheets that fit in {camera.width} px",
-        f"{sheets.count} sheets {sheets.pitch_px:g} px apart = {comb_px:g} px",
+        f"{count} sheets {sheets.pitch_px:g} px apart = {comb_px:g} px",
         "widen the frame or take fewer or closer sheets",
     )
-    possible = sheets.per_side * 2 + 1 if sheets.side == "both" else sheets.per_side
-    _require(sheets.count <= possible, "sheets.count", f"at most {possible} with this per_side", sheets.count)
-    faint = optics.faint_sheets
-    _require(faint <= sheets.count, "optics.faint_sheets", "at most the sheets in view", faint)
+    possible = e.ridges_per_side * 2 + 1 if sheets.side == "both" else e.ridges_per_side
+    _require(count <= possible, "sheets.count", f"at most {possible} with this per_side", count)
+    faint = e.optics.faint_sheets
+    _require(faint <= count, "optics.faint_sheets", "at most the sheets in view", faint)
 
 
 def _check_camera(camera: Camera) -> None:

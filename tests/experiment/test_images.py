@@ -13,7 +13,6 @@ from vision.experiment import (
     Sheets,
     frame_blocks,
     make_scene,
-    preset,
     profiles,
 )
 from vision.experiment.images import electrons_per_level, grey_levels
@@ -106,27 +105,3 @@ def test_saturation_clips():
     levels = grey_levels(np.full((10, 10), 3.0, np.float32), camera, np.random.default_rng(0))
     assert (levels == 255).all()
     assert levels.dtype == np.uint8
-
-
-def test_texture_travels_with_the_pulled_block():
-    """Every second sheet's texture moves along z with d; the others' stays."""
-    e = Experiment(camera=Camera(duration_s=12, fps=5, height=60))
-    texture = make_scene(e).texture(slice(None))
-    travel = round((e.mechanics.speed_mm_min / 60) * 11.8 * 1000 / 10)
-    assert texture[59, :, 1] == pytest.approx(texture[0, :, 1])
-    assert np.corrcoef(texture[59, : 60 - travel, 0], texture[0, travel:, 0])[0, 1] > 0.98
-    assert np.corrcoef(texture[59, :, 0], texture[0, :, 0])[0, 1] < 0.8
-
-
-def test_the_paper_preset_looks_like_the_experiment():
-    """50 upright bright ridges around the frame's centre, in order in every frame."""
-    e = replace(preset("paper"), camera=replace(preset("paper").camera, duration_s=2.0))
-    intensity, truth = profiles(e)
-    x = truth.x_px.values
-    assert x.shape[1] == 50
-    assert (np.diff(x, axis=1) > 10).all()
-    assert x.mean() == pytest.approx(959.5, abs=3)
-    line = intensity.values[0]
-    at = np.round(x[0]).astype(int)
-    between = ((at[1:] + at[:-1]) / 2).astype(int)
-    assert line[at].min() > 1.2 * line[between].max()
