@@ -5,15 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vision.experiment.mechanics import pull_apart
+from vision.experiment import Clocks, Experiment, Mechanics, Sheets, simulate_pull
 from vision.experiment.motion import comb_at_rest, sheet_motion
-from vision.experiment.settings import Clocks, Experiment, Mechanics, Sheets
 
 STILL = Sheets(spread_per_mm=0.0)
 
 
 def moved(experiment):
-    pull, comb = pull_apart(experiment.mechanics, seed=experiment.seed), comb_at_rest(experiment)
+    pull, comb = simulate_pull(experiment.mechanics, seed=experiment.seed), comb_at_rest(experiment)
     return pull, comb, sheet_motion(experiment, pull, comb)
 
 

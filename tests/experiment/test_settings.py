@@ -1,12 +1,9 @@
-"""Bad settings get one clear line; presets and overrides are what they say."""
+"""Bad settings get one clear line; settings by name and from files are obeyed."""
 
-import numpy as np
 import pytest
 
 from vision.errors import InputError
 from vision.experiment import Experiment, preset, settings_from_toml, simulate, with_settings
-from vision.experiment.mechanics import pull_apart
-from vision.experiment.motion import comb_at_rest, sheet_motion
 
 
 @pytest.mark.parametrize(
@@ -27,8 +24,11 @@ from vision.experiment.motion import comb_at_rest, sheet_motion
         ({"camera.gain": 3}, "one of width, height"),
         ({"lens.f": 3}, "GROUP.SETTING"),
         ({"camera.width": "wide"}, "a whole number; found wide"),
-        ({"force_file.layout": "word"}, "mts or instron"),
-        ({"seed": -1}, "from 0"),
+        ({"force_file.layout": "word"}, "mts, instron"),
+        ({"sample.thickness_mm": -0.1}, "`thickness_mm`: expected a positive number"),
+        ({"sample.sheets_per_block": 2.5}, "sample.sheets_per_block: expected a whole number"),
+        ({"sheets.per_side": 0}, "more than zero"),
+        ({"seed": -1}, "setting seed: expected zero or more; found -1"),
     ],
 )
 def test_bad_settings_are_refused_in_one_line(change, says):
@@ -68,24 +68,19 @@ def test_settings_come_from_toml_in_their_own_types(tmp_path):
         settings_from_toml(tmp_path / "none.toml")
 
 
-def outer_jump_px(e):
-    pull = pull_apart(e.mechanics, seed=e.seed)
-    motion = sheet_motion(e, pull, comb_at_rest(e))
-    seen = (pull.end_s > e.clocks.offset_s) & (pull.end_s < e.clocks.offset_s + e.camera.duration_s)
-    return np.abs(motion.outer_px[1:] - motion.inner_px[:-1])[seen[:-1]].max(axis=1), pull
+def test_what_depends_on_the_number_of_sheets_follows_the_sample():
+    """A failure means that a sample of other sheets needs several settings that must agree."""
+    e = with_settings(Experiment(), {"sample.sheets_per_block": "10"})
+    assert (e.ridges_per_side, e.ridges_in_view) == (10, 20)
+    one_side = with_settings(e, {"sheets.side": "left"})
+    assert one_side.ridges_in_view == 10
+    both_blocks = with_settings(e, {"sheets.per_side": 20})
+    assert (both_blocks.ridges_per_side, both_blocks.ridges_in_view) == (20, 40)
+    assert with_settings(e, {"sheets.count": 7}).ridges_in_view == 7
 
 
-def test_presets_are_what_they_promise():
-    """late: under a pixel; fresh: 600 N and jumps over half a pitch; fast: 10 mm/min with many slips."""
-    jumps, _ = outer_jump_px(preset("late"))
-    assert jumps.max() < 1.5
-    assert np.median(jumps) < 1.05
-    jumps, pull = outer_jump_px(preset("fresh"))
-    assert np.median(jumps) > 0.5 * preset("fresh").sheets.pitch_px
-    assert pull.high_N.max() == pytest.approx(600, rel=0.1)
-    jumps, _ = outer_jump_px(preset("fast"))
-    assert len(jumps) > 40
-    assert preset("fast").mechanics.speed_mm_min == 10
-    jumps, _ = outer_jump_px(preset("paper"))
-    assert 10 < len(jumps) < 40
-    assert 1.5 < np.median(jumps) < 5
+def test_earlier_names_of_the_sample_still_work():
+    """A failure means that settings files from before the sample was one part are refused."""
+    now = {"sample.sheets_per_block": 20, "sample.thickness_mm": 0.2, "sample.t_star_N": 0.004}
+    before = {"mechanics.sheets_per_side": 20, "mechanics.thickness_mm": 0.2, "mechanics.t_star_N": 0.004}
+    assert with_settings(Experiment(), before) == with_settings(Experiment(), now)

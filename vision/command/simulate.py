@@ -122,7 +122,7 @@ def simulate(
     container
         raw (Y800 AVI), mjpeg, h264, ffv1, tiff or png.
     toml
-        Settings from a file, in tables [mechanics], [sheets], [optics], [camera], [clocks], [load_cell].
+        Settings from a file, in tables [sample], [mechanics], [sheets], [optics], [camera], [clocks], [load_cell].
     set_
         Any setting by name, such as --set optics.tilt_deg=0.5; can be repeated.
     overwrite
@@ -141,7 +141,7 @@ def simulate(
         test = make(experiment, directory, container=container, overwrite=overwrite, progress=progress)
     if not quiet:
         lost = f", {test.frames_lost} lost" if test.frames_lost else ""
-        camera, sheets = experiment.camera, experiment.sheets.count
+        camera, sheets = experiment.camera, experiment.ridges_in_view
         files = {"video": test.video, "force": test.force, "truth": test.truth, "stamps": test.timestamps}
         say(
             [

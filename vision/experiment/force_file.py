@@ -4,33 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
+from scipy.signal import lfilter
 
-from vision.errors import InputError
-from vision.experiment.clocks import camera_time
-from vision.experiment.randomness import stream
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from vision.experiment.mechanics import Pull
-    from vision.experiment.settings import Experiment, ForceFile
-
-Array = NDArray[np.float64]
+from vision.experiment.mechanics import Pull, camera_time, random_stream
+from vision.experiment.settings import Experiment, ForceFile
+from vision.numeric import Floats
 
 
 def force_recording(experiment: Experiment, pull: Pull) -> pd.DataFrame:
-    """What the machine writes down: columns time_s, crosshead_mm, load_N and video_time_s.
+    """What the machine records.
 
-    The exact force goes through a first-order low-pass on a time grid fine enough for the slip, is
-    sampled, drifts, gets white noise and is rounded to the quantum.
+    Parameters
+    ----------
+    experiment
+        For the load cell and the clocks.
+    pull
+        The exact force and separation.
+
+    Returns
+    -------
+    Table with the columns time_s, crosshead_mm, load_N and video_time_s. The exact force goes through a
+    first-order low-pass on a time grid fine enough for the slip, is sampled, drifts, gets white noise and is
+    rounded to the quantum.
     """
-    import pandas as pd
-    from scipy.signal import lfilter
-
     cell, rate = experiment.load_cell, experiment.clocks.force_rate_Hz
     finest = min(pull.settings.slip_s / 4, cell.lowpass_s / 5 or np.inf)
     oversampling = max(int(np.ceil(1 / (rate * finest))), 1)
@@ -41,7 +40,7 @@ def force_recording(experiment: Experiment, pull: Pull) -> pd.DataFrame:
         keep = np.exp(-1 / (rate * oversampling * cell.lowpass_s))
         force = lfilter([1 - keep], [1, -keep], force)
     time = fine[::oversampling]
-    rng = stream(experiment.seed, "load cell")
+    rng = random_stream(experiment.seed, "load cell")
     drift = cell.drift_N * time / pull.stop_s
     load = force[::oversampling] + drift + cell.noise_N * rng.standard_normal(samples)
     crosshead = pull.separation_mm(time) - pull.settings.d0_mm
@@ -57,14 +56,15 @@ def force_recording(experiment: Experiment, pull: Pull) -> pd.DataFrame:
     )
 
 
-def _rounded(values: Array, step: float) -> Array:
+def _rounded(values: Floats, step: float) -> Floats:
     return np.asarray(np.round(values / step) * step) if step else values
 
 
 def write_force(path: Path, recording: pd.DataFrame, style: ForceFile, *, name: str) -> None:
-    """Write a recording in the layout, units, decimal mark and encoding of `style`."""
-    if style.layout not in _LAYOUTS:
-        raise InputError("setting force_file.layout", ", ".join(_LAYOUTS), style.layout)
+    """Write a recording in the layout, units, decimal mark and encoding of `style`.
+
+    `name` is the test's name in the file's header (mts only).
+    """
     data = recording.copy()
     if style.unit == "kN":
         data["load_N"] /= 1000

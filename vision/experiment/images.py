@@ -1,39 +1,73 @@
-"""The frames themselves, in blocks: ridges seen through the geometry, texture, light, sensor."""
+"""From light to grey levels: the sensor, the frames of the video, and I(x, t) of the strip without them.
+
+A pixel that collects e electrons has variance e + read² (photons and read-out); the mean of n rows has
+that over n. Grey level = black level + e / gain, rounded and clipped.
+"""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict
 
 import numpy as np
-from numpy.typing import NDArray
+import xarray as xr
+from scipy.sparse import coo_array, csr_array
 
-from vision.experiment.camera import grey_levels
-from vision.experiment.geometry import rows_from_middle
-from vision.experiment.randomness import stream
-from vision.experiment.surface import Surface
+from vision.data import STRIP, StripMetadata, record
+from vision.experiment.mechanics import random_stream
+from vision.experiment.scene import Scene, make_scene, strip_slice
+from vision.experiment.settings import Camera, Experiment
+from vision.experiment.truth import truth_of
+from vision.numeric import Floats, Floats32, Ints, Pixels
 
-if TYPE_CHECKING:
-    from vision.experiment.scene import Scene
+Progress = Callable[[int, int | None], None]
 
-Array = NDArray[np.float64]
-Pixels = NDArray[Any]
+# --- sensor -------------------------------------------------------------------------------------------------
+
+_ROUNDING_VARIANCE = 1 / 12
+
+
+def saturation_level(camera: Camera) -> int:
+    """Highest grey level."""
+    return int(2**camera.bits - 1)
+
+
+def electrons_per_level(camera: Camera) -> float:
+    """Gain in electrons per grey level: the full well over the levels above black."""
+    return camera.full_well_e / (saturation_level(camera) - camera.black_level)
+
+
+def grey_levels(light: Floats32, camera: Camera, rng: np.random.Generator) -> Pixels:
+    """A frame as written: light (fraction of saturation) becomes noisy, rounded, clipped grey levels."""
+    electrons = light * np.float32(camera.full_well_e)
+    if camera.noise:
+        # Thousands of electrons a pixel: a normal deviate of the right variance is a Poisson one to 1e-3.
+        spread = np.sqrt(np.maximum(electrons, 0) + np.float32(camera.read_noise_e**2))
+        electrons += spread * rng.standard_normal(light.shape, dtype=np.float32)
+    np.minimum(electrons, np.float32(camera.full_well_e), out=electrons)
+    electrons *= np.float32(1 / electrons_per_level(camera))
+    electrons += np.float32(camera.black_level + 0.5)
+    np.clip(electrons, 0, saturation_level(camera), out=electrons)
+    return electrons.astype(np.uint8 if camera.bits == 8 else np.uint16)
+
+
+def mean_of_rows(light: Floats, camera: Camera, rows: int, rng: np.random.Generator) -> Floats32:
+    """The mean grey level of `rows` such pixels, without making them: same mean, same variance."""
+    electrons = light * camera.full_well_e
+    gain = electrons_per_level(camera)
+    if camera.noise:
+        one = np.maximum(electrons, 0) + camera.read_noise_e**2 + _ROUNDING_VARIANCE * gain**2
+        electrons = electrons + np.sqrt(one / rows) * rng.standard_normal(light.shape, dtype=np.float32)
+    levels = camera.black_level + np.minimum(electrons, camera.full_well_e) / gain
+    return np.asarray(np.clip(levels, 0, saturation_level(camera)), np.float32)
+
+
+# --- frames -------------------------------------------------------------------------------------------------
 
 _PIXELS_PER_BLOCK = 4_000_000
-"""Bounds the memory of a block, whatever the frame's size."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Lookup:
-    """Fixed in time: the cell and the place within it of every pixel edge, and the cell of every pixel's
-    centre."""
-
-    cell: NDArray[np.int32]
-    share: NDArray[np.float32]
-    centre: NDArray[np.int32]
+"""Limits the memory of a block, whatever the frame's size."""
 
 
 def frame_blocks(scene: Scene, *, workers: int = 2) -> Iterator[Pixels]:
@@ -61,18 +95,21 @@ class _Painter:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.surface = Surface(scene)
-        self.lookup = _lookup(scene)
+        cell = _cell_of(scene, np.arange(scene.geometry.width + 1, dtype=float) - 0.5)
+        self.edge_cell = np.floor(cell).astype(np.int32)
+        self.edge_share = np.asarray(cell - self.edge_cell, np.float32)
+        centre = _cell_of(scene, np.arange(scene.geometry.width, dtype=float))
+        self.centre_cell = centre.astype(np.int32)
         self.base = self._seen(scene.base)
         # Made before threads start, so that none finds them half done.
-        self.response = self.surface.response
-        self.surface.texture(slice(0, 1))
+        self.response = scene.response
+        scene.texture(slice(0, 1))
         scene.sway_px(slice(0, 1))
 
     def block(self, frames: slice) -> Pixels:
         scene = self.scene
         light, flicker = scene.ridge_light(frames), scene.flicker(frames)
-        texture = self.surface.texture(frames).astype(np.float32)
+        texture = scene.texture(frames).astype(np.float32)
         owners = _owners(scene, frames)
         drawn = [
             self._frame(light[i], texture[i], owners[i], float(flicker[i]), frames.start + i)
@@ -80,47 +117,34 @@ class _Painter:
         ]
         return np.stack(drawn)
 
-    def _frame(
-        self,
-        light: Array,
-        texture: NDArray[np.float32],
-        owner: NDArray[np.int32],
-        flicker: float,
-        number: int,
-    ) -> Pixels:
+    def _frame(self, light: Floats, texture: Floats32, owner: Ints, flicker: float, number: int) -> Pixels:
+        """One frame from the ridges' light per cell, the texture (row, sheet) and the sheet of each cell."""
         ridges = self._seen(light)
-        factor = np.take_along_axis(texture, owner[self.lookup.centre], axis=1)
+        factor = np.take_along_axis(texture, owner[self.centre_cell], axis=1)
         factor += 1
         ridges *= factor
         ridges += self.base
         ridges *= self.response
         ridges *= np.float32(flicker)
-        rng = stream(self.scene.experiment.seed, "sensor", number)
+        rng = random_stream(self.scene.experiment.seed, "sensor", number)
         return grey_levels(ridges, self.scene.experiment.camera, rng)
 
-    def _seen(self, light: Array) -> NDArray[np.float32]:
+    def _seen(self, light: Floats) -> Floats32:
         """Light per pixel (row, column): light up to its right edge less that up to its left one."""
         up_to = np.concatenate([[0.0], np.cumsum(light)])
-        at_edges = up_to[self.lookup.cell]
-        at_edges += self.lookup.share * light.astype(np.float32)[self.lookup.cell]
+        at_edges = up_to[self.edge_cell]
+        at_edges += self.edge_share * light.astype(np.float32)[self.edge_cell]
         return np.asarray(np.diff(at_edges, axis=1), np.float32)
 
 
-def _lookup(scene: Scene) -> _Lookup:
-    line, geometry = scene.line, scene.geometry
-    zeta = rows_from_middle(geometry.height)[:, None]
-
-    def place(x_px: Array) -> Array:
-        at = (geometry.source_px(x_px, zeta) - line.start_px) * line.per_px
-        return np.asarray(np.clip(at, 0, line.cells - 1e-6))
-
-    edges = place(np.arange(geometry.width + 1, dtype=float) - 0.5)
-    centres = place(np.arange(geometry.width, dtype=float))
-    cell = np.floor(edges).astype(np.int32)
-    return _Lookup(cell=cell, share=np.asarray(edges - cell, np.float32), centre=centres.astype(np.int32))
+def _cell_of(scene: Scene, x_px: Floats) -> Floats:
+    """Place on the line of cells, (row, column), that is seen at pixel coordinates x_px of every row."""
+    line = scene.line
+    at = (scene.geometry.source_px(x_px, scene.geometry.zeta_px[:, None]) - line.start_px) * line.per_px
+    return np.asarray(np.clip(at, 0, line.cells - 1e-6))
 
 
-def _owners(scene: Scene, frames: slice) -> NDArray[np.int32]:
+def _owners(scene: Scene, frames: slice) -> Ints:
     """Which sheet's paper is seen in each cell, (frame, cell): borders half way between neighbours."""
     line = scene.line
     x = scene.positions_px(frames)[0]
@@ -128,4 +152,105 @@ def _owners(scene: Scene, frames: slice) -> NDArray[np.int32]:
     steps = np.zeros((len(x), line.cells + 1), np.int32)
     row = np.arange(len(x))[:, None]
     np.add.at(steps, (row, np.clip(borders, 0, line.cells)), 1)
-    return np.asarray(np.cumsum(steps[:, :-1], axis=1), np.int32)
+    return np.cumsum(steps[:, :-1], axis=1, dtype=np.int64)
+
+
+# --- I(x, t) ------------------------------------------------------------------------------------------------
+
+_FRAMES_PER_BLOCK = 32
+
+
+def profiles(experiment: Experiment, *, progress: Progress | None = None) -> tuple[xr.DataArray, xr.Dataset]:
+    """I(x, t) of the default strip, drawn directly: a thousand frames in a second or two.
+
+    Parameters
+    ----------
+    experiment
+        What to draw.
+    progress
+        Called with (frames done, frames in total).
+
+    Returns
+    -------
+    strip : DataArray
+        intensity (frame, x), float32 grey levels, as `strip_profile` gives it for this experiment's video.
+    truth : Dataset
+        As in truth.nc, see `truth_of`.
+
+    Notes
+    -----
+    Rows are averaged before noise is added, so the noise is that of the mean; what a row average cannot
+    show (shapes of dust, texture inside a ridge's bow) is averaged too.
+    """
+    scene = make_scene(experiment)
+    total, width = len(scene.times.camera_s), experiment.camera.width
+    intensity = np.empty((total, width), np.float32)
+    average = _row_average(scene)
+    for first in range(0, total, _FRAMES_PER_BLOCK):
+        frames = slice(first, min(first + _FRAMES_PER_BLOCK, total))
+        intensity[frames] = _strip_block(scene, average, frames)
+        if progress is not None:
+            progress(frames.stop, total)
+    return _as_strip(intensity, scene), truth_of(scene)
+
+
+def _strip_block(scene: Scene, average: csr_array, frames: slice) -> Floats32:
+    """I(x, t) of some frames."""
+    experiment, rows = scene.experiment, strip_slice(scene.experiment)
+    texture = np.asarray(1 + scene.texture(frames)[:, rows].mean(axis=1))
+    light = scene.base + scene.ridge_light(frames, texture)
+    up_to = np.cumsum(light, axis=1)
+    seen = (average @ np.pad(up_to, ((0, 0), (1, 0))).T).T
+    seen *= scene.response[rows].mean(axis=0) * scene.flicker(frames)[:, None]
+    rng = random_stream(experiment.seed, "profile noise", frames.start)
+    return mean_of_rows(seen, experiment.camera, rows.stop - rows.start, rng)
+
+
+def _row_average(scene: Scene) -> csr_array:
+    """The matrix (column, cell edge) that turns light summed up to each cell edge into the strip's mean.
+
+    Each pixel's light is that up to its right edge less that up to its left one, interpolated between cell
+    edges, row by row, rows weighted with their light.
+    """
+    line, rows = scene.line, strip_slice(scene.experiment)
+    weight = scene.row_light[rows]
+    zeta = scene.geometry.zeta_px[rows][:, None]
+    edges = scene.geometry.source_px(np.arange(scene.geometry.width + 1, dtype=float) - 0.5, zeta)
+    at = np.clip((edges - line.start_px) * line.per_px, 0, line.cells - 1e-9)
+    cell = np.floor(at).astype(np.int64)
+    share, w = at - cell, np.broadcast_to((weight / weight.sum())[:, None], at.shape)
+    edge = np.broadcast_to(np.arange(edges.shape[1]), at.shape)
+    values = np.concatenate([(w * (1 - share)).ravel(), (w * share).ravel()])
+    where = np.tile(edge.ravel(), 2), np.concatenate([cell.ravel(), cell.ravel() + 1])
+    reading = coo_array((values, where), shape=(edges.shape[1], line.cells + 1)).tocsr()
+    return csr_array(reading[1:] - reading[:-1])
+
+
+def _as_strip(intensity: Floats32, scene: Scene) -> xr.DataArray:
+    """The strip with the coordinates and metadata that `strip_profile` gives it."""
+    experiment, rows, kept = scene.experiment, strip_slice(scene.experiment), len(intensity)
+    strip = xr.DataArray(
+        intensity,
+        dims=("frame", "x"),
+        coords={
+            "frame": np.arange(kept, dtype=np.int64),
+            "x": np.arange(intensity.shape[1], dtype=np.int64),
+            "time_s": ("frame", scene.times.stamp_s, STRIP["time_s"].attrs),
+            "status": ("frame", np.full(kept, "ok")),
+        },
+        name="intensity",
+        attrs=STRIP["intensity"].attrs,
+    )
+    metadata = StripMetadata(
+        source="synthetic",
+        depth_bits=experiment.camera.bits,
+        saturation_level=float(saturation_level(experiment.camera)),
+        strip_z0=rows.start,
+        strip_z1=rows.stop,
+        tilt_deg=experiment.optics.tilt_deg,
+        clock_kind="given",
+        fps=float(experiment.camera.fps),
+        frames_expected=kept,
+        frames_read=kept,
+    )
+    return record(strip.assign_attrs(metadata.attrs()), "profiles", **asdict(experiment))

@@ -1,12 +1,8 @@
-"""Ready-made experiments, and how single settings of one are changed by name."""
+"""Ready-made experiments."""
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Mapping
-from dataclasses import fields, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import replace
 
 from vision.errors import InputError
 from vision.experiment.settings import (
@@ -23,12 +19,24 @@ from vision.experiment.settings import (
 def preset(name: str, *, seed: int = 0) -> Experiment:
     """One of the ready-made experiments.
 
-    paper: 1 mm/min with the publication's numbers, d near 13.7 mm. late: d near 17, sweeps under a pixel.
-    fast: 10 mm/min, two slopes in every stick. fresh: a new sample with 600 N peaks, jumps over half a pitch.
-    hostile: everything at its worst at once. Raises: InputError for another name.
+    Parameters
+    ----------
+    name
+        - ``"paper"``: 1 mm/min with the publication's numbers, d near 13.7 mm.
+        - ``"late"``: d near 17 mm, sweeps under a pixel.
+        - ``"fast"``: 10 mm/min, two slopes in every stick.
+        - ``"fresh"``: a new sample with 600 N peaks, jumps over half a pitch.
+        - ``"hostile"``: everything at its worst at once.
+    seed
+        Of all random numbers.
+
+    Raises
+    ------
+    InputError
+        For another name.
     """
     if name not in _PRESETS:
-        raise InputError("setting preset", ", ".join(_PRESETS), name)
+        raise InputError("`preset`", ", ".join(_PRESETS), name)
     return replace(_PRESETS[name], seed=seed)
 
 
@@ -73,63 +81,3 @@ _PRESETS = {
         load_cell=LoadCell(lowpass_s=0.01, noise_N=0.5, drift_N=2.0),
     ),
 }
-
-
-def with_settings(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
-    """The experiment with settings changed by name, such as {"camera.fps": 25, "seed": 3}.
-
-    Texts are converted to the setting's own type. Raises: InputError for an unknown name or a value that
-    does not convert, and whatever the changed experiment itself refuses.
-    """
-    groups: dict[str, dict[str, Any]] = {}
-    top: dict[str, Any] = {}
-    for name, value in changes.items():
-        group, _, key = name.partition(".")
-        if group == "seed" and not key:
-            top["seed"] = _converted(value, 0, name)
-            continue
-        _known(name, group, key, experiment)
-        groups.setdefault(group, {})[key] = _converted(value, getattr(getattr(experiment, group), key), name)
-    top |= {group: replace(getattr(experiment, group), **values) for group, values in groups.items()}
-    return replace(experiment, **top)
-
-
-def settings_from_toml(path: Path) -> dict[str, Any]:
-    """Settings by name from a TOML file with tables [mechanics], [sheets], [optics], [camera], [clocks] …
-
-    Raises: InputError where the file cannot be read or is not TOML.
-    """
-    try:
-        content = tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise InputError(path, "a readable TOML file", error.strerror or str(error)) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, "TOML", str(error)) from error
-    flat: dict[str, Any] = {}
-    for name, value in content.items():
-        flat |= {f"{name}.{key}": v for key, v in value.items()} if isinstance(value, dict) else {name: value}
-    return flat
-
-
-def _known(name: str, group: str, key: str, experiment: Experiment) -> None:
-    groups = {item.name for item in fields(experiment)} - {"seed"}
-    if group not in groups:
-        expected = "seed or GROUP.SETTING with GROUP one of " + ", ".join(sorted(groups))
-        raise InputError(f"setting {name}", expected, name)
-    keys = [item.name for item in fields(getattr(experiment, group))]
-    if key not in keys:
-        raise InputError(f"setting {name}", f"one of {', '.join(keys)}", key or "no name after the dot")
-
-
-def _converted(value: Any, like: object, name: str) -> Any:
-    """The value in the type of the setting it replaces."""
-    kind: Any = type(like)
-    try:
-        if kind is bool:
-            return {"true": True, "false": False, "1": True, "0": False}[str(value).lower()]
-        if kind is int and float(value) != int(float(value)):
-            raise ValueError
-        return kind(float(value)) if kind is int else kind(value)
-    except (ValueError, KeyError, TypeError, OverflowError) as error:
-        wanted = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}[kind]
-        raise InputError(f"setting {name}", wanted, str(value)) from error

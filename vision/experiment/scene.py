@@ -1,6 +1,8 @@
-"""One experiment made ready to be looked at: where everything is, at any frame, before the sensor.
+"""One experiment made ready to be drawn: ridges, light and surface at any frame, before the sensor.
 
-Light is in fractions of the sensor's saturation.
+Light is in fractions of the sensor's saturation. A ridge is known by the integral of its shape from minus
+infinity, so the light in any cell of a line is a difference of two values and is exact: shapes are never
+sampled at points. Every shape has its centroid at zero.
 """
 
 from __future__ import annotations
@@ -8,22 +10,129 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.special import ndtr
 
-from vision.experiment.clocks import FrameTimes, frame_times
-from vision.experiment.geometry import Geometry, camera_geometry, seen_px
-from vision.experiment.mechanics import Pull, pull_apart
-from vision.experiment.motion import Comb, Motion, comb_at_rest, sheet_motion
-from vision.experiment.randomness import stream
-from vision.experiment.ridges import Looks, light_per_cell, ridge_looks
+from vision.experiment.mechanics import FrameTimes, Pull, frame_times, random_stream, simulate_pull
+from vision.experiment.motion import (
+    Geometry,
+    Motion,
+    RestingComb,
+    camera_geometry,
+    comb_at_rest,
+    sheet_motion,
+)
+from vision.experiment.settings import Experiment, Optics, RidgeShape
+from vision.numeric import Floats, Floats32
 
-if TYPE_CHECKING:
-    from vision.experiment.settings import Experiment
+# --- ridges -------------------------------------------------------------------------------------------------
 
-Array = NDArray[np.float64]
+_FWHM_PER_SIGMA = 2.3548200450309493
+_REACH_FWHM = 2.6
+"""Half width of the window in which a ridge is drawn; a Gaussian has 5e-10 of its light outside."""
+_SHOULDER = 0.22
+"""Share of the light in the shoulder of a shouldered ridge."""
+_SHOULDER_AT_FWHM = 0.85
+"""How far the shoulder stands from the main ridge, in units of the FWHM."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RidgeAppearance:
+    """What each sheet's ridge looks like: width, height (fraction of saturation, negative if dark),
+    shoulder side."""
+
+    shape: RidgeShape
+    fwhm_px: Floats
+    height: Floats
+    psf_px: float
+    shoulder_side: Floats
+
+
+def _ridge_appearance(experiment: Experiment) -> RidgeAppearance:
+    """Unequal neighbours: widths, heights and shoulder sides drawn sheet by sheet."""
+    optics, count = experiment.optics, experiment.ridges_in_view
+    rng = random_stream(experiment.seed, "looks")
+    width = optics.fwhm_px * np.exp(optics.fwhm_spread * np.clip(rng.standard_normal(count), -2, 2))
+    unequal = np.exp(optics.contrast_spread * np.clip(rng.standard_normal(count), -2, 2))
+    shoulder = np.where(rng.uniform(size=count) < 0.5, -1.0, 1.0)
+    height = _ridge_height(optics) * unequal
+    height[rng.permutation(count)[: optics.faint_sheets]] *= 0.2
+    return RidgeAppearance(
+        shape=optics.shape, fwhm_px=width, height=height, psf_px=optics.psf_px, shoulder_side=shoulder
+    )
+
+
+def _ridge_height(optics: Optics) -> float:
+    """Height of a ridge of Michelson contrast c over a gap of brightness b.
+
+    Bright 2 b c / (1 - c), dark -2 b c / (1 + c).
+    """
+    sign = 1 if optics.polarity == "bright" else -1
+    return sign * 2 * optics.level * optics.contrast / (1 - sign * optics.contrast)
+
+
+def _light_up_to(u: Floats, ridges: RidgeAppearance) -> Floats:
+    """Light of each ridge between minus infinity and u px from its centre, in height x px.
+
+    u is (..., sheet, cell).
+    """
+    fwhm, side = ridges.fwhm_px[:, None], ridges.shoulder_side[:, None]
+    if ridges.shape == "flat":
+        return np.asarray(_soft_box(u, fwhm, ridges.psf_px) * ridges.height[:, None])
+    sigma = np.hypot(fwhm / _FWHM_PER_SIGMA, ridges.psf_px)
+    area = (fwhm / _FWHM_PER_SIGMA * np.sqrt(2 * np.pi)) * ridges.height[:, None]
+    if ridges.shape == "gaussian":
+        return np.asarray(area * ndtr(u / sigma))
+    apart = _SHOULDER_AT_FWHM * fwhm * side
+    main = ndtr((u + _SHOULDER * apart) / sigma)
+    bump = ndtr((u - (1 - _SHOULDER) * apart) / (0.9 * sigma))
+    return np.asarray(area * ((1 - _SHOULDER) * main + _SHOULDER * bump))
+
+
+def _soft_box(u: Floats, fwhm: Floats, psf_px: float) -> Floats:
+    """Integral of a box of the full width with softened edges: a difference of two integrals of ndtr."""
+    soft = np.hypot(fwhm / 10, psf_px)
+
+    def double_integral(v: Floats) -> Floats:
+        return np.asarray(v * ndtr(v) + np.exp(-(v**2) / 2) / np.sqrt(2 * np.pi))
+
+    return np.asarray(
+        soft * (double_integral((u + fwhm / 2) / soft) - double_integral((u - fwhm / 2) / soft))
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """The line of cells on which ridges are drawn: 1/per_px wide, from start_px on."""
+
+    start_px: float
+    per_px: int
+    cells: int
+
+
+def _light_per_cell(positions_px: Floats, brightness: Floats, ridges: RidgeAppearance, line: Line) -> Floats:
+    """Light of all ridges in each cell of a line, (frame, cell), in height x px.
+
+    brightness (frame, sheet) multiplies the heights. Ridges beyond the line are cut off at its ends.
+    """
+    frames, cells = len(positions_px), line.cells
+    reach_px = float(_REACH_FWHM * np.max(ridges.fwhm_px) + 6 * ridges.psf_px + 2)
+    half = int(np.ceil(reach_px * line.per_px))
+    first = np.floor((positions_px - line.start_px) * line.per_px).astype(np.int64) - half
+    edge = first[..., None] + np.arange(2 * half + 2)
+    up_to = _light_up_to(edge / line.per_px + line.start_px - positions_px[..., None], ridges)
+    light = np.diff(up_to, axis=-1) * brightness[..., None]
+    cell = edge[..., :-1]
+    outside = (cell < 0) | (cell >= cells)
+    flat = cell + np.arange(frames)[:, None, None] * cells
+    flat[outside] = frames * cells
+    total = np.bincount(flat.ravel(), weights=light.ravel(), minlength=frames * cells + 1)
+    return np.asarray(total[: frames * cells].reshape(frames, cells))
+
+
+# --- everything that one experiment fixes -------------------------------------------------------------------
 
 _BLUR_PARTS = 24
 """A frame exposed during a jump is the mean of this many shorter exposures."""
@@ -31,39 +140,43 @@ _BLUR_FROM_PX = 0.3
 """Motion within one exposure below this changes a ridge's width by less than 0.1 % and is drawn sharp."""
 _CELLS_PER_PX = 8
 _EDGE_PITCHES = 1.5
-"""The sample's edge, where the surroundings begin, beyond the outermost ridge at rest."""
+"""Distance of the sample's edge, where the surroundings begin, from the outermost ridge at rest."""
 _EDGE_SOFT_PX = 4.0
+_DUST_DARKENS = 0.25
 
 
-@dataclass(frozen=True, kw_only=True)
-class Line:
-    """Cells 1/per_px wide from start_px on."""
-
-    start_px: float
-    per_px: int
-    cells: int
+def strip_slice(experiment: Experiment) -> slice:
+    """The default strip: the middle `strip_rows` rows, or every row of a lower frame."""
+    rows = min(experiment.camera.strip_rows, experiment.camera.height)
+    first = (experiment.camera.height - rows) // 2
+    return slice(first, first + rows)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything derived from an experiment that rendering and truth share."""
+    """Everything derived from an experiment that images, strip profiles and truth share.
+
+    Safe to use from several threads once `response`, `texture` and `sway_px` have been asked for once.
+    """
 
     experiment: Experiment
     pull: Pull
-    comb: Comb
+    comb: RestingComb
     motion: Motion
-    looks: Looks
+    ridges: RidgeAppearance
     geometry: Geometry
     times: FrameTimes
 
+    # Positions
+
     @cached_property
-    def _camera_sway(self) -> tuple[Array, Array, Array, float]:
+    def _camera_sway(self) -> tuple[Floats, Floats, Floats, float]:
         """Frequencies, phases and weights of the vibration, and the phase of the slow drift."""
-        rng = stream(self.experiment.seed, "sway")
+        rng = random_stream(self.experiment.seed, "sway")
         hz, phase = rng.uniform(15, 60, 4), rng.uniform(0, 2 * np.pi, 5)
         return hz, phase[:4], rng.dirichlet(np.ones(4)), float(phase[4])
 
-    def sway_px(self, frames: slice) -> Array:
+    def sway_px(self, frames: slice) -> Floats:
         """Common shift of the picture in each frame: slow drift and vibration, averaged over the exposure."""
         optics, camera = self.experiment.optics, self.experiment.camera
         t = self.times.machine_s[frames]
@@ -73,14 +186,7 @@ class Scene:
         drift = optics.drift_px * (share - 0.5 + 0.2 * np.sin(2 * np.pi * share + slow))
         return np.asarray(drift + optics.vibration_px * waves @ np.sqrt(2 * weight))
 
-    def flicker(self, frames: slice) -> Array:
-        """Brightness factor of each frame: the lamp averaged over the exposure."""
-        optics, camera = self.experiment.optics, self.experiment.camera
-        t = self.times.machine_s[frames]
-        wave = np.sin(2 * np.pi * optics.flicker_Hz * t) * np.sinc(optics.flicker_Hz * camera.exposure_s)
-        return np.asarray(1 + optics.flicker * wave)
-
-    def positions_px(self, frames: slice, *, parts: int = 1) -> Array:
+    def positions_px(self, frames: slice, *, parts: int = 1) -> Floats:
         """Where the sheets are (part, frame, sheet) averaged over each of `parts` equal parts of the
         exposure."""
         exposure = self.experiment.camera.exposure_s * (1 + self.experiment.clocks.drift_ppm * 1e-6)
@@ -90,14 +196,41 @@ class Scene:
         moved = [self.motion.mean_px(t + a, t + b) for a, b in pairwise(edges)]
         return shift + np.array(moved)
 
-    def seen_px(self, frames: slice) -> Array:
-        """True x (frame, sheet) in camera pixels, averaged over the exposure and the default strip's rows."""
-        return seen_px(self.positions_px(frames)[0], self.geometry, self.experiment)
+    def seen_px(self, frames: slice) -> Floats:
+        """True x (frame, sheet) in camera pixels, averaged over the exposure and the default strip's rows.
+
+        Rows count with their light.
+        """
+        rows, x_px = strip_slice(self.experiment), self.positions_px(frames)[0]
+        zeta, weight = self.geometry.zeta_px[rows], self.row_light[rows]
+        first, second = np.average(zeta, weights=weight), np.average(zeta**2, weights=weight)
+        return np.asarray(x_px + self.geometry.shift_px(x_px, np.asarray(first), np.asarray(second)))
+
+    # Light
+
+    @property
+    def row_light(self) -> Floats:
+        """Relative light of every row: half the gradient that runs along x."""
+        camera, gradient = self.experiment.camera, self.experiment.optics.gradient
+        return 1 + gradient / 2 * self.geometry.zeta_px / camera.height
+
+    @property
+    def _column_light(self) -> Floats:
+        """Relative light of every column."""
+        width = self.experiment.camera.width
+        x = np.arange(width, dtype=float) - (width - 1) / 2
+        return 1 + self.experiment.optics.gradient * x / width
+
+    def flicker(self, frames: slice) -> Floats:
+        """Brightness factor of each frame: the lamp averaged over the exposure."""
+        optics, camera = self.experiment.optics, self.experiment.camera
+        t = self.times.machine_s[frames]
+        wave = np.sin(2 * np.pi * optics.flicker_Hz * t) * np.sinc(optics.flicker_Hz * camera.exposure_s)
+        return np.asarray(1 + optics.flicker * wave)
 
     @cached_property
     def line(self) -> Line:
-        """The line of cells on which ridges are drawn: wider than the frame by what tilt and bow can
-        bring in."""
+        """Wider than the frame by what tilt and bow can bring in."""
         if self.geometry.straight:
             return Line(start_px=-0.5, per_px=1, cells=self.geometry.width)
         g = self.geometry
@@ -107,51 +240,94 @@ class Scene:
         return Line(start_px=-0.5 - margin, per_px=_CELLS_PER_PX, cells=cells)
 
     @cached_property
-    def base(self) -> Array:
+    def base(self) -> Floats:
         """Light in each cell without ridges: the gaps' level, and the surroundings beyond the sample's
         edges."""
-        from scipy.special import ndtr
-
         optics, comb, line = self.experiment.optics, self.comb, self.line
-        room = _EDGE_PITCHES * self.experiment.sheets.pitch_px
-        left, right = comb.rest_px.min() - room, comb.rest_px.max() + room
+        margin = _EDGE_PITCHES * self.experiment.sheets.pitch_px
+        left, right = comb.rest_px.min() - margin, comb.rest_px.max() + margin
         if self.experiment.sheets.side != "both":  # the other half goes on beyond the axis
             left, right = (-1e6, right) if self.experiment.sheets.side == "right" else (left, 1e6)
         x = line.start_px + (np.arange(line.cells) + 0.5) / line.per_px
         sample = ndtr((x - left) / _EDGE_SOFT_PX) - ndtr((x - right) / _EDGE_SOFT_PX)
         return np.asarray(optics.level * (optics.surround + (1 - optics.surround) * sample) / line.per_px)
 
-    def ridge_light(self, frames: slice, brightness: Array | None = None) -> Array:
+    def ridge_light(self, frames: slice, brightness: Floats | None = None) -> Floats:
         """Light of the ridges in each cell, (frame, cell), blurred by what moves while the shutter is open.
 
         brightness: factor (frame, sheet) on each ridge's height.
         """
         halves = self.positions_px(frames, parts=2)
         factor = np.ones(halves.shape[1:]) if brightness is None else brightness
-        light = self._cells(halves.mean(axis=0), factor)
+        light = _light_per_cell(halves.mean(axis=0), factor, self.ridges, self.line)
         moving = np.flatnonzero(np.abs(np.diff(halves, axis=0)[0]).max(axis=1) > _BLUR_FROM_PX / 2)
         if moving.size:
             parts = self.positions_px(frames, parts=_BLUR_PARTS)[:, moving]
-            light[moving] = np.mean([self._cells(part, factor[moving]) for part in parts], axis=0)
+            blurred = [_light_per_cell(part, factor[moving], self.ridges, self.line) for part in parts]
+            light[moving] = np.mean(blurred, axis=0)
         return light
 
-    def _cells(self, positions_px: Array, brightness: Array) -> Array:
-        line = self.line
-        return light_per_cell(
-            positions_px, brightness, self.looks, start_px=line.start_px, per_px=line.per_px, cells=line.cells
-        )
+    # Paper, dust and pixels
+
+    @cached_property
+    def _pattern(self) -> Floats:
+        """Relative brightness along each sheet, (row, sheet), long enough for the whole video."""
+        e = self.experiment
+        travel = int(np.ceil(self._travel_px(slice(None)).max())) + 2
+        noise = random_stream(e.seed, "texture").standard_normal((e.camera.height + travel, e.ridges_in_view))
+        smooth = gaussian_filter1d(noise, e.optics.texture_px / 2.355, axis=0, mode="wrap")
+        smooth /= smooth.std() or 1.0
+        return np.asarray(e.optics.texture * np.clip(smooth, -3, 3))
+
+    def _travel_px(self, frames: slice) -> Floats:
+        """How far the pulled block has moved along z since the first frame."""
+        d = self.pull.separation_mm(self.times.machine_s)
+        return np.asarray((d - d[0])[frames] * 1000 / self.experiment.camera.pixel_size_um)
+
+    def texture(self, frames: slice) -> Floats:
+        """Relative brightness (frame, row, sheet) of each ridge along z, mean zero.
+
+        Every second sheet belongs to the block that the machine pulls along z; its texture moves with it.
+        """
+        rows = np.arange(self.experiment.camera.height)
+        travel = self._travel_px(frames)
+        whole = np.floor(travel).astype(np.int64)
+        share = (travel - whole)[:, None, None]
+        pulled, at = self._pattern[:, 0::2], whole[:, None] + rows
+        texture = np.empty((len(travel), len(rows), self._pattern.shape[1]))
+        texture[:, :, 0::2] = (1 - share) * pulled[at] + share * pulled[at + 1]
+        texture[:, :, 1::2] = self._pattern[None, : len(rows), 1::2]
+        return texture
+
+    @cached_property
+    def response(self) -> Floats32:
+        """Light gradient, dust and pixel response, (row, column), 1 on average."""
+        e = self.experiment
+        light = self.row_light[:, None] * self._column_light
+        light *= 1 + e.camera.prnu * random_stream(e.seed, "prnu").standard_normal(light.shape)
+        return np.asarray(light * _dust(e), np.float32)
+
+
+def _dust(e: Experiment) -> Floats:
+    """Transmission of the dust on the lens: round dark spots that stay where they are."""
+    rng = random_stream(e.seed, "dust")
+    x, z = rng.uniform(0, e.camera.width, e.optics.dust), rng.uniform(0, e.camera.height, e.optics.dust)
+    size = rng.uniform(1.5, 5, e.optics.dust)
+    across = np.exp(-((np.arange(e.camera.width) - x[:, None]) ** 2) / (2 * size[:, None] ** 2))
+    along = np.exp(-((np.arange(e.camera.height) - z[:, None]) ** 2) / (2 * size[:, None] ** 2))
+    return np.asarray(1 - np.minimum(_DUST_DARKENS * along.T @ across, 0.9))
 
 
 def make_scene(experiment: Experiment) -> Scene:
-    """Work out the pull, the sheets' motion, their looks and the frame times of an experiment."""
-    pull = pull_apart(experiment.mechanics, seed=experiment.seed)
+    """Work out the pull, the sheets' motion, their appearance and the frame times of an experiment."""
+    pull = simulate_pull(experiment.mechanics, seed=experiment.seed, sample=experiment.sample)
     comb = comb_at_rest(experiment)
     return Scene(
         experiment=experiment,
         pull=pull,
         comb=comb,
         motion=sheet_motion(experiment, pull, comb),
-        looks=ridge_looks(experiment),
+        ridges=_ridge_appearance(experiment),
         geometry=camera_geometry(experiment, comb),
         times=frame_times(experiment),
     )

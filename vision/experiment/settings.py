@@ -1,168 +1,246 @@
-# ruff: noqa: N815 (the unit is part of a name, and newton is N)
-"""Everything that defines a synthetic traction test, in six small groups of numbers.
+"""Everything that defines a synthetic traction test, in small groups of numbers.
 
-Checks happen when an `Experiment` is made: every group on its own, then what must fit together. A value that
-cannot be used raises InputError naming the setting.
+The type of a setting states its range. Ranges are checked when an `Experiment` is made, then what must fit
+together; a value that cannot be used raises InputError with the name of the setting.
 """
 
+# ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
+import math
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from types import NoneType
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-from vision.experiment.checks import check_experiment
+from vision.errors import InputError
+from vision.sample import PUBLISHED, Sample
+
+Positive = Annotated[float, "more than zero"]
+NonNegative = Annotated[float, "zero or more"]
+Fraction = Annotated[float, "a fraction from 0 to below 1"]
+PositiveInt = Annotated[int, "more than zero"]
+NonNegativeInt = Annotated[int, "zero or more"]
+_IN_RANGE: dict[str, Callable[[float], bool]] = {
+    "more than zero": lambda value: value > 0,
+    "zero or more": lambda value: value >= 0,
+    "a fraction from 0 to below 1": lambda value: 0 <= value < 1,
+}
 
 RidgeShape = Literal["gaussian", "flat", "shouldered"]
-Side = Literal["both", "left", "right"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mechanics:
-    """The sample and the pull: Eq. 1, amplitude, stiffness, and how regular the events are.
+    """Friction, stiffness, the pull, and how regular the stick-slip events are."""
 
-    The stick is as long as its force rise over its stiffness. `early_stiffness_ratio` > 1 makes the first
-    `early_fraction` of each stick steeper, as above 1 mm/min in the paper; K is then the later slope.
-    """
-
-    speed_mm_min: float = 1.0
-    d0_mm: float = 13.0
-    d_end_mm: float = 18.0
-    mu: float = 0.89
-    t_star_N: float = 0.003
+    speed_mm_min: Positive = 1.0
+    """V, of the crosshead."""
+    d0_mm: Positive = 13.0
+    """Separation at which the pull starts."""
+    d_end_mm: Positive = 18.0
+    """Separation at which the machine stops."""
+    mu: Positive = 0.89
+    """Friction coefficient."""
     t0_N: float = 0.0
-    amplitude: float = 0.34
-    n_hat_N: float = 0.57
-    modulus_GPa: float = 3.8
-    sheets_per_side: int = 25
-    thickness_mm: float = 0.1
-    width_mm: float = 45.0
-    length_mm: float = 57.0
-    peak_scatter: float = 0.015
-    period_jitter: float = 0.07
-    softening: float = 0.07
-    early_stiffness_ratio: float = 1.0
-    early_fraction: float = 0.3
-    buildup_mm: float = 0.0
-    slip_s: float = 0.001
+    """𝒯0, constant offset of the peaks."""
+    amplitude: Positive = 0.34
+    """A, force drop over total normal force."""
+    n_hat_N: Positive = 0.57
+    """N̂, normal force above which a sheet is stiff."""
+    modulus_GPa: Positive = 3.8
+    """Effective modulus of a sheet."""
+    peak_scatter: Fraction = 0.015
+    """Relative standard deviation of the peak forces."""
+    period_jitter: Fraction = 0.07
+    """Relative standard deviation of the force drops, and with them of the stick lengths."""
+    softening: Fraction = 0.07
+    """Relative fall of the slope from the start to the end of a stick."""
+    early_stiffness_ratio: Positive = 1.0
+    """Above 1 the first `early_fraction` of each stick is steeper by this factor, as above 1 mm/min in the
+    publication; K is then the later slope."""
+    early_fraction: Fraction = 0.3
+    """Share of the stick that is steeper."""
+    buildup_mm: NonNegative = 0.0
+    """Distance over which the peaks grow to those of Eq. 1 at the beginning; 0: at once."""
+    slip_s: Positive = 0.001
+    """Duration of a slip."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sheets:
-    """Where the ridges are and how far they move.
+    """Where the ridges are and how far they move."""
 
-    count: ridges in view. per_side: ridges on one side of the axis in the whole sample (25, or 50 where
-    both blocks' sheets show); the displacement depends on rank / per_side. outer_ratio: sigma_x / stick
-    length of the outermost; the profile falls to `stiff_ratio` at M_eff. slip_delay_s: spread of the
-    slips of single sheets.
-    """
-
-    count: int = 50
-    per_side: int = 25
-    side: Side = "both"
-    pitch_px: float = 20.0
-    pitch_jitter: float = 0.06
-    outer_ratio: float = 0.5
-    stiff_ratio: float = 0.1
-    sweep_scatter: float = 0.0
+    count: PositiveInt | None = None
+    """Ridges in view; None: all of the sides in view."""
+    per_side: PositiveInt | None = None
+    """Ridges on one side of the axis (2 M where the sheets of both blocks show); None: the sample's M. The
+    displacement depends on rank / per_side."""
+    side: Literal["both", "left", "right"] = "both"
+    """Side of the axis that is in view."""
+    pitch_px: Positive = 20.0
+    """Mean distance between ridges."""
+    pitch_jitter: Fraction = 0.06
+    """Largest departure of a ridge from its even place, in pitches."""
+    outer_ratio: NonNegative = 0.5
+    """σ_x/Λ_st of the outermost sheet."""
+    stiff_ratio: NonNegative = 0.1
+    """σ_x/Λ_st at M_eff; below it a sheet is stiff."""
+    sweep_scatter: Fraction = 0.0
+    """Relative scatter of a sheet's sweep from stick to stick."""
     spread_per_mm: float = 0.004
+    """Relative widening of the comb for each mm of separation."""
     bow_px: float = 1.0
-    slip_delay_s: float = 0.0
+    """How far the outermost ridge is bowed over half the frame's height."""
+    slip_delay_s: NonNegative = 0.0
+    """Largest delay of a single sheet's slip."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Optics:
-    """What the sheets look like: ridges, paper, light, lens, and how steadily the camera is held.
-
-    level: brightness between the ridges as a fraction of saturation. contrast: (ridge - gap) / (ridge + gap).
-    distortion: relative radial magnification error at the frame's far corner. drift_px: over the whole video.
-    """
+    """What the sheets look like: ridges, paper, light, lens, and how steadily the camera is held."""
 
     shape: RidgeShape = "gaussian"
+    """Profile of a ridge."""
     polarity: Literal["bright", "dark"] = "bright"
-    fwhm_px: float = 8.0
-    fwhm_spread: float = 0.05
-    contrast: float = 0.25
-    contrast_spread: float = 0.2
-    faint_sheets: int = 0
-    level: float = 0.4
-    surround: float = 0.5
-    psf_px: float = 0.0
-    gradient: float = 0.2
-    flicker: float = 0.015
-    flicker_Hz: float = 100.0
+    """Of the ridges against the gaps."""
+    fwhm_px: Positive = 8.0
+    """Mean full width of the ridges at half maximum."""
+    fwhm_spread: Fraction = 0.05
+    """Relative spread of the widths."""
+    contrast: Fraction = 0.25
+    """(ridge - gap) / (ridge + gap)."""
+    contrast_spread: Fraction = 0.2
+    """Relative spread of the heights."""
+    faint_sheets: NonNegativeInt = 0
+    """Sheets whose ridges have a fifth of their height."""
+    level: Fraction = 0.4
+    """Brightness between the ridges as a fraction of saturation."""
+    surround: NonNegative = 0.5
+    """Brightness beyond the sample, over that between the ridges."""
+    psf_px: NonNegative = 0.0
+    """Standard deviation of the lens' blur."""
+    gradient: NonNegative = 0.2
+    """Relative change of the light across the frame."""
+    flicker: Fraction = 0.015
+    """Relative amplitude of the lamp's flicker."""
+    flicker_Hz: Positive = 100.0
+    """Its frequency."""
     tilt_deg: float = 0.2
+    """Lean of the ridges against the vertical."""
     distortion: float = 0.0
+    """Relative radial magnification error at the frame's far corner."""
     drift_px: float = 0.5
-    vibration_px: float = 0.05
-    texture: float = 0.08
-    texture_px: float = 6.0
-    dust: int = 0
+    """Slow movement of the camera over the whole video."""
+    vibration_px: NonNegative = 0.05
+    """RMS vibration of the camera."""
+    texture: Fraction = 0.08
+    """RMS relative brightness of the paper's texture."""
+    texture_px: Positive = 6.0
+    """Size (FWHM) of its grains."""
+    dust: NonNegativeInt = 0
+    """Dark spots on the lens."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """Sensor, region, and how long the video is. Defaults: an IMX392-class sensor behind 10 um/px."""
+    """Sensor, region, and length of the video. Defaults: an IMX392-class sensor behind 10 µm/px."""
 
-    width: int = 1920
-    height: int = 100
-    strip_rows: int = 84
-    pixel_size_um: float = 10.0
-    fps: float = 60.0
-    duration_s: float = 20.0
-    exposure_s: float = 0.004
-    bits: int = 8
-    full_well_e: float = 10500.0
-    read_noise_e: float = 2.5
-    prnu: float = 0.007
-    black_level: float = 0.0
+    width: PositiveInt = 1920
+    """Columns."""
+    height: PositiveInt = 100
+    """Rows."""
+    strip_rows: PositiveInt = 84
+    """Rows of the strip for which the truth holds, in the middle of the frame."""
+    pixel_size_um: Positive = 10.0
+    """Of a pixel in the plane of the sheets."""
+    fps: Positive = 60.0
+    """Frames per second."""
+    duration_s: Positive = 20.0
+    """Length of the video."""
+    exposure_s: NonNegative = 0.004
+    """Time for which the shutter is open."""
+    bits: PositiveInt = 8
+    """Per pixel, 8 to 16."""
+    full_well_e: Positive = 10500.0
+    """Electrons at saturation."""
+    read_noise_e: NonNegative = 2.5
+    """RMS read-out noise, electrons."""
+    prnu: Fraction = 0.007
+    """Relative spread of the pixels' sensitivity (photo-response non-uniformity)."""
+    black_level: NonNegative = 0.0
+    """Grey level without light."""
     noise: bool = True
+    """Whether there is photon and read-out noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Clocks:
-    """The camera's clock against the machine's, and what each loses on the way to its file.
+    """The camera's clock against the machine's: t_force = offset_s + (1 + drift_ppm / 1e6) t_video.
 
-    t_force = offset_s + (1 + drift_ppm / 1e6) t_video. A frame's time is the middle of its exposure.
+    The time of a frame is the middle of its exposure.
     """
 
     offset_s: float = 36.0
+    """Force clock at video time 0."""
     drift_ppm: float = 50.0
-    dropped: float = 0.0
-    stale: float = 0.0
-    force_rate_Hz: float = 200.0
+    """How much faster the force clock runs."""
+    dropped: Fraction = 0.0
+    """Fraction of the frames that are lost."""
+    stale: Fraction = 0.0
+    """Fraction of the time stamps that repeat the one before."""
+    force_rate_Hz: Positive = 200.0
+    """Samples per second of the force recording."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoadCell:
-    """The force chain: first-order low-pass, drift, white noise, and the steps in which values are
-    written."""
+    """Load cell and amplifier."""
 
-    lowpass_s: float = 0.003
-    noise_N: float = 0.05
+    lowpass_s: NonNegative = 0.003
+    """Time constant of the first-order low-pass."""
+    noise_N: NonNegative = 0.05
+    """RMS white noise."""
     drift_N: float = 0.2
-    quantum_N: float = 0.01
-    displacement_quantum_mm: float = 5e-5
+    """Drift of the zero over the whole pull."""
+    quantum_N: NonNegative = 0.01
+    """Step in which the load is written."""
+    displacement_quantum_mm: NonNegative = 5e-5
+    """Step in which the displacement is written."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ForceFile:
-    """How force.txt is written: layout (mts, instron, zwick, csv), decimal mark, encoding, unit of force.
+    """How force.txt is written."""
 
-    video_time adds the camera's clock as a column of its own (mts only).
-    """
-
-    layout: str = "mts"
+    layout: Literal["mts", "instron", "zwick", "csv"] = "mts"
+    """Whose testing machine."""
     decimal: Literal[".", ","] = "."
+    """Decimal mark."""
     encoding: Literal["utf-8-sig", "utf-8", "latin-1"] = "utf-8-sig"
+    """Of the text."""
     unit: Literal["N", "kN"] = "N"
+    """Of the force."""
     video_time: bool = False
+    """Whether the camera's clock is a column of its own (mts only)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """A whole synthetic test. The same experiment, seed included, gives the same data."""
+    """A whole synthetic test. The same experiment, seed included, gives the same data.
 
-    seed: int = 0
+    Raises
+    ------
+    InputError
+        Names the first setting that cannot be used, with what was expected.
+    """
+
+    seed: NonNegativeInt = 0
+    """Of all random numbers."""
+    sample: Sample = PUBLISHED
+    """Sheets per block M, their dimensions and T*."""
     mechanics: Mechanics = field(default_factory=Mechanics)
     sheets: Sheets = field(default_factory=Sheets)
     optics: Optics = field(default_factory=Optics)
@@ -172,4 +250,208 @@ class Experiment:
     force_file: ForceFile = field(default_factory=ForceFile)
 
     def __post_init__(self) -> None:
-        check_experiment(self)
+        for part in fields(self):
+            value = getattr(self, part.name)
+            if part.name == "seed":
+                _check_value("seed", value, _types(Experiment)["seed"])
+                continue
+            for name, kind in _types(type(value)).items():
+                _check_value(f"{part.name}.{name}", getattr(value, name), kind)
+        _check_pull(self)
+        _check_view(self)
+        _check_camera(self.camera)
+
+    @property
+    def ridges_per_side(self) -> int:
+        """`sheets.per_side`, or the sample's M where it is None."""
+        return self.sheets.per_side or self.sample.sheets_per_block
+
+    @property
+    def ridges_in_view(self) -> int:
+        """`sheets.count`, or every ridge of the sides in view where it is None."""
+        return self.sheets.count or self.ridges_per_side * (2 if self.sheets.side == "both" else 1)
+
+
+def with_settings(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
+    """The experiment with settings changed by name.
+
+    Parameters
+    ----------
+    experiment
+        Not changed.
+    changes
+        Such as ``{"camera.fps": 25, "seed": 3}``. Texts are converted to the setting's own type.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, a value that does not convert, and whatever the changed experiment itself
+        refuses.
+    """
+    groups: dict[str, dict[str, Any]] = {}
+    top: dict[str, Any] = {}
+    for given, value in changes.items():
+        name = _EARLIER_NAMES.get(given, given)
+        if name == "seed":
+            top["seed"] = _converted(value, int, name)
+            continue
+        group, key = _known(name, experiment)
+        kind = _types(type(getattr(experiment, group)))[key]
+        groups.setdefault(group, {})[key] = _converted(value, kind, name)
+    top |= {group: replace(getattr(experiment, group), **values) for group, values in groups.items()}
+    return replace(experiment, **top)
+
+
+def settings_from_toml(path: Path) -> dict[str, Any]:
+    """Settings by name, as `with_settings` takes them, from a TOML file.
+
+    Parameters
+    ----------
+    path
+        A file with tables [sample], [mechanics], [sheets], [optics], [camera], [clocks] …
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read or is not TOML.
+    """
+    try:
+        content = tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise InputError(path, "a readable TOML file", error.strerror or str(error)) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(path, "TOML", str(error)) from error
+    flat: dict[str, Any] = {}
+    for name, value in content.items():
+        flat |= {f"{name}.{key}": v for key, v in value.items()} if isinstance(value, dict) else {name: value}
+    return flat
+
+
+_EARLIER_NAMES = {
+    "mechanics.sheets_per_side": "sample.sheets_per_block",
+    "mechanics.thickness_mm": "sample.thickness_mm",
+    "mechanics.width_mm": "sample.width_mm",
+    "mechanics.length_mm": "sample.length_mm",
+    "mechanics.t_star_N": "sample.t_star_N",
+}
+
+
+def _known(name: str, experiment: Experiment) -> tuple[str, str]:
+    """Group and setting of a name such as "camera.fps"."""
+    group, _, key = name.partition(".")
+    groups = sorted(part.name for part in fields(experiment) if part.name != "seed")
+    if group not in groups:
+        expected = "seed or GROUP.SETTING with GROUP one of " + ", ".join(groups)
+        raise InputError(f"setting {name}", expected, name)
+    keys = [part.name for part in fields(getattr(experiment, group))]
+    if key not in keys:
+        raise InputError(f"setting {name}", f"one of {', '.join(keys)}", key or "no name after the dot")
+    return group, key
+
+
+def _converted(value: Any, declared: Any, name: str) -> Any:
+    """The value in the type of the setting it replaces."""
+    kind = _plain_type(declared)
+    try:
+        if kind is bool:
+            return {"true": True, "false": False, "1": True, "0": False}[str(value).lower()]
+        if kind is int and float(value) != int(float(value)):
+            raise ValueError
+        return int(float(value)) if kind is int else kind(value)
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        wanted = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}[kind]
+        raise InputError(f"setting {name}", wanted, str(value)) from error
+
+
+def _types(group: type) -> dict[str, Any]:
+    """Declared type of every setting of a group."""
+    return get_type_hints(group, include_extras=True)
+
+
+def _plain_type(declared: Any) -> type:
+    """float, int, bool or str."""
+    if get_origin(declared) is Literal:
+        return str
+    if NoneType in get_args(declared):
+        declared = get_args(declared)[0]
+    kind: type = get_args(declared)[0] if get_origin(declared) is Annotated else declared
+    return kind
+
+
+def _require(condition: bool, setting: str, expected: str, found: object, advice: str = "") -> None:
+    if not condition:
+        raise InputError(f"setting {setting}", expected, str(found), advice)
+
+
+def _check_value(name: str, value: Any, declared: Any) -> None:
+    """That a value is one of the choices, or a number within the range, of its declared type."""
+    if get_origin(declared) is Literal:
+        choices = get_args(declared)
+        _require(value in choices, name, ", ".join(choices), value)
+        return
+    if NoneType in get_args(declared):
+        if value is None:
+            return
+        declared = get_args(declared)[0]
+    _require(math.isfinite(value), name, "a finite number", value)
+    for expected in getattr(declared, "__metadata__", ()):
+        _require(_IN_RANGE[expected](value), name, expected, value)
+
+
+def _check_pull(e: Experiment) -> None:
+    """The pull ends before the blocks are apart, and the video sees some of it."""
+    m, camera, clocks = e.mechanics, e.camera, e.clocks
+    _require(m.d0_mm < m.d_end_mm, "mechanics.d_end_mm", f"more than d0 = {m.d0_mm:g} mm", m.d_end_mm)
+    _require(
+        m.d_end_mm < e.sample.length_mm,
+        "mechanics.d_end_mm",
+        f"less than the sheet length {e.sample.length_mm:g} mm",
+        m.d_end_mm,
+        "beyond it the blocks are apart",
+    )
+    _require(
+        m.early_stiffness_ratio >= 1, "mechanics.early_stiffness_ratio", "1 or more", m.early_stiffness_ratio
+    )
+    pull_s = (m.d_end_mm - m.d0_mm) / (m.speed_mm_min / 60)
+    _require(
+        -camera.duration_s < clocks.offset_s < pull_s,
+        "clocks.offset_s",
+        f"a video that sees some of the pull, {-camera.duration_s:g} to {pull_s:g} s",
+        f"{clocks.offset_s:g} s",
+        "set the offset (force clock at video time 0) to suit the speed",
+    )
+
+
+def _check_view(e: Experiment) -> None:
+    """The sheets in view exist and fit in the frame."""
+    sheets, camera, count = e.sheets, e.camera, e.ridges_in_view
+    comb_px = count * sheets.pitch_px
+    _require(
+        comb_px <= camera.width,
+        "sheets.count",
+        f"sheets that fit in {camera.width} px",
+        f"{count} sheets {sheets.pitch_px:g} px apart = {comb_px:g} px",
+        "widen the frame or take fewer or closer sheets",
+    )
+    possible = e.ridges_per_side * 2 + 1 if sheets.side == "both" else e.ridges_per_side
+    _require(count <= possible, "sheets.count", f"at most {possible} with this per_side", count)
+    faint = e.optics.faint_sheets
+    _require(faint <= count, "optics.faint_sheets", "at most the sheets in view", faint)
+
+
+def _check_camera(camera: Camera) -> None:
+    """The sensor can take these frames."""
+    longest = 1 / camera.fps
+    _require(8 <= camera.bits <= 16, "camera.bits", "8 to 16", camera.bits)
+    _require(
+        camera.exposure_s <= longest,
+        "camera.exposure_s",
+        f"at most 1/fps = {longest:.4g} s",
+        camera.exposure_s,
+    )
+    _require(
+        camera.duration_s * camera.fps >= 1, "camera.duration_s", "at least one frame", camera.duration_s
+    )
+    _require(
+        camera.black_level < 2**camera.bits - 1, "camera.black_level", "below saturation", camera.black_level
+    )

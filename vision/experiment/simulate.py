@@ -2,34 +2,25 @@
 
 from __future__ import annotations
 
+import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from numpy.typing import NDArray
 
 from vision.errors import InputError
 from vision.experiment.force_file import force_recording, write_force
-from vision.experiment.images import frame_blocks
+from vision.experiment.images import Progress, frame_blocks
 from vision.experiment.scene import Scene, make_scene
-from vision.experiment.truth import truth_of
+from vision.experiment.settings import Experiment
+from vision.experiment.truth import save_truth, truth_of
 from vision.experiment.video_files import check_container, write_video
-
-if TYPE_CHECKING:
-    import os
-
-    import xarray as xr
-
-    from vision.experiment.settings import Experiment
-
-Progress = Callable[[int, int | None], None]
+from vision.numeric import Pixels
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedTest:
-    """The files of one synthetic test."""
+    """The files of one synthetic test, and the frames written and lost."""
 
     video: Path
     force: Path
@@ -50,9 +41,27 @@ def simulate(
     """Write video.*, force.txt, truth.nc and timestamps.txt (the camera's stamps, s) to a folder.
 
     Frames are drawn and written in blocks: memory does not grow with the length of the video. The folder
-    appears when everything is in it, or not at all. progress is called with (frames written, frames in
-    all). Raises: InputError for an unknown container, a folder that exists (unless overwrite is given
-    and it holds an earlier synthetic test), or one that cannot be written.
+    appears when everything is in it, or not at all.
+
+    Parameters
+    ----------
+    experiment
+        What to simulate.
+    out_dir
+        Folder to make.
+    container
+        ``"raw"``, ``"mjpeg"``, ``"h264"``, ``"ffv1"``, ``"tiff"`` or ``"png"``, see
+        `vision.experiment.video_files.write_video`.
+    overwrite
+        Whether to replace an earlier synthetic test.
+    progress
+        Called with (frames written, frames in total).
+
+    Raises
+    ------
+    InputError
+        For an unknown container, a folder that exists (unless `overwrite` is given and it holds an earlier
+        synthetic test), or one that cannot be written.
     """
     folder = Path(out_dir)
     check_container(container, experiment.camera)
@@ -81,24 +90,18 @@ def simulate(
 
 
 def _write(scene: Scene, folder: Path, container: str, progress: Progress | None) -> Path:
+    """Write every file; the path of the video."""
     experiment, times = scene.experiment, scene.times
     recording = force_recording(experiment, scene.pull)
     write_force(folder / "force.txt", recording, experiment.force_file, name="synthetic")
     (folder / "timestamps.txt").write_text("".join(f"{t:.6f}\n" for t in times.stamp_s), "utf-8")
     save_truth(truth_of(scene), folder / "truth.nc")
-    blocks = _reported(frame_blocks(scene), len(times.camera_s), progress)
+    blocks = _with_progress(frame_blocks(scene), len(times.camera_s), progress)
     return write_video(folder, blocks, experiment.camera, times, container=container)
 
 
-def save_truth(truth: xr.Dataset, path: Path) -> None:
-    """Write the truth as compressed netCDF-4."""
-    packed = {name: {"zlib": True, "shuffle": True} for name in truth.data_vars}
-    truth.to_netcdf(path, engine="h5netcdf", encoding=packed)
-
-
-def _reported(
-    blocks: Iterator[NDArray[Any]], total: int, progress: Progress | None
-) -> Iterator[NDArray[Any]]:
+def _with_progress(blocks: Iterator[Pixels], total: int, progress: Progress | None) -> Iterator[Pixels]:
+    """The same blocks; `progress` is called after each."""
     done = 0
     for block in blocks:
         yield block
@@ -108,6 +111,7 @@ def _reported(
 
 
 def _check_folder(folder: Path, *, overwrite: bool) -> None:
+    """InputError where a folder must not be replaced."""
     if not folder.exists():
         return
     if not folder.is_dir():
@@ -117,4 +121,4 @@ def _check_folder(folder: Path, *, overwrite: bool) -> None:
     if not (folder / "truth.nc").exists():
         raise InputError(folder, "a new folder or an earlier synthetic test", "a folder of other things")
     if not overwrite:
-        raise InputError(folder, "a new folder", "an earlier synthetic test", "use --overwrite to replace it")
+        raise InputError(folder, "a new folder", "an earlier synthetic test", "replace it with `overwrite`")

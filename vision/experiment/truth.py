@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
-from vision.experiment.clocks import camera_time
-from vision.experiment.geometry import strip_slice
-
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from vision.experiment.scene import Scene
+from vision.experiment.mechanics import camera_time
+from vision.experiment.scene import Scene, strip_slice
 
 _MEANING = {
     "x_px": (
@@ -42,13 +39,19 @@ _MEANING = {
 
 
 def truth_of(scene: Scene) -> xr.Dataset:
-    """Everything known, with dimensions frame, sheet, event and slip.
+    """Everything known about a synthetic test.
 
-    Events carry the columns of the contract's `events.csv` (force clock) and M_eff, the initial loading
-    left out. Attributes: every setting as JSON, the rows of the default strip, the clocks, the axis.
+    Parameters
+    ----------
+    scene
+        From `make_scene`.
+
+    Returns
+    -------
+    Dataset with dimensions frame, sheet, event and slip. Events have the columns of `events.csv` (force
+    clock) and M_eff, without the initial loading. Attributes: every setting as JSON, the rows of the default
+    strip, the clocks, the axis.
     """
-    import xarray as xr
-
     data = {**_of_frames(scene), **_of_events(scene), **_of_sheets(scene)}
     dataset = xr.Dataset(data, coords={"sheet": np.arange(len(scene.comb.n))})
     for name, (units, meaning) in _MEANING.items():
@@ -61,7 +64,7 @@ def truth_of(scene: Scene) -> xr.Dataset:
 def _of_frames(scene: Scene) -> dict[str, Any]:
     times = scene.times
     x = scene.seen_px(slice(None))
-    reach = scene.looks.fwhm_px
+    reach = scene.ridges.fwhm_px
     inside = (x > reach - 0.5) & (x < scene.experiment.camera.width - 0.5 - reach)
     return {
         "x_px": (("frame", "sheet"), x),
@@ -98,12 +101,12 @@ def _of_events(scene: Scene) -> dict[str, Any]:
 
 
 def _of_sheets(scene: Scene) -> dict[str, Any]:
-    comb, looks = scene.comb, scene.looks
+    comb, ridges = scene.comb, scene.ridges
     return {
         "side": ("sheet", comb.side),
         "n": ("sheet", comb.n),
-        "fwhm_px": ("sheet", looks.fwhm_px),
-        "height": ("sheet", looks.height),
+        "fwhm_px": ("sheet", ridges.fwhm_px),
+        "height": ("sheet", ridges.height),
     }
 
 
@@ -123,3 +126,9 @@ def _facts(scene: Scene) -> dict[str, Any]:
         "first_slip_s": float(scene.pull.end_s[0]),
         "positions": "pixel centres at integers",
     }
+
+
+def save_truth(truth: xr.Dataset, path: Path) -> None:
+    """Write the truth as compressed netCDF-4."""
+    packed = {name: {"zlib": True, "shuffle": True} for name in truth.data_vars}
+    truth.to_netcdf(path, engine="h5netcdf", encoding=packed)

@@ -1,13 +1,12 @@
-"""Same seed, same data; parts of an experiment are independent of each other."""
+"""What is drawn: the same for the same seed, each part independent of the others, in bounded memory."""
 
 import tracemalloc
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from vision.experiment import Camera, Experiment, Optics, profiles
-from vision.experiment.images import frame_blocks
-from vision.experiment.scene import make_scene
+from vision.experiment import Camera, Experiment, Optics, frame_blocks, make_scene, profiles
 
 SHORT = Experiment(camera=Camera(duration_s=0.5, height=20, width=1200))
 
@@ -52,3 +51,13 @@ def test_memory_does_not_grow_with_the_video():
 
     peak(0.1)
     assert peak(8.0) < 1.3 * peak(2.5)
+
+
+def test_texture_travels_with_the_pulled_block():
+    """Every second sheet's texture moves along z with d; the others' stays."""
+    e = Experiment(camera=Camera(duration_s=12, fps=5, height=60))
+    texture = make_scene(e).texture(slice(None))
+    travel = round((e.mechanics.speed_mm_min / 60) * 11.8 * 1000 / 10)
+    assert texture[59, :, 1] == pytest.approx(texture[0, :, 1])
+    assert np.corrcoef(texture[59, : 60 - travel, 0], texture[0, travel:, 0])[0, 1] > 0.98
+    assert np.corrcoef(texture[59, :, 0], texture[0, :, 0])[0, 1] < 0.8
