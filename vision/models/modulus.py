@@ -248,58 +248,34 @@ def measure_cycles(
     make errors larger by √((1 + ρ)/(1 − ρ)). An error of Δ itself enters in full: 1 % of L is 1 % of Y_p.
     Source: appendix "Single sheets characterization".
     """
-    at, delta, load, facts = _clean(force, sheet, clamp_distance_mm)
+    machine = machine_stiffness_N_per_mm
+    if machine is not None and (not math.isfinite(machine) or machine <= 0):
+        raise InputError("`machine_stiffness_N_per_mm`", "a positive number", f"{machine!r}")
+    cycles, facts = _clean(force, sheet, clamp_distance_mm, machine or math.inf, settings)
     source = facts.source
-    if machine_stiffness_N_per_mm is not None:
-        if not math.isfinite(machine_stiffness_N_per_mm) or machine_stiffness_N_per_mm <= 0:
-            found = f"{machine_stiffness_N_per_mm!r}"
-            raise InputError("`machine_stiffness_N_per_mm`", "a positive number", found)
-    turns = turning_points(delta, settings=settings)
-    if turns.size < 4:
-        raise InputError(
-            source, "push–pull cycles", f"a displacement that turns back {max(turns.size - 2, 0)} times"
-        )
-    width = max(int(settings.smoothing * float(np.median(np.diff(turns)))), 1)
-    smooth = uniform_filter1d(load, width, mode="nearest")
-    corrected = delta - load / (machine_stiffness_N_per_mm or math.inf)
+    branches = _loading_branches(cycles)
+    if not branches:
+        returns = max(cycles.turns.size - 2, 0)
+        raise InputError(source, "push–pull cycles", f"a displacement that turns back {returns} times")
     rows, skipped = [], 0
-    for k in range(turns.size - 1):
-        start, stop = int(turns[k]), int(turns[k + 1])
-        if delta[stop] <= delta[start]:
-            continue
-        chosen = _part(smooth, start, stop, settings.part)
+    for start, stop, following in branches:
+        chosen = _part(cycles.smooth, start, stop, settings.part)
         if chosen.stop - chosen.start < settings.least_samples:
             skipped += 1
             continue
-        line = _line(corrected[chosen], load[chosen])
-        if line.slope <= 0:
-            raise InputError(
-                source,
-                "a force that rises with Δ on loading branches",
-                f"a slope of {line.slope:.3g} N/mm",
-                "is `machine_stiffness_N_per_mm` too small?",
-            )
-        following = int(turns[k + 2]) if k + 2 < turns.size else None
-        rows.append(
-            {"cycle": len(rows) + 1}
-            | _row(line, sheet)
-            | _loop(corrected, load, smooth, start, stop, following)
-            | {
-                "t_start_s": float(at[start]),
-                "t_end_s": float(at[stop]),
-                "fit_from_mm": float(corrected[chosen][0]),
-                "fit_to_mm": float(corrected[chosen][-1]),
-                "F_max_N": float(smooth[start : stop + 1].max()),
-                "samples": chosen.stop - chosen.start,
-            }
-        )
+        rows.append(_branch(cycles, start, stop, following, chosen, sheet))
     if not rows:
         raise InputError(
             source, f"loading branches with {settings.least_samples} samples on the fitted part", "none"
         )
+    if min(row["k_N_per_mm"] for row in rows) <= 0:
+        advice = "`machine_stiffness_N_per_mm` may be too small" if machine else "is tension negative?"
+        found = f"a slope of {min(row['k_N_per_mm'] for row in rows):.3g} N/mm"
+        raise InputError(source, "a force that rises with Δ on loading branches", found, advice)
     table = pd.DataFrame(rows)
+    table.insert(0, "cycle", np.arange(1, len(rows) + 1))
     warnings = [*facts.warnings, *([f"{skipped} loading branches with too few samples"] if skipped else [])]
-    stiffness = math.nan if machine_stiffness_N_per_mm is None else machine_stiffness_N_per_mm
+    stiffness = math.nan if machine is None else machine
     notes = [*facts.notes, *_remarks(table, sheet, stiffness)]
     meta = CyclesMetadata(
         source=source,
@@ -313,10 +289,59 @@ def measure_cycles(
     return record(table, "measure_cycles", machine_stiffness_N_per_mm=stiffness, part=settings.part)
 
 
+@dataclass(frozen=True)
+class _Cycles:
+    """t, Δ (corrected for the machine), F and smoothed F of the good samples, and the turning points."""
+
+    time: Floats
+    delta: Floats
+    load: Floats
+    smooth: Floats
+    turns: Ints
+
+
+_WHOLE = 0.5  # of the usual travel: shorter branches are cut off by the recording's ends
+
+
+def _loading_branches(cycles: _Cycles) -> list[tuple[int, int, int | None]]:
+    """(start, top, end of the unloading or None) of each branch on which Δ grows; [] without cycles."""
+    turns = cycles.turns
+    if turns.size < 4:
+        return []
+    travel = np.diff(cycles.delta[turns])
+    whole = np.abs(travel) > _WHOLE * float(np.median(np.abs(travel)))
+    return [
+        (int(turns[k]), int(turns[k + 1]), int(turns[k + 2]) if whole[k + 1 : k + 2].any() else None)
+        for k in np.flatnonzero((travel > 0) & whole)
+    ]
+
+
+def _branch(
+    cycles: _Cycles, start: int, stop: int, following: int | None, chosen: slice, sheet: Sample
+) -> dict[str, float]:
+    """The row of one loading branch, without its number."""
+    delta, load, smooth = cycles.delta, cycles.load, cycles.smooth
+    line = _line(delta[chosen], load[chosen])
+    return {
+        **_row(line, sheet),
+        **_loop(delta, load, smooth, start, stop, following),
+        "t_start_s": float(cycles.time[start]),
+        "t_end_s": float(cycles.time[stop]),
+        "fit_from_mm": float(delta[chosen][0]),
+        "fit_to_mm": float(delta[chosen][-1]),
+        "F_max_N": float(smooth[start : stop + 1].max()),
+        "samples": chosen.stop - chosen.start,
+    }
+
+
 def _clean(
-    force: xr.Dataset, sheet: Sample, clamp_distance_mm: float | None
-) -> tuple[Floats, Floats, Floats, CyclesMetadata]:
-    """(t, Δ, F) of the samples that can be measured on, and what Δ was taken from."""
+    force: xr.Dataset,
+    sheet: Sample,
+    clamp_distance_mm: float | None,
+    machine_N_per_mm: float,
+    settings: ModulusSettings,
+) -> tuple[_Cycles, CyclesMetadata]:
+    """The samples that can be measured on with their turning points, and what Δ was taken from."""
     FORCE.check(force)
     source = str(force.attrs.get("path", force.attrs.get("source", "the recording")))
     if "crosshead_mm" not in force:
@@ -342,7 +367,10 @@ def _clean(
         how, delta = "length", sheet.length_mm + crosshead
         notes = [f"the displacement is taken to be 0 at Δ = L = {sheet.length_mm:g} mm"]
     facts = CyclesMetadata(source=source, clamp_distance_from=how, notes=notes, warnings=warnings)
-    return at, delta, load, facts
+    turns = turning_points(delta, settings=settings)
+    width = max(int(settings.smoothing * float(np.median(np.diff(turns)))), 1)
+    smooth = uniform_filter1d(load, width, mode="nearest")
+    return _Cycles(at, delta - load / machine_N_per_mm, load, smooth, turns), facts
 
 
 def _part(smooth: Floats, start: int, stop: int, part: tuple[float, float]) -> slice:
