@@ -1,0 +1,398 @@
+r"""The pull resolved by sheets: 2M springs that stick and slip by themselves.
+
+Each of the 2M sheets is a spring of stiffness k = εWY/L between its clamp and two faces that rub. It sticks
+while its load T is below the threshold of both faces, and slips, as a spring and block do, about the level of
+dynamic friction:
+
+.. math:: T_s = 2\mu N + T^*, \qquad T_d = (2\mu - A) N + T^*, \qquad T \to 2T_d - T
+
+with A = 2(μ_s − μ_d). The normal force N(n, d) is Eq. 2 and is computed again as d grows. With every sheet at
+its threshold the loads are T* exp(α(1 − (n/M)²)), and their sum over the 2M sheets is Eq. 1, of which the
+integral over n is the continuum limit.
+
+Nothing in here knows M_eff, Λ_st or σ_x/Λ_st. Source: Plati, Restagno & Poulard, Eqs. 1 and 2 and section
+"Stick- slip in a simple spring-block model"; the normal force of actual loads: their outlook, "the normal
+load increases during the stick phase".
+"""
+
+# ruff: noqa: N815 (the unit is part of a name, and newton is N)
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from vision.errors import InputError
+from vision.models.friction import StaticFriction
+from vision.numeric import Bools, Floats
+from vision.sample import PUBLISHED, Sample
+
+
+@dataclass(frozen=True, kw_only=True)
+class SheetPull:
+    """What a sheet-resolved pull is made of; the defaults are the publication's numbers.
+
+    Parameters
+    ----------
+    sample
+        M, ε, W, L and T*.
+    mu, amplitude
+        μ (static) and A = 2(μ_s − μ_d).
+    law
+        Thresholds a(N + b) of each face in place of μN + T*/2; Eq. 2 still has μ.
+    modulus_GPa
+        Y of one sheet: k = εWY/L.
+    speed_mm_min, d0_mm, d_end_mm
+        The pull.
+    normal_force
+        "equation": Eq. 2 at d, whatever the loads are; the sheets do not know of each other. "loads": N comes
+        from the loads of the sheets outside, with weights such that it is Eq. 2 where all are at their
+        threshold; a sheet that slips lowers the normal force on all inside of it.
+    positions
+        Where sheet n sits: "edges" at n, "middles" at n − ½ (whose sum is the continuum limit to 5e-6).
+    relaxed
+        Start without loads; else with every sheet where a slip from its threshold would leave it.
+    threshold_factor
+        Of each sheet, left to right, for sheets that differ: shape (2M,); None for equal ones.
+    shortest_stick_um
+        Sheets whose stick would be shorter slide at T_d instead, without events. Smaller is slower.
+    longest_step_um
+        Between two computations of N.
+    """
+
+    sample: Sample = PUBLISHED
+    mu: float = 0.89
+    amplitude: float = 0.34
+    law: StaticFriction | None = None
+    modulus_GPa: float = 3.8
+    speed_mm_min: float = 1.0
+    d0_mm: float = 13.0
+    d_end_mm: float = 18.0
+    normal_force: Literal["equation", "loads"] = "equation"
+    positions: Literal["edges", "middles"] = "edges"
+    relaxed: bool = True
+    threshold_factor: tuple[float, ...] | None = None
+    shortest_stick_um: float = 0.5
+    longest_step_um: float = 0.5
+
+    def __post_init__(self) -> None:
+        names = ("mu", "modulus_GPa", "speed_mm_min", "d0_mm", "shortest_stick_um", "longest_step_um")
+        for name in names:
+            value = getattr(self, name)
+            if not math.isfinite(value) or value <= 0:
+                raise InputError(f"`{name}`", "a positive number", f"{value!r}")
+        if not self.d0_mm < self.d_end_mm < math.inf:
+            raise InputError("`d_end_mm`", f"more than {self.d0_mm:g} mm", f"{self.d_end_mm!r}")
+        if not 0 <= self.amplitude <= 2 * self.mu:
+            raise InputError("`amplitude`", f"0 to 2μ = {2 * self.mu:g}", f"{self.amplitude!r}")
+        if self.normal_force not in ("equation", "loads"):
+            raise InputError("`normal_force`", "equation or loads", f"{self.normal_force!r}")
+        if self.positions not in ("edges", "middles"):
+            raise InputError("`positions`", "edges or middles", f"{self.positions!r}")
+        count = 2 * int(self.sample.sheets_per_block)
+        factor = self.threshold_factor
+        if factor is not None and (len(factor) != count or not min(factor) > 0):
+            raise InputError("`threshold_factor`", f"{count} positive numbers", f"{len(factor)}")
+
+    @property
+    def stiffness_N_per_mm(self) -> float:
+        """k of one sheet."""
+        sheet = self.sample
+        return 1000 * self.modulus_GPa * sheet.thickness_mm * sheet.width_mm / sheet.length_mm
+
+    @property
+    def n(self) -> Floats:
+        """Positions of the sheets of one side, (M,), from the centre outwards."""
+        count = int(self.sample.sheets_per_block)
+        return np.arange(1.0, count + 1) - (0.5 if self.positions == "middles" else 0.0)
+
+
+def equation_normal_N(pull: SheetPull, d_mm: float) -> Floats:
+    """Eq. 2 for the sheets of one side, (M,): (T*/2μ) (exp(α(1 − (n/M)²)) − 1)."""
+    return np.asarray(pull.sample.t_star_N / (2 * pull.mu) * np.expm1(_exponent(pull, d_mm)))
+
+
+def threshold_loads_N(pull: SheetPull, d_mm: float) -> Floats:
+    """Loads of the sheets of one side, (M,), all at their threshold under Eq. 2.
+
+    Twice their sum is the traction: 0.934 of Eq. 1 at d = 13 mm and 0.944 at 18 mm, at n − ½ equal to 5e-6.
+    """
+    return _threshold(pull, equation_normal_N(pull, d_mm))
+
+
+def _exponent(pull: SheetPull, d_mm: float) -> Floats:
+    count = int(pull.sample.sheets_per_block)
+    alpha = 2 * pull.sample.thickness_mm * pull.mu * count**2 / d_mm
+    return np.asarray(alpha * (1 - (pull.n / count) ** 2))
+
+
+def _threshold(pull: SheetPull, normal: Floats) -> Floats:
+    """T_s for normal forces of any shape."""
+    slope, adhesion = _friction(pull)
+    return np.asarray(slope * normal + adhesion)
+
+
+def _friction(pull: SheetPull) -> tuple[float, float]:
+    """(slope, adhesion) of T_s = slope N + adhesion over both faces."""
+    if pull.law is not None:
+        return 2 * pull.law.a, 2 * pull.law.a * pull.law.b_N
+    return 2 * pull.mu, pull.sample.t_star_N
+
+
+def _transfer(pull: SheetPull, d_mm: float) -> Floats:
+    """c(n), (M,): N(n) = N(n + 1) + c(n) (T(n) + T(n + 1)), beyond the outermost sheet N = T = 0.
+
+    From one sheet to the next inside N grows by the mean of their loads times the slope 2εn/d of the sheets
+    there; c is such that loads at their threshold under Coulomb friction give Eq. 2.
+    """
+    normal = equation_normal_N(pull, d_mm)
+    load = 2 * pull.mu * normal + pull.sample.t_star_N
+    return np.asarray((normal - np.append(normal[1:], 0.0)) / (load + np.append(load[1:], 0.0)))
+
+
+def normal_of_loads_N(pull: SheetPull, load_N: ArrayLike, d_mm: float) -> Floats:
+    """Normal forces from the loads of the sheets outside, both (…, M) from the centre outwards."""
+    load = np.asarray(load_N, float)
+    pairs = load.copy()
+    pairs[..., :-1] += load[..., 1:]
+    return np.asarray(np.cumsum((_transfer(pull, d_mm) * pairs)[..., ::-1], axis=-1)[..., ::-1])
+
+
+def pull_sheets(pull: SheetPull) -> xr.Dataset:
+    """The whole pull, event by event.
+
+    Parameters
+    ----------
+    pull
+        `SheetPull`.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over ``step``, in order, where a slip takes two steps of one d, before and after: ``d_mm``,
+        ``time_s``, ``force_N`` (sum of the loads), ``load_N`` (step, sheet), ``slipped`` (step, sheet; True
+        on the step after a slip), ``work_mJ``, ``elastic_mJ`` and ``dissipated_mJ`` since the start. Between
+        steps loads are linear in d. Sheets from left to right, with ``side`` and ``n``. attrs:
+        ``stiffness_N_per_mm`` of one sheet.
+
+    Notes
+    -----
+    Slips take no time. Where the slip of one sheet brings others beyond their threshold (``normal_force``
+    "loads"), these slip in the same event, until none is.
+    """
+    return _Run(pull).run()
+
+
+_CLOSE = 1e-9  # share of the threshold to which the time of a slip is found
+
+
+class _Run:
+    """State of a pull: loads (2, M), side −1 first, from the centre outwards."""
+
+    def __init__(self, pull: SheetPull) -> None:
+        self.pull = pull
+        self.k = pull.stiffness_N_per_mm
+        self.shortest_N = self.k * pull.shortest_stick_um / 1000
+        count = int(pull.sample.sheets_per_block)
+        self.factor = np.ones((2, count))
+        if pull.threshold_factor is not None:
+            given = np.asarray(pull.threshold_factor, float)
+            self.factor = np.stack([given[:count][::-1], given[count:]])
+        self.d = pull.d0_mm
+        self.load = np.zeros((2, count))
+        if not pull.relaxed:
+            normal = np.broadcast_to(equation_normal_N(pull, self.d), self.load.shape)
+            self.load = self.factor * (_threshold(pull, normal) - 2 * pull.amplitude * normal)
+        self.start_mJ = self._elastic()
+        self.work = self.dissipated = 0.0
+        self.energies: list[tuple[float, float, float, float]] = []
+        self.loads: list[Floats] = []
+        self.slips: list[Bools] = []
+
+    def run(self) -> xr.Dataset:
+        """All events up to the end of the pull."""
+        none = np.zeros(self.load.shape, bool)
+        self._keep(none)
+        while self.d < self.pull.d_end_mm * (1 - 1e-12):
+            self._advance(min(self.pull.longest_step_um / 1000, self.pull.d_end_mm - self.d))
+            self._keep(none)
+            slipped = self._avalanche()
+            if slipped.any():
+                self._keep(slipped)
+        return self._dataset()
+
+    def _normal(self, load: Floats, d: float) -> Floats:
+        if self.pull.normal_force == "equation":
+            return np.asarray(np.broadcast_to(equation_normal_N(self.pull, d), load.shape))
+        return normal_of_loads_N(self.pull, load, d)
+
+    def _levels(self, normal: Floats) -> tuple[Floats, Floats, Bools]:
+        """(T_s, T_d, whether the sheet slides rather than sticks)."""
+        top, half = _threshold(self.pull, normal), self.pull.amplitude * normal
+        return self.factor * top, self.factor * (top - half), 2 * half < self.shortest_N
+
+    def _loaded(self, step: float) -> Floats:
+        """Loads after a step: sticking sheets gain k·step, sliding ones no more than T_d."""
+        d, load = self.d + step, self.load + self.k * step
+        if self.pull.normal_force == "equation":
+            _, level, slides = self._levels(self._normal(load, d))
+            return np.where(slides, np.minimum(load, level), load)
+        for side in range(2):
+            self._settle(load[side], self.factor[side], _transfer(self.pull, d))
+        return load
+
+    def _settle(self, load: Floats, factor: Floats, transfer: Floats) -> None:
+        """Take the sliding sheets of one side, which are its outermost, down to T_d; in place."""
+        slope, adhesion = _friction(self.pull)
+        kinetic, drop = slope - self.pull.amplitude, 2 * self.pull.amplitude
+        outer_load = outer_normal = 0.0
+        for n in range(load.size - 1, -1, -1):  # N grows inwards
+            c, own, f = float(transfer[n]), float(load[n]), float(factor[n])
+            outside = outer_normal + c * outer_load
+            if drop * (outside + c * own) >= self.shortest_N:
+                break
+            # T = T_d(N) where N = outside + c T.
+            own = min(own, f * (kinetic * outside + adhesion) / (1 - f * kinetic * c))
+            load[n] = own
+            outer_load, outer_normal = own, outside + c * own
+
+    def _margin(self, load: Floats, d: float) -> Floats:
+        """(T_s − T)/T_s of sheets that stick; infinite for those that slide."""
+        top, _, slides = self._levels(self._normal(load, d))
+        return np.where(slides, np.inf, (top - load) / top)
+
+    def _advance(self, longest: float) -> None:
+        """To the next slip, at most by one step."""
+        low, at_low = 0.0, np.maximum(self._margin(self.load, self.d), 0.0)
+        step, load = longest, self._loaded(longest)
+        margin = self._margin(load, self.d + step)
+        high, at_high = step, margin
+        for _ in range(_MOST):
+            if margin.min() >= -_CLOSE and (step == longest or margin.min() <= _CLOSE):
+                break
+            # Loads and thresholds bend little within a step: the first crossing of straight lines.
+            first = at_high < 0
+            before, after = at_low[first], at_high[first]
+            known = np.isfinite(before)  # a sheet that slid before has no margin to start from
+            share = np.where(
+                known, np.where(known, before, 0.0) / (np.where(known, before, 1.0) - after), 0.5
+            )
+            step = low + (high - low) * float(share.min())
+            load = self._loaded(step)
+            margin = self._margin(load, self.d + step)
+            if margin.min() < 0:
+                high, at_high = step, margin
+            else:
+                low, at_low = step, margin
+        mean = 0.5 * (self.load + load)
+        self.work += float(mean.sum()) * step
+        self.dissipated += float(np.sum(mean * (step - (load - self.load) / self.k)))
+        self.load, self.d = load, self.d + step
+
+    def _avalanche(self) -> Bools:
+        """Slips of every sheet that is at its threshold, and of those that these bring there."""
+        slipped = np.zeros(self.load.shape, bool)
+        before = self._elastic()
+        for _ in range(_MOST):
+            over = self._margin(self.load, self.d) <= _CLOSE
+            if not over.any():
+                break
+            _, level, _ = self._levels(self._normal(self.load, self.d))
+            self.load = np.where(over, np.maximum(2 * level - self.load, 0.0), self.load)
+            self.load = self._loaded(0.0)
+            slipped |= over
+        self.dissipated += before - self._elastic()
+        return slipped
+
+    def _elastic(self) -> float:
+        return float(np.sum(self.load**2)) / (2 * self.k)
+
+    def _keep(self, slipped: Bools) -> None:
+        self.energies.append((self.d, self.work, self._elastic() - self.start_mJ, self.dissipated))
+        self.loads.append(self.load)
+        self.slips.append(slipped)
+
+    def _dataset(self) -> xr.Dataset:
+        d, work, elastic, dissipated = np.array(self.energies).T
+        load, slipped = (_left_to_right(np.array(part)) for part in (self.loads, self.slips))
+        time = 60 * (d - self.pull.d0_mm) / self.pull.speed_mm_min
+        energy = {"units": "mJ"}
+        return xr.Dataset(
+            {
+                "d_mm": ("step", d, {"units": "mm", "long_name": "separation"}),
+                "time_s": ("step", time, {"units": "s", "long_name": "machine's clock"}),
+                "force_N": ("step", load.sum(axis=1), {"units": "N", "long_name": "force"}),
+                "load_N": (("step", "sheet"), load, {"units": "N", "long_name": "load of a sheet"}),
+                "slipped": (("step", "sheet"), slipped),
+                "work_mJ": ("step", work, energy),
+                "elastic_mJ": ("step", elastic, energy),
+                "dissipated_mJ": ("step", dissipated, energy),
+            },
+            coords={
+                "side": ("sheet", np.repeat([-1, 1], load.shape[1] // 2)),
+                "n": ("sheet", _left_to_right(np.tile(np.arange(1, load.shape[1] // 2 + 1), (1, 2, 1)))[0]),
+            },
+            attrs={"stiffness_N_per_mm": self.k, "normal_force": self.pull.normal_force},
+        )
+
+
+_MOST = 10_000  # iterations of what converges in a few
+
+
+def _left_to_right(values: NDArray[Any]) -> NDArray[Any]:
+    """(step, 2, M) from the centre outwards becomes (step, 2M) from left to right."""
+    return np.concatenate([values[:, 0, ::-1], values[:, 1]], axis=1)
+
+
+def loads_at(result: xr.Dataset, d_mm: ArrayLike) -> Floats:
+    """Loads in N at given separations, (d, sheet); the side after the slip where one happens at d.
+
+    Parameters
+    ----------
+    result
+        Of `pull_sheets`.
+    d_mm
+        Within the pull.
+
+    Raises
+    ------
+    InputError
+        For separations outside the pull.
+    """
+    known, wanted = result["d_mm"].values, np.atleast_1d(np.asarray(d_mm, float))
+    if not ((wanted >= known[0]) & (wanted <= known[-1])).all():
+        raise InputError(
+            "`d_mm`", f"{known[0]:g} to {known[-1]:g} mm", f"{wanted.min():g} to {wanted.max():g}"
+        )
+    right = np.clip(np.searchsorted(known, wanted, side="right"), 1, known.size - 1)
+    width = known[right] - known[right - 1]
+    share = np.where(width > 0, (wanted - known[right - 1]) / np.where(width > 0, width, 1.0), 1.0)
+    load = result["load_N"].values
+    return np.asarray(load[right - 1] + share[:, np.newaxis] * (load[right] - load[right - 1]))
+
+
+def slip_share(result: xr.Dataset, d_v_mm: ArrayLike, d_p_mm: ArrayLike) -> xr.DataArray:
+    """How far each sheet slipped within stretches of the pull, over their length: 0 stuck, 1 sliding.
+
+    Parameters
+    ----------
+    result
+        Of `pull_sheets`.
+    d_v_mm, d_p_mm
+        Ends of the stretches, such as the sticks of `vision.find_stick_slip` on the force.
+
+    Returns
+    -------
+    xarray.DataArray
+        (event, sheet): 1 − ΔT / (k Λ_st), with the load a sheet gained over what it gains where it sticks.
+    """
+    first, last = np.atleast_1d(np.asarray(d_v_mm, float)), np.atleast_1d(np.asarray(d_p_mm, float))
+    if first.shape != last.shape or not (last > first).all():
+        raise InputError("`d_p_mm`", "as many as `d_v_mm` and each larger", f"{last.size} for {first.size}")
+    gained = loads_at(result, last) - loads_at(result, first)
+    share = 1 - gained / (result.attrs["stiffness_N_per_mm"] * (last - first))[:, np.newaxis]
+    return xr.DataArray(share, dims=("event", "sheet"), coords={"side": result["side"], "n": result["n"]})

@@ -1,0 +1,568 @@
+"""Friction of two sheets on a rheometer: μ_s and μ_d of each measurement, and the law μ_s(N) = a (1 + b/N).
+
+Two discs of paper of radius R, pressed together by N, turn against each other; the torque gives the friction
+coefficient. Source: Plati, Restagno & Poulard, appendix "Single sheets characterization".
+"""
+
+# ruff: noqa: N815 (the unit is part of a name, and newton is N)
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from vision.errors import InputError
+from vision.models.rheometer import ROTATION, RotationMetadata, read_rheometer
+from vision.numeric import Floats, mad_sigma
+
+__all__ = [
+    "PUBLISHED_FRICTION",
+    "RADIUS_MM",
+    "RIM_CAVEAT",
+    "DiscFriction",
+    "FrictionSettings",
+    "StaticFriction",
+    "disc_friction",
+    "fit_static_friction",
+    "friction_curve",
+    "friction_of_disc",
+    "friction_table",
+    "read_rheometer",
+    "rim_slip_torque_N_m",
+    "threshold_curves",
+]
+
+RADIUS_MM = 25.0
+"""Radius of the publication's discs."""
+
+RIM_CAVEAT = (
+    "μ_s takes the whole disc to be at its threshold; where slip starts at the rim (shear ∝ r), the torque "
+    "is μ_s N R / 2 and the value is 0.75 times the true μ_s"
+)
+"""What the static coefficient assumes, to be shown wherever it is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrictionSettings:
+    """How μ_s and μ_d are taken from one curve μ(φ)."""
+
+    dynamic_deg: tuple[float, float] = (0.3, 120.0)
+    """Travelled angle over which μ_d is the mean: the publication's. A smaller start takes in the static peak
+    (`test_a_mean_from_zero_takes_in_the_peak`)."""
+    peak_before_deg: float = 5.0
+    """Where the static peak is looked for. Larger takes a later, slower maximum for the static one; smaller
+    misses the peak of a soft mounting, which winds up first
+    (`test_a_later_maximum_is_not_the_static_one`)."""
+    peak_drop: float = 0.02
+    """Least fall after the peak, as a share of it. Larger misses flat peaks, smaller takes a bump of the
+    rising flank for the peak."""
+    peak_noise: float = 8.0
+    """Least fall after the peak, in standard deviations of the noise."""
+    normal_window_s: float = 1.0
+    """Running mean of the measured normal force. Longer averages more noise, shorter follows a controller
+    that overshoots (`test_a_drifting_normal_force_is_followed`)."""
+    blocks: int = 12
+    """Stretches whose means tell the error of μ_d: more of them are shorter than the fluctuations of μ and
+    make the error too small."""
+
+
+def disc_friction(
+    torque_N_m: ArrayLike, *, normal_force_N: ArrayLike, radius_mm: float = RADIUS_MM
+) -> Floats:
+    r"""Friction coefficient of two discs from their torque, the whole area sliding under uniform pressure.
+
+    Parameters
+    ----------
+    torque_N_m, normal_force_N
+        Torque and normal force; they broadcast.
+    radius_mm
+        R, of the discs.
+
+    Returns
+    -------
+    Without unit; NaN where the normal force is not positive.
+
+    Notes
+    -----
+    .. math:: \tau = \int_0^R \mu \frac{N}{\pi R^2}\, 2\pi r^2\, dr = \tfrac{2}{3}\mu N R,
+              \qquad \mu = \frac{3}{2}\frac{\tau}{R N}
+
+    Source: appendix "Single sheets characterization".
+    """
+    load = np.asarray(normal_force_N, float)
+    usable = np.where(load > 0, load, np.nan)
+    return np.asarray(3 * np.asarray(torque_N_m, float) / (2 * radius_mm / 1000 * usable))
+
+
+def rim_slip_torque_N_m(
+    mu_s: ArrayLike, *, normal_force_N: ArrayLike, radius_mm: float = RADIUS_MM
+) -> Floats:
+    r"""Torque at which the rim begins to slip where the shear stress grows as the radius.
+
+    Notes
+    -----
+    .. math:: \tau = \int_0^R \mu_s \frac{N}{\pi R^2}\frac{r}{R}\, 2\pi r^2\, dr = \tfrac12 \mu_s N R,
+
+    which `disc_friction` reads as 0.75 μ_s.
+    """
+    return np.asarray(0.5 * np.asarray(mu_s, float) * np.asarray(normal_force_N, float) * radius_mm / 1000)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiscFriction:
+    """Friction coefficients of one measurement with their standard errors.
+
+    Parameters
+    ----------
+    source, measurement
+        File and measurement.
+    N_N, N_err_N
+        Mean normal force over the range of μ_d and its error; the error is 0 where N was given.
+    mu_s, mu_s_err
+        Static coefficient, the first maximum; NaN where the curve has none.
+    mu_d, mu_d_err
+        Dynamic coefficient, the mean over the range of angles; NaN where the rotation does not reach it.
+    peak_deg
+        Travelled angle of the maximum.
+    samples_before_dynamic
+        Samples from the start to the range of μ_d, in which the peak must be resolved.
+    warnings
+        What may spoil these numbers.
+    """
+
+    source: str
+    measurement: str
+    N_N: float
+    N_err_N: float
+    mu_s: float
+    mu_s_err: float
+    mu_d: float
+    mu_d_err: float
+    peak_deg: float
+    samples_before_dynamic: int
+    warnings: tuple[str, ...] = ()
+
+
+def friction_curve(
+    rotation: pd.DataFrame,
+    *,
+    radius_mm: float = RADIUS_MM,
+    normal_force_N: float | None = None,
+    settings: FrictionSettings = FrictionSettings(),
+) -> pd.DataFrame:
+    """μ against the travelled angle.
+
+    Parameters
+    ----------
+    rotation
+        One measurement of `read_rheometer`.
+    radius_mm
+        R, of the discs.
+    normal_force_N
+        N where it was not recorded, or to be used in place of the record.
+    settings
+        `FrictionSettings`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``angle_deg``, ``mu``, ``N_N`` (given, or the running mean of the record) and ``N_err_N`` (its
+        standard error), one row per sample.
+
+    Raises
+    ------
+    InputError
+        Without a normal force, or with one that is not a compression all along.
+    """
+    ROTATION.check(rotation)
+    about = f"{RotationMetadata.of(rotation).source}: {RotationMetadata.of(rotation).measurement}"
+    _positive(radius_mm, "radius_mm")
+    rows = len(rotation)
+    if normal_force_N is not None:
+        _positive(normal_force_N, "normal_force_N")
+        load, error = np.full(rows, float(normal_force_N)), np.zeros(rows)
+    elif "normal_force_N" not in rotation or rotation["normal_force_N"].isna().all():
+        raise InputError(about, "a normal force", "none recorded", "give `normal_force_N`")
+    else:
+        load, error = _running_load(rotation, settings.normal_window_s)
+    if (load <= 0).any() or not np.isfinite(load).all():
+        raise InputError(
+            about,
+            "a compressive normal force all along",
+            f"{load.min():.3g} to {load.max():.3g} N",
+            "give `normal_force_N`",
+        )
+    torque = rotation["torque_N_m"].to_numpy(float)
+    return pd.DataFrame(
+        {
+            "angle_deg": np.degrees(rotation["angle_rad"].to_numpy(float)),
+            "mu": disc_friction(torque, normal_force_N=load, radius_mm=radius_mm),
+            "N_N": load,
+            "N_err_N": error,
+        }
+    )
+
+
+def _positive(value: float, name: str) -> None:
+    if not math.isfinite(value) or value <= 0:
+        raise InputError(f"`{name}`", "a positive number", f"{value!r}")
+
+
+def _running_load(rotation: pd.DataFrame, window_s: float) -> tuple[Floats, Floats]:
+    """Running mean of the normal force and its standard error; compression counts positive."""
+    time = rotation["time_s"].to_numpy(float)
+    record_N = rotation["normal_force_N"].to_numpy(float)
+    known = np.isfinite(record_N)
+    if not np.isfinite(time).all():
+        time = np.arange(len(time), dtype=float)
+        window_s = 50.0
+    at, load = time[known], record_N[known]
+    load = load if float(np.median(load)) >= 0 else -load
+    total = np.concatenate([[0.0], np.cumsum(load)])
+    first = np.searchsorted(at, time - window_s / 2, side="left")
+    last = np.maximum(np.searchsorted(at, time + window_s / 2, side="right"), first + 1)
+    last = np.minimum(last, load.size)
+    first = np.minimum(first, last - 1)
+    count = last - first
+    return (total[last] - total[first]) / count, _noise(load) / np.sqrt(count)
+
+
+def _noise(values: Floats) -> float:
+    """Standard deviation of white noise from second differences, which smooth curves do not enter."""
+    return float(mad_sigma(np.diff(values, 2)) / math.sqrt(6)) if values.size > 4 else 0.0
+
+
+def friction_of_disc(
+    rotation: pd.DataFrame,
+    *,
+    radius_mm: float = RADIUS_MM,
+    normal_force_N: float | None = None,
+    settings: FrictionSettings = FrictionSettings(),
+) -> DiscFriction:
+    """μ_s and μ_d of one measurement, each with its standard error.
+
+    Parameters
+    ----------
+    rotation, radius_mm, normal_force_N, settings
+        As in `friction_curve`.
+
+    Returns
+    -------
+    DiscFriction
+        μ_s is the first maximum of μ(φ): the height of a parabola through the samples around it as far as one
+        fits them within their noise, or the highest sample of a sharp peak, whose error then has half the
+        step to its neighbour. μ_d is the mean over the angle (not over the samples, which may be unevenly
+        spaced) from 0.3° to 120°, its error from the scatter of the means of stretches. Errors contain that
+        of a measured N; sheets differ from each other by more.
+
+    Raises
+    ------
+    InputError
+        Without a normal force, or where the rotation ends before the range of μ_d.
+
+    Notes
+    -----
+    Where slip starts at the rim, the static value is 0.75 of the true one: `RIM_CAVEAT`.
+    Source: appendix "Single sheets characterization".
+    """
+    facts = RotationMetadata.of(rotation)
+    curve = friction_curve(rotation, radius_mm=radius_mm, normal_force_N=normal_force_N, settings=settings)
+    angle, mu = curve["angle_deg"].to_numpy(), curve["mu"].to_numpy()
+    low, high = settings.dynamic_deg
+    inside = (angle >= low) & (angle <= high)
+    if int(inside.sum()) < settings.blocks:
+        raise InputError(
+            f"{facts.source}: {facts.measurement}",
+            f"{settings.blocks} samples between {low:g}° and {high:g}°",
+            f"{int(inside.sum())} (rotation from 0° to {angle.max():.3g}°)",
+        )
+    mean_load = float(curve["N_N"].to_numpy()[inside].mean())
+    load_err = _noise(rotation["normal_force_N"].to_numpy(float)[inside]) if normal_force_N is None else 0.0
+    load_err /= math.sqrt(float(inside.sum()))
+    mu_d, scatter = _dynamic(angle[inside], mu[inside], settings)
+    noise = _noise(mu[inside])
+    peak = _first_maximum(angle, mu, noise, mu_d, settings)
+    mu_s, mu_s_err, peak_deg = (math.nan,) * 3
+    if peak is not None:
+        mu_s, fit_err = _height(mu, peak, noise)
+        share = float(curve["N_err_N"].iloc[peak] / curve["N_N"].iloc[peak])
+        mu_s_err, peak_deg = math.hypot(fit_err, mu_s * share), float(angle[peak])
+    samples = int(np.argmax(angle >= low))
+    return DiscFriction(
+        source=facts.source,
+        measurement=facts.measurement,
+        N_N=mean_load,
+        N_err_N=load_err,
+        mu_s=mu_s,
+        mu_s_err=mu_s_err,
+        mu_d=mu_d,
+        mu_d_err=math.hypot(scatter, mu_d * load_err / mean_load),
+        peak_deg=peak_deg,
+        samples_before_dynamic=samples,
+        warnings=(*facts.warnings, *_doubts(angle, peak_deg, samples, settings)),
+    )
+
+
+_LEAST_SAMPLES = 5  # on the way to the peak and down from it
+
+
+def _doubts(angle: Floats, peak_deg: float, samples: int, settings: FrictionSettings) -> list[str]:
+    low, high = settings.dynamic_deg
+    found = []
+    if angle.max() < 0.98 * high:
+        found.append(f"the rotation ends at {angle.max():.3g}°: μ_d is the mean from {low:g}° to there")
+    if math.isnan(peak_deg):
+        found.append(f"no maximum before {settings.peak_before_deg:g}°: no μ_s")
+    elif peak_deg > low:
+        found.append(f"the first maximum lies at {peak_deg:.2g}°, within the range of μ_d")
+    if samples < _LEAST_SAMPLES:
+        found.append(
+            f"{samples} samples before {low:g}°: the static peak is not resolved and μ_s may be too small"
+        )
+    return found
+
+
+def _dynamic(angle: Floats, mu: Floats, settings: FrictionSettings) -> tuple[float, float]:
+    """Mean over the angle and its standard error from the means of stretches of equal length."""
+    edges = np.linspace(angle[0], angle[-1], settings.blocks + 1)
+    order = np.argsort(angle, kind="stable")
+    phi, height = angle[order], mu[order]
+    area = np.concatenate([[0.0], np.cumsum(0.5 * (height[1:] + height[:-1]) * np.diff(phi))])
+    means = np.diff(np.interp(edges, phi, area)) / np.diff(edges)
+    return float(means.mean()), float(means.std(ddof=1) / math.sqrt(means.size))
+
+
+def _first_maximum(
+    angle: Floats, mu: Floats, noise: float, mu_d: float, settings: FrictionSettings
+) -> int | None:
+    """The sample of the first maximum from which μ clearly falls; None where there is none in reach."""
+    near = int(np.searchsorted(np.maximum.accumulate(angle), settings.peak_before_deg, side="right"))
+    early = mu[:near]
+    if not early.size:
+        return None
+    highest = np.maximum.accumulate(early)
+    fall = np.maximum(settings.peak_noise * noise, settings.peak_drop * highest)
+    fallen = (highest - early > fall) & (highest > 0.5 * mu_d)
+    return int(np.argmax(early[: int(np.argmax(fallen)) + 1])) if fallen.any() else None
+
+
+_WIDEST = 41  # samples of a parabola through the peak
+
+
+def _height(mu: Floats, peak: int, noise: float) -> tuple[float, float]:
+    """Height of the peak and its error.
+
+    The widest parabola that fits within the noise averages most of it. A sharp peak that even the narrowest
+    does not fit is known to half a step between samples.
+    """
+    top = float(mu[peak])
+    beside = np.abs(np.diff(mu[max(peak - 1, 0) : peak + 2]))
+    best = top, math.hypot(noise, 0.5 * float(beside.min(initial=np.inf)) if beside.size else 0.0)
+    if noise <= 0:
+        return best
+    for half in range(2, _WIDEST // 2 + 1):
+        if peak - half < 0 or peak + half + 1 > mu.size:
+            break
+        u = np.arange(-half, half + 1) / half
+        design = np.stack([np.ones_like(u), u, u * u], axis=1)
+        solution, *_ = np.linalg.lstsq(design, mu[peak - half : peak + half + 1], rcond=None)
+        residual = mu[peak - half : peak + half + 1] - design @ solution
+        free = 2 * half - 2
+        if float(residual @ residual) > free * noise**2 * (1 + 2 * math.sqrt(2 / free)) or solution[2] >= 0:
+            break
+        at = float(np.clip(-solution[1] / (2 * solution[2]), -1, 1))
+        row = np.array([1.0, at, at * at])
+        covariance = np.linalg.inv(design.T @ design)
+        best = float(row @ solution), noise * math.sqrt(float(row @ covariance @ row))
+    return best
+
+
+def friction_table(measured: Iterable[DiscFriction]) -> pd.DataFrame:
+    """One row per measurement: file, measurement, N_N, mu_s, mu_s_err, mu_d, mu_d_err, N_err_N, peak_deg,
+    warnings."""
+    rows = [
+        {
+            "file": Path(one.source).name,
+            "measurement": one.measurement,
+            "N_N": one.N_N,
+            "mu_s": one.mu_s,
+            "mu_s_err": one.mu_s_err,
+            "mu_d": one.mu_d,
+            "mu_d_err": one.mu_d_err,
+            "N_err_N": one.N_err_N,
+            "peak_deg": one.peak_deg,
+            "warnings": "; ".join(one.warnings),
+        }
+        for one in measured
+    ]
+    return pd.DataFrame(rows)
+
+
+# --- μ_s against N ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class StaticFriction:
+    r"""The law μ_s(N) = a (1 + b/N), with the publication's numbers by default.
+
+    Parameters
+    ----------
+    a, a_err
+        Coefficient at large loads.
+    b_N, b_err_N
+        Load at which adhesion doubles it.
+    correlation
+        Of the two.
+    chi2_dof
+        Of the fit; NaN with two points. Above 1 the errors are scaled by its square root.
+    points
+        Measurements fitted.
+
+    Notes
+    -----
+    .. math:: \mu_s(N) = a\,(1 + b/N), \qquad \mu_s N = a\,(N + b)
+
+    Source: the publication's appendix "Single sheets characterization", after Crassous et al. 1999.
+    """
+
+    a: float = 0.507
+    b_N: float = 0.143
+    a_err: float = math.nan
+    b_err_N: float = math.nan
+    correlation: float = math.nan
+    chi2_dof: float = math.nan
+    points: int = 0
+
+    def mu_s(self, N_N: ArrayLike) -> Floats:
+        """Static coefficient under a load; infinite at zero load, where the force itself is a b."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(self.a * (1 + self.b_N / np.asarray(N_N, float)))
+
+    def threshold_N(self, N_N: ArrayLike) -> Floats:
+        """Largest static friction force a (N + b)."""
+        return np.asarray(self.a * (np.asarray(N_N, float) + self.b_N))
+
+    def crossing_N(self, mu: float) -> float:
+        """Load at which the threshold equals that of a constant coefficient; infinite for mu <= a."""
+        return self.a * self.b_N / (mu - self.a) if mu > self.a else math.inf
+
+    def to_json(self) -> dict[str, float | int | None]:
+        """Fields of friction.json; None for what is not known."""
+        found = {
+            "a": self.a,
+            "a_err": self.a_err,
+            "b_N": self.b_N,
+            "b_err_N": self.b_err_N,
+            "correlation": self.correlation,
+            "chi2_dof": self.chi2_dof,
+        }
+        known = {name: value if math.isfinite(value) else None for name, value in found.items()}
+        return {**known, "points": self.points}
+
+
+PUBLISHED_FRICTION = StaticFriction()
+"""The publication's law: a = 0.507, b = 0.143 N."""
+
+
+def fit_static_friction(N_N: ArrayLike, mu_s: ArrayLike, mu_s_err: ArrayLike | None = None) -> StaticFriction:
+    r"""Weighted least squares of μ_s = a (1 + b/N).
+
+    Parameters
+    ----------
+    N_N, mu_s
+        Loads and static coefficients, one each per measurement; pairs with NaN are left out.
+    mu_s_err
+        Standard errors. None, or errors that are not all positive: every point weighs the same and the errors
+        come from the scatter.
+
+    Returns
+    -------
+    StaticFriction
+
+    Raises
+    ------
+    InputError
+        With fewer than two loads that differ, loads that are not positive, or points that give a ≤ 0.
+
+    Notes
+    -----
+    The law is linear in a and c = a b; b = c/a with
+
+    .. math:: \sigma_b^2 = \left(\sigma_c^2 + b^2\sigma_a^2 - 2b\,\sigma_{ac}\right)/a^2 .
+
+    The errors of single measurements know nothing of how sheets differ: where χ²/dof is above 1, all errors
+    are scaled by its square root.
+    """
+    load, mu = np.asarray(N_N, float), np.asarray(mu_s, float)
+    error = np.full(mu.shape, np.nan) if mu_s_err is None else np.asarray(mu_s_err, float)
+    if load.shape != mu.shape or error.shape != mu.shape or load.ndim != 1:
+        raise InputError("`N_N`, `mu_s`, `mu_s_err`", "columns of one length", f"{load.shape}, {mu.shape}")
+    kept = np.isfinite(load) & np.isfinite(mu)
+    load, mu, error = load[kept], mu[kept], error[kept]
+    if (load <= 0).any():
+        raise InputError("`N_N`", "positive loads", f"{load.min():.3g} N")
+    if load.size < 2 or float(np.ptp(load)) < 0.01 * float(load.max()):
+        raise InputError(
+            "the law μ_s = a(1 + b/N)", "two different normal forces with a μ_s", f"{_distinct(load)}"
+        )
+    weighted = bool((error > 0).all())
+    sigma = error if weighted else np.ones_like(mu)
+    design = np.stack([np.ones_like(load), 1 / load], axis=1) / sigma[:, np.newaxis]
+    covariance = np.linalg.inv(design.T @ design)
+    a, c = (float(value) for value in covariance @ design.T @ (mu / sigma))
+    residual = mu / sigma - design @ np.array([a, c])
+    free = load.size - 2
+    chi2_dof = float(residual @ residual) / free if free else math.nan
+    if a <= 0:
+        raise InputError("the law μ_s = a(1 + b/N)", "a positive a", f"{a:.3g}", "measure at larger loads")
+    if not weighted:
+        covariance = covariance * (chi2_dof if free else math.nan)
+        chi2_dof = math.nan
+    elif free and chi2_dof > 1:
+        covariance = covariance * chi2_dof
+    b = c / a
+    turn = np.array([[1.0, 0.0], [-b / a, 1 / a]])
+    of_ab = turn @ covariance @ turn.T
+    a_err, b_err = (float(value) for value in np.sqrt(np.diag(of_ab)))
+    return StaticFriction(
+        a=a,
+        b_N=b,
+        a_err=a_err,
+        b_err_N=b_err,
+        correlation=float(of_ab[0, 1] / (a_err * b_err)) if a_err * b_err > 0 else math.nan,
+        chi2_dof=chi2_dof,
+        points=int(load.size),
+    )
+
+
+def _distinct(load: Floats) -> str:
+    return ", ".join(f"{value:.3g} N" for value in np.unique(load)) or "no μ_s at all"
+
+
+def threshold_curves(
+    N_N: ArrayLike | None = None, *, mu: float = 0.89, law: StaticFriction = PUBLISHED_FRICTION
+) -> pd.DataFrame:
+    """Static friction force of a constant coefficient and of the law, over the loads inside the blocks.
+
+    Parameters
+    ----------
+    N_N
+        Loads; by default 200 of them from 0.0034 N (T*/μ) to 6.4 N (the axis at d = 13.5 mm), the
+        publication's range.
+    mu
+        The constant coefficient.
+    law
+        Of `fit_static_friction`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``N_N``, ``constant_N`` = μN and ``law_N`` = a(N + b). They cross at ``law.crossing_N(mu)``.
+    """
+    load = np.geomspace(0.0034, 6.4, 200) if N_N is None else np.asarray(N_N, float)
+    return pd.DataFrame({"N_N": load, "constant_N": mu * load, "law_N": law.threshold_N(load)})

@@ -1,0 +1,539 @@
+r"""Young's modulus of one sheet from push–pull cycles between two clamps.
+
+The distance Δ of the clamps goes back and forth; where the sheet is taut, the traction follows F = kΔ + F0.
+Source: Plati, Restagno & Poulard, appendix "Single sheets characterization".
+"""
+
+# ruff: noqa: N815 (the unit is part of a name, and newton is N)
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import ArrayLike
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import find_peaks
+
+from vision.data import FORCE, Metadata, Schema, Variable, record
+from vision.errors import InputError
+from vision.numeric import Floats, Ints
+from vision.sample import Sample
+
+STRIP = Sample(length_mm=16.8)
+"""The publication's single sheet between its clamps: ε = 0.1, W = 45, L = 16.8 mm."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModulusSettings:
+    """How cycles are cut and which part of a loading branch is fitted."""
+
+    part: tuple[float, float] = (0.4, 0.9)
+    """Part of the rise of the force on a loading branch that is fitted. A lower start takes in the slack of a
+    sheet that was pushed (`test_a_fit_from_the_slack_on_is_wrong`); a narrow part has larger errors."""
+    smoothing: float = 0.02
+    """Running mean of Δ and F before turning points and levels are looked for, as a share of a branch. Larger
+    blunts the turning points, smaller lets noise make some."""
+    least_reversal: float = 0.2
+    """Least way back, as a share of the whole range of Δ, that is a turning point. Larger misses cycles of
+    growing amplitude, smaller takes a slip of the clamp for a cycle."""
+    least_samples: int = 12
+    """Samples on the fitted part of a branch, below which it is left out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CyclesMetadata(Metadata):
+    """How the cycles were measured.
+
+    Parameters
+    ----------
+    source
+        The recording's path.
+    sheet
+        ε, W and L of the sheet in mm.
+    clamp_distance_from
+        "given", "column" (the recording holds Δ itself) or "length" (Δ = L + crosshead).
+    machine_stiffness_N_per_mm
+        By which Δ was corrected; NaN for no correction.
+    notes, warnings
+        What was assumed, and what may spoil the numbers.
+    """
+
+    source: str = "the recording"
+    sheet: Sequence[float] = (math.nan,) * 3
+    clamp_distance_from: str = "given"
+    machine_stiffness_N_per_mm: float = math.nan
+    notes: Sequence[str] = field(default_factory=list)
+    warnings: Sequence[str] = field(default_factory=list)
+
+
+_CYCLE = ("cycle",)
+CYCLES = Schema(
+    "cycles",
+    "vision.models.modulus.measure_cycles",
+    {
+        "cycle": Variable(_CYCLE, "", "cycle number, from 1"),
+        "k_N_per_mm": Variable(_CYCLE, "N/mm", "slope of the loading branch"),
+        "k_err_N_per_mm": Variable(_CYCLE, "N/mm", "standard error of k"),
+        "F0_N": Variable(_CYCLE, "N", "force extrapolated to Δ = 0"),
+        "F0_err_N": Variable(_CYCLE, "N", "standard error of F0"),
+        "Y_p_GPa": Variable(_CYCLE, "GPa", "|F0| / (εW)"),
+        "Y_p_err_GPa": Variable(_CYCLE, "GPa", "standard error of Y_p"),
+        "Y_slope_GPa": Variable(_CYCLE, "GPa", "kL / (εW)"),
+        "Y_slope_err_GPa": Variable(_CYCLE, "GPa", "standard error of kL/(εW)"),
+        "delta0_mm": Variable(_CYCLE, "mm", "Δ0 = −F0/k"),
+        "delta0_err_mm": Variable(_CYCLE, "mm", "standard error of Δ0"),
+        "loop_mJ": Variable(_CYCLE, "mJ", "energy lost in the cycle"),
+        "residual_mm": Variable(_CYCLE, "mm", "Δ at F = 0, unloading less loading"),
+        "t_start_s": Variable(_CYCLE, "s", "start of the loading branch"),
+        "t_end_s": Variable(_CYCLE, "s", "end of the loading branch"),
+        "fit_from_mm": Variable(_CYCLE, "mm", "Δ where the fitted part starts"),
+        "fit_to_mm": Variable(_CYCLE, "mm", "Δ where it ends"),
+        "F_max_N": Variable(_CYCLE, "N", "largest force of the branch"),
+        "samples": Variable(_CYCLE, "", "samples fitted"),
+    },
+    CyclesMetadata,
+)
+
+# --- turning points -----------------------------------------------------------------------------------------
+
+
+def turning_points(displacement: ArrayLike, *, settings: ModulusSettings = ModulusSettings()) -> Ints:
+    """Samples at which a displacement turns back, its first and last sample included.
+
+    Parameters
+    ----------
+    displacement
+        (samples,), without NaN, any unit; noise and steps of the resolution are smoothed.
+    settings
+        `ModulusSettings`: how far it must go back.
+
+    Returns
+    -------
+    Rising indices that alternate between low and high; [0, last] for a displacement that only rises.
+    """
+    raw = np.asarray(displacement, float)
+    last = raw.size - 1
+    if raw.size < 5 or float(np.ptp(raw)) == 0:
+        return np.array([0, max(last, 0)], np.int64)
+    turns = _turns(raw, settings.least_reversal)
+    if turns.size > 2:  # smoothed again in proportion to the branches found
+        width = max(int(settings.smoothing * float(np.median(np.diff(turns)))), 1)
+        turns = _turns(uniform_filter1d(raw, width, mode="nearest"), settings.least_reversal)
+    return turns
+
+
+def _turns(values: Floats, least: float) -> Ints:
+    prominence = least * float(np.ptp(values))
+    # Ends count as turning points of their own: padding makes them none.
+    padded = np.concatenate([[values.min()], values, [values.min()]])
+    high, _ = find_peaks(padded, prominence=prominence)
+    padded = np.concatenate([[values.max()], values, [values.max()]])
+    low, _ = find_peaks(-padded, prominence=prominence)
+    inner = np.union1d(high, low).astype(np.int64) - 1
+    inner = inner[(inner > 0) & (inner < values.size - 1)]
+    return np.union1d(inner, [0, values.size - 1]).astype(np.int64)
+
+
+def looks_like_cycles(
+    time: ArrayLike, displacement: ArrayLike, *, settings: ModulusSettings = ModulusSettings()
+) -> bool:
+    """Whether a recording is made of push–pull cycles rather than one pull.
+
+    Parameters
+    ----------
+    time, displacement
+        (samples,), any unit; rows with NaN or with times that do not rise are left out.
+    settings
+        `ModulusSettings`: how far the displacement must go back to count.
+
+    Returns
+    -------
+    True where the displacement turns back at least twice by a fifth of its range: on such a recording rises
+    and falls of the force are loading and unloading, not stick and slip. One pull with one return is none.
+    """
+    at, position = np.asarray(time, float), np.asarray(displacement, float)
+    kept = np.isfinite(at) & np.isfinite(position)
+    at, position = at[kept], position[kept]
+    rising = at > np.maximum.accumulate(np.concatenate([[-np.inf], at[:-1]]))
+    return turning_points(position[rising], settings=settings).size >= 4
+
+
+def cycles_seen(force: xr.Dataset) -> str:
+    """One line that says how many push–pull cycles a recording holds; "" for a single pull.
+
+    Parameters
+    ----------
+    force
+        As `vision.read_force` returns it; without a recorded displacement nothing can be told and it is "".
+    """
+    if "crosshead_mm" not in force:
+        return ""
+    time, crosshead = force["time_s"].values, force["crosshead_mm"].values
+    if not looks_like_cycles(time, crosshead):
+        return ""
+    known = crosshead[np.isfinite(crosshead)]
+    number = (turning_points(known).size - 1) // 2
+    return (
+        f"{number} push–pull cycles between {known.min():.4g} and {known.max():.4g} mm, no stick-slip: "
+        "their rises and falls are loading and unloading"
+    )
+
+
+# --- cycles -------------------------------------------------------------------------------------------------
+
+
+def modulus_from_offset_GPa(F0_N: ArrayLike, *, sheet: Sample = STRIP) -> Floats:
+    r"""Young's modulus from the force extrapolated to Δ = 0.
+
+    .. math:: Y_p = \frac{k\Delta_0}{\epsilon W} = \frac{|F_0|}{\epsilon W}, \qquad \Delta_0 = -F_0/k
+
+    The publication prints Δ0 = k/F0, which has the wrong dimension.
+    """
+    return np.asarray(np.abs(np.asarray(F0_N, float)) / (sheet.thickness_mm * sheet.width_mm) / 1000)
+
+
+def modulus_from_slope_GPa(k_N_per_mm: ArrayLike, *, sheet: Sample = STRIP) -> Floats:
+    """Young's modulus from the slope and the length, Y = k L / (ε W)."""
+    area = sheet.thickness_mm * sheet.width_mm
+    return np.asarray(np.asarray(k_N_per_mm, float) * sheet.length_mm / area / 1000)
+
+
+def measure_cycles(
+    force: xr.Dataset,
+    *,
+    sheet: Sample = STRIP,
+    clamp_distance_mm: float | None = None,
+    machine_stiffness_N_per_mm: float | None = None,
+    settings: ModulusSettings = ModulusSettings(),
+) -> pd.DataFrame:
+    r"""Slope, offset and modulus of every loading branch.
+
+    Parameters
+    ----------
+    force
+        As `vision.read_force` returns it, with a displacement.
+    sheet
+        ε, W and L of the sheet (its other fields have no meaning here).
+    clamp_distance_mm
+        Δ at the first sample. By default the displacement is taken for Δ itself where it lies within half of
+        L from L, else for a crosshead that is 0 at Δ = L; a note says which.
+    machine_stiffness_N_per_mm
+        Of frame, load cell and clamps, to take F over it off Δ; no correction if absent.
+    settings
+        `ModulusSettings`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns as in `CYCLES`, one row per loading branch, ``attrs`` as in `CyclesMetadata`. NaN in
+        ``loop_mJ`` where the recording ends before the cycle does, and in ``residual_mm`` where F does not
+        return to 0.
+
+    Raises
+    ------
+    InputError
+        Without a displacement or without cycles, for a load that is no force, a machine softer than the sheet
+        with it, or branches without enough samples.
+
+    Notes
+    -----
+    .. math:: F = k\Delta + F_0, \qquad \sigma_{F_0}^2 = s^2/n + \bar\Delta^2\sigma_k^2
+
+    F0 is an extrapolation from strains of a few per cent to Δ = 0, over the whole length of the sheet: k and
+    F0 share their relative error nearly. Residuals that are correlated from sample to sample (ρ, first order)
+    make errors larger by √((1 + ρ)/(1 − ρ)). An error of Δ itself enters in full: 1 % of L is 1 % of Y_p.
+    Source: appendix "Single sheets characterization".
+    """
+    machine = machine_stiffness_N_per_mm
+    if machine is not None and (not math.isfinite(machine) or machine <= 0):
+        raise InputError("`machine_stiffness_N_per_mm`", "a positive number", f"{machine!r}")
+    cycles, facts = _clean(force, sheet, clamp_distance_mm, machine or math.inf, settings)
+    source = facts.source
+    branches = _loading_branches(cycles)
+    if not branches:
+        returns = max(cycles.turns.size - 2, 0)
+        raise InputError(source, "push–pull cycles", f"a displacement that turns back {returns} times")
+    rows, skipped = [], 0
+    for start, stop, following in branches:
+        chosen = _part(cycles.smooth, start, stop, settings.part)
+        if chosen.stop - chosen.start < settings.least_samples:
+            skipped += 1
+            continue
+        rows.append(_branch(cycles, start, stop, following, chosen, sheet))
+    if not rows:
+        raise InputError(
+            source, f"loading branches with {settings.least_samples} samples on the fitted part", "none"
+        )
+    if min(row["k_N_per_mm"] for row in rows) <= 0:
+        advice = "`machine_stiffness_N_per_mm` may be too small" if machine else "is tension negative?"
+        found = f"a slope of {min(row['k_N_per_mm'] for row in rows):.3g} N/mm"
+        raise InputError(source, "a force that rises with Δ on loading branches", found, advice)
+    table = pd.DataFrame(rows)
+    table.insert(0, "cycle", np.arange(1, len(rows) + 1))
+    warnings = [*facts.warnings, *([f"{skipped} loading branches with too few samples"] if skipped else [])]
+    stiffness = math.nan if machine is None else machine
+    notes = [*facts.notes, *_remarks(table, sheet, stiffness)]
+    meta = CyclesMetadata(
+        source=source,
+        sheet=(sheet.thickness_mm, sheet.width_mm, sheet.length_mm),
+        clamp_distance_from=facts.clamp_distance_from,
+        machine_stiffness_N_per_mm=stiffness,
+        notes=notes,
+        warnings=warnings,
+    )
+    table.attrs.update(meta.attrs())
+    return record(table, "measure_cycles", machine_stiffness_N_per_mm=stiffness, part=settings.part)
+
+
+@dataclass(frozen=True)
+class _Cycles:
+    """t, Δ (corrected for the machine), F and smoothed F of the good samples, and the turning points."""
+
+    time: Floats
+    delta: Floats
+    load: Floats
+    smooth: Floats
+    turns: Ints
+
+
+_WHOLE = 0.5  # of the usual travel: shorter branches are cut off by the recording's ends
+
+
+def _loading_branches(cycles: _Cycles) -> list[tuple[int, int, int | None]]:
+    """(start, top, end of the unloading or None) of each branch on which Δ grows; [] without cycles."""
+    turns = cycles.turns
+    if turns.size < 4:
+        return []
+    travel = np.diff(cycles.delta[turns])
+    whole = np.abs(travel) > _WHOLE * float(np.median(np.abs(travel)))
+    return [
+        (int(turns[k]), int(turns[k + 1]), int(turns[k + 2]) if whole[k + 1 : k + 2].any() else None)
+        for k in np.flatnonzero((travel > 0) & whole)
+    ]
+
+
+def _branch(
+    cycles: _Cycles, start: int, stop: int, following: int | None, chosen: slice, sheet: Sample
+) -> dict[str, float]:
+    """The row of one loading branch, without its number."""
+    delta, load, smooth = cycles.delta, cycles.load, cycles.smooth
+    line = _line(delta[chosen], load[chosen])
+    return {
+        **_row(line, sheet),
+        **_loop(delta, load, smooth, start, stop, following),
+        "t_start_s": float(cycles.time[start]),
+        "t_end_s": float(cycles.time[stop]),
+        "fit_from_mm": float(delta[chosen][0]),
+        "fit_to_mm": float(delta[chosen][-1]),
+        "F_max_N": float(smooth[start : stop + 1].max()),
+        "samples": chosen.stop - chosen.start,
+    }
+
+
+def _clean(
+    force: xr.Dataset,
+    sheet: Sample,
+    clamp_distance_mm: float | None,
+    machine_N_per_mm: float,
+    settings: ModulusSettings,
+) -> tuple[_Cycles, CyclesMetadata]:
+    """The samples that can be measured on with their turning points, and what Δ was taken from."""
+    FORCE.check(force)
+    source = str(force.attrs.get("path", force.attrs.get("source", "the recording")))
+    if "crosshead_mm" not in force:
+        raise InputError(source, "a displacement", "time and load only", "name its column")
+    if force["load_N"].attrs.get("units", "N") != "N":
+        raise InputError(source, "a load in N", f"units {force['load_N'].attrs['units']!r}")
+    at = force["time_s"].values.astype(float)
+    crosshead, load = force["crosshead_mm"].values.astype(float), force["load_N"].values.astype(float)
+    kept = np.isfinite(at) & np.isfinite(crosshead) & np.isfinite(load)
+    kept &= ~np.isin(force["flag"].values, ("saturated", "backwards", "repeated"))
+    warnings = [] if kept.all() else [f"{int((~kept).sum())} of {kept.size} samples left out"]
+    at, crosshead, load = at[kept], crosshead[kept], load[kept]
+    if at.size < 5:
+        raise InputError(source, "samples with time, displacement and load", f"{at.size}")
+    if clamp_distance_mm is not None:
+        if not math.isfinite(clamp_distance_mm) or clamp_distance_mm <= 0:
+            raise InputError("`clamp_distance_mm`", "a positive number", f"{clamp_distance_mm!r}")
+        how, delta, notes = "given", clamp_distance_mm + crosshead - crosshead[0], []
+    elif abs(float(np.median(crosshead)) - sheet.length_mm) < 0.5 * sheet.length_mm:
+        how, delta = "column", crosshead
+        notes = ["the displacement is taken for the distance Δ of the clamps"]
+    else:
+        how, delta = "length", sheet.length_mm + crosshead
+        notes = [f"the displacement is taken to be 0 at Δ = L = {sheet.length_mm:g} mm"]
+    facts = CyclesMetadata(source=source, clamp_distance_from=how, notes=notes, warnings=warnings)
+    turns = turning_points(delta, settings=settings)
+    width = max(int(settings.smoothing * float(np.median(np.diff(turns)))), 1)
+    smooth = uniform_filter1d(load, width, mode="nearest")
+    return _Cycles(at, delta - load / machine_N_per_mm, load, smooth, turns), facts
+
+
+def _part(smooth: Floats, start: int, stop: int, part: tuple[float, float]) -> slice:
+    """The contiguous samples of a branch between two levels of the rise of the force."""
+    branch = smooth[start : stop + 1]
+    top = int(np.argmax(branch))
+    low = int(np.argmin(branch[: top + 1]))
+    level = branch[low] + np.asarray(part) * (branch[top] - branch[low])
+    rise = branch[low : top + 1]
+    first = low + int(np.flatnonzero(rise < level[0])[-1] + 1 if (rise < level[0]).any() else 0)
+    last = low + int(np.argmax(rise >= level[1]))
+    return slice(start + first, start + max(last, first))
+
+
+@dataclass(frozen=True)
+class _Line:
+    """F = slope Δ + offset, with errors that hold for correlated residuals."""
+
+    slope: float
+    slope_err: float
+    offset: float
+    offset_err: float
+    root: float
+    root_err: float
+
+
+def _line(delta: Floats, load: Floats) -> _Line:
+    middle, level = float(delta.mean()), float(load.mean())
+    x, y = delta - middle, load - level
+    sxx = float(x @ x)
+    if sxx <= 0:
+        return _Line(-math.inf, math.nan, math.nan, math.nan, math.nan, math.nan)
+    slope = float(x @ y) / sxx
+    residual = y - slope * x
+    squares = float(residual @ residual)
+    rho = float(residual[1:] @ residual[:-1]) / squares if squares > 0 else 0.0
+    rho = min(max(rho, 0.0), 0.99)
+    variance = squares / max(delta.size - 2, 1) * (1 + rho) / (1 - rho)
+    of_slope, of_mean = variance / sxx, variance / delta.size
+    # Δ0 = middle − level / slope: only the uncorrelated level and slope enter.
+    of_root = (of_mean + (level / slope) ** 2 * of_slope) / slope**2 if slope else math.inf
+    return _Line(
+        slope=slope,
+        slope_err=math.sqrt(of_slope),
+        offset=level - slope * middle,
+        offset_err=math.sqrt(of_mean + middle**2 * of_slope),
+        root=middle - level / slope if slope else math.nan,
+        root_err=math.sqrt(of_root),
+    )
+
+
+def _row(line: _Line, sheet: Sample) -> dict[str, float]:
+    return {
+        "k_N_per_mm": line.slope,
+        "k_err_N_per_mm": line.slope_err,
+        "F0_N": line.offset,
+        "F0_err_N": line.offset_err,
+        "Y_p_GPa": float(modulus_from_offset_GPa(line.offset, sheet=sheet)),
+        "Y_p_err_GPa": float(modulus_from_offset_GPa(line.offset_err, sheet=sheet)),
+        "Y_slope_GPa": float(modulus_from_slope_GPa(line.slope, sheet=sheet)),
+        "Y_slope_err_GPa": float(modulus_from_slope_GPa(line.slope_err, sheet=sheet)),
+        "delta0_mm": line.root,
+        "delta0_err_mm": line.root_err,
+    }
+
+
+def _loop(
+    delta: Floats, load: Floats, smooth: Floats, start: int, top: int, stop: int | None
+) -> dict[str, float]:
+    """Energy lost between loading and unloading, and how far Δ at F = 0 has moved."""
+    loop_mJ = residual = math.nan
+    if stop is not None:
+        # Closed over the range of Δ that both branches cover: cycles need not return to where they began.
+        up, down = slice(start, top + 1), slice(top, stop + 1)
+        shared = max(float(delta[start]), float(delta[stop]))
+        loop_mJ = _work(delta[up], load[up], shared) + _work(delta[down], load[down], shared)
+        residual = _zero(delta[down][::-1], smooth[down][::-1]) - _zero(delta[up], smooth[up])
+    return {"loop_mJ": loop_mJ, "residual_mm": residual}
+
+
+def _work(delta: Floats, load: Floats, above: float) -> float:
+    """Integral of F dΔ where Δ is above a limit, N mm."""
+    clipped = np.maximum(delta, above)
+    return float(np.sum(0.5 * (load[1:] + load[:-1]) * np.diff(clipped)))
+
+
+def _zero(delta: Floats, load: Floats) -> float:
+    """Δ where a rising force passes 0 for the last time; NaN where it does not."""
+    below = np.flatnonzero(load <= 0)
+    if not below.size or below[-1] == load.size - 1:
+        return math.nan
+    k = int(below[-1])
+    return float(delta[k] - load[k] * (delta[k + 1] - delta[k]) / (load[k + 1] - load[k]))
+
+
+def _remarks(table: pd.DataFrame, sheet: Sample, machine: float) -> list[str]:
+    k, root = float(table["k_N_per_mm"].mean()), float(table["delta0_mm"].mean())
+    notes = [
+        f"Y_p = |F0|/(εW) extrapolates from Δ = {table['fit_from_mm'].min():.4g} mm to 0; "
+        f"kL/(εW) does not (Δ0 = {root:.4g} mm, L = {sheet.length_mm:g} mm)"
+    ]
+    if math.isnan(machine):
+        notes.append(
+            f"the machine's compliance is not corrected: 10⁵ N/mm would raise k by {100 * k / 1e5:.2g} %"
+        )
+    return notes
+
+
+# --- the modulus --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeanValue:
+    """Mean over cycles, its standard error, and the scatter (standard deviation) of single cycles."""
+
+    value: float
+    error: float
+    scatter: float
+
+    def to_json(self) -> dict[str, float | None]:
+        """For modulus.json; None for NaN."""
+        fields = {"value": self.value, "error": self.error, "scatter": self.scatter}
+        return {name: number if math.isfinite(number) else None for name, number in fields.items()}
+
+
+def mean_over_cycles(cycles: pd.DataFrame, column: str) -> MeanValue:
+    """Mean of a column of `measure_cycles` over the cycles.
+
+    Parameters
+    ----------
+    cycles
+        Of `measure_cycles`.
+    column
+        Its name, such as "Y_p_GPa".
+
+    Returns
+    -------
+    MeanValue
+        Every cycle weighs the same. The error is the larger of what the scatter over √n and the errors of the
+        fits give; with one cycle the scatter is NaN.
+    """
+    CYCLES.check(cycles)
+    values = cycles[column].to_numpy(float)
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return MeanValue(value=math.nan, error=math.nan, scatter=math.nan)
+    scatter = float(values.std(ddof=1)) if values.size > 1 else math.nan
+    given = _error_of(column)
+    fitted = 0.0
+    if given in cycles:
+        errors = cycles[given].to_numpy(float)
+        fitted = float(np.sqrt(np.nansum(errors**2))) / values.size
+    spread = scatter / math.sqrt(values.size) if values.size > 1 else 0.0
+    return MeanValue(value=float(values.mean()), error=max(fitted, spread) or math.nan, scatter=scatter)
+
+
+def _error_of(column: str) -> str:
+    """Y_p_err_GPa from Y_p_GPa: the unit comes last."""
+    unit = next((unit for unit in ("_N_per_mm", "_GPa", "_N", "_mm", "_mJ") if column.endswith(unit)), "")
+    return f"{column.removesuffix(unit)}_err{unit}"
+
+
+def summarise_modulus(cycles: pd.DataFrame) -> dict[str, MeanValue]:
+    """Y_p, kL/(εW), k, F0, Δ0, loop energy and residual Δ, each as its mean over the cycles."""
+    names = ("Y_p_GPa", "Y_slope_GPa", "k_N_per_mm", "F0_N", "delta0_mm", "loop_mJ", "residual_mm")
+    return {name: mean_over_cycles(cycles, name) for name in names}

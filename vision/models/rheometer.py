@@ -1,0 +1,418 @@
+"""Rheometer exports: RheoCompass (Anton Paar) with several results and intervals, and plain tables."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vision.data import Metadata, Schema, Variable, record
+from vision.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotationMetadata(Metadata):
+    """Which measurement a table of one rotation holds.
+
+    Parameters
+    ----------
+    source, measurement
+        The file's path; result and interval, unique within the file.
+    notes, warnings
+        What was assumed, and what may spoil the numbers.
+    """
+
+    source: str = "the rheometer's file"
+    measurement: str = "1"
+    notes: Sequence[str] = field(default_factory=list)
+    warnings: Sequence[str] = field(default_factory=list)
+
+
+_ROW = ("sample",)
+ROTATION = Schema(
+    "rotation",
+    "vision.models.rheometer.read_rheometer",
+    {
+        "time_s": Variable(_ROW, "s", "time"),
+        "angle_rad": Variable(_ROW, "rad", "deflection angle"),
+        "torque_N_m": Variable(_ROW, "N m", "torque"),
+        "normal_force_N": Variable(_ROW, "N", "normal force", required=False),
+    },
+    RotationMetadata,
+)
+
+_TORQUE = {"Nm": 1.0, "mNm": 1e-3, "µNm": 1e-6, "nNm": 1e-9, "Nmm": 1e-3, "cNm": 1e-2, "mNmm": 1e-6}
+_ANGLE = {
+    "rad": 1.0,
+    "mrad": 1e-3,
+    "µrad": 1e-6,
+    "°": math.pi / 180,
+    "deg": math.pi / 180,
+    "rev": 2 * math.pi,
+}
+_FORCE = {"N": 1.0, "mN": 1e-3, "µN": 1e-6, "kN": 1e3}
+_TIME = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0}
+_SPEED = {"rad/s": 1.0, "1/s": 2 * math.pi, "1/min": math.pi / 30, "rpm": math.pi / 30, "°/s": math.pi / 180}
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """How a column is recognised: words of its name, words it lacks, units, the unit where none is
+    written."""
+
+    column: str
+    words: tuple[str, ...]
+    never: tuple[str, ...]
+    units: Mapping[str, float]
+    unsaid: str = ""
+
+
+_QUANTITIES = (
+    _Quantity("torque_N_m", ("torque", "drehmoment", "couple", "moment"), ("force", "speed"), _TORQUE),
+    _Quantity("angle_rad", ("angle", "angular deflection", "winkel"), ("phase", "loss", "shift"), _ANGLE),
+    _Quantity("normal_force_N", ("normal force", "normalkraft", "force normale"), ("stress",), _FORCE, "N"),
+    _Quantity("time_s", ("time", "zeit", "temps"), ("date", "stamp"), _TIME, "s"),
+    _Quantity("speed_rad_s", ("speed", "drehzahl", "vitesse", "angular velocity"), ("shear",), _SPEED),
+)
+_MARKS = ("Project:", "Test:", "Result:", "Interval and data points:", "Interval data:")
+_SEPARATORS = ("\t", ";", ",")
+
+
+def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
+    """Every rotation that a rheometer's file holds.
+
+    Parameters
+    ----------
+    path
+        RheoCompass export (Anton Paar; UTF-16 or UTF-8; tab, semicolon or comma; several results and
+        intervals), or a plain table whose header names torque and angle with their units, as in
+        ``Torque [mN·m]`` or ``Angle (°)``. Units: mN·m, µN·m, N·m; mrad, rad, °; N, mN.
+
+    Returns
+    -------
+    list of pandas.DataFrame
+        One per measurement in file order, columns as in `ROTATION`: time in s, angle in rad, torque in N m
+        and, where recorded, the normal force in N (NaN where a cell is empty). The angle starts at 0 and,
+        like the torque, is positive in the sense of the rotation. ``attrs`` as in `RotationMetadata`.
+
+    Raises
+    ------
+    InputError
+        For a file that is missing, empty or binary, without a torque column, with a unit that is not known,
+        or without any rotation.
+
+    Notes
+    -----
+    Intervals of one result are one measurement where the second goes on at the angle and the normal force at
+    which the first ended (a fine sampling of the peak, then a coarse one). Intervals without rotation
+    (approach, waiting) are left out, and a note says so.
+    """
+    path = Path(path)
+    lines = _decode(path).splitlines()
+    starts = [k for k, line in enumerate(lines) if _mark(line) == "Interval and data points:"]
+    blocks = _intervals(path, lines, starts) if starts else [_plain_table(path, lines)]
+    rotations = _joined([_rotation(path, block) for block in blocks])
+    if not rotations:
+        raise InputError(path, "a rotation", _nothing(blocks), "export torque and deflection angle")
+    skipped = [f"{block.name}: {block.problem}" for block in blocks if block.problem]
+    return [_finished(path, parts, skipped) for parts in rotations]
+
+
+@dataclass
+class _Block:
+    """One interval: its cells as text, and why it is no measurement."""
+
+    result: str
+    name: str
+    names: list[str]
+    units: list[str]
+    cells: pd.DataFrame
+    warnings: list[str] = field(default_factory=list)
+    problem: str = ""
+    values: pd.DataFrame = field(default_factory=pd.DataFrame)
+
+
+def _decode(path: Path) -> str:
+    if not path.is_file():
+        raise InputError(path, "a rheometer's file", "a folder" if path.is_dir() else "no such file")
+    data = path.read_bytes()
+    if not data.strip(b"\x00 \t\r\n"):
+        raise InputError(path, "a rheometer's file", "an empty file")
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return data.decode("utf-16", errors="replace")
+    head = np.frombuffer(data[:4096], np.uint8)
+    odd, even = float(np.mean(head[1::2] == 0)), float(np.mean(head[::2] == 0))
+    if max(odd, even) > 0.4 and min(odd, even) < 0.1:  # Latin text in two bytes a letter, without the mark
+        return data.decode("utf-16-le" if odd > even else "utf-16-be", errors="replace")
+    if max(odd, even) > 0:
+        raise InputError(path, "a text export of a rheometer", "a binary file", "export it as text or CSV")
+    for encoding in ("utf-8-sig", "cp1252"):
+        try:
+            return data.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+    return data.decode("latin-1")
+
+
+def _mark(line: str) -> str:
+    """The RheoCompass keyword that a line begins with, "" for none."""
+    start = line.lstrip('\ufeff" ')
+    return next((mark for mark in _MARKS if start.startswith(mark)), "")
+
+
+def _separator(line: str) -> str:
+    return max(_SEPARATORS, key=line.count)
+
+
+def _cells(lines: Sequence[str], separator: str) -> pd.DataFrame:
+    """Cells as text; short rows are filled with ""."""
+    width = max((line.count(separator) for line in lines), default=0) + 1
+    return pd.read_csv(
+        io.StringIO("\n".join(lines)),
+        sep=separator,
+        header=None,
+        names=list(range(width)),
+        dtype=str,
+        keep_default_na=False,
+        skip_blank_lines=True,
+        index_col=False,
+        engine="c",
+        on_bad_lines="skip",
+    ).fillna("")
+
+
+def _intervals(path: Path, lines: list[str], starts: list[int]) -> list[_Block]:
+    """The intervals of a RheoCompass export."""
+    marks = [_mark(line) for line in lines]
+    blocks: list[_Block] = []
+    for start in starts:
+        stop = next(
+            (k for k in range(start + 1, len(lines)) if marks[k] not in ("", "Interval data:")), len(lines)
+        )
+        before = next((k for k in range(start, -1, -1) if marks[k] == "Result:"), None)
+        separator = _separator(lines[start])
+        result = "" if before is None else _words(lines[before], separator)[1]
+        said = _words(lines[start], separator)
+        header = next((k for k in range(start, stop) if marks[k] == "Interval data:"), None)
+        name = f"{result or 'result'}, interval {said[1] or len(blocks) + 1}"
+        if header is None or header + 1 >= stop:
+            raise InputError(path, "'Interval data:' with columns and rows", f"none in {name}")
+        blocks.append(_interval(result, name, lines[header:stop], said[2]))
+    repeated = {b.name for b in blocks if sum(b.name == other.name for other in blocks) > 1}
+    for number, block in enumerate(blocks):
+        if block.name in repeated:
+            block.name += f" (no. {number + 1} in the file)"
+    return blocks
+
+
+def _words(line: str, separator: str) -> list[str]:
+    """Cells of a line of keywords, at least three."""
+    return [*(cell.strip().strip('"').strip() for cell in line.split(separator)), "", ""]
+
+
+def _interval(result: str, name: str, lines: list[str], promised: str) -> _Block:
+    """One interval: names, one or two rows of which the last has the units in brackets, then data."""
+    cells = _cells(lines, _separator(lines[0])).map(str.strip)
+    names = [str(cell) for cell in cells.iloc[0, 1:]]
+    units = [""] * len(names)
+    first = 1
+    for row in range(1, min(4, len(cells))):
+        written = [str(cell) for cell in cells.iloc[row, 1:]]
+        if any(cell.startswith("[") for cell in written):
+            units, first = written, row + 1
+            break
+    data = cells.iloc[first:, 1:].reset_index(drop=True)
+    data = data[(data != "").any(axis=1)]
+    block = _Block(result, name, names, units, data)
+    if promised.isdecimal() and int(promised) != len(data):
+        block.warnings.append(f"{name} announces {promised} points and has {len(data)}")
+    return block
+
+
+def _plain_table(path: Path, lines: list[str]) -> _Block:
+    """A table with a header row that names torque and units in it or in the row below."""
+    header = next((k for k, line in enumerate(lines) if _looks_like_header(line)), None)
+    if header is None:
+        shown = next((line.strip()[:60] for line in lines if line.strip()), "nothing")
+        raise InputError(path, "a torque column", f"the first line '{shown}'", "name it: Torque [mN·m]")
+    cells = _cells(lines[header:], _separator(lines[header])).map(str.strip)
+    split = [_split_unit(str(cell).lstrip("#% ")) for cell in cells.iloc[0]]
+    names, units = [name for name, _ in split], [unit for _, unit in split]
+    first = 1
+    if len(cells) > 1 and not any(units) and not any(_is_number(str(cell)) for cell in cells.iloc[1]):
+        units, first = [str(cell) for cell in cells.iloc[1]], 2
+    return _Block("", path.stem, names, units, cells.iloc[first:].reset_index(drop=True))
+
+
+def _looks_like_header(line: str) -> bool:
+    low = line.lower()
+    return max(map(line.count, _SEPARATORS)) > 0 and any(word in low for word in _QUANTITIES[0].words)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _split_unit(header: str) -> tuple[str, str]:
+    """("Torque", "mN·m") from "Torque [mN·m]", "Torque (mN·m)", "Torque in mN·m" or "torque_mNm"."""
+    name = header.strip()
+    for opened, closed in ("[]", "()"):
+        if name.endswith(closed) and opened in name:
+            start = name.rindex(opened)
+            return name[:start].strip(), name[start + 1 : -1].strip()
+    known = {unit for quantity in _QUANTITIES for unit in quantity.units}
+    for cut in (" in ", ", ", " / ", "_"):
+        start = name.find(cut)
+        while start >= 0:
+            if _unit(name[start + len(cut) :]) in known:
+                return name[:start].replace("_", " ").strip(), name[start + len(cut) :]
+            start = name.find(cut, start + 1)
+    return name.replace("_", " "), ""
+
+
+_NO_SIGN = str.maketrans(dict.fromkeys("·⋅•∙*. _-[]()") | {"μ": "µ"})
+
+
+def _unit(text: str) -> str:
+    """A unit without brackets, spaces and signs of multiplication: "[mN·m]" is "mNm"."""
+    plain = text.strip().translate(_NO_SIGN)
+    return "µ" + plain[1:] if plain[:1] == "u" and plain[1:] in ("Nm", "N", "rad") else plain
+
+
+def _rotation(path: Path, block: _Block) -> _Block:
+    """The same interval with its numbers, in SI, or the reason why it is no rotation."""
+    found = {q.column: column for q in _QUANTITIES if (column := _column(path, block, q)) is not None}
+    if "torque_N_m" not in found:
+        block.problem = f"no torque (columns: {', '.join(filter(None, block.names))})"
+        return block
+    values = pd.DataFrame(found)
+    if "time_s" not in values:
+        values["time_s"] = np.nan
+    if "angle_rad" not in values and "speed_rad_s" in values and values["time_s"].notna().all():
+        time, speed = values["time_s"].to_numpy(), values["speed_rad_s"].to_numpy()
+        steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(time)
+        values["angle_rad"] = np.concatenate([[0.0], np.cumsum(steps)])
+        block.warnings.append(f"{block.name} has no angle: taken from speed and time")
+    if "angle_rad" not in values:
+        block.problem = f"no deflection angle (columns: {', '.join(filter(None, block.names))})"
+        return block
+    kept = values[["torque_N_m", "angle_rad"]].notna().all(axis=1)
+    if int((~kept).sum()):
+        block.warnings.append(f"{block.name}: {int((~kept).sum())} of {len(values)} points without numbers")
+    block.values = values[kept].reset_index(drop=True)
+    travelled = float(np.ptp(block.values["angle_rad"])) if len(block.values) else 0.0
+    if travelled < _LEAST_ROTATION_RAD:
+        block.problem = f"no rotation ({math.degrees(travelled):.2g}° travelled)"
+    return block
+
+
+_LEAST_ROTATION_RAD = math.radians(0.05)  # below: a waiting interval
+
+
+def _column(path: Path, block: _Block, quantity: _Quantity) -> pd.Series[float] | None:
+    """The numbers of one quantity in its SI unit; None where there is no such column."""
+    low = [name.lower() for name in block.names]
+    fits = [
+        k
+        for k, name in enumerate(low)
+        if any(word in name for word in quantity.words) and not any(word in name for word in quantity.never)
+    ]
+    known = [k for k in fits if _unit(block.units[k]) in quantity.units]
+    if not fits or (not known and quantity.column == "speed_rad_s"):
+        return None
+    k = min(known or fits, key=lambda index: len(low[index]))  # "Time" before "Interval Time"
+    unit = _unit(block.units[k]) or quantity.unsaid
+    if unit not in quantity.units:
+        written = f'"{block.units[k]}"' if unit else "no unit"
+        raise InputError(
+            path,
+            f'a unit of "{block.names[k]}" among {", ".join(quantity.units)}',
+            written,
+            f"write it in the header, as in {block.names[k]} [{next(iter(quantity.units))}]",
+        )
+    return _numbers(block.cells.iloc[:, k]) * quantity.units[unit]
+
+
+def _numbers(cells: pd.Series[Any]) -> pd.Series[float]:
+    """Numbers from text with a decimal point or comma; NaN for what is none."""
+    text = cells.astype(str)
+    comma = text.str.contains(",", regex=False)
+    if comma.any():
+        both = bool((comma & text.str.contains(".", regex=False)).any())
+        text = text.str.replace(",", "" if both else ".", regex=False)
+    numbers: pd.Series[float] = pd.to_numeric(text, errors="coerce").astype(float)
+    return numbers
+
+
+def _joined(blocks: list[_Block]) -> list[list[_Block]]:
+    """Intervals that belong to one measurement."""
+    groups: list[list[_Block]] = []
+    previous: _Block | None = None
+    for block in blocks:
+        if not block.problem:
+            if previous is not None and not previous.problem and _goes_on(previous, block):
+                groups[-1].append(block)
+            else:
+                groups.append([block])
+        previous = block
+    return groups
+
+
+def _goes_on(first: _Block, second: _Block) -> bool:
+    """Whether an interval goes on where the one before ended: same result, sense, angle and normal force."""
+    if first.result != second.result:
+        return False
+    a, b = first.values["angle_rad"].to_numpy(), second.values["angle_rad"].to_numpy()
+    sense = np.sign(a[-1] - a[0])
+    step = (b[0] - a[-1]) * sense
+    if np.sign(b[-1] - b[0]) != sense or not 0 <= step <= 0.05 * (np.ptp(a) + np.ptp(b)):
+        return False
+    if "normal_force_N" not in first.values or "normal_force_N" not in second.values:
+        return True
+    low, high = sorted(abs(float(part.values["normal_force_N"].mean())) for part in (first, second))
+    return high <= 1.1 * low
+
+
+def _finished(path: Path, parts: list[_Block], skipped: list[str]) -> pd.DataFrame:
+    """One measurement: parts joined, the angle from 0, signs along the rotation."""
+    table = pd.concat([part.values for part in parts], ignore_index=True)
+    time = table["time_s"].to_numpy(float)
+    if not np.all(
+        np.diff(time) >= 0
+    ):  # "Interval Time" starts again at 0; without times only the order is known
+        steps = np.diff(time, prepend=time[:1])
+        usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+        table["time_s"] = np.cumsum(np.where(steps >= 0, steps, usual))
+    angle = table["angle_rad"].to_numpy(float)
+    sense = 1.0 if angle[-1] >= angle[0] else -1.0
+    table["angle_rad"] = sense * (angle - angle[0])
+    turning = sense * table["torque_N_m"]
+    table["torque_N_m"] = turning if float(turning.mean()) >= 0 else -turning
+    name = parts[0].name
+    if len(parts) > 1:
+        name += f" to {parts[-1].name.rsplit(' ', 1)[-1]}"
+    facts = RotationMetadata(
+        source=str(path),
+        measurement=name,
+        notes=[f"left out: {line}" for line in skipped],
+        warnings=[line for part in parts for line in part.warnings],
+    )
+    columns = [name for name in ROTATION.variables if name in table]
+    table = table[columns]
+    table.attrs.update(facts.attrs())
+    return record(table, "read_rheometer", path=str(path))
+
+
+def _nothing(blocks: list[_Block]) -> str:
+    lines = list(dict.fromkeys(block.problem for block in blocks if block.problem))
+    return "; ".join(lines[:3]) or "no rows of numbers"
