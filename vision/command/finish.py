@@ -5,8 +5,8 @@ from __future__ import annotations
 import shlex
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +14,13 @@ from vision.command.console import complain, say
 from vision.run.provenance import Parameter
 
 if TYPE_CHECKING:
-    import numpy as np
+    import pandas as pd
     import xarray as xr
     from numpy.typing import NDArray
 
+    from vision.clock import Clock
     from vision.command.pull import Pull
-    from vision.report.results import RunResults
+    from vision.models.fits_result import ModelFits
     from vision.video import Video
 
 
@@ -51,46 +52,65 @@ def write(run: Run, target: Path, describe: Callable[[], dict[str, Any]], *, ove
 
     describe: waits for the video's size and checksum.  Raises: InputError where it cannot be written.
     """
-    from vision.report.drawing import drawn_meanwhile
-    from vision.report.figures import write_numbers
-    from vision.report.html import write_report
-    from vision.report.sections import charts_of, sections_of
+    from vision.figures import figures_of, kymograph, overview, save_figures
+    from vision.report import write_report
     from vision.run.folder import run_folder
     from vision.run.provenance import write_run_json
     from vision.video import reference_frame
 
     started, frame = time.perf_counter(), reference_frame(run.recording)
     results = _results(run, frame)
-    sections = sections_of(results)
-    charts, seconds = charts_of(sections), run.seconds
+    figures, seconds = figures_of(results), run.seconds
     with run_folder(target, overwrite=overwrite) as folder:
-        with drawn_meanwhile(folder / "figures", charts):
-            write_numbers(folder / "figures", charts)
-            _write_tables(run, folder)
-            _write_pictures(run, frame, folder)
-            written = time.perf_counter()
-            inputs = [describe()]
-            seconds |= {"tables and pictures": written - started}
-            seconds |= {"waiting for the checksum": time.perf_counter() - written}
-            facts = _facts(run, inputs)
-            write_report(folder / "report.html", replace(results, facts=facts), sections=sections)
+        _write_tables(run, folder)
+        save_figures(folder / "figures.npz", figures)
+        for figure in (overview(figures), kymograph(figures)):
+            if figure is not None:
+                figure.save(folder / f"{figure.name}.png")
+        written = time.perf_counter()
+        inputs = [describe()]
+        seconds |= {"tables and pictures": written - started}
+        seconds |= {"waiting for the checksum": time.perf_counter() - written}
+        facts = _facts(run, inputs)
+        write_report(folder / "report.html", results, facts, figures=figures, options=OPTIONS)
         ended = time.perf_counter()
         seconds |= {"writing, in all": ended - started, "total": ended - run.started}
         write_run_json(folder, facts | {"seconds": seconds})
 
 
-def _results(run: Run, frame: NDArray[np.generic]) -> RunResults:
-    """What the report is made from, but for the facts."""
-    from vision.report.results import RunResults
+OPTIONS = {
+    "pixel_size_um": "--pixel-size",
+    "force": "--force",
+    "offset_s": "--offset",
+    "speed_mm_min": "--speed",
+    "d0_mm": "--d0",
+}
 
+
+@dataclass(frozen=True, kw_only=True)
+class _Results:
+    """What figures and the report are made from."""
+
+    strip: xr.DataArray
+    tracks: xr.Dataset
+    frame: NDArray[Any]
+    pixel_size_um: float | None
+    force: xr.Dataset | None = None
+    sticks: pd.DataFrame | None = None
+    clock: Clock | None = None
+    motion: xr.Dataset | None = None
+    shells: pd.DataFrame | None = None
+    fits: ModelFits | None = None
+    threshold: float = 0.1
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    warnings: Sequence[str] = ()
+
+
+def _results(run: Run, frame: NDArray[Any]) -> _Results:
     names = ("force", "sticks", "clock", "motion", "shells", "fits", "threshold")
     machine = {} if run.pull is None else {name: getattr(run.pull, name) for name in names}
-    return RunResults(
-        profile=run.profile,
-        tracks=run.tracks,
-        frame=frame,
-        pixel_size_um=run.pixel_size_um,
-        **machine,
+    return _Results(
+        strip=run.profile, tracks=run.tracks, frame=frame, pixel_size_um=run.pixel_size_um, **machine
     )
 
 
@@ -106,17 +126,6 @@ def _write_tables(run: Run, folder: Path) -> None:
     write_kymograph_tif(run.profile, folder / "kymograph.tif", pixel_size_um=size)
     if run.pull is not None:
         write_pull(run.pull, folder)
-
-
-def _write_pictures(run: Run, frame: NDArray[np.generic], folder: Path) -> None:
-    """overview.png and kymograph.png."""
-    from vision.report.kymograph import write_kymograph_picture
-    from vision.report.overview import write_overview
-    from vision.spacetime import space_time
-
-    size = run.pixel_size_um
-    write_kymograph_picture(folder / "kymograph.png", [space_time(run.profile, pixel_size_um=size)])
-    write_overview(folder / "overview.png", frame, run.profile, run.tracks, pixel_size_um=size)
 
 
 def _facts(run: Run, inputs: list[dict[str, Any]]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from cyclopts import Parameter as Option
 from vision.command.console import complain, say
 from vision.command.options import number
 from vision.command.pull import event_sizes, force_chain, model_fits, write_json, write_table
-from vision.report.numbers import plus_minus
+from vision.figures.labels import plus_minus
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -153,14 +153,14 @@ def _write(
     facts: dict[str, Any],
     start: float,
 ) -> None:
-    from vision.report.force_picture import write_force_picture
+    from vision.figures import force_overview_figure
     from vision.run.folder import run_folder
     from vision.run.provenance import write_run_json
 
     with run_folder(target, overwrite=overwrite) as folder:
         write_table(sticks, folder / "events.csv")
         write_json(fits.to_json() if fits else {"fixed": {}, "notes": facts["notes"]}, folder / "models.json")
-        write_force_picture(folder / "force.png", recording, sticks, fits)
+        force_overview_figure(recording, sticks, fits).save(folder / "force.png")
         write_run_json(folder, {**facts, "timings": {"total_s": time.perf_counter() - start}})
 
 

@@ -231,7 +231,7 @@ def _write(
     started: float,
 ) -> list[str]:
     """The folder, whole; names of the TIFFs in it."""
-    from vision.report.kymograph import write_kymograph_picture
+    from vision.figures import kymograph_figure
     from vision.run.folder import run_folder
     from vision.run.kymograph import write_space_time_tif
     from vision.run.provenance import write_run_json
@@ -242,7 +242,7 @@ def _write(
     with run_folder(target, overwrite=overwrite) as folder:
         for name, diagram in zip(names, diagrams, strict=True):
             write_space_time_tif(diagram, folder / name, pixel_size_um=source.pixel_size_um)
-        write_kymograph_picture(folder / f"kymograph.{picture}", diagrams, **marks)
+        kymograph_figure(diagrams, **marks).save(folder / f"kymograph.{picture}")
         write_run_json(folder, {**facts, "seconds": {"total": clock.perf_counter() - started}})
     return [*names, f"kymograph.{picture}"]
 

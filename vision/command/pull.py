@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from vision.command.options import number
 from vision.errors import InputError
-from vision.report.numbers import plus_minus
+from vision.figures.labels import plus_minus
 
 if TYPE_CHECKING:
     import pandas as pd
