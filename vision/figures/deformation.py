@@ -1,40 +1,49 @@
-"""Figures of the deformation: one stick, sigma_x over the stick length, and the stiff shell."""
+"""Figures of the deformation: one stick phase, σ_x over the stick length, and the stiff shell."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
+import xarray as xr
 
+from vision.clock import Clock
 from vision.deformation import stick_displacement
-from vision.report.chart import Band, Chart, Series
-from vision.report.sheet_charts import sheet_series, signed_number
-from vision.report.style import DATA, MODEL, PEAK, ordered_inks, sheet_inks
-
-if TYPE_CHECKING:
-    import pandas as pd
-    import xarray as xr
-
-    from vision.clock import Clock
-    from vision.models.fits_result import ModelFits
+from vision.figures.figure import Band, Figure, Panel, Series
+from vision.figures.style import DATA, MODEL, PEAK, ordered_inks, sheet_inks
+from vision.figures.video import sheet_series, signed_number
+from vision.models.fits_result import ModelFits
 
 _SHOWN_STICKS = 5
 _CURVE = 300
 _BESIDE = 0.12  # of the step from stick to stick: how far the two sides' points stand apart from d, each way
 
 
-def stick_chart(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event: int | None = None) -> Chart:
-    """Displacement of all sheets over one stick.
+def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event: int | None = None) -> Figure:
+    """Displacement of all sheets over one stick phase.
 
-    Args: as given to and returned by `horizontal_deformation`.  event, its number; the one with most frames
-    if None. Raises InputError for an event that is not in `motion`.
+    Parameters
+    ----------
+    tracks, clock
+        As given to `horizontal_deformation`.
+    motion
+        What it returned.
+    event
+        Number of the stick phase; None for the one with most frames.
+
+    Raises
+    ------
+    InputError
+        For an event that is not in `motion`.
     """
     if event is None:
         event = int(motion["event"].values[int(np.argmax(motion["frames"].to_numpy().sum(axis=1)))])
-    away = stick_displacement(tracks, motion, clock, event=event)
+    moved = stick_displacement(tracks, motion, clock, event=event)
     stick = motion.sel(event=event)
-    series = sheet_series(tracks, away["since_s"].to_numpy(), away.to_numpy(), inks=sheet_inks(tracks))
-    return Chart(
+    series = sheet_series(tracks, moved["since_s"].to_numpy(), moved.to_numpy(), inks=sheet_inks(tracks))
+    panel = Panel(x_label="t − t_v (s)", y_label="δx (µm)", series=series)
+    return Figure(
         name="stick",
         title=f"One stick phase: event {event}, d = {float(stick['d_v_mm']):.2f} mm",
         caption=(
@@ -43,28 +52,29 @@ def stick_chart(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event: 
             f"{float(stick['stick_length_um']):.1f} µm. As measured: noise and camera movement are in it. "
             "Left sheets dashed; the tone changes steadily outwards."
         ),
-        x_label="t − t_v (s)",
-        y_label="δx (µm)",
-        series=series,
+        panels=(panel,),
     )
 
 
-def ratio_chart(motion: xr.Dataset, *, threshold: float = 0.1) -> Chart:
-    """sigma_x over stick length against the sheet's number for a few separations, with standard errors."""
-    return Chart(
-        name="ratio",
-        title="Horizontal deformation against sheet number",
-        caption=(
-            "σ_x/Λ_st: RMS displacement over a stick, camera noise and common movement taken off, over "
-            "the length of the stick, with standard errors; sticks spread over the video, later ones "
-            f"brighter, every other one hollow. Shaded: below {threshold:g}, where a sheet counts as "
-            "stiff."
-        ),
+def deformation_figure(motion: xr.Dataset, *, threshold: float = 0.1) -> Figure:
+    """σ_x over stick length against the sheet's number for a few separations, with standard errors."""
+    panel = Panel(
         x_label="side · n (left negative)",
         y_label="σ_x / Λ_st",
         series=_ratios(motion),
         bands=(Band(low=0.0, high=threshold, label=f"stiff (below {threshold:g})"),),
         whole_numbers=True,
+    )
+    return Figure(
+        name="deformation",
+        title="Horizontal deformation against sheet number",
+        caption=(
+            "σ_x/Λ_st: RMS displacement over a stick, without camera noise and common-mode motion, over "
+            "the length of the stick, with standard errors; sticks spread over the video, later ones "
+            f"brighter, every other one hollow. Shaded: below {threshold:g}, where a sheet counts as "
+            "stiff."
+        ),
+        panels=(panel,),
     )
 
 
@@ -77,7 +87,7 @@ def _ratios(motion: xr.Dataset) -> tuple[Series, ...]:
         if len(places)
         else places
     )
-    signed, order = signed_number(motion)
+    numbers, order = signed_number(motion)
     inks = ordered_inks(len(chosen))
     d_v = motion["d_v_mm"].to_numpy()
     series = []
@@ -86,7 +96,7 @@ def _ratios(motion: xr.Dataset) -> tuple[Series, ...]:
         series.append(
             Series(
                 label=f"d_v = {d_v[place]:.2f} mm",
-                x=signed,
+                x=numbers,
                 y=value,
                 low=np.maximum(value - error, 0),
                 high=value + error,
@@ -99,8 +109,8 @@ def _ratios(motion: xr.Dataset) -> tuple[Series, ...]:
     return tuple(series)
 
 
-def shells_chart(shells: pd.DataFrame, fits: ModelFits | None = None) -> Chart:
-    """Number of stiff sheets a side against d, with its interval, and M_eff of the force."""
+def shells_figure(shells: pd.DataFrame, fits: ModelFits | None = None) -> Figure:
+    """Number of stiff sheets per side against d, with its interval, and M_eff of the force."""
     known = shells[shells["stiff_sheets"].notna()].sort_values("d_v_mm")
     steps = np.diff(np.unique(known["d_v_mm"].to_numpy(float)))
     beside = _BESIDE * float(np.median(steps)) if steps.size else 0.0
@@ -115,23 +125,26 @@ def shells_chart(shells: pd.DataFrame, fits: ModelFits | None = None) -> Chart:
         x = mine["d_v_mm"].to_numpy(float)
         look: dict[str, Any] = {"look": "points", "hollow": side < 0, "shift": side * beside}
         series.append(Series(label=f"{name} side", x=x, y=size, ink=ink, low=low, high=high, **look))
-    told = ""
+    model = ""
     if fits is not None and not known.empty:
         d = np.linspace(float(known["d_v_mm"].min()), float(known["d_v_mm"].max()), _CURVE)
         series.append(
             Series(label="M_eff (force)", x=d, y=fits.effective_sheets(d), ink=MODEL, dashed=True, width=2.0)
         )
-        told = " Dashed: M_eff = M √(1 − d̂), which the stiffness of the force recording implies on its own."
-    return Chart(
+        model = " Dashed: M_eff = M √(1 − d̂), which the stiffness of the force recording implies on its own."
+    panel = Panel(
+        x_label="d_v (mm)",
+        y_label="stiff sheets per side",
+        y_range=(0.0, 1.15 * float(known["stiff_high"].max()) + 1) if len(known) else None,
+        series=tuple(series),
+    )
+    return Figure(
         name="shells",
         title="Size of the stiff shell",
         caption=(
-            "Sheets a side, from the centre, whose σ_x/Λ_st is below the threshold, one point a stick "
+            "Sheets per side, from the centre, whose σ_x/Λ_st is below the threshold, one point a stick "
             "and side (left hollow and drawn a little to the left, right filled and to the right), with "
-            f"the interval that the errors allow.{told}"
+            f"the interval that the errors allow.{model}"
         ),
-        x_label="d_v (mm)",
-        y_label="stiff sheets a side",
-        y_range=(0.0, 1.15 * float(known["stiff_high"].max()) + 1) if len(known) else None,
-        series=tuple(series),
+        panels=(panel,),
     )

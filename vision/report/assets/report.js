@@ -24,7 +24,7 @@
   /* One grid for all series: shared as it is, else every point a row of its own, sorted by x. */
   function grid(chart, arrays) {
     const all = chart.series.map((s) => [s.shift ? arrays[s.x].map((x) => x + s.shift) : arrays[s.x], arrays[s.y]]);
-    if (chart.oneGrid) return { data: [all[0][0], ...all.map((p) => p[1])], rows: null };
+    if (chart.commonX) return { data: [all[0][0], ...all.map((p) => p[1])], rows: null };
     const rows = [];
     all.forEach(([xs], s) => xs.forEach((x, i) => rows.push([x, s, i])));
     rows.sort((a, b) => a[0] - b[0] || a[1] - b[1] || a[2] - b[2]);
@@ -36,11 +36,11 @@
 
   /* ---- what uPlot does not draw by itself ---- */
   function underlay(u, chart, image) {
-    const c = u.ctx, upright = chart.uprightTime, box = u.bbox;
+    const c = u.ctx, timeDown = chart.timeDown, box = u.bbox;
     const place = (v, key) => u.valToPos(v, key, true);
     c.save(); c.beginPath(); c.rect(box.left, box.top, box.width, box.height); c.clip();
     if (image) {
-      const p = chart.picture, keys = upright ? ["y", "x"] : ["x", "y"];
+      const p = chart.picture, keys = timeDown ? ["y", "x"] : ["x", "y"];
       const x0 = place(p.left, keys[0]), x1 = place(p.right, keys[0]);
       const y0 = place(p.top, keys[1]), y1 = place(p.bottom, keys[1]);
       c.imageSmoothingEnabled = Math.abs(x1 - x0) < image.width;
@@ -102,7 +102,7 @@
     const colour = () => (chart.picture ? s.ink[1] : ink(s.ink));
     const out = {
       label: s.label, scale: s.axis === "right" ? "y2" : "y", stroke: colour, width: s.width,
-      dash: s.dashed ? [5, 3] : undefined, spanGaps: !chart.oneGrid, value: (u, v) => short(v), pxAlign: 0,
+      dash: s.dashed ? [5, 3] : undefined, spanGaps: !chart.commonX, value: (u, v) => short(v), pxAlign: 0,
       points: { show: points, size: (s.hollow ? 9 : 5) * (crowded(s, chart) ? 0.75 : 1), width: 1.3, stroke: colour, fill: s.hollow ? "transparent" : colour },
     };
     if (s.look === "steps") {
@@ -132,7 +132,7 @@
     const x = { time: false, range: xRange(chart) };
     const y = {};
     if (chart.yRange) y.range = fixed(chart.yRange);
-    if (chart.uprightTime) { x.ori = 1; x.dir = -1; y.ori = 0; y.range = fixed(chart.yRange); }
+    if (chart.timeDown) { x.ori = 1; x.dir = -1; y.ori = 0; y.range = fixed(chart.yRange); }
     if (chart.downwards) y.dir = -1;
     if (!chart.y2Label) return { x, y };
     /* two quantities, one above the other: neither hides the other */
@@ -158,7 +158,7 @@
     const both = Boolean(chart.picture);
     const side = { size: (u, values) => 26 + 7.5 * Math.max(2, ...(values || []).map((v) => v.length)) };
     const below = { size: 34 }, [xLabel, yLabel, y2Label] = chart.axisLabels;
-    const axes = chart.uprightTime
+    const axes = chart.timeDown
       ? [axis(xLabel, Object.assign({ side: 3 }, side)), axis(yLabel, Object.assign({ side: 2, space: 70 }, below))]
       : [axis(xLabel, Object.assign({ space: 60 }, below)), axis(yLabel, side)];
     if (chart.wholeNumbers) axes[0].incrs = [1, 2, 5, 10, 20, 50, 100, 200, 500];
@@ -188,7 +188,7 @@
     readout.textContent = `${chart.axisLabels[0]} ${short(u.data[0][at])}   ${which}`;
   }
   function select(u, chart) {
-    const s = u.select, upright = chart.uprightTime;
+    const s = u.select, timeDown = chart.timeDown;
     if (s.width < 4 && s.height < 4) return;
     u.zoomed = true;
     const pick = (key, vertical) => {
@@ -196,10 +196,10 @@
       const b = u.posToVal(vertical ? s.top + s.height : s.left + s.width, key);
       return { min: Math.min(a, b), max: Math.max(a, b) };
     };
-    const x = pick("x", upright), y = pick("y", !upright);
+    const x = pick("x", timeDown), y = pick("y", !timeDown);
     u.batch(() => {
-      if (upright ? s.height > 4 : s.width > 4) u.setScale("x", x);
-      if (chart.picture && (upright ? s.width > 4 : s.height > 4)) u.setScale("y", y);
+      if (timeDown ? s.height > 4 : s.width > 4) u.setScale("x", x);
+      if (chart.picture && (timeDown ? s.width > 4 : s.height > 4)) u.setScale("y", y);
     });
     u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
   }
@@ -227,7 +227,7 @@
   function table(chart, arrays) {
     const cell = (v) => (v == null ? "" : v), lines = [];
     const plain = chart.series.every((s) => s.low === undefined && !s.text);
-    if (chart.oneGrid && plain) {
+    if (chart.commonX && plain) {
       lines.push([chart.xLabel, ...chart.series.map((s) => s.label)].map(quote).join(","));
       const xs = arrays[chart.series[0].x], ys = chart.series.map((s) => arrays[s.y]);
       xs.forEach((x, i) => lines.push([x, ...ys.map((y) => cell(y[i]))].map((v) => (typeof v === "number" ? +v.toPrecision(8) : v)).join(",")));
@@ -289,7 +289,7 @@
     const marks = [...figure.querySelectorAll(".u-legend .u-series")].slice(1).map((row) => row.querySelector(".u-marker"));
     chart.series.forEach((s, k) => {
       const points = s.look === "points" || s.look === "both" || s.look === "steps";
-      marks[k].nextElementSibling.innerHTML = s.marked;
+      marks[k].nextElementSibling.innerHTML = s.html;
       Object.assign(marks[k].style, {
         border: `2px ${s.dashed ? "dashed" : "solid"} ${ink(s.ink)}`,
         background: points && !s.hollow ? ink(s.ink) : "transparent",
@@ -302,12 +302,12 @@
     const arrays = chart.arrays.map(decode), holder = figure.querySelector(".plot");
     const readout = figure.querySelector(".readout");
     const u = new uPlot(options(chart, holder, arrays, image, readout), grid(chart, arrays).data, holder);
-    u.shared = Boolean(chart.picture) && !chart.uprightTime;
+    u.shared = Boolean(chart.picture) && !chart.timeDown;
     const tools = figure.querySelector(".buttons");
     if (chart.switchable) u.hooks.setSeries = [(self, k) => { chart.nearest = k; }];
     u.over.addEventListener("dblclick", () => reset(u));
     tools.append(button("+", "zoom in", () => zoom(u, 0.5, 0)), button("−", "zoom out", () => zoom(u, 2, 0)),
-      button(chart.uprightTime ? "▲" : "◀", "earlier", () => zoom(u, 1, -0.5)), button(chart.uprightTime ? "▼" : "▶", "later", () => zoom(u, 1, 0.5)),
+      button(chart.timeDown ? "▲" : "◀", "earlier", () => zoom(u, 1, -0.5)), button(chart.timeDown ? "▼" : "▶", "later", () => zoom(u, 1, 0.5)),
       button("whole", "show the whole range (double click)", () => reset(u)),
       button("CSV", "download this figure's numbers", () => download(`${chart.name}.csv`, table(chart, arrays))));
     if (chart.firstView) { u.zoomed = true; u.setScale("x", { min: chart.firstView[0], max: chart.firstView[1] }); }
