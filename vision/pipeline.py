@@ -7,6 +7,7 @@ deformation, shells. No stage needs a later one.
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
+import base64
 import html
 import time
 import traceback
@@ -181,7 +182,8 @@ class Analysis:
         text = f"<pre>{html.escape(chr(10).join(lines))}</pre>"
         if self.tracks is None:
             return text
-        return f"{text}<div style='max-width:40em'>{_figure(self, 'tracks').to_svg()}</div>"
+        picture = base64.b64encode(_figure(self, "tracks").png()).decode()
+        return f'{text}<img style="max-width:40em" alt="x(n,t)" src="data:image/png;base64,{picture}">'
 
 
 class Plots:

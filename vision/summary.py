@@ -11,12 +11,13 @@ import pandas as pd
 import xarray as xr
 
 from vision.data import StickMetadata, StripMetadata, TrackMetadata
+from vision.figures.labels import plus_minus
 from vision.numeric import nan_median
 
 if TYPE_CHECKING:
     from vision.clock import Clock
     from vision.figures import Results
-    from vision.models import Estimate, ModelFits
+    from vision.models import ModelFits
 
 MISSING_SHARE = 0.01
 """Of all positions: more missing ones are a warning, fewer are the usual gaps at the edges of the picture."""
@@ -98,20 +99,6 @@ def findings(tracks: xr.Dataset) -> dict[str, Any]:
         "profile_noise_grey": found.profile_noise,
         "least_identity_margin_nats": found.least_margin,
     }
-
-
-def percent(share: float) -> str:
-    """A share as a percentage that does not round 99.96 up to 100."""
-    return f"{math.floor(1000 * share) / 10:g} %"
-
-
-def plus_minus(estimate: Estimate) -> str:
-    """A value and its standard error, rounded to the error's second digit; four digits without an error."""
-    value, error = estimate.value, estimate.error
-    if not math.isfinite(error) or error <= 0:
-        return f"{value:.4g}".replace("-", "−")
-    digits = max(0, 1 - math.floor(math.log10(error)))
-    return f"{value:.{digits}f} ± {error:.{digits}f}".replace("-", "−")
 
 
 def event_sizes(force: xr.Dataset, sticks: pd.DataFrame) -> str:

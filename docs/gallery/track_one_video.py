@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 
 from matplotlib.figure import Figure
-
-import vision
 from vision.report.kymograph import draw_kymograph
 from vision.report.overview import draw_displacements
+
+import vision
 
 PIXEL_SIZE_UM = 10.0
 recording = Path(__file__).parents[2] / "fixtures" / "paper" / "video.avi"

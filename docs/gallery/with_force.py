@@ -8,9 +8,9 @@ from pathlib import Path
 
 import xarray as xr
 from matplotlib.figure import Figure
+from vision.report.figures import draw_clocks, draw_pull, draw_ratio, draw_shells
 
 import vision
-from vision.report.figures import draw_clocks, draw_pull, draw_ratio, draw_shells
 
 PIXEL_SIZE_UM = 10.0
 sample = Path(__file__).parents[2] / "fixtures" / "paper"

@@ -13,8 +13,8 @@ from vision.experiment import preset, with_settings
 from vision.experiment.force_file import force_recording, write_force
 from vision.experiment.scene import make_scene
 from vision.experiment.truth import truth_of
+from vision.force import find_stick_slip
 from vision.force.recording import read_force
-from vision.force.stickslip import find_stick_slip
 
 STOP_S, OFFSET_S, FRAME_S = 120.0, 31.25, 0.05
 

@@ -9,15 +9,15 @@ from scipy.signal import lfilter
 
 from tests.scenes.sawtooth import Test, plain, realistic, recording
 from vision.errors import InputError
+from vision.experiment import simulate_pull, with_settings
 from vision.experiment.force_file import force_recording
-from vision.experiment.mechanics import pull_apart
-from vision.experiment.presets import preset, with_settings
-from vision.force.chain import time_constant, undelayed
+from vision.experiment.presets import preset
+from vision.force import find_stick_slip
 from vision.force.corners import find_corners
 from vision.force.lines import fit_broken_lines, fit_lines
+from vision.force.lowpass import deconvolve_lowpass, estimate_lowpass
 from vision.force.recording import read_force
 from vision.force.slips import find_slips
-from vision.force.stickslip import find_stick_slip
 from vision.models.fits import fit_models
 
 FAST = {"speed": 10.0, "rate": 2000.0, "noise": 0.05, "d1": 13.8, "slip_s": 0.005}
@@ -104,7 +104,7 @@ def test_knees_are_not_slips() -> None:
 def test_the_stiffness_of_fast_pulls_is_that_after_the_knee(lowpass_s: float) -> None:
     """A failure means K, and with it N̂ and Y_eff, mixes the two slopes of a fast stick."""
     experiment = with_settings(preset("fast", seed=3), {"load_cell.lowpass_s": lowpass_s})
-    pull = pull_apart(experiment.mechanics, seed=3)
+    pull = simulate_pull(experiment.mechanics, seed=3)
     load = force_recording(experiment, pull)
     time, d = load["time_s"].to_numpy(), 13 + load["crosshead_mm"].to_numpy()
     sticks = find_stick_slip(recording(time, load["load_N"].to_numpy(), d, 10.0))
@@ -155,9 +155,11 @@ def test_a_long_hold_among_short_sticks() -> None:
     time = np.arange(load.size) / 100
     force = recording(time, 20 + load + 0.02 * rng.standard_normal(load.size), 13 + time / 1000, 0.06)
     slips = find_slips(force["load_N"].values, 0.02)
-    tails = find_corners(undelayed(force["load_N"].values, 0.02, slips, 0.0), two_slopes=False).tails()
+    tails = find_corners(
+        deconvolve_lowpass(force["load_N"].values, 0.02, slips, 0.0), two_slopes=False
+    ).tails()
     tracemalloc.start()
-    time_constant(force["load_N"].values, tails)
+    estimate_lowpass(force["load_N"].values, tails)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 50e6

@@ -11,9 +11,8 @@ import xarray as xr
 
 from tests.scenes.sawtooth import Test, plain, realistic, recording
 from vision.errors import InputError
-from vision.force.detection import detection_limit
+from vision.force import detection_limit, find_stick_slip
 from vision.force.recording import read_force
-from vision.force.stickslip import find_stick_slip
 
 REAL = Path(__file__).parents[2] / "../shared/data"
 

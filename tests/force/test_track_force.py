@@ -12,7 +12,7 @@ import pytest
 from tests.scenes.sawtooth import Test, realistic
 from vision.command.force import force
 from vision.errors import InputError
-from vision.force.stickslip import find_stick_slip
+from vision.force import find_stick_slip
 from vision.models.fits import fit_models
 
 COLUMNS = [

@@ -10,8 +10,8 @@ import pytest
 
 from vision.errors import InputError
 from vision.models import equations
-from vision.models.equations import Assembly
 from vision.models.fits import fit_models
+from vision.sample import Sample
 
 TRUTH = {"mu": 0.89, "t0_N": 4.0, "amplitude": 0.34, "n_hat_N": 0.57, "modulus_GPa": 3.8}
 
@@ -73,7 +73,7 @@ def test_wrong_model_shows_in_the_goodness_of_fit() -> None:
 
 def test_wrong_geometry_fails() -> None:
     """A failure means the sheets' thickness does not matter to the fit, which it must."""
-    fits = fit_models(events(), assembly=Assembly(thickness_mm=0.11))
+    fits = fit_models(events(), assembly=Sample(thickness_mm=0.11))
     assert abs(fits.mu.value - 0.89) > 20 * fits.mu.error
 
 

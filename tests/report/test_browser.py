@@ -7,7 +7,6 @@ import re
 import shutil
 
 import pytest
-
 from vision.report.html import write_report
 from vision.report.sections import sections_of
 

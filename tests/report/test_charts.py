@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-
-from tests.scenes.report_data import make_profile, make_tracks, sawtooth
-from vision.report import force_charts, sheet_charts, shell_charts
 from vision.report.chart import table_of
 from vision.report.draw import draw_chart
 from vision.report.methods import methods
 from vision.report.sections import charts_of, sections_of
 from vision.report.symbols import drawn, lettered, marked_up
+
+from tests.scenes.report_data import make_profile, make_tracks, sawtooth
+from vision.report import force_charts, sheet_charts, shell_charts
 
 JUMP_PX = 4.0
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from vision.report.decimate import grey_levels, outline, outline_by_x, time_rows
 
 

@@ -6,7 +6,6 @@ import io
 import numpy as np
 import pytest
 from PIL import Image
-
 from vision.report.encode import PLAIN, Store, picture_uri
 
 

@@ -8,12 +8,12 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
-
-from tests.scenes.report_data import make_profile, make_tracks, sawtooth
-from vision.report import drawing, figures
 from vision.report.results import RunResults
 from vision.report.sections import charts_of, sections_of
 from vision.report.style import DATA, MODEL, PEAK, VALLEY, picture_style
+
+from tests.scenes.report_data import make_profile, make_tracks, sawtooth
+from vision.report import drawing, figures
 
 
 @pytest.fixture

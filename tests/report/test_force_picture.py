@@ -2,7 +2,6 @@
 
 import numpy as np
 from matplotlib.figure import Figure
-
 from vision.report.force_picture import ZOOMED_EVENTS, draw_some_sticks, write_force_picture
 
 

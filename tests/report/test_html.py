@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-from tests.scenes.report_data import make_profile, make_tracks, sawtooth
-from vision.report import figures
 from vision.report.html import write_report
 from vision.report.results import RunResults
 from vision.report.sections import sections_of
+
+from tests.scenes.report_data import make_profile, make_tracks, sawtooth
+from vision.report import figures
 
 LIMIT = 3_000_000
 

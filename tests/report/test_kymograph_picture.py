@@ -6,8 +6,6 @@ import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-
-from vision.report import decimate, kymograph
 from vision.report.kymograph import (
     EMPTY_COLOUR,
     MOST_LINES,
@@ -15,6 +13,8 @@ from vision.report.kymograph import (
     grey_limits,
     write_kymograph_picture,
 )
+
+from vision.report import decimate, kymograph
 
 
 def diagram_of(frames=60, columns=20, *, times=None, **attrs):

@@ -7,7 +7,6 @@ import pytest
 import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-
 from vision.report.axes import position_unit, time_axis
 from vision.report.kymograph import draw_kymograph
 from vision.report.overview import draw_displacements, draw_frame, write_overview

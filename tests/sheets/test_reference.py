@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from vision.run.summary import warnings_that_matter
 
 from tests.scenes.combs import comb, ridges, strip
 from vision.errors import InputError
-from vision.run.summary import warnings_that_matter
 from vision.sheets import track_sheets, wide_spacings
 
 

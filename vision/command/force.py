@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from vision.command.console import complain
-from vision.command.options import Flag, ForceOptions, SampleOptions, merged, settings_of
+from vision.command.options import Flag, ForceOptions, SampleOptions, merged, option_names, settings_of
 from vision.command.track import command_line, finish
 
 
@@ -59,7 +59,7 @@ def force(
     settings = replace(settings_of(parameters), t_star_fitted=free_t_star)
     analysis = analyse(None, file, settings)
     parameters["free_t_star"] = Parameter(free_t_star, "given" if free_t_star else "default")
-    origin = Origin(command=command_line(), inputs=(file,), parameters=parameters)
+    origin = Origin(command=command_line(), inputs=(file,), parameters=parameters, options=option_names())
     facts = {"detection_limit": _limit(analysis) if detection_limit else None}
     write_run(analysis, target, origin, overwrite=overwrite, facts=facts)
     if analysis.force is not None:

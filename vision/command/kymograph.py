@@ -324,12 +324,12 @@ def _write(
     started: float,
 ) -> list[str]:
     """The folder, whole; names of the files in it."""
-    from vision.figures import space_time_figure
+    from vision.figures import kymograph_figure
     from vision.run import run_folder, write_json
     from vision.run.tiff import write_space_time_tif
 
     names = [f"kymograph_{d.attrs.get('sheet', 'strip').replace(':', '')}.tif" for d in diagrams]
-    figure = space_time_figure(diagrams, slips_s=source.slips_s, slips_from=source.slips_from)
+    figure = kymograph_figure(diagrams, slips_s=source.slips_s, slips_from=source.slips_from)
     with run_folder(target, overwrite=overwrite) as folder:
         for name, diagram in zip(names, diagrams, strict=True):
             write_space_time_tif(diagram, folder / name, pixel_size_um=source.pixel_size_um)

@@ -15,6 +15,7 @@ from vision.command.options import (
     TestOptions,
     VideoOptions,
     merged,
+    option_names,
     settings_of,
 )
 
@@ -66,7 +67,13 @@ def track(
     with frame_progress("reading", quiet=run.quiet) as progress:
         analysis = analyse(video, force, settings, progress=progress)
     inputs = (video,) if force is None else (video, force)
-    origin = Origin(command=command_line(), inputs=inputs, parameters=parameters, checksum=run.checksum)
+    origin = Origin(
+        command=command_line(),
+        inputs=inputs,
+        parameters=parameters,
+        checksum=run.checksum,
+        options=option_names(),
+    )
     write_run(analysis, target, origin, overwrite=run.overwrite, report=run.report)
     return finish(analysis, target, "overview.png", quiet=run.quiet, verbose=run.verbose)
 

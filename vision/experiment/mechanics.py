@@ -157,23 +157,12 @@ def simulate_pull(m: Mechanics, *, seed: int, sample: Sample = PUBLISHED) -> Pul
     )
 
 
-def _assembly(sample: Sample) -> eq.Assembly:
-    """The sample as the equations take it."""
-    return eq.Assembly(
-        sheets_per_side=sample.sheets_per_block,
-        thickness_mm=sample.thickness_mm,
-        width_mm=sample.width_mm,
-        length_mm=sample.length_mm,
-    )
-
-
 def _event_at(d_mm: float, m: Mechanics, sample: Sample, *, jitter: float) -> tuple[float, float, float]:
     """Force drop (N), stiffness (N/mm) and M_eff of an event that starts at d."""
-    assembly, t_star_N = _assembly(sample), sample.t_star_N
-    total = eq.total_normal_force(d_mm, mu=m.mu, t_star_N=t_star_N, assembly=assembly)
-    d_hat = eq.reduced_separation(d_mm, mu=m.mu, n_hat_N=m.n_hat_N, t_star_N=t_star_N, assembly=assembly)
-    sheets = float(eq.effective_sheets(d_hat, assembly=assembly))
-    one = eq.sheet_stiffness(modulus_GPa=m.modulus_GPa, assembly=assembly)
+    total = eq.total_normal_force(d_mm, mu=m.mu, sample=sample)
+    d_hat = eq.reduced_separation(d_mm, mu=m.mu, n_hat_N=m.n_hat_N, sample=sample)
+    sheets = float(eq.effective_sheets(d_hat, sample=sample))
+    one = eq.sheet_stiffness(modulus_GPa=m.modulus_GPa, sample=sample)
     # A drop never turns negative, however large the jitter asked for.
     drop = m.amplitude * float(total) * max(1 + m.period_jitter * jitter, 0.1) * _built_up(d_mm, m)
     return drop, max(sheets, 1.0) * float(one), sheets
@@ -181,7 +170,7 @@ def _event_at(d_mm: float, m: Mechanics, sample: Sample, *, jitter: float) -> tu
 
 def _peak_force_N(d_mm: float, m: Mechanics, sample: Sample) -> float:
     """Force at which the sample slips at d: Eq. 1 and the offset, smaller while the pull builds up."""
-    force = eq.traction(d_mm, mu=m.mu, t_star_N=sample.t_star_N, assembly=_assembly(sample))
+    force = eq.traction(d_mm, mu=m.mu, sample=sample)
     return (float(force) + m.t0_N) * _built_up(d_mm, m)
 
 

@@ -66,9 +66,7 @@ class LowpassEstimate:
         return enough and self.scatter < settings.lowpass_scatter and steady
 
 
-def estimate_lowpass(
-    y: Floats, transients: SlipTransients, corrected: float = 0.0
-) -> LowpassEstimate | None:
+def estimate_lowpass(y: Floats, transients: SlipTransients, corrected: float = 0.0) -> LowpassEstimate | None:
     """Time constant of a first-order low-pass in a recording.
 
     Parameters

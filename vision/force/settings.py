@@ -1,4 +1,3 @@
-# ruff: noqa: N815 (the unit is part of a name)
 """What can be tuned in reading a force recording and finding its stick-slip events."""
 
 from __future__ import annotations
@@ -103,7 +102,9 @@ class ForceSettings:
 
     def changed(self) -> dict[str, Any]:
         """What differs from the defaults, for the record of operations."""
-        return {part.name: value for part in fields(self) if (value := getattr(self, part.name)) != part.default}
+        return {
+            part.name: value for part in fields(self) if (value := getattr(self, part.name)) != part.default
+        }
 
 
 DEFAULTS = ForceSettings()

@@ -115,9 +115,7 @@ def _peaks(y: Floats, half: Ints, sigma: float, settings: ForceSettings) -> Ints
     with warnings.catch_warnings():
         # A load that holds still leaves a level filter: no peak, and nothing to warn of.
         warnings.filterwarnings("ignore", "some peaks have a prominence of 0", RuntimeWarning)
-        found, _ = find_peaks(
-            standard, prominence=settings.candidate_sigmas, distance=narrowest, wlen=reach
-        )
+        found, _ = find_peaks(standard, prominence=settings.candidate_sigmas, distance=narrowest, wlen=reach)
     return np.asarray(found, dtype=np.int64)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 from vision.data import ForceMetadata, StickMetadata, StripMetadata
-from vision.figures import FIGURES, figures_of, save_figures
+from vision.figures import FIGURES, Figure, figures_of, kymograph, overview, save_figures
 from vision.pipeline import Analysis
 from vision.report import write_report
 from vision.run.folder import run_folder
@@ -38,12 +38,15 @@ class Origin:
         Every option with its value and whether it was given.
     checksum
         Whether the inputs' SHA-256 is that of every byte.
+    options
+        Names of arguments and the command's options that the report shows in their place.
     """
 
     command: str
     inputs: Sequence[Path] = ()
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     checksum: bool = False
+    options: Mapping[str, str] = field(default_factory=dict)
 
 
 def write_run(
@@ -90,9 +93,10 @@ def write_run(
         content = {**run_facts(analysis, origin), **(facts or {})}
         seconds["fingerprints"] = time.perf_counter() - started - seconds["tables"]
         drawn = time.perf_counter()
-        _write_pictures(analysis, folder)
+        figures = figures_of(analysis)
+        _write_pictures(analysis, folder, figures)
         if report and analysis.tracks is not None:
-            write_report(folder / "report.html", analysis, content)
+            write_report(folder / "report.html", analysis, content, figures=figures, options=origin.options)
         seconds["pictures and report"] = time.perf_counter() - drawn
         seconds["total"] = sum(analysis.seconds.values()) + time.perf_counter() - started
         content["seconds"] = seconds
@@ -173,14 +177,13 @@ def _write_table(table: pd.DataFrame, path: Path) -> None:
     table.to_csv(path, index=False, float_format="%.9g", lineterminator="\n")
 
 
-def _write_pictures(analysis: Analysis, folder: Path) -> None:
+def _write_pictures(analysis: Analysis, folder: Path, figures: Sequence[Figure]) -> None:
     """overview.png and kymograph.png, or force.png of a recording alone; all figures as data."""
-    names = {"force": "force.png"} if analysis.tracks is None else PICTURES
-    for name, file in names.items():
-        figure = FIGURES[name].make(analysis)
+    if analysis.tracks is None:
+        pictures = {"force.png": FIGURES["force_overview"].make(analysis)}
+    else:
+        pictures = {"overview.png": overview(figures), "kymograph.png": kymograph(figures)}
+    for file, figure in pictures.items():
         if figure is not None:
             figure.save(folder / file)
-    save_figures(folder / "figures.npz", figures_of(analysis))
-
-
-PICTURES = {"overview": "overview.png", "space_time": "kymograph.png"}
+    save_figures(folder / "figures.npz", figures)
