@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import vision
 from vision.errors import InputError
 
 PACKAGES = ("av", "h5netcdf", "numpy", "opencv-python-headless", "pandas", "scipy", "tifffile", "xarray")
@@ -32,7 +33,6 @@ class Parameter:
 
 def versions() -> dict[str, str]:
     """Versions of sheetvision, Python and the libraries that touch the numbers."""
-    import vision
 
     known = {name: _version(name) for name in PACKAGES}
     return {"sheetvision": vision.__version__, "python": platform.python_version(), **known}
