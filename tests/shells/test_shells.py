@@ -8,7 +8,7 @@ from tests.scenes.creeping import Clock, make, profile
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError
 from vision.models.equations import Assembly
-from vision.shells import classify_shells, deformation_table, judge_sheets, with_model
+from vision.shells import classify_sheets, classify_shells, deformation_table, with_model
 
 DEFORMATION = (
     "event,index,side,n,sigma_x_um,sigma_x_corrected_um,sweep_um,stick_length_um,"
@@ -181,7 +181,7 @@ def test_p_stiff_is_a_probability():
     """A failure means that of the sheets called 80 % stiff, it is not four in five that are."""
     ratio = np.random.default_rng(4).uniform(0, 0.25, (100, 25))
     made, motion = measured(ratio, stick_um=12.6, frames=12, noise_px=0.05)
-    p = judge_sheets(motion)["p_stiff"].to_numpy().ravel()
+    p = classify_sheets(motion)["p_stiff"].to_numpy().ravel()
     stiff = (made.ratio < 0.1).ravel()
     for low, high in ((0.0, 0.1), (0.1, 0.35), (0.35, 0.65), (0.65, 0.9), (0.9, 1.0)):
         group = (p >= low) & (p <= high)
@@ -193,7 +193,7 @@ def test_what_cannot_be_told_is_undetermined():
     """A failure means that a sheet at the threshold, or one never seen, is called stiff or mobile."""
     made, motion = measured(np.tile([0.02, 0.1, 0.3, 0.4, 0.5], (60, 1)), stick_um=20.0, noise_px=0.05)
     motion["ratio_signed"][:, 0] = np.nan
-    judged = judge_sheets(motion)
+    judged = classify_sheets(motion)
     share = {n: (judged["shell"].sel(sheet=motion["n"] == n) == "undetermined").mean() for n in (1, 2, 3)}
     assert share[1] == 0
     assert share[2] > 0.6
@@ -283,7 +283,7 @@ def test_a_sheet_that_moves_outwards_is_mobile():
     shells = classify_shells(motion)
     outward = motion["flag"] == "outward"
     assert outward.mean() > 0.8
-    assert (judge_sheets(motion)["shell"].to_numpy()[outward & (motion["ratio"] > 0.2)] == "mobile").all()
+    assert (classify_sheets(motion)["shell"].to_numpy()[outward & (motion["ratio"] > 0.2)] == "mobile").all()
     np.testing.assert_allclose(shells["stiff_sheets"].astype(float), 7, atol=1)
 
 
