@@ -1,21 +1,78 @@
-"""Size of the stiff inner shell of each side in each stick phase."""
+"""Which sheets are stiff, and the size of the stiff inner shell of each side in each stick phase."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
+import xarray as xr
+from scipy.special import ndtr
 
-from vision.shells.judge import check_settings
-from vision.shells.sides import Doubles, Side, breakpoint_n, isotonic
+from vision.data import MOTION, ShellMetadata, record
+from vision.errors import InputError
+from vision.numeric import Floats
+from vision.shells.profile import LEAST_ERROR, Side, breakpoint_n, isotonic
 from vision.shells.sizes import shell_sizes
 
-if TYPE_CHECKING:
-    import pandas as pd
-    import xarray as xr
+_LEAST_SHEETS = 3  # with a ratio, on one side: fewer are no profile
 
-_LEAST_SHEETS = 3  # with a ratio, on one side: with fewer there is no shell to speak of
+
+def classify_sheets(motion: xr.Dataset, *, threshold: float = 0.1, certainty: float = 0.9) -> xr.Dataset:
+    """Probability that each sheet is stiff, taken on its own.
+
+    Parameters
+    ----------
+    motion
+        From `horizontal_deformation`.
+    threshold
+        σ_x/Λ_st below which a sheet is stiff.
+    certainty
+        Probability from which on a sheet is called stiff or mobile.
+
+    Returns
+    -------
+    `motion` with two more variables (event, sheet): p_stiff, the probability that the true ratio lies below
+    the threshold given `ratio_signed` and its normal error (NaN where there is no ratio), and shell: "stiff",
+    "mobile" or "undetermined".
+
+    Raises
+    ------
+    InputError
+        For a threshold that is not above 0 or a certainty not between 0.5 and 1.
+    """
+    MOTION.check(motion)
+    _check(threshold, certainty)
+    value, error = motion["ratio_signed"].to_numpy(), np.maximum(motion["ratio_err"].to_numpy(), LEAST_ERROR)
+    p = ndtr((threshold - value) / error) - ndtr((-threshold - value) / error)
+    shell = np.select([p >= certainty, p <= 1 - certainty], ["stiff", "mobile"], default="undetermined")
+    about = {"units": "1", "long_name": f"probability that the true ratio is below {threshold:g}"}
+    judged = motion.assign(
+        p_stiff=(("event", "sheet"), p, about),
+        shell=(("event", "sheet"), shell, {"long_name": f"at a certainty of {certainty:g}"}),
+    )
+    judged = judged.assign_attrs(ShellMetadata(threshold=threshold, certainty=certainty).attrs())
+    return record(judged, "classify_sheets", threshold=threshold, certainty=certainty)
+
+
+def deformation_table(motion: xr.Dataset, *, threshold: float = 0.1, certainty: float = 0.9) -> pd.DataFrame:
+    """The table of `deformation.csv`: one row per event and sheet, event after event.
+
+    Parameters are those of `classify_sheets`.
+    """
+    judged = classify_sheets(motion, threshold=threshold, certainty=certainty)
+    events, sheets = judged.sizes["event"], judged.sizes["sheet"]
+    columns = {
+        "event": np.repeat(judged["event"].to_numpy(), sheets),
+        "index": np.tile(judged["sheet"].to_numpy(), events),
+        "side": np.tile(judged["side"].to_numpy(), events),
+        "n": np.tile(judged["n"].to_numpy(), events),
+    }
+    lengths = ["sigma_x_um", "sigma_x_corrected_um", "sweep_um"]
+    columns |= {name: judged[name].to_numpy().ravel() for name in lengths}
+    columns["stick_length_um"] = np.repeat(judged["stick_length_um"].to_numpy(), sheets)
+    rest = ["ratio", "ratio_err", "p_stiff", "shell", "frames", "flag"]
+    return pd.DataFrame(columns | {name: judged[name].to_numpy().ravel() for name in rest})
 
 
 def classify_shells(
@@ -23,47 +80,69 @@ def classify_shells(
     *,
     threshold: float = 0.1,
     certainty: float = 0.9,
-    effective_sheets: Callable[[Doubles], Doubles] | None = None,
+    effective_sheets: Callable[[Floats], Floats] | None = None,
 ) -> pd.DataFrame:
-    """Size of the stiff inner shell, one row per event and side.
+    """Size of the stiff inner shell of each side in each stick phase, one row per event and side.
 
-    The ratio should not fall with n.  Some thousand rising profiles, from power laws to steps, are each
-    weighed by how well they fit all sheets of that side, and true ratios are drawn about them, near each
+    The ratio should not fall with n. Some thousand rising profiles, from power laws to steps, are each
+    weighted by how well they fit all sheets of that side, and true ratios are drawn about them, near each
     sheet's own measurement as far as its error is small; the number below the threshold is counted in each
-    draw.  The size is the median, the interval holds `certainty` of the draws.  Sheets far off every
-    profile are counted by their own measurement.  Errors that all sheets of an event share are not allowed
-    for, but for that of the stick length.
+    draw. The size is the median, the interval holds `certainty` of the draws. Sheets far off every profile
+    are counted by their own measurement. Errors that all sheets of an event share are not allowed for, except
+    that of the stick length.
 
-    Args: as `judge_sheets`; certainty is that of the interval.  effective_sheets, the force's M_eff at d in
-    mm, for example `ModelFits.effective_sheets`.
+    Parameters
+    ----------
+    motion
+        From `horizontal_deformation`.
+    threshold
+        σ_x/Λ_st below which a sheet is stiff.
+    certainty
+        Probability that the interval holds the true size.
+    effective_sheets
+        The force's M_eff at d in mm, for example `ModelFits.effective_sheets`.
+    settings
+        See `ShellSettings`.
 
-    Returns: event, d_v_mm, side, stiff_sheets, stiff_low, stiff_high (missing, <NA>, with fewer than three
-    ratios on that side), M_eff_model (NaN without a model), and as additions stiff_breakpoint, monotone and
-    sheets_known.  stiff_breakpoint needs no threshold: the n at which a flat inner part with a rising
-    straight line after it fits best; NaN where the ratio does not surely rise or fewer than five ratios are
-    known.  monotone: False where the ratio falls with n somewhere by more than chance (isotonic
-    regression).  Unknown sheets inside a shell count as part of it.
-    Raises: InputError as `judge_sheets`.  Source: paper, shaded region of the deformation figure.
+    Returns
+    -------
+    A table with the columns
+
+    - event, d_v_mm, side;
+    - stiff_sheets, stiff_low, stiff_high: missing (<NA>) with fewer than three ratios on that side; unknown
+      sheets inside a shell count as part of it;
+    - M_eff_model: NaN without a model;
+    - stiff_breakpoint, which needs no threshold: the n at which a flat inner part with a rising straight line
+      after it fits best; NaN where the rise is not significant or fewer than five ratios are known;
+    - monotone: False where the ratio falls with n by more than chance (isotonic regression);
+    - sheets_known: number of sheets with a ratio.
+
+    Raises
+    ------
+    InputError
+        For a threshold that is not above 0 or a certainty not between 0.5 and 1.
+
+    Notes
+    -----
+    Source: paper, shaded region of the deformation figure.
     """
-    import pandas as pd
-
-    check_settings(threshold, certainty)
+    MOTION.check(motion)
+    _check(threshold, certainty)
     sides = [Side.of(motion, side) for side in np.unique(motion["side"].to_numpy())]
     table = pd.concat([_side_table(side, motion, threshold, certainty) for side in sides])
     table = table.sort_values(["event", "side"], ignore_index=True)
-    table.attrs |= {"threshold": threshold, "certainty": certainty}
+    table.attrs |= ShellMetadata(threshold=threshold, certainty=certainty).attrs()
+    table = record(table, "classify_shells", threshold=threshold, certainty=certainty)
     return table if effective_sheets is None else with_model(table, effective_sheets)
 
 
-def with_model(shells: pd.DataFrame, effective_sheets: Callable[[Doubles], Doubles]) -> pd.DataFrame:
-    """The same table with M_eff_model filled in: the force's M_eff a side at d_v, mm."""
+def with_model(shells: pd.DataFrame, effective_sheets: Callable[[Floats], Floats]) -> pd.DataFrame:
+    """The same table with M_eff_model filled in: the force's M_eff per side at d_v, mm."""
     d_mm = shells["d_v_mm"].to_numpy(float)
     return shells.assign(M_eff_model=np.asarray(effective_sheets(d_mm), float))
 
 
 def _side_table(side: Side, motion: xr.Dataset, threshold: float, certainty: float) -> pd.DataFrame:
-    import pandas as pd
-
     known = side.known.sum(axis=1)
     names = ("stiff_sheets", "stiff_low", "stiff_high")
     sizes = zip(names, shell_sizes(side, threshold=threshold, certainty=certainty), strict=True)
@@ -78,3 +157,11 @@ def _side_table(side: Side, motion: xr.Dataset, threshold: float, certainty: flo
             "sheets_known": known,
         }
     )
+
+
+def _check(threshold: float, certainty: float) -> None:
+    """Raises InputError for a threshold or certainty that cannot be meant."""
+    if not (np.isfinite(threshold) and threshold > 0):
+        raise InputError("`threshold`", "a number above 0", f"{threshold:g}", "0.1 is the publication's")
+    if not 0.5 < certainty < 1:
+        raise InputError("`certainty`", "a probability above 0.5 and below 1", f"{certainty:g}")

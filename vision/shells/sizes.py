@@ -10,12 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vision.shells.profiles import Profiles, Singles
-from vision.shells.sides import Bools, Doubles, Side, isotonic
-
-Ints = NDArray[np.int64]
+from vision.numeric import Bools, Floats, Floats32, Ints
+from vision.shells.profile import Side, isotonic
 
 _SCATTERS = (0.03, 0.08, 0.15, 0.25)  # of sheets about the profile, relative; the likeliest is taken
 _SMALL = 0.3  # thresholds; smaller ratios are taken to scatter as if they were this large
@@ -27,7 +24,48 @@ _ASKED = 40  # events from which the scatter is found
 _DRAWS = 256
 _MISREAD = 5  # in one draw of so many, strange sheets were misread and follow the profile after all
 _SOME_DRAWS = np.arange(_DRAWS) % _MISREAD == 0
+_FOOT = np.geomspace(0.6, 30, 7)  # sheets from where the rise sets in to the boundary
+_BEND = (0.6, 1.4, 4.0)  # exponent of the rise: concave, nearly straight, steeper and steeper
+_FLOOR = (0.0, 0.3, 0.7)  # ratio of the innermost sheets, in thresholds
+_CEILING = (1.5, 2.5, 5.0, 1e4)  # ratio at which the rise ends, in thresholds
+_MOST = 30.0  # thresholds; the sheets do not move more than this
+_INSIDE, _OUTSIDE = 3.0, 6.0  # sheets beyond the innermost and outermost where a boundary may lie
+_THINNING = 5  # divides no number of feet, bends, floors or ceilings, so that all kinds remain
+_MOST_PLACES = 120  # of the boundary; half a sheet apart where sheets are not very many
 _BLOCK = 32  # events at a time, which keeps the tables of likelihoods small
+
+
+@dataclass(frozen=True)
+class _Profiles:
+    """Curves that never fall with n, ratio (curve, sheet), ordered by how many sheets are below threshold.
+
+    half_square: half the ratio's square.
+    """
+
+    ratio: Floats32
+    half_square: Floats32
+
+    @classmethod
+    def crossing(cls, n: Floats, threshold: float) -> _Profiles:
+        """Curves at n (sheet,), from the centre outwards, that cross the threshold t at a place b.
+
+        t (c + (C - c) h/(1 + h)) with h ∝ max(1 + (n - b)/a, 0)^q: nothing moves up to b - a, then a power
+        law, levelling off towards a ceiling.  Power laws through the centre (a = b, c = 0), flat cores with
+        a straight rise (q = 1), steps (small a, low ceiling) and sigmoids are among them or near.  All b,
+        from inside the innermost to beyond the outermost sheet, are equally frequent.
+        """
+        apart = max(0.5, (n[-1] - n[0]) / _MOST_PLACES)
+        place = np.arange(n[0] - _INSIDE, n[-1] + _OUTSIDE, apart) + apart / 2
+        every = np.meshgrid(place, _FOOT, _BEND, _FLOOR, _CEILING, indexing="ij")
+        b, foot, bend, floor, ceiling = (part.reshape(-1, 1) for part in every)
+        rise = (1 - floor) / (ceiling - 1) * np.maximum(1 + (n - b) / foot, 0) ** bend
+        ratio = threshold * np.minimum(floor + (ceiling - floor) * rise / (1 + rise), _MOST)
+        ratio = ratio[np.argsort((ratio < threshold).sum(axis=1), kind="stable")]
+        return cls(ratio.astype(np.float32), (ratio**2 / 2).astype(np.float32))
+
+    def thinned(self) -> _Profiles:
+        """A fifth of the curves, of all kinds, for what needs no fine resolution."""
+        return _Profiles(self.ratio[::_THINNING].copy(), self.half_square[::_THINNING].copy())
 
 
 @dataclass(frozen=True)
@@ -37,9 +75,9 @@ class _Sheets:
     usual: ratio from which the scatter is reckoned.  alone: sheets that do not follow the profile.
     """
 
-    value: Doubles
-    variance: Doubles
-    usual: Doubles
+    value: Floats
+    variance: Floats
+    usual: Floats
     alone: Bools
     threshold: float
 
@@ -63,12 +101,12 @@ class _Sheets:
             self.threshold,
         )
 
-    def about_profile(self, relative: float) -> Doubles:
+    def about_profile(self, relative: float) -> Floats:
         """Variance of the measurements about the profile; inf for those that say nothing of it."""
         return np.where(self.alone, np.inf, self.variance + _scatter(self.usual, relative, self.threshold))
 
 
-def _scatter(ratio: Doubles, relative: float, threshold: float) -> Doubles:
+def _scatter(ratio: Floats, relative: float, threshold: float) -> Floats:
     """Variance of true ratios about profiles of this ratio, and of real profiles about those tried."""
     away = np.abs(ratio / threshold - 1)
     unlike = _UNLIKE * away * (1 + _FARTHER * away) * threshold
@@ -82,7 +120,7 @@ def shell_sizes(side: Side, *, threshold: float, certainty: float) -> tuple[Ints
     that they were misread; so are all sheets of an event where the ratio falls with n beyond chance even
     when those are left out.  Stick lengths are varied by their error, for all sheets at once.
     """
-    profiles = Profiles.crossing(side.n, threshold)
+    profiles = _Profiles.crossing(side.n, threshold)
     sheets = _Sheets.of(side, threshold)
     sheets = replace(sheets, alone=_strange(sheets, profiles.thinned()))
     relative = _likeliest_scatter(sheets, profiles.thinned())
@@ -101,7 +139,7 @@ def _blocks(events: int) -> Iterator[slice]:
     return (slice(first, first + _BLOCK) for first in range(0, events, _BLOCK))
 
 
-def _weigh(profiles: Profiles, sheets: _Sheets, relative: float) -> tuple[Singles, Doubles]:
+def _weigh(profiles: _Profiles, sheets: _Sheets, relative: float) -> tuple[Floats32, Floats]:
     """Share of each profile in each event, (event, curve), summing to 1, and the log evidence, (event,)."""
     weight = 1 / sheets.about_profile(relative)
     likely = (weight * sheets.value).astype(np.float32) @ profiles.ratio.T
@@ -113,7 +151,7 @@ def _weigh(profiles: Profiles, sheets: _Sheets, relative: float) -> tuple[Single
     return share / total, (most + np.log(total))[:, 0] + own.sum(axis=1) / 2
 
 
-def _strange(sheets: _Sheets, profiles: Profiles) -> Bools:
+def _strange(sheets: _Sheets, profiles: _Profiles) -> Bools:
     """Sheets off what the others say, (event, N), found one after the other, the farthest first."""
     alone = sheets.alone.copy()
     events = np.arange(len(alone))
@@ -128,7 +166,7 @@ def _strange(sheets: _Sheets, profiles: Profiles) -> Bools:
     return alone
 
 
-def _off(profiles: Profiles, sheets: _Sheets) -> Doubles:
+def _off(profiles: _Profiles, sheets: _Sheets) -> Floats:
     """Standard deviations by which each measurement is off the profile, 0 where none is compared."""
     share, _ = _weigh(profiles, sheets, _SCATTERS[-1])
     mean = share @ profiles.ratio
@@ -136,7 +174,7 @@ def _off(profiles: Profiles, sheets: _Sheets) -> Doubles:
     return np.asarray(np.abs(sheets.value - mean) / np.sqrt(sheets.about_profile(_SCATTERS[-1]) + spread))
 
 
-def _likeliest_scatter(sheets: _Sheets, profiles: Profiles) -> float:
+def _likeliest_scatter(sheets: _Sheets, profiles: _Profiles) -> float:
     """The relative scatter of sheets about their profile under which all measurements are likeliest."""
     asked = sheets.at(slice(None, None, max(1, len(sheets.value) // _ASKED)))
     evidence = [_weigh(profiles, asked, relative)[1].sum() for relative in _SCATTERS]
@@ -144,8 +182,8 @@ def _likeliest_scatter(sheets: _Sheets, profiles: Profiles) -> float:
 
 
 def _draw_ratios(
-    profiles: Profiles, share: Singles, sheets: _Sheets, relative: float, *, misread: Bools
-) -> Doubles:
+    profiles: _Profiles, share: Floats32, sheets: _Sheets, relative: float, *, misread: Bools
+) -> Floats:
     """True ratios that the data allow, (event, draw, N): profiles by their share, and sheets about them.
 
     The random numbers are always the same, so that a table comes out the same twice.
@@ -161,7 +199,7 @@ def _draw_ratios(
     return np.asarray(np.where(misread[:, None] & _SOME_DRAWS[:, None], curve, ratio))
 
 
-def _count(ratio: Doubles, threshold: float, length_err: Doubles) -> Ints:
+def _count(ratio: Floats, threshold: float, length_err: Floats) -> Ints:
     """Ratios below the threshold in each draw, (event, draw); stick lengths differ from draw to draw."""
     length = 1 + length_err[:, None] * np.random.default_rng(1).standard_normal(_DRAWS)
     return np.asarray((np.abs(ratio) < threshold * length[..., None]).sum(axis=2))
@@ -179,7 +217,7 @@ def _summary(sizes: Ints, certainty: float) -> Ints:
     return np.stack([ordered[:, _DRAWS // 2], ordered[event, best], ordered[event, best + holding - 1]])
 
 
-def _places(share: Singles) -> Ints:
+def _places(share: Floats32) -> Ints:
     """Curves drawn evenly by their share, (event, draw)."""
     events, curves = share.shape
     row = 2 * np.arange(events)[:, None]  # one search for all events: each has a stretch of its own

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+import xarray as xr
+from scipy.optimize import isotonic_regression
+from scipy.special import chdtri
 
-from vision.shells.judge import LEAST_ERROR
+from vision.numeric import Bools, Floats
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-Doubles = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+LEAST_ERROR = 1e-9
 
 _NOT_BY_CHANCE = 1e-3  # probability below which a fall of the ratio with n, or a rise, is believed
 _LEAST_FOR_KNEE = 5  # known sheets
@@ -29,10 +26,10 @@ class Side:
     """
 
     side: int
-    n: Doubles
-    value: Doubles
-    error: Doubles
-    length_err: Doubles
+    n: Floats
+    value: Floats
+    error: Floats
+    length_err: Floats
 
     @classmethod
     def of(cls, motion: xr.Dataset, side: int) -> Side:
@@ -58,15 +55,12 @@ class Side:
         return replace(self, value=np.where(sheets, np.nan, self.value))
 
 
-def isotonic(side: Side) -> tuple[Doubles, Bools]:
+def isotonic(side: Side) -> tuple[Floats, Bools]:
     """The ratio as a rising function of n at every sheet, (event, N), and whether the data allow one.
 
     Steps of the isotonic regression (weights 1/error²) joined by straight lines between their middles; NaN
     without any known sheet.
     """
-    from scipy.optimize import isotonic_regression
-    from scipy.stats import chi2
-
     rising = np.full(side.value.shape, np.nan)
     misfit = np.zeros(len(rising))
     for event, known in enumerate(side.known):
@@ -78,16 +72,14 @@ def isotonic(side: Side) -> tuple[Doubles, Bools]:
         middle = np.add.reduceat(n, first) / np.diff(fit.blocks)
         rising[event] = np.interp(side.n, middle, fit.x[first])
         misfit[event] = np.sum(weight * (value - fit.x) ** 2)
-    return rising, misfit <= chi2.isf(_NOT_BY_CHANCE, np.maximum(side.known.sum(axis=1), 1))
+    return rising, misfit <= chdtri(np.maximum(side.known.sum(axis=1), 1), _NOT_BY_CHANCE)
 
 
-def breakpoint_n(side: Side) -> Doubles:
+def breakpoint_n(side: Side) -> Floats:
     """Where a flat inner part and a straight rise meet best, in n, (event,): all knees tried at once.
 
     NaN where the rise is not sure, or with fewer than five known sheets.
     """
-    from scipy.stats import chi2
-
     knee = np.arange(side.n[0], side.n[-1] - 1, 0.5)
     if knee.size == 0:
         return np.full(len(side.value), np.nan)
@@ -101,12 +93,12 @@ def breakpoint_n(side: Side) -> Doubles:
         along = (weight * value) @ ramp.T
         slope = along / (weight @ (ramp**2).T - total * middle**2)
     gain = np.nan_to_num(np.where(slope > 0, slope * along, 0.0))
-    sure = gain.max(axis=1) > chi2.isf(_NOT_BY_CHANCE, 2)
+    sure = gain.max(axis=1) > chdtri(2, _NOT_BY_CHANCE)
     enough = side.known.sum(axis=1) >= _LEAST_FOR_KNEE
     return np.asarray(np.where(sure & enough, knee[gain.argmax(axis=1)], np.nan))
 
 
-def _length_err(motion: xr.Dataset) -> Doubles:
+def _length_err(motion: xr.Dataset) -> Floats:
     """Relative error of the stick length, (event,): what ratio_err holds beyond the error of σ_x.
 
     Read from the sheet with the largest ratio, where it shows best.
