@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from vision.data import STRIP, TRACKS
+from vision.data import STRIP, TRACKS, record
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints
 
@@ -80,9 +80,18 @@ def space_time(
     STRIP.check(strip)
     part = _part(strip, frames, time_s)
     about: dict[str, Any] = {} if pixel_size_um is None else {"pixel_size_um": pixel_size_um}
+    given: dict[str, Any] = {
+        "sheet": sheet,
+        "width_um": width_um,
+        "width_px": width_px,
+        "pixel_size_um": pixel_size_um,
+        "follow": follow,
+        "frames": None if frames is None else [frames.start, frames.stop],
+        "time_s": time_s,
+    }
     if around is None or sheet is None:
         _refuse_window(around, sheet, width_um, width_px, follow)
-        return part.assign_attrs(about)
+        return record(part.assign_attrs(about), "space_time", **given)
     TRACKS.check(around)
     place = _find(around, sheet, part)
     width = _width(width_um, width_px, pixel_size_um, part)
@@ -90,12 +99,13 @@ def space_time(
     values, x = _following(part, place.x_px, width) if follow else _fixed(part, centre, width)
     diagram = part.isel(x=slice(0, 1)).drop_vars("x").squeeze("x")  # the coordinates along time
     about |= {"sheet": place.name, "sheet_index": place.index, "centre_px": centre, "follow": int(follow)}
-    return (
+    diagram = (
         diagram.expand_dims(x=x, axis=1)
         .copy(data=values)
         .assign_coords(x_sheet_px=("frame", place.x_px, {"units": "px", "long_name": "the sheet"}))
         .assign_attrs(about)
     )
+    return record(diagram, "space_time", **given)
 
 
 def _refuse_window(
