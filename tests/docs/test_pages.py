@@ -11,7 +11,7 @@ import vision
 PROJECT = Path(__file__).parents[2]
 
 
-def test_the_pages_build_without_warnings_and_hold_the_ten_names(tmp_path):
+def test_the_pages_build_without_warnings_and_hold_every_name_of_the_pipeline(tmp_path):
     """A failure means that a docstring does not render, or that a stage of the pipeline is not documented."""
     pytest.importorskip("sphinx")
     command = [sys.executable, "-m", "sphinx", "-W", "-q", "-d", tmp_path / "trees"]
@@ -25,5 +25,5 @@ def test_the_pages_build_without_warnings_and_hold_the_ten_names(tmp_path):
     assert done.returncode == 0, done.stderr
     page = (tmp_path / "pages" / "api.html").read_text(encoding="utf-8")
     stages = set(vision.__all__) - {"__version__"}
-    assert len(stages) == 10
+    assert len(stages) >= 10
     assert [name for name in sorted(stages) if f'id="vision.{name}"' not in page] == []

@@ -115,7 +115,7 @@ def simulate_pull(m: Mechanics, *, seed: int, sample: Sample = PUBLISHED) -> Pul
     seed
         Of the scatter.
     sample
-        Sheets per block, their dimensions and T*.
+        M, the dimensions of the sheets, and T*.
 
     Notes
     -----

@@ -240,7 +240,7 @@ class Experiment:
     seed: NonNegativeInt = 0
     """Of all random numbers."""
     sample: Sample = PUBLISHED
-    """Sheets per block M, their dimensions and T*."""
+    """M, the dimensions of the sheets, and T*."""
     mechanics: Mechanics = field(default_factory=Mechanics)
     sheets: Sheets = field(default_factory=Sheets)
     optics: Optics = field(default_factory=Optics)
