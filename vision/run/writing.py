@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import pandas as pd
 
 from vision.data import ForceMetadata, StickMetadata, StripMetadata
+from vision.errors import with_options
 from vision.figures import FIGURES, Figure, figures_of, kymograph, overview, save_figures
 from vision.pipeline import Analysis
 from vision.report import write_report
@@ -88,7 +89,7 @@ def write_run(
     started = time.perf_counter()
     seconds = dict(analysis.seconds)
     with run_folder(target, overwrite=overwrite) as folder:
-        _write_tables(analysis, folder)
+        _write_tables(analysis, folder, origin)
         seconds["tables"] = time.perf_counter() - started
         content = {**run_facts(analysis, origin), **(facts or {})}
         seconds["fingerprints"] = time.perf_counter() - started - seconds["tables"]
@@ -126,7 +127,13 @@ def run_facts(analysis: Analysis, origin: Origin) -> dict[str, Any]:
     done = [part.attrs.get("operations", ()) for part in _parts(analysis)]
     longest = max(done, key=len, default=())
     facts["operations"] = [*longest, *(step for steps in done for step in steps if step not in longest)]
-    return facts | {"warnings": list(analysis.warnings), "not_measured": dict(analysis.reasons)}
+    reasons = dict(zip(analysis.reasons, _named(analysis.reasons.values(), origin), strict=True))
+    return facts | {"warnings": _named(analysis.warnings, origin), "not_measured": reasons}
+
+
+def _named(lines: Iterable[str], origin: Origin) -> list[str]:
+    """Messages with the command's options in place of Python's arguments, where a command writes the run."""
+    return [with_options(line, origin.options) if origin.options else line for line in lines]
 
 
 def _parts(analysis: Analysis) -> list[Any]:
@@ -150,7 +157,7 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
     }
 
 
-def _write_tables(analysis: Analysis, folder: Path) -> None:
+def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
     size = analysis.pixel_size_um
     if analysis.tracks is not None and analysis.strip is not None:
         write_tracks_csv(analysis.tracks, folder / "tracks.csv", pixel_size_um=size)
@@ -162,9 +169,12 @@ def _write_tables(analysis: Analysis, folder: Path) -> None:
     if analysis.fits is not None:
         write_json(analysis.fits.to_json(), folder / "models.json")
     elif "fits" in analysis.reasons:
-        write_json({"reason": analysis.reasons["fits"]}, folder / "models.json")
+        write_json({"reason": _named([analysis.reasons["fits"]], origin)[0]}, folder / "models.json")
     if analysis.clock is not None:
-        write_json(asdict(analysis.clock), folder / "clock.json")
+        write_json(
+            asdict(analysis.clock) | {"warnings": _named(analysis.clock.warnings, origin)},
+            folder / "clock.json",
+        )
     if analysis.motion is not None:
         table = deformation_table(analysis.motion, threshold=analysis.threshold)
         _write_table(table, folder / "deformation.csv")
