@@ -19,14 +19,17 @@ def comb(count=6, rows=12, columns=50, *, top=255, dtype=np.uint8):
 
 
 def chunk(name: bytes, data: bytes) -> bytes:
+    """A RIFF chunk, padded to an even size."""
     return name + struct.pack("<I", len(data)) + data + b"\0" * (len(data) % 2)
 
 
 def lists(name: bytes, *chunks: bytes) -> bytes:
+    """A RIFF list of chunks."""
     return chunk(b"LIST", name + b"".join(chunks))
 
 
 def avi_header(*, width, height, bits, fourcc, palette=b"", frames, fps=25, total=None) -> bytes:
+    """Header of an AVI of one uncompressed stream; `total`: the frames of all OpenDML segments."""
     strh = struct.pack(
         "<4s4sIHHIIIIIIII4h", b"vids", b"\0\0\0\0", 0, 0, 0, 0, 1, fps, 0, frames, 0, 0, 0, 0, 0, 0, 0
     )
@@ -59,7 +62,8 @@ def write_avi(
     index=True,
     promised=None,
 ) -> Path:
-    """A raw AVI; `segments` RIFF chunks as OpenDML has them; `drop`ped frames are chunks of no length."""
+    """A raw AVI; `segments` RIFF chunks as OpenDML has them; `drop`ped frames are chunks of no length;
+    `promised` frames stand in the header where it is wrong."""
     height, width = frames.shape[1:3]
     chunks = [
         chunk(
@@ -108,4 +112,5 @@ def whole(video) -> NDArray:
 
 
 def states(video) -> list[str]:
+    """Status of every frame."""
     return [status for block in video.blocks() for status in block.status]

@@ -26,9 +26,10 @@ def force_recording(experiment: Experiment, pull: Pull) -> pd.DataFrame:
 
     Returns
     -------
-    Table with the columns time_s, crosshead_mm, load_N and video_time_s. The exact force goes through a
-    first-order low-pass on a time grid fine enough for the slip, is sampled, drifts, gets white noise and is
-    rounded to the quantum.
+    DataFrame
+        Columns time_s, crosshead_mm, load_N and video_time_s. The exact force goes through a first-order
+        low-pass on a time grid fine enough for the slip, is sampled, drifts, gets white noise and is rounded
+        to the quantum.
     """
     cell, rate = experiment.load_cell, experiment.clocks.force_rate_Hz
     finest = min(pull.settings.slip_s / 4, cell.lowpass_s / 5 or np.inf)
@@ -57,6 +58,7 @@ def force_recording(experiment: Experiment, pull: Pull) -> pd.DataFrame:
 
 
 def _rounded(values: Floats, step: float) -> Floats:
+    """To multiples of step; as they are for step 0."""
     return np.asarray(np.round(values / step) * step) if step else values
 
 

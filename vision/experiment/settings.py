@@ -379,6 +379,7 @@ def _plain_type(declared: Any) -> type:
 
 
 def _require(condition: bool, setting: str, expected: str, found: object, advice: str = "") -> None:
+    """InputError about a setting unless the condition holds."""
     if not condition:
         raise InputError(f"setting {setting}", expected, str(found), advice)
 

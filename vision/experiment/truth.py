@@ -48,9 +48,10 @@ def truth_of(scene: Scene) -> xr.Dataset:
 
     Returns
     -------
-    Dataset with dimensions frame, sheet, event and slip. Events have the columns of `events.csv` (force
-    clock) and M_eff, without the initial loading. Attributes: every setting as JSON, the rows of the default
-    strip, the clocks, the axis.
+    Dataset
+        Dimensions frame, sheet, event and slip. Events have the columns of `events.csv` (force clock) and
+        M_eff, without the initial loading. Attributes: every setting as JSON, the rows of the default strip,
+        the clocks, the axis.
     """
     data = {**_of_frames(scene), **_of_events(scene), **_of_sheets(scene)}
     dataset = xr.Dataset(data, coords={"sheet": np.arange(len(scene.comb.n))})
@@ -62,6 +63,7 @@ def truth_of(scene: Scene) -> xr.Dataset:
 
 
 def _of_frames(scene: Scene) -> dict[str, Any]:
+    """Positions and times of every frame."""
     times = scene.times
     x = scene.seen_px(slice(None))
     reach = scene.ridges.fwhm_px
@@ -78,6 +80,7 @@ def _of_frames(scene: Scene) -> dict[str, Any]:
 
 
 def _of_events(scene: Scene) -> dict[str, Any]:
+    """Events and slips on both clocks, and the deformation of every sheet."""
     pull, e = scene.pull, scene.experiment
     events = pull.events()
     keep = np.flatnonzero(pull.complete)[1:]
@@ -101,6 +104,7 @@ def _of_events(scene: Scene) -> dict[str, Any]:
 
 
 def _of_sheets(scene: Scene) -> dict[str, Any]:
+    """Place and appearance of every sheet."""
     comb, ridges = scene.comb, scene.ridges
     return {
         "side": ("sheet", comb.side),
@@ -111,6 +115,7 @@ def _of_sheets(scene: Scene) -> dict[str, Any]:
 
 
 def _facts(scene: Scene) -> dict[str, Any]:
+    """Settings and what is one number for the whole test."""
     e, rows = scene.experiment, strip_slice(scene.experiment)
     return {
         "settings": json.dumps(asdict(e)),

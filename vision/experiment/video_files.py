@@ -27,11 +27,28 @@ Writer = Callable[[Path, Blocks, Camera, FrameTimes], None]
 def write_video(folder: Path, blocks: Blocks, camera: Camera, times: FrameTimes, *, container: str) -> Path:
     """Write every frame to folder/video.* and return its path.
 
-    container: raw (Y800 AVI), mjpeg (AVI), h264 (MP4), ffv1 (Matroska, 8 to 16 bit), tiff (BigTIFF where
-    large), png (numbered files, lost frames leave gaps). Only ffv1 keeps the times of lost frames; the
-    others run on. The h264 encoder gives the same bytes again only where both sides are multiples of 16:
-    elsewhere its padding is not defined and decoded pixels differ by a level or so.
-    Raises: InputError as `check_container`.
+    Parameters
+    ----------
+    folder
+        An existing folder.
+    blocks
+        From `frame_blocks`.
+    camera, times
+        For the frame rate, the depth and the numbers of lost frames.
+    container
+        raw (Y800 AVI), mjpeg (AVI), h264 (MP4), ffv1 (Matroska, 8 to 16 bit), tiff (BigTIFF where large) or
+        png (numbered files, lost frames leave gaps). Only ffv1 keeps the times of lost frames; the others
+        run on.
+
+    Raises
+    ------
+    InputError
+        As `check_container`.
+
+    Notes
+    -----
+    The h264 encoder gives the same bytes again only where both sides are multiples of 16: elsewhere its
+    padding is not defined and decoded pixels differ by a level or so.
     """
     check_container(container, camera)
     name, write, _ = _CONTAINERS[container]
@@ -53,6 +70,7 @@ def check_container(container: str, camera: Camera) -> None:
 
 
 def _raw(path: Path, blocks: Blocks, camera: Camera, times: FrameTimes) -> None:
+    """Uncompressed AVI."""
     with RawAviWriter(path, width=camera.width, height=camera.height, fps=camera.fps) as writer:
         for block in blocks:
             for frame in block:
@@ -108,19 +126,23 @@ def _fill(plane: Any, pixels: Pixels) -> None:
 
 
 def _mjpeg(path: Path, blocks: Blocks, camera: Camera, times: FrameTimes) -> None:
+    """Motion JPEG at the best quality."""
     _encoded(path, blocks, camera, times, codec="mjpeg", layout="yuvj420p")
 
 
 def _h264(path: Path, blocks: Blocks, camera: Camera, times: FrameTimes) -> None:
+    """H.264 in limited range, as cameras write it."""
     _encoded(path, blocks, camera, times, codec="libx264", layout="yuv420p")
 
 
 def _ffv1(path: Path, blocks: Blocks, camera: Camera, times: FrameTimes) -> None:
+    """Lossless, in the shallowest layout that holds the bits."""
     layout = {8: "gray", 10: "gray10le", 12: "gray12le"}.get(camera.bits, "gray16le")
     _encoded(path, blocks, camera, times, codec="ffv1", layout=layout)
 
 
 def _tiff(path: Path, blocks: Blocks, camera: Camera, times: FrameTimes) -> None:
+    """One multi-page TIFF."""
     size = camera.width * camera.height * (1 if camera.bits == 8 else 2) * len(times.exposed)
     with tifffile.TiffWriter(path, bigtiff=size > 3 << 30) as file:
         for block in blocks:
@@ -129,6 +151,7 @@ def _tiff(path: Path, blocks: Blocks, camera: Camera, times: FrameTimes) -> None
 
 
 def _png(path: Path, blocks: Blocks, camera: Camera, times: FrameTimes) -> None:
+    """Numbered files in a folder."""
     path.mkdir()
     numbers = iter(times.exposed)
     for block in blocks:
@@ -207,6 +230,7 @@ class RawAviWriter:
         self._file.write(struct.pack("<4sI", b"00db", size) + padded.tobytes())
 
     def _open_movi(self) -> int:
+        """Begin a list of frames; its place in the file."""
         at = self._file.tell()
         self._file.write(b"LIST\0\0\0\0movi")
         return at
@@ -232,10 +256,12 @@ class RawAviWriter:
         self._offsets = []
 
     def _fill_in(self, at: int, value: int) -> None:
+        """Write a size that was not known before."""
         self._file.seek(at)
         self._file.write(struct.pack("<I", value))
 
     def _write_idx1(self, size: int) -> None:
+        """The index of AVI 1.0, for readers that know no OpenDML."""
         kind = np.dtype([("id", "S4"), ("flags", "<u4"), ("at", "<u4"), ("size", "<u4")])
         table = np.zeros(len(self._offsets), kind)
         table["id"], table["flags"], table["size"] = b"00db", 0x10, size
@@ -243,25 +269,14 @@ class RawAviWriter:
         self._file.write(struct.pack("<4sI", b"idx1", table.nbytes) + table.tobytes())
 
     def _write_header(self, frames: int) -> None:
+        """The header, with the counts and sizes known so far."""
         size = self._stride * self._height
         rate, scale = self._rate.numerator, self._rate.denominator
         first = self._first_count or frames
         main = struct.pack(
             "<14I",
-            round(1e6 * scale / rate),
-            0,
-            0,
-            0x10,
-            first,
-            0,
-            1,
-            size,
-            self._width,
-            self._height,
-            0,
-            0,
-            0,
-            0,
+            *(round(1e6 * scale / rate), 0, 0, 0x10, first, 0, 1, size, self._width, self._height),
+            *(0, 0, 0, 0),
         )
         stream = struct.pack(
             "<4s4sIHHIIIIIIIIHHHH",
@@ -277,14 +292,17 @@ class RawAviWriter:
         self._file.write(struct.pack("<4sI4s", b"RIFF", self._first_bytes, b"AVI ") + header)
 
     def _super_index(self) -> bytes:
+        """OpenDML's index of the segments' indexes, padded to its full size."""
         head = struct.pack("<HBBI4sIII", 4, 0, 0, len(self._segments), b"00db", 0, 0, 0)
         rows = b"".join(struct.pack("<QII", *segment) for segment in self._segments)
         return (head + rows).ljust(24 + 16 * _SEGMENTS, b"\0")
 
 
 def _chunk(name: bytes, body: bytes) -> bytes:
+    """A RIFF chunk."""
     return struct.pack("<4sI", name, len(body)) + body
 
 
 def _list(name: bytes, body: bytes) -> bytes:
+    """A RIFF list."""
     return struct.pack("<4sI4s", b"LIST", len(body) + 4, name) + body
