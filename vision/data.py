@@ -234,11 +234,11 @@ STRIP = Schema(
     "strip",
     "vision.strip_profile",
     {
-        "intensity": Variable(("frame", "x"), "grey level", "mean intensity of the strip"),
+        "intensity": Variable(("frame", "x"), "grey level", "mean intensity of the strip", required=False),
         "frame": Variable(("frame",), "", "frame number in the file"),
         "x": Variable(("x",), "px", "column"),
         "time_s": Variable(("frame",), "s", "time of the frame"),
-        "status": Variable(("frame",), "", "ok, blank, corrupt or lost"),
+        "status": Variable(("frame",), "", "ok, blank, corrupt or lost", required=False),
     },
     StripMetadata,
 )

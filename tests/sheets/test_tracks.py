@@ -124,11 +124,22 @@ def test_errors_of_lossy_video_are_no_smaller_than_the_scatter(codec, raised):
     assert (stated > 0.04) if raised else (stated < 0.01)
 
 
-@pytest.mark.parametrize("lacking", ["time_s", "status"])
+@pytest.mark.parametrize("lacking", ["time_s", "frame"])
 def test_a_strip_that_lacks_something_is_refused_by_name(lacking):
     """A failure means a KeyError in the middle of the work."""
     _, picture = recording(1)
     assert f"no {lacking}" in refusal(picture.drop_vars(lacking))
+
+
+def test_a_strip_made_by_hand_needs_no_name_and_no_status():
+    """A failure means that arrays of one's own cannot be tracked in a notebook."""
+    truth, picture = recording(1)
+    bare = picture.drop_vars("status").rename(None)
+    bare[5] = np.nan
+    tracks = track_sheets(bare)
+    assert (tracks["flag"].values[5] == "blank").all()
+    assert (np.delete(tracks["flag"].values, 5, axis=0) == "ok").all()
+    assert np.nanmax(np.abs(tracks["x_px"].values - truth)) < 0.3
 
 
 def test_dimensions_in_another_order_are_refused():

@@ -86,15 +86,16 @@ class TrackingSettings:
     and goes" at 1.5), larger drops sheets of uneven combs."""
 
     even_spread: float = 0.12
-    """Scatter of the logarithm of the spacings up to which a comb is even; beyond it spacings count for
-    less."""
+    """Scatter of the logarithm of the spacings up to which a comb is even; beyond it spacings count for less.
+    The fixture "hostile" gets another number of sheets at 0.06."""
 
     contrast_score: float = 0.4
-    """Score per unit of the logarithm of contrast. Larger drops faint sheets, smaller keeps faint dust."""
+    """Score per unit of the logarithm of contrast. Larger drops faint sheets, smaller keeps faint dust (the
+    fixture "hostile" at 0.2)."""
 
     odd_width_cost: float = 3.0
-    """Cost per unit of the logarithm of width beyond the usual differences. Larger drops sheets out of
-    focus, smaller keeps labels and scratches."""
+    """Cost per unit of the logarithm of width beyond the usual differences. Larger drops sheets out of focus,
+    smaller keeps labels and scratches (the fixture "hostile" at 1.5)."""
 
     moving_px: float = 0.7
     """Motion, px rms, from which neighbours show that a ridge between them stands still. Larger keeps marks,

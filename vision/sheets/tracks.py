@@ -45,7 +45,8 @@ def track_sheets(
     ----------
     strip
         I(x, t) from `vision.strip_profile`, (frame, x), grey levels, with coordinates x (px), time_s and
-        status. Its codec (`vision.data.StripMetadata`) decides whether errors are raised to the scatter.
+        status (without it, rows with NaN are "blank"). Its codec (`vision.data.StripMetadata`) decides
+        whether errors are raised to the scatter.
     ridges
         Polarity of the ridges.
     sheets
@@ -210,7 +211,10 @@ def _dataset(strip: xr.DataArray, found: _Found, metadata: TrackMetadata) -> xr.
 
 def _flags(strip: xr.DataArray, found: _Found) -> Strings:
     """Why there is no position, or "ok"; the frame's own state goes first."""
-    status = np.asarray(strip["status"].values).astype("<U8")
+    if "status" in strip.coords:
+        status = np.asarray(strip["status"].values).astype("<U8")
+    else:
+        status = np.where(np.isfinite(strip.values).all(axis=1), "ok", "blank").astype("<U8")
     flag = found.detections.flag.copy()
     flag[(flag == "ok") & ~np.isfinite(found.x_px)] = "unfit"
     return np.where(status[:, None] != "ok", status[:, None], flag)
