@@ -57,9 +57,7 @@ class Corners:
         )
 
 
-def find_corners(
-    signal: DeconvolvedLoad, *, two_slopes: bool, settings: ForceSettings = DEFAULTS
-) -> Corners:
+def find_corners(signal: DeconvolvedLoad, *, two_slopes: bool, settings: ForceSettings = DEFAULTS) -> Corners:
     """Begin and end of the slips of a recording.
 
     Parameters
@@ -94,7 +92,9 @@ def find_corners(
     clear = base.drop > settings.clear_sigmas * signal.sigma
     clear &= np.isfinite(onset) & np.isfinite(end)
     onset = _half_length(np.where(clear, onset, usual_onset), base.before_slope, base.drop)
-    end = _half_length(np.where(clear, np.minimum(end, usual_end * 2), usual_end), base.after_slope, base.drop)
+    end = _half_length(
+        np.where(clear, np.minimum(end, usual_end * 2), usual_end), base.after_slope, base.drop
+    )
     middle = middle - signal.late
     last = signal.load.size - 1.0
     return Corners(

@@ -66,9 +66,7 @@ class LowpassEstimate:
         return enough and self.scatter < settings.lowpass_scatter and steady
 
 
-def estimate_lowpass(
-    y: Floats, transients: SlipTransients, corrected: float = 0.0
-) -> LowpassEstimate | None:
+def estimate_lowpass(y: Floats, transients: SlipTransients, corrected: float = 0.0) -> LowpassEstimate | None:
     """Time constant of a first-order low-pass in a recording.
 
     Parameters
@@ -161,8 +159,12 @@ class _Blocks:
         first = min(grid, key=lambda pair: self.fit(*pair)[0])
         start = np.array([np.log(first[0]), min(first[1], 0.9)])
         steps = np.array([start, (start[0] + 0.2, start[1]), (start[0], start[1] - 0.05)])
+
+        def squares(pair: Floats) -> float:
+            return self.fit(float(np.exp(pair[0])), float(pair[1]))[0]
+
         found = minimize(
-            lambda pair: self.fit(float(np.exp(pair[0])), float(pair[1]))[0],
+            squares,
             start,
             method="Nelder-Mead",
             bounds=[(float(np.log(_SHORTEST)), float(np.log(high))), (_KNEES[0], 0.9)],

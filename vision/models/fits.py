@@ -213,7 +213,9 @@ def fit_models(
 
 def _undetermined(reason: str) -> InputError:
     advice = "check `d0_mm`, and that the force was recorded while the blocks were pulled apart"
-    return InputError("model fits", "events that follow the paper's model", f"none that do ({reason})", advice)
+    return InputError(
+        "model fits", "events that follow the paper's model", f"none that do ({reason})", advice
+    )
 
 
 def _check_force(force: xr.Dataset) -> None:
@@ -396,7 +398,9 @@ def _derived(stiffness: _Fit, mu: Estimate, sample: Sample, d_mm: float) -> tupl
 
     centre = stiffness.value
     step = 1e-4 * np.diag(centre)
-    slopes = np.column_stack([(both(centre + move) - both(centre - move)) / (2 * move.sum()) for move in step])
+    slopes = np.column_stack(
+        [(both(centre + move) - both(centre - move)) / (2 * move.sum()) for move in step]
+    )
     scale, bending = both(centre).tolist()
     scale_error, bending_error = np.sqrt(np.diag(slopes @ stiffness.covariance @ slopes.T)).tolist()
     return Estimate(scale, scale_error), Estimate(bending, bending_error)
