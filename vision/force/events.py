@@ -167,7 +167,7 @@ def _corners(
     """Corners of the slips, the low-pass's time constant in samples, and how it is known."""
 
     def corners(tau: float) -> Corners:
-        corrected = deconvolve_lowpass(signal.clean, signal.sigma, slips, tau, settings=settings)
+        corrected = deconvolve_lowpass(signal.clean, signal.sigma, slips, tau)
         return find_corners(corrected, two_slopes=two_slopes, settings=settings)
 
     if lowpass_s is not None:
@@ -209,7 +209,7 @@ class _Sticks:
     def one_slope(self, part: float) -> tuple[Ints, Ints]:
         """The same after the knee; before it where it comes late."""
         length = self.p - self.v
-        margin, clear = 0.5 * (1 - part) * length, self.settings.knee_clearance * length
+        margin, clear = 0.5 * (1 - part) * length, 0.03 * length
         start, stop = self.v + margin, self.p - margin
         early = self.knee - self.v < 0.65 * length
         start = np.where(early, np.fmax(start, self.knee + clear), start)

@@ -10,7 +10,7 @@ from typing import Any
 class ForceSettings:
     """Tunable numbers of `read_force` and `find_stick_slip`; the defaults suit recordings of 10 to 10 000 Hz.
 
-    Sigmas count the standard deviation of the load's white noise unless something else is said.
+    Sigmas count the standard deviation of the load's white noise unless stated otherwise.
     """
 
     gap_intervals: float = 5.0
@@ -57,14 +57,6 @@ class ForceSettings:
     """How many times smaller the squared residuals with a knee must be for a stick to have two slopes.
     Smaller sees knees in noise, larger misjudges the corners of bent sticks."""
 
-    knee_clearance: float = 0.03
-    """Part of the stick kept clear of the knee where K is measured. Smaller mixes the slopes, larger leaves
-    fewer samples; shown by the stiffness of simulated fast pulls."""
-
-    clear_sigmas: float = 20.0
-    """Drops above this give their own length of slip, smaller ones the recording's median. Smaller carries
-    noise into the corners, larger loses true variation."""
-
     corner_error: float = 0.3
     """Samples by which a corner may be off because it lies between two; shown by how often the stated error
     of Λ_st covers the truth."""
@@ -77,14 +69,6 @@ class ForceSettings:
     """Gain in squares, over chance, that a low-pass must reach when corners are corrected for it. Lower finds
     low-passes in noise, higher leaves the drops of fast pulls too small; shown by sawteeth with and without
     one."""
-
-    lowpass_scatter: float = 0.6
-    """Largest interquartile range of the heights of the slip transients over their median. One low-pass
-    leaves transients of one height; real relaxation scatters more."""
-
-    lowpass_smoothing: float = 40.0
-    """Ratio of drop to noise down to which a corrected recording is not smoothed. Larger smooths more: less
-    noise but blurred corners."""
 
     central_part: float = 0.5
     """Central part of the stick over which K is measured. Larger lowers the error of K and takes in the
