@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from tests.scenes.sawtooth import recording
 from vision.errors import InputError
-from vision.models import equations
-from vision.models.fits import fit_models
-from vision.sample import Sample
+from vision.models import ModelFits, equations, fit_models
+from vision.sample import PUBLISHED, Sample
 
 TRUTH = {"mu": 0.89, "t0_N": 4.0, "amplitude": 0.34, "n_hat_N": 0.57, "modulus_GPa": 3.8}
+
+
+MADE = recording(np.arange(10.0), np.arange(10.0), 13 + np.arange(10.0), 1.0)
+
+
+def fit(made: pd.DataFrame, *sample: Sample, **options: bool) -> ModelFits:
+    return fit_models(MADE, made, *sample, **options)
 
 
 def events(
@@ -43,7 +54,7 @@ def test_pulls_are_those_of_honest_errors() -> None:
     """A failure means a fitted parameter is biased or its stated error is not its real one."""
     pulls = []
     for seed in range(40):
-        fits = fit_models(events(seed=seed))
+        fits = fit(events(seed=seed))
         found = {name: getattr(fits, name) for name in TRUTH}
         pulls.append([(found[name].value - true) / found[name].error for name, true in TRUTH.items()])
     pulls_by_name = np.array(pulls)
@@ -54,7 +65,7 @@ def test_pulls_are_those_of_honest_errors() -> None:
 
 def test_exact_events_give_exact_parameters() -> None:
     """A failure means an equation or a unit is wrong, not a matter of noise."""
-    fits = fit_models(events(scatter=0, jitter=0, k_error=1e-9))
+    fits = fit(events(scatter=0, jitter=0, k_error=1e-9))
     for name, true in TRUTH.items():
         assert getattr(fits, name).value == pytest.approx(true, rel=2e-3), name
     assert fits.scale_mm.value == pytest.approx(19.09, abs=0.02)
@@ -67,52 +78,42 @@ def test_wrong_model_shows_in_the_goodness_of_fit() -> None:
     made = events()
     noise = np.random.default_rng(1).normal(0, 1, len(made))
     straight = made.assign(F_p_N=300 - 15 * (made["d_p_mm"] - 13) + noise)
-    assert fit_models(made).goodness["peaks"].chi2_dof < 1.4
-    assert fit_models(straight).goodness["peaks"].chi2_dof > 5
+    assert fit(made).goodness["peaks"].chi2_dof < 1.4
+    assert fit(straight).goodness["peaks"].chi2_dof > 5
 
 
 def test_wrong_geometry_fails() -> None:
     """A failure means the sheets' thickness does not matter to the fit, which it must."""
-    fits = fit_models(events(), assembly=Sample(thickness_mm=0.11))
+    fits = fit(events(), Sample(thickness_mm=0.11))
     assert abs(fits.mu.value - 0.89) > 20 * fits.mu.error
 
 
 def test_freeing_t_star_says_that_it_is_degenerate() -> None:
     """A failure means a user reads μ and T* one by one where only their combination is known."""
-    free, fixed = fit_models(events(), free_t_star=True), fit_models(events())
+    free, fixed = fit(events(), free_t_star=True), fit(events())
     assert free.correlation["mu,T_star_N"] < -0.99
     assert any("degenerate" in note for note in free.notes)
     assert free.mu.error > 5 * fixed.mu.error
     assert abs(free.t_star_N.value - 0.003) < 4 * free.t_star_N.error
 
 
-def test_what_was_held_fixed_is_told() -> None:
-    """A failure means models.json hides an assumption, or is no valid JSON."""
-    content = json.loads(json.dumps(fit_models(events()).to_json(), allow_nan=False))
-    assert content["fixed"]["T_star_N"] == 0.003
-    assert content["fixed"]["thickness_mm"] == 0.1
-    assert set(content["mu"]) == {"value", "error"}
-    assert {"T0_N", "A", "N_hat_N", "Y_eff_GPa"} <= set(content)
-    freed = fit_models(events(), free_t_star=True).to_json()
-    assert "T_star_N" in freed
-    assert "T_star_N" not in freed["fixed"]
-
-
-def test_imaging_is_set_against_the_force() -> None:
-    """A failure means the comparison of shells with M_eff is off."""
-    made = events()
-    fits = fit_models(made)
-    shells = pd.DataFrame({"d_v_mm": [13.5, 15.0, 16.0], "stiff_sheets": [14.5, 12.6, np.nan]})
-    compared = fit_models(made, shells).shells
-    assert compared is not None
-    assert compared.compared == 2
-    expected = np.array([14.5, 12.6]) - fits.effective_sheets([13.5, 15.0])
-    assert compared.mean_difference == pytest.approx(expected.mean())
+def test_models_json_has_the_agreed_form() -> None:
+    """A failure means a script that reads models.json breaks, or it is no valid JSON."""
+    content = json.loads(json.dumps(fit(events()).to_json(), allow_nan=False))
+    for name in ("mu", "T0_N", "A", "N_hat_N", "Y_eff_GPa", "Lambda_hat_mm"):
+        assert set(content[name]) == {"value", "error", "systematic_error"}
+        assert content[name]["systematic_error"] is None
+    assert content["sample"] == asdict(PUBLISHED)
+    assert content["events_used"] == 200
+    assert content["fit_range_mm"] == [13.05, 18.0]
+    assert content["chi2_dof"] == pytest.approx(1, abs=0.2)
+    assert not {"fixed", "shells", "T_star_N"} & set(content)
+    assert "T_star_N" in fit(events(), free_t_star=True).to_json()
 
 
 def test_beyond_the_last_stiff_sheet() -> None:
     """A failure means d̂ > 1, which real samples reach, breaks the fit with NaN."""
-    fits = fit_models(events(d1=17.5, n_hat=0.75).query("K_N_per_mm > 0"))
+    fits = fit(events(d1=17.5, n_hat=0.75).query("K_N_per_mm > 0"))
     assert np.isfinite(fits.n_hat_N.value)
     assert fits.effective_sheets(30.0) == 0
 
@@ -122,20 +123,83 @@ def test_flagged_events_do_not_count() -> None:
     made = events()
     spoiled = made.assign(F_p_N=made["F_p_N"].where(made.index % 10 > 0, 1e4))
     marked = spoiled.assign(flag=np.where(made.index % 10 > 0, "ok", "gap"))
-    assert fit_models(marked).mu.value == pytest.approx(0.89, abs=0.005)
-    assert abs(fit_models(spoiled).mu.value - 0.89) > 0.02
+    assert fit(marked).mu.value == pytest.approx(0.89, abs=0.005)
+    assert abs(fit(spoiled).mu.value - 0.89) > 0.02
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda made: made.head(4), "at least 6 whole events.*4 of 4"),
-        (lambda made: made.assign(d_v_mm=made["d_v_mm"] - 13.1), "initial separation with --d0"),
+        (lambda made: made.assign(d_v_mm=made["d_v_mm"] - 13.1), "initial separation with `d0_mm`"),
         (lambda made: made.assign(d_p_mm=made["d_p_mm"] + 50), "between 0 and 57 mm"),
-        (lambda made: made.assign(K_N_per_mm=np.nan), "a displacement or --speed"),
+        (lambda made: made.drop(columns="dF_N"), "no dF_N"),
+        (lambda made: made.assign(K_N_per_mm=np.nan), "a displacement or `speed_mm_min`"),
     ],
 )
 def test_events_that_cannot_be_fitted_are_refused(change, message: str) -> None:
     """A failure means numbers come out of a fit that has no meaning."""
     with pytest.raises(InputError, match=message):
-        fit_models(change(events()))
+        fit(change(events()))
+
+
+@pytest.mark.parametrize(
+    ("force", "message"),
+    [
+        (MADE.assign_attrs(d0_mm=np.nan, separation_from="displacement"), "give `d0_mm`"),
+        (MADE.assign(load_N=MADE["load_N"].assign_attrs(units="1")), "a force over a weight"),
+    ],
+)
+def test_recordings_that_cannot_be_fitted_are_refused(force: xr.Dataset, message: str) -> None:
+    """A failure means parameters in newton from numbers that are none, or from an unknown separation."""
+    with pytest.raises(InputError, match=message):
+        fit_models(force, events())
+
+
+def test_peaks_that_do_not_fall_with_separation_are_refused() -> None:
+    """A failure means a traceback where the friction coefficient is not determined."""
+    made = events()
+    rising = made.assign(F_p_N=np.linspace(5, 25, len(made)))
+    with pytest.raises(InputError, match=r"events that follow the paper's model.*friction coefficient"):
+        fit(rising)
+
+
+NUMBERS = (
+    st.floats(allow_nan=True, allow_infinity=True) | st.floats(0, 100) | st.sampled_from([0.0, 13.0, 57.0])
+)
+STRANGE = st.integers(6, 12).flatmap(
+    lambda count: st.fixed_dictionaries(
+        {
+            name: st.lists(NUMBERS, min_size=count, max_size=count)
+            for name in ("d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm", "K_err_N_per_mm")
+        }
+    )
+)
+POSITIVE = st.integers(6, 12).flatmap(
+    lambda count: st.fixed_dictionaries(
+        {
+            name: st.lists(st.floats(low, high), min_size=count, max_size=count)
+            for name, low, high in (
+                ("d_v_mm", 1e-3, 56.0),
+                ("d_p_mm", 1e-3, 56.0),
+                ("F_p_N", -1e3, 1e3),
+                ("dF_N", 1e-6, 1e3),
+                ("K_N_per_mm", 1e-3, 1e4),
+                ("K_err_N_per_mm", 0.0, 1e3),
+            )
+        }
+    )
+)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(columns=STRANGE | POSITIVE, free_t_star=st.booleans())
+def test_strange_events_are_fitted_or_refused(columns: dict[str, list[float]], free_t_star: bool) -> None:
+    """A failure means a fit ends in a traceback of SciPy, or in numbers that are not finite."""
+    try:
+        fits = fit(pd.DataFrame(columns), free_t_star=free_t_star)
+    except InputError as error:
+        assert "\n" not in str(error)
+    else:
+        json.dumps(fits.to_json(), allow_nan=False)
+        assert np.isfinite([fits.mu.error, fits.n_hat_N.error, fits.modulus_GPa.error]).all()

@@ -1,4 +1,4 @@
-"""Sawtooth recordings with known slips, for tests of the force room alone."""
+"""Sawtooth recordings with known slips."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pandas as pd
 import xarray as xr
 from scipy.signal import lfilter
 
+from vision.data import ForceMetadata
 from vision.models import equations
 
 
@@ -29,7 +30,9 @@ def recording(time: np.ndarray, load: np.ndarray, d: np.ndarray, speed_mm_min: f
             "flag": ("time_s", np.full(time.size, "ok")),
         },
         coords={"time_s": time},
-        attrs={"speed_mm_min": speed_mm_min, "source": "displacement", "path": "made.txt", "d0_mm": 13.0},
+        attrs=ForceMetadata(
+            source="made.txt", separation_from="displacement", speed_mm_min=speed_mm_min, d0_mm=13.0
+        ).attrs(),
     )
 
 

@@ -89,7 +89,7 @@ def find_corners(signal: DeconvolvedLoad, *, two_slopes: bool, settings: ForceSe
         # Not resolved. Half of what is seen: the rest may be the sampling's or a low-pass too short to tell.
         usual_onset = usual_end = 0.25 * (usual_onset + usual_end)
         onset, end = np.full_like(onset, usual_onset), np.full_like(end, usual_end)
-    clear = base.drop > settings.clear_sigmas * signal.sigma
+    clear = base.drop > 20 * signal.sigma  # noise would scatter the length of smaller ones
     clear &= np.isfinite(onset) & np.isfinite(end)
     onset = _half_length(np.where(clear, onset, usual_onset), base.before_slope, base.drop)
     end = _half_length(

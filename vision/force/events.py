@@ -98,7 +98,7 @@ def find_stick_slip(
     corners, tau, how = _corners(signal, slips, fast, lowpass_s, settings)
     events = _measure(signal, corners, tau, fast, 1 / (machine_stiffness_N_per_mm or np.inf), settings)
     first, last = np.interp(corners.peak[[0, -1]], np.arange(signal.time.size), signal.time)
-    events.attrs = StickMetadata(
+    events.attrs |= StickMetadata(
         noise_N=signal.sigma,
         threshold_N=slips.threshold,
         threshold_how=slips.threshold_how,
@@ -167,7 +167,7 @@ def _corners(
     """Corners of the slips, the low-pass's time constant in samples, and how it is known."""
 
     def corners(tau: float) -> Corners:
-        corrected = deconvolve_lowpass(signal.clean, signal.sigma, slips, tau, settings=settings)
+        corrected = deconvolve_lowpass(signal.clean, signal.sigma, slips, tau)
         return find_corners(corrected, two_slopes=two_slopes, settings=settings)
 
     if lowpass_s is not None:
@@ -175,7 +175,7 @@ def _corners(
         return corners(tau), tau, "given"
     plain = corners(0.0)
     found = estimate_lowpass(signal.clean, plain.transients())
-    if found is None or found.gain <= settings.lowpass_trial:
+    if found is None or found.gain <= 2.5:  # nothing to look into
         return plain, 0.0, "none"
     # Corrected corners show the transients from their very begin: what is found a second time is believed.
     for _ in range(3):
@@ -209,9 +209,9 @@ class _Sticks:
     def one_slope(self, part: float) -> tuple[Ints, Ints]:
         """The same after the knee; before it where it comes late."""
         length = self.p - self.v
-        margin, clear = 0.5 * (1 - part) * length, self.settings.knee_clearance * length
+        margin, clear = 0.5 * (1 - part) * length, 0.03 * length
         start, stop = self.v + margin, self.p - margin
-        early = self.knee - self.v < self.settings.late_knee * length
+        early = self.knee - self.v < 0.65 * length
         start = np.where(early, np.fmax(start, self.knee + clear), start)
         return _between(start, np.where(early, stop, np.fmin(stop, self.knee - clear)))
 

@@ -1,4 +1,4 @@
-"""Files of testing machines, text and MATLAB, as tables: encoding, separator, decimal mark, header, blocks."""
+"""Files of testing machines (text, MATLAB) as tables: encoding, separator, decimal mark, header, blocks."""
 
 from __future__ import annotations
 

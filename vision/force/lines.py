@@ -232,7 +232,7 @@ def bend_squares(x: Floats, y: Floats, start: Ints, stop: Ints, knee_x: Floats) 
 
 @dataclass(frozen=True)
 class _Hinges:
-    """y = a + b u + c max(0, u - knee) + transient, u from 0 to 1 in each row; late: the lag in u, (rows,)."""
+    """y = a + b u + c max(0, u - knee) + transient, u from 0 to 1 in each row; late: lag in u, (rows,)."""
 
     u: Floats
     y: Floats

@@ -9,7 +9,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
 
 from vision.force.lines import lagged_hinge
-from vision.force.settings import DEFAULTS, ForceSettings
+from vision.force.settings import ForceSettings
 from vision.force.slips import Slips
 from vision.numeric import Bools, Floats, Ints
 
@@ -63,7 +63,7 @@ class LowpassEstimate:
         """Whether this, from corners corrected for the low-pass found before, shows the same one."""
         steady = abs(np.log(self.samples / before.samples)) < 0.25
         enough = self.gain > settings.lowpass_accepted and 0.25 < self.height < 5.0
-        return enough and self.scatter < settings.lowpass_scatter and steady
+        return enough and self.scatter < 0.6 and steady
 
 
 def estimate_lowpass(y: Floats, transients: SlipTransients, corrected: float = 0.0) -> LowpassEstimate | None:
@@ -159,8 +159,12 @@ class _Blocks:
         first = min(grid, key=lambda pair: self.fit(*pair)[0])
         start = np.array([np.log(first[0]), min(first[1], 0.9)])
         steps = np.array([start, (start[0] + 0.2, start[1]), (start[0], start[1] - 0.05)])
+
+        def squares(pair: Floats) -> float:
+            return self.fit(float(np.exp(pair[0])), float(pair[1]))[0]
+
         found = minimize(
-            lambda pair: self.fit(float(np.exp(pair[0])), float(pair[1]))[0],
+            squares,
             start,
             method="Nelder-Mead",
             bounds=[(float(np.log(_SHORTEST)), float(np.log(high))), (_KNEES[0], 0.9)],
@@ -211,9 +215,7 @@ class DeconvolvedLoad:
     sigma: float
 
 
-def deconvolve_lowpass(
-    y: Floats, sigma: float, slips: Slips, tau: float, *, settings: ForceSettings = DEFAULTS
-) -> DeconvolvedLoad:
+def deconvolve_lowpass(y: Floats, sigma: float, slips: Slips, tau: float) -> DeconvolvedLoad:
     """The load before a first-order low-pass.
 
     Parameters
@@ -224,8 +226,6 @@ def deconvolve_lowpass(
         As found in y.
     tau
         Time constant in samples; 0 leaves y unchanged.
-    settings
-        ``lowpass_smoothing``: y is smoothed only as far as the usual drop needs to stand out.
 
     Returns
     -------
@@ -235,7 +235,8 @@ def deconvolve_lowpass(
     -----
     .. math:: z_k = y_k + c\\,(y_k - y_{k-1}), \\qquad c = 1 / (e^{1/\\tau} - 1)
 
-    has no transient left after a step, and on a rise it lags by :math:`\\tau - c` samples.
+    has no transient left after a step, and on a rise it lags by :math:`\\tau - c` samples. It is smoothed
+    only as far as the usual drop needs to be 40 times the noise, by a tenth of a period at most.
     """
     if not tau:
         return DeconvolvedLoad(y, slips.edge, 0.0, 1, sigma)
@@ -243,7 +244,7 @@ def deconvolve_lowpass(
     widths = 1 + 2 * np.arange(int(slips.period / 20) + 1)  # up to a tenth of a period
     # A mean of differences is a difference of ends: its noise falls with the width itself.
     noise = sigma * np.sqrt((1 + 2 * gain * (1 + gain) / widths) / widths)
-    noisy = int(np.sum(noise > np.median(slips.drop) / settings.lowpass_smoothing))
+    noisy = int(np.sum(noise > np.median(slips.drop) / 40))
     chosen = min(noisy, widths.size - 1)
     width = int(widths[chosen])
     load = uniform_filter1d(y + gain * np.diff(y, prepend=y[:1]), width, mode="nearest")

@@ -251,7 +251,7 @@ def sample_flags(
 
 
 def _saturated(load: Floats, least: int) -> Bools:
-    """Runs of at least so many samples at exactly the largest |load|; none where that is the resting value."""
+    """Runs of at least so many samples at exactly the largest |load|; none where the load rests there."""
     finite = np.abs(load[np.isfinite(load)])
     if not finite.size or finite.max() == np.median(finite):
         return np.zeros(load.shape, dtype=bool)

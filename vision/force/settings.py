@@ -10,7 +10,7 @@ from typing import Any
 class ForceSettings:
     """Tunable numbers of `read_force` and `find_stick_slip`; the defaults suit recordings of 10 to 10 000 Hz.
 
-    Sigmas count the standard deviation of the load's white noise unless something else is said.
+    Sigmas count the standard deviation of the load's white noise unless stated otherwise.
     """
 
     gap_intervals: float = 5.0
@@ -18,8 +18,8 @@ class ForceSettings:
     smaller flags the jitter of a clock; shown by recordings of which a part was cut out."""
 
     saturated_run: int = 5
-    """Equal samples in a row at the largest load that mean saturation. Smaller flags rounded peaks of a coarse
-    load cell, larger misses short saturations."""
+    """Equal samples in a row at the largest load that mean saturation. Smaller flags the rounded peaks of a
+    coarse load cell, larger misses short saturations."""
 
     spike_sigmas: float = 6.0
     """A sample this far from the median of the five around it is a spike. Smaller takes noise for spikes,
@@ -38,36 +38,24 @@ class ForceSettings:
     noise, larger joins sticks over small slips; shown by ramps of noise, which must give no event."""
 
     threshold_sigmas: float = 4.0
-    """Smallest drop between stick lines that is a slip, where no threshold is given. Lower finds smaller slips
-    and more false ones; shown by at most 1 % false events at drops of six sigmas."""
+    """Smallest drop between stick lines that is a slip, where no threshold is given. Lower finds smaller
+    slips and more false ones; shown by at most 1 % false events at drops of six sigmas."""
 
     threshold_gap: float = 3.0
-    """A gap of this ratio in the sizes of the drops separates noise from slips and moves the threshold into it.
+    """A gap of this ratio in the sizes of the drops separates noise from slips and moves the threshold there.
     Smaller may cut off true small slips, larger leaves clusters of false ones."""
 
     line_part: float = 0.8
-    """Central part of a stick through which its line is fitted, from which drops, F_v and F_p are extrapolated.
-    Larger comes closer to the rounded ends, smaller extrapolates further."""
+    """Central part of a stick through which its line is fitted; drops, F_v and F_p are extrapolated
+    from it. Larger comes closer to the rounded ends, smaller extrapolates further."""
 
     fast_mm_min: float = 5.0
     """Pulling speed from which sticks may have two slopes. Fast pulls show a steeper start; fitting a knee to
     slow ones only adds noise."""
 
     knee_gain: float = 1.5
-    """How many times smaller the squared residuals with a knee must be for a stick to have two slopes. Smaller
-    sees knees in noise, larger misjudges the corners of bent sticks."""
-
-    knee_clearance: float = 0.03
-    """Part of the stick kept clear of the knee where K is measured. Smaller mixes the slopes, larger leaves
-    fewer samples; shown by the stiffness of simulated fast pulls."""
-
-    late_knee: float = 0.65
-    """A knee after this part of the stick is late, and K is measured before it in place of after it. Where
-    the two slopes share the stick evenly the value does not matter."""
-
-    clear_sigmas: float = 20.0
-    """Drops above this give their own length of slip, smaller ones the recording's median. Smaller carries
-    noise into the corners, larger loses true variation."""
+    """How many times smaller the squared residuals with a knee must be for a stick to have two slopes.
+    Smaller sees knees in noise, larger misjudges the corners of bent sticks."""
 
     corner_error: float = 0.3
     """Samples by which a corner may be off because it lies between two; shown by how often the stated error
@@ -77,21 +65,10 @@ class ForceSettings:
     """Part of a slip's length by which its corners may be off, its shape being assumed; shown like
     `corner_error`."""
 
-    lowpass_trial: float = 2.5
-    """Gain in squares, over chance, from which a low-pass is looked into. Lower costs time only: what is looked
-    into must pass `lowpass_accepted` twice over."""
-
     lowpass_accepted: float = 5.0
     """Gain in squares, over chance, that a low-pass must reach when corners are corrected for it. Lower finds
-    low-passes in noise, higher leaves the drops of fast pulls too small; shown by sawteeth with and without."""
-
-    lowpass_scatter: float = 0.6
-    """Largest interquartile range of the heights of the slip transients over their median. One low-pass leaves
-    transients of one height; real relaxation scatters more."""
-
-    lowpass_smoothing: float = 40.0
-    """Ratio of drop to noise down to which a corrected recording is not smoothed. Larger smooths more: less
-    noise but blurred corners."""
+    low-passes in noise, higher leaves the drops of fast pulls too small; shown by sawteeth with and without
+    one."""
 
     central_part: float = 0.5
     """Central part of the stick over which K is measured. Larger lowers the error of K and takes in the

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import find_peaks
 
@@ -145,7 +146,7 @@ def _local_period(edge: Ints, size: int) -> Floats:
     return _spread(0.5 * (edge[1:] + edge[:-1]), spacing, size)
 
 
-def _spread(index: Floats, period: Floats, size: int) -> Floats:
+def _spread(index: NDArray[np.floating], period: Floats, size: int) -> Floats:
     """Periods known at some samples, at every sample."""
     return np.exp(np.interp(np.arange(size), index, np.log(period)))
 

@@ -213,9 +213,7 @@ def fit_models(
 
 def _undetermined(reason: str) -> InputError:
     advice = "check `d0_mm`, and that the force was recorded while the blocks were pulled apart"
-    return InputError(
-        "model fits", "events that follow the paper's model", f"none that do ({reason})", advice
-    )
+    return InputError("model fits", "events that follow the paper's model", f"others ({reason})", advice)
 
 
 def _check_force(force: xr.Dataset) -> None:

@@ -10,10 +10,11 @@ import pytest
 import xarray as xr
 
 from tests.scenes.sawtooth import Test, plain, realistic, recording
+from vision.data import STICKS, StickMetadata
 from vision.errors import InputError
-from vision.force import detection_limit, find_stick_slip
-from vision.force.recording import read_force
+from vision.force import ForceSettings, detection_limit, find_stick_slip, read_force
 
+FAST = {"speed": 10.0, "rate": 2000.0, "noise": 0.05, "d1": 13.8, "slip_s": 0.005}
 REAL = Path(__file__).parents[2] / "../shared/data"
 
 
@@ -53,7 +54,7 @@ def test_noise_alone_gives_no_events() -> None:
 def test_a_threshold_too_low_or_high_fails() -> None:
     """A failure means `threshold_N` does nothing, so the recall above would prove nothing about it."""
     test = plain(sticks=100, samples=30, snr=6, seed=2)
-    with pytest.raises(InputError, match="lower --force-threshold"):
+    with pytest.raises(InputError, match="lower `threshold_N`"):
         find_stick_slip(test.force, threshold_N=12)
     assert find_stick_slip(test.force, threshold_N=3).attrs["threshold_how"] == "given"
 
@@ -212,3 +213,41 @@ def test_paper_on_paper_fast() -> None:
     assert 100 <= len(events) <= 140
     assert events["K_N_per_mm"].median() == pytest.approx(0.62, abs=0.04)
     assert (events["dF_N"] > 0).all()
+
+
+@pytest.mark.parametrize("settings", [FAST | {"tau": 0.003}, {"rate": 200.0}, {"rate": 100.0, "tau": 0.01}])
+def test_stick_lengths_carry_an_honest_error(settings: dict[str, float]) -> None:
+    """A failure means stick_length_err_um is too small to be used in σ_x/Λ_st."""
+    test = realistic(**settings)
+    events = find_stick_slip(test.force)
+    nearest = np.abs(events["t_p_s"].to_numpy()[:, None] - test.truth["t_p_s"].to_numpy()).argmin(axis=1)
+    off = events["stick_length_um"].to_numpy() - test.truth["stick_length_um"].to_numpy()[nearest]
+    assert np.mean(np.abs(off) < events["stick_length_err_um"]) > 0.6
+    assert (events["stick_length_err_um"] < 0.1 * events["stick_length_um"]).all()
+
+
+def test_a_load_that_holds_still_warns_of_nothing() -> None:
+    """A failure means a library's warning on the terminal for a recording with a hold."""
+    saw = 5 + 5 * (np.arange(41 * 30) % 30) / 30
+    load = np.r_[saw, np.full(5000, 5.0), saw]
+    time = np.arange(load.size) / 100
+    assert len(find_stick_slip(recording(time, load, 13 + time / 1000, 0.06))) > 40
+
+
+def test_facts_travel_with_the_events() -> None:
+    """A failure means a later stage does not know the noise, the low-pass or the first slip."""
+    test = realistic(d1=13.5)
+    events = find_stick_slip(test.force, settings=ForceSettings(few_samples=5))
+    facts = StickMetadata.of(events)
+    assert facts.noise_N == pytest.approx(0.2, rel=0.1)
+    assert facts.threshold_how == "noise"
+    assert facts.central_part == 0.5
+    assert events.attrs["operations"][-1]["parameters"]["settings"] == {"few_samples": 5}
+    STICKS.check(events)
+    assert list(STICKS.variables)[:9] == list(events.columns)[:9]
+
+
+def test_what_is_no_recording_is_refused_by_name() -> None:
+    """A failure means a KeyError for a dataset of something else."""
+    with pytest.raises(InputError, match=r"read_force.*no load_N"):
+        find_stick_slip(realistic(d1=13.2).force.drop_vars("load_N"))

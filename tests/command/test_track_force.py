@@ -13,7 +13,7 @@ from tests.scenes.sawtooth import Test, realistic
 from vision.command.force import force
 from vision.errors import InputError
 from vision.force import find_stick_slip
-from vision.models.fits import fit_models
+from vision.models import fit_models
 
 COLUMNS = [
     "event",
@@ -49,7 +49,7 @@ def file(test: Test, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_events_of_a_recording_give_back_the_models(test: Test) -> None:
     """A failure means detection and measurement bend the physics that the fits then find."""
-    fits = fit_models(find_stick_slip(test.force))
+    fits = fit_models(test.force, find_stick_slip(test.force))
     assert fits.mu.value == pytest.approx(0.89, abs=0.003)
     assert fits.t0_N.value == pytest.approx(0, abs=0.6)
     assert fits.amplitude.value == pytest.approx(0.34, rel=0.03)
@@ -69,7 +69,7 @@ def test_run_folder(file: Path, test: Test, capsys: pytest.CaptureFixture[str]) 
     assert models["mu"]["value"] == pytest.approx(0.89, abs=0.003)
     run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     assert run["parameters"]["d0_mm"] == {"value": 13, "how": "given"}
-    assert run["force"]["source"] == "displacement"
+    assert run["force"]["separation_from"] == "displacement"
     assert len(run["inputs"][0]["sha256"]) == 64
     assert (folder / "force.png").stat().st_size > 10_000
     assert "mu 0.89" in capsys.readouterr().out

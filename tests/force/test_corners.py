@@ -1,0 +1,31 @@
+"""Begin and end of slips whose corners are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vision.force.corners import find_corners
+from vision.force.lowpass import deconvolve_lowpass
+from vision.force.slips import find_slips
+
+
+@pytest.mark.parametrize("length", [4.0, 12.0])
+def test_corners_of_half_cosine_slips(length: float) -> None:
+    """A failure means Λ_st is off by what a slip's own length makes."""
+    rng = np.random.default_rng(0)
+    period = 200 + rng.uniform(0, 1, 40)
+    begin = np.cumsum(period)
+    index = np.arange(int(begin[-1] + 100.0))
+    k = np.searchsorted(begin, index, side="right")
+    since = index - np.r_[0.0, begin][k]
+    fall = np.where(k > 0, 50 * (1 + np.cos(np.pi * np.clip(since / length, 0, 1))) / 2, 0.0)
+    load = 100 + fall + 0.25 * np.maximum(since - np.where(k > 0, length, 0.0), 0.0)
+    load += 0.05 * rng.standard_normal(load.size)
+    slips = find_slips(load, 0.05)
+    assert slips.edge.size == 40
+    corners = find_corners(deconvolve_lowpass(load, 0.05, slips, 0.0), two_slopes=False)
+    assert np.median(np.abs(corners.peak - begin)) < 0.15 * length
+    assert np.median(np.abs(corners.valley - begin - length)) < 0.15 * length
+    assert np.mean(np.abs(corners.peak - begin) < 3 * corners.error) > 0.95
+    assert np.isnan(corners.knee).all()

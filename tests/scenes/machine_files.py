@@ -1,0 +1,75 @@
+"""One short recording in every layout that testing machines write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+TIME = np.arange(40) * 0.1
+LOAD = 20 + np.arange(40) * 0.5
+PULL = np.arange(40) * 0.002
+
+
+def rows(*columns: np.ndarray, sep: str = "\t", decimal: str = ".", quote: str = "") -> str:
+    lines = [sep.join(f"{quote}{value:.6f}{quote}" for value in row) for row in zip(*columns, strict=True)]
+    return "\n".join(lines).replace(".", decimal) + "\n"
+
+
+MTS = (
+    "File Path: C:\\DAQ- Crosshead, … - (Timed).txt\n"
+    "Test: MTS EM Tension (Simplified) with Video Extensometer 5\n"
+    "Test Run: 3\nDate: 1/10/2022 12:52:17 PM\n\n\n"
+    "Crosshead \tLoad \tTime \tStrain 1 \tVideo Time \t\nmm\tN\tsec\tmm/mm\tsec\n"
+) + rows(PULL, LOAD, TIME, TIME * 0 - 5.38e-6, 0.999958 * TIME + 8.0853)
+MTS_CSV = '"Crosshead ","Load ","Time "\n"mm","N","sec"\n' + rows(PULL, LOAD, TIME, sep=",")
+MTS_FRENCH = "Traverse \tForce \tTemps \t\nmm\tN\ts\n" + rows(PULL, LOAD, TIME, decimal=",")
+MPT_HEAD = "Datum\tLaufzeit\tCh 1 Kraft Sollwert\tCh 1 Kraft\tCh 1 Weg\nd\ts\tkN\tkN\tmm\n"
+MPT_BLOCK = "\nDatenerfassung\t\t\t\t\t\tZeit:\t544,35547\ts\t22.07.2014 07:28:27\n" + MPT_HEAD
+DAYS = np.full(20, 41842.0)
+MPT = (
+    "MTS793|MPT|DEU|1|2|,|.|:|49|1|1|A\n"
+    + MPT_BLOCK
+    + rows(DAYS, TIME[:20], LOAD[:20] / 900, LOAD[:20] / 1e3, PULL[:20], decimal=",")
+    + "\nSpitzenwerte\nZyklus\tMax Kraft\n-\tkN\n"
+    + rows(TIME[:5], TIME[:5], decimal=",")
+    + MPT_BLOCK
+    + rows(DAYS, TIME[20:], LOAD[20:] / 900, LOAD[20:] / 1e3, PULL[20:], decimal=",")
+)
+INSTRON = 'Maximum Load : Maximum Load,"131.18347",lbf\n\nTime,Extension,Load\n(s),(in),(lbf)\n' + rows(
+    TIME, PULL / 25.4, LOAD / 4.4482216152605, sep=",", quote='"'
+)
+INSTRON_UNIVERSAL = "Time;Displacement;Force\n(s);(mm);(kN)\n" + rows(
+    TIME, PULL, LOAD / 1e3, sep=";", decimal=","
+)
+ZWICK = (
+    '"Épaisseur éprouvette",1,"mm"\n"Temps","Traverse absolue","Force standard","Course standard"\n'
+    '"s","mm","N","mm"\n'
+) + rows(TIME, PULL - 794.864, LOAD, PULL, sep=",")
+SPANISH = "Tiempo (ms);Fuerza (kgf);Desplazamiento (µm)\n" + rows(
+    TIME * 1e3, LOAD / 9.80665, PULL * 1e3, sep=";", decimal=","
+)
+SNAKE = "time_s,load_mN,crosshead_cm\n" + rows(TIME, LOAD * 1e3, PULL / 10, sep=",")
+SPACES = "# t / min   Kraft in N   Weg / m\n" + rows(TIME / 60, LOAD, PULL / 1e3, sep="   ")
+
+LAYOUTS = {
+    "mts": (MTS, "utf-8-sig", "\r\n"),
+    "mts-utf16": (MTS, "utf-16", "\r\n"),
+    "mts-csv": (MTS_CSV, "utf-8", "\n"),
+    "mts-french": (MTS_FRENCH, "utf-8-sig", "\r\n"),
+    "mpt": (MPT, "latin-1", "\r\n"),
+    "instron": (INSTRON, "utf-8", "\n"),
+    "instron-universal": (INSTRON_UNIVERSAL, "utf-8", "\r\n"),
+    "zwick": (ZWICK, "latin-1", "\r\n"),
+    "spanish": (SPANISH, "latin-1", "\n"),
+    "snake": (SNAKE, "utf-8", "\n"),
+    "spaces": (SPACES, "utf-8", "\n"),
+}
+
+
+def written(
+    folder: Path, text: str, encoding: str = "utf-8", newline: str = "\n", name: str = "test.txt"
+) -> Path:
+    path = folder / name
+    path.write_bytes(text.replace("\n", newline).encode(encoding, errors="replace"))
+    return path
