@@ -1,0 +1,177 @@
+"""Space-time diagrams: times, lengths, gaps, marks and grey scale."""
+
+import itertools
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure as Page
+
+from vision.figures import decimate, kymograph_figure, video
+from vision.figures.drawing import MOST_LINES
+from vision.figures.style import MISSING
+from vision.figures.video import grey_limits
+
+
+def draw_kymograph(ax, diagram, *, slips_s=None):
+    return kymograph_figure([diagram], slips_s=slips_s).plot(ax)
+
+
+def diagram_of(frames=60, columns=20, *, times=None, **attrs):
+    values = np.arange(frames)[:, None] + np.linspace(0, 1, columns)
+    return xr.DataArray(
+        values.astype(np.float32),
+        dims=("frame", "x"),
+        coords={
+            "frame": np.arange(frames),
+            "x": np.arange(200, 200 + columns),
+            "time_s": ("frame", np.arange(frames) / 20 if times is None else times),
+        },
+        attrs={"clock_kind": "given"} | attrs,
+    )
+
+
+WINDOW = {"sheet": "right:23", "sheet_index": 47, "centre_px": 209.5, "follow": 0}
+
+
+@pytest.fixture
+def ax():
+    return Page().subplots()
+
+
+def shown(ax, time):
+    """The colour drawn at this time in the middle of the picture, 0 to 255."""
+    canvas = FigureCanvasAgg(ax.figure)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[:, :, :3]
+    column, row = ax.transData.transform((np.mean(ax.get_xlim()), time)).astype(int)
+    return pixels[len(pixels) - 1 - row, column]
+
+
+def grey_of(value, diagram):
+    """The grey in which a value is drawn."""
+    low, high = grey_limits([diagram])
+    return np.full(3, 255 * np.clip((value - low) / (high - low), 0, 1))
+
+
+def test_axes_are_in_mm_and_s_with_pixels_centred(ax):
+    """A failure means that lengths or times read off the picture are wrong, or half a pixel off."""
+    diagram = diagram_of(pixel_size_um=80.0)
+    draw_kymograph(ax, diagram)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x (mm)", "t (s)")
+    np.testing.assert_allclose(ax.get_xlim(), (15.96, 17.56))
+    np.testing.assert_allclose(ax.get_ylim(), (2.975, -0.025))  # time downwards
+    np.testing.assert_allclose(shown(ax, 1.5), grey_of(30.5, diagram), atol=2)
+    assert np.abs(shown(ax, 1.5) - grey_of(29.5, diagram)).min() > 3  # a row off would be seen
+
+
+def test_a_strip_below_a_millimetre_is_in_µm(ax):
+    """A failure means an axis of zeros and thousandths."""
+    draw_kymograph(ax, diagram_of(pixel_size_um=0.1))
+    assert ax.get_xlabel() == "x (µm)"
+    np.testing.assert_allclose(ax.get_xlim(), (19.95, 21.95))
+
+
+@pytest.mark.parametrize(
+    ("attrs", "label", "limits"),
+    [
+        ({}, "x − x₀ (px)", (-10, 10)),
+        ({"pixel_size_um": 8.0}, "x − x₀ (µm)", (-80, 80)),
+        ({"follow": 1}, "x − x(n,t) (px)", (199.5, 219.5)),
+    ],
+)
+def test_a_window_counts_from_its_sheet(ax, attrs, label, limits):
+    """A failure means that the zero or the unit of a panel is not what its label says."""
+    draw_kymograph(ax, diagram_of(**WINDOW | attrs))
+    assert ax.get_xlabel() == label
+    np.testing.assert_allclose(ax.get_xlim(), limits)
+    assert "right, n = 23" in kymograph_figure([diagram_of(**WINDOW | attrs)]).panel.title
+
+
+def test_a_playback_rate_or_no_clock_is_said_on_the_axis(ax):
+    """A failure means that a container's rate passes for the camera's."""
+    draw_kymograph(ax, diagram_of(clock_kind="playback"))
+    assert "playback" in ax.get_ylabel()
+    draw_kymograph(ax, diagram_of(times=np.full(60, np.nan)), slips_s=np.array([1.0]))
+    assert ax.get_ylabel() == "frame"
+    assert not ax.collections  # no slips where there are no seconds
+
+
+def test_slips_stand_at_their_times_and_only_those_in_view(ax):
+    """A failure means marks at the wrong place."""
+    draw_kymograph(ax, diagram_of(), slips_s=np.array([-1.0, 0.73, 2.11, 9.0]))
+    lines = np.array([segment[:, 1] for segment in ax.collections[0].get_segments()])
+    np.testing.assert_allclose(lines, [[0.73, 0.73], [2.11, 2.11]])
+    for marks in ax.lines:
+        np.testing.assert_allclose(marks.get_ydata(), [0.73, 2.11])
+
+
+def test_many_slips_do_not_cover_the_picture(ax):
+    """A failure means a picture of a whole test hidden behind lines."""
+    slips = np.linspace(0, 2.9, MOST_LINES + 1)
+    draw_kymograph(ax, diagram_of(), slips_s=slips)
+    assert not ax.collections
+    assert len(ax.lines[0].get_ydata()) == slips.size
+
+
+def test_a_gap_in_time_stays_empty(ax):
+    """A failure means that rows are stretched over time in which nothing was seen."""
+    times = np.arange(60) / 20
+    times[30:] += 1.0
+    diagram = diagram_of(times=times)
+    draw_kymograph(ax, diagram)
+    np.testing.assert_allclose(shown(ax, 1.45), grey_of(29.5, diagram), atol=2)
+    np.testing.assert_allclose(shown(ax, 2.0), 255 * np.array(to_rgb(MISSING)), atol=1)
+    np.testing.assert_allclose(shown(ax, 2.5), grey_of(30.5, diagram), atol=2)
+
+
+def test_long_recordings_are_averaged_not_thinned(monkeypatch):
+    """A failure means that most rows of a long recording are not in the picture at all."""
+    monkeypatch.setattr(video, "MOST_ROWS", 20)
+    monkeypatch.setattr(decimate, "_ROWS_AT_ONCE", 3)
+    diagram = diagram_of(60)
+    diagram[9:12] = np.nan
+    image = kymograph_figure([diagram]).panel.image
+    assert image.pixels.shape[0] == 20
+    low, high = grey_limits([diagram])
+    means = image.pixels[:, 0] / 255 * (high - low) + low
+    np.testing.assert_allclose(means[[0, 1, 2, 18]], [1, 4, 7, 55], atol=0.2)
+    assert image.missing[3].all()
+    assert image.missing.sum() == image.pixels.shape[1]
+
+
+def test_the_picture_says_what_its_marks_are(tmp_path):
+    """A failure means marks of unknown origin, or a note on marks that are not there."""
+    path, slips = tmp_path / "k.svg", np.array([1.0])
+    kymograph_figure([diagram_of(**WINDOW)], slips_s=slips, slips_from="the sheets").save(path)
+    assert "orange: slips, from the sheets" in path.read_text()
+    kymograph_figure([diagram_of(**WINDOW)], slips_s=slips[:0]).save(path)
+    assert "orange" not in path.read_text()
+
+
+@pytest.mark.parametrize("panels", [1, 2, 5, 12])
+@pytest.mark.parametrize("frames", [1, 2, 60, 3000])
+def test_any_number_of_panels_fits(panels, frames):
+    """A failure means panels that overlap, or are crushed to nothing."""
+    page = kymograph_figure([diagram_of(frames, **WINDOW)] * panels, slips_s=np.array([1.0])).plot().figure
+    FigureCanvasAgg(page).draw()
+    boxes = [ax.get_tightbbox() for ax in page.axes]
+    assert all(a.x1 <= b.x0 + 1 for a, b in itertools.pairwise(boxes))
+    assert min(ax.get_window_extent().width for ax in page.axes) > 1.5 * page.dpi
+    assert all(
+        box.x0 >= 0 and box.x1 <= page.bbox.x1 and box.y0 >= 0 and box.y1 <= page.bbox.y1 for box in boxes
+    )
+    labels = [text.get_window_extent() for ax in page.axes for text in ax.get_xticklabels()]
+    assert all(a.x1 <= b.x0 for a, b in itertools.pairwise(labels) if a.y0 == b.y0 and a.x0 < b.x0)
+
+
+def test_panels_share_one_grey_scale():
+    """A failure means that brightness cannot be compared between panels."""
+    low, high = grey_limits([diagram_of(), diagram_of() * 2])
+    assert low < 2
+    assert high > 100
+    assert grey_limits([diagram_of() * np.nan]) == (0, 1)
+    one, two = kymograph_figure([diagram_of(), diagram_of() * 2]).panels
+    assert int(two.image.pixels[20, 0]) == pytest.approx(2 * int(one.image.pixels[20, 0]), abs=3)

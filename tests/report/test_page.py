@@ -1,0 +1,155 @@
+"""The page as a file: complete, small, honest about what it lacks, and unable to ask the network."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.scenes.analysed import FACTS, Found
+from tests.scenes.report_data import make_profile, make_tracks, sawtooth
+from vision.figures import figures_of
+from vision.report import write_report
+
+LIMIT = 3_000_000
+
+
+def page_of(results, folder):
+    options = {"force": "--force", "pixel_size_um": "--pixel-size"}
+    return write_report(folder / "report.html", results, FACTS, options=options).read_text(encoding="utf-8")
+
+
+def names(results):
+    return [figure.name for figure in figures_of(results)]
+
+
+def test_without_force_the_page_says_what_is_missing(video_only, tmp_path):
+    """A failure means an empty figure, or a reader who does not learn why there is none."""
+    page = page_of(video_only, tmp_path)
+    assert names(video_only) == ["frame", "space_time", "tracks", "noise", "pixel_locking"]
+    assert "no force recording was given (--force)" in page
+    assert "no pixel size was given (--pixel-size)" in page
+    assert "stiff shell</div>" not in page
+
+
+def test_ambiguous_clocks_are_in_doubt_at_the_top(pulled, tmp_path):
+    """A failure means that a reader takes an alignment that may be wrong for a result."""
+    doubtful = replace(pulled, clock=replace(pulled.clock, status="ambiguous"), motion=None, shells=None)
+    page = page_of(doubtful, tmp_path)
+    assert re.search(r'class="doubt"><div class="what">clocks</div><div class="value">ambiguous', page)
+    assert "The clocks of camera and testing machine were aligned" not in page
+
+
+def test_the_answers_are_the_run_s(pulled, tmp_path):
+    """A failure means that the top of the page has other numbers than the tables."""
+    page = page_of(pulled, tmp_path)
+    assert "50 (25 left, 25 right)" in page
+    assert f'<div class="value">{pulled.motion.sizes["event"]}</div>' in page
+    assert "offset 36.0000 s" in page
+    assert re.search(r"μ = 0\.8[89]\d* ± 0\.0", page)
+
+
+def test_methods_name_the_actual_parameters(pulled, tmp_path):
+    """A failure means that a paper would be told settings that were not used."""
+    text = page_of(pulled, tmp_path).split('id="methods">')[1].split("</blockquote>")[0]
+    for part in (
+        "60 frames per second",
+        "10 µm per pixel",
+        "84 rows",
+        "over 9 pixels",
+        "below 0.1",
+        "T* = 3 mN",
+    ):
+        assert part in text
+    other = replace(pulled, tracks=pulled.tracks.assign_attrs(window_px=11, fit="paper"), threshold=0.2)
+    text = page_of(other, tmp_path).split('id="methods">')[1].split("</blockquote>")[0]
+    assert "fitted to 11 pixels centred on the brightest pixel" in text
+    assert "below 0.2" in text
+
+
+def test_warnings_stand_at_the_top_and_cannot_break_the_page(pulled, tmp_path):
+    """A failure means that a file name or warning can inject script, or that a warning is lost."""
+    page = page_of(pulled, tmp_path)
+    assert "3 frames &lt;/script&gt; lost" in page
+    assert "alert(1)</script>" not in page
+    assert page.index("Warnings") < page.index("What the camera saw")
+    assert "No warnings" not in page
+
+
+def test_nothing_in_the_page_points_outside(pulled, tmp_path):
+    """A failure means that the page asks the network when it is opened."""
+    page = re.sub("<script>.*?</script>", "", page_of(pulled, tmp_path), flags=re.DOTALL)
+    assert not re.findall(r'(?:src|href|action)\s*=\s*["\'](?!data:)[^"\']', page)
+    assert "@import" not in page
+    assert "default-src 'none'" in page
+
+
+def test_parameters_and_command_are_listed(pulled, tmp_path):
+    """A failure means that a run cannot be repeated from its report."""
+    page = page_of(pulled, tmp_path)
+    assert "<td>fit</td><td>sliding</td><td>default</td>" in page
+    assert "track test.avi &lt;script&gt;" in page
+
+
+@pytest.mark.parametrize(
+    ("frames", "sheets", "width"), [(100_000, 50, 300), (1500, 200, 4100), (600, 7, 1200)]
+)
+def test_the_page_stays_under_three_megabytes(tmp_path, frames, sheets, width):
+    """A failure means that the report of a long or wide test is too heavy to mail."""
+    tracks = make_tracks(sawtooth(frames, sheets))
+    frame = np.random.default_rng(0).integers(0, 255, (1200, 1920), dtype=np.uint8)
+    results = Found(strip=make_profile(tracks, width), tracks=tracks, frame=frame, pixel_size_um=10.0)
+    assert write_report(tmp_path / "report.html", results, {}).stat().st_size < LIMIT
+
+
+def test_inputs_are_left_as_they_were(pulled, tmp_path):
+    """A failure means that writing a report changes results that are written after it."""
+    tracks, sticks, shells = pulled.tracks.copy(deep=True), pulled.sticks.copy(), pulled.shells.copy()
+    page_of(pulled, tmp_path)
+    assert tracks.identical(pulled.tracks)
+    assert sticks.equals(pulled.sticks)
+    assert shells.equals(pulled.shells)
+
+
+def test_sheets_never_found_and_frames_never_seen_do_not_break_the_page(tmp_path):
+    """A failure means no report for exactly those runs that need one most."""
+    x = sawtooth(300, 8)
+    x[:, 2] = np.nan
+    x[100:150] = np.nan
+    tracks = make_tracks(x)
+    profile = make_profile(tracks, 180)
+    profile[100:150] = np.nan
+    frame = np.zeros((40, 180), np.uint8)
+    page = page_of(Found(strip=profile, tracks=tracks, frame=frame), tmp_path)
+    assert re.search(r'class="doubt"><div class="what">sheets tracked', page)
+
+
+def test_a_run_that_found_no_position_at_all_says_so(tmp_path):
+    """A failure means a traceback in place of the page that would show what went wrong."""
+    tracks = make_tracks(np.full((300, 7), np.nan)).assign_attrs(axis_px=float("nan"))
+    tracks = tracks.assign(x_noise_px=("sheet", np.full(7, np.nan)))
+    results = Found(strip=make_profile(tracks, 180), tracks=tracks, frame=np.eye(40, 180))
+    page = page_of(results, tmp_path)
+    assert "not known" in page
+    assert re.search(r'class="doubt"><div class="what">sheets tracked', page)
+    assert "nan" not in page.split('id="methods">')[1].split("</blockquote>")[0]
+    for figure in figures_of(results):
+        figure.save(tmp_path / f"{figure.name}.png")
+
+
+def test_a_force_recording_alone_has_its_page(pulled, tmp_path):
+    """A failure means that the report takes a video for granted."""
+    alone = Found(force=pulled.force, sticks=pulled.sticks, fits=pulled.fits)
+    page = page_of(alone, tmp_path)
+    assert names(alone) == ["force", "sticks", "force_drop", "stiffness"]
+    assert f'<div class="what">stick phases</div><div class="value">{len(pulled.sticks)}' in page
+    assert "no video was given" in page
+
+
+def test_arguments_are_shown_as_the_command_s_options(video_only, tmp_path):
+    """A failure means that a user of the command is told the names of Python arguments."""
+    page = page_of(video_only, tmp_path)
+    assert "(--force)" in page
+    assert "`" not in page.split("<script")[0].split("</style>")[-1]
+    bare = write_report(tmp_path / "bare.html", video_only, {}).read_text(encoding="utf-8")
+    assert "(pixel_size_um)" in bare

@@ -1,0 +1,438 @@
+"""What a figure is: panels of curves, points and images as plain data.
+
+The same data are drawn by matplotlib (`Figure.plot`, `Figure.save`), drawn by the report's page, written as a
+table (`Figure.table`), and kept in a file (`save_figures`, `load_figures`).
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from vision.errors import InputError
+from vision.numeric import Bools, Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Ink = tuple[str, str]
+"""Colour on a light and on a dark background."""
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Series:
+    """One curve or set of points.
+
+    Parameters
+    ----------
+    label
+        Name in legends and tables; "" for none.
+    x, y
+        (k,), x rising; NaN in y leaves a gap.
+    ink
+        Its colour.
+    look
+        "line", "points", "both", "steps" (bars of a histogram) or "ticks" (strokes at `low` and `high` with
+        `text` above).
+    low, high
+        Ends of error bars, (k,), where there are any.
+    text
+        One label a point, for "ticks".
+    dashed, hollow
+        Distinguish series without colour.
+    shift
+        Added to x in drawings, so that points with the same x stand side by side; tables hold x itself.
+    width
+        Of the line, in points.
+    axis
+        Which y axis.
+    sheet
+        (side, n) of a sheet, which the page can switch on and off.
+    """
+
+    label: str
+    x: Floats
+    y: Floats
+    ink: Ink
+    look: Literal["line", "points", "both", "steps", "ticks"] = "line"
+    low: Floats | None = None
+    high: Floats | None = None
+    text: tuple[str, ...] = ()
+    dashed: bool = False
+    hollow: bool = False
+    shift: float = 0.0
+    width: float = 1.2
+    axis: Literal["left", "right"] = "left"
+    sheet: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Image:
+    """A grey image under the curves.
+
+    Parameters
+    ----------
+    pixels
+        Grey levels (row, column).
+    left, right, top, bottom
+        Outer edges in units of the axes.
+    missing
+        True where nothing was recorded, (row, column); None where every pixel is known.
+    """
+
+    pixels: NDArray[np.uint8]
+    left: float
+    right: float
+    top: float
+    bottom: float
+    missing: Bools | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Band:
+    """A shaded range of the y axis, or only its outline."""
+
+    low: float
+    high: float
+    label: str
+    outline: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Panel:
+    """One pair of axes with what is drawn on them.
+
+    Parameters
+    ----------
+    x_label, y_label, y2_label
+        With units. The second y axis is there where it has a label; its curves go below those of the first,
+        so that neither hides the other. A panel without `y_label` shares the axis of its left neighbour.
+    series, image, bands
+        What is drawn.
+    x_lines
+        Dashed vertical lines.
+    marks, marks_label
+        Times marked across an image, and what they are.
+    x_range, y_range
+        What is shown; None for everything.
+    first_view
+        Part of x that the page shows first.
+    downwards
+        y grows downwards, as in an image.
+    time_down
+        x of the series runs down the page and y across it, as in a space-time diagram.
+    whole_numbers
+        x counts something.
+    aspect
+        Height over width of the plotted area.
+    square_pixels
+        Both axes have the same scale.
+    title
+        Shown above a panel of several.
+    placeholder
+        Shown where there is nothing to draw.
+    """
+
+    x_label: str
+    y_label: str
+    y2_label: str = ""
+    series: tuple[Series, ...] = ()
+    image: Image | None = None
+    bands: tuple[Band, ...] = ()
+    x_lines: tuple[float, ...] = ()
+    marks: Floats | None = None
+    marks_label: str = ""
+    x_range: Range | None = None
+    y_range: Range | None = None
+    first_view: Range | None = None
+    downwards: bool = False
+    time_down: bool = False
+    whole_numbers: bool = False
+    aspect: float = 0.5
+    square_pixels: bool = False
+    title: str = ""
+    placeholder: str = "no data"
+
+    @property
+    def switchable(self) -> bool:
+        """Whether its series are sheets, which the page can switch on and off."""
+        return any(series.sheet is not None for series in self.series)
+
+    @property
+    def common_x(self) -> bool:
+        """Whether all series share one x."""
+        return all(series.x is self.series[0].x for series in self.series)
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is nothing to draw."""
+        return self.image is None and not any(np.isfinite(series.y).any() for series in self.series)
+
+    def table(self) -> pd.DataFrame:
+        """One column a series where all share x, else one row a point with the name of its series."""
+        if not self.series:
+            return pd.DataFrame()
+        plain = all(series.low is None and not series.text for series in self.series)
+        if self.common_x and plain:
+            return pd.DataFrame({self.x_label: self.series[0].x} | {s.label: s.y for s in self.series})
+        return pd.concat([self._rows(series) for series in self.series], ignore_index=True)
+
+    def _rows(self, series: Series) -> pd.DataFrame:
+        table = pd.DataFrame({"series": series.label, self.x_label: series.x, "y": series.y})
+        if self.y2_label:
+            table["quantity"] = self.y2_label if series.axis == "right" else self.y_label
+        else:
+            table = table.rename(columns={"y": self.y_label})
+        if series.low is not None and series.high is not None:
+            table = table.assign(low=series.low, high=series.high)
+        return table.assign(text=series.text) if series.text else table
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Figure:
+    """A figure: numbers, labels with units, and a caption that says what it shows and how it was computed.
+
+    Parameters
+    ----------
+    name
+        Short, used for files and in `track figures`.
+    title, caption
+        For the page and for captions.txt.
+    panels
+        One, or several in reading order.
+    columns
+        Panels side by side.
+    width_in
+        Width of the saved figure, inches.
+    notes
+        Warnings that belong to the figure.
+    """
+
+    name: str
+    title: str
+    caption: str
+    panels: tuple[Panel, ...]
+    columns: int = 1
+    width_in: float = 6.0
+    notes: tuple[str, ...] = ()
+
+    @property
+    def panel(self) -> Panel:
+        """The first panel, the only one of most figures."""
+        return self.panels[0]
+
+    def table(self) -> pd.DataFrame:
+        """The drawn numbers; with several panels, one row a point and the name of its panel.
+
+        Images are not in it.
+        """
+        if len(self.panels) == 1:
+            return self.panel.table()
+        parts = [_long(panel.table(), panel) for panel in self.panels if panel.series]
+        return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw with matplotlib.
+
+        Parameters
+        ----------
+        ax
+            Axes to draw on, for a figure of one panel; None makes a new matplotlib figure, in a notebook that
+            uses pyplot one that is shown.
+
+        Returns
+        -------
+        The axes of the first panel; ``.figure`` is the whole.
+
+        Raises
+        ------
+        InputError
+            For `ax` with a figure of several panels.
+        """
+        from vision.figures import drawing
+
+        if ax is None:
+            return drawing.new_figure(self, interactive=True).axes[0]
+        if len(self.panels) > 1:
+            raise InputError("`ax`", f"None, as {self.name} has {len(self.panels)} panels", "axes")
+        return drawing.draw_panel(ax, self.panel)
+
+    def save(self, path: str | Path, *, dpi: float | None = None) -> Path:
+        """Write the figure; the ending of `path` says how.
+
+        Parameters
+        ----------
+        path
+            Ends in .png, .pdf, .svg (text stays text in both), or .csv for the table.
+        dpi
+            Resolution of a PNG and of images within the other two; None for what suits the kind.
+
+        Returns
+        -------
+        The path.
+
+        Raises
+        ------
+        InputError
+            For another ending.
+        OSError
+            Where the file cannot be written.
+        """
+        path = Path(path)
+        kind = path.suffix.lower()
+        if kind == ".csv":
+            self.table().to_csv(path, index=False, float_format="%.8g", lineterminator="\n")
+        elif kind in (".png", ".pdf", ".svg"):
+            from vision.figures import drawing
+
+            drawing.write(self, path, dpi=dpi)
+        else:
+            raise InputError(path, "a name that ends in .png, .pdf, .svg or .csv", kind or "no ending")
+        return path
+
+    def _repr_png_(self) -> bytes:
+        """For notebooks."""
+        from vision.figures import drawing
+
+        return drawing.png(self)
+
+
+def _long(table: pd.DataFrame, panel: Panel) -> pd.DataFrame:
+    """One row a point, under names that all panels share."""
+    x, y = panel.x_label, panel.y_label
+    if "series" not in table:
+        table = table.melt(id_vars=x, var_name="series", value_name="y")
+    table = table.rename(columns={x: "x", y: "y"}).assign(panel=panel.title, x_label=x, y_label=y)
+    first = ["panel", "series", "x_label", "x", "y_label", "y"]
+    return table[[*first, *(name for name in table if name not in first)]]
+
+
+def write_captions(path: Path, figures: Iterable[Figure]) -> None:
+    """Names, titles and captions as text."""
+    text = "\n\n".join(f"{f.name}\n{' '.join([f'{f.title}. {f.caption}', *f.notes])}" for f in figures)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+# --- figures in a file --------------------------------------------------------------------------------------
+
+_CLASSES: dict[str, type] = {part.__name__: part for part in (Series, Image, Band, Panel, Figure)}
+_COMPRESSION = 1  # of 9: four times as fast as the usual 6, for files a twentieth larger
+
+
+def save_figures(path: str | Path, figures: Iterable[Figure]) -> Path:
+    """Write figures to one compressed .npz file, from which `load_figures` reads them.
+
+    Parameters
+    ----------
+    path
+        The file. It holds JSON (as bytes, "figures"), all curves in one array ("curves") and the images.
+    figures
+        What to keep.
+
+    Returns
+    -------
+    The path.
+
+    Raises
+    ------
+    OSError
+        Where the file cannot be written.
+    """
+    path = Path(path)
+    curves: list[Floats] = []
+    images: dict[str, NDArray[Any]] = {}
+    places: dict[int, Any] = {}
+    length = 0
+
+    def place(array: NDArray[Any]) -> Any:
+        nonlocal length
+        if id(array) not in places:  # arrays that figures share are kept once
+            if array.ndim == 1:
+                curves.append(np.asarray(array, np.float64))
+                places[id(array)] = [length, length + array.size]
+                length += array.size
+            else:
+                places[id(array)] = f"image{len(images)}"
+                images[places[id(array)]] = array
+        return {"array": places[id(array)]}
+
+    kept = list(figures)  # alive while their arrays are told apart by id
+    text = json.dumps([_encode(figure, place) for figure in kept], ensure_ascii=False, allow_nan=False)
+    arrays = {
+        "figures": np.frombuffer(text.encode(), np.uint8),
+        "curves": np.concatenate([*curves, np.empty(0)]),
+    }
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=_COMPRESSION) as archive:
+        for name, array in (arrays | images).items():
+            entry = zipfile.ZipInfo(f"{name}.npy")  # without the time of day: same figures, same file
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            with archive.open(entry, "w", force_zip64=True) as stream:
+                np.lib.format.write_array(stream, np.ascontiguousarray(array), allow_pickle=False)
+    return path
+
+
+def _encode(value: Any, place: Callable[[NDArray[Any]], Any]) -> Any:
+    """A value as JSON; arrays by their place in the file."""
+    if isinstance(value, np.ndarray):
+        return place(value)
+    if type(value).__name__ in _CLASSES:
+        content = {
+            part.name: _encode(found, place)
+            for part in fields(value)
+            if (found := getattr(value, part.name)) is not part.default
+        }
+        return {"class": type(value).__name__} | content
+    return [_encode(item, place) for item in value] if isinstance(value, tuple) else value
+
+
+def load_figures(path: str | Path) -> list[Figure]:
+    """Figures from a file of `save_figures`.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    The figures, in the order in which they were saved.
+
+    Raises
+    ------
+    InputError
+        For a file that does not hold figures, or those of an incompatible version.
+    OSError
+        For a file that cannot be read.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            stored = {name: arrays[name] for name in arrays.files}
+        listed = json.loads(stored["figures"].tobytes().decode())
+        cut: dict[tuple[int, int], Floats] = {}
+        return [_decode(item, stored, cut) for item in listed]
+    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(path, "figures that a run has saved", f"{type(error).__name__}: {error}") from error
+
+
+def _decode(value: Any, stored: dict[str, NDArray[Any]], cut: dict[tuple[int, int], Floats]) -> Any:
+    """The reverse of `_encode`; arrays that were one are one again."""
+    if isinstance(value, list):
+        return tuple(_decode(item, stored, cut) for item in value)
+    if not isinstance(value, dict):
+        return value
+    if "array" in value:
+        at = value["array"]
+        if isinstance(at, str):
+            return stored[at]
+        return cut.setdefault((at[0], at[1]), stored["curves"][at[0] : at[1]])
+    made = _CLASSES[value["class"]]
+    return made(**{name: _decode(item, stored, cut) for name, item in value.items() if name != "class"})

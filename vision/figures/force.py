@@ -1,0 +1,376 @@
+"""Figures of the force recording: F(d), single sticks, their amplitude and stiffness, and the two clocks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from vision.clock import Clock
+from vision.data import StickMetadata
+from vision.figures.decimate import minmax_by_x, minmax_decimate
+from vision.figures.figure import Figure, Ink, Panel, Range, Series
+from vision.figures.labels import displacement_unit, load_label, load_unit, plus_minus, signed, time_axis
+from vision.figures.style import DATA, MODEL, OTHER_MODEL, PEAK, QUIET, VALLEY, ordered_inks
+from vision.force.recording import good_samples
+from vision.models import equations
+from vision.models.fits_result import ModelFits
+from vision.numeric import Floats, nan_median
+
+BINS = 4000  # of F(d)
+MOST_SAMPLES = 30_000  # of force or opening on the clocks' axis
+SHOWN_STICKS = 5
+FIRST_STICKS = 10  # that the page shows of the clocks at first
+ZOOMED_EVENTS = 6  # of the overview's second panel
+CURVE_POINTS = 300
+SAMPLES_AFTER_SLIP = 2  # of the next stick, so that the slip is shown to its end
+
+
+def force_figure(
+    force: xr.Dataset, sticks: pd.DataFrame | None = None, fits: ModelFits | None = None
+) -> Figure:
+    """F(d) with the peaks and valleys of the stick phases and the fitted Eq. 1.
+
+    Against time where the separation is not known. The curve is the minimum and maximum of the force in
+    each of some thousand steps of d, so that every slip is shown.
+
+    Parameters
+    ----------
+    force
+        From `read_force`.
+    sticks
+        From `find_stick_slip`.
+    fits
+        From `fit_models`.
+    """
+    good = _measurable(force)
+    d, time = good["d_mm"].to_numpy(), good["time_s"].to_numpy()
+    known = bool(np.isfinite(d).any())
+    x, y = minmax_by_x(d if known else time, good["load_N"].to_numpy(), bins=BINS)
+    series = [Series(label="F", x=x, y=y, ink=QUIET, width=0.8)]
+    if sticks is not None and len(sticks):
+        at_p, at_v = ("d_p_mm", "d_v_mm") if known else ("t_p_s", "t_v_s")
+        series += [
+            _points(sticks, at_p, "F_p_N", "peaks", PEAK),
+            _points(sticks, at_v, "F_v_N", "valleys", VALLEY),
+        ]
+    model = ""
+    if fits is not None and known:
+        d_model = np.linspace(*fits.d_mm, CURVE_POINTS)
+        series.append(_curve("Eq. 1 + T_0", d_model, fits.peak_force_N(d_model), MODEL))
+        model = (
+            f" Dashed: Eq. 1 fitted to the peaks, μ = {plus_minus(fits.mu)} with T* "
+            f"= {1000 * fits.t_star_N.value:g} mN and an offset T_0 = {plus_minus(fits.t0_N)} N."
+        )
+    panel = Panel(
+        title="Force against separation" if known else "Force against time",
+        x_label="d (mm)" if known else "t (s, force clock)",
+        y_label=load_label("F", load_unit(force)),
+        series=tuple(series),
+    )
+    return Figure(
+        name="force",
+        title=panel.title,
+        caption=(
+            "Traction force as recorded (minimum and maximum of each small step), with the peaks (filled) "
+            "and valleys (hollow) of the stick phases, from lines fitted to each stick and extended to "
+            f"its ends.{model}"
+        ),
+        panels=(panel,),
+    )
+
+
+# --- the two clocks -----------------------------------------------------------------------------------------
+
+
+def clocks_figure(
+    force: xr.Dataset,
+    tracks: xr.Dataset,
+    clock: Clock,
+    sticks: pd.DataFrame | None = None,
+    *,
+    pixel_size_um: float | None = None,
+) -> Figure:
+    """Force and the sheets' mean outward displacement on the force clock: slips must coincide.
+
+    With `sticks`, a few of them in the middle of the video are shown at first.
+    """
+    time = clock.to_force_s(time_axis(tracks)[0])
+    scale, unit = displacement_unit(pixel_size_um)
+    t_video, opened = minmax_decimate(time, opening_px(tracks)[:, None] * scale, most=MOST_SAMPLES)
+    good = _measurable(force)
+    margin = 0.1 * float(time[-1] - time[0])
+    near = (good["time_s"] > time[0] - margin) & (good["time_s"] < time[-1] + margin)
+    part = good.isel(time_s=np.flatnonzero(near.to_numpy())) if near.any() else good
+    t_force, load = minmax_decimate(
+        part["time_s"].to_numpy(), part["load_N"].to_numpy()[:, None], most=MOST_SAMPLES
+    )
+    panel = Panel(
+        x_label="t (s, force clock)",
+        first_view=_some_sticks(t_video, sticks),
+        y_label=load_label("F", load_unit(force)),
+        y2_label=f"outward motion ({unit})",
+        series=(
+            Series(label="force", x=t_force, y=load[:, 0], ink=QUIET),
+            Series(label="sheets", x=t_video, y=opened[:, 0], ink=DATA, dashed=True, axis="right"),
+        ),
+    )
+    ambiguous = "The clocks are ambiguous: this alignment is only the likeliest."
+    return Figure(
+        name="clocks",
+        title="Clock check: force and sheets on one time axis",
+        caption=(
+            "Force (solid, left axis, above) and mean outward displacement of all sheets (dashed, right "
+            f"axis, below) on the force clock, t(force) = {clock.offset_s:.4f} s + (1 "
+            f"{signed(clock.drift_ppm)} ppm) t(video). Zoom in to one slip: the steps must coincide. "
+            f"{_agreement(clock)}"
+        ),
+        panels=(panel,),
+        notes=(ambiguous,) if clock.status == "ambiguous" else (),
+    )
+
+
+def opening_px(tracks: xr.Dataset) -> Floats:
+    """Mean displacement of all sheets away from the axis, px, (frame,); NaN in frames without any."""
+    outward = (tracks["x_px"].values - nan_median(tracks["x_px"].values)) * tracks["side"].values
+    known = np.isfinite(outward)
+    count = known.sum(axis=1)
+    total = np.where(known, outward, 0).sum(axis=1)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan), np.float64)
+
+
+def _agreement(clock: Clock) -> str:
+    """How well the clocks agree, and how certain that is."""
+    matches = (
+        f"{clock.matched} slips matched, median residual {clock.residual_ms:.2g} ms, {clock.unmatched_video} "
+        f"seen only in the video and {clock.unmatched_force} only in the force."
+        if np.isfinite(clock.residual_ms)
+        else "No slip was matched."
+    )
+    certainty = {
+        "ok": f" The next best alignment is {clock.margin:.0f} lower in log-likelihood.",
+        "given": f" The offset was not found from the slips ({clock.how}).",
+        "ambiguous": "",
+    }
+    return matches + certainty[clock.status]
+
+
+def _some_sticks(t_video: Floats, sticks: pd.DataFrame | None) -> Range | None:
+    """A few sticks in the middle of the video; None where it is no longer than that."""
+    if sticks is None or len(sticks) < 2:
+        return None
+    middle, period = float(np.median(t_video)), float(np.median(np.diff(sticks["t_p_s"])))
+    start, stop = middle - FIRST_STICKS / 2 * period, middle + FIRST_STICKS / 2 * period
+    return (start, stop) if start > t_video[0] and stop < t_video[-1] else None
+
+
+# --- stick phases -------------------------------------------------------------------------------------------
+
+
+def sticks_figure(force: xr.Dataset, sticks: pd.DataFrame) -> Figure:
+    """F − F_v against d − d_v for a few stick-slip events from first to last."""
+    chosen = _spread(sticks)
+    good = _measurable(force)
+    time, d, load = (good[name].to_numpy().astype(float) for name in ("time_s", "d_mm", "load_N"))
+    t_v, t_p, slip, d_v, f_v = (
+        chosen[name].to_numpy(float) for name in ("t_v_s", "t_p_s", "slip_time_s", "d_v_mm", "F_v_N")
+    )
+    first = np.searchsorted(time, t_v)
+    last = np.searchsorted(time, t_p + slip, side="right") + SAMPLES_AFTER_SLIP
+    series = tuple(
+        Series(
+            label=f"d_v = {d_v[k]:.2f} mm",
+            # the crosshead is recorded in steps, which may fall back by one
+            x=np.maximum.accumulate(1000 * (d[first[k] : last[k]] - d_v[k])),
+            y=load[first[k] : last[k]] - f_v[k],
+            ink=ink,
+            dashed=k % 2 == 1,
+        )
+        for k, ink in enumerate(ordered_inks(len(chosen)))
+    )
+    panel = Panel(x_label="d − d_v (µm)", y_label=load_label("F − F_v", load_unit(force)), series=series)
+    return Figure(
+        name="sticks",
+        title="Single stick-slip events",
+        caption=(
+            "Force above the valley against separation beyond the valley, samples as recorded, for "
+            "events from the beginning to the end of the test; later ones brighter. The slope of the "
+            "central half is K, the height ΔF, the length Λ_st. A drop at the very start is the end of the "
+            "slip before."
+        ),
+        panels=(panel,),
+    )
+
+
+def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: str = "N") -> Figure:
+    """Stick-slip amplitude ΔF(d_v) with A times the total normal force.
+
+    unit: of the load, "1" for a force over a weight.
+    """
+    series, model = [_points(sticks, "d_v_mm", "dF_N", "ΔF", DATA)], ""
+    if fits is not None:
+        d = np.linspace(*fits.d_mm, CURVE_POINTS)
+        drop = equations.stick_slip_amplitude(
+            d,
+            mu=fits.mu.value,
+            prefactor=fits.amplitude.value,
+            t_star_N=fits.t_star_N.value,
+            assembly=fits.assembly,
+        )
+        series.append(_curve("A × normal force", d, drop, MODEL))
+        model = (
+            " Dashed: A times the normal force summed over the sheets (Eq. 2), A = "
+            f"{plus_minus(fits.amplitude)}."
+        )
+    panel = Panel(
+        title="Stick-slip amplitude",
+        x_label="d_v (mm)",
+        y_label=load_label("ΔF", unit),
+        y_range=_from_zero(sticks["dF_N"]),
+        series=tuple(series),
+        placeholder="d is not known",
+    )
+    return Figure(
+        name="force_drop",
+        title=panel.title,
+        caption=f"ΔF = F_p − F_v of every event against the separation at its valley.{model}",
+        panels=(panel,),
+    )
+
+
+def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: str = "N") -> Figure:
+    """K(d_v) with M_eff K_eff, and with the decay (L + d)⁻¹ of a sample that only gets longer.
+
+    unit: of the load, "1" for a force over a weight.
+    """
+    series, model = [_points(sticks, "d_v_mm", "K_N_per_mm", "K", DATA, error="K_err_N_per_mm")], ""
+    if fits is not None:
+        d = np.linspace(*fits.d_mm, CURVE_POINTS)
+        stiffness = fits.stiffness_N_per_mm(d)
+        length = fits.assembly.length_mm
+        longer = stiffness[0] * (length + d[0]) / (length + d)
+        series.append(_curve("M_eff K_eff", d, stiffness, MODEL))
+        series.append(Series(label="∝ (L + d)⁻¹", x=d, y=longer, ink=OTHER_MODEL, width=2.0))
+        model = (
+            f" Dashed: M_eff K_eff with N̂ = {plus_minus(fits.n_hat_N)} N and "
+            f"Y_eff = {plus_minus(fits.modulus_GPa)} GPa. Solid: (L + d)⁻¹ "
+            "from the same start, which is what lengthening alone would do."
+        )
+    panel = Panel(
+        title="Stiffness of the sample",
+        x_label="d_v (mm)",
+        y_label=f"{load_label('K', unit)} (1/mm)" if unit == "1" else f"K ({unit}/mm)",
+        y_range=_from_zero(sticks["K_N_per_mm"]),
+        series=tuple(series),
+        placeholder="d is not known",
+    )
+    return Figure(
+        name="stiffness",
+        title=panel.title,
+        caption=f"K from the slope of the central half of every stick, with its standard error.{model}",
+        panels=(panel,),
+    )
+
+
+def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits | None = None) -> Figure:
+    """The whole recording, a few sticks with their lines, amplitude and stiffness against d, on one page.
+
+    Parameters
+    ----------
+    force
+        From `read_force`.
+    sticks
+        From `find_stick_slip`.
+    fits
+        From `fit_models`; their curves are drawn where given.
+    """
+    unit = load_unit(force)
+    whole = force_figure(force, sticks, fits).panel
+    drops, stiffness = (make(sticks, fits, unit=unit) for make in (force_drop_figure, stiffness_figure))
+    threshold = StickMetadata.of(sticks).threshold_N
+    found = f"{len(sticks)} events, drops above {threshold:.3g} {'of the weight' if unit == '1' else unit}"
+    panels = (replace(whole, title=found), _zoom(force, sticks), drops.panel, stiffness.panel)
+    return Figure(
+        name="force_overview",
+        title="The force recording and its stick-slip events",
+        caption="The whole recording, a few sticks of its middle, amplitude and stiffness of every event.",
+        panels=tuple(replace(panel, aspect=0.6) for panel in panels),
+        columns=2,
+        width_in=13.0,
+    )
+
+
+def _zoom(force: xr.Dataset, sticks: pd.DataFrame) -> Panel:
+    """F(t) of a few events in the middle of the test, with their valleys, peaks and the lines between."""
+    start = max(len(sticks) // 2 - ZOOMED_EVENTS // 2, 0)
+    some = sticks.iloc[start : start + ZOOMED_EVENTS]
+    t_v, t_p, f_v, f_p = (some[name].to_numpy(float) for name in ("t_v_s", "t_p_s", "F_v_N", "F_p_N"))
+    title = "A few sticks, with the lines from valley to peak"
+    if lowpass_s := StickMetadata.of(sticks).lowpass_s:
+        title += f"\n(corrected for the load cell's low-pass of {1e3 * lowpass_s:.2g} ms; F as recorded)"
+    series: tuple[Series, ...] = ()
+    if len(some):
+        margin = 0.15 * (t_p[-1] - t_v[0])
+        good = _measurable(force)
+        time = good["time_s"].to_numpy()
+        near = (time > t_v[0] - margin) & (time < t_p[-1] + margin)
+        at, load = minmax_decimate(
+            time[near], good["load_N"].to_numpy()[near][:, None], most=CURVE_POINTS * 10
+        )
+        gap = np.full(len(some), np.nan)
+        lines_t, lines_f = (np.stack(parts, axis=1).ravel() for parts in ((t_v, t_p, t_p), (f_v, f_p, gap)))
+        series = (
+            Series(label="F", x=at, y=load[:, 0], ink=QUIET, width=0.8),
+            Series(label="stick phases", x=lines_t, y=lines_f, ink=MODEL),
+            Series(label="peaks", x=t_p, y=f_p, ink=PEAK, look="points"),
+            Series(label="valleys", x=t_v, y=f_v, ink=VALLEY, look="points", hollow=True),
+        )
+    return Panel(
+        title=title,
+        x_label="t (s)",
+        y_label=load_label("F", load_unit(force)),
+        series=series,
+        placeholder="no events",
+    )
+
+
+# --- series -------------------------------------------------------------------------------------------------
+
+
+def _measurable(force: xr.Dataset) -> xr.Dataset:
+    return good_samples(force) if "flag" in force else force
+
+
+def _points(
+    sticks: pd.DataFrame, x: str, y: str, label: str, ink: Ink, *, error: str | None = None
+) -> Series:
+    """The events without a flag, in order of x."""
+    usable = sticks[(sticks["flag"] == "ok") & sticks[x].notna() & sticks[y].notna()].sort_values(x)
+    place, value = usable[x].to_numpy(float), usable[y].to_numpy(float)
+    spread = None if error is None else usable[error].to_numpy(float)
+    low, high = (None, None) if spread is None else (value - spread, value + spread)
+    hollow = label == "valleys"
+    return Series(label=label, x=place, y=value, ink=ink, look="points", low=low, high=high, hollow=hollow)
+
+
+def _curve(label: str, x: Floats, y: Floats, ink: Ink) -> Series:
+    return Series(label=label, x=x, y=y, ink=ink, dashed=True, width=2.0)
+
+
+def _spread(sticks: pd.DataFrame) -> pd.DataFrame:
+    """A few events without a flag from the first to the last."""
+    usable = sticks[(sticks["flag"] == "ok") & sticks["d_v_mm"].notna()]
+    if usable.empty:
+        return usable
+    d = np.maximum.accumulate(usable["d_v_mm"].to_numpy(float))
+    places = np.searchsorted(d, np.linspace(d[0], d[-1], SHOWN_STICKS))
+    return usable.iloc[np.unique(places)]
+
+
+def _from_zero(values: pd.Series) -> Range | None:
+    """From 0 to above the largest value but for a few outliers; None without values."""
+    known = values.to_numpy(float)
+    known = known[np.isfinite(known)]
+    return (0.0, 1.25 * float(np.quantile(known, 0.98))) if known.size and known.max() > 0 else None

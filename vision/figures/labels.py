@@ -1,0 +1,120 @@
+"""Text of figures and of the report: symbols, numbers with their errors, units and axes."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Protocol
+
+import numpy as np
+import xarray as xr
+from markupsafe import Markup, escape
+
+from vision.data import StripMetadata
+from vision.numeric import Floats
+
+# --- symbols: σ_x, Λ_st and M_eff are written so in the program and in tables -------------------------------
+
+_SYMBOL = re.compile(r"(?<![A-Za-z0-9_])([A-Za-zΔΛσδ])_(st|sl|eff|x|v|p|0)\b")
+_SMALL_LETTERS = str.maketrans("xvpst0", "ₓᵥₚₛₜ₀")
+
+
+def to_html(text: str) -> Markup:
+    """For the page: safe markup with <sub>."""
+    return Markup(_SYMBOL.sub(r"\1<sub>\2</sub>", str(escape(text))))
+
+
+def to_unicode(text: str) -> str:
+    """For one line of plain text: Unicode subscripts; "eff" and "sl" stay, as Unicode lacks them."""
+    return _SYMBOL.sub(
+        lambda m: m[0] if m[2] in ("eff", "sl") else m[1] + m[2].translate(_SMALL_LETTERS), text
+    )
+
+
+def to_mathtext(text: str) -> str:
+    """For matplotlib: Unicode subscripts, and mathtext, which is slower, for those that Unicode lacks."""
+    return _SYMBOL.sub(r"$\1_{\\mathrm{\2}}$", to_unicode(text))
+
+
+# --- numbers ------------------------------------------------------------------------------------------------
+
+
+class HasError(Protocol):
+    """A value with its standard error, NaN where there is none."""
+
+    @property
+    def value(self) -> float:
+        """The value."""
+        ...
+
+    @property
+    def error(self) -> float:
+        """Its standard error."""
+        ...
+
+
+def plus_minus(estimate: HasError) -> str:
+    """A value and its standard error, rounded to the error's second digit; four digits without an error."""
+    value, error = estimate.value, estimate.error
+    if not math.isfinite(error) or error <= 0:
+        return f"{value:.4g}".replace("-", "−")
+    digits = max(0, 1 - math.floor(math.log10(error)))
+    return f"{value:.{digits}f} ± {error:.{digits}f}".replace("-", "−")
+
+
+def percent(fraction: float) -> str:
+    """A fraction as a percentage that does not round 99.96 up to 100."""
+    return f"{math.floor(1000 * fraction) / 10:g} %"
+
+
+def signed(value: float) -> str:
+    """A whole number with its sign."""
+    return f"{value:+.0f}".replace("-", "−")
+
+
+# --- units and axes -----------------------------------------------------------------------------------------
+
+UM_PER_MM = 1000
+
+
+def time_axis(data: xr.Dataset | xr.DataArray) -> tuple[Floats, str]:
+    """Times of the frames and the label of their axis.
+
+    Parameters
+    ----------
+    data
+        Tracks, or I(x, t).
+
+    Returns
+    -------
+    Seconds, (frame,), and their label, which says where they come from the file's playback rate alone. Frame
+    numbers where the times are unknown, stand still or run backwards; single times that repeat are kept.
+    """
+    time = np.asarray(data["time_s"].values, np.float64)
+    steps = np.diff(time)
+    if not np.isfinite(time).all() or (steps < 0).any() or (steps.size and np.median(steps) <= 0):
+        return np.asarray(data["frame"].values, np.float64), "frame"
+    playback = "clock_kind" in data.attrs and StripMetadata.of(data).clock_kind == "playback"
+    return time, "t (s, playback rate)" if playback else "t (s)"
+
+
+def displacement_unit(pixel_size_um: float | None) -> tuple[float, str]:
+    """Factor from px, and unit: µm, or px where the pixel size is not known."""
+    return (1.0, "px") if pixel_size_um is None else (pixel_size_um, "µm")
+
+
+def position_unit(pixel_size_um: float | None, width_px: float) -> tuple[float, str]:
+    """Factor from px, and unit, for a picture `width_px` wide: mm, µm below 1 mm, px without a pixel size."""
+    if pixel_size_um is None or pixel_size_um * width_px < UM_PER_MM:
+        return displacement_unit(pixel_size_um)
+    return pixel_size_um / UM_PER_MM, "mm"
+
+
+def load_unit(force: xr.Dataset) -> str:
+    """The load's unit: "N", or "1" for a force over a weight."""
+    return str(force["load_N"].attrs.get("units", "N"))
+
+
+def load_label(name: str, unit: str) -> str:
+    """Label of an axis of force."""
+    return f"{name} / weight" if unit == "1" else f"{name} ({unit})"

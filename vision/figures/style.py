@@ -1,0 +1,59 @@
+"""Colours of all figures: safe for colour-blind eyes and in grey print, on light and on dark backgrounds.
+
+The fixed set is that of Okabe & Ito; series differ in luminance, dashes and marks as well. Sheets are blue on
+the left and orange on the right, darkest (on paper) at the centre.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from vision.figures.figure import Ink
+from vision.numeric import Floats
+
+DATA: Ink = ("#0072b2", "#56b4e9")
+PEAK: Ink = ("#b34700", "#ff9d57")
+VALLEY: Ink = ("#008060", "#4fd6ad")
+MODEL: Ink = ("#1a1a1a", "#f2f2f2")
+OTHER_MODEL: Ink = ("#8a5a83", "#e0a3d6")
+QUIET: Ink = ("#6b6b6b", "#a8a8a8")
+LEFT_ON_GREY: Ink = ("#1e88ff", "#1e88ff")
+RIGHT_ON_GREY: Ink = ("#ff6a00", "#ff6a00")
+HIGHLIGHT = "#d55e00"  # of the strip's outline and of marked slips
+MISSING = "#cfe3f5"  # pixels that were not recorded
+
+# parts of matplotlib's Blues, Oranges and viridis, as (light background, dark background)
+_BLUES = ("#083c7d", "#1764ab", "#3b8bc2", "#6aaed6"), ("#dfecf7", "#b9d6ea", "#7fb9da", "#4493c7")
+_ORANGES = ("#8e2d04", "#c54102", "#ec620f", "#fd8c3b"), ("#fee7d0", "#fdc590", "#fd9a4e", "#f26b15")
+_VIRIDIS = ("#440154", "#3b528b", "#21918c", "#5ec962", "#fde725")
+
+
+def sheet_inks(tracks: xr.Dataset) -> list[Ink]:
+    """One colour a sheet, strongest at the centre on either background."""
+    side, n = tracks["side"].values, tracks["n"].values
+    outward = (n - 1) / max(1, int(n.max(initial=1)) - 1)
+    left, right = (
+        [_along(colours, outward) for colours in both] for both in (_BLUES, _ORANGES)
+    )  # fmt: skip
+    chosen = [left if s < 0 else right for s in side]
+    return [(light[k], dark[k]) for k, (light, dark) in enumerate(chosen)]
+
+
+def ordered_inks(count: int) -> list[Ink]:
+    """Colours for an ordered set (sticks from first to last); luminance rises steadily, also in grey."""
+    shares = np.linspace(0, 1, max(count, 2))[:count]
+    light, dark = _along(_VIRIDIS, 0.82 * shares), _along(_VIRIDIS, 0.3 + 0.7 * shares)
+    return list(zip(light, dark, strict=True))
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Red, green and blue of "#rrggbb", 0 to 255."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def _along(colours: tuple[str, ...], shares: Floats) -> list[str]:
+    """Colours at these shares, 0 to 1, of the way from the first to the last."""
+    at = np.linspace(0, 1, len(colours))
+    channels = [np.interp(shares, at, channel) for channel in zip(*map(rgb, colours), strict=True)]
+    return [f"#{round(r):02x}{round(g):02x}{round(b):02x}" for r, g, b in zip(*channels, strict=True)]

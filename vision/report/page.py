@@ -1,0 +1,303 @@
+"""report.html: one page that holds everything about a run and needs no network."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, StrictUndefined, Template
+from markupsafe import Markup
+from PIL import Image as Pillow
+
+from vision.data import ForceMetadata, StripMetadata
+from vision.errors import with_options
+from vision.figures import Figure, Image, Panel, Results, Series, figures_of, missing_parts, sections_of
+from vision.figures.labels import to_html, to_unicode
+from vision.figures.style import MISSING, rgb
+from vision.numeric import Floats
+from vision.report.text import answers, citation, methods, subtitle
+
+IMAGE_BYTES = 450_000  # at most, for one image before base64
+PLAIN = 400  # values up to which an array is written as numbers
+_STEPS = 32767
+_GAP = -32768
+_QUALITIES = (85, 70, 50, 30, 15)  # of JPEG, tried in turn
+
+
+def write_report(
+    path: str | Path,
+    results: Results,
+    facts: Mapping[str, Any],
+    *,
+    figures: Sequence[Figure] | None = None,
+    options: Mapping[str, str] | None = None,
+) -> Path:
+    """Write the page: one file of less than 3 MB that opens offline and needs no other file beside it.
+
+    Parameters
+    ----------
+    path
+        Where to.
+    results
+        What the run found; nothing in it is changed.
+    facts
+        The content of run.json: command, parameters, inputs, versions, warnings, as far as there.
+    figures
+        Those of `figures_of(results)`, where they are made already.
+    options
+        Names of arguments and the command's options to be shown in their place.
+
+    Returns
+    -------
+    The path.
+
+    Raises
+    ------
+    OSError
+        Where the file cannot be written.
+
+    Notes
+    -----
+    Long records are decimated for display to the minimum and maximum of short intervals.
+    """
+    figures = figures_of(results) if figures is None else figures
+    shown = [(title, [_shown(figure) for figure in part]) for title, part in sections_of(figures)]
+    warnings = dict.fromkeys([*map(str, facts.get("warnings", ())), *results.warnings])
+    named = dict(options or {})
+    text = _template().render(
+        title=_title(results),
+        subtitle=subtitle(results),
+        answers=answers(results),
+        warnings=[with_options(line, named) for line in warnings],
+        missing=[with_options(line, named) for line in missing_parts(results)],
+        sections=shown,
+        methods=methods(results),
+        citation=citation(),
+        provenance=provenance(facts),
+        data=Markup(_script_safe(page_data([f for _, part in sections_of(figures) for f in part]))),
+        **{name: Markup(text) for name, text in _assets().items()},
+    )
+    path = Path(path)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _shown(figure: Figure) -> dict[str, Any]:
+    """What the template needs of a figure."""
+    return {"name": figure.name, "title": figure.title, "caption": figure.caption, "notes": figure.notes}
+
+
+def _title(results: Results) -> str:
+    if results.strip is not None:
+        return Path(StripMetadata.of(results.strip).source).name
+    return "recording" if results.force is None else Path(ForceMetadata.of(results.force).source).name
+
+
+@cache
+def _assets() -> dict[str, str]:
+    """The plotting library and the page's own style and script, as shipped with the package."""
+    places = {
+        "plot_css": "uPlot.min.css",
+        "plot_js": "uPlot.iife.min.js",
+        "css": "report.css",
+        "js": "report.js",
+    }
+    return {name: _asset(place) for name, place in places.items()}
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(autoescape=True, undefined=StrictUndefined)
+    environment.filters["symbols"] = to_html
+    return environment.from_string(_asset("report.html.jinja"))
+
+
+def _asset(name: str) -> str:
+    return files("vision.report").joinpath("assets", name).read_text(encoding="utf-8")
+
+
+# --- figures as the page's script draws them ----------------------------------------------------------------
+
+
+def page_data(figures: Iterable[Figure]) -> dict[str, Any]:
+    """What the page's script draws from: figures by name, and the long arrays that they share."""
+    store = ArrayStore()
+    content = {figure.name: _figure_data(figure, store) for figure in figures}
+    return {"charts": content, "blobs": store.blobs()}
+
+
+def _figure_data(figure: Figure, store: ArrayStore) -> dict[str, Any]:
+    arrays: list[dict[str, Any]] = []
+    places: dict[int, int] = {}
+
+    def place(values: Floats) -> int:
+        if id(values) not in places:
+            places[id(values)] = len(arrays)
+            arrays.append(store.add(values))
+        return places[id(values)]
+
+    panel = figure.panel
+    return {
+        "name": figure.name,
+        "title": figure.title,
+        "xLabel": panel.x_label,
+        "yLabel": panel.y_label,
+        "y2Label": panel.y2_label,
+        "axisLabels": [to_unicode(label) for label in (panel.x_label, panel.y_label, panel.y2_label)],
+        "series": [_series_data(series, place) for series in panel.series],
+        "arrays": arrays,
+        "switchable": panel.switchable,
+        "wholeNumbers": panel.whole_numbers,
+        "commonX": panel.common_x if panel.series else False,
+        "picture": None if panel.image is None else _image_data(panel.image),
+        "bands": [{"low": b.low, "high": b.high, "outline": b.outline} for b in panel.bands],
+        "xLines": panel.x_lines,
+        "xRange": panel.x_range,
+        "yRange": panel.y_range,
+        "firstView": panel.first_view,
+        "downwards": panel.downwards,
+        "timeDown": panel.time_down,
+        "aspect": _page_aspect(panel),
+        "squarePixels": panel.square_pixels,
+    }
+
+
+def _page_aspect(panel: Panel) -> float:
+    return 0.75 if panel.time_down else panel.aspect
+
+
+def _series_data(series: Series, place: Callable[[Floats], int]) -> dict[str, Any]:
+    data: dict[str, Any] = {
+        "label": series.label,
+        "html": str(to_html(series.label)),
+        "textLabel": to_unicode(series.label),
+        "x": place(series.x),
+        "y": place(series.y),
+        "ink": series.ink,
+        "look": series.look,
+        "dashed": series.dashed,
+        "hollow": series.hollow,
+        "shift": series.shift,
+        "width": series.width,
+        "axis": series.axis,
+        "sheet": series.sheet,
+    }
+    if series.low is not None and series.high is not None:
+        data |= {"low": place(series.low), "high": place(series.high)}
+    return data | ({"text": series.text} if series.text else {})
+
+
+def _image_data(image: Image) -> dict[str, Any]:
+    edges = {name: getattr(image, name) for name in ("left", "right", "top", "bottom")}
+    return edges | {"uri": image_uri(image, most_bytes=IMAGE_BYTES)}
+
+
+def image_uri(image: Image, *, most_bytes: int) -> str:
+    """An image as a JPEG data URI, of the best quality that keeps to the size, made smaller if need be."""
+    pixels = image.pixels
+    if image.missing is not None:
+        pixels = np.repeat(pixels[:, :, None], 3, axis=2)
+        pixels[image.missing] = rgb(MISSING)
+    picture = Pillow.fromarray(pixels)
+    while True:
+        for quality in _QUALITIES:
+            stream = io.BytesIO()
+            picture.save(stream, "JPEG", quality=quality)
+            if stream.tell() <= most_bytes:
+                return "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
+        picture = picture.resize((max(1, picture.width * 2 // 3), max(1, picture.height * 2 // 3)))
+
+
+class ArrayStore:
+    """Arrays of a page, each kept once however many figures draw it."""
+
+    def __init__(self) -> None:
+        self._places: dict[bytes, int] = {}
+
+    def add(self, values: Floats) -> dict[str, Any]:
+        """What the page holds of an array: numbers if it is short, else 16-bit steps about a line.
+
+        A long array is kept to 1/65534 of its range about the straight line from its first to its last value
+        (rising arrays, such as times) or about its middle, far below what a screen resolves.
+        """
+        values = np.asarray(values, np.float64)
+        if values.size <= PLAIN:
+            return {"v": [None if not np.isfinite(v) else float(f"{v:.8g}") for v in values.tolist()]}
+        start, slope = _line(values)
+        rest = values - start - slope * np.arange(values.size)
+        known = np.isfinite(rest)
+        low, high = (float(rest[known].min()), float(rest[known].max())) if known.any() else (0.0, 0.0)
+        middle, step = (low + high) / 2, (high - low) / (2 * _STEPS) or 1.0
+        code = np.where(known, np.rint((np.nan_to_num(rest) - middle) / step), _GAP).astype("<i2")
+        place = self._places.setdefault(code.tobytes(), len(self._places))
+        return {"b": place, "start": start + middle, "slope": slope, "step": step}
+
+    def blobs(self) -> list[str]:
+        """All arrays in base64, in the order of their places."""
+        return [base64.b64encode(data).decode("ascii") for data in self._places]
+
+
+def _line(values: Floats) -> tuple[float, float]:
+    """Start and slope of the line about which an array is written: 0 and 0 unless it rises throughout."""
+    if not np.isfinite(values).all() or (np.diff(values) < 0).any():
+        return 0.0, 0.0
+    return float(values[0]), float(values[-1] - values[0]) / (values.size - 1)
+
+
+def _script_safe(data: dict[str, Any]) -> str:
+    """JSON that cannot end the script element that holds it."""
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
+    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
+
+
+# --- where the numbers come from ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class FactsTable:
+    """A small table of the page."""
+
+    title: str
+    heads: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def provenance(facts: Mapping[str, Any]) -> list[FactsTable]:
+    """Parameters and whether they were given or found, inputs with checksums, versions; what is known."""
+    tables = [
+        FactsTable("Parameters", ("parameter", "value", "given or found"), tuple(_parameters(facts))),
+        FactsTable("What was found", ("quantity", "value"), tuple(_flat(facts.get("found", {})))),
+        FactsTable("Inputs", ("file", "bytes", "SHA-256"), tuple(_inputs(facts))),
+        FactsTable("Versions", ("package", "version"), tuple(_flat(facts.get("versions", {})))),
+        FactsTable("Command", ("command line",), ((str(facts["command"]),),) if "command" in facts else ()),
+    ]
+    return [table for table in tables if table.rows]
+
+
+def _parameters(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
+    for name, parameter in facts.get("parameters", {}).items():
+        plain = isinstance(parameter, Mapping)
+        value = parameter["value"] if plain else parameter.value
+        how = parameter["how"] if plain else parameter.how
+        yield name, "—" if value is None else str(value), str(how)
+
+
+def _inputs(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
+    for item in facts.get("inputs", ()):
+        yield str(item["path"]), str(item["size_bytes"]), str(item["sha256"])
+
+
+def _flat(values: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, ...]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{before}{name}: ")
+        else:
+            yield f"{before}{name}", f"{value:.6g}" if isinstance(value, float) else str(value)

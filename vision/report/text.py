@@ -1,0 +1,291 @@
+"""What the page says: the answers at its top, the methods paragraph, and what to cite."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+import vision
+from vision.clock import Clock
+from vision.data import ForceMetadata, MotionMetadata, StickMetadata, StripMetadata, TrackMetadata
+from vision.figures import Results, percent, plus_minus, signed
+from vision.figures.labels import load_unit
+from vision.models.fits_result import ModelFits
+from vision.numeric import Floats
+
+PAPER = (
+    "A. Plati, F. Restagno, C. Poulard, Stick-slip dynamics in an interleaved system with self-amplified "
+    "friction."
+)
+END_ROWS = 6  # of the shell table, three sticks of two sides, whose median stands for either end of the video
+
+# --- the answers --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One box at the top. doubt: whether it must not be taken at face value."""
+
+    what: str
+    value: str
+    detail: str
+    doubt: bool = False
+
+
+def answers(results: Results) -> list[Answer]:
+    """The boxes, most important first."""
+    boxes = (_sheets, _sticks, _shell, _clocks, _friction, _noise, _frames)
+    return [answer for box in boxes if (answer := box(results)) is not None]
+
+
+def subtitle(results: Results) -> str:
+    """What was recorded, in one line."""
+    if results.strip is None:
+        return "a force recording without a video"
+    time = np.asarray(results.strip["time_s"].values, np.float64)
+    known = time[np.isfinite(time)]
+    span = f" over {known[-1] - known[0]:.4g} s" if known.size > 1 else ""
+    scale = "no pixel size given" if results.pixel_size_um is None else f"{results.pixel_size_um:g} µm per px"
+    return f"{results.strip.sizes['frame']} frames{span}, {results.strip.sizes['x']} columns, {scale}"
+
+
+def _sheets(results: Results) -> Answer | None:
+    tracks = results.tracks
+    if tracks is None:
+        return None
+    side, flags = tracks["side"].values, tracks["flag"].values
+    ok = float((flags == "ok").mean()) if flags.size else 0.0
+    return Answer(
+        "sheets tracked",
+        f"{side.size} ({(side < 0).sum()} left, {(side > 0).sum()} right)",
+        f"{percent(ok)} of all positions measured; {TrackMetadata.of(tracks).ridges} ridges",
+        doubt=ok < 0.99,
+    )
+
+
+def _sticks(results: Results) -> Answer | None:
+    if results.force is None or results.sticks is None:
+        return None
+    whole = int((results.sticks["flag"] == "ok").sum())
+    if results.strip is None:
+        return Answer("stick phases", str(len(results.sticks)), f"{whole} of them without a flag")
+    inside = 0 if results.motion is None else results.motion.sizes["event"]
+    detail = f"of {len(results.sticks)} in the force recording, {whole} of them without a flag"
+    return Answer("stick phases in the video", str(inside), detail, doubt=inside == 0)
+
+
+def _shell(results: Results) -> Answer | None:
+    """First and last size of the shell: medians over the first and the last few sticks of both sides."""
+    if results.shells is None:
+        return None
+    known = results.shells[results.shells["stiff_sheets"].notna()].sort_values("d_v_mm")
+    if known.empty:
+        return Answer("stiff shell", "not known", "too few sheets with a known deformation", doubt=True)
+    ends = known.head(END_ROWS), known.tail(END_ROWS)
+    first, last = (f"{end['stiff_sheets'].astype(float).median():.3g}" for end in ends)
+    d_mm = known["d_v_mm"]
+    size = first if first == last else f"{first} → {last}"
+    where = f"from d = {d_mm.min():.2f} to {d_mm.max():.2f} mm" if d_mm.notna().any() else "d not known"
+    return Answer("stiff shell", f"{size} sheets per side", f"σ_x/Λ_st below {results.threshold:g}, {where}")
+
+
+def _clocks(results: Results) -> Answer | None:
+    clock = results.clock
+    if clock is None:
+        return None
+    matches = f"drift {signed(clock.drift_ppm)} ppm, {clock.matched} slips matched"
+    spread = f", residual {clock.residual_ms:.2g} ms" if np.isfinite(clock.residual_ms) else ""
+    doubt = clock.status == "ambiguous"
+    value = "ambiguous" if doubt else f"offset {clock.offset_s:.4f} s"
+    why = {"ok": "", "given": f" ({clock.how})", "ambiguous": f"; likeliest offset {clock.offset_s:.3f} s"}
+    return Answer("clocks", value, matches + spread + why[clock.status], doubt=doubt)
+
+
+def _friction(results: Results) -> Answer | None:
+    fits = results.fits
+    if fits is None:
+        return None
+    modulus = f"Y_eff = {fits.modulus_GPa.value:.3g} GPa"
+    detail = f"N̂ = {fits.n_hat_N.value:.3g} N, A = {fits.amplitude.value:.3g}, {modulus}"
+    return Answer("friction coefficient", f"μ = {plus_minus(fits.mu)}", detail)
+
+
+def _noise(results: Results) -> Answer | None:
+    if results.tracks is None:
+        return None
+    measured = _median(results.tracks["x_noise_px"].values)
+    predicted = _median(results.tracks["x_err_px"].values)
+    what = "noise of a position"
+    if not np.isfinite(measured):
+        return Answer(what, "not known", "too few consecutive positions to measure it", doubt=True)
+    size = results.pixel_size_um
+    return Answer(
+        what,
+        f"{measured:.2g} px" + ("" if size is None else f" = {measured * size:.2g} µm"),
+        f"median of the sheets, as measured; {predicted:.2g} px expected from the noise of the profile",
+        doubt=bool(measured > 3 * predicted),
+    )
+
+
+def _median(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else math.nan
+
+
+def _frames(results: Results) -> Answer | None:
+    if results.strip is None:
+        return None
+    strip = StripMetadata.of(results.strip)
+    bad = {"lost": strip.frames_lost, "blank": strip.frames_blank, "corrupt": strip.frames_corrupt}
+    counts = ", ".join(f"{count} {name}" for name, count in bad.items() if count)
+    return Answer(
+        "frames",
+        f"{strip.frames_read} of {strip.frames_expected} read",
+        counts or "none lost, blank or corrupt",
+        doubt=any(bad.values()),
+    )
+
+
+# --- the methods paragraph ----------------------------------------------------------------------------------
+
+
+def methods(results: Results) -> list[str]:
+    """Paragraphs that say what was done, every number the one used in this run."""
+    paragraphs = []
+    if results.strip is not None:
+        paragraphs.append(_video(results.strip, results.pixel_size_um))
+    if results.tracks is not None:
+        paragraphs.append(_tracking(results.tracks))
+    if results.force is not None and results.sticks is not None:
+        paragraphs.append(_stick_phases(results.force, results.sticks))
+    if results.clock is not None and results.clock.status != "ambiguous":
+        paragraphs.append(_alignment(results.clock))
+    if results.motion is not None:
+        paragraphs.append(_deformation(results.motion, results.threshold))
+    if results.fits is not None:
+        paragraphs.append(_models(results.fits))
+    return [*paragraphs, f"The analysis was done with sheetvision {vision.__version__}."]
+
+
+def citation() -> list[str]:
+    """The program and the publication whose method it follows."""
+    return [f"sheetvision, version {vision.__version__} (positions of interleaved sheets from video).", PAPER]
+
+
+def _video(profile: xr.DataArray, pixel_size_um: float | None) -> str:
+    strip = StripMetadata.of(profile)
+    source = {
+        "playback": " (the file's playback rate)",
+        "file": " (the recording's own time stamps)",
+    }.get(strip.clock_kind, "")
+    known = math.isfinite(strip.fps)
+    rate = f"{strip.fps:.6g} frames per second{source}" if known else "an unknown frame rate"
+    scale = "" if pixel_size_um is None else f" at {pixel_size_um:g} µm per pixel"
+    chosen = "given" if strip.strip_how == "given" else "found automatically"
+    return (
+        f"The edges of the sheets were recorded at {rate}{scale}, {strip.depth_bits} bits deep. In each "
+        f"of {strip.frames_read} frames the intensity was averaged over {strip.strip_z1 - strip.strip_z0} "
+        f"rows (rows {strip.strip_z0} to {strip.strip_z1}, {chosen}) to a profile I(x,t)."
+    )
+
+
+def _tracking(tracks: xr.Dataset) -> str:
+    t = TrackMetadata.of(tracks)
+    method = {
+        "sliding": "where the slope of a least-squares parabola over {} pixels, slid along x, is zero",
+        "paper": "at the vertex of a parabola fitted to {} pixels centred on the brightest pixel",
+        "template": "by matching each ridge to its own mean shape over {} pixels",
+    }[t.fit].format(t.window_px)
+    noise = float(tracks["x_noise_px"].median())
+    scatter = (
+        f" The positions scatter by {noise:.2g} px from frame to frame (median of the sheets)."
+        if noise > 0
+        else ""
+    )
+    origin = {
+        "given": "given",
+        "motion": "found from motion",
+        "geometry": "the middle of the ridges in view",
+    }[t.axis_how]
+    axis = f" at {t.axis_px:.1f} px ({origin})" if math.isfinite(t.axis_px) else ""
+    return (
+        f"The {t.sheets} sheets appear as {t.ridges} ridges {t.ridge_fwhm_px:.1f} px wide and "
+        f"{t.pitch_px:.1f} px apart. Their positions x(n,t) were located {method}; identities were kept "
+        "through slips from the order of the sheets, their spacing and their brightness, and n counts "
+        f"outwards from the symmetry axis{axis}.{scatter}"
+    )
+
+
+def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
+    speed = ForceMetadata.of(force).speed_mm_min
+    pulled = f" at {speed:.3g} mm/min" if math.isfinite(speed) else ""
+    s = StickMetadata.of(sticks)
+    source = {
+        "noise": "a multiple of the noise",
+        "gap": "where the sizes of the drops leave a gap above the noise",
+        "given": "as given",
+    }.get(s.threshold_how, s.threshold_how)
+    unit = "of the weight" if load_unit(force) == "1" else load_unit(force)
+    return (
+        f"The traction force was recorded while the blocks were pulled apart{pulled}. Slips are drops of "
+        f"more than {s.threshold_N:.3g} {unit} ({source}; the noise is {s.noise_N:.2g}), located "
+        f"at the steepest fall; {len(sticks)} stick phases were found. Peak and valley forces F_p and F_v "
+        "are those of the line through the central 80 % of each stick, extended to its ends; the "
+        f"stiffness K is the slope of the central {100 * s.central_part:.0f} %.{_lowpass(s)}"
+    )
+
+
+def _lowpass(sticks: StickMetadata) -> str:
+    if not sticks.lowpass_s:
+        return ""
+    source = "found from the transients after slips" if sticks.lowpass_how == "found" else "as given"
+    return (
+        f" All of these were corrected for the load cell's response, a first-order low-pass of "
+        f"{1e3 * sticks.lowpass_s:.2g} ms ({source})."
+    )
+
+
+def _alignment(clock: Clock) -> str:
+    if clock.status == "given":
+        source = {
+            "given": "a given offset",
+            "video time column": "the camera's times in the force recording",
+        }
+        how = f"were aligned by {source.get(clock.how, clock.how)}"
+    else:
+        how = (
+            f"were aligned on {clock.matched} slips seen in both (log-likelihood {clock.margin:.0f} above "
+            f"the next alignment, median residual {clock.residual_ms:.2g} ms)"
+        )
+    return (
+        f"The clocks of camera and testing machine {how}: offset {clock.offset_s:.4f} s, drift "
+        f"{signed(clock.drift_ppm)} ppm."
+    )
+
+
+def _deformation(motion: xr.Dataset, threshold: float) -> str:
+    margin = MotionMetadata.of(motion).margin_s
+    excluded = f", without frames within {1000 * margin:.0f} ms of a slip" if math.isfinite(margin) else ""
+    return (
+        f"For each of {motion.sizes['event']} stick phases inside the video{excluded}, the displacement of a "
+        "sheet is δx = x − x̂ with x̂ its mean over the stick, and σ_x its root mean square, corrected for "
+        "the camera's noise and for motion common to all sheets. A sheet counts as stiff where σ_x over the "
+        f"stick length is below {threshold:g}."
+    )
+
+
+def _models(fits: ModelFits) -> str:
+    sample = fits.assembly
+    return (
+        "Peak forces were fitted with Eq. 1 of the publication and a constant offset, stick-slip "
+        "amplitudes with A times the total normal force, and K with M_eff K_eff, for "
+        f"{sample.sheets_per_side} sheets per block, {sample.thickness_mm:g} mm thick and "
+        f"{sample.width_mm:g} mm wide, {sample.length_mm:g} mm from clamp to end, and "
+        f"T* = {1000 * fits.t_star_N.value:.3g} mN: μ = {plus_minus(fits.mu)}, "
+        f"A = {plus_minus(fits.amplitude)}, N̂ = {plus_minus(fits.n_hat_N)} N, "
+        f"Y_eff = {plus_minus(fits.modulus_GPa)} GPa (standard errors)."
+    )
