@@ -5,10 +5,16 @@ import io
 import os
 import re
 import shutil
+from xml.etree import ElementTree
 
+import numpy as np
 import pytest
-from vision.report.html import write_report
-from vision.report.sections import sections_of
+from PIL import Image
+
+from tests.scenes.analysed import FACTS
+from vision.figures import figures_of
+from vision.figures.labels import to_unicode
+from vision.report import write_report
 
 playwright = pytest.importorskip("playwright.sync_api")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -26,7 +32,7 @@ def browser():
 
 @pytest.fixture(scope="module")
 def report(pulled, tmp_path_factory):
-    return write_report(tmp_path_factory.mktemp("page") / "report.html", pulled)
+    return write_report(tmp_path_factory.mktemp("page") / "report.html", pulled, FACTS)
 
 
 class Visit:
@@ -85,7 +91,7 @@ def inked(visit, name):
 
 def test_every_figure_draws_without_complaint_or_request(visit, pulled, report):
     """A failure means an empty figure, a script error, or a page that asks the network."""
-    names = [chart.name for section in sections_of(pulled) for chart in section.charts]
+    names = [figure.name for figure in figures_of(pulled)]
     assert visit.page.locator("figure[data-drawn=yes]").count() == len(names)
     assert visit.complaints == []
     assert [url for url in visit.requests if not url.startswith("data:")] == [report.as_uri()]
@@ -113,21 +119,21 @@ def test_the_page_fits_its_window(browser, report, width, scheme):
 
 def test_dragging_zooms_and_the_button_shows_the_whole_again(visit):
     """A failure means that a single slip cannot be looked at."""
-    low, high = visit.range_of("displacement")
-    box = visit.page.locator("#displacement .u-over").bounding_box()
-    visit.page.locator("#displacement").scroll_into_view_if_needed()
-    box = visit.page.locator("#displacement .u-over").bounding_box()
+    low, high = visit.range_of("tracks")
+    box = visit.page.locator("#tracks .u-over").bounding_box()
+    visit.page.locator("#tracks").scroll_into_view_if_needed()
+    box = visit.page.locator("#tracks .u-over").bounding_box()
     middle = box["y"] + box["height"] / 2
     visit.page.mouse.move(box["x"] + 0.25 * box["width"], middle)
     visit.page.mouse.down()
     visit.page.mouse.move(box["x"] + 0.5 * box["width"], middle, steps=5)
     visit.page.mouse.up()
-    visit.wait_range("displacement", f"s.max - s.min < {0.3 * (high - low)}")
-    start, stop = visit.range_of("displacement")
+    visit.wait_range("tracks", f"s.max - s.min < {0.3 * (high - low)}")
+    start, stop = visit.range_of("tracks")
     assert start == pytest.approx(low + 0.25 * (high - low), abs=0.02 * (high - low))
     assert stop == pytest.approx(low + 0.5 * (high - low), abs=0.02 * (high - low))
-    visit.click("displacement", "show the whole range (double click)")
-    visit.wait_range("displacement", f"Math.abs(s.max - {high}) < 1e-6 && Math.abs(s.min - {low}) < 1e-6")
+    visit.click("tracks", "show the whole range (double click)")
+    visit.wait_range("tracks", f"Math.abs(s.max - {high}) < 1e-6 && Math.abs(s.min - {low}) < 1e-6")
 
 
 def test_buttons_zoom_where_there_is_no_mouse(visit):
@@ -160,31 +166,30 @@ def test_the_space_time_diagram_zooms_in_both_directions(visit):
 
 def shown(visit):
     return visit.page.evaluate(
-        "document.getElementById('displacement')"
-        ".plot.series.slice(1).filter((s) => s.show).map((s) => s.label)"
+        "document.getElementById('tracks').plot.series.slice(1).filter((s) => s.show).map((s) => s.label)"
     )
 
 
 def test_sheets_switch_on_and_off(visit):
     """A failure means that one sheet cannot be seen alone among fifty."""
     assert len(shown(visit)) == 50
-    visit.click("displacement", "hide all sheets")
+    visit.click("tracks", "hide all sheets")
     assert shown(visit) == []
-    visit.click("displacement", "sheet right 23")
+    visit.click("tracks", "sheet right 23")
     assert shown(visit) == ["right 23"]
-    button = visit.page.locator("#displacement").get_by_label("sheet right 23", exact=True)
+    button = visit.page.locator("#tracks").get_by_label("sheet right 23", exact=True)
     assert button.get_attribute("aria-pressed") == "true"
-    visit.click("displacement", "left sheets only")
+    visit.click("tracks", "left sheets only")
     assert set(shown(visit)) == {f"left {n}" for n in range(1, 26)}
-    visit.click("displacement", "show all sheets")
+    visit.click("tracks", "show all sheets")
     assert len(shown(visit)) == 50
 
 
 def test_each_figure_hands_out_its_numbers(visit, pulled):
     """A failure means that the numbers behind a figure cannot be had, or are others."""
     with visit.page.expect_download() as waiting:
-        visit.click("displacement", "download this figure's numbers")
-    assert waiting.value.suggested_filename == "displacement.csv"
+        visit.click("tracks", "download this figure's numbers")
+    assert waiting.value.suggested_filename == "tracks.csv"
     rows = list(csv.reader(io.StringIO(waiting.value.path().read_text(encoding="utf-8"))))
     assert rows[0][:2] == ["t (s)", "left 25"]
     assert len(rows) == 1 + pulled.tracks.sizes["frame"]
@@ -195,6 +200,50 @@ def test_each_figure_hands_out_its_numbers(visit, pulled):
         "[...document.querySelectorAll('figure[data-chart]')].map((f) => f.table().split('\\n').length)"
     )
     assert min(tables) > 3
+
+
+def test_each_figure_is_saved_as_svg_and_png(visit, pulled):
+    """A failure means an empty or broken file, or one that shows something else than the page."""
+    for figure in figures_of(pulled):
+        for kind in ("SVG", "PNG"):
+            with visit.page.expect_download() as waiting:
+                visit.click(figure.name, f"download this figure as {kind}")
+            assert waiting.value.suggested_filename == f"{figure.name}.{kind.lower()}"
+            content = waiting.value.path().read_bytes()
+            if kind == "PNG":
+                pixels = np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
+                assert pixels.shape[1] == 1600
+                assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 20, figure.name
+                continue
+            root = ElementTree.fromstring(content)
+            text = " ".join(item.text for item in root.iter("{http://www.w3.org/2000/svg}text"))
+            assert to_unicode(figure.panel.x_label) in text
+            assert to_unicode(figure.panel.y_label) in text
+            paths = [item.get("d") for item in root.iter("{http://www.w3.org/2000/svg}path")]
+            assert all(path.startswith("M") for path in paths)
+            longest = max(path.count("L") for path in paths)
+            expected = max(len(s.x) for s in figure.panel.series)
+            if any(s.look in ("line", "both") for s in figure.panel.series):
+                assert longest > 0.3 * min(expected, 500), figure.name
+            assert bool(list(root.iter("{http://www.w3.org/2000/svg}image"))) == bool(figure.panel.image)
+    assert visit.complaints == []
+    assert visit.page.evaluate("document.documentElement.dataset.theme") == "light"
+
+
+def test_a_saved_figure_shows_what_the_page_shows(visit):
+    """A failure means that zoom and hidden sheets are lost on saving."""
+    visit.click("tracks", "hide all sheets")
+    visit.click("tracks", "sheet right 23")
+    whole = visit.page.evaluate("document.getElementById('tracks').svg()")
+    assert whole.count("<path") < 60  # one curve and the axes
+    visit.click("tracks", "zoom in")
+    visit.page.wait_for_timeout(100)
+    zoomed = visit.page.evaluate("document.getElementById('tracks').svg()")
+    assert (
+        visit.page.evaluate("document.querySelectorAll('canvas').length")
+        == visit.page.locator("figure").count()
+    )
+    assert zoomed != whole
 
 
 def test_the_theme_button_repaints_the_figures(visit):

@@ -9,6 +9,7 @@ from vision.figures.catalogue import (
     overview,
     sections_of,
 )
+from vision.figures.deformation import deformation_figure, shells_figure, stick_figure
 from vision.figures.figure import (
     Band,
     Figure,
@@ -19,9 +20,23 @@ from vision.figures.figure import (
     save_figures,
     write_captions,
 )
-from vision.figures.force import force_overview_figure
+from vision.figures.force import (
+    clocks_figure,
+    force_drop_figure,
+    force_figure,
+    force_overview_figure,
+    sticks_figure,
+    stiffness_figure,
+)
 from vision.figures.labels import percent, plus_minus, signed
-from vision.figures.video import kymograph_figure
+from vision.figures.video import (
+    frame_figure,
+    kymograph_figure,
+    noise_figure,
+    pixel_locking_figure,
+    space_time_figure,
+    tracks_figure,
+)
 
 __all__ = [
     "FIGURES",
@@ -31,17 +46,30 @@ __all__ = [
     "Panel",
     "Results",
     "Series",
+    "clocks_figure",
+    "deformation_figure",
     "figures_of",
+    "force_drop_figure",
+    "force_figure",
     "force_overview_figure",
+    "frame_figure",
     "kymograph",
     "kymograph_figure",
     "load_figures",
     "missing_parts",
+    "noise_figure",
     "overview",
     "percent",
+    "pixel_locking_figure",
     "plus_minus",
     "save_figures",
     "sections_of",
+    "shells_figure",
     "signed",
+    "space_time_figure",
+    "stick_figure",
+    "sticks_figure",
+    "stiffness_figure",
+    "tracks_figure",
     "write_captions",
 ]

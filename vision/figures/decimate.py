@@ -97,7 +97,7 @@ def time_rows(values: NDArray[np.floating], time: Floats, *, most: int) -> tuple
     step = float(np.median(steps)) if steps.size else 0.0
     span = float(time[-1] - time[0])
     count = min(most, 1 + round(span / step)) if step > 0 else min(most, len(time))
-    half = 0.5 * span / max(1, count - 1) or 0.5
+    half = step / 2 or 0.5
     edges = np.linspace(time[0] - half, time[-1] + half, count + 1)
     place = np.searchsorted(time, edges)
     rows = mean_rows(values, place)

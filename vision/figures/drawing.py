@@ -16,12 +16,13 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Page
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from PIL import Image as Pillow
 
-from vision.figures.figure import Figure, Image, Panel, Series
+from vision.figures.figure import Band, Figure, Image, Panel, Series
 from vision.figures.labels import to_mathtext
 from vision.figures.style import HIGHLIGHT, MISSING, QUIET, rgb
 
@@ -44,7 +45,7 @@ _STYLE: dict[str, Any] = {
 _LEFT, _INNER, _BOTTOM, _TOP = 0.8, 0.15, 0.55, 0.12
 _TITLE, _LEGEND = 0.26, 0.24
 _LEAST_HEIGHT, _MOST_HEIGHT = 0.45, 9.0
-_LETTER, _MARKER = 0.085, 0.55  # of a legend's entry
+_LETTER, _MARKER = 0.075, 0.55  # of a legend's entry
 
 
 def draw_panel(ax: Axes, panel: Panel) -> Axes:
@@ -66,9 +67,12 @@ def draw_panel(ax: Axes, panel: Panel) -> Axes:
     if panel.image is not None:
         _draw_image(ax, panel.image, square=panel.square_pixels)
     _draw_bands(ax, panel)
-    for series in panel.series:
-        if series.look != "ticks":
-            _draw_series(right if series.axis == "right" and right else ax, series, panel)
+    if panel.switchable:
+        _draw_sheets(ax, panel)
+    else:
+        for series in panel.series:
+            if series.look != "ticks":
+                _draw_series(right if series.axis == "right" and right else ax, series)
     for x in panel.x_lines:
         for colour, dashes in (("white", "-"), (QUIET[0], (0, (6, 4)))):  # visible on dark and light images
             ax.axvline(x, color=colour, lw=1, ls=dashes)
@@ -86,19 +90,25 @@ def draw_panel(ax: Axes, panel: Panel) -> Axes:
 def new_figure(figure: Figure, *, interactive: bool = False) -> Page:
     """A matplotlib figure with every panel in its place.
 
-    interactive: made by pyplot where that is imported, so that a notebook shows it.
+    interactive: made by pyplot in a notebook that uses it, so that it is shown below the cell.
     """
     with _defaults():
         boxes, size = _layout(figure)
-        pyplot = sys.modules.get("matplotlib.pyplot") if interactive else None
+        notebook = interactive and "ipykernel" in sys.modules
+        pyplot = sys.modules.get("matplotlib.pyplot") if notebook else None
         page: Page = pyplot.figure(figsize=size) if pyplot else Page(figsize=size)
         for panel, box in zip(figure.panels, boxes, strict=True):
             ax = page.add_axes(box)
             draw_panel(ax, panel)
             if len(figure.panels) > 1:
-                width = box[2] * size[0]
-                lift = 0 if _one_row(panel, width) else 72 * _LEGEND * _legend_rows(panel, width)
-                ax.set_title(to_mathtext(panel.title), loc="left", pad=4 + lift)
+                # not `set_title`, which measures everything around the axes
+                legend = (
+                    0.0
+                    if _one_row(panel, box[2] * size[0])
+                    else _LEGEND * _legend_rows(panel, box[2] * size[0])
+                )
+                top = box[1] + box[3] + (0.06 + legend) / size[1]
+                page.text(box[0], top, to_mathtext(panel.title), fontsize=11)
             if not _labelled(panel):
                 ax.tick_params(labelleft=False)
         if label := next((p.marks_label for p in figure.panels if p.marks is not None and p.marks.size), ""):
@@ -127,7 +137,7 @@ def png(figure: Figure, *, dpi: float | None = None) -> bytes:
         canvas.draw()
         # without the alpha channel and with little compression: a third of the time of `savefig`
         pixels = np.asarray(canvas.buffer_rgba())[..., :3]
-        Pillow.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG", compress_level=3)
+        Pillow.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG", compress_level=1)
     return stream.getvalue()
 
 
@@ -143,7 +153,7 @@ def _defaults() -> AbstractContextManager[None]:
 def _draw_image(ax: Axes, image: Image, *, square: bool) -> None:
     extent = (image.left, image.right, image.bottom, image.top)
     aspect: Any = "equal" if square else "auto"
-    ax.imshow(coloured(image), extent=extent, aspect=aspect, interpolation="nearest")
+    ax.imshow(_rgba(image), extent=extent, aspect=aspect, interpolation="nearest")
 
 
 def _draw_bands(ax: Axes, panel: Panel) -> None:
@@ -156,15 +166,30 @@ def _draw_bands(ax: Axes, panel: Panel) -> None:
             ax.axhspan(band.low, band.high, color=QUIET[0], alpha=0.15, lw=0)
 
 
-def coloured(image: Image) -> Any:
-    """Red, green and blue of an image, (row, column, 3) uint8, with missing pixels in their colour."""
-    pixels = np.repeat(image.pixels[:, :, None], 3, axis=2)
+def _rgba(image: Image) -> Any:
+    """Pixels, missing ones in their colour; with an alpha channel matplotlib needs a quarter of the time."""
+    pixels = np.full((*image.pixels.shape, 4), 255, np.uint8)
+    pixels[..., :3] = image.pixels[..., None]
     if image.missing is not None:
-        pixels[image.missing] = rgb(MISSING)
+        pixels[image.missing, :3] = rgb(MISSING)
     return pixels
 
 
-def _draw_series(ax: Axes, series: Series, panel: Panel) -> None:
+def _draw_sheets(ax: Axes, panel: Panel) -> None:
+    """Lines of many sheets, those of one side in one collection: three times as fast as one by one."""
+    dots = [series for series in panel.series if series.look == "both"]
+    for dashed in (True, False):
+        mine = [series for series in panel.series if series.dashed == dashed and np.isfinite(series.y).any()]
+        lines = [np.stack([s.y, s.x] if panel.time_down else [s.x, s.y], axis=1) for s in mine]
+        if lines:
+            look: dict[str, Any] = {"linewidths": mine[0].width, "linestyles": _DASHES if dashed else "-"}
+            ax.add_collection(LineCollection(lines, colors=[s.ink[0] for s in mine], **look))
+    for series in dots:  # few points: a line alone would hide where they are
+        x, y = (series.y, series.x) if panel.time_down else (series.x, series.y)
+        ax.plot(x, y, ls="none", marker="o", ms=2.5, color=series.ink[0])
+
+
+def _draw_series(ax: Axes, series: Series) -> None:
     colour, at = series.ink[0], series.x + series.shift
     if series.low is not None and series.high is not None:
         ax.vlines(at, series.low, series.high, color=colour, lw=0.9)
@@ -172,8 +197,7 @@ def _draw_series(ax: Axes, series: Series, panel: Panel) -> None:
         width = float(series.x[1] - series.x[0]) if len(series.x) > 1 else 1.0
         ax.bar(at, series.y, width, color=colour, alpha=0.5, ec=colour, label=series.label)
         return
-    x, y = (series.y, at) if panel.time_down else (at, series.y)
-    ax.plot(x, y, label=to_mathtext(series.label) or "_", **_line_look(series))
+    ax.plot(at, series.y, label=to_mathtext(series.label) or "_", **_line_look(series))
 
 
 def _line_look(series: Series) -> dict[str, Any]:
@@ -281,18 +305,18 @@ def _draw_legend(ax: Axes, panel: Panel) -> None:
     if entries:
         columns = _legend_columns(entries, _width_in(ax))
         handles = [_legend_handle(series, label) for series, label in entries]
-        handles += [Rectangle((0, 0), 1, 1, fc=QUIET[0], alpha=0.15, label=b.label) for b in panel.bands]
         place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.1}
         ax.legend(handles=handles, fontsize=8, ncols=columns, frameon=False, columnspacing=1.2, **place)
 
 
-def _legend_entries(panel: Panel) -> list[tuple[Series, str]]:
-    """Series with their labels; for sheets one entry a side, which names the tones. None over an image."""
+def _legend_entries(panel: Panel) -> list[tuple[Series | Band, str]]:
+    """What has a label; of sheets one entry a side, which names the tones. Nothing over an image."""
     if panel.image is not None or panel.empty:
         return []
     if not panel.switchable:
-        return [(series, series.label) for series in panel.series if series.label]
-    entries = []
+        parts: list[Series | Band] = [*panel.series, *panel.bands]
+        return [(part, part.label) for part in parts if part.label]
+    entries: list[tuple[Series | Band, str]] = []
     for side, name in ((-1, "left"), (1, "right")):
         mine = {s.sheet[1]: s for s in panel.series if s.sheet is not None and s.sheet[0] == side}
         if mine:
@@ -301,16 +325,20 @@ def _legend_entries(panel: Panel) -> list[tuple[Series, str]]:
     return entries
 
 
-def _legend_handle(series: Series, label: str) -> Any:
+def _legend_handle(series: Series | Band, label: str) -> Any:
     text = to_mathtext(label)
+    if isinstance(series, Band):
+        return Rectangle((0, 0), 1, 1, fc=QUIET[0], alpha=0.15, label=text)
     if series.look == "steps":
         return Rectangle((0, 0), 1, 1, fc=series.ink[0], alpha=0.5, ec=series.ink[0], label=text)
     return Line2D([], [], label=text, **_line_look(series) | {"lw": max(series.width, 1.2)})
 
 
-def _legend_columns(entries: list[tuple[Series, str]], width_in: float) -> int:
-    widest = max(len(label) for _, label in entries) * _LETTER + _MARKER
-    return int(np.clip(width_in // widest, 1, len(entries) + 1))
+def _legend_columns(entries: list[tuple[Series | Band, str]], width_in: float) -> int:
+    lengths = [len(label) * _LETTER + _MARKER for _, label in entries]
+    if sum(lengths) <= width_in:
+        return len(entries)
+    return int(np.clip(width_in // max(lengths), 1, len(entries)))
 
 
 def _legend_rows(panel: Panel, width_in: float) -> int:
@@ -318,15 +346,14 @@ def _legend_rows(panel: Panel, width_in: float) -> int:
     entries = _legend_entries(panel)
     if not entries:
         return 0
-    shaded = sum(not band.outline for band in panel.bands)
-    return -(-(len(entries) + shaded) // _legend_columns(entries, width_in))
+    return -(-len(entries) // _legend_columns(entries, width_in))
 
 
 def _one_row(panel: Panel, width_in: float) -> bool:
     """Whether title and legend fit side by side."""
     labels = [label for _, label in _legend_entries(panel)]
     legend = sum(len(label) * _LETTER + _MARKER for label in labels)
-    return legend + 0.1 * len(panel.title) < width_in
+    return legend + 0.09 * max(map(len, panel.title.split("\n"))) < width_in
 
 
 # --- places -------------------------------------------------------------------------------------------------

@@ -246,8 +246,8 @@ class Figure:
         Parameters
         ----------
         ax
-            Axes to draw on, for a figure of one panel; None makes a new matplotlib figure, through pyplot
-            where that is in use, so that a notebook shows it.
+            Axes to draw on, for a figure of one panel; None makes a new matplotlib figure, in a notebook that
+            uses pyplot one that is shown.
 
         Returns
         -------
@@ -299,14 +299,11 @@ class Figure:
             raise InputError(path, "a name that ends in .png, .pdf, .svg or .csv", kind or "no ending")
         return path
 
-    def png(self) -> bytes:
-        """The figure as a PNG file's content."""
+    def _repr_png_(self) -> bytes:
+        """For notebooks."""
         from vision.figures import drawing
 
         return drawing.png(self)
-
-    def _repr_png_(self) -> bytes:
-        return self.png()
 
 
 def _long(table: pd.DataFrame, panel: Panel) -> pd.DataFrame:
@@ -422,7 +419,7 @@ def load_figures(path: str | Path) -> list[Figure]:
         listed = json.loads(stored["figures"].tobytes().decode())
         cut: dict[tuple[int, int], Floats] = {}
         return [_decode(item, stored, cut) for item in listed]
-    except (ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(path, "figures that a run has saved", f"{type(error).__name__}: {error}") from error
 
 

@@ -15,7 +15,8 @@ from vision.figures.figure import Figure, Ink, Panel, Range, Series
 from vision.figures.labels import displacement_unit, load_label, load_unit, plus_minus, signed, time_axis
 from vision.figures.style import DATA, MODEL, OTHER_MODEL, PEAK, QUIET, VALLEY, ordered_inks
 from vision.force.recording import good_samples
-from vision.models import ModelFits, equations
+from vision.models import equations
+from vision.models.fits_result import ModelFits
 from vision.numeric import Floats, nan_median
 
 BINS = 4000  # of F(d)
@@ -215,7 +216,8 @@ def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, un
             d,
             mu=fits.mu.value,
             prefactor=fits.amplitude.value,
-            sample=fits.sample,
+            t_star_N=fits.t_star_N.value,
+            assembly=fits.assembly,
         )
         series.append(_curve("A × normal force", d, drop, MODEL))
         model = (
@@ -247,7 +249,7 @@ def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, uni
     if fits is not None:
         d = np.linspace(*fits.d_mm, CURVE_POINTS)
         stiffness = fits.stiffness_N_per_mm(d)
-        length = fits.sample.length_mm
+        length = fits.assembly.length_mm
         longer = stiffness[0] * (length + d[0]) / (length + d)
         series.append(_curve("M_eff K_eff", d, stiffness, MODEL))
         series.append(Series(label="∝ (L + d)⁻¹", x=d, y=longer, ink=OTHER_MODEL, width=2.0))

@@ -25,7 +25,7 @@ def to_html(text: str) -> Markup:
 
 
 def to_unicode(text: str) -> str:
-    """For one line of plain text: Unicode subscripts, but for "eff" and "sl", which Unicode lacks."""
+    """For one line of plain text: Unicode subscripts; "eff" and "sl" stay, as Unicode lacks them."""
     return _SYMBOL.sub(
         lambda m: m[0] if m[2] in ("eff", "sl") else m[1] + m[2].translate(_SMALL_LETTERS), text
     )

@@ -178,7 +178,7 @@ def _series_data(series: Series, place: Callable[[Floats], int]) -> dict[str, An
     data: dict[str, Any] = {
         "label": series.label,
         "html": str(to_html(series.label)),
-        "text_label": to_unicode(series.label),
+        "textLabel": to_unicode(series.label),
         "x": place(series.x),
         "y": place(series.y),
         "ink": series.ink,

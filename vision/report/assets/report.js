@@ -1,5 +1,5 @@
 "use strict";
-/* Draws the page's charts from its own data; nothing is loaded from anywhere. */
+/* Draws the page's figures from its own data; nothing is loaded from anywhere. */
 (() => {
   const page = JSON.parse(document.getElementById("data").textContent);
   const root = document.documentElement;
@@ -65,17 +65,19 @@
     }
     c.restore();
   }
-  /* Every how many-th sheet has room for its number. */
+  /* Every how many-th sheet has room for its number: 1, 2, 5, 10, 20 … */
   function labelStep(u, c, xs, text) {
     const wide = Math.max(...text.map((t) => c.measureText(t).width)) + 5 * devicePixelRatio;
     const span = Math.abs(u.valToPos(xs[xs.length - 1], "x", true) - u.valToPos(xs[0], "x", true));
-    return Math.max(1, Math.ceil(wide / Math.max(1, span / Math.max(1, xs.length - 1))));
+    const least = wide / Math.max(1, span / Math.max(1, xs.length - 1));
+    return [1, 2, 5, 10, 20, 50, 100, 200, 500].find((step) => step >= least) || 1000;
   }
   function bars(u, chart, arrays) {
     const c = u.ctx, box = u.bbox, r = devicePixelRatio;
     c.save(); c.beginPath(); c.rect(box.left, box.top, box.width, box.height); c.clip();
     c.setLineDash([]);
     c.font = `${11 * r}px system-ui, sans-serif`; c.textAlign = "center"; c.textBaseline = "bottom";
+    const taken = [];
     chart.series.forEach((s, k) => {
       if (s.low === undefined || !u.series[k + 1].show) return;
       const xs = arrays[s.x], low = arrays[s.low], high = arrays[s.high], key = s.axis === "right" ? "y2" : "y";
@@ -88,6 +90,8 @@
         c.beginPath(); c.moveTo(at, y0); c.lineTo(at, y0 + stroke); c.moveTo(at, y1 - stroke); c.lineTo(at, y1); c.stroke();
         if (!s.text || (Number(s.text[i]) - 1) % step) return;
         const half = c.measureText(s.text[i]).width / 2 + 2 * r, top = Math.min(y0, y1) - 2 * r;
+        if (taken.some((other) => Math.abs(other - at) < 2 * half)) return;
+        taken.push(at);
         c.fillStyle = "rgba(0,0,0,0.62)"; c.fillRect(at - half, top - 13 * r, 2 * half, 14 * r);
         c.fillStyle = "#fff"; c.fillText(s.text[i], at, top);
       });
@@ -150,7 +154,8 @@
     };
   }
   function sizeOf(chart, holder) {
-    const width = Math.max(260, Math.floor(holder.clientWidth));
+    let width = Math.max(260, Math.floor(holder.clientWidth));
+    if (chart.squarePixels && width * chart.aspect > 560) width = Math.max(260, Math.floor(560 / chart.aspect) + 60);
     const height = Math.round(Math.max(230, Math.min(620, width * chart.aspect + 60)));
     return { width, height };
   }
@@ -243,12 +248,118 @@
     }
     return lines.join("\n") + "\n";
   }
-  function download(name, text) {
+  function download(name, blob) {
     const link = document.createElement("a");
-    link.href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
+    link.href = URL.createObjectURL(blob);
     link.download = name;
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  }
+
+  /* ---- figures as files: uPlot draws once more, on a context that writes SVG in place of pixels ---- */
+  const two = (v) => +v.toFixed(2);
+  const escaped = (text) => String(text).replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll('"', "&quot;");
+  class VectorPath {
+    d = "";
+    moveTo(x, y) { this.d += `M${two(x)} ${two(y)}`; }
+    lineTo(x, y) { this.d += `${this.d ? "L" : "M"}${two(x)} ${two(y)}`; }
+    bezierCurveTo(...p) { this.d += `C${p.map(two).join(" ")}`; }
+    closePath() { this.d += "Z"; }
+    rect(x, y, w, h) { this.d += `M${two(x)} ${two(y)}h${two(w)}v${two(h)}h${two(-w)}Z`; }
+    arc(x, y, r) { this.d += `M${two(x - r)} ${two(y)}a${two(r)} ${two(r)} 0 1 0 ${two(2 * r)} 0a${two(r)} ${two(r)} 0 1 0 ${two(-2 * r)} 0`; }
+    addPath(other) { this.d += other.d; }
+  }
+  class VectorContext {
+    parts = []; clips = 0; stack = []; path = new VectorPath();
+    state = { strokeStyle: "#000", fillStyle: "#000", lineWidth: 1, lineJoin: "miter", lineCap: "butt", font: "10px sans-serif",
+      textAlign: "start", textBaseline: "alphabetic", globalAlpha: 1, dash: [], move: "", within: "" };
+    measure = document.createElement("canvas").getContext("2d");
+    constructor() {
+      for (const key of Object.keys(this.state)) Object.defineProperty(this, key, { get: () => this.state[key], set: (v) => { this.state[key] = v; } });
+      for (const name of ["moveTo", "lineTo", "bezierCurveTo", "closePath", "rect", "arc"]) this[name] = (...p) => this.path[name](...p);
+    }
+    save() { this.stack.push({ ...this.state }); }
+    restore() { this.state = this.stack.pop() || this.state; }
+    beginPath() { this.path = new VectorPath(); }
+    translate(x, y) { this.move += `translate(${two(x)} ${two(y)})`; }
+    rotate(a) { this.move += `rotate(${two((a * 180) / Math.PI)})`; }
+    setLineDash(dash) { this.dash = [...dash]; }
+    clearRect() {}
+    measureText(text) { this.measure.font = this.font; return this.measure.measureText(text); }
+    put(element) { this.parts.push(this.within ? `<g clip-path="url(#${this.within})">${element}</g>` : element); }
+    look(fill, stroke) {
+      const dash = stroke && this.dash.length ? ` stroke-dasharray="${this.dash.join(" ")}"` : "";
+      const line = stroke ? ` stroke="${escaped(this.strokeStyle)}" stroke-width="${two(this.lineWidth)}" stroke-linejoin="${this.lineJoin}" stroke-linecap="${this.lineCap}"${dash}` : "";
+      return `fill="${fill ? escaped(this.fillStyle) : "none"}"${line}${this.globalAlpha < 1 ? ` opacity="${this.globalAlpha}"` : ""}${this.move ? ` transform="${this.move}"` : ""}`;
+    }
+    stroke(path = this.path) { if (path.d) this.put(`<path d="${path.d}" ${this.look(false, true)}/>`); }
+    fill(path = this.path) { if (path.d) this.put(`<path d="${path.d}" ${this.look(true, false)}/>`); }
+    strokeRect(...box) { const path = new VectorPath(); path.rect(...box); this.stroke(path); }
+    fillRect(...box) { const path = new VectorPath(); path.rect(...box); this.fill(path); }
+    clip(path = this.path) {
+      const id = `clip${++this.clips}`, outer = this.within ? ` clip-path="url(#${this.within})"` : "";
+      this.parts.push(`<clipPath id="${id}"${outer}><path d="${path.d}"${this.move ? ` transform="${this.move}"` : ""}/></clipPath>`);
+      this.within = id;
+    }
+    drawImage(image, x, y, w, h) {
+      this.put(`<image x="${two(x)}" y="${two(y)}" width="${two(w)}" height="${two(h)}" preserveAspectRatio="none" href="${image.src}"/>`);
+    }
+    fillText(text, x, y) {
+      const size = parseFloat(/([\d.]+)px/.exec(this.font)[1]), anchor = { center: "middle", right: "end", end: "end" }[this.textAlign] || "start";
+      const down = { top: 0.8, hanging: 0.8, middle: 0.34, bottom: -0.2 }[this.textBaseline] || 0;
+      this.put(`<text x="${two(x)}" y="${two(y + down * size)}" font-size="${two(size)}" font-family="Helvetica, Arial, DejaVu Sans, sans-serif" text-anchor="${anchor}" ${this.look(true, false)}>${escaped(text)}</text>`);
+    }
+  }
+  async function vector(shown, chart, arrays, image) {
+    const holder = document.createElement("div"), frame = document.createElement("div"), theme = root.dataset.theme;
+    const native = [HTMLCanvasElement.prototype.getContext, window.Path2D], context = new VectorContext();
+    frame.style.cssText = "position:fixed;left:-9999px;width:800px"; frame.append(holder); document.body.append(frame);
+    root.dataset.theme = "light";
+    let u;
+    try {
+      HTMLCanvasElement.prototype.getContext = () => context; window.Path2D = VectorPath;
+      const wanted = options(chart, holder, arrays, image, document.createElement("div"));
+      u = new uPlot({ ...wanted, legend: { show: false } }, shown.data, holder);
+      u.zoomed = true;
+      u.batch(() => {
+        shown.series.forEach((s, k) => { if (k && !s.show) u.setSeries(k, { show: false }); });
+        for (const key of Object.keys(shown.scales)) { const { min, max } = shown.scales[key]; if (min != null) u.setScale(key, { min, max }); }
+      });
+      await null; await null; /* uPlot draws in a microtask */
+    } finally {
+      [HTMLCanvasElement.prototype.getContext, window.Path2D] = native;
+      root.dataset.theme = theme; frame.remove();
+    }
+    const canvas = u.root.querySelector("canvas"), ratio = canvas.width / parseFloat(canvas.style.width || canvas.width);
+    const { text, height } = caption(context, chart, canvas, ratio);
+    const tall = canvas.height + height;
+    return `<svg xmlns="http://www.w3.org/2000/svg" width="${two(canvas.width / ratio)}" height="${two(tall / ratio)}" viewBox="0 0 ${canvas.width} ${tall}"><rect width="100%" height="100%" fill="#fff"/>${text}</svg>\n`;
+  }
+  /* The drawn parts and, below them, the legend. */
+  function caption(context, chart, canvas, ratio) {
+    const size = 12 * ratio, entries = legendOf(chart) ? chart.series.filter((s) => s.label) : chart.switchable
+      ? [[-1, "left sheets"], [1, "right sheets"]].map(([side, name]) => ({ s: chart.series.find((s) => s.sheet && s.sheet[0] === side), name })).filter(({ s }) => s).map(({ s, name }) => ({ ...s, textLabel: name })) : [];
+    let x = 50 * ratio, y = canvas.height + size;
+    Object.assign(context, { font: `${size}px sans-serif`, textAlign: "left", textBaseline: "middle", globalAlpha: 1, within: "", move: "" });
+    for (const s of entries) {
+      const wide = context.measureText(s.textLabel).width + 46 * ratio;
+      if (x + wide > canvas.width && x > 60 * ratio) { x = 50 * ratio; y += 1.6 * size; }
+      Object.assign(context, { strokeStyle: chart.picture ? s.ink[1] : s.ink[0], fillStyle: s.ink[0], lineWidth: 2 * ratio, dash: s.dashed ? [5 * ratio, 3 * ratio] : [] });
+      context.beginPath();
+      if (s.look === "points") { context.arc(x + 11 * ratio, y, 3 * ratio); context[s.hollow ? "stroke" : "fill"](); }
+      else { context.moveTo(x, y); context.lineTo(x + 22 * ratio, y); context.stroke(); }
+      context.fillStyle = "#1a1a1a"; context.fillText(s.textLabel, x + 28 * ratio, y);
+      x += wide;
+    }
+    return { text: context.parts.join(""), height: entries.length ? y + size - canvas.height : 0 };
+  }
+  async function png(svg) {
+    const image = new Image(), canvas = document.createElement("canvas");
+    image.src = `data:image/svg+xml;charset=utf-8,${encodeURIComponent(svg)}`;
+    await image.decode();
+    canvas.width = 2 * image.width; canvas.height = 2 * image.height;
+    canvas.getContext("2d").drawImage(image, 0, 0, canvas.width, canvas.height);
+    return new Promise((done) => canvas.toBlob(done, "image/png"));
   }
 
   /* ---- sheets on and off ---- */
@@ -309,7 +420,10 @@
     tools.append(button("+", "zoom in", () => zoom(u, 0.5, 0)), button("−", "zoom out", () => zoom(u, 2, 0)),
       button(chart.timeDown ? "▲" : "◀", "earlier", () => zoom(u, 1, -0.5)), button(chart.timeDown ? "▼" : "▶", "later", () => zoom(u, 1, 0.5)),
       button("whole", "show the whole range (double click)", () => reset(u)),
-      button("CSV", "download this figure's numbers", () => download(`${chart.name}.csv`, table(chart, arrays))));
+      button("CSV", "download this figure's numbers", () => download(`${chart.name}.csv`, new Blob([table(chart, arrays)], { type: "text/csv" }))),
+      button("SVG", "download this figure as SVG", async () => download(`${chart.name}.svg`, new Blob([await figure.svg()], { type: "image/svg+xml" }))),
+      button("PNG", "download this figure as PNG", async () => download(`${chart.name}.png`, await png(await figure.svg()))));
+    figure.svg = () => vector(u, chart, arrays, image);
     if (chart.firstView) { u.zoomed = true; u.setScale("x", { min: chart.firstView[0], max: chart.firstView[1] }); }
     if (chart.switchable) switches(figure, chart, u);
     else if (legendOf(chart)) figure.tint = () => key(figure, chart);

@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
-from vision.report.decimate import grey_levels, outline, outline_by_x, time_rows
+
+from vision.figures.decimate import grey_levels, minmax_by_x, minmax_decimate, time_rows
 
 
 def test_a_slip_of_one_frame_keeps_its_full_height():
     """A failure means that a slip can vanish from the report of a long test."""
     y = np.zeros((100_000, 3))
     y[54_321, 1], y[77_777, 2] = 5.0, -3.0
-    _, shown = outline(np.arange(100_000.0), y, most=2000)
+    _, shown = minmax_decimate(np.arange(100_000.0), y, most=2000)
     assert len(shown) <= 2000
     assert (shown[:, 1].max(), shown[:, 2].min()) == (5.0, -3.0)
 
@@ -22,18 +23,18 @@ def test_means_would_lose_that_slip():
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_the_outline_keeps_the_order_in_time(sign):
+def test_the_decimated_curve_keeps_the_order_in_time(sign):
     """A failure means that a rising stretch could be drawn as falling: a slip with the wrong sign."""
     y = sign * np.arange(10_000.0)[:, None]
-    _, shown = outline(np.arange(10_000.0), y, most=500)
+    _, shown = minmax_decimate(np.arange(10_000.0), y, most=500)
     assert (np.diff(sign * shown[:, 0]) > 0).all()
 
 
-def test_the_outline_says_when_within_one_stretch():
+def test_the_decimated_curve_says_when_within_one_stretch():
     """A failure means that events are drawn at the wrong time."""
     time = np.arange(60_000) / 60
     y = (time > 700).astype(float)[:, None]
-    x, shown = outline(time, y, most=3000)
+    x, shown = minmax_decimate(time, y, most=3000)
     stretch = time[-1] / (len(x) / 2)
     assert abs(x[np.argmax(shown[:, 0] > 0.5)] - 700) <= stretch
 
@@ -41,7 +42,7 @@ def test_the_outline_says_when_within_one_stretch():
 def test_short_records_are_drawn_as_they_are():
     """A failure means that a short record loses points for nothing."""
     time, y = np.arange(50.0), np.random.default_rng(0).normal(size=(50, 2))
-    x, shown = outline(time, y, most=50)
+    x, shown = minmax_decimate(time, y, most=50)
     np.testing.assert_array_equal(x, time)
     np.testing.assert_array_equal(shown, y)
 
@@ -51,7 +52,7 @@ def test_unknown_stretches_stay_unknown():
     y = np.ones((4000, 2))
     y[1000:2000, 0] = np.nan
     y[::3, 1] = np.nan
-    x, shown = outline(np.arange(4000.0), y, most=400)
+    x, shown = minmax_decimate(np.arange(4000.0), y, most=400)
     inside = (x >= 1020) & (x < 1980)
     assert np.isnan(shown[inside, 0]).all()
     assert np.isfinite(shown[~((x > 980) & (x < 2020)), 0]).all()
@@ -64,7 +65,7 @@ def test_curves_over_a_jittering_x_keep_their_extremes():
     d = 13 + np.linspace(0, 5, 50_000) + rng.normal(0, 1e-4, 50_000)
     load = rng.normal(100, 1, 50_000)
     load[25_000] = 400.0
-    x, y = outline_by_x(d, load, bins=1000)
+    x, y = minmax_by_x(d, load, bins=1000)
     assert (np.diff(x) >= 0).all()
     assert y.max() == 400.0
     assert y.min() == load.min()
@@ -73,7 +74,7 @@ def test_curves_over_a_jittering_x_keep_their_extremes():
 
 def test_nothing_to_draw_gives_nothing():
     """A failure means that a recording without displacement breaks the report."""
-    x, y = outline_by_x(np.full(10, np.nan), np.arange(10.0), bins=5)
+    x, y = minmax_by_x(np.full(10, np.nan), np.arange(10.0), bins=5)
     assert len(x) == len(y) == 0
 
 

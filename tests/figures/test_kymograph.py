@@ -1,20 +1,22 @@
-"""Space-time diagrams with axes: what stands where."""
+"""Space-time diagrams: times, lengths, gaps, marks and grey scale."""
+
+import itertools
 
 import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
-from vision.report.kymograph import (
-    EMPTY_COLOUR,
-    MOST_LINES,
-    draw_kymograph,
-    grey_limits,
-    write_kymograph_picture,
-)
+from matplotlib.figure import Figure as Page
 
-from vision.report import decimate, kymograph
+from vision.figures import decimate, kymograph_figure, video
+from vision.figures.drawing import MOST_LINES
+from vision.figures.style import MISSING
+from vision.figures.video import grey_limits
+
+
+def draw_kymograph(ax, diagram, *, slips_s=None):
+    return kymograph_figure([diagram], slips_s=slips_s).plot(ax)
 
 
 def diagram_of(frames=60, columns=20, *, times=None, **attrs):
@@ -36,7 +38,7 @@ WINDOW = {"sheet": "right:23", "sheet_index": 47, "centre_px": 209.5, "follow": 
 
 @pytest.fixture
 def ax():
-    return Figure().subplots()
+    return Page().subplots()
 
 
 def shown(ax, time):
@@ -48,20 +50,21 @@ def shown(ax, time):
     return pixels[len(pixels) - 1 - row, column]
 
 
-def grey_of(value, ax):
+def grey_of(value, diagram):
     """The grey in which a value is drawn."""
-    low, high = ax.images[0].get_clim()
+    low, high = grey_limits([diagram])
     return np.full(3, 255 * np.clip((value - low) / (high - low), 0, 1))
 
 
 def test_axes_are_in_mm_and_s_with_pixels_centred(ax):
     """A failure means that lengths or times read off the picture are wrong, or half a pixel off."""
-    draw_kymograph(ax, diagram_of(pixel_size_um=80.0))
+    diagram = diagram_of(pixel_size_um=80.0)
+    draw_kymograph(ax, diagram)
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("x (mm)", "t (s)")
     np.testing.assert_allclose(ax.get_xlim(), (15.96, 17.56))
     np.testing.assert_allclose(ax.get_ylim(), (2.975, -0.025))  # time downwards
-    np.testing.assert_allclose(shown(ax, 1.5), grey_of(30.5, ax), atol=2)
-    assert np.abs(shown(ax, 1.5) - grey_of(29.5, ax)).min() > 3  # a row off would be seen
+    np.testing.assert_allclose(shown(ax, 1.5), grey_of(30.5, diagram), atol=2)
+    assert np.abs(shown(ax, 1.5) - grey_of(29.5, diagram)).min() > 3  # a row off would be seen
 
 
 def test_a_strip_below_a_millimetre_is_in_µm(ax):
@@ -84,7 +87,7 @@ def test_a_window_counts_from_its_sheet(ax, attrs, label, limits):
     draw_kymograph(ax, diagram_of(**WINDOW | attrs))
     assert ax.get_xlabel() == label
     np.testing.assert_allclose(ax.get_xlim(), limits)
-    assert "right, n = 23" in ax.get_title(loc="left")
+    assert "right, n = 23" in kymograph_figure([diagram_of(**WINDOW | attrs)]).panel.title
 
 
 def test_a_playback_rate_or_no_clock_is_said_on_the_axis(ax):
@@ -117,51 +120,58 @@ def test_a_gap_in_time_stays_empty(ax):
     """A failure means that rows are stretched over time in which nothing was seen."""
     times = np.arange(60) / 20
     times[30:] += 1.0
-    draw_kymograph(ax, diagram_of(times=times))
-    np.testing.assert_allclose(shown(ax, 1.45), grey_of(29.5, ax), atol=2)
-    np.testing.assert_allclose(shown(ax, 2.0), 255 * np.array(to_rgb(EMPTY_COLOUR)), atol=1)
-    np.testing.assert_allclose(shown(ax, 2.5), grey_of(30.5, ax), atol=2)
-
-
-def test_long_recordings_are_averaged_not_thinned(ax, monkeypatch):
-    """A failure means that most rows of a long recording are not in the picture at all."""
-    monkeypatch.setattr(kymograph, "MOST_ROWS", 20)
-    monkeypatch.setattr(decimate, "_ROWS_AT_ONCE", 3)
-    diagram = diagram_of(59)
-    diagram[4] = np.nan
-    diagram[9:12] = np.nan
+    diagram = diagram_of(times=times)
     draw_kymograph(ax, diagram)
-    rows = np.asarray(ax.images[0].get_array()[:, 0].filled(np.nan))
-    assert len(rows) == 20
-    np.testing.assert_allclose(rows[[0, 1, 2, 18, 19]], [1, 4, 7, 55, 57.5])
-    assert np.isnan(rows[3])
+    np.testing.assert_allclose(shown(ax, 1.45), grey_of(29.5, diagram), atol=2)
+    np.testing.assert_allclose(shown(ax, 2.0), 255 * np.array(to_rgb(MISSING)), atol=1)
+    np.testing.assert_allclose(shown(ax, 2.5), grey_of(30.5, diagram), atol=2)
+
+
+def test_long_recordings_are_averaged_not_thinned(monkeypatch):
+    """A failure means that most rows of a long recording are not in the picture at all."""
+    monkeypatch.setattr(video, "MOST_ROWS", 20)
+    monkeypatch.setattr(decimate, "_ROWS_AT_ONCE", 3)
+    diagram = diagram_of(60)
+    diagram[9:12] = np.nan
+    image = kymograph_figure([diagram]).panel.image
+    assert image.pixels.shape[0] == 20
+    low, high = grey_limits([diagram])
+    means = image.pixels[:, 0] / 255 * (high - low) + low
+    np.testing.assert_allclose(means[[0, 1, 2, 18]], [1, 4, 7, 55], atol=0.2)
+    assert image.missing[3].all()
+    assert image.missing.sum() == image.pixels.shape[1]
 
 
 def test_the_picture_says_what_its_marks_are(tmp_path):
     """A failure means marks of unknown origin, or a note on marks that are not there."""
     path, slips = tmp_path / "k.svg", np.array([1.0])
-    write_kymograph_picture(path, [diagram_of(**WINDOW)], slips_s=slips, slips_from="the sheets")
+    kymograph_figure([diagram_of(**WINDOW)], slips_s=slips, slips_from="the sheets").save(path)
     assert "orange: slips, from the sheets" in path.read_text()
-    write_kymograph_picture(path, [diagram_of(**WINDOW)], slips_s=slips[:0])
+    kymograph_figure([diagram_of(**WINDOW)], slips_s=slips[:0]).save(path)
     assert "orange" not in path.read_text()
 
 
 @pytest.mark.parametrize("panels", [1, 2, 5, 12])
-def test_any_number_of_panels_fits(tmp_path, panels):
-    """A failure means panels crushed to nothing (the layout warns, and warnings are errors here)."""
-    for frames in (1, 2, 60, 3000):
-        diagrams = [diagram_of(frames, **WINDOW)] * panels
-        write_kymograph_picture(tmp_path / "k.png", diagrams, slips_s=np.array([1.0]))
+@pytest.mark.parametrize("frames", [1, 2, 60, 3000])
+def test_any_number_of_panels_fits(panels, frames):
+    """A failure means panels that overlap, or are crushed to nothing."""
+    page = kymograph_figure([diagram_of(frames, **WINDOW)] * panels, slips_s=np.array([1.0])).plot().figure
+    FigureCanvasAgg(page).draw()
+    boxes = [ax.get_tightbbox() for ax in page.axes]
+    assert all(a.x1 <= b.x0 + 1 for a, b in itertools.pairwise(boxes))
+    assert min(ax.get_window_extent().width for ax in page.axes) > 1.5 * page.dpi
+    assert all(
+        box.x0 >= 0 and box.x1 <= page.bbox.x1 and box.y0 >= 0 and box.y1 <= page.bbox.y1 for box in boxes
+    )
+    labels = [text.get_window_extent() for ax in page.axes for text in ax.get_xticklabels()]
+    assert all(a.x1 <= b.x0 for a, b in itertools.pairwise(labels) if a.y0 == b.y0 and a.x0 < b.x0)
 
 
-def test_panels_share_one_grey_scale_and_the_file_s_ending_is_its_kind(tmp_path):
-    """A failure means that brightness cannot be compared between panels, or an unreadable file."""
+def test_panels_share_one_grey_scale():
+    """A failure means that brightness cannot be compared between panels."""
     low, high = grey_limits([diagram_of(), diagram_of() * 2])
     assert low < 2
     assert high > 100
     assert grey_limits([diagram_of() * np.nan]) == (0, 1)
-    heads = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
-    for kind, head in heads.items():
-        path = tmp_path / f"k.{kind}"
-        write_kymograph_picture(path, [diagram_of(**WINDOW)] * 2, slips_s=np.array([1.0]))
-        assert path.read_bytes().startswith(head)
+    one, two = kymograph_figure([diagram_of(), diagram_of() * 2]).panels
+    assert int(two.image.pixels[20, 0]) == pytest.approx(2 * int(one.image.pixels[20, 0]), abs=3)

@@ -1,0 +1,164 @@
+"""Which figures a run has, and the ones that put others together."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from tests.scenes.analysed import Found
+from vision.figures import FIGURES, figures_of, kymograph, missing_parts, overview, sections_of
+from vision.figures.video import space_time_figure
+
+
+def scene(*, sheets=7, frames=40, rows=60, columns=400, times_s=None, nothing_found=False):
+    """Frame, strip I(x, t) and tracks of a comb that opens and closes."""
+    n = np.arange(sheets) - (sheets - 1) / 2
+    t = np.arange(frames)
+    x_px = columns / 2 + n * (columns - 20) / sheets + 2 * np.sin(t / 5)[:, None] * n / max(1, n.max())
+    if nothing_found:
+        x_px[:] = np.nan
+    ridges = np.exp(-((np.arange(columns) - np.nan_to_num(x_px)[:, :, None]) ** 2) / 8).sum(axis=1)
+    profile = np.asarray(50 + 100 * ridges, np.float32)
+    clock = {"time_s": ("frame", t / 25 if times_s is None else times_s), "frame": t}
+    attrs = {"strip_z0": rows // 3, "strip_z1": rows // 2, "clock_kind": "given", "axis_px": columns / 2}
+    strip = xr.DataArray(profile, dims=("frame", "x"), coords=clock | {"x": np.arange(columns)}, attrs=attrs)
+    who = {
+        "sheet": np.arange(sheets),
+        "side": ("sheet", np.where(n < 0, -1, 1)),
+        "n": ("sheet", np.abs(np.floor(np.where(n < 0, n, n + 1))).astype(int)),
+    }
+    positions = {"x_px": (("frame", "sheet"), x_px), "x_err_px": (("frame", "sheet"), 0 * x_px + 0.01)}
+    noise = {"x_noise_px": ("sheet", np.full(sheets, 0.01))}
+    tracks = xr.Dataset(positions | noise, coords=clock | who, attrs=attrs | {"fit": "sliding"})
+    frame = np.broadcast_to(profile[:1], (rows, columns)).astype(np.uint8)
+    return Found(frame=frame, strip=strip, tracks=tracks, pixel_size_um=10.0)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"sheets": 1},
+        {"sheets": 200, "columns": 1920, "frames": 5},
+        {"frames": 1},
+        {"frames": 2, "columns": 12, "sheets": 2},
+        {"frames": 9000, "sheets": 2},
+        {"rows": 4},
+        {"rows": 1200},
+        {"times_s": np.full(40, np.nan)},
+        {"times_s": np.r_[np.arange(20.0), np.arange(20.0)]},
+        {"nothing_found": True},
+    ],
+)
+def test_any_recording_has_its_figures(options, tmp_path):
+    """A failure means that a run's tables are lost because its figures cannot be drawn."""
+    figures = figures_of(scene(**options))
+    assert [figure.name for figure in figures] == ["frame", "space_time", "tracks", "noise", "pixel_locking"]
+    for figure in (*figures, overview(figures), kymograph(figures)):
+        assert figure.save(tmp_path / f"{figure.name}.png").stat().st_size > 3000
+
+
+def test_blank_frames_are_shown_as_missing():
+    """A failure means a black picture, or none, where every row that is drawn is missing."""
+    results = scene()
+    results.strip[:] = np.nan
+    image = next(figure for figure in figures_of(results) if figure.name == "space_time").panel.image
+    assert image.missing.all()
+    assert (image.pixels == 128).all()
+
+
+@pytest.mark.parametrize("sheets", [7, 50, 200])
+def test_no_two_sheet_numbers_overlap(sheets):
+    """A failure means that the numbers 1 and 1 at the centre read as 11."""
+    page = overview(figures_of(scene(sheets=sheets, columns=1920, frames=3))).plot().figure
+    FigureCanvasAgg(page).draw()
+    boxes = sorted((label.get_window_extent() for label in page.axes[0].texts), key=lambda box: box.x0)
+    assert len(boxes) >= min(sheets, 20)
+    assert all(a.x1 <= b.x0 for a, b in itertools.pairwise(boxes))
+
+
+def test_nothing_in_the_overview_overlaps():
+    """A failure means a title over a legend, or labels of one panel in the next."""
+    page = overview(figures_of(scene())).plot().figure
+    FigureCanvasAgg(page).draw()
+    boxes = [ax.get_tightbbox() for ax in page.axes]
+    titles = [text.get_window_extent() for text in page.texts]
+    legend = page.axes[2].get_legend().get_window_extent()
+    assert legend.y0 >= page.axes[2].get_window_extent().y1  # above the lines
+    assert not titles[2].overlaps(legend)
+    assert all(upper.y0 >= lower.y1 for upper, lower in itertools.pairwise(boxes))
+    assert all(title.y0 >= ax.get_window_extent().y1 for title, ax in zip(titles, page.axes, strict=True))
+    assert all(page.bbox.contains(*corner) for box in [*boxes, *titles] for corner in (box.p0, box.p1))
+
+
+def test_tracks_lie_on_their_ridges_also_after_a_gap():
+    """A failure means that after lost frames, or in mm, the tracks lie beside the ridges they belong to."""
+    times_s = np.arange(40) / 25
+    times_s[20:] += 2.0
+    results = scene(times_s=times_s)
+    ax = space_time_figure(results.strip, results.tracks, pixel_size_um=10.0).plot()
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x (mm)", "t (s)")
+    drawn = [line for collection in ax.collections for line in collection.get_segments()]
+    expected = np.stack([results.tracks["x_px"].values.T / 100, np.tile(times_s, (7, 1))], axis=2)
+    np.testing.assert_allclose(drawn, expected)
+
+
+def test_a_single_frame_is_seen_as_dots():
+    """A failure means that the positions of a single picture are drawn as nothing."""
+    results = scene(frames=1)
+    ax = space_time_figure(results.strip, results.tracks).plot()
+    assert [line.get_marker() for line in ax.lines] == ["o"] * 7
+
+
+def test_figures_come_in_the_order_of_reading(pulled):
+    """A failure means that a figure is missing or stands elsewhere."""
+    figures = figures_of(pulled)
+    assert [figure.name for figure in figures] == [name for name, entry in FIGURES.items() if entry.section]
+    assert [figure.name for _, part in sections_of(figures) for figure in part] == [f.name for f in figures]
+
+
+def test_every_figure_can_be_made_alone(pulled):
+    """A failure means that a name of the catalogue makes another figure, or none."""
+    made = {name: entry.make(pulled) for name, entry in FIGURES.items()}
+    assert {name: figure.name for name, figure in made.items()} == {name: name for name in made}
+    assert all(figure.caption and figure.title for figure in made.values())
+    assert all(entry.make(Found()) is None for entry in FIGURES.values())
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason", "gone"),
+    [
+        (
+            {"motion": None, "shells": None},
+            "no stick phase was measured inside the video",
+            {"stick", "deformation", "shells"},
+        ),
+        (
+            {"clock": None, "motion": None, "shells": None},
+            "were not matched",
+            {"clocks", "stick", "deformation", "shells"},
+        ),
+        ({"fits": None}, "the models were not fitted", set()),
+        ({"shells": None}, "too few sheets have a known deformation", {"shells"}),
+        (
+            {"sticks": None, "clock": None, "motion": None, "shells": None, "fits": None},
+            "none were found",
+            {"sticks", "force_drop", "stiffness"},
+        ),
+        ({"frame": None, "reasons": {"frame": "it was raining"}}, "it was raining", {"frame"}),
+        ({"pixel_size_um": None}, "(`pixel_size_um`)", set()),
+        ({"tracks": None, "strip": None, "motion": None}, "no video was given", {"tracks", "clocks"}),
+    ],
+)
+def test_each_missing_part_is_named(pulled, changes, reason, gone):
+    """A failure means that a part is missing without a word."""
+    results = replace(pulled, **changes)
+    assert reason in " ".join(missing_parts(results))
+    assert not gone & {figure.name for figure in figures_of(results)}
+
+
+def test_nothing_is_missing_from_a_whole_run(pulled):
+    """A failure means that a reader is told to give what was given."""
+    assert missing_parts(pulled) == []

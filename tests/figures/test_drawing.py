@@ -1,0 +1,134 @@
+"""Figures drawn by matplotlib."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure as Page
+from matplotlib.font_manager import FontProperties, findfont, get_font
+
+from tests.scenes.report_data import make_tracks, sawtooth
+from vision.figures import figures_of
+from vision.figures.drawing import _defaults, label_step
+from vision.figures.force import clocks_figure
+from vision.figures.video import noise_figure, space_time_figure, tracks_figure
+
+
+def test_the_same_figure_gives_the_same_file(tmp_path):
+    """A failure means that figures under version control change without reason."""
+    figure = noise_figure(make_tracks(sawtooth(300, 10)))
+    for kind in ("png", "pdf"):
+        one, other = (figure.save(tmp_path / f"{k}.{kind}").read_bytes() for k in range(2))
+        assert one == other
+
+
+def test_text_of_vector_files_is_text(tmp_path):
+    """A failure means that a manuscript's labels cannot be edited or searched."""
+    figure = noise_figure(make_tracks(sawtooth(300, 10)))
+    assert "noise of x (px)" in figure.save(tmp_path / "noise.svg").read_text(encoding="utf-8")
+    assert b"DejaVuSans" in figure.save(tmp_path / "noise.pdf").read_bytes()
+
+
+def test_figures_have_the_letters_they_need():
+    """A failure means boxes in place of symbols."""
+    with _defaults():
+        glyphs = get_font(findfont(FontProperties())).get_charmap()
+    needed = "AZaz09 ~ΔΛσδμ²¹⁻ₓᵥₚₛₜ₀−±·×∝√µ°…→"
+    assert [letter for letter in needed if ord(letter) not in glyphs] == []
+
+
+def test_nobody_s_settings_change_the_files(tmp_path):
+    """A failure means that a matplotlibrc turns the report's pictures into white on black, or into LaTeX."""
+    figure = noise_figure(make_tracks(sawtooth(300, 10)))
+    plain = figure.save(tmp_path / "plain.png").read_bytes()
+    with mpl.rc_context({"axes.facecolor": "black", "font.size": 30, "text.usetex": True}):
+        assert figure.save(tmp_path / "other.png").read_bytes() == plain
+        assert mpl.rcParams["font.size"] == 30
+
+
+def test_pyplot_is_not_imported_unless_it_is_used():
+    """A failure means a slower start, or a window where there is no screen."""
+    code = """
+import sys
+import numpy as np
+from tests.scenes.report_data import make_tracks, sawtooth
+from vision.figures.video import tracks_figure
+figure = tracks_figure(make_tracks(sawtooth(30, 4)))
+assert "matplotlib" not in sys.modules
+figure.plot()
+assert "matplotlib.pyplot" not in sys.modules
+import matplotlib.pyplot as plt
+figure.plot()
+assert not plt.get_fignums()
+sys.modules["ipykernel"] = sys
+assert figure.plot().figure is plt.gcf()
+"""
+    found = subprocess.run(
+        [sys.executable, "-c", code], check=False, capture_output=True, text=True, env=None
+    )
+    assert found.returncode == 0, found.stderr
+
+
+def test_time_runs_down_in_the_space_time_diagram(video_only):
+    """A failure means that slips look inwards instead of outwards."""
+    ax = space_time_figure(video_only.strip, video_only.tracks).plot()
+    top, bottom = ax.get_ylim()[::-1]
+    assert top < bottom
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x (px)", "t (s)")
+
+
+def test_the_two_curves_of_the_clock_check_do_not_cross(pulled):
+    """A failure means that one curve hides the other where the clocks are judged."""
+    ax = clocks_figure(pulled.force, pulled.tracks, pulled.clock, pulled.sticks).plot()
+    right = next(other for other in ax.figure.axes if other is not ax)
+    low, high = ax.get_xlim()
+
+    def share(axes):
+        line = axes.lines[0]
+        x, y = line.get_xdata(), line.get_ydata()
+        bottom, top = axes.get_ylim()
+        return (y[(x >= low) & (x <= high)] - bottom) / (top - bottom)
+
+    assert share(ax).min() > share(right).max()
+
+
+def test_legends_name_the_sides_and_hide_nothing():
+    """A failure means that the highest peaks disappear behind the legend."""
+    ax = tracks_figure(make_tracks(sawtooth(100, 6))).plot()
+    FigureCanvasAgg(ax.figure).draw()
+    legend = ax.get_legend()
+    assert legend.get_window_extent().y0 >= ax.get_window_extent().y1
+    names = [text.get_text() for text in legend.get_texts()]
+    assert names == [f"{side}, n = 1 (dark) to 3 (bright)" for side in ("left", "right")]
+
+
+@pytest.mark.parametrize("width", [2, 3.5, 6, 12])
+def test_every_legend_fits_above_its_axes(pulled, width):
+    """A failure means legends cut off at the edge of the file, or over the data."""
+    for figure in figures_of(pulled):
+        page = replace(figure, width_in=width).plot().figure
+        FigureCanvasAgg(page).draw()
+        legend = page.axes[0].get_legend()
+        if legend is not None and width >= 3.5:
+            box = legend.get_window_extent()
+            assert box.y1 <= page.bbox.y1 + 1, figure.name
+            assert box.x0 >= 0, figure.name
+
+
+@pytest.mark.parametrize(("room", "step"), [(0.5, 1), (1.5, 2), (4.1, 5), (12, 20), (1e9, 500000)])
+def test_numbers_are_thinned_to_round_steps(room, step):
+    """A failure means that every seventh sheet is numbered."""
+    assert label_step(np.arange(50.0), room) == step
+    assert label_step(np.array([3.0]), 0.5) == 1
+
+
+def test_given_axes_keep_their_own_style():
+    """A failure means that one figure changes the look of all others in a notebook."""
+    before = dict(mpl.rcParams)
+    noise_figure(make_tracks(sawtooth(30, 4))).plot(Page().subplots())
+    noise_figure(make_tracks(sawtooth(30, 4))).plot()
+    assert dict(mpl.rcParams) == before

@@ -1,0 +1,143 @@
+"""Figures of the force: their numbers against what they are made from."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.scenes.report_data import make_tracks, sawtooth
+from vision.figures import figures_of, force_overview_figure
+from vision.figures.force import ZOOMED_EVENTS, clocks_figure, force_figure, opening_px, sticks_figure
+from vision.report.text import methods
+
+JUMP_PX = 4.0
+
+
+@pytest.fixture(scope="module")
+def tracks():
+    return make_tracks(sawtooth(1000, 10, jump_px=JUMP_PX))
+
+
+def by_label(figure):
+    return {series.label: series for series in figure.panel.series}
+
+
+def test_all_sheets_opening_is_positive(tracks):
+    """A failure means that the clock check compares force drops with steps of the wrong sign."""
+    opened = opening_px(tracks)
+    assert opened[51] - opened[48] == pytest.approx(JUMP_PX * np.mean([1, 3, 5, 7, 9]) / 9, abs=0.2)
+
+
+def test_frames_without_sheets_have_no_opening(tracks):
+    """A failure means that lost frames are shown as motion."""
+    x = tracks["x_px"].values.copy()
+    x[100:110] = np.nan
+    opened = opening_px(make_tracks(x))
+    assert np.isnan(opened[100:110]).all()
+    assert np.isfinite(np.delete(opened, np.s_[100:110])).all()
+
+
+def test_peaks_lie_on_the_force_curve_and_eq_1(pulled):
+    """A failure means that F(d), its peaks or the model are drawn against different separations."""
+    figure = force_figure(pulled.force, pulled.sticks, pulled.fits)
+    series = by_label(figure)
+    peaks, model = series["peaks"], series["Eq. 1 + T_0"]
+    near = np.abs(peaks.x[:, None] - series["F"].x) < 0.003
+    highest = np.where(near, series["F"].y, -np.inf).max(axis=1)
+    assert np.median(np.abs(highest - peaks.y) / peaks.y) < 0.02
+    assert np.median(np.abs(np.interp(peaks.x, model.x, model.y) / peaks.y - 1)) < 0.03
+
+
+def test_single_sticks_start_at_zero_and_rise_with_their_stiffness(pulled):
+    """A failure means that F − F_v against d − d_v is cut or shifted."""
+    first = sticks_figure(pulled.force, pulled.sticks).panel.series[0]
+    stick = pulled.sticks.iloc[0]
+    assert (np.diff(first.x) >= 0).all()
+    assert first.x.max() == pytest.approx(stick["stick_length_um"], abs=0.6)
+    middle = (first.x > 0.3 * first.x.max()) & (first.x < 0.7 * first.x.max())
+    slope = np.polyfit(first.x[middle], first.y[middle], 1)[0]
+    assert 1000 * slope == pytest.approx(stick["K_N_per_mm"], rel=0.03)
+
+
+def test_force_and_sheets_step_together_on_the_force_clock(pulled):
+    """A failure means that the clock check is drawn with the wrong clock."""
+    figure = clocks_figure(pulled.force, pulled.tracks, pulled.clock, pulled.sticks)
+    force, sheets = figure.panel.series
+    drop, step = _slip_times(force.x, -force.y, 10), _slip_times(sheets.x, sheets.y, 0.2)
+    apart = np.abs(step[:, None] - drop).min(axis=1)
+    assert len(step) >= 3
+    assert apart.max() < 1.5 / 60
+    late = replace(pulled.clock, offset_s=pulled.clock.offset_s + 0.3)
+    shifted = clocks_figure(pulled.force, pulled.tracks, late, pulled.sticks).panel.series[1]
+    wrong = _slip_times(shifted.x, shifted.y, 0.2)
+    assert np.abs(wrong[:, None] - drop).min(axis=1).max() > 0.1
+
+
+def _slip_times(time, value, least):
+    """Middles of the steps up."""
+    jump = np.diff(value)
+    at = np.flatnonzero(jump > least)
+    at = at[np.r_[True, np.diff(at) > 3]]
+    return (time[at] + time[at + 1]) / 2
+
+
+def test_an_ambiguous_clock_says_so(pulled):
+    """A failure means that an alignment that may be wrong looks like a sure one."""
+    doubtful = replace(pulled.clock, status="ambiguous")
+    figure = clocks_figure(pulled.force, pulled.tracks, doubtful)
+    assert any("ambiguous" in note for note in figure.notes)
+    assert "one way only" not in figure.caption
+
+
+def test_a_given_offset_without_slips_claims_no_agreement(pulled):
+    """A failure means that a clock nobody checked is reported as checked, or as 'nan ms'."""
+    unchecked = {"status": "given", "how": "given", "matched": 0, "residual_ms": np.nan, "margin": np.nan}
+    figure = clocks_figure(pulled.force, pulled.tracks, replace(pulled.clock, **unchecked))
+    assert "No slip was matched. The offset was not found from the slips (given)." in figure.caption
+    assert "nan" not in figure.caption
+
+
+def test_a_force_over_a_weight_is_in_no_newton(pulled):
+    """A failure means that a number without unit is published as newtons."""
+    bare = pulled.force.assign(load_N=pulled.force["load_N"].assign_attrs(units="1"))
+    for results, letter in ((pulled, True), (replace(pulled, force=bare, fits=None), False)):
+        figures = {figure.name: figure for figure in figures_of(results)}
+        labels = [
+            figures[name].panel.y_label for name in ("force", "clocks", "sticks", "force_drop", "stiffness")
+        ]
+        assert all(("N" in label) is letter for label in labels)
+        assert (" N" in methods(results)[2]) is letter
+    assert figures["force_drop"].panel.y_label == "ΔF / weight"
+    assert figures["stiffness"].panel.y_label == "K / weight (1/mm)"
+
+
+def test_lines_run_from_valley_to_peak_along_the_force(pulled):
+    """A failure means that the picture by which events are judged shows others than the table."""
+    panel = force_overview_figure(pulled.force, pulled.sticks, pulled.fits).panels[1]
+    series = {one.label: one for one in panel.series}
+    lines = series["stick phases"].y.reshape(-1, 3)
+    times = series["stick phases"].x.reshape(-1, 3)
+    middle = np.interp(times[:, :2].mean(axis=1), series["F"].x, series["F"].y)
+    np.testing.assert_allclose(middle, lines[:, :2].mean(axis=1), rtol=0.03)
+    first = len(pulled.sticks) // 2 - ZOOMED_EVENTS // 2
+    drops = pulled.sticks["dF_N"].iloc[first : first + ZOOMED_EVENTS]
+    np.testing.assert_allclose(lines[:, 1] - lines[:, 0], drops, rtol=0.03)
+    assert np.isnan(lines[:, 2]).all()  # no line from one stick to the next
+
+
+def test_a_recording_without_separation_says_so(pulled, tmp_path):
+    """A failure means no picture, or axes of nothing without a word, where no speed was given."""
+    blind = pulled.sticks.assign(d_v_mm=np.nan, d_p_mm=np.nan, K_N_per_mm=np.nan)
+    force = pulled.force.assign(d_mm=pulled.force["d_mm"] * np.nan)
+    figure = force_overview_figure(force, blind)
+    assert [panel.empty for panel in figure.panels] == [False, False, True, True]
+    axes = figure.plot().figure.axes
+    assert "d is not known" in [text.get_text() for text in axes[2].texts]
+    figure.save(tmp_path / "force.png")
+
+
+def test_a_recording_without_events_has_its_picture(pulled, tmp_path):
+    """A failure means a traceback for a recording in which nothing slips."""
+    figure = force_overview_figure(pulled.force, pulled.sticks.iloc[:0])
+    assert figure.panels[1].empty
+    figure.save(tmp_path / "force.png")
