@@ -74,15 +74,26 @@ class Schema:
     def __getitem__(self, name: str) -> Variable:
         return self.variables[name]
 
-    def check(self, data: Data) -> None:
+    def check(self, data: Data, needs: Sequence[str] | None = None) -> None:
         """All that is missing or has the wrong dimensions, in one message.
+
+        Parameters
+        ----------
+        data
+            What is given to a stage.
+        needs
+            Variables that this stage cannot do without; None for those that are declared as required.
 
         Raises
         ------
         InputError
             Names every variable and fact that is not as declared, with what was expected and found.
         """
-        problems = [line for name, is_as in self.variables.items() if (line := _problem(data, name, is_as))]
+        problems = [
+            line
+            for name, declared in self.variables.items()
+            if (line := _problem(data, name, declared, declared.required if needs is None else name in needs))
+        ]
         if self.metadata is not None:
             absent = self.metadata.absent(data)
             problems += [f"attrs['{name}'] is missing" for name in absent]
@@ -95,16 +106,16 @@ class Schema:
             )
 
 
-def _problem(data: Data, name: str, declared: Variable) -> str:
+def _problem(data: Data, name: str, declared: Variable, required: bool) -> str:
     """What is wrong with one variable, "" for nothing."""
     if isinstance(data, pd.DataFrame):
-        return f"no column {name}" if declared.required and name not in data.columns else ""
+        return f"no column {name}" if required and name not in data.columns else ""
     if isinstance(data, xr.DataArray) and name == data.name:
         found = data
     elif name in data.coords or (isinstance(data, xr.Dataset) and name in data):
         found = data[name]
     else:
-        return f"no {name}" if declared.required else ""
+        return f"no {name}" if required else ""
     if tuple(found.dims) != declared.dims:
         return f"{name} with dimensions {found.dims} in place of {declared.dims}"
     return ""
@@ -236,7 +247,8 @@ class TrackMetadata(Metadata):
     Parameters
     ----------
     fit, window_px
-        Subpixel method used and its window. The error of positions depends on both.
+        Subpixel method used ("unknown" for positions from elsewhere) and its window. The error of positions
+        depends on both.
     ridges, sheets
         Polarity ("bright" or "dark") and number of sheets.
     ridge_fwhm_px, pitch_px, contrast, profile_noise
@@ -252,7 +264,7 @@ class TrackMetadata(Metadata):
         Where a sheet may have been overlooked: "748 px (1.9 pitches)".
     """
 
-    fit: str
+    fit: str = "unknown"
     window_px: int = 9
     ridges: str = "bright"
     sheets: int = 0
@@ -435,19 +447,56 @@ MOTION = Schema(
     "deformation",
     "vision.horizontal_deformation",
     {
-        "sigma_x_um": Variable(_EVENT_SHEET, "um", "σ_x over the usable frames, as measured", required=False),
+        "sigma_x_um": Variable(
+            _EVENT_SHEET,
+            "um",
+            "RMS displacement over the usable frames of the stick, as measured",
+            required=False,
+        ),
         "sigma_x_corrected_um": Variable(
-            _EVENT_SHEET, "um", "σ_x without noise, over the whole stick", required=False
+            _EVENT_SHEET,
+            "um",
+            "RMS displacement over the whole stick without noise and camera movement",
+            required=False,
         ),
-        "sigma_x_err_um": Variable(_EVENT_SHEET, "um", "standard error of the corrected σ_x", required=False),
+        "sigma_x_err_um": Variable(
+            _EVENT_SHEET, "um", "standard error of sigma_x_corrected_um", required=False
+        ),
         "sweep_um": Variable(
-            _EVENT_SHEET, "um", "creep from valley to peak, inwards positive", required=False
+            _EVENT_SHEET,
+            "um",
+            "inward movement over the whole stick, fitted line, camera movement taken off",
+            required=False,
         ),
-        "ratio": Variable(_EVENT_SHEET, "1", "corrected σ_x over Λ_st"),
-        "ratio_err": Variable(_EVENT_SHEET, "1", "standard error of the ratio"),
-        "ratio_signed": Variable(_EVENT_SHEET, "1", "ratio with the sign of the motion, inwards positive"),
-        "flag": Variable(_EVENT_SHEET, "", "ok, or what is odd about the measurement", required=False),
+        "ratio": Variable(_EVENT_SHEET, "1", "sigma_x_corrected_um over stick_length_um"),
+        "ratio_err": Variable(_EVENT_SHEET, "1", "standard error of ratio"),
+        "ratio_signed": Variable(
+            _EVENT_SHEET, "1", "ratio before negative values are set to 0; positive inwards"
+        ),
+        "frames": Variable(_EVENT_SHEET, "1", "positions used", required=False),
+        "x_hat_px": Variable(_EVENT_SHEET, "px", "mean position over the stick", required=False),
+        "flag": Variable(_EVENT_SHEET, "", "ok, or what is unusual about the measurement", required=False),
+        "stick_length_um": Variable(_EVENT, "um", "stick length", required=False),
+        "frames_left_out": Variable(
+            _EVENT, "1", "frames of the stick in whose exposure a slip may lie, left out", required=False
+        ),
+        "effective_frames": Variable(
+            _EVENT, "1", "independent frames that would give the same error of the sweep", required=False
+        ),
+        "drift_um": Variable(
+            _EVENT, "um", "movement of the camera during the stick, to the right, taken off", required=False
+        ),
+        "noise_um": Variable(
+            _SHEET,
+            "um",
+            "standard deviation of single positions, from the residuals",
+            required=False,
+        ),
         "event": Variable(_EVENT, "", "event number"),
+        "t_v_s": Variable(_EVENT, "s", "time of the valley", required=False),
+        "t_p_s": Variable(_EVENT, "s", "time of the peak", required=False),
+        "d_v_mm": Variable(_EVENT, "mm", "separation at the valley", required=False),
+        "d_p_mm": Variable(_EVENT, "mm", "separation at the peak", required=False),
         "side": Variable(_SHEET, "", "-1 left, +1 right of the axis"),
         "n": Variable(_SHEET, "", "sheet number, counted from the centre outwards"),
     },

@@ -9,6 +9,8 @@ import pandas as pd
 import xarray as xr
 from scipy.signal import lfilter
 
+from vision.deformation import horizontal_deformation
+
 PIXEL_UM = 10.0
 _EXPOSED = np.linspace(-0.5, 0.5, 9)  # a frame is exposed from end to end of its interval
 
@@ -111,7 +113,7 @@ def make(
             "side": ("sheet", side),
             "n": ("sheet", n),
         },
-        attrs={"source": "made.avi", "pixel_size_um": PIXEL_UM},
+        attrs={"source": "made.avi"},
     )
     return Made(tracks, sticks, ratio, sweep)
 
@@ -121,3 +123,21 @@ def _noise(rng, shape, sigma, rho):
     drive = rng.standard_normal(shape)
     drive[1:] *= np.sqrt(1 - rho**2)
     return sigma * lfilter([1.0], [1.0, -rho], drive, axis=0)
+
+
+def uniform(sweep_px, stick_um, *, events=40, sheets=10):
+    """True ratios, all alike, of a linear sweep."""
+    return np.full((events, sheets), sweep_px * PIXEL_UM / np.sqrt(12) / stick_um)
+
+
+def measure(made, clock=None, **options):
+    """Deformation of the made tracks."""
+    options = {"pixel_size_um": PIXEL_UM} | options
+    return horizontal_deformation(made.tracks, made.sticks, clock or Clock(), **options)
+
+
+def errors(made, motion):
+    """(measured - true ratio, stated error) where there is a ratio."""
+    wrong = motion["ratio"].to_numpy() - made.ratio
+    known = np.isfinite(wrong)
+    return wrong[known], motion["ratio_err"].to_numpy()[known]

@@ -1,80 +1,290 @@
-"""The creep of every sheet in every stick as a short Legendre series, fitted to all at once."""
+"""Creep of every sheet in every stick: a Legendre series fitted to all of them at once.
+
+Also which frames lie in which stick, and which of those a single sheet is not part of because it slipped late
+or early.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
+from numpy.typing import NDArray
 
-from vision.deformation.frames import Bools, Doubles, Ints, StickFrames
+from vision.deformation.settings import DeformationSettings
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
 
-LEAST_FRAMES = 4
-LEAST_COVER = 0.4  # of the stick: below it the rest would be guessed, not measured
+LEAST_FRAMES = 4  # in a stick: as many as the terms of a cubic
+
+# --- frames of sticks ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class StickFrames:
+    """Frames that lie wholly within a stick, stick after stick, in order of time.
+
+    Parameters
+    ----------
+    frame
+        Place in the tracks, (F,).
+    row
+        Stick that each belongs to, (F,), rising.
+    u
+        Time from -1 at the valley to +1 at the peak, (F,).
+    slot
+        Time since the valley in whole frame intervals, (F,): lost frames leave gaps.
+    sticks
+        Number of sticks, those without a frame included.
+    length_s, middle_s
+        Duration and middle of each stick, s, (stick,).
+    interval_s
+        Time between frames.
+    """
+
+    frame: Ints
+    row: Ints
+    u: Floats
+    slot: Ints
+    sticks: int
+    length_s: Floats
+    middle_s: Floats
+    interval_s: float
+
+    @property
+    def since_s(self) -> Floats:
+        """Time since the valley, (F,)."""
+        return (self.u + 1) / 2 * self.length_s[self.row]
+
+    @property
+    def counts(self) -> Ints:
+        """Frames in each stick, (stick,)."""
+        return np.bincount(self.row, minlength=self.sticks)
+
+    def sums(self, values: NDArray[np.generic]) -> Floats:
+        """Sum of `values` (F, ...) over the frames of each stick, (stick, ...); 0 for a stick without."""
+        return self._reduce(np.add, values, 0.0)
+
+    def lowest(self, values: NDArray[np.generic]) -> Floats:
+        """Smallest of `values` (F, ...) in each stick, (stick, ...); inf for a stick without frames."""
+        return self._reduce(np.minimum, values, np.inf)
+
+    def _reduce(self, operation: np.ufunc, values: NDArray[np.generic], empty: float) -> Floats:
+        out = np.full((self.sticks, *values.shape[1:]), empty)
+        if self.row.size:
+            first = np.flatnonzero(np.r_[True, np.diff(self.row) > 0])
+            out[self.row[first]] = operation.reduceat(values, first, axis=0, dtype=float)
+        return out
+
+
+def frames_of_sticks(
+    time_s: Floats, start_s: Floats, stop_s: Floats, *, margin_s: float, interval_s: float
+) -> StickFrames:
+    """Frames at least `margin_s` after the start and before the end of each stick.
+
+    Parameters
+    ----------
+    time_s
+        Of every frame on the force clock, NaN where unknown.  A frame that is not later than the one before
+        (a stale time stamp) is left out: its time is wrong.
+    start_s, stop_s
+        Of the sticks, in order and not overlapping, (stick,).
+    margin_s, interval_s
+        Time kept clear of the slips; time between frames.
+    """
+    known = np.flatnonzero(np.isfinite(time_s))
+    known = known[time_s[known] > np.r_[-np.inf, np.maximum.accumulate(time_s[known])[:-1]]]
+    stick = np.searchsorted(start_s + margin_s, time_s[known], side="right") - 1
+    inside = (stick >= 0) & (time_s[known] <= stop_s[stick] - margin_s)
+    frame, row = known[inside], stick[inside]
+    since = time_s[frame] - start_s[row]
+    slot, length = np.rint(since / interval_s).astype(np.int64), stop_s - start_s
+    u, middle = 2 * since / length[row] - 1, start_s + length / 2
+    return StickFrames(frame, row, u, slot, start_s.size, length, middle, interval_s)
+
+
+# --- the fit ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Creep:
-    """x(u) = sum of coefficient_k P_k(u), u from -1 at t_v to +1 at t_p.
+    r"""Fitted creep, :math:`x(u) = \sum_k c_k P_k(u)`.
 
-    coefficient: (stick, sheet, K).  inverse: inverse of the normal matrix, (stick, sheet, K, K): the
-    coefficients' covariance for white noise of one pixel.  count: positions used, (stick, sheet).  good:
-    whether they allow a fit; where not, the rest is NaN.
+    Parameters
+    ----------
+    coefficient
+        px, (stick, sheet, term); NaN where not `good`.
+    inverse
+        Inverse of the normal matrix, (stick, sheet, term, term): the coefficients' covariance for white noise
+        of 1 px.
+    count
+        Positions used, (stick, sheet).
+    good
+        Whether they allow a fit, (stick, sheet).
     """
 
-    coefficient: Doubles
-    inverse: Doubles
+    coefficient: Floats
+    inverse: Floats
     count: Ints
     good: Bools
 
-    def at(self, frames: StickFrames) -> Doubles:
-        """The fitted positions in every frame, (F, sheet)."""
+    def at(self, frames: StickFrames) -> Floats:
+        """Fitted positions in every frame, px, (F, sheet)."""
         design = legendre(frames.u, self.coefficient.shape[2])
         return np.asarray(np.einsum("fk,fsk->fs", design, self.coefficient[frames.row]))
 
 
-def legendre(u: Doubles, terms: int) -> Doubles:
+def legendre(u: Floats, terms: int) -> Floats:
     """P_0, P_1, ... at u, (size of u, terms): orthogonal over the stick, so P_0's coefficient is its mean."""
-    return np.asarray(np.polynomial.legendre.legvander(u, terms - 1))
+    return np.asarray(legvander(u, terms - 1))
 
 
-def fit_creep(x_px: Doubles, frames: StickFrames, *, terms: int) -> Creep:
-    """Least squares over the frames of each stick; NaN positions are left out.
+def fit_creep(x_px: Floats, frames: StickFrames, terms: int, settings: DeformationSettings) -> Creep:
+    """Least squares over the frames of each stick.
 
-    Args: x_px (F, sheet).  terms: 2 is a line, 3 a parabola.
-    Good are sticks with four positions or more that span at least two fifths of them.
+    Parameters
+    ----------
+    x_px
+        Positions, px, (F, sheet); NaN is left out.
+    frames
+        Sticks to which they belong.
+    terms
+        2 for a line, 3 for a parabola, 4 for a cubic.
+    settings
+        A fit needs `LEAST_FRAMES` positions that span at least ``least_cover`` of the stick.
     """
     known = np.isfinite(x_px)
     count = frames.sums(known).astype(np.int64)
-    good = (count >= LEAST_FRAMES) & (_span(known, frames) >= LEAST_COVER)
+    u = np.broadcast_to(frames.u[:, None], known.shape)
+    span = (-frames.lowest(np.where(known, -u, np.inf)) - frames.lowest(np.where(known, u, np.inf))) / 2
+    good = (count >= LEAST_FRAMES) & (span >= settings.least_cover)
     design = legendre(frames.u, terms)
     value = np.where(known, x_px, 0.0)
-    matrix = np.stack(
-        [
-            frames.sums(known * (design[:, a] * design[:, b])[:, None])
-            for a in range(terms)
-            for b in range(terms)
-        ],
-        axis=-1,
-    ).reshape(*good.shape, terms, terms)
-    right = np.stack([frames.sums(value * design[:, [k]]) for k in range(terms)], axis=-1)
+    products = [frames.sums(known * (a * b)[:, None]) for a in design.T for b in design.T]
+    matrix = np.stack(products, axis=-1).reshape(*good.shape, terms, terms)
+    right = np.stack([frames.sums(value * term[:, None]) for term in design.T], axis=-1)
     inverse = np.full_like(matrix, np.nan)
     inverse[good] = np.linalg.inv(matrix[good])
     return Creep(np.einsum("esab,esb->esa", inverse, right), inverse, count, good)
 
 
-def mean_square(x_px: Doubles, frames: StickFrames) -> Doubles:
-    """Mean of (x - mean x)² over the frames of each stick as they are, (stick, sheet), px²; NaN without
-    frames."""
-    known = np.isfinite(x_px)
-    count = frames.sums(known)
-    count[count == 0] = np.nan
-    mean = frames.sums(np.where(known, x_px, 0.0)) / count
-    away = np.where(known, x_px - mean[frames.row], 0.0)
-    return frames.sums(away**2) / count
+# --- sheets that slip one by one ----------------------------------------------------------------------------
 
 
-def _span(known: Bools, frames: StickFrames) -> Doubles:
-    """Share of each stick between its first and last known position, (stick, sheet)."""
-    u = np.broadcast_to(frames.u[:, None], known.shape)
-    low, high = frames.lowest(np.where(known, u, np.inf)), -frames.lowest(np.where(known, -u, np.inf))
-    return np.asarray((high - low) / 2)
+@dataclass(frozen=True)
+class LateSlips:
+    """Parts of sticks in which single sheets do not creep, because they slip after the force drops, or
+    before.
+
+    Parameters
+    ----------
+    outside
+        Positions at which the sheet is not in the stick yet, or no longer, (F, sheet).
+    lost, lost_err
+        Share of the stick in which it does not creep therefore, with its standard error, (stick, sheet).
+    """
+
+    outside: Bools
+    lost: Floats
+    lost_err: Floats
+
+
+def find_late_slips(x_px: Floats, frames: StickFrames, settings: DeformationSettings) -> LateSlips:
+    """Compare the frames at either end of each stick with a parabola through the others.
+
+    Parameters
+    ----------
+    x_px
+        Positions without the camera's vibration, px, (F, sheet).
+    frames, settings
+        Sticks, and the longest delay looked for.  Sticks with too few frames are left as they are.
+
+    Notes
+    -----
+    A sheet that in one frame is where it was before its slip was there in the frames nearer to the slip too,
+    and slipped between that frame and the next.  How late the other sheets were follows from the share of
+    late ones: all delays up to the longest are taken to be equally likely.
+    """
+    late, blurred, clear = _late(x_px, frames, settings)
+    length_s = frames.length_s[:, None]
+    outside, lost, variance = np.zeros_like(late), np.zeros(clear.shape), np.zeros(clear.shape)
+    for since_s in (frames.since_s, frames.length_s[frames.row] - frames.since_s):
+        near = (since_s < frames.length_s[frames.row] / 2)[:, None]
+        begin = _latest(near & blurred, since_s, frames)
+        last = np.maximum(_latest(near & late, since_s, frames), begin)
+        gone = (since_s[:, None] <= last[frames.row]) & (last > 0)[frames.row]
+        first = frames.lowest(np.where(gone | np.isnan(x_px), np.inf, since_s[:, None]))
+        delay = _longest_delay(frames.lowest(since_s) - begin[:, 0], last > begin, clear, settings)
+        until = np.where(last > begin, first, np.minimum(first, begin + delay))
+        until = np.where(np.isfinite(until), until, last)
+        outside |= gone
+        lost += ((last + until) / 2 - begin) / length_s
+        variance += (until - last) ** 2 / 12 / length_s**2
+    return LateSlips(outside, lost, np.sqrt(variance))
+
+
+def _latest(these: Bools, since_s: Floats, frames: StickFrames) -> Floats:
+    """Time of the last of these frames (F, ...) in each stick, s, (stick, ...); 0 without any."""
+    return np.maximum(-frames.lowest(np.where(these, -since_s[:, None], 0.0)), 0.0)
+
+
+def _late(x_px: Floats, frames: StickFrames, settings: DeformationSettings) -> tuple[Bools, Bools, Bools]:
+    """Positions before the sheet's slip, or after the next, (F, sheet); frames in which all sheets are
+    slipping, (F, 1); and sheets whose slips are large enough to tell, (stick, sheet)."""
+    end = _near_the_ends(frames, settings)
+    creep = fit_creep(np.where(end, np.nan, x_px), frames, 3, settings)
+    residual = x_px - creep.at(frames)
+    residual -= nan_median(residual, axis=1)[:, None]
+    far = settings.late_errors * _extrapolation_error(np.where(end, np.nan, residual), end, creep, frames)
+    jump = 2 * creep.coefficient[..., 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        worst = -frames.lowest(np.where(end & np.isfinite(far), -far, 0.0))
+        clear = (worst > 0) & np.isfinite(worst) & (np.abs(jump) > 2 * worst)
+        part = -np.sign(frames.u)[:, None] * residual / jump[frames.row]
+        part = np.where(end & clear[frames.row] & (part < 1.5), part, np.nan)  # more is no part of a slip
+        common = np.maximum(_low(part, settings.late_common), 0.0)[:, None]
+        least = np.maximum(far / np.abs(jump)[frames.row], 0.01)
+        late, blurred = part - common > least, (common > least).any(axis=1, keepdims=True)
+    return np.asarray(late), np.asarray(blurred), clear
+
+
+def _near_the_ends(frames: StickFrames, settings: DeformationSettings) -> Bools:
+    """Frames at either end of sticks that have six others or more, (F, 1)."""
+    reach = int(np.ceil(settings.slip_delay_s / frames.interval_s))
+    after = np.arange(frames.row.size) - np.searchsorted(frames.row, frames.row)
+    before = frames.counts[frames.row] - 1 - after
+    near = np.minimum(after, before) < reach
+    return np.asarray(near & (after + before + 1 - 2 * reach >= 6))[:, None]
+
+
+def _extrapolation_error(residual: Floats, end: Bools, creep: Creep, frames: StickFrames) -> Floats:
+    """Standard error of residuals at the ends, to which the curve is not fitted, px, (F, sheet); NaN for the
+    others."""
+    terms = creep.coefficient.shape[2]
+    count = max(float(np.median(creep.count)), terms + 1)
+    usual = nan_median(np.abs(residual)) / NORMAL_MEDIAN * np.sqrt(count / (count - terms))
+    left_out = np.flatnonzero(end[:, 0])
+    design = legendre(frames.u[left_out], terms)
+    variance = 1 + np.einsum("fa,fsab,fb->fs", design, creep.inverse[frames.row[left_out]], design)
+    error = np.full(residual.shape, np.nan)
+    error[left_out] = usual * np.sqrt(variance)
+    return error
+
+
+def _low(part: Floats, share: float) -> Floats:
+    """Quantile over the sheets, rounded down to one of them, (F,); 0 where nothing is known."""
+    ordered = np.nan_to_num(np.sort(part, axis=1))  # NaN comes last
+    place = (share * np.maximum(np.isfinite(part).sum(axis=1) - 1, 0)).astype(int)
+    return np.asarray(np.take_along_axis(ordered, place[:, None], axis=1)[:, 0])
+
+
+def _longest_delay(first_s: Floats, late: Bools, clear: Bools, settings: DeformationSettings) -> float:
+    """Longest delay, s, from how the share of late sheets falls with the time of the first frame, (stick,); 0
+    where too few are late to tell."""
+    weight = clear.sum(axis=1)
+    seen = (late & clear).sum() / max(weight.sum(), 1)
+    if seen < 0.004:
+        return 0.0
+    longest = np.linspace(0.0, 2 * settings.slip_delay_s, 101)[1:]
+    share = weight @ np.maximum(1 - first_s[:, None] / longest, 0.0) / weight.sum()
+    return float(np.interp(seen, share, longest))

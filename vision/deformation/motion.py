@@ -1,131 +1,219 @@
-"""horizontal_deformation(): x(n, t) and the stick phases become σ_x and σ_x/Λ_st."""
+"""Horizontal deformation: x(n, t) and the stick phases become σ_x and σ_x/Λ_st."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
+import xarray as xr
 
-from vision.deformation.amplitude import Amplitude, Sheets, measure_amplitude
-from vision.deformation.dataset import as_dataset
-from vision.deformation.frames import Doubles, frames_of_sticks
-from vision.deformation.locking import pull
+from vision.clock import Clock
+from vision.data import MOTION, STICKS, TRACKS, MotionMetadata, StripMetadata, TrackMetadata, record
+from vision.deformation.common_mode import (
+    BothSides,
+    OneSide,
+    common_mode_motion,
+    common_mode_noise_factor,
+    drift_model,
+)
+from vision.deformation.creep import (
+    Creep,
+    LateSlips,
+    StickFrames,
+    find_late_slips,
+    fit_creep,
+    frames_of_sticks,
+)
+from vision.deformation.noise import ErrorModel, Noise, fixed_pattern_px, measure_noise, variance_inflation
+from vision.deformation.pixel_locking import correct_pixel_locking, pixel_locking_slope
+from vision.deformation.settings import DeformationSettings
 from vision.errors import InputError
-from vision.sheets.medians import nan_median
-
-if TYPE_CHECKING:
-    import pandas as pd
-    import xarray as xr
-
-
-class VideoClock(Protocol):
-    """What is needed of `vision.clock.Clock`.
-
-    status: "ok", "given" or "ambiguous".  residual_ms: scatter of single events, NaN where not known.  A
-    clock may also have error_ms, the standard error of a mapped time.
-    """
-
-    @property
-    def status(self) -> str: ...  # noqa: D102
-    @property
-    def residual_ms(self) -> float: ...  # noqa: D102
-
-    def to_force_s(self, video_time_s: Doubles) -> Doubles:
-        """Times on the force clock."""
-        ...
+from vision.numeric import Bools, Floats, Ints, nan_median
 
 
 def horizontal_deformation(
     tracks: xr.Dataset,
     sticks: pd.DataFrame,
-    clock: VideoClock,
+    clock: Clock,
     *,
     pixel_size_um: float | None = None,
     margin_s: float | None = None,
     common_mode: bool = True,
+    settings: DeformationSettings = DeformationSettings(),  # noqa: B008 (frozen)
 ) -> xr.Dataset:
-    """Horizontal deformation of every sheet in every stick phase that lies inside the video.
+    r"""Horizontal deformation of every sheet in every stick phase that lies inside the video.
 
-    With δx = x - x̂ and x̂ the mean over the stick, σ_x = √(mean of δx²): a linear sweep S gives S/√12.
+    Parameters
+    ----------
+    tracks
+        Of `track_sheets`: x_px (frame, sheet) with time_s, side and n.  Positions from elsewhere will do;
+        where they do not say in ``attrs["fit"]`` how they were measured in a picture, errors that come from
+        pixels are not part of the stated ones.
+    sticks
+        Of `find_stick_slip`: t_v_s, t_p_s, stick_length_um and, if known, stick_length_err_um.
+    clock
+        Of `synchronise`.
+    pixel_size_um
+        µm per pixel; needed.
+    margin_s
+        Time kept clear of each slip; by default half a frame interval (the exposure) and what the clock may
+        be wrong by.
+    common_mode
+        Whether to take camera movement off.
+    settings
+        Tunable constants.
 
-    - `sigma_x_um` is just that over the usable frames: noise and vibration are in it.
-    - `sigma_x_corrected_um` is √(a1²/3 + a2²/5) with the creep x̂ + a1 P1 + a2 P2 (Legendre) fitted to the
-      usable frames and taken over the whole stick; a2 only where it exceeds 3 errors, less its noise.
-      For many frames it equals √(σ² - noise²); for few it has less bias, since it keeps the sign: a
-      movement outwards is a negative measurement, reported as 0 (flag "below_noise"; `ratio_signed` keeps
-      it), unless it exceeds 3 errors (flag "outward": its size is reported).
-    - Camera movement is taken off (`common_mode`): what all sheets do together beyond their creep in each
-      frame, and what moved during the stick, told from left and right, or, with one side in view, from the
-      sheets' creep in other sticks and their mean positions; attrs["camera_movement"] says which.
-    - A sheet that slips later than the force dropped, or before, is not in the stick in these frames; it
-      creeps for that much less.
-    - Errors rest on the residuals of each sheet, with their autocorrelation: see `Memory`.  A stick whose own
-      residuals stand out has its error raised ("uneven").  For tracks of `track_sheets` they hold what
-      repeats from stick to stick: unequal pixels (see `pattern`) and unequal magnification.  The
-      publication's fit (attrs["fit"]) is let go from whole pixels first (see `locking`), except in
-      `sigma_x_um`.  Not in them: the error of the pixel size, and of the stick length unless `sticks` has
-      stick_length_err_um.
+    Returns
+    -------
+    Dataset (event, sheet), as declared in `vision.data.MOTION`.  ``flag`` is "ok", or
 
-    Args: tracks, of `track_sheets`.  sticks, of `find_stick_slip`.  clock, of `synchronise`.
-    pixel_size_um, or else tracks.attrs["pixel_size_um"].  margin_s: time kept clear of each slip; by
-    default half a frame interval (the exposure) and what the clock may be wrong by.
+    - "few": fewer than 4 usable frames, or they span less than two fifths of the stick; all values are NaN;
+    - "no_length": Λ_st is not known; the ratio is NaN;
+    - "outward": the sheet moves outwards by more than 3 errors; its size is reported;
+    - "uneven": residuals larger than the sheet's noise (it slipped by itself); the error is raised;
+    - "below_noise": a negative measurement, reported as 0; ``ratio_signed`` keeps it.
 
-    Returns: Dataset (event, sheet), variables as their attrs say; coordinates t_v_s, t_p_s, d_v_mm, d_p_mm
-    (event), side, n (sheet).  flag: "ok"; "few" (less than 4 usable frames, or they cover less than two
-    fifths of the stick: all NaN); "no_length" (Λ_st unknown: ratio NaN); "outward", "uneven",
-    "below_noise".
+    Raises
+    ------
+    InputError
+        Without a pixel size, times, stick lengths or a stick phase inside the video, and for ambiguous
+        clocks.
 
-    Raises: InputError without a pixel size, times, stick lengths or a stick phase inside the video, and for
-    clocks called ambiguous.  Source: paper, horizontal deformation by image processing.
+    Notes
+    -----
+    With :math:`\delta x = x - \hat x` and :math:`\hat x` the mean over the stick,
+
+    .. math:: \sigma_x = \sqrt{\langle \delta x^2 \rangle},
+
+    so that a linear sweep S gives :math:`S / \sqrt{12}`.  ``sigma_x_um`` is just that over the usable
+    frames, with noise and vibration.  ``sigma_x_corrected_um`` is
+
+    .. math:: \sqrt{a_1^2 / 3 + a_2^2 / 5}
+
+    with the creep :math:`\hat x + a_1 P_1(u) + a_2 P_2(u)` (Legendre polynomials, u from −1 at the valley to
+    +1 at the peak) fitted to the usable frames and taken over the whole stick; :math:`a_2`, less its noise,
+    only where it exceeds 3 errors.  For many frames it equals :math:`\sqrt{\sigma^2 - \mathrm{noise}^2}`;
+    for few it has less bias, since it keeps the sign.
+
+    Camera movement is what all sheets do together beyond their creep in each frame, and what moved during the
+    stick, told from left and right or, with one side in view, from the sheets' creep in other sticks;
+    ``attrs["camera_movement"]`` says which.  A sheet that slips late or early creeps for that much less.
+
+    Errors rest on the residuals of each sheet with their autocorrelation.  For positions measured in a
+    picture they hold unequal pixels and unequal magnification too, and positions of the publication's fit
+    are corrected for pixel locking first, except in ``sigma_x_um``.  The error of the pixel size is not in
+    them, nor that of the stick length where `sticks` does not state it.
+
+    Source: paper, horizontal deformation by image processing.
     """
-    source = str(tracks.attrs.get("source", "tracks"))
-    pixel = _pixel_size(tracks, pixel_size_um, source)
+    TRACKS.check(tracks, needs=("x_px", "time_s", "side", "n"))
+    STICKS.check(sticks, needs=("event", "t_v_s", "t_p_s", "stick_length_um"))
+    source = StripMetadata.of(tracks).source
+    pixel = _pixel_size(pixel_size_um)
     if clock.status == "ambiguous":
-        raise InputError(source, "clocks that agree in one way only", "several", "give --offset")
+        raise InputError(source, "clocks that agree in one way only", "several", "give `offset_s`")
     time = np.asarray(clock.to_force_s(np.asarray(tracks["time_s"].values, float)), float)
     interval = _interval(time, source)
     events = _inside(sticks, time, interval, source)
-    if margin_s is None:
-        margin_s = interval / 2 + _clock_error_s(clock, interval)
+    margin = interval / 2 + _clock_error_s(clock, interval) if margin_s is None else margin_s
     start, stop = (events[name].to_numpy(float) for name in ("t_v_s", "t_p_s"))
     every, frames = (
-        frames_of_sticks(time, start, stop, margin_s=margin, interval_s=interval)
-        for margin in (0.0, margin_s)
+        frames_of_sticks(time, start, stop, margin_s=clear, interval_s=interval) for clear in (0.0, margin)
     )
+    sheets = _Sheets.of(tracks)
     x_px = np.asarray(tracks["x_px"].values, float)[frames.frame]
-    found = measure_amplitude(x_px, frames, _sheets(tracks), common_mode=common_mode)
-    settings = {"margin_s": margin_s, "interval_s": interval} | _how(found)
-    motion = as_dataset(tracks, events, found, pixel_size_um=pixel, left_out=every.counts - frames.counts)
-    return motion.assign_attrs(settings)
+    found = _measure(x_px, frames, sheets, common_mode, settings)
+    motion = _dataset(events, found, pixel, settings).assign_coords(sheet=tracks["sheet"].values)
+    for name in ("side", "n"):
+        motion = motion.assign_coords({name: ("sheet", tracks[name].values, MOTION[name].attrs)})
+    motion["frames_left_out"] = "event", every.counts - frames.counts, MOTION["frames_left_out"].attrs
+    facts = MotionMetadata(
+        source=source,
+        pixel_size_um=pixel,
+        margin_s=margin,
+        interval_s=interval,
+        noise_share=found.noise.correlation.share,
+        noise_rho=found.noise.correlation.rho,
+        camera_movement=found.camera_movement,
+    )
+    return record(
+        motion.assign_attrs(facts.attrs()),
+        "horizontal_deformation",
+        pixel_size_um=pixel,
+        margin_s=margin,
+        common_mode=common_mode,
+    )
 
 
-def _pixel_size(tracks: xr.Dataset, given: float | None, source: str) -> float:
-    size = float(tracks.attrs.get("pixel_size_um", np.nan) if given is None else given)
-    if not (np.isfinite(size) and size > 0):
-        found = "none" if np.isnan(size) else f"{size:g}"
-        raise InputError(source, "a pixel size in um for σ_x/Λ_st", found, "give --pixel-size")
-    return size
+def stick_displacement(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event: int) -> xr.DataArray:
+    """Displacement of every sheet during one stick, δx = x − x̂.
+
+    As measured: noise, camera movement and the frames next to the slips are in it.
+
+    Parameters
+    ----------
+    tracks, clock
+        As given to `horizontal_deformation`.
+    motion
+        What it returned.
+    event
+        Number of the event.
+
+    Returns
+    -------
+    DataArray (frame, sheet), µm, positive to the right, with the coordinate since_s (frame), the time since
+    the valley; NaN where there is no position.
+
+    Raises
+    ------
+    InputError
+        For an event that is not in `motion`.
+    """
+    if event not in motion["event"]:
+        known = motion["event"].values
+        expected = f"one inside the video ({known[0]} to {known[-1]})"
+        raise InputError("`event`", expected, f"{event}", "take another one")
+    stick = motion.sel(event=event)
+    since = clock.to_force_s(np.asarray(tracks["time_s"].values, float)) - float(stick["t_v_s"])
+    inside = (since >= 0) & (since <= float(stick["t_p_s"] - stick["t_v_s"]))
+    size_um = MotionMetadata.of(motion).pixel_size_um
+    away: xr.DataArray = (tracks["x_px"][inside] - stick["x_hat_px"]) * size_um
+    away = away.assign_coords(since_s=("frame", since[inside], {"units": "s"}))
+    return away.assign_attrs(units="um", long_name="displacement from the mean over the stick")
 
 
-def _interval(time_s: Doubles, source: str) -> float:
+# --- input --------------------------------------------------------------------------------------------------
+
+
+def _pixel_size(size_um: float | None) -> float:
+    """The pixel size, checked."""
+    if size_um is None or not (np.isfinite(size_um) and size_um > 0):
+        found = "none" if size_um is None or np.isnan(size_um) else f"{size_um:g}"
+        raise InputError("`pixel_size_um`", "µm per pixel, without which there is no σ_x/Λ_st", found)
+    return float(size_um)
+
+
+def _interval(time_s: Floats, source: str) -> float:
+    """Usual time between frames, s."""
     step = np.diff(time_s[np.isfinite(time_s)])
     if not (step > 0).any():
-        raise InputError(source, "the times of the frames", "none that pass", "give --fps or --timestamps")
+        found = "no increasing frame times"
+        raise InputError(source, "the times of the frames", found, "give `fps` or `timestamps`")
     return float(np.median(step[step > 0]))
 
 
-def _clock_error_s(clock: VideoClock, interval_s: float) -> float:
+def _clock_error_s(clock: Clock, interval_s: float) -> float:
     """What a mapped time may be wrong by: two standard errors, or what the residuals are beyond what they
     would be if frames alone limited them (a quarter of an interval)."""
-    error_s = float(getattr(clock, "error_ms", np.nan)) / 1000
-    if np.isfinite(error_s):
-        return 2 * error_s
+    if np.isfinite(clock.error_ms):
+        return 2 * float(clock.error_ms) / 1000
     residual_s = float(np.nan_to_num(clock.residual_ms)) / 1000
     return float(np.sqrt(max(residual_s**2 - (interval_s / 4) ** 2, 0.0)))
 
 
-def _inside(sticks: pd.DataFrame, time_s: Doubles, interval_s: float, source: str) -> pd.DataFrame:
-    """The stick phases that lie wholly inside the video, in order of time."""
+def _inside(sticks: pd.DataFrame, time_s: Floats, interval_s: float, source: str) -> pd.DataFrame:
+    """Stick phases that lie wholly inside the video, in order of time."""
     first, last = np.nanmin(time_s), np.nanmax(time_s)
     start, stop = sticks["t_v_s"], sticks["t_p_s"]
     within = (start >= first - interval_s) & (stop <= last + interval_s) & (stop > start)
@@ -135,26 +223,222 @@ def _inside(sticks: pd.DataFrame, time_s: Doubles, interval_s: float, source: st
             source,
             f"stick phases between {first:.3f} and {last:.3f} s of the force clock, when the video ran",
             span,
-            "check --force and --offset",
+            "check `force` and `offset_s`",
         )
     if not np.isfinite(sticks.loc[within, "stick_length_um"].to_numpy(float)).any():
-        raise InputError(source, "stick lengths", "no displacement in the force recording", "give --speed")
+        found = "no displacement in the force recording"
+        raise InputError(source, "stick lengths", found, "give `speed_mm_min`")
     return sticks[within].sort_values("t_v_s")
 
 
-def _sheets(tracks: xr.Dataset) -> Sheets:
-    x_px = np.asarray(tracks["x_px"].values, float)
-    error_px = np.full_like(x_px, np.nan)
-    if "x_err_px" in tracks:
-        error_px = np.asarray(tracks["x_err_px"].values, float)
-    fit = tracks.attrs.get("fit")
-    share = pull(x_px, error_px) if fit == "paper" else np.zeros(x_px.shape[1])
-    return Sheets(tracks["side"].values, tracks["n"].values, nan_median(error_px), share, fit is not None)
+@dataclass(frozen=True)
+class _Sheets:
+    """What is known of the sheets, (sheet,): stated error of a position, px, NaN if none; pixel-locking
+    slope; and whether positions were measured in a picture, so that unequal pixels are among their errors."""
+
+    side: Ints
+    n: Ints
+    predicted_px: Floats
+    locking: Floats
+    pictured: bool
+
+    @classmethod
+    def of(cls, tracks: xr.Dataset) -> _Sheets:
+        x_px = np.asarray(tracks["x_px"].values, float)
+        error_px = np.full_like(x_px, np.nan)
+        if "x_err_px" in tracks:
+            error_px = np.asarray(tracks["x_err_px"].values, float)
+        fit = TrackMetadata.of(tracks).fit
+        locking = pixel_locking_slope(x_px, error_px) if fit == "paper" else np.zeros(x_px.shape[1])
+        return cls(tracks["side"].values, tracks["n"].values, nan_median(error_px), locking, fit != "unknown")
 
 
-def _how(found: Amplitude) -> dict[str, object]:
-    return {
-        "noise_share": found.memory.share,
-        "noise_rho": found.memory.rho,
-        "camera_movement": found.camera,
+# --- measurement --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Deformation:
+    """Creep of every sheet in every stick, (stick, sheet), px; NaN where `good` is False.
+
+    rms_px: over the usable frames as they are.  signed_px: RMS over the whole stick, positive inwards, with
+    error_px.  sweep_px: inward movement over the stick.  middle_px: x̂.  count: positions used.  uneven:
+    residuals stand out.  effective_frames, drift_px: (stick,).
+    """
+
+    rms_px: Floats
+    signed_px: Floats
+    error_px: Floats
+    sweep_px: Floats
+    middle_px: Floats
+    count: Ints
+    good: Bools
+    uneven: Bools
+    effective_frames: Floats
+    drift_px: Floats
+    noise: Noise
+    camera_movement: str
+
+
+def _measure(
+    x_px: Floats, frames: StickFrames, sheets: _Sheets, common_mode: bool, settings: DeformationSettings
+) -> _Deformation:
+    """Creep from the positions in usable frames, (F, sheet), NaN where there is none."""
+    terms = 4 if np.median(frames.counts) >= settings.cubic_frames else 3
+    unlocked = correct_pixel_locking(x_px, sheets.locking, frames, terms, settings)
+    vibration, factor = np.zeros(len(x_px)), np.ones(x_px.shape[1])
+    if common_mode:
+        residual = unlocked - fit_creep(unlocked, frames, terms, settings).at(frames)
+        vibration = common_mode_motion(residual, settings)
+        factor = common_mode_noise_factor(residual, settings)
+    steady = unlocked - vibration[:, None]
+    slips = find_late_slips(steady, frames, settings)
+    steady = np.where(slips.outside, np.nan, steady)
+    line, parabola, close = (fit_creep(steady, frames, k, settings) for k in (2, 3, terms))
+    noise = measure_noise(steady - close.at(frames), close, frames, sheets.predicted_px, settings)
+    noise = replace(noise, noise_px=noise.noise_px * np.sqrt(factor))
+    errors = ErrorModel(noise, frames, np.zeros(sheets.n.size))
+    if sheets.pictured:
+        pattern = fixed_pattern_px(close, errors.of(close), noise, settings)
+        errors = ErrorModel(noise, frames, pattern, settings.scale_error)
+    camera = drift_model(line, sheets.side, sheets.n, frames, vibration, settings) if common_mode else None
+    curve = _Curve.of(line, parabola, errors, camera, settings).shortened(slips)
+    return _Deformation(
+        rms_px=np.where(line.good, _rms(x_px, frames), np.nan),
+        signed_px=np.asarray(-sheets.side * np.sign(curve.slope) * np.sqrt(curve.mean_square), float),
+        error_px=curve.rms_err,
+        sweep_px=-2 * sheets.side * curve.straight,
+        middle_px=curve.middle,
+        count=line.count,
+        good=line.good,
+        uneven=noise.excess > 1,
+        effective_frames=frames.counts / variance_inflation(noise.correlation, frames, 2)[:, 1],
+        drift_px=2 * curve.drift,
+        noise=noise,
+        camera_movement=camera.movement if camera else "not taken off",
+    )
+
+
+def _rms(x_px: Floats, frames: StickFrames) -> Floats:
+    """Root mean square of x − mean x over the frames of each stick, px, (stick, sheet); NaN without
+    frames."""
+    known = np.isfinite(x_px)
+    count = frames.sums(known)
+    count[count == 0] = np.nan
+    mean = frames.sums(np.where(known, x_px, 0.0)) / count
+    away = np.where(known, x_px - mean[frames.row], 0.0)
+    return np.sqrt(frames.sums(away**2) / count)
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """Line or parabola, whichever each sheet needs, without drift: x = middle + slope P1(u) + bend P2(u), px,
+    (stick, sheet); bend is 0 for a line.  straight: the line's slope in any case.  drift: (stick,)."""
+
+    middle: Floats
+    slope: Floats
+    slope_err: Floats
+    bend: Floats
+    bend_err: Floats
+    straight: Floats
+    drift: Floats
+
+    @classmethod
+    def of(
+        cls,
+        line: Creep,
+        parabola: Creep,
+        errors: ErrorModel,
+        camera: BothSides | OneSide | None,
+        settings: DeformationSettings,
+    ) -> _Curve:
+        bent_err, line_err = errors.of(parabola), errors.of(line)
+        bend, bend_err, _ = _without_drift(camera, parabola.coefficient[..., 2], bent_err[..., 2], slow=False)
+        curved = np.abs(bend) > settings.curvature_errors * bend_err
+        curved &= parabola.count >= settings.least_curved
+        best = np.where(curved[..., None], parabola.coefficient[..., :2], line.coefficient)
+        best_err = np.where(curved, bent_err[..., 1], line_err[..., 1])
+        slope, slope_err, _ = _without_drift(camera, best[..., 1], best_err)
+        straight, _, drift = _without_drift(camera, line.coefficient[..., 1], line_err[..., 1])
+        return cls(best[..., 0], slope, slope_err, np.where(curved, bend, 0.0), bend_err, straight, drift)
+
+    def shortened(self, slips: LateSlips) -> _Curve:
+        """For sheets that creep for less than the whole stick."""
+        part = 1 - slips.lost
+        return replace(
+            self,
+            slope=self.slope * part,
+            slope_err=np.hypot(self.slope_err, self.slope * slips.lost_err),
+            bend=self.bend * part,
+            straight=self.straight * part,
+        )
+
+    @property
+    def mean_square(self) -> Floats:
+        """Of the displacement over the whole stick, px²."""
+        return self.slope**2 / 3 + np.where(self.bend == 0, 0.0, self.bend**2 - self.bend_err**2) / 5
+
+    @property
+    def rms_err(self) -> Floats:
+        """Standard error of its root, to first order."""
+        spread = np.hypot(self.slope / 3 * self.slope_err, self.bend / 5 * self.bend_err)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            curved = spread / np.sqrt(self.mean_square)
+        return np.where(self.bend == 0, self.slope_err / np.sqrt(3), curved)
+
+
+def _without_drift(
+    camera: BothSides | OneSide | None, value: Floats, error: Floats, *, slow: bool = True
+) -> tuple[Floats, Floats, Floats]:
+    """A coefficient without the camera's movement, its error with that of the movement, and the movement,
+    (stick,)."""
+    if camera is None:
+        return value, error, np.zeros(len(value))
+    drift = camera.drift(value, error, slow=slow)
+    return value - drift.value[:, None], drift.error_without(error), drift.value
+
+
+# --- output -------------------------------------------------------------------------------------------------
+
+
+def _dataset(
+    events: pd.DataFrame, found: _Deformation, pixel_size_um: float, settings: DeformationSettings
+) -> xr.Dataset:
+    """In µm and over the stick lengths, with flags; what is negative becomes 0 unless it is sure."""
+    length = events["stick_length_um"].to_numpy(float)[:, None]
+    length = np.where(length > 0, length, np.nan)
+    length_err = np.zeros(length.shape)
+    if "stick_length_err_um" in events:
+        length_err = np.nan_to_num(events["stick_length_err_um"].to_numpy(float))[:, None]
+    signed, error = found.signed_px * pixel_size_um, found.error_px * pixel_size_um
+    outward = signed < -settings.outward_errors * error
+    size = np.where(outward, -signed, np.maximum(signed, 0))
+    flags = {
+        "few": ~found.good,
+        "no_length": np.broadcast_to(np.isnan(length), found.good.shape),
+        "outward": outward,
+        "uneven": found.uneven,
+        "below_noise": signed < 0,
     }
+    ratio = size / length
+    values = {
+        "sigma_x_um": found.rms_px * pixel_size_um,
+        "sigma_x_corrected_um": size,
+        "sigma_x_err_um": error,
+        "sweep_um": found.sweep_px * pixel_size_um,
+        "ratio": ratio,
+        "ratio_err": np.hypot(error / length, ratio * length_err / length),
+        "ratio_signed": signed / length,
+        "frames": found.count,
+        "x_hat_px": found.middle_px,
+        "flag": np.select(list(flags.values()), list(flags), default="ok"),
+        "stick_length_um": length[:, 0],
+        "effective_frames": found.effective_frames,
+        "drift_um": found.drift_px * pixel_size_um,
+        "noise_um": found.noise.noise_px * pixel_size_um,
+    }
+    places = [name for name in ("t_v_s", "t_p_s", "d_v_mm", "d_p_mm") if name in events]
+    return xr.Dataset(
+        {name: (MOTION[name].dims, value, MOTION[name].attrs) for name, value in values.items()},
+        {"event": events["event"].to_numpy()}
+        | {name: ("event", events[name].to_numpy(float), MOTION[name].attrs) for name in places},
+    )

@@ -1,0 +1,121 @@
+"""Camera movement against sheets that creep: both sides, one side, unlike sides."""
+
+import numpy as np
+import pytest
+
+from tests.scenes.creeping import PIXEL_UM, Clock, errors, make, measure, profile, uniform
+from vision.deformation import DeformationSettings, horizontal_deformation
+from vision.deformation.common_mode import BothSides, common_mode_motion, common_mode_noise_factor
+
+
+@pytest.mark.parametrize("movement", [{"drift_px_s": 0.3}, {"vibration_px": 0.15}])
+def test_camera_movement_is_taken_off(movement):
+    """A failure means that a camera that shakes or drifts passes for sheets that move."""
+    made = make(profile(np.full(40, 6.0)), stick_um=10.0, noise_px=0.02, **movement)
+    wrong, stated = errors(made, measure(made))
+    assert abs(wrong.mean()) < 0.003
+    assert 0.60 < np.mean(np.abs(wrong) < stated) < 0.75
+    careless, _ = errors(made, measure(made, common_mode=False))
+    assert careless.std() > 1.5 * wrong.std()
+
+
+def one_side(made, **options):
+    """(measured - true ratio, stated error, Dataset) with the right side alone in view."""
+    half = made.tracks.sizes["sheet"] // 2
+    right = made.tracks.isel(sheet=slice(half, None))
+    motion = horizontal_deformation(right, made.sticks, Clock(), pixel_size_um=PIXEL_UM, **options)
+    return motion["ratio"].to_numpy() - made.ratio[:, half:], motion["ratio_err"].to_numpy(), motion
+
+
+def test_one_side_in_view_tells_drift_from_creep():
+    """A failure means that a camera that drifts, or shakes, passes for sheets that all creep one way."""
+    made = make(profile(np.full(40, 6.0)), stick_um=10.0, noise_px=0.02, vibration_px=0.1, drift_px_s=0.1)
+    wrong, stated, motion = one_side(made)
+    assert abs(wrong.mean()) < 0.003
+    assert 0.60 < np.mean(np.abs(wrong) < stated) < 0.78
+    assert motion.attrs["camera_movement"] == "vibration taken off, and drift as far as one side tells"
+    assert measure(made).attrs["camera_movement"] == "vibration and drift taken off"
+    careless, _, _ = one_side(made, common_mode=False)
+    assert abs(careless.mean()) > 0.01
+
+
+def test_one_side_that_creeps_alike_says_nothing_of_drift():
+    """A failure means that a drift is invented from sheets that all do the same, or errors ignore it."""
+    made = make(uniform(1.0, 20.0, events=20), noise_px=0.02, vibration_px=0.1)
+    wrong, stated, motion = one_side(made)
+    assert (motion["drift_um"] == 0).all()
+    assert np.mean(np.abs(wrong) < stated) > 0.60
+
+
+@pytest.mark.parametrize("overlooked", [1, 3, 12])
+def test_an_overlooked_sheet(overlooked):
+    """A failure means that pairs of unlike sheets make all of them pass for moved by the camera."""
+    made = make(profile(np.full(30, 8.0)), noise_px=0.01)
+    side, n = made.tracks["side"], made.tracks["n"]
+    kept = np.flatnonzero(~((side == 1) & (n == overlooked)).to_numpy())
+    shifted = (n - ((side == 1) & (n > overlooked)).astype(int)).isel(sheet=kept)
+    tracks = made.tracks.isel(sheet=kept).assign_coords(n=("sheet", shifted.to_numpy()))
+    motion = horizontal_deformation(tracks, made.sticks, Clock(), pixel_size_um=PIXEL_UM)
+    wrong = motion["ratio_signed"].to_numpy() - made.ratio[:, kept]
+    assert np.abs(wrong.mean(axis=0)).max() < 0.001
+    assert 0.60 < np.mean(np.abs(wrong) < motion["ratio_err"].to_numpy()) < 0.75
+
+
+def test_six_sheets_are_enough():
+    """A failure means that errors forget how much of six sheets' noise goes into what they have in common."""
+    made = make(uniform(1.0, 20.0, events=300, sheets=3), noise_px=0.05, vibration_px=0.1)
+    motion = measure(made)
+    wrong, stated = errors(made, motion)
+    assert motion["noise_um"].mean() / PIXEL_UM == pytest.approx(0.05, rel=0.03)
+    assert np.sqrt(np.mean((wrong / stated) ** 2)) == pytest.approx(1.0, abs=0.05)
+
+
+def test_sides_that_differ_are_not_made_alike():
+    """A failure means that a left side that creeps half as much again is averaged with the right one."""
+    made = make(profile(np.full(30, 8.0)), noise_px=0.02)
+    left = (made.tracks["side"] < 0).to_numpy()
+    rest = 20.0 * made.tracks["side"] * (made.tracks["n"] - 0.5) + 960
+    x = made.tracks["x_px"].where(~left, rest + 1.5 * (made.tracks["x_px"] - rest))
+    motion = horizontal_deformation(made.tracks.assign(x_px=x), made.sticks, Clock(), pixel_size_um=PIXEL_UM)
+    truth = made.ratio * np.where(left, 1.5, 1.0)
+    wrong = motion["ratio"].to_numpy() - truth
+    assert np.abs(wrong.mean(axis=0)).max() < 0.01
+    late = 5 + made.tracks["time_s"].to_numpy() > made.sticks["t_v_s"][7] + 0.2
+    x[:, 6] += np.where(late, 6.0, 0.0)
+    jumped = horizontal_deformation(made.tracks.assign(x_px=x), made.sticks, Clock(), pixel_size_um=PIXEL_UM)
+    np.testing.assert_allclose(jumped["ratio_err"][20:, 8:], motion["ratio_err"][20:, 8:], rtol=0.02)
+
+
+def test_common_movement_of_quiet_and_noisy_sheets():
+    """A failure means that a noisy sheet, or one that jumps, shakes all others, or too few sheets do."""
+    rng = np.random.default_rng(2)
+    spread = np.r_[np.full(11, 0.02), 0.5]
+    shake = 0.1 * rng.standard_normal(400)
+    residual = shake[:, None] + spread * rng.standard_normal((400, 12))
+    residual[100:110, 3] += 50.0
+    found = common_mode_motion(residual, DeformationSettings())
+    assert np.std(found - shake) < 0.02
+    assert np.abs(found - shake)[100:110].max() < 0.05
+    few = common_mode_motion(residual[:, :4], DeformationSettings())
+    np.testing.assert_array_equal(few, 0)
+
+
+def test_noise_that_goes_with_the_common_movement():
+    """A failure means that the noise of few sheets is understated by what their mean takes from each."""
+    noise = 0.05 * np.random.default_rng(3).standard_normal((4000, 6))
+    settings = DeformationSettings()
+    left = noise - common_mode_motion(noise, settings)[:, None]
+    regained = left.var(axis=0) * common_mode_noise_factor(noise, settings)
+    np.testing.assert_allclose(regained, 0.05**2, rtol=0.1)
+    np.testing.assert_array_equal(common_mode_noise_factor(noise[:, :3], settings), 1)
+
+
+@pytest.mark.parametrize("shift", [-1, 0, 2])
+def test_pairs_where_the_sides_are_numbered_unlike(shift):
+    """A failure means that an axis between the wrong sheets makes pairs of unlike ones."""
+    n_left, n_right = np.arange(12, 0, -1), np.arange(1, 13)
+    side = np.r_[np.full(12, -1), np.ones(12, int)]
+    middle = 20.0 * np.r_[-n_left, n_right][None] * np.ones((6, 1))
+    slope = np.r_[(n_left + shift) ** 2, -(n_right**2)] * 0.01 * np.linspace(1, 2, 6)[:, None]
+    pairs = BothSides.of(side, np.r_[n_left, n_right], middle, slope, DeformationSettings())
+    np.testing.assert_allclose(slope[:, pairs.left] + slope[:, pairs.right], 0, atol=1e-12)

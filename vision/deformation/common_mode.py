@@ -1,0 +1,347 @@
+"""Camera movement: what all sheets do together, told from their own creep.
+
+Vibration is what they do together in each frame beyond their creep.  Drift, steady movement during a stick,
+is told by pairs of sheets left and right that creep in opposite directions, or, where one side only is in
+view, by what each sheet does in other sticks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vision.deformation.creep import Creep, StickFrames
+from vision.deformation.settings import DeformationSettings
+from vision.numeric import Bools, Floats, Ints, nan_median
+
+# --- vibration ----------------------------------------------------------------------------------------------
+
+_OUTLYING = 8.0  # typical residuals from the other sheets beyond which one does not move with them
+
+
+def common_mode_motion(residual: Floats, settings: DeformationSettings) -> Floats:
+    """Common movement in each frame that is no creep.
+
+    Parameters
+    ----------
+    residual
+        Positions less each sheet's own creep, px, (F, sheet); NaN where there is none.
+    settings
+        ``least_sheets`` must be seen in a frame: fewer would lose too much of their own noise.
+
+    Returns
+    -------
+    px, (F,): the mean of the residuals weighted by the inverse of each sheet's variance, without outliers; 0
+    in frames with too few sheets.
+    """
+    spread, weight = _spread_and_weight(residual)
+    with np.errstate(invalid="ignore"):
+        away = np.abs(residual - nan_median(residual, axis=1)[:, None])
+        known = (away <= _OUTLYING * spread) & (weight > 0)
+    enough = known.sum(axis=1) >= settings.least_sheets
+    total = (known * weight).sum(axis=1)
+    moved = np.where(known, residual, 0.0) @ weight
+    return np.asarray(np.divide(moved, total, out=np.zeros_like(total), where=enough))
+
+
+def common_mode_noise_factor(residual: Floats, settings: DeformationSettings) -> Floats:
+    """Factor on each sheet's noise variance for the part that `common_mode_motion` takes away, (sheet,)."""
+    _, weight = _spread_and_weight(residual)
+    if (weight > 0).sum() < settings.least_sheets:
+        return np.ones(weight.size)
+    return np.asarray(1 / (1 - np.minimum(weight / weight.sum(), 0.5)))
+
+
+def _spread_and_weight(residual: Floats) -> tuple[Floats, Floats]:
+    """Typical residual of each sheet, px, and 1 over its square, (sheet,); the weight is 0 where unknown."""
+    spread = nan_median(np.abs(residual))
+    usual = nan_median(spread[None], axis=1)[0]
+    spread = np.maximum(spread, 0.1 * usual if usual > 0 else 1e-6)
+    return spread, np.where(np.isfinite(spread), spread**-2, 0.0)
+
+
+# --- drift --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Common part of one coefficient of the creep in each stick.
+
+    Parameters
+    ----------
+    value, error
+        px, (stick,); 0 where nothing is known of the camera's drift.
+    share
+        Weight with which each sheet went into it, (stick, sheet).
+    """
+
+    value: Floats
+    error: Floats
+    share: Floats
+
+    def error_without(self, error: Floats) -> Floats:
+        """Errors (stick, sheet) of the coefficients less the drift, of which each sheet is itself a part."""
+        return np.asarray(np.sqrt(error**2 * (1 - self.share) + self.error[:, None] ** 2))
+
+
+def drift_model(
+    line: Creep,
+    side: Ints,
+    n: Ints,
+    frames: StickFrames,
+    vibration_px: Floats,
+    settings: DeformationSettings,
+) -> BothSides | OneSide:
+    """The way in which drift can be told from creep with the sheets in view.
+
+    Parameters
+    ----------
+    line
+        Lines fitted to the positions without vibration.
+    side, n
+        Of the sheets in order of place, (sheet,).
+    frames
+        Sticks to which the lines were fitted.
+    vibration_px
+        Of `common_mode_motion`, (F,).
+    settings
+        How many sheets are needed.
+    """
+    both = BothSides.of(side, n, line.coefficient[..., 0], line.coefficient[..., 1], settings)
+    return both if both.enough else OneSide.of(line, n, frames, vibration_px, settings)
+
+
+@dataclass(frozen=True)
+class BothSides:
+    """Pairs of sheets opposite each other: left and right are their places in the tracks, (pair,)."""
+
+    left: Ints
+    right: Ints
+    least_pairs: int
+    movement = "vibration and drift taken off"
+
+    @classmethod
+    def of(
+        cls, side: Ints, n: Ints, middle_px: Floats, slope_px: Floats, settings: DeformationSettings
+    ) -> BothSides:
+        """Pairs by number, overlooked sheets (gaps) counted; by creep, where that puts the axis elsewhere.
+
+        Parameters
+        ----------
+        side, n
+            Of the sheets in order of place, (sheet,).
+        middle_px, slope_px
+            Mean position, and half the movement to the right, (stick, sheet).
+        settings
+            How many pairs are needed.
+        """
+        left, right = np.flatnonzero(side < 0), np.flatnonzero(side > 0)
+        n = n + np.where(side < 0, _missing(middle_px, left[::-1]), _missing(middle_px, right))
+        found = []
+        for shift in (0, -2, -1, 1, 2):  # sheets by which left and right may be numbered unlike
+            _, first, second = np.intersect1d(n[left] + shift, n[right], return_indices=True)
+            found.append(cls(left[first], right[second], settings.least_pairs))
+        unlike = np.array([each.asymmetry_px(slope_px) for each in found])
+        return found[np.argmin(unlike) if unlike.min() < 0.5 * unlike[0] else 0]
+
+    def asymmetry_px(self, slope_px: Floats) -> float:
+        """By how much pairs differ in all sticks alike; infinite without enough of them."""
+        if not self.enough:
+            return np.inf
+        middle = slope_px[:, self.left] + slope_px[:, self.right]
+        away = nan_median(middle - nan_median(middle, axis=1)[:, None])
+        return float(np.nan_to_num(np.abs(away)).mean())
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are enough pairs to tell drift from creep."""
+        return self.left.size >= self.least_pairs
+
+    def drift(self, coefficient: Floats, error: Floats, *, slow: bool) -> Drift:
+        """Drift of the camera during each stick.
+
+        Parameters
+        ----------
+        coefficient, error
+            Of the creep, to the right, px, (stick, sheet), NaN where unknown.
+        slow
+            Not needed with both sides in view.
+
+        Notes
+        -----
+        Creep is inwards on both sides, so half the sum of a pair is what moved the camera, up to the pair's
+        asymmetry: a share of its creep, larger the nearer the axis, as where a sheet was overlooked on one
+        side.  That share is measured from how the pairs disagree.  Where the sides differ, the nearly still
+        inner sheets lead; a difference that all sheets share in equal measure looks like drift.
+        """
+        left, right = coefficient[:, self.left], coefficient[:, self.right]
+        noise = (error[:, self.left] ** 2 + error[:, self.right] ** 2) / 4
+        pair = _Pairs.of(left, right, noise, self.least_pairs)
+        asymmetry = 0.2  # to begin with; four rounds suffice to converge
+        for _round in range(4):
+            weight = pair.known / np.maximum(pair.noise + (asymmetry * pair.step) ** 2, 1e-18)
+            total = weight.sum(axis=1)
+            share = np.divide(weight, total[:, None], out=np.zeros_like(weight), where=pair.known)
+            value = (share * pair.middle).sum(axis=1)
+            asymmetry = pair.asymmetry(value, share)
+        of_sheet = np.zeros_like(coefficient)
+        of_sheet[:, self.left] = of_sheet[:, self.right] = share
+        random = np.divide(1, total, out=np.zeros_like(total), where=total > 0)
+        together = pair.common_asymmetry(value, weight) * (share * pair.step).sum(axis=1)
+        return Drift(value, np.sqrt(random + together**2), of_sheet)
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Half the sum of each pair, half its difference (its creep) and the variance of either, px, 0 where not
+    known; asymmetry is measured on the quiet ones.  All (stick, pair)."""
+
+    middle: Floats
+    step: Floats
+    noise: Floats
+    known: Bools
+    quiet: Bools
+
+    @classmethod
+    def of(cls, left: Floats, right: Floats, noise: Floats, least: int) -> _Pairs:
+        """From coefficients; pairs of unusual variance (one slipped by itself) are not quiet."""
+        middle, step = (right + left) / 2, (left - right) / 2
+        known = np.isfinite(middle) & np.isfinite(noise)
+        known &= known.sum(axis=1, keepdims=True) >= least
+        quiet = known & (noise <= 9 * np.median(noise[known])) if known.any() else known
+        middle, step, noise = (np.where(known, part, 0.0) for part in (middle, step, noise))
+        return cls(middle, step, noise, known, quiet)
+
+    def asymmetry(self, value: Floats, share: Floats) -> float:
+        """RMS asymmetry beyond noise, as a share of the creep."""
+        apart = (self.middle - value[:, None]) ** 2 - self.noise * (1 - share)
+        steps = max(float((self.step[self.quiet] ** 2).sum()), 1e-18)
+        return float(np.sqrt(max(float(apart[self.quiet].sum()), 0.0) / steps))
+
+    def common_asymmetry(self, value: Floats, weight: Floats) -> float:
+        """Asymmetry of all pairs in the same direction."""
+        weight = weight * self.quiet
+        steps = max(float((weight * self.step**2).sum()), 1e-18)
+        return float((weight * self.step * (self.middle - value[:, None])).sum()) / steps
+
+
+def _missing(middle_px: Floats, outwards: Ints) -> Ints:
+    """Sheets missing between the innermost and each of those sheets, as (sheet,), 0 for others."""
+    out = np.zeros(middle_px.shape[1], np.int64)
+    gap = np.abs(np.diff(nan_median(middle_px)[outwards]))
+    if np.isfinite(gap).any():
+        pitch = float(nan_median(gap))
+        missing = np.maximum(np.floor(np.nan_to_num(gap / pitch) - 0.6), 0)  # a gap of 1.6 pitches hides one
+        out[outwards[1:]] = np.cumsum(missing)
+    return out
+
+
+@dataclass(frozen=True)
+class OneSide:
+    """What is needed to tell drift from creep with one side in view.
+
+    In each stick every sheet creeps about as much as in the sticks before and after; what they do beyond, in
+    equal measure, is the camera's.  What the camera does in all sticks alike is in the slow movement of the
+    sheets' mean positions, extrapolated to the axis, where sheets move with the camera alone.
+
+    Parameters
+    ----------
+    profile_px
+        Slopes as in the neighbouring sticks, (stick, sheet).
+    slow_px
+        Slope of the camera's slow movement, (stick,).
+    near
+        Weights of the neighbouring sticks, (stick, stick).
+    unknown_px
+        Error of a slope from which nothing can be taken off, (stick,).
+    settings
+        When drift can be told.
+    """
+
+    profile_px: Floats
+    slow_px: Floats
+    near: Floats
+    unknown_px: Floats
+    settings: DeformationSettings
+    movement = "vibration taken off, and drift as far as one side tells"
+
+    @classmethod
+    def of(
+        cls,
+        line: Creep,
+        n: Ints,
+        frames: StickFrames,
+        vibration_px: Floats,
+        settings: DeformationSettings,
+    ) -> OneSide:
+        """From the lines fitted to all sheets; what of the vibration (F,) looks like creep is taken to be as
+        much as if it were white, where nothing tells."""
+        stick = np.arange(frames.sticks)
+        away = np.abs(stick[:, None] - stick)
+        near = np.maximum(1 - away / (settings.neighbouring_sticks + 1.0), 0.0)
+        middle_px, slope_px = line.coefficient[..., 0], line.coefficient[..., 1]
+        profile_px = _mean(near * (away > 0), slope_px)
+        slow_px_s = _at_axis(_rate(near, frames.middle_s, middle_px), n, profile_px)
+        variance_px2 = float((vibration_px**2).sum()) / max(vibration_px.size, 1)
+        white_px = np.sqrt(3 * variance_px2 / np.maximum(frames.counts, 1))
+        return cls(profile_px, slow_px_s * frames.length_s / 2, near, white_px, settings)
+
+    def drift(self, coefficient: Floats, error: Floats, *, slow: bool) -> Drift:
+        """Drift of the camera during each stick; 0 where sheets creep too much alike, or are too few.
+
+        Parameters
+        ----------
+        coefficient, error
+            Of the creep, to the right, px, (stick, sheet), NaN where unknown.
+        slow
+            Whether slow movement has a part in this coefficient.
+        """
+        known = np.isfinite(coefficient) & np.isfinite(self.profile_px) & np.isfinite(error)
+        weight = np.where(known, 1 / np.where(known, error, 1.0) ** 2, 0.0)
+        value, profile = np.where(known, coefficient, 0.0), np.where(known, self.profile_px, 0.0)
+        total = np.maximum(weight.sum(axis=1), 1e-300)
+        creep, moved = ((weight * part).sum(axis=1) / total for part in (profile, value))
+        away = profile - creep[:, None]
+        spread = (weight * away**2).sum(axis=1)
+        count = known.sum(axis=1)
+        clear = (count >= self.settings.least_sheets) & (spread > self.settings.one_side_contrast * count)
+        spread = np.maximum(spread, 1e-300)
+        beyond = np.where(clear, moved - (weight * away * value).sum(axis=1) / spread * creep, 0.0)
+        # In all these sticks alike it would pass for creep: as much as chance leaves in their mean.
+        shared = (self.near**2 @ beyond**2) / np.maximum(self.near @ clear, 1.0) ** 2
+        error = np.sqrt(1 / total + creep**2 / spread + shared)
+        found = beyond + (self.slow_px if slow else 0.0)
+        return Drift(
+            np.where(clear, found, 0.0), np.where(clear, error, self.unknown_px), np.zeros_like(weight)
+        )
+
+
+def _mean(near: Floats, value: Floats) -> Floats:
+    """Weighted mean over the neighbouring sticks, (stick, sheet); NaN without any."""
+    known = np.isfinite(value)
+    count = near @ known
+    return np.where(count > 0, near @ np.where(known, value, 0.0) / np.maximum(count, 1e-300), np.nan)
+
+
+def _rate(near: Floats, time_s: Floats, value: Floats) -> Floats:
+    """Slope of value (stick, sheet) against time, px/s, over the neighbouring sticks."""
+    time = np.broadcast_to(time_s[:, None], value.shape)
+    time = np.where(np.isfinite(value), time, np.nan)
+    product, square = (
+        _mean(near, time * part) - _mean(near, time) * _mean(near, part) for part in (value, time)
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return product / square
+
+
+def _at_axis(rate: Floats, n: Ints, profile: Floats) -> Floats:
+    """Rate (stick, sheet) extrapolated to a sheet on the axis that does not creep, (stick,)."""
+    known = np.isfinite(rate) & np.isfinite(profile)
+    design = np.stack(
+        [np.ones(rate.shape), np.broadcast_to(n - 0.5, rate.shape), np.nan_to_num(profile)], axis=-1
+    )
+    design = design * known[..., None]
+    matrix = np.einsum("esa,esb->eab", design, design) + 1e-9 * np.eye(3)
+    right = np.einsum("esa,es->ea", design, np.where(known, rate, 0.0))
+    return np.linalg.solve(matrix, right[..., None])[:, 0, 0]
