@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vision.deformation.creep import find_late_slips, fit_creep, frames_of_sticks, legendre
+from vision.deformation.creep import WHITE, AR1Noise, find_late_slips, fit_creep, frames_of_sticks, legendre
 from vision.deformation.settings import DeformationSettings
 
 SETTINGS = DeformationSettings()
@@ -57,6 +57,30 @@ def test_a_series_is_found_again_with_gaps(terms):
     known = np.isfinite(x)
     np.testing.assert_allclose(creep.at(frames)[known], x[known], atol=1e-10)
     np.testing.assert_array_equal(creep.count, frames.sums(known))
+
+
+@pytest.mark.parametrize("noise", [WHITE, AR1Noise(1.0, 0.8), AR1Noise(0.7, 0.8)])
+def test_generalised_least_squares(noise):
+    """A failure means that correlated noise, lost frames or gaps of single sheets go wrong in fits and
+    errors."""
+    time = np.delete(np.arange(60) / 10, [7, 19, 44])
+    start, stop = np.array([0.04, 3.0]), np.array([3.0, 5.95])
+    frames = frames_of_sticks(time, start, stop, margin_s=0.0, interval_s=0.1)
+    x = 500 + np.random.default_rng(1).standard_normal((frames.row.size, 3))
+    x[[3, 4, 40], 1] = np.nan
+    creep = fit_creep(x, frames, 3, SETTINGS, noise)
+    for stick, sheet in np.ndindex(2, 3):
+        used = np.isfinite(x[:, sheet]) & (frames.row == stick)
+        lag = np.abs(frames.slot[used][:, None] - frames.slot[used])
+        matrix = np.where(lag == 0, 1.0, noise.share * noise.rho**lag)
+        design, precision = legendre(frames.u[used], 3), np.linalg.inv(matrix)
+        inverse = np.linalg.inv(design.T @ precision @ design)
+        expected = inverse @ design.T @ precision @ x[used, sheet]
+        away = x[used, sheet] - design @ expected
+        np.testing.assert_allclose(creep.coefficient[stick, sheet], expected, rtol=1e-9)
+        np.testing.assert_allclose(creep.inverse[stick, sheet], inverse, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(creep.square[stick, sheet], away @ precision @ away, rtol=1e-9)
+        np.testing.assert_allclose(creep.log_det[stick, sheet], np.linalg.slogdet(matrix)[1], atol=1e-9)
 
 
 def test_too_few_positions_or_too_short_a_part():

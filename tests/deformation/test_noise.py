@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from tests.scenes.creeping import PIXEL_UM, errors, make, measure, uniform
-from vision.deformation.creep import Creep, frames_of_sticks, legendre
+from vision.deformation.creep import Creep, legendre
 from vision.deformation.noise import (
     AR1Noise,
     Noise,
     fixed_pattern_gain,
     fixed_pattern_px,
-    variance_inflation,
 )
 from vision.deformation.settings import DeformationSettings
 
@@ -80,34 +79,10 @@ def test_bends_that_turn_round_are_no_pattern():
     bends[..., 2] = np.cos(np.arange(12)) * [[1], [-1]]
     sure, inverse = np.ones((2, 12), bool), np.zeros((2, 12, 3, 3))
     noise = Noise(np.full(12, 0.05), AR1Noise(0.0, 0.0), np.ones((2, 12)))
-    creep = Creep(bends, inverse, np.full((2, 12), 40), sure)
+    nothing = np.zeros((2, 12))
+    creep = Creep(bends, inverse, nothing, nothing, np.full((2, 12), 40), sure)
     pattern = fixed_pattern_px(creep, np.full_like(bends, 1e-3), noise, DeformationSettings())
     np.testing.assert_array_equal(pattern, 0)
-
-
-def correlated_stick():
-    """Frames of one stick with two lost, AR(1) under white noise, and its correlation matrix."""
-    time = np.delete(np.arange(30) / 10, [7, 19])
-    frames = frames_of_sticks(time, np.array([0.04]), np.array([3.0]), margin_s=0.0, interval_s=0.1)
-    lag = np.abs(frames.slot[:, None] - frames.slot)
-    return frames, AR1Noise(0.7, 0.8), np.where(lag == 0, 1.0, 0.7 * 0.8**lag)
-
-
-def test_the_correlation_matrix():
-    """A failure means that lost frames or the white part go wrong in all that rests on correlated noise."""
-    frames, noise, matrix = correlated_stick()
-    values = np.random.default_rng(1).standard_normal((frames.row.size, 3))
-    np.testing.assert_allclose(noise.correlate(values, frames), matrix @ values, atol=1e-12)
-
-
-def test_the_variance_of_a_line_under_correlated_noise():
-    """A failure means that the errors of all creeps are off by a factor."""
-    frames, noise, matrix = correlated_stick()
-    design = legendre(frames.u, 2)
-    gain = np.linalg.pinv(design)
-    expected = np.diag(gain @ matrix @ gain.T) / np.diag(gain @ gain.T)
-    np.testing.assert_allclose(variance_inflation(noise, frames, 2)[0], expected, rtol=1e-10)
-    np.testing.assert_allclose(variance_inflation(AR1Noise(0.0, 0.0), frames, 2), 1)
 
 
 def test_how_much_of_a_fixed_pattern_goes_into_the_creep():

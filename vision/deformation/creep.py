@@ -1,4 +1,4 @@
-"""Creep of every sheet in every stick: a Legendre series fitted to all of them at once.
+"""Creep of every sheet in every stick: a Legendre series fitted by generalised least squares to all at once.
 
 Also which frames lie in which stick, and which of those a single sheet is not part of because it slipped late
 or early.
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from vision.deformation.settings import DeformationSettings
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
@@ -107,6 +108,25 @@ def frames_of_sticks(
 
 
 @dataclass(frozen=True)
+class AR1Noise:
+    r"""Noise with autocorrelation 1 at lag 0 and :math:`s \rho^k` at a lag of k frames.
+
+    Parameters
+    ----------
+    share
+        s: 1 for an AR(1) process; below 1, white noise lies on top of it; 0 for white noise.
+    rho
+        AR(1) coefficient.
+    """
+
+    share: float
+    rho: float
+
+
+WHITE = AR1Noise(0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class Creep:
     r"""Fitted creep, :math:`x(u) = \sum_k c_k P_k(u)`.
 
@@ -115,8 +135,12 @@ class Creep:
     coefficient
         px, (stick, sheet, term); NaN where not `good`.
     inverse
-        Inverse of the normal matrix, (stick, sheet, term, term): the coefficients' covariance for white noise
-        of 1 px.
+        Inverse of the normal matrix, (stick, sheet, term, term): the coefficients' covariance for noise of 1
+        px.
+    square
+        Sum of squares of the whitened residuals, px², (stick, sheet).
+    log_det
+        Of the noise's correlation matrix, (stick, sheet).
     count
         Positions used, (stick, sheet).
     good
@@ -125,6 +149,8 @@ class Creep:
 
     coefficient: Floats
     inverse: Floats
+    square: Floats
+    log_det: Floats
     count: Ints
     good: Bools
 
@@ -133,14 +159,21 @@ class Creep:
         design = legendre(frames.u, self.coefficient.shape[2])
         return np.asarray(np.einsum("fk,fsk->fs", design, self.coefficient[frames.row]))
 
+    @property
+    def dof(self) -> Ints:
+        """Degrees of freedom of the residuals, (stick, sheet); 0 where not `good`."""
+        return np.where(self.good, self.count - self.coefficient.shape[2], 0)
+
 
 def legendre(u: Floats, terms: int) -> Floats:
     """P_0, P_1, ... at u, (size of u, terms): orthogonal over the stick, so P_0's coefficient is its mean."""
     return np.asarray(legvander(u, terms - 1))
 
 
-def fit_creep(x_px: Floats, frames: StickFrames, terms: int, settings: DeformationSettings) -> Creep:
-    """Least squares over the frames of each stick.
+def fit_creep(
+    x_px: Floats, frames: StickFrames, terms: int, settings: DeformationSettings, noise: AR1Noise = WHITE
+) -> Creep:
+    r"""Generalised least squares over the frames of each stick.
 
     Parameters
     ----------
@@ -152,20 +185,85 @@ def fit_creep(x_px: Floats, frames: StickFrames, terms: int, settings: Deformati
         2 for a line, 3 for a parabola, 4 for a cubic.
     settings
         A fit needs `LEAST_FRAMES` positions that span at least ``least_cover`` of the stick.
+    noise
+        Autocorrelation of the positions' noise; ordinary least squares for white noise.
+
+    Notes
+    -----
+    .. math:: c = (A^T R^{-1} A)^{-1} A^T R^{-1} x
+
+    with the Legendre polynomials at the frames in the columns of A and the noise's correlation R.  The
+    inverse T of an AR(1) correlation matrix is tridiagonal, whichever frames are missing, and with white
+    noise on top
+
+    .. math:: R^{-1} = (s 1 + (1 - s) T)^{-1} T,
+
+    one banded system for all sticks and sheets.
     """
     known = np.isfinite(x_px)
     count = frames.sums(known).astype(np.int64)
     u = np.broadcast_to(frames.u[:, None], known.shape)
     span = (-frames.lowest(np.where(known, -u, np.inf)) - frames.lowest(np.where(known, u, np.inf))) / 2
     good = (count >= LEAST_FRAMES) & (span >= settings.least_cover)
-    design = legendre(frames.u, terms)
-    value = np.where(known, x_px, 0.0)
-    products = [frames.sums(known * (a * b)[:, None]) for a in design.T for b in design.T]
-    matrix = np.stack(products, axis=-1).reshape(*good.shape, terms, terms)
-    right = np.stack([frames.sums(value * term[:, None]) for term in design.T], axis=-1)
-    inverse = np.full_like(matrix, np.nan)
-    inverse[good] = np.linalg.inv(matrix[good])
-    return Creep(np.einsum("esab,esb->esa", inverse, right), inverse, count, good)
+    middle = frames.sums(np.where(known, x_px, 0.0)) / np.maximum(count, 1)
+    away = x_px - middle[frames.row]  # else rounding would show in the squares
+    blocks = np.array_split(np.arange(x_px.shape[1]), max(1, x_px.size // _BLOCK))
+    parts = [_normal_equations(away[:, block], frames, terms, noise) for block in blocks]
+    matrix, log_det = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+    inverse = np.full((*good.shape, terms, terms), np.nan)
+    inverse[good] = np.linalg.inv(matrix[good][:, :terms, :terms])
+    right = matrix[..., :terms, terms]
+    coefficient = np.einsum("esab,esb->esa", inverse, right)
+    square = np.maximum(matrix[..., terms, terms] - (right * coefficient).sum(axis=-1), 0.0)
+    coefficient[..., 0] += middle
+    return Creep(coefficient, inverse, square, log_det, count, good)
+
+
+_BLOCK = 500_000  # positions that are fitted at once; bounds the memory
+
+
+def _normal_equations(
+    x_px: Floats, frames: StickFrames, terms: int, noise: AR1Noise
+) -> tuple[Floats, Floats]:
+    """(A x)' R⁻¹ (A x) of every stick and sheet, (stick, sheet, terms + 1, terms + 1), and log det R."""
+    sheet, at = np.nonzero(np.isfinite(x_px).T)
+    cell = frames.row[at] * x_px.shape[1] + sheet  # positions of a stick and sheet follow each other in time
+    begins = np.ones(cell.size, bool)
+    begins[1:] = np.diff(cell) != 0
+    gap = np.zeros(cell.size)
+    gap[1:] = np.maximum(np.diff(frames.slot[at]), 1)
+    columns = np.vstack([legendre(frames.u[at], terms).T, x_px[at, sheet]])
+    weighted, log_det = _times_inverse(columns, np.where(begins, 0.0, noise.rho**gap), noise.share)
+    first, shape = np.flatnonzero(begins), (frames.sticks, x_px.shape[1])
+    matrix, determinant = np.zeros((shape[0] * shape[1], terms + 1, terms + 1)), np.zeros(shape)
+    for a, b in zip(*np.triu_indices(terms + 1), strict=True):
+        matrix[cell[first], a, b] = matrix[cell[first], b, a] = np.add.reduceat(
+            columns[a] * weighted[b], first
+        )
+    determinant.flat[cell[first]] = np.add.reduceat(log_det, first)
+    return matrix.reshape(*shape, terms + 1, terms + 1), determinant
+
+
+def _times_inverse(columns: Floats, phi: Floats, share: float) -> tuple[Floats, Floats]:
+    """R⁻¹ times columns (k, N), and each position's part of log det R; phi: correlation of the slow noise
+    with that in the position before, 0 where a stick begins."""
+    if share == 0 or phi.size == 0:
+        return columns, np.zeros(phi.size)
+    weight = 1 / (1 - phi**2)
+    step = columns.copy()
+    step[:, 1:] -= phi[1:] * columns[:, :-1]
+    step *= weight
+    slow = step.copy()
+    slow[:, :-1] -= phi[1:] * step[:, 1:]
+    if share == 1:
+        return slow, -np.log(weight)
+    diagonal, off = weight.copy(), np.zeros(phi.size)
+    diagonal[:-1] += (phi**2 * weight)[1:]
+    off[:-1] = -(phi * weight)[1:]
+    band = np.vstack([share + (1 - share) * diagonal, (1 - share) * off])
+    factor = cholesky_banded(band, lower=True, check_finite=False)
+    solved = cho_solve_banded((factor, True), slow.T, check_finite=False).T
+    return solved, 2 * np.log(factor[0]) - np.log(weight)
 
 
 # --- sheets that slip one by one ----------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from vision.deformation.creep import (
     fit_creep,
     frames_of_sticks,
 )
-from vision.deformation.noise import ErrorModel, Noise, fixed_pattern_px, measure_noise, variance_inflation
+from vision.deformation.noise import ErrorModel, Noise, fixed_pattern_px, measure_noise
 from vision.deformation.pixel_locking import correct_pixel_locking, pixel_locking_slope
 from vision.deformation.settings import DeformationSettings
 from vision.errors import InputError
@@ -40,7 +40,7 @@ def horizontal_deformation(
     pixel_size_um: float | None = None,
     margin_s: float | None = None,
     common_mode: bool = True,
-    settings: DeformationSettings = DeformationSettings(),
+    settings: DeformationSettings = DeformationSettings(),  # noqa: B008 (frozen)
 ) -> xr.Dataset:
     r"""Horizontal deformation of every sheet in every stick phase that lies inside the video.
 
@@ -293,13 +293,13 @@ def _measure(
     steady = unlocked - vibration[:, None]
     slips = find_late_slips(steady, frames, settings)
     steady = np.where(slips.outside, np.nan, steady)
-    line, parabola, close = (fit_creep(steady, frames, k, settings) for k in (2, 3, terms))
-    noise = measure_noise(steady - close.at(frames), close, frames, sheets.predicted_px, settings)
+    noise = measure_noise(steady, frames, terms, sheets.predicted_px, settings)
+    line, parabola, close = (fit_creep(steady, frames, k, settings, noise.correlation) for k in (2, 3, terms))
     noise = replace(noise, noise_px=noise.noise_px * np.sqrt(factor))
-    errors = ErrorModel(noise, frames, np.zeros(sheets.n.size))
+    errors = ErrorModel(noise, np.zeros(sheets.n.size))
     if sheets.pictured:
         pattern = fixed_pattern_px(close, errors.of(close), noise, settings)
-        errors = ErrorModel(noise, frames, pattern, settings.scale_error)
+        errors = ErrorModel(noise, pattern, settings.scale_error)
     camera = drift_model(line, sheets.side, sheets.n, frames, vibration, settings) if common_mode else None
     curve = _Curve.of(line, parabola, errors, camera, settings).shortened(slips)
     return _Deformation(
@@ -311,11 +311,17 @@ def _measure(
         count=line.count,
         good=line.good,
         uneven=noise.excess > 1,
-        effective_frames=frames.counts / variance_inflation(noise.correlation, frames, 2)[:, 1],
+        effective_frames=frames.counts * _independent(fit_creep(steady, frames, 2, settings), line),
         drift_px=2 * curve.drift,
         noise=noise,
         camera_movement=camera.movement if camera else "not taken off",
     )
+
+
+def _independent(white: Creep, line: Creep) -> Floats:
+    """Independent frames over frames: the sweep's variance for white noise over that for correlated noise."""
+    share = nan_median(white.inverse[..., 1, 1] / line.inverse[..., 1, 1], axis=1)
+    return np.where(np.isfinite(share), share, 1.0)
 
 
 def _rms(x_px: Floats, frames: StickFrames) -> Floats:

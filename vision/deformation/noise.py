@@ -2,173 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import matmul_toeplitz
-from scipy.optimize import nnls
+from scipy.optimize import minimize, minimize_scalar
 from scipy.special import chdtri, gammaincinv, spherical_jn
 
-from vision.deformation.creep import LEAST_FRAMES, Creep, StickFrames, legendre
+from vision.deformation.creep import WHITE, AR1Noise, Creep, StickFrames, fit_creep
 from vision.deformation.settings import DeformationSettings
 from vision.numeric import Bools, Floats, Ints, nan_median
 
-_RHO = np.r_[0.05:0.9:0.05, 0.92, 0.95]  # AR(1) coefficients that are tried
 _LEAST_DOF = 30  # residual degrees of freedom below which no correlation is looked for
+_LEAST_SHEETS = 8  # from which it is estimated
+_GAIN = 5.0  # in -2 log-likelihood that one more parameter must bring: chance does so in one case of 40
 _LEAST_VARIANCE_PX2 = 1e-12  # of positions without noise, whose residuals are rounding
 
-# --- autocorrelation ----------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class AR1Noise:
-    r"""Noise with autocorrelation 1 at lag 0 and :math:`s \rho^k` at a lag of k frames.
-
-    Parameters
-    ----------
-    share
-        s: 1 for an AR(1) process; below 1, white noise lies on top of it; 0 for white noise.
-    rho
-        AR(1) coefficient.
-    """
-
-    share: float
-    rho: float
-
-    def at(self, lag: int) -> float:
-        """Correlation at one lag, frames."""
-        return 1.0 if lag == 0 else self.share * self.rho**lag
-
-    def correlate(self, values: Floats, frames: StickFrames) -> Floats:
-        """Correlation matrix of the noise times `values` (F, k), stick by stick; lost frames are
-        respected."""
-        if self.share == 0:
-            return values
-        slots = int(frames.slot.max(initial=0)) + 1
-        grid = np.zeros((slots, frames.sticks, values.shape[1]))
-        np.add.at(grid, (frames.slot, frames.row), values)
-        slow = matmul_toeplitz(self.rho ** np.arange(slots), grid.reshape(slots, -1)).reshape(grid.shape)
-        return np.asarray(values + self.share * (slow[frames.slot, frames.row] - values))
-
-
-WHITE = AR1Noise(0.0, 0.0)
-
-
-def variance_inflation(noise: AR1Noise, frames: StickFrames, terms: int) -> Floats:
-    r"""Variance of each coefficient of a fit over what it would be for white noise.
-
-    Parameters
-    ----------
-    noise, frames, terms
-        Noise with correlation R; the frames of each stick, all of which are taken to be used; terms of the
-        fit.
-
-    Returns
-    -------
-    (stick, term); 1 for white noise, and in sticks with too few frames for a fit.
-
-    Notes
-    -----
-    .. math:: [(A^T A)^{-1} A^T R A (A^T A)^{-1}]_{kk} / [(A^T A)^{-1}]_{kk}
-
-    with the Legendre polynomials at the frames in the columns of A.
-    """
-    design = legendre(frames.u, terms)
-    good = frames.counts >= LEAST_FRAMES
-    gram, spread = (
-        frames.sums(design[:, :, None] * other[:, None, :])[good]
-        for other in (design, noise.correlate(design, frames))
-    )
-    inverse = np.linalg.inv(gram)
-    out = np.ones((frames.sticks, terms))
-    out[good] = np.einsum("eab,ebc,eca->ea", inverse, spread, inverse) / np.einsum("eaa->ea", inverse)
-    return out
-
-
-class _ResidualProducts:
-    """Products of residuals k frames apart, and their expectation for noise of 1 px.
-
-    The fitted curve takes up part of slow noise; how much follows from the frames' own pattern.
-    """
-
-    def __init__(self, frames: StickFrames, terms: int, lags: int) -> None:
-        self.frames = frames
-        count = frames.counts
-        self.dof = np.where(count >= LEAST_FRAMES, count - terms, 0).astype(np.int64)  # (stick,)
-        self.basis = self._orthonormal(terms)
-        self.pairs = [self._pairs(lag) for lag in range(lags + 1)]
-
-    def _orthonormal(self, terms: int) -> Floats:
-        """Basis of the curves in each stick, (F, terms), 0 in sticks with too few frames."""
-        design = legendre(self.frames.u, terms)
-        good = self.dof > 0
-        gram = self.frames.sums(design[:, :, None] * design[:, None, :])[good]
-        turn = np.zeros((good.size, terms, terms))
-        turn[good] = np.linalg.inv(np.linalg.cholesky(gram))
-        return np.asarray(np.einsum("fab,fb->fa", turn[self.frames.row], design))
-
-    def _pairs(self, lag: int) -> tuple[Ints, Ints]:
-        """Frames of one stick that are `lag` intervals apart."""
-        row, slot = self.frames.row, self.frames.slot
-        first = np.arange(max(row.size - lag, 0))
-        second = first + lag
-        near = (row[first] == row[second]) & (slot[second] - slot[first] == lag)
-        return first[near], second[near]
-
-    def expected(self, noise: AR1Noise, weight: Floats) -> Floats:
-        """Sum of the products at each lag, with `weight` (stick,) sheets in each stick."""
-        covariance, row = self._covariance(noise), self.frames.row
-        sums = [(weight[row[i]] * covariance(i, j, lag)).sum() for lag, (i, j) in enumerate(self.pairs)]
-        return np.array(sums)
-
-    def squares(self, noise: AR1Noise) -> Floats:
-        """Sum of squares that the curve leaves in each stick, (stick,)."""
-        every = np.arange(self.frames.row.size)
-        return self.frames.sums(self._covariance(noise)(every, every, 0))
-
-    def _covariance(self, noise: AR1Noise) -> Callable[[Ints, Ints, int], Floats]:
-        """Covariance of two residuals: (1 - QQ') R (1 - QQ') with Q the basis and R the noise's
-        correlation."""
-        q = self.basis
-        rq = noise.correlate(q, self.frames)
-        inner = self.frames.sums(q[:, :, None] * rq[:, None, :])
-
-        def at(i: Ints, j: Ints, lag: int) -> Floats:
-            twice = np.einsum("fa,fab,fb->f", q[i], inner[self.frames.row[i]], q[j])
-            crossed = np.einsum("fa,fa->f", q[i], rq[j]) + np.einsum("fa,fa->f", rq[i], q[j])
-            return np.asarray(noise.at(lag) - crossed + twice)
-
-        return at
-
-
-def _fit_correlation(residual: Floats, cells: Bools, products: _ResidualProducts) -> AR1Noise:
-    """The correlation whose expected residual products match the measured ones best.
-
-    White noise, AR(1), or AR(1) under white noise: a more general one only where it fits better than chance.
-    residual (F, sheet) is in units of each sheet's noise; cells (stick, sheet) are used.
-    """
-    weight = cells.sum(axis=1).astype(float)
-    row = products.frames.row
-    used = np.where(cells[row], residual, 0.0)
-    if weight @ products.dof < _LEAST_DOF or not used.any():
-        return WHITE
-    count = np.array([weight[row[i]].sum() for i, _ in products.pairs])
-    lags = count > 0
-    measured = np.array([np.sum(used[i] * used[j]) for i, j in products.pairs])[lags]
-    per_error = 1 / (np.sqrt(count[lags]) * measured[0] / count[0])
-    white = products.expected(WHITE, weight)[lags] * per_error
-    best = nnls(white[:, None], measured * per_error)[1] ** 2, WHITE
-    for rho in _RHO:
-        slow = products.expected(AR1Noise(1.0, float(rho)), weight)[lags] * per_error
-        for columns, penalty in (([slow], 4.0), ([slow, white], 9.0)):  # chi-square of one and two parameters
-            part, misfit = nnls(np.stack(columns, axis=1), measured * per_error)
-            if part[0] > 0 and misfit**2 + penalty < best[0]:
-                best = misfit**2 + penalty, AR1Noise(float(part[0] / part.sum()), float(rho))
-    return best[1]
-
-
-# --- size ---------------------------------------------------------------------------------------------------
+# --- size and autocorrelation -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -192,16 +41,16 @@ class Noise:
 
 
 def measure_noise(
-    residual: Floats, creep: Creep, frames: StickFrames, predicted_px: Floats, settings: DeformationSettings
+    x_px: Floats, frames: StickFrames, terms: int, predicted_px: Floats, settings: DeformationSettings
 ) -> Noise:
     """Noise of every sheet and its autocorrelation, from the residuals to a parabola or cubic in each stick.
 
     Parameters
     ----------
-    residual
-        Positions less `creep`, px, (F, sheet); NaN where there is no position.
-    creep, frames
-        The curves, and the frames to which they were fitted.
+    x_px
+        Positions without vibration, px, (F, sheet); NaN where there is none.
+    frames, terms
+        Sticks, and terms of the creep.
     predicted_px
         Standard errors of the positions as the subpixel fit states them, px, (sheet,); NaN where unknown.
     settings
@@ -209,30 +58,69 @@ def measure_noise(
 
     Notes
     -----
-    What a curve leaves of correlated noise is computed from the frames' own pattern, so that short sticks do
-    not make the noise look white.  Sticks with uneven residuals (a sheet that slipped by itself) do not
-    count.
+    Sticks with uneven residuals (a sheet that slipped by itself) do not count towards the noise.
     """
-    terms = creep.coefficient.shape[2]
-    square = frames.sums(np.where(np.isfinite(residual), residual, 0.0) ** 2)
-    dof = np.where(creep.good, creep.count - terms, 0)
-    typical = _typical_variance(square, dof)
-    usual = (dof > 0) & ~_uneven(square, dof, typical, settings)
-    products = _ResidualProducts(frames, terms, settings.correlation_lags)
-    complete = usual & (dof == products.dof[:, None])
-    correlation = _fit_correlation(residual / np.sqrt(typical), complete, products)
-    expected = dof * (products.squares(correlation) / np.maximum(products.dof, 1))[:, None]
-    variance = _variance(square * usual, expected * usual, dof * usual, predicted_px, settings)
+    white = fit_creep(x_px, frames, terms, settings)
+    usual = (white.dof > 0) & ~_uneven(white.square, white.dof, _typical_variance(white), settings)
+    correlation = _fit_correlation(x_px, frames, terms, usual, settings)
+    creep = fit_creep(x_px, frames, terms, settings, correlation)
+    variance = _variance(np.where(usual, creep.square, 0.0), creep.dof * usual, predicted_px, settings)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(dof > 0, square / expected / variance, 1.0)
-    uneven = _uneven(ratio * dof, dof, np.ones(variance.size), settings)
+        ratio = np.where(creep.dof > 0, creep.square / creep.dof / variance, 1.0)
+    uneven = _uneven(ratio * creep.dof, creep.dof, np.ones(variance.size), settings)
     return Noise(np.sqrt(variance), correlation, np.where(uneven, np.sqrt(np.maximum(ratio, 1)), 1.0))
 
 
-def _typical_variance(square: Floats, dof: Ints) -> Floats:
-    """Median noise variance per sheet, as if it were white, (sheet,); the sheets' median for the rest."""
-    median = 2 * gammaincinv(np.maximum(dof, 1) / 2, 0.5)  # of chi-square
-    each = nan_median(np.where(dof > 0, square / median, np.nan))
+def _fit_correlation(
+    x_px: Floats, frames: StickFrames, terms: int, usual: Bools, settings: DeformationSettings
+) -> AR1Noise:
+    """White noise, AR(1), or AR(1) under white noise, by restricted maximum likelihood with a variance of
+    its own for each sheet; a more general one only where it fits better than chance.
+
+    Every so many sheets and sticks are enough in a long recording.  usual: (stick, sheet) used.
+    """
+    every = max(1, round(x_px.size / settings.correlation_positions))
+    sheets = max(1, min(every, x_px.shape[1] // _LEAST_SHEETS))
+    kept = usual[:, ::sheets] & (np.arange(frames.sticks) % max(1, every // sheets) == 0)[:, None]
+    inside = kept.any(axis=1)[frames.row]
+    names = ("frame", "row", "u", "slot")
+    part = replace(frames, **{name: getattr(frames, name)[inside] for name in names})
+    x_px = np.where(kept[part.row], x_px[inside, ::sheets], np.nan)
+
+    def deviance(share: float, rho: float) -> float:
+        creep = fit_creep(x_px, part, terms, settings, AR1Noise(share, rho))
+        dof = creep.dof.sum(axis=0)
+        variance = np.nansum(creep.square, axis=0)[dof > 0] / dof[dof > 0]
+        sizes = dof[dof > 0] @ np.log(np.maximum(variance, _LEAST_VARIANCE_PX2))
+        return float(sizes + creep.log_det.sum() - np.linalg.slogdet(creep.inverse[creep.good])[1].sum())
+
+    def mixture(both: Floats) -> float:
+        return deviance(float(both[0]), float(both[1]))
+
+    white = fit_creep(x_px, part, terms, settings)
+    if white.dof.sum() < _LEAST_DOF or not np.nansum(white.square) > _LEAST_VARIANCE_PX2 * white.dof.sum():
+        return WHITE
+    pure = minimize_scalar(
+        lambda rho: deviance(1.0, rho), bounds=(0.01, 0.97), method="bounded", options={"xatol": 0.01}
+    )
+    if pure.fun + _GAIN > deviance(0.0, 0.0):
+        return WHITE
+    mixed = minimize(
+        mixture,
+        [0.5, max(0.5, pure.x)],
+        method="Nelder-Mead",
+        bounds=[(0.01, 1.0), (0.02, 0.97)],
+        options={"xatol": 0.01, "fatol": 0.5, "maxfev": 40},
+    )
+    if mixed.fun + _GAIN > pure.fun:
+        return AR1Noise(1.0, float(pure.x))
+    return AR1Noise(float(mixed.x[0]), float(mixed.x[1]))
+
+
+def _typical_variance(creep: Creep) -> Floats:
+    """Median noise variance per sheet, px², (sheet,); the sheets' median for those without."""
+    median = 2 * gammaincinv(np.maximum(creep.dof, 1) / 2, 0.5)  # of chi-square
+    each = nan_median(np.where(creep.dof > 0, creep.square / median, np.nan))
     overall = float(nan_median(each[None], axis=1)[0])
     return np.maximum(np.where(np.isfinite(each), each, np.nan_to_num(overall)), _LEAST_VARIANCE_PX2)
 
@@ -245,18 +133,14 @@ def _uneven(square: Floats, dof: Ints, variance: Floats, settings: DeformationSe
     return np.asarray(square / variance * fewer / np.maximum(dof, 1) > limit)
 
 
-def _variance(
-    square: Floats, expected: Floats, dof: Ints, predicted_px: Floats, settings: DeformationSettings
-) -> Floats:
+def _variance(square: Floats, dof: Ints, predicted_px: Floats, settings: DeformationSettings) -> Floats:
     """Noise variance per sheet: of its residuals, averaged with the predicted one times the common ratio."""
-    measured, per_unit, weight = square.sum(axis=0), expected.sum(axis=0), dof.sum(axis=0)
+    measured, weight = square.sum(axis=0), dof.sum(axis=0)
     predicted = predicted_px**2
     middle = float(nan_median(predicted[None], axis=1)[0])
     shape = np.where(np.isfinite(predicted), predicted, middle if middle > 0 else 1.0)
-    prior = shape * measured.sum() / max(float((per_unit * shape).sum()), 1e-300)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        own = np.where(per_unit > 0, measured / per_unit, prior)
-    both = (weight * own + settings.predicted_dof * prior) / (weight + settings.predicted_dof)
+    prior = shape * measured.sum() / max(float((weight * shape).sum()), 1e-300)
+    both = (measured + settings.predicted_dof * prior) / (weight + settings.predicted_dof)
     return np.asarray(np.maximum(both, _LEAST_VARIANCE_PX2))
 
 
@@ -363,8 +247,8 @@ class ErrorModel:
 
     Parameters
     ----------
-    noise, frames
-        Noise of the positions, and the frames in which they lie.
+    noise
+        Of the positions.
     pattern_px
         Fixed-pattern error of each sheet, (sheet,).
     scale
@@ -372,16 +256,14 @@ class ErrorModel:
     """
 
     noise: Noise
-    frames: StickFrames
     pattern_px: Floats
     scale: float = 0.0
 
     def of(self, fit: Creep) -> Floats:
-        """Standard errors of the coefficients, px, (stick, sheet, term)."""
-        terms = fit.coefficient.shape[2]
-        white = np.einsum("eskk->esk", fit.inverse)
-        factor = variance_inflation(self.noise.correlation, self.frames, terms)[:, None]
-        random = np.sqrt(white * factor) * (self.noise.noise_px * self.noise.excess)[..., None]
+        """Standard errors of the coefficients of a fit with the noise's correlation, px, (stick, sheet,
+        term)."""
+        variance = np.einsum("eskk->esk", fit.inverse)
+        random = np.sqrt(variance) * (self.noise.noise_px * self.noise.excess)[..., None]
         reach = fit.coefficient[..., 1]
-        pattern = fixed_pattern_gain(reach, terms) * self.pattern_px[:, None]
+        pattern = fixed_pattern_gain(reach, variance.shape[2]) * self.pattern_px[:, None]
         return np.asarray(np.sqrt(random**2 + pattern**2 + (self.scale * reach[..., None]) ** 2))

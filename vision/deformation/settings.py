@@ -47,9 +47,9 @@ class DeformationSettings:
     late_common: float = 0.2
     """Share of the sheets that may slip late; what more of them do together is an error of the clock."""
 
-    correlation_lags: int = 8
-    """Frames over which the noise's autocorrelation is fitted.  More add noise; fewer miss slow noise
-    (test_noise)."""
+    correlation_positions: int = 10_000
+    """Positions, about, from which the noise's autocorrelation is estimated.  More take longer; with fewer
+    its error grows, by which the stated errors are off (test_noise)."""
 
     predicted_dof: float = 5.0
     """Weight of the predicted noise of a sheet against its residuals, as degrees of freedom.  It steadies
