@@ -16,7 +16,9 @@ from vision.command.console import complain, hold_streams
 from vision.command.export import export
 from vision.command.figures import figures
 from vision.command.force import force
+from vision.command.friction import friction
 from vision.command.kymograph import kymograph
+from vision.command.modulus import modulus
 from vision.command.simulate import simulate
 from vision.command.track import track
 from vision.errors import InputError
@@ -49,7 +51,7 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
     )
     app.default(track)
-    for command in (force, simulate, kymograph, export, figures):
+    for command in (force, simulate, kymograph, export, figures, friction, modulus):
         app.command(command)
     return app
 

@@ -352,6 +352,7 @@ def _first_maximum(
 
 
 _WIDEST = 41  # samples of a parabola through the peak
+_SHARE = 0.6  # of the widest that fits: what is left of a bias that the noise just hides goes with its cube
 
 
 def _height(mu: Floats, peak: int, noise: float) -> tuple[float, float]:
@@ -360,26 +361,28 @@ def _height(mu: Floats, peak: int, noise: float) -> tuple[float, float]:
     The widest parabola that fits within the noise averages most of it. A sharp peak that even the narrowest
     does not fit is known to half a step between samples.
     """
-    top = float(mu[peak])
+    reach = min(peak, mu.size - 1 - peak, _WIDEST // 2)
+    fits = [half for half in range(2, reach + 1) if _parabola(mu, peak, half, noise)[2]]
+    if noise > 0 and fits:
+        height, error, _ = _parabola(mu, peak, max(2, round(_SHARE * max(fits))), noise)
+        return height, error
     beside = np.abs(np.diff(mu[max(peak - 1, 0) : peak + 2]))
-    best = top, math.hypot(noise, 0.5 * float(beside.min(initial=np.inf)) if beside.size else 0.0)
-    if noise <= 0:
-        return best
-    for half in range(2, _WIDEST // 2 + 1):
-        if peak - half < 0 or peak + half + 1 > mu.size:
-            break
-        u = np.arange(-half, half + 1) / half
-        design = np.stack([np.ones_like(u), u, u * u], axis=1)
-        solution, *_ = np.linalg.lstsq(design, mu[peak - half : peak + half + 1], rcond=None)
-        residual = mu[peak - half : peak + half + 1] - design @ solution
-        free = 2 * half - 2
-        if float(residual @ residual) > free * noise**2 * (1 + 2 * math.sqrt(2 / free)) or solution[2] >= 0:
-            break
-        at = float(np.clip(-solution[1] / (2 * solution[2]), -1, 1))
-        row = np.array([1.0, at, at * at])
-        covariance = np.linalg.inv(design.T @ design)
-        best = float(row @ solution), noise * math.sqrt(float(row @ covariance @ row))
-    return best
+    return float(mu[peak]), math.hypot(noise, 0.5 * float(beside.min()) if beside.size else 0.0)
+
+
+def _parabola(mu: Floats, peak: int, half: int, noise: float) -> tuple[float, float, bool]:
+    """(height, error, whether it fits within the noise) of the parabola through 2 half + 1 samples."""
+    values = mu[peak - half : peak + half + 1]
+    u = np.arange(-half, half + 1) / half
+    design = np.stack([np.ones_like(u), u, u * u], axis=1)
+    covariance = np.linalg.inv(design.T @ design)
+    solution = covariance @ design.T @ values
+    residual = values - design @ solution
+    free = 2 * half - 2
+    good = float(residual @ residual) <= free * noise**2 * (1 + 2 * math.sqrt(2 / free)) and solution[2] < 0
+    at = float(np.clip(-solution[1] / (2 * solution[2]), -1, 1)) if solution[2] else 0.0
+    row = np.array([1.0, at, at * at])
+    return float(row @ solution), noise * math.sqrt(float(row @ covariance @ row)), bool(good)
 
 
 def friction_table(measured: Iterable[DiscFriction]) -> pd.DataFrame:

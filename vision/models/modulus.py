@@ -289,6 +289,43 @@ def measure_cycles(
     return record(table, "measure_cycles", machine_stiffness_N_per_mm=stiffness, part=settings.part)
 
 
+_ORIGINS = {
+    "column": "the displacement is taken for the distance Δ of the clamps",
+    "length": "the displacement is taken to be 0 at Δ = L = {length:g} mm",
+}
+
+
+def clamp_distance(
+    force: xr.Dataset, *, sheet: Sample = STRIP, clamp_distance_mm: float | None = None
+) -> Floats:
+    """Δ in mm of every sample, as `measure_cycles` takes it, without a correction for the machine.
+
+    Parameters
+    ----------
+    force, sheet, clamp_distance_mm
+        As in `measure_cycles`.
+    """
+    crosshead = force["crosshead_mm"].values.astype(float)
+    known = crosshead[np.isfinite(crosshead)]
+    how = _origin(known, sheet, clamp_distance_mm)
+    return np.asarray(crosshead + _shift(how, float(known[0]), sheet, clamp_distance_mm))
+
+
+def _origin(crosshead: Floats, sheet: Sample, clamp_distance_mm: float | None) -> str:
+    if clamp_distance_mm is not None:
+        if not math.isfinite(clamp_distance_mm) or clamp_distance_mm <= 0:
+            raise InputError("`clamp_distance_mm`", "a positive number", f"{clamp_distance_mm!r}")
+        return "given"
+    return "column" if abs(float(np.median(crosshead)) - sheet.length_mm) < sheet.length_mm / 2 else "length"
+
+
+def _shift(how: str, first_mm: float, sheet: Sample, clamp_distance_mm: float | None) -> float:
+    """What is added to the displacement to make it Δ."""
+    if clamp_distance_mm is not None:
+        return clamp_distance_mm - first_mm
+    return 0.0 if how == "column" else sheet.length_mm
+
+
 @dataclass(frozen=True)
 class _Cycles:
     """t, Δ (corrected for the machine), F and smoothed F of the good samples, and the turning points."""
@@ -356,16 +393,9 @@ def _clean(
     at, crosshead, load = at[kept], crosshead[kept], load[kept]
     if at.size < 5:
         raise InputError(source, "samples with time, displacement and load", f"{at.size}")
-    if clamp_distance_mm is not None:
-        if not math.isfinite(clamp_distance_mm) or clamp_distance_mm <= 0:
-            raise InputError("`clamp_distance_mm`", "a positive number", f"{clamp_distance_mm!r}")
-        how, delta, notes = "given", clamp_distance_mm + crosshead - crosshead[0], []
-    elif abs(float(np.median(crosshead)) - sheet.length_mm) < 0.5 * sheet.length_mm:
-        how, delta = "column", crosshead
-        notes = ["the displacement is taken for the distance Δ of the clamps"]
-    else:
-        how, delta = "length", sheet.length_mm + crosshead
-        notes = [f"the displacement is taken to be 0 at Δ = L = {sheet.length_mm:g} mm"]
+    how = _origin(crosshead, sheet, clamp_distance_mm)
+    delta = crosshead + _shift(how, float(crosshead[0]), sheet, clamp_distance_mm)
+    notes = [_ORIGINS[how].format(length=sheet.length_mm)] if how != "given" else []
     facts = CyclesMetadata(source=source, clamp_distance_from=how, notes=notes, warnings=warnings)
     turns = turning_points(delta, settings=settings)
     width = max(int(settings.smoothing * float(np.median(np.diff(turns)))), 1)

@@ -120,8 +120,7 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
     rotations = _joined([_rotation(path, block) for block in blocks])
     if not rotations:
         raise InputError(path, "a rotation", _nothing(blocks), "export torque and deflection angle")
-    skipped = [f"{block.name}: {block.problem}" for block in blocks if block.problem]
-    return [_finished(path, parts, skipped) for parts in rotations]
+    return [_finished(path, parts, blocks) for parts in rotations]
 
 
 @dataclass
@@ -383,7 +382,7 @@ def _goes_on(first: _Block, second: _Block) -> bool:
     return high <= 1.1 * low
 
 
-def _finished(path: Path, parts: list[_Block], skipped: list[str]) -> pd.DataFrame:
+def _finished(path: Path, parts: list[_Block], blocks: list[_Block]) -> pd.DataFrame:
     """One measurement: parts joined, the angle from 0, signs along the rotation."""
     table = pd.concat([part.values for part in parts], ignore_index=True)
     time = table["time_s"].to_numpy(float)
@@ -398,13 +397,14 @@ def _finished(path: Path, parts: list[_Block], skipped: list[str]) -> pd.DataFra
     table["angle_rad"] = sense * (angle - angle[0])
     turning = sense * table["torque_N_m"]
     table["torque_N_m"] = turning if float(turning.mean()) >= 0 else -turning
+    skipped = [b for b in blocks if b.problem and b.result == parts[0].result]
     name = parts[0].name
     if len(parts) > 1:
         name += f" to {parts[-1].name.rsplit(' ', 1)[-1]}"
     facts = RotationMetadata(
         source=str(path),
         measurement=name,
-        notes=[f"left out: {line}" for line in skipped],
+        notes=[f"left out: {block.name}: {block.problem}" for block in skipped],
         warnings=[line for part in parts for line in part.warnings],
     )
     columns = [name for name in ROTATION.variables if name in table]

@@ -1,0 +1,346 @@
+"""Raw files of the measurements on single sheets, with known truth: rheometer exports and push–pull
+cycles."""
+
+# ruff: noqa: N815 (the unit is part of a name, and newton is N)
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from vision.errors import InputError
+from vision.experiment.randomness import stream
+from vision.models.friction import PUBLISHED_FRICTION, RADIUS_MM, StaticFriction
+from vision.models.modulus import STRIP
+from vision.numeric import Floats
+from vision.sample import Sample
+
+# --- two discs on the rheometer -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiscTest:
+    """Two discs of paper that turn against each other, at one normal force after the other.
+
+    Parameters
+    ----------
+    loads_N
+        One measurement each.
+    law
+        True μ_s(N).
+    mu_dynamic
+        True μ_d at every load.
+    radius_mm, speed_rad_s, end_deg
+        R, Ω and how far the discs turn.
+    peak_deg, peak_width_deg
+        Where μ_s lies and how quickly μ falls to μ_d behind it.
+    ripple, ripple_deg
+        Slow variation of μ_d: its share and its period.
+    fine_Hz, fine_s, coarse_Hz
+        Sampling of the first `fine_s`, an interval of its own, and of the rest.
+    torque_noise_mN_m, normal_noise_N, normal_drift
+        White noise of both channels, and by which share N falls until the end.
+    seed
+        Of the noise.
+    """
+
+    loads_N: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0)
+    law: StaticFriction = PUBLISHED_FRICTION
+    mu_dynamic: float = 0.44
+    radius_mm: float = RADIUS_MM
+    speed_rad_s: float = 0.1
+    end_deg: float = 125.0
+    peak_deg: float = 0.12
+    peak_width_deg: float = 0.04
+    ripple: float = 0.01
+    ripple_deg: float = 11.0
+    fine_Hz: float = 1000.0
+    fine_s: float = 0.5
+    coarse_Hz: float = 20.0
+    torque_noise_mN_m: float = 0.01
+    normal_noise_N: float = 0.003
+    normal_drift: float = 0.0
+    seed: int = 0
+
+    def friction(self, load_N: float, angle_deg: ArrayLike) -> Floats:
+        """True μ(φ): a quarter sine up to μ_s, a Gaussian down to μ_d with its ripple."""
+        x = np.asarray(angle_deg, float)
+        peak = float(self.law.mu_s(load_N))
+        later = np.maximum(x - self.peak_deg, 0.0)
+        fall = (peak - self.mu_dynamic) * np.exp(-0.5 * (later / self.peak_width_deg) ** 2)
+        slow = self.mu_dynamic * self.ripple * np.sin(2 * np.pi * later / self.ripple_deg)
+        rise = peak * np.sin(0.5 * np.pi * np.clip(x / self.peak_deg, 0, 1))
+        return np.where(x < self.peak_deg, rise, self.mu_dynamic + fall + slow)
+
+    def truth(self) -> pd.DataFrame:
+        """N_N, mu_s and mu_d (exact mean over 0.3° to 120°) of each measurement."""
+        angle = np.linspace(0.3, 120.0, 400_001)
+        rows = [
+            {"N_N": load, "mu_s": float(self.law.mu_s(load)), "mu_d": _mean(self.friction(load, angle))}
+            for load in self.loads_N
+        ]
+        return pd.DataFrame(rows)
+
+
+def _mean(values: Floats) -> float:
+    """Mean of evenly spaced values by the trapezoidal rule."""
+    return float((values.sum() - 0.5 * (values[0] + values[-1])) / (values.size - 1))
+
+
+def disc_record(test: DiscTest, load_N: float, time_s: Floats, *, number: int = 0) -> pd.DataFrame:
+    """What the rheometer records: time_s, torque_mN_m, normal_force_N, angle_mrad, speed_rpm."""
+    rng = stream(test.seed, "rheometer", number, time_s.size)
+    angle_deg = np.degrees(test.speed_rad_s * np.maximum(time_s, 0.0))
+    normal = load_N * (1 - test.normal_drift * angle_deg / test.end_deg)
+    torque = 2 / 3 * test.friction(load_N, angle_deg) * normal * test.radius_mm
+    return pd.DataFrame(
+        {
+            "time_s": time_s,
+            "torque_mN_m": torque + test.torque_noise_mN_m * rng.standard_normal(time_s.size),
+            "normal_force_N": normal + test.normal_noise_N * rng.standard_normal(time_s.size),
+            "angle_mrad": np.radians(angle_deg) * 1000,
+            "speed_rpm": np.where(time_s > 0, test.speed_rad_s * 30 / np.pi, 0.0),
+        }
+    )
+
+
+def write_rheocompass(
+    path: str | os.PathLike[str],
+    test: DiscTest,
+    *,
+    encoding: Literal["utf-16", "utf-8", "utf-8-sig"] = "utf-16",
+    separator: Literal["\t", ",", ";"] = "\t",
+    decimal: Literal[".", ","] = ".",
+    torque_unit: Literal["mN·m", "µN·m", "N·m"] = "mN·m",
+    angle_unit: Literal["mrad", "rad", "°"] = "mrad",
+    unit_rows: Literal[1, 2] = 2,
+) -> pd.DataFrame:
+    """A RheoCompass export: one result per load with an interval of waiting, one finely and one coarsely
+    sampled.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    test
+        `DiscTest`.
+    encoding, separator, decimal
+        Of the text. A decimal comma within commas is quoted.
+    torque_unit, angle_unit
+        As the columns are exported.
+    unit_rows
+        Rows between the names and the data, of which the last has the units.
+
+    Returns
+    -------
+    The truth, one row per result, in file order.
+    """
+    torque = {"mN·m": 1.0, "µN·m": 1e3, "N·m": 1e-3}[torque_unit]
+    angle = {"mrad": 1.0, "rad": 1e-3, "°": math.degrees(1e-3)}[angle_unit]
+    names = ["Point No.", "Time", "Torque", "Normal Force", "Deflection Angle", "Rotational Speed", "Status"]
+    units = ["", "[s]", f"[{torque_unit}]", "[N]", f"[{angle_unit}]", "[1/min]", ""]
+    end_s = math.radians(test.end_deg) / test.speed_rad_s
+    times = (
+        np.arange(-2.0, 0.0, 0.1),
+        np.arange(0, test.fine_s, 1 / test.fine_Hz),
+        np.arange(test.fine_s, end_s, 1 / test.coarse_Hz),
+    )
+    rows: list[Sequence[str]] = [["Project:", "Paper on paper"], ["Test:", "Disc 25 mm"], []]
+    for number, load in enumerate(test.loads_N):
+        rows += [["Result:", f"Friction {load:g} N"], []]
+        for interval, time in enumerate(times, start=1):
+            record = disc_record(test, load, time, number=3 * number + interval)
+            if interval == 1:
+                record["torque_mN_m"] = 0.0
+            rows.append(["Interval and data points:", str(interval), str(len(record))])
+            rows.append(["Interval data:", *names])
+            rows += [["", *([""] * len(names))]] * (unit_rows - 1) + [["", *units]]
+            scaled = record[["time_s", "torque_mN_m", "normal_force_N", "angle_mrad", "speed_rpm"]] * [
+                1.0,
+                torque,
+                1.0,
+                angle,
+                1.0,
+            ]
+            rows += [
+                ["", str(point), *(f"{value:.7g}".replace(".", decimal) for value in values), "TG"]
+                for point, values in enumerate(scaled.itertuples(index=False), start=1)
+            ]
+            rows.append([])
+    text = "\r\n".join(separator.join(_quoted(cell, separator) for cell in row) for row in rows)
+    Path(path).write_bytes(text.encode(encoding))
+    return test.truth()
+
+
+def _quoted(cell: str, separator: str) -> str:
+    return f'"{cell}"' if separator in cell else cell
+
+
+def write_rheometer_csv(
+    path: str | os.PathLike[str], test: DiscTest, *, load_N: float | None = None, normal: bool = True
+) -> pd.DataFrame:
+    """A plain table of one measurement with names and units in its header.
+
+    Parameters
+    ----------
+    path, test
+        File and `DiscTest`.
+    load_N
+        Which load; the first by default.
+    normal
+        Whether the normal force is recorded.
+
+    Returns
+    -------
+    The truth, one row.
+    """
+    load = test.loads_N[0] if load_N is None else load_N
+    end_s = math.radians(test.end_deg) / test.speed_rad_s
+    time = np.concatenate(
+        [np.arange(0, test.fine_s, 1 / test.fine_Hz), np.arange(test.fine_s, end_s, 1 / test.coarse_Hz)]
+    )
+    record = disc_record(test, load, time)
+    columns = {
+        "Time (s)": record["time_s"],
+        "Torque (mN·m)": record["torque_mN_m"],
+        "Angle (°)": np.degrees(record["angle_mrad"] / 1000),
+    }
+    if normal:
+        columns["Normal force (N)"] = record["normal_force_N"]
+    pd.DataFrame(columns).to_csv(path, index=False, float_format="%.7g", encoding="utf-8")
+    one = DiscTest(**{**vars(test), "loads_N": (load,)})
+    return one.truth()
+
+
+# --- one sheet, pulled and pushed ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class CyclesTest:
+    """One sheet between two clamps whose distance goes back and forth.
+
+    Parameters
+    ----------
+    sheet
+        ε, W and the free length L = Δ0.
+    modulus_GPa
+        True Y_p.
+    cycles, speed_mm_min, rate_Hz
+        Number, |dΔ/dt| and sampling.
+    stretch_mm, slack_mm
+        How far beyond and below Δ0 the clamps go; below it the sheet buckles and carries nothing.
+    knee_mm
+        Width over which it becomes taut.
+    friction_N, friction_N_per_mm
+        Height f_y and stiffness of a Jenkins element beside it, which makes the loop.
+    growth
+        Share by which the modulus grows from cycle to cycle.
+    machine_stiffness_N_per_mm
+        In series; infinite by default.
+    noise_N, quantum_mm
+        Noise of the load, steps of the recorded displacement.
+    absolute
+        Whether the recorded displacement is Δ itself or starts at 0 at Δ = L.
+    seed
+        Of the noise.
+    """
+
+    sheet: Sample = STRIP
+    modulus_GPa: float = 2.5
+    cycles: int = 5
+    speed_mm_min: float = 1.0
+    rate_Hz: float = 50.0
+    stretch_mm: float = 0.08
+    slack_mm: float = 0.05
+    knee_mm: float = 0.002
+    friction_N: float = 0.8
+    friction_N_per_mm: float = 200.0
+    growth: float = 0.0
+    machine_stiffness_N_per_mm: float = math.inf
+    noise_N: float = 0.05
+    quantum_mm: float = 5e-5
+    absolute: bool = False
+    seed: int = 0
+
+    @property
+    def stiffness_N_per_mm(self) -> float:
+        """True k = εWY/L of the first cycle."""
+        sheet = self.sheet
+        return 1000 * self.modulus_GPa * sheet.thickness_mm * sheet.width_mm / sheet.length_mm
+
+    @property
+    def loop_mJ(self) -> float:
+        """Energy that the Jenkins element takes in a cycle of travel X: 2 f_y (X − 2 f_y / k_y)."""
+        travel = self.stretch_mm + self.slack_mm
+        return 2 * self.friction_N * (travel - 2 * self.friction_N / self.friction_N_per_mm)
+
+
+def cycles_record(test: CyclesTest) -> pd.DataFrame:
+    """What the machine records: time_s, crosshead_mm, load_N; the exact force is in force_N.
+
+    Starts at Δ = L with a first, shorter loading, which is no cycle of its own: it begins within the range.
+    """
+    rng = stream(test.seed, "push-pull")
+    up, down = test.stretch_mm, -test.slack_mm
+    corners = np.array([0.0, down, *([up, down] * test.cycles)])
+    path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(corners)))])
+    time = np.arange(0, path[-1] * 60 / test.speed_mm_min, 1 / test.rate_Hz)
+    travelled = test.speed_mm_min / 60 * time
+    stretch = np.interp(travelled, path, corners)
+    cycle = np.clip((np.searchsorted(path, travelled, side="right") - 2) // 2, 0, test.cycles - 1)
+    stiffness = test.stiffness_N_per_mm * (1 + test.growth * cycle)
+    taut = (
+        test.knee_mm * np.logaddexp(0.0, stretch / test.knee_mm) if test.knee_mm else np.maximum(stretch, 0)
+    )
+    force = stiffness * taut + _jenkins(stretch, test.friction_N, test.friction_N_per_mm)
+    crosshead = stretch + force / test.machine_stiffness_N_per_mm
+    crosshead = crosshead + (test.sheet.length_mm if test.absolute else 0.0)
+    if test.quantum_mm:
+        crosshead = np.round(crosshead / test.quantum_mm) * test.quantum_mm
+    load = force + test.noise_N * rng.standard_normal(time.size)
+    return pd.DataFrame({"time_s": time, "crosshead_mm": crosshead, "load_N": load, "force_N": force})
+
+
+def _jenkins(position: Floats, limit: float, stiffness: float) -> Floats:
+    """Force of a spring with a slider, from rest: the play operator, sample by sample."""
+    reach = limit / stiffness if limit else 0.0
+    force, anchor = np.empty_like(position), 0.0
+    for k, x in enumerate(position.tolist()):
+        anchor = min(max(anchor, x - reach), x + reach)
+        force[k] = stiffness * (x - anchor)
+    return force
+
+
+def write_cycles(path: str | os.PathLike[str], test: CyclesTest) -> pd.DataFrame:
+    """The recording as MTS TestSuite exports it: tabs, names with trailing spaces, units below.
+
+    Returns
+    -------
+    The truth, one row per cycle: ``k_N_per_mm``, ``Y_p_GPa``, ``loop_mJ``.
+    """
+    record = cycles_record(test)
+    head = (
+        "File Path: C:\\MTS\\sheet\\DAQ- Crosshead, Load, Time - (Timed).txt\r\nTest: Push-pull\r\n\r\n\r\n"
+    )
+    head += "Crosshead \tLoad \tTime \t\r\nmm\tN\tsec\r\n"
+    rows = record[["crosshead_mm", "load_N", "time_s"]].to_csv(
+        sep="\t", header=False, index=False, float_format="%.8g", lineterminator="\r\n"
+    )
+    if rows is None:
+        raise InputError(path, "a recording with samples", "none")
+    Path(path).write_bytes((head + rows).encode("utf-8-sig"))
+    share = 1 + test.growth * np.arange(test.cycles)
+    return pd.DataFrame(
+        {
+            "k_N_per_mm": test.stiffness_N_per_mm * share,
+            "Y_p_GPa": test.modulus_GPa * share,
+            "loop_mJ": test.loop_mJ,
+        }
+    )
