@@ -203,7 +203,7 @@ class StripMetadata(Metadata):
     frames_expected, frames_read, frames_lost, frames_blank, frames_corrupt
         Counts: expected = read + lost; blank ones are among the read, corrupt ones among the lost.
     warnings
-        What the user must be told.
+        What may spoil the results.
     """
 
     source: str = "the video"

@@ -161,7 +161,7 @@ def test_matroska_times_are_its_own(tmp_path):
 
 
 def test_cut_matroska_is_reported(tmp_path):
-    """Failure: a container that promises no frame count loses its end without a word."""
+    """Failure: a container that holds no frame count loses its end without a warning."""
     frames = comb(count=40, rows=32)
     path = write_encoded(
         tmp_path / "a.mkv", frames, codec="ffv1", pix_fmt="gray", source="gray", options={"g": "1"}

@@ -79,7 +79,7 @@ def test_colour_tiff_follows_the_luma_rule(tmp_path, options):
 
 
 def test_cut_imagej_stack_gives_what_it_holds(tmp_path):
-    """Failure: one page is read of a stack whose metadata promise many, and nobody is told."""
+    """Failure: one page is read of a stack whose metadata announce many, without a warning."""
     frames = comb(count=10, dtype=np.uint16, top=60000).astype(">u2")
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, frames, imagej=True, metadata={"finterval": 0.04})
@@ -225,7 +225,7 @@ def test_gaps_and_bad_images(tmp_path):
 
 
 def test_numbers_that_are_no_frame_count(tmp_path):
-    """Failure: names made of clock times promise millions of lost frames."""
+    """Failure: names made of clock times announce millions of lost frames."""
     folder = write_images(
         tmp_path / "f", comb(), numbers=[20200101, 20200357, 20210001, 20210777, 20230000, 20240000]
     )

@@ -36,7 +36,7 @@ def test_profile_coordinates(tmp_path):
 
 
 def test_profile_is_as_declared_and_says_how_it_was_made(tmp_path):
-    """Failure: a later stage refuses the strip, or how the pixels were read cannot be told from it."""
+    """Failure: a later stage refuses the strip, or how the pixels were read is not in it."""
     strip = strip_profile(open_video(write_avi(tmp_path / "a.avi", comb())), slice(2, 9))
     STRIP.check(strip)
     facts = StripMetadata.of(strip)
@@ -68,7 +68,7 @@ def test_spilled_profile_is_the_same(tmp_path):
 @pytest.mark.parametrize("spill_bytes", [0, 1 << 30])
 @pytest.mark.parametrize("expected", [None, 3, 5000])
 def test_store_grows(expected, spill_bytes):
-    """Failure: rows are lost when a file holds more or fewer frames than promised."""
+    """Failure: rows are lost when a file holds more or fewer frames than expected."""
     store = ProfileStore(4, expected=expected, spill_bytes=spill_bytes)
     rows = np.arange(8000, dtype=np.float32).reshape(-1, 4)
     for part in np.array_split(rows, 13):
@@ -110,6 +110,22 @@ def test_empty_frames_are_blank(level, noise):
     profile = profiles()
     profile[[7, 39]] = np.clip(level + np.random.default_rng(1).normal(0, noise, (2, 400)), 0, 255)
     assert blanks(profile) == [7, 39]
+
+
+def test_an_overexposed_frame_is_blank():
+    """Failure: a frame in which only the light's gradient is left is tracked as sheets."""
+    profile = profiles()
+    profile[9] = 180 + 0.02 * np.arange(400)
+    assert 0.1 < profile[9].std() / profile[8].std() < 0.35
+    assert blanks(profile) == [9]
+
+
+def test_white_frames_are_blank_where_they_are_the_most():
+    """Failure: a recording that is mostly white makes its white frames the rule."""
+    profile = profiles()
+    rng = np.random.default_rng(1)
+    profile[10:] = np.clip(253 + rng.normal(0, 0.3, (30, 400)), 0, 255)
+    assert blanks(profile) == [*range(10, 40)]
 
 
 def test_dim_blurred_and_bright_frames_are_not_blank():
@@ -165,7 +181,7 @@ def test_prefetch_keeps_order_errors_and_ends():
 
 
 def test_a_full_disk_for_a_long_recording_is_reported(monkeypatch):
-    """Failure: the process is killed hours into a recording, as the mapped file finds no room."""
+    """Failure: the process is killed hours into a recording, as the mapped file finds the disk full."""
 
     def full(*arguments):
         raise OSError(errno.ENOSPC, "No space left on device")

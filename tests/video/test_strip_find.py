@@ -101,6 +101,7 @@ def test_leaning_too_far_is_reported_and_the_wrong_rows_are_worse():
     leaning = find_strip(scene(tilt_deg=1.5))
     assert "lean by +1.5" in leaning.warnings[0] or "lean by +1.4" in leaning.warnings[0]
     assert find_strip(scene()).warnings == ()
+    assert find_strip(scene(tilt_deg=0.5)).warnings == ()
     blurred = measure_strip(scene(), slice(186, 204))
     assert blurred.clarity < find_strip(scene()).clarity
 
@@ -149,11 +150,12 @@ def test_given_rows_outside_the_frame():
         measure_strip(scene(), slice(200, 260))
 
 
-def test_a_comb_that_fills_a_fifth_of_the_width_keeps_all_its_rows():
+@pytest.mark.parametrize("span", [(400, 600), (450, 550), (0, 200)])
+def test_a_comb_that_fills_a_fifth_of_the_width_keeps_all_its_rows(span):
     """Failure: the empty width beside the comb decides, and a few rows are taken for a hundred."""
     rng = np.random.default_rng(4)
     x = np.arange(1000)
-    ridges = 60 * np.exp(-(((x[:, None] - np.arange(400, 600, 11)) / 2.2) ** 2) / 2).sum(axis=1)
+    ridges = 60 * np.exp(-(((x[:, None] - np.arange(*span, 11)) / 2.2) ** 2) / 2).sum(axis=1)
     frames = 60 + ridges + rng.normal(0, 1, (8, 100, 1000))
     assert find_strip(Scene(frames)).rows == slice(0, 100)
 

@@ -47,7 +47,7 @@ class Facts:
     container, codec, pixel_format, decoder, grey
         How the pixels are stored, what decodes them, and what a grey value is.
     warnings
-        What the user must be told.
+        What may spoil the results.
     """
 
     shape: tuple[int, int]

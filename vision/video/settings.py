@@ -11,11 +11,11 @@ class VideoSettings:
 
     # the strip
     sample_frames: int = 8
-    """Frames in which the strip is looked for. More average out noise and motion, and cost decoding; 8 are
-    spread over the recording. test_strip_find finds its rows in 4 noisy frames."""
+    """Frames in which the strip is looked for, spread over the recording. More average out noise and cost
+    decoding; with 4 the lean found in the real recordings moves by up to 3 degrees."""
     bands: int = 96
     """Height is judged in this many bands at most. More place the strip's ends more finely, at a cost that
-    grows with the square; 96 are 2–12 rows of usual pictures."""
+    grows with the square; 96 are 2 to 12 rows of usual pictures. 24 or 200 pass test_strip_find too."""
     segment_px: int = 64
     """Segments along x that are judged apart. Narrower ones limit more of what a label adds but may fall
     between two ridges; test_wide_ridges_avoid_clamp_and_label has ridges 160 px apart."""
@@ -28,7 +28,8 @@ class VideoSettings:
     (test_a_comb_that_fills_a_fifth_of_the_width_keeps_all_its_rows)."""
     ridge_rows: float = 0.75
     """Quantile over the bands of the slope power that stands for a segment: ridges run through many rows, a
-    label through a few. Larger takes a label for ridges."""
+    label through a few. Larger takes a label for ridges (test_wide_ridges_avoid_clamp_and_label), smaller
+    leaves out ridges that are in focus in few rows."""
     height_power: float = 0.5
     """A strip's score grows with this power of its height. Larger takes in blurred or bowed rows, smaller
     keeps only the clearest ones; 0.5 is the gain in signal over white noise. Shown by
@@ -41,21 +42,22 @@ class VideoSettings:
     (test_nothing_to_find), larger misses faint combs."""
     max_smear: float = 0.3
     """Lean over the strip, in ridge widths, above which a warning is given. Larger keeps silent about blurred
-    ridges, which cost precision; shown by test_leaning_too_far_is_reported."""
-    max_lean_px: float = 12.0
-    """Furthest lean over the strip that is looked for. Larger may take the next ridge for the same one."""
+    ridges, which cost precision; shown by
+    test_leaning_too_far_is_reported_and_the_wrong_rows_are_worse."""
 
     # blank frames
     blank_contrast: float = 0.1
     """Frames with less than this part of the usual contrast are blank. Larger loses frames under a dimmed
     lamp, smaller takes noise for a picture; test_strip has both."""
     bright_contrast: float = 0.35
-    """The same, relative to the level, for frames that are also brighter than usual: flashes and white
-    frames. Larger loses motion-blurred frames in a flash (test_strip)."""
+    """The same, relative to the level, for frames that are also brighter than usual. Smaller tracks
+    overexposed frames with a gradient (test_an_overexposed_frame_is_blank); larger loses blurred ones."""
     bright_level: float = 1.3
-    """Brighter than usual: this many times the median level. Smaller lets flicker count as a flash."""
+    """Brighter than usual: this many times the median level. Smaller lets flicker cost blurred frames, larger
+    tracks overexposed ones (test_an_overexposed_frame_is_blank)."""
     saturated: float = 0.98
-    """Of the saturation level, in every column: a white frame, even where most frames are white."""
+    """A frame is white if every column reaches this part of the saturation level, even where most frames are
+    white (test_white_frames_are_blank_where_they_are_the_most). Smaller loses bright frames."""
 
     # lost frames
     gap_steps: float = 1.5

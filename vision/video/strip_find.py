@@ -31,7 +31,7 @@ class Strip:
     clarity
         Correlation of odd and even rows' mean slopes, 0 (noise) to 1.
     warnings
-        What the user must be told.
+        What may spoil the results.
     """
 
     rows: slice
@@ -132,7 +132,7 @@ def _described(slopes: _Slopes, first: int, last: int, strip: Strip, settings: V
     if clarity < settings.min_clarity:
         return Strip(strip.rows, strip.how, clarity=clarity)
     height = strip.rows.stop - strip.rows.start
-    per_row = lean_px(bands, furthest_px=settings.max_lean_px) / slopes.band_rows
+    per_row = lean_px(bands) / slopes.band_rows
     smear, ridge = abs(per_row) * height, ridge_width_px(bands.mean(axis=1))
     tilt_deg = float(np.degrees(np.arctan(per_row)))
     warning = (
@@ -204,28 +204,28 @@ def _clarity(slopes: _Slopes, first: int, last: int) -> float:
     return max(0.0, (signal - noise) / (signal + noise)) if signal > 0 else 0.0
 
 
-def lean_px(bands: NDArray[np.floating], *, furthest_px: float = VideoSettings.max_lean_px) -> float:
+def lean_px(bands: NDArray[np.floating]) -> float:
     """Shift along x from one band to the next, px, positive to the right downwards.
 
     The median over segments along x, so that a label or ridges bowed apart do not count as a lean. In each,
     bands (frame, band, x) are shifted in proportion to their place until their sum is strongest. Of several
-    maxima, a pitch apart, the one nearest to upright is taken; leans beyond `furthest_px` over the stack are
-    not found. 0 for a single band.
+    maxima, a pitch apart, the one nearest to upright is taken. Leans beyond 12 px over the stack are not
+    found. 0 for a single band.
     """
     count, width = bands.shape[1:]
     if count < 2:
         return 0.0
     parts = np.array_split(bands, max(1, width // 256), axis=-1)  # each wider than the widest pitch
-    return float(np.median([_lean_of_stack(part, furthest_px) for part in parts]) / (count - 1))
+    return float(np.median([_lean_of_stack(part) for part in parts]) / (count - 1))
 
 
-def _lean_of_stack(bands: NDArray[np.floating], furthest_px: float) -> float:
+def _lean_of_stack(bands: NDArray[np.floating]) -> float:
     """Lean from the first band to the last: the best trial, refined by a parabola through its neighbours."""
     spectrum = np.fft.rfft(bands - bands.mean(axis=-1, keepdims=True), axis=-1)
     frequency = np.fft.rfftfreq(bands.shape[-1])
     place = np.linspace(-0.5, 0.5, bands.shape[1])
     step = 0.5
-    trials = np.arange(-furthest_px, furthest_px + step / 2, step)
+    trials = np.arange(-12, 12 + step / 2, step)
     power = np.array([_coherent_power(spectrum, frequency, place * lean) for lean in trials])
     inner = power[1:-1]
     peaks = np.flatnonzero((inner >= power[:-2]) & (inner > power[2:])) + 1
