@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from vision.deformation import horizontal_deformation
-from vision.experiment import preset, profiles
+from vision.experiment import preset, profiles, with_settings
 from vision.experiment.force_file import force_recording, write_force
-from vision.experiment.presets import with_settings
 from vision.experiment.scene import make_scene
+from vision.force import find_stick_slip
 from vision.force.recording import read_force
-from vision.force.stickslip import find_stick_slip
 from vision.sheets.tracks import track_sheets
 from vision.shells import classify_shells
 

@@ -14,7 +14,7 @@ from vision.figures.labels import (
     to_mathtext,
     to_unicode,
 )
-from vision.models.fits_result import Estimate
+from vision.models import Estimate
 
 
 @pytest.mark.parametrize(

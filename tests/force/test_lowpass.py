@@ -8,9 +8,9 @@ import pytest
 
 from tests.scenes.sawtooth import Test, plain, realistic, recording
 from vision.errors import InputError
+from vision.experiment import simulate_pull, with_settings
 from vision.experiment.force_file import force_recording
-from vision.experiment.mechanics import pull_apart
-from vision.experiment.presets import preset, with_settings
+from vision.experiment.presets import preset
 from vision.force import find_stick_slip, read_force
 from vision.force.corners import find_corners
 from vision.force.lowpass import deconvolve_lowpass, estimate_lowpass
@@ -78,7 +78,7 @@ def test_a_given_low_pass_is_used() -> None:
 def test_the_stiffness_of_fast_pulls_is_that_after_the_knee(lowpass_s: float) -> None:
     """A failure means K, and with it N̂ and Y_eff, mixes the two slopes of a fast stick."""
     experiment = with_settings(preset("fast", seed=3), {"load_cell.lowpass_s": lowpass_s})
-    pull = pull_apart(experiment.mechanics, seed=3)
+    pull = simulate_pull(experiment.mechanics, seed=3)
     load = force_recording(experiment, pull)
     time, d = load["time_s"].to_numpy(), 13 + load["crosshead_mm"].to_numpy()
     force = recording(time, load["load_N"].to_numpy(), d, 10.0)

@@ -169,7 +169,7 @@ def test_publication_numbers() -> None:
     assert round(law.crossing_N(0.89), 3) == 0.189
     assert law.crossing_N(0.5) == np.inf
     assert float(np.mean(law.mu_s([0.5, 0.75, 1.0]))) == pytest.approx(0.61, abs=0.01)
-    assert 0.61 - 0.44 == pytest.approx(0.34 / 2)
+    assert pytest.approx(0.34 / 2) == 0.61 - 0.44
     assert law.threshold_N(0.0) == pytest.approx(0.507 * 0.143)
     assert np.isposinf(law.mu_s(0.0))
 

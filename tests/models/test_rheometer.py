@@ -23,7 +23,9 @@ LAYOUTS = [
 ]
 
 
-@pytest.mark.parametrize("layout", LAYOUTS, ids=["utf16-tab", "utf8-comma", "quoted-comma", "utf16-semicolon"])
+@pytest.mark.parametrize(
+    "layout", LAYOUTS, ids=["utf16-tab", "utf8-comma", "quoted-comma", "utf16-semicolon"]
+)
 def test_every_layout_gives_the_same_numbers(tmp_path: Path, layout: dict[str, str]) -> None:
     """A failure means a unit, a decimal mark, a result or an interval is misread."""
     truth = write_rheocompass(tmp_path / "rheo.csv", TEST, **layout)
@@ -67,7 +69,12 @@ def _write(path: Path, head: str, rows: str = "0,0,0\n1,1,10\n2,2,20\n") -> Path
 
 
 @pytest.mark.parametrize(
-    "head", ["Time [s],Torque [µN·m],Angle [mrad]", "time_s,torque_µNm,angle_mrad", "t,Drehmoment in uN.m,Winkel (mrad)"]
+    "head",
+    [
+        "Time [s],Torque [µN·m],Angle [mrad]",
+        "time_s,torque_µNm,angle_mrad",
+        "t,Drehmoment in uN.m,Winkel (mrad)",
+    ],
 )
 def test_names_and_units_of_plain_tables(tmp_path: Path, head: str) -> None:
     """A failure means a common way of writing a unit is not understood, or is off by a power of ten."""

@@ -17,8 +17,8 @@ from vision.deformation import horizontal_deformation
 from vision.experiment import Camera, Experiment, profiles
 from vision.experiment.force_file import force_recording, write_force
 from vision.experiment.scene import make_scene
+from vision.force import find_stick_slip
 from vision.force.recording import read_force
-from vision.force.stickslip import find_stick_slip
 from vision.models.fits import fit_models
 from vision.sheets.tracks import track_sheets
 from vision.shells import classify_shells

@@ -202,8 +202,8 @@ def _write(
 
 
 def _summary(found: _Found, law: StaticFriction | None) -> list[str]:
-    from vision.models.fits_result import Estimate
-    from vision.report.numbers import plus_minus
+    from vision.figures.labels import plus_minus
+    from vision.models import Estimate
 
     lines = [
         f"N {one.N_N:.4g} N: μ_s {plus_minus(Estimate(one.mu_s, one.mu_s_err))}, "

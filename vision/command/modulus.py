@@ -58,11 +58,11 @@ def modulus(
         No summary on standard output.
     """
     from vision.command.pull import write_json, write_table
+    from vision.figures.labels import plus_minus
     from vision.force.columns import parse_columns
     from vision.force.recording import read_force
-    from vision.models.fits_result import Estimate
+    from vision.models import Estimate
     from vision.models.modulus import ModulusSettings, measure_cycles, summarise_modulus
-    from vision.report.numbers import plus_minus
     from vision.report.single_sheets import write_modulus_picture
     from vision.run.folder import check_target, run_folder
     from vision.run.provenance import Parameter, describe_input, versions, write_run_json

@@ -40,7 +40,7 @@ def horizontal_deformation(
     pixel_size_um: float | None = None,
     margin_s: float | None = None,
     common_mode: bool = True,
-    settings: DeformationSettings = DeformationSettings(),  # noqa: B008 (frozen)
+    settings: DeformationSettings = DeformationSettings(),
 ) -> xr.Dataset:
     r"""Horizontal deformation of every sheet in every stick phase that lies inside the video.
 

@@ -14,7 +14,7 @@ from vision.clock import Clock
 from vision.figures import deformation, force, video
 from vision.figures.figure import Figure
 from vision.figures.labels import load_unit
-from vision.models.fits_result import ModelFits
+from vision.models import ModelFits
 from vision.numeric import Pixels
 
 

@@ -13,7 +13,7 @@ from vision.deformation import stick_displacement
 from vision.figures.figure import Band, Figure, Panel, Series
 from vision.figures.style import DATA, MODEL, PEAK, ordered_inks, sheet_inks
 from vision.figures.video import sheet_series, signed_number
-from vision.models.fits_result import ModelFits
+from vision.models import ModelFits
 
 _SHOWN_STICKS = 5
 _CURVE = 300

@@ -15,8 +15,7 @@ from vision.figures.figure import Figure, Ink, Panel, Range, Series
 from vision.figures.labels import displacement_unit, load_label, load_unit, plus_minus, signed, time_axis
 from vision.figures.style import DATA, MODEL, OTHER_MODEL, PEAK, QUIET, VALLEY, ordered_inks
 from vision.force.recording import good_samples
-from vision.models import equations
-from vision.models.fits_result import ModelFits
+from vision.models import ModelFits, equations
 from vision.numeric import Floats, nan_median
 
 BINS = 4000  # of F(d)

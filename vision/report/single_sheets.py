@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-
 from numpy.typing import ArrayLike
 
-from vision.models.fits_result import Estimate
+from vision.figures.labels import plus_minus
+from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, ordered_inks, picture_style
+from vision.models import Estimate
 from vision.models.friction import PUBLISHED_FRICTION, threshold_curves
 from vision.models.modulus import CyclesMetadata, clamp_distance, mean_over_cycles
 from vision.numeric import Floats
-from vision.report.numbers import plus_minus
-from vision.report.style import DATA, MODEL, PEAK, QUIET, VALLEY, ordered_inks, picture_style
 from vision.sample import Sample
 
 if TYPE_CHECKING:

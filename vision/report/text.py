@@ -14,7 +14,7 @@ from vision.clock import Clock
 from vision.data import ForceMetadata, MotionMetadata, StickMetadata, StripMetadata, TrackMetadata
 from vision.figures import Results, percent, plus_minus, signed
 from vision.figures.labels import load_unit
-from vision.models.fits_result import ModelFits
+from vision.models import ModelFits
 from vision.numeric import Floats
 
 PAPER = (
