@@ -299,11 +299,14 @@ class Figure:
             raise InputError(path, "a name that ends in .png, .pdf, .svg or .csv", kind or "no ending")
         return path
 
-    def _repr_png_(self) -> bytes:
-        """For notebooks."""
+    def png(self) -> bytes:
+        """The figure as a PNG file's content."""
         from vision.figures import drawing
 
         return drawing.png(self)
+
+    def _repr_png_(self) -> bytes:
+        return self.png()
 
 
 def _long(table: pd.DataFrame, panel: Panel) -> pd.DataFrame:

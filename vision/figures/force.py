@@ -215,8 +215,7 @@ def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, un
             d,
             mu=fits.mu.value,
             prefactor=fits.amplitude.value,
-            t_star_N=fits.t_star_N.value,
-            assembly=fits.assembly,
+            sample=fits.sample,
         )
         series.append(_curve("A × normal force", d, drop, MODEL))
         model = (
@@ -248,7 +247,7 @@ def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, uni
     if fits is not None:
         d = np.linspace(*fits.d_mm, CURVE_POINTS)
         stiffness = fits.stiffness_N_per_mm(d)
-        length = fits.assembly.length_mm
+        length = fits.sample.length_mm
         longer = stiffness[0] * (length + d[0]) / (length + d)
         series.append(_curve("M_eff K_eff", d, stiffness, MODEL))
         series.append(Series(label="∝ (L + d)⁻¹", x=d, y=longer, ink=OTHER_MODEL, width=2.0))

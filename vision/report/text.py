@@ -279,11 +279,11 @@ def _deformation(motion: xr.Dataset, threshold: float) -> str:
 
 
 def _models(fits: ModelFits) -> str:
-    sample = fits.assembly
+    sample = fits.sample
     return (
         "Peak forces were fitted with Eq. 1 of the publication and a constant offset, stick-slip "
         "amplitudes with A times the total normal force, and K with M_eff K_eff, for "
-        f"{sample.sheets_per_side} sheets per block, {sample.thickness_mm:g} mm thick and "
+        f"{sample.sheets_per_block} sheets per block, {sample.thickness_mm:g} mm thick and "
         f"{sample.width_mm:g} mm wide, {sample.length_mm:g} mm from clamp to end, and "
         f"T* = {1000 * fits.t_star_N.value:.3g} mN: μ = {plus_minus(fits.mu)}, "
         f"A = {plus_minus(fits.amplitude)}, N̂ = {plus_minus(fits.n_hat_N)} N, "
