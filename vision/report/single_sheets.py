@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-
 from numpy.typing import ArrayLike
 
 from vision.models.fits_result import Estimate
