@@ -23,9 +23,13 @@ LAYOUTS = [
 ]
 
 
+<<<<<<< HEAD
 @pytest.mark.parametrize(
     "layout", LAYOUTS, ids=["utf16-tab", "utf8-comma", "quoted-comma", "utf16-semicolon"]
 )
+=======
+@pytest.mark.parametrize("layout", LAYOUTS, ids=["utf16-tab", "utf8-comma", "quoted", "semicolon"])
+>>>>>>> w-single
 def test_every_layout_gives_the_same_numbers(tmp_path: Path, layout: dict[str, str]) -> None:
     """A failure means a unit, a decimal mark, a result or an interval is misread."""
     truth = write_rheocompass(tmp_path / "rheo.csv", TEST, **layout)
@@ -131,8 +135,9 @@ def test_missing_and_binary_files(tmp_path: Path) -> None:
 
 def test_long_lines_of_rubbish_take_no_time(tmp_path: Path) -> None:
     """A failure means a pattern that backtracks exponentially."""
-    rubbish = "Torque [mN·m], " + "((((" * 20_000 + "_in_in_in" * 20_000 + "\n" + "1,2,3" * 50_000
     start = time.perf_counter()
-    with pytest.raises(InputError):
-        read_rheometer(_write(tmp_path / "t.csv", rubbish, ""))
-    assert time.perf_counter() - start < 20
+    for times in (100, 20_000):
+        rubbish = "Torque [mN·m], " + "((((" * times + "_in_in_in" * times + "\n" + "1,2,3" * times
+        with pytest.raises(InputError):
+            read_rheometer(_write(tmp_path / "t.csv", rubbish, ""))
+    assert time.perf_counter() - start < 5

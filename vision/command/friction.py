@@ -160,11 +160,11 @@ def _write(
     parameters: Mapping[str, Parameter],
     start: float,
 ) -> None:
-    from vision.command.pull import write_json, write_table
     from vision.models.friction import RIM_CAVEAT, friction_table
     from vision.report.single_sheets import write_friction_picture
     from vision.run.folder import run_folder
-    from vision.run.provenance import describe_input, versions, write_run_json
+    from vision.run.provenance import describe_input, versions, write_json
+    from vision.run.tables import write_table
 
     mu, settings = float(parameters["mu"].value), found.settings
     notes = [*found.notes, *([why] if why else [])]
@@ -198,7 +198,7 @@ def _write(
             mu=mu,
             dynamic_deg=settings.dynamic_deg,
         )
-        write_run_json(folder, {**facts, "timings": {"total_s": time.perf_counter() - start}})
+        write_json({**facts, "seconds": {"total": time.perf_counter() - start}}, folder / "run.json")
 
 
 def _summary(found: _Found, law: StaticFriction | None) -> list[str]:

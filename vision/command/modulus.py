@@ -57,7 +57,6 @@ def modulus(
     quiet
         No summary on standard output.
     """
-    from vision.command.pull import write_json, write_table
     from vision.figures.labels import plus_minus
     from vision.force.columns import parse_columns
     from vision.force.recording import read_force
@@ -65,7 +64,8 @@ def modulus(
     from vision.models.modulus import ModulusSettings, measure_cycles, summarise_modulus
     from vision.report.single_sheets import write_modulus_picture
     from vision.run.folder import check_target, run_folder
-    from vision.run.provenance import Parameter, describe_input, versions, write_run_json
+    from vision.run.provenance import Parameter, describe_input, versions, write_json
+    from vision.run.tables import write_table
     from vision.sample import Sample
 
     start = time.perf_counter()
@@ -118,7 +118,7 @@ def modulus(
         write_table(cycles, folder / "cycles.csv")
         write_json(content, folder / "modulus.json")
         write_modulus_picture(folder / "modulus.png", force, cycles, clamp_distance_mm=clamp_distance)
-        write_run_json(folder, {**facts, "timings": {"total_s": time.perf_counter() - start}})
+        write_json({**facts, "seconds": {"total": time.perf_counter() - start}}, folder / "run.json")
     if not quiet:
         named = {"Y_p = |F0|/(εW)": "Y_p_GPa", "kL/(εW)": "Y_slope_GPa"}
         lines = [f"{len(cycles)} loading branches -> {target}"]

@@ -92,7 +92,7 @@ def new_figure(figure: Figure, *, interactive: bool = False) -> Page:
 
     interactive: made by pyplot in a notebook that uses it, so that it is shown below the cell.
     """
-    with _defaults():
+    with picture_style():
         boxes, size = _layout(figure)
         notebook = interactive and "ipykernel" in sys.modules
         pyplot = sys.modules.get("matplotlib.pyplot") if notebook else None
@@ -122,7 +122,7 @@ def write(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
     if kind == "png":
         path.write_bytes(png(figure, dpi=dpi))
         return
-    with _defaults():
+    with picture_style():
         stamp: dict[str, Any] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
         page = new_figure(figure)
         page.savefig(path, format=kind, dpi=VECTOR_DPI if dpi is None else dpi, metadata=stamp)
@@ -130,7 +130,7 @@ def write(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
 
 def png(figure: Figure, *, dpi: float | None = None) -> bytes:
     """The figure as PNG."""
-    with _defaults():
+    with picture_style():
         page, stream = new_figure(figure), io.BytesIO()
         page.set_dpi(PNG_DPI if dpi is None else dpi)
         canvas: Any = FigureCanvasAgg(page)
@@ -141,7 +141,7 @@ def png(figure: Figure, *, dpi: float | None = None) -> bytes:
     return stream.getvalue()
 
 
-def _defaults() -> AbstractContextManager[None]:
+def picture_style() -> AbstractContextManager[None]:
     """matplotlib's own defaults and the style of these figures, for as long as the block lasts."""
     plain: dict[Any, Any] = {k: v for k, v in mpl.rcParamsDefault.items() if not k.startswith("backend")}
     return mpl.rc_context(plain | _STYLE)

@@ -135,6 +135,11 @@ def _turns(values: Floats, least: float) -> Ints:
     low, _ = find_peaks(-padded, prominence=prominence)
     inner = np.union1d(high, low).astype(np.int64) - 1
     inner = inner[(inner > 0) & (inner < values.size - 1)]
+    # The noise beside an end is as low or high as the end itself: not a turn of its own.
+    if inner.size and abs(values[inner[0]] - values[0]) < prominence:
+        inner = inner[1:]
+    if inner.size and abs(values[inner[-1]] - values[-1]) < prominence:
+        inner = inner[:-1]
     return np.union1d(inner, [0, values.size - 1]).astype(np.int64)
 
 
@@ -266,7 +271,10 @@ def measure_cycles(
         rows.append(_branch(cycles, start, stop, following, chosen, sheet))
     if not rows:
         raise InputError(
-            source, f"loading branches with {settings.least_samples} samples on the fitted part", "none"
+            source,
+            f"loading branches with {settings.least_samples} samples on the fitted part of their rise",
+            "none",
+            "is tension negative, or the recording too coarse?",
         )
     if min(row["k_N_per_mm"] for row in rows) <= 0:
         advice = "`machine_stiffness_N_per_mm` may be too small" if machine else "is tension negative?"

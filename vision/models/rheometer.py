@@ -249,8 +249,13 @@ def _plain_table(path: Path, lines: list[str]) -> _Block:
     return _Block("", path.stem, names, units, cells.iloc[first:].reset_index(drop=True))
 
 
+_LONGEST_HEADER = 5000  # characters: a longer line is no header, and taking it apart would take for ever
+
+
 def _looks_like_header(line: str) -> bool:
     low = line.lower()
+    if len(line) > _LONGEST_HEADER:
+        return False
     return max(map(line.count, _SEPARATORS)) > 0 and any(word in low for word in _QUANTITIES[0].words)
 
 

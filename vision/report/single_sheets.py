@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from vision.figures.drawing import picture_style
 from vision.figures.labels import plus_minus
-from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, ordered_inks, picture_style
+from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, ordered_inks
 from vision.models import Estimate
 from vision.models.friction import PUBLISHED_FRICTION, threshold_curves
 from vision.models.modulus import CyclesMetadata, clamp_distance, mean_over_cycles

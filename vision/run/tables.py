@@ -79,6 +79,11 @@ def write_tracks_nc(tracks: xr.Dataset, path: Path, *, pixel_size_um: float | No
     path.write_bytes(data.to_netcdf(engine="h5netcdf", encoding=packed))
 
 
+def write_table(table: pd.DataFrame, path: Path) -> None:
+    """CSV with nine digits."""
+    table.to_csv(path, index=False, float_format="%.9g", lineterminator="\n")
+
+
 def netcdf_attrs(attrs: Mapping[str, Any]) -> dict[str, Any]:
     """Attributes as netCDF holds them: lists and tables become JSON."""
     return {

@@ -8,8 +8,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from vision.data import ForceMetadata, StickMetadata, StripMetadata
 from vision.errors import with_options
 from vision.figures import FIGURES, Figure, figures_of, kymograph, overview, save_figures
@@ -17,7 +15,7 @@ from vision.pipeline import Analysis
 from vision.report import write_report
 from vision.run.folder import run_folder
 from vision.run.provenance import Parameter, describe_input, versions, write_json
-from vision.run.tables import sheets_table, write_tracks_csv, write_tracks_nc
+from vision.run.tables import sheets_table, write_table, write_tracks_csv, write_tracks_nc
 from vision.run.tiff import write_kymograph_tif
 from vision.shells import deformation_table
 from vision.summary import findings, flag_counts, noise_figures
@@ -165,7 +163,7 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
         sheets_table(analysis.tracks).to_csv(folder / "sheets.csv", index=False, lineterminator="\n")
         write_kymograph_tif(analysis.strip, folder / "kymograph.tif", pixel_size_um=size)
     if analysis.sticks is not None:
-        _write_table(analysis.sticks, folder / "events.csv")
+        write_table(analysis.sticks, folder / "events.csv")
     if analysis.fits is not None:
         write_json(analysis.fits.to_json(), folder / "models.json")
     elif "fits" in analysis.reasons:
@@ -177,14 +175,9 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
         )
     if analysis.motion is not None:
         table = deformation_table(analysis.motion, threshold=analysis.threshold)
-        _write_table(table, folder / "deformation.csv")
+        write_table(table, folder / "deformation.csv")
     if analysis.shells is not None:
-        _write_table(analysis.shells, folder / "shells.csv")
-
-
-def _write_table(table: pd.DataFrame, path: Path) -> None:
-    """CSV with nine digits."""
-    table.to_csv(path, index=False, float_format="%.9g", lineterminator="\n")
+        write_table(analysis.shells, folder / "shells.csv")
 
 
 def _write_pictures(analysis: Analysis, folder: Path, figures: Sequence[Figure]) -> None:

@@ -1,0 +1,75 @@
+"""`track modulus` from a recording to a run folder."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from vision.command.main import run
+from vision.experiment.single_sheets import CyclesTest, write_cycles
+
+COLUMNS = ["cycle", "k_N_per_mm", "k_err_N_per_mm", "F0_N", "F0_err_N", "Y_p_GPa", "Y_p_err_GPa"]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_run_folder(capsys: pytest.CaptureFixture[str]) -> None:
+    """A failure means a script that reads the run folder by its agreed names breaks."""
+    write_cycles("sheet.txt", CyclesTest())
+    assert run(["modulus", "sheet.txt"]) == 0
+    out = Path("sheet_modulus")
+    cycles = pd.read_csv(out / "cycles.csv")
+    assert list(cycles.columns[:7]) == COLUMNS
+    assert len(cycles) == 5
+    mean = json.loads((out / "modulus.json").read_text("utf-8"))["Y_p_GPa"]
+    assert mean["value"] == pytest.approx(2.5, abs=0.005)
+    assert 0 < mean["error"] < mean["scatter"]
+    told = json.loads((out / "run.json").read_text("utf-8"))
+    assert told["parameters"]["length_mm"] == {"value": 16.8, "how": "default"}
+    assert any("publication's sheet is assumed" in line for line in told["notes"])
+    assert (out / "modulus.png").stat().st_size > 10_000
+    assert "Y_p = |F0|/(εW) 2.4997" in capsys.readouterr().out
+
+
+def test_another_sheet_and_a_soft_machine() -> None:
+    """A failure means an option does not reach the measurement."""
+    write_cycles("sheet.txt", CyclesTest(machine_stiffness_N_per_mm=5000.0))
+    assert run(["modulus", "sheet.txt", "--machine-stiffness", "5000", "--thickness", "0.2", "--quiet"]) == 0
+    content = json.loads(Path("sheet_modulus/modulus.json").read_text("utf-8"))
+    assert content["k_N_per_mm"]["value"] == pytest.approx(669.6, rel=0.003)
+    assert content["Y_slope_GPa"]["value"] == pytest.approx(1.25, rel=0.003)
+    assert content["sheet"]["thickness_mm"] == 0.2
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["modulus", "gone.txt"],
+        ["modulus", "pull.csv"],
+        ["modulus", "bare.csv"],
+        ["modulus", "sheet.txt", "--part", "0.9:0.4"],
+        ["modulus", "sheet.txt", "--thickness", "0"],
+        ["modulus", "sheet.txt", "--machine-stiffness", "100"],
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(
+    arguments: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A failure means a traceback, several lines, or half a run folder."""
+    write_cycles("sheet.txt", CyclesTest(cycles=2))
+    time = np.arange(500) * 0.1
+    pull = pd.DataFrame({"time (s)": time, "load (N)": time, "displacement (mm)": time / 60})
+    pull.to_csv("pull.csv", index=False)
+    pull.drop(columns="displacement (mm)").to_csv("bare.csv", index=False)
+    before = sorted(path.name for path in folder.iterdir())
+    assert run(arguments) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert sorted(path.name for path in folder.iterdir()) == before
