@@ -23,13 +23,7 @@ LAYOUTS = [
 ]
 
 
-<<<<<<< HEAD
-@pytest.mark.parametrize(
-    "layout", LAYOUTS, ids=["utf16-tab", "utf8-comma", "quoted-comma", "utf16-semicolon"]
-)
-=======
 @pytest.mark.parametrize("layout", LAYOUTS, ids=["utf16-tab", "utf8-comma", "quoted", "semicolon"])
->>>>>>> w-single
 def test_every_layout_gives_the_same_numbers(tmp_path: Path, layout: dict[str, str]) -> None:
     """A failure means a unit, a decimal mark, a result or an interval is misread."""
     truth = write_rheocompass(tmp_path / "rheo.csv", TEST, **layout)

@@ -190,7 +190,7 @@ def _limits(ax: Axes, delta: Floats, cycles: pd.DataFrame) -> None:
     """The fitted part and a little beside it: far from it the residuals only tell of the slack."""
     low, high = float(cycles["fit_from_mm"].min()), float(cycles["fit_to_mm"].max())
     ax.set_xlim(low - 0.3 * (high - low), min(high + 0.3 * (high - low), float(np.nanmax(delta))))
-    shown = [line for line in ax.get_lines() if len(line.get_xdata()) > 2]
+    shown = [line for line in ax.get_lines() if np.size(line.get_xdata()) > 2]
     inside = [_between(line.get_xdata(), line.get_ydata(), *ax.get_xlim()) for line in shown]
     reach = 1.6 * max((float(np.nanmax(np.abs(part))) for part in inside if part.size), default=1.0)
     ax.set_ylim(-reach, reach)
