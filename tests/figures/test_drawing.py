@@ -13,7 +13,7 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 
 from tests.scenes.report_data import make_tracks, sawtooth
 from vision.figures import figures_of
-from vision.figures.drawing import _defaults, label_step
+from vision.figures.drawing import picture_style, label_step
 from vision.figures.force import clocks_figure
 from vision.figures.video import noise_figure, space_time_figure, tracks_figure
 
@@ -35,7 +35,7 @@ def test_text_of_vector_files_is_text(tmp_path):
 
 def test_figures_have_the_letters_they_need():
     """A failure means boxes in place of symbols."""
-    with _defaults():
+    with picture_style():
         glyphs = get_font(findfont(FontProperties())).get_charmap()
     needed = "AZaz09 ~ΔΛσδμ²¹⁻ₓᵥₚₛₜ₀−±·×∝√µ°…→"
     assert [letter for letter in needed if ord(letter) not in glyphs] == []

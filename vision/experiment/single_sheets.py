@@ -16,7 +16,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from vision.errors import InputError
-from vision.experiment.randomness import stream
+from vision.experiment.mechanics import random_stream
 from vision.models.friction import PUBLISHED_FRICTION, RADIUS_MM, StaticFriction
 from vision.models.modulus import STRIP
 from vision.numeric import Floats
@@ -96,7 +96,7 @@ def _mean(values: Floats) -> float:
 
 def disc_record(test: DiscTest, load_N: float, time_s: Floats, *, number: int = 0) -> pd.DataFrame:
     """What the rheometer records: time_s, torque_mN_m, normal_force_N, angle_mrad, speed_rpm."""
-    rng = stream(test.seed, "rheometer", number, time_s.size)
+    rng = random_stream(test.seed, "rheometer", number, time_s.size)
     angle_deg = np.degrees(test.speed_rad_s * np.maximum(time_s, 0.0))
     normal = load_N * (1 - test.normal_drift * angle_deg / test.end_deg)
     torque = 2 / 3 * test.friction(load_N, angle_deg) * normal * test.radius_mm
@@ -287,7 +287,7 @@ def cycles_record(test: CyclesTest) -> pd.DataFrame:
 
     Starts at Δ = L with a first, shorter loading, which is no cycle of its own: it begins within the range.
     """
-    rng = stream(test.seed, "push-pull")
+    rng = random_stream(test.seed, "push-pull")
     up, down = test.stretch_mm, -test.slack_mm
     corners = np.array([0.0, down, *([up, down] * test.cycles)])
     path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(corners)))])

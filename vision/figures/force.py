@@ -215,7 +215,7 @@ def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, un
             d,
             mu=fits.mu.value,
             prefactor=fits.amplitude.value,
-            sample=fits.sample,
+            sample=replace(fits.sample, t_star_N=fits.t_star_N.value),
         )
         series.append(_curve("A × normal force", d, drop, MODEL))
         model = (

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import tifffile
 import xarray as xr
-from vision.run.kymograph import frame_step_s, unevenness_s, write_kymograph_tif, write_space_time_tif
+from vision.run.tiff import frame_step_s, unevenness_s, write_kymograph_tif, write_space_time_tif
 
 from vision.errors import InputError
 from vision.run import kymograph
@@ -104,7 +104,7 @@ def test_many_rows_are_written_as_few(tmp_path, monkeypatch):
 def test_more_than_fiji_s_tiff_holds_is_refused(tmp_path, monkeypatch):
     """A failure means a file that Fiji cannot open."""
     monkeypatch.setattr(kymograph, "IMAGEJ_BYTES", 1000)
-    with pytest.raises(InputError, match="--time"):
+    with pytest.raises(InputError, match="time_s"):
         write_space_time_tif(diagram_of(np.ones((30, 20))), tmp_path / "k.tif", pixel_size_um=None)
     assert not (tmp_path / "k.tif").exists()
 
