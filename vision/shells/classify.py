@@ -13,6 +13,7 @@ from vision.data import MOTION, ShellMetadata, record
 from vision.errors import InputError
 from vision.numeric import Floats
 from vision.shells.profile import LEAST_ERROR, Side, breakpoint_n, isotonic
+from vision.shells.settings import ShellSettings
 from vision.shells.sizes import shell_sizes
 
 _LEAST_SHEETS = 3  # with a ratio, on one side: fewer are no profile
@@ -81,6 +82,7 @@ def classify_shells(
     threshold: float = 0.1,
     certainty: float = 0.9,
     effective_sheets: Callable[[Floats], Floats] | None = None,
+    settings: ShellSettings = ShellSettings(),
 ) -> pd.DataFrame:
     """Size of the stiff inner shell of each side in each stick phase, one row per event and side.
 
@@ -129,7 +131,7 @@ def classify_shells(
     MOTION.check(motion)
     _check(threshold, certainty)
     sides = [Side.of(motion, side) for side in np.unique(motion["side"].to_numpy())]
-    table = pd.concat([_side_table(side, motion, threshold, certainty) for side in sides])
+    table = pd.concat([_side_table(side, motion, threshold, certainty, settings) for side in sides])
     table = table.sort_values(["event", "side"], ignore_index=True)
     table.attrs |= ShellMetadata(threshold=threshold, certainty=certainty).attrs()
     table = record(table, "classify_shells", threshold=threshold, certainty=certainty)
@@ -142,18 +144,23 @@ def with_model(shells: pd.DataFrame, effective_sheets: Callable[[Floats], Floats
     return shells.assign(M_eff_model=np.asarray(effective_sheets(d_mm), float))
 
 
-def _side_table(side: Side, motion: xr.Dataset, threshold: float, certainty: float) -> pd.DataFrame:
+def _side_table(
+    side: Side, motion: xr.Dataset, threshold: float, certainty: float, settings: ShellSettings
+) -> pd.DataFrame:
     known = side.known.sum(axis=1)
     names = ("stiff_sheets", "stiff_low", "stiff_high")
-    sizes = zip(names, shell_sizes(side, threshold=threshold, certainty=certainty), strict=True)
+    sizes = shell_sizes(side, threshold=threshold, certainty=certainty, settings=settings)
     d_v = motion["d_v_mm"].to_numpy() if "d_v_mm" in motion.coords else np.full(known.size, np.nan)
     return pd.DataFrame(
         {"event": motion["event"].to_numpy(), "d_v_mm": d_v, "side": side.side}
-        | {name: pd.Series(count).astype("Int64").where(known >= _LEAST_SHEETS) for name, count in sizes}
+        | {
+            name: pd.Series(count).astype("Int64").where(known >= _LEAST_SHEETS)
+            for name, count in zip(names, sizes, strict=True)
+        }
         | {
             "M_eff_model": np.nan,
-            "stiff_breakpoint": breakpoint_n(side),
-            "monotone": isotonic(side)[1],
+            "stiff_breakpoint": breakpoint_n(side, settings.significance),
+            "monotone": isotonic(side, settings.significance)[1],
             "sheets_known": known,
         }
     )

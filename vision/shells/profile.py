@@ -1,4 +1,4 @@
-"""One side of the comb, and what its ratios say without any threshold."""
+"""The profile of the ratio on one side: isotonic regression, and its breakpoint."""
 
 from __future__ import annotations
 
@@ -13,16 +13,15 @@ from vision.numeric import Bools, Floats
 
 LEAST_ERROR = 1e-9
 
-_NOT_BY_CHANCE = 1e-3  # probability below which a fall of the ratio with n, or a rise, is believed
 _LEAST_FOR_KNEE = 5  # known sheets
 
 
 @dataclass(frozen=True)
 class Side:
-    """One side of the comb from the centre outwards: n (N,), the rest (event, N), NaN where unknown.
+    """One side of the assembly from the centre outwards: n (N,), the rest (event, N), NaN where unknown.
 
-    value: the ratio, negative where the sheet seems to move outwards, but not surely.  length_err: relative
-    error of the stick length, (event,), which all sheets share.
+    value: the ratio, negative where the sheet seems to move outwards, but not significantly.  length_err:
+    relative error of the stick length, (event,), which all sheets share.
     """
 
     side: int
@@ -55,11 +54,12 @@ class Side:
         return replace(self, value=np.where(sheets, np.nan, self.value))
 
 
-def isotonic(side: Side) -> tuple[Floats, Bools]:
-    """The ratio as a rising function of n at every sheet, (event, N), and whether the data allow one.
+def isotonic(side: Side, significance: float) -> tuple[Floats, Bools]:
+    """The ratio as a rising function of n at every sheet, (event, N), and whether the data allow one,
+    (event,).
 
     Steps of the isotonic regression (weights 1/error²) joined by straight lines between their middles; NaN
-    without any known sheet.
+    without any known sheet. A rising function is rejected where χ² is less probable than `significance`.
     """
     rising = np.full(side.value.shape, np.nan)
     misfit = np.zeros(len(rising))
@@ -72,13 +72,13 @@ def isotonic(side: Side) -> tuple[Floats, Bools]:
         middle = np.add.reduceat(n, first) / np.diff(fit.blocks)
         rising[event] = np.interp(side.n, middle, fit.x[first])
         misfit[event] = np.sum(weight * (value - fit.x) ** 2)
-    return rising, misfit <= chdtri(np.maximum(side.known.sum(axis=1), 1), _NOT_BY_CHANCE)
+    return rising, misfit <= chdtri(np.maximum(side.known.sum(axis=1), 1), significance)
 
 
-def breakpoint_n(side: Side) -> Floats:
+def breakpoint_n(side: Side, significance: float) -> Floats:
     """Where a flat inner part and a straight rise meet best, in n, (event,): all knees tried at once.
 
-    NaN where the rise is not sure, or with fewer than five known sheets.
+    NaN where the rise is not significant, or with fewer than five known sheets.
     """
     knee = np.arange(side.n[0], side.n[-1] - 1, 0.5)
     if knee.size == 0:
@@ -93,13 +93,13 @@ def breakpoint_n(side: Side) -> Floats:
         along = (weight * value) @ ramp.T
         slope = along / (weight @ (ramp**2).T - total * middle**2)
     gain = np.nan_to_num(np.where(slope > 0, slope * along, 0.0))
-    sure = gain.max(axis=1) > chdtri(2, _NOT_BY_CHANCE)
+    sure = gain.max(axis=1) > chdtri(2, significance)
     enough = side.known.sum(axis=1) >= _LEAST_FOR_KNEE
     return np.asarray(np.where(sure & enough, knee[gain.argmax(axis=1)], np.nan))
 
 
 def _length_err(motion: xr.Dataset) -> Floats:
-    """Relative error of the stick length, (event,): what ratio_err holds beyond the error of σ_x.
+    """Relative error of the stick length, (event,): the part of ratio_err beyond the error of σ_x.
 
     Read from the sheet with the largest ratio, where it shows best.
     """

@@ -1,7 +1,7 @@
-"""How many sheets are stiff: every rising profile is weighed by how well it fits, then sheets are counted.
+"""How many sheets of one side are stiff, from all its sheets together.
 
-Each sheet's true ratio is taken to scatter about a rising profile, and its measurement about the true
-ratio.  Where noise is small, the sheet's own measurement decides; where it is large, its neighbours do.
+Each sheet's true ratio is taken to scatter about a profile that rises with n, and its measurement about the
+true ratio. Where noise is small, the sheet's own measurement decides; where it is large, its neighbours do.
 """
 
 from __future__ import annotations
@@ -13,33 +13,64 @@ import numpy as np
 
 from vision.numeric import Bools, Floats, Floats32, Ints
 from vision.shells.profile import Side, isotonic
+from vision.shells.settings import ShellSettings
 
-_SCATTERS = (0.03, 0.08, 0.15, 0.25)  # of sheets about the profile, relative; the likeliest is taken
-_SMALL = 0.3  # thresholds; smaller ratios are taken to scatter as if they were this large
-_UNLIKE = 0.2  # real profiles differ from those tried by so much of their distance from the threshold,
-_FARTHER = 0.5  # and by more, the farther off they are: sheets near the threshold lead
-_STRANGE = 4.0  # standard deviations from the profile beyond which a sheet is left to itself
-_MOST_STRANGE = 4  # such sheets a side and event
-_ASKED = 40  # events from which the scatter is found
-_DRAWS = 256
-_MISREAD = 5  # in one draw of so many, strange sheets were misread and follow the profile after all
-_SOME_DRAWS = np.arange(_DRAWS) % _MISREAD == 0
-_FOOT = np.geomspace(0.6, 30, 7)  # sheets from where the rise sets in to the boundary
-_BEND = (0.6, 1.4, 4.0)  # exponent of the rise: concave, nearly straight, steeper and steeper
-_FLOOR = (0.0, 0.3, 0.7)  # ratio of the innermost sheets, in thresholds
-_CEILING = (1.5, 2.5, 5.0, 1e4)  # ratio at which the rise ends, in thresholds
-_MOST = 30.0  # thresholds; the sheets do not move more than this
-_INSIDE, _OUTSIDE = 3.0, 6.0  # sheets beyond the innermost and outermost where a boundary may lie
-_THINNING = 5  # divides no number of feet, bends, floors or ceilings, so that all kinds remain
-_MOST_PLACES = 120  # of the boundary; half a sheet apart where sheets are not very many
+_LARGEST_RATIO = 30.0  # thresholds; sheets do not move more than this
+_MOST_OUTLIERS = 4  # per side and event
+_SCATTER_EVENTS = 40  # from which the scatter of the sheets is found
 _BLOCK = 32  # events at a time, which keeps the tables of likelihoods small
+
+
+def shell_sizes(
+    side: Side, *, threshold: float, certainty: float, settings: ShellSettings = ShellSettings()
+) -> tuple[Ints, Ints, Ints]:
+    r"""Stiff sheets of one side, (event,): the median, and the ends of the shortest interval at `certainty`.
+
+    Parameters
+    ----------
+    side
+        The sheets.
+    threshold
+        Ratio below which a sheet is stiff.
+    certainty
+        Probability that the interval holds the true size.
+    settings
+        See `ShellSettings`.
+
+    Notes
+    -----
+    Profile :math:`j` has the weight :math:`\exp(-\tfrac12 \sum_n (r_n - p_j(n))^2 / s_n^2)`, where
+    :math:`s_n` is the error of the ratio :math:`r_n` with the scatter of sheets about a profile. Profiles are
+    drawn by their weights, true ratios are drawn about them given the measurements, and those below the
+    threshold are counted. Stick lengths are varied by their error, for all sheets at once.
+
+    Outliers from every profile are counted by their own measurement, except in the share of draws in which
+    they are taken to be misread. So are all sheets of an event where the ratio falls with n beyond chance
+    even without the outliers.
+    """
+    profiles = _Profiles.crossing(side.n, threshold)
+    sheets = _Sheets.of(side, threshold, settings)
+    sheets = replace(sheets, alone=_outliers(sheets, profiles.thinned()))
+    relative = _likeliest_scatter(sheets, profiles.thinned())
+    falls = ~isotonic(side.without(sheets.alone), settings.significance)[1]
+    single = replace(sheets, alone=sheets.alone | (falls[:, None] & side.known))
+    found = []
+    for block in _blocks(len(falls)):
+        share, _ = _weigh(profiles, sheets.at(block), relative)
+        ratio = _draw_ratios(profiles, share, single.at(block), relative, outliers=sheets.alone[block])
+        found.append(_summary(_count(ratio, threshold, side.length_err[block]), certainty))
+    size, low, high = np.concatenate(found, axis=1)
+    return size, low, high
+
+
+# --- profiles -----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _Profiles:
     """Curves that never fall with n, ratio (curve, sheet), ordered by how many sheets are below threshold.
 
-    half_square: half the ratio's square.
+    half_square: half the ratio's square.  Single precision, as likelihoods of thousands of curves need speed.
     """
 
     ratio: Floats32
@@ -50,22 +81,25 @@ class _Profiles:
         """Curves at n (sheet,), from the centre outwards, that cross the threshold t at a place b.
 
         t (c + (C - c) h/(1 + h)) with h ∝ max(1 + (n - b)/a, 0)^q: nothing moves up to b - a, then a power
-        law, levelling off towards a ceiling.  Power laws through the centre (a = b, c = 0), flat cores with
-        a straight rise (q = 1), steps (small a, low ceiling) and sigmoids are among them or near.  All b,
-        from inside the innermost to beyond the outermost sheet, are equally frequent.
+        law, levelling off towards a ceiling C. Power laws through the centre (a = b, c = 0), flat cores with
+        a straight rise (q = 1), steps (small a, low ceiling) and sigmoids are among them or near. All b,
+        from inside the innermost to beyond the outermost sheet, are equally frequent, half a sheet apart
+        where sheets are not very many.
         """
-        apart = max(0.5, (n[-1] - n[0]) / _MOST_PLACES)
-        place = np.arange(n[0] - _INSIDE, n[-1] + _OUTSIDE, apart) + apart / 2
-        every = np.meshgrid(place, _FOOT, _BEND, _FLOOR, _CEILING, indexing="ij")
-        b, foot, bend, floor, ceiling = (part.reshape(-1, 1) for part in every)
-        rise = (1 - floor) / (ceiling - 1) * np.maximum(1 + (n - b) / foot, 0) ** bend
-        ratio = threshold * np.minimum(floor + (ceiling - floor) * rise / (1 + rise), _MOST)
+        apart = max(0.5, (n[-1] - n[0]) / 120)
+        place = np.arange(n[0] - 3, n[-1] + 6, apart) + apart / 2
+        foot, bend = np.geomspace(0.6, 30, 7), (0.6, 1.4, 4.0)
+        floor, ceiling = (0.0, 0.3, 0.7), (1.5, 2.5, 5.0, 1e4)
+        every = np.meshgrid(place, foot, bend, floor, ceiling, indexing="ij")
+        b, a, q, c, top = (part.reshape(-1, 1) for part in every)
+        rise = (1 - c) / (top - 1) * np.maximum(1 + (n - b) / a, 0) ** q
+        ratio = threshold * np.minimum(c + (top - c) * rise / (1 + rise), _LARGEST_RATIO)
         ratio = ratio[np.argsort((ratio < threshold).sum(axis=1), kind="stable")]
         return cls(ratio.astype(np.float32), (ratio**2 / 2).astype(np.float32))
 
     def thinned(self) -> _Profiles:
-        """A fifth of the curves, of all kinds, for what needs no fine resolution."""
-        return _Profiles(self.ratio[::_THINNING].copy(), self.half_square[::_THINNING].copy())
+        """A fifth of the curves, of all kinds as 5 divides none of their numbers, for a coarse answer."""
+        return _Profiles(self.ratio[::5].copy(), self.half_square[::5].copy())
 
 
 @dataclass(frozen=True)
@@ -80,59 +114,40 @@ class _Sheets:
     usual: Floats
     alone: Bools
     threshold: float
+    settings: ShellSettings
 
     @classmethod
-    def of(cls, side: Side, threshold: float) -> _Sheets:
+    def of(cls, side: Side, threshold: float, settings: ShellSettings) -> _Sheets:
         known = side.known
         return cls(
             np.where(known, side.value, 0.0),
             np.where(known, side.error**2, np.inf),
-            np.maximum(np.nan_to_num(isotonic(side)[0]), 0.0),
+            np.maximum(np.nan_to_num(isotonic(side, settings.significance)[0]), 0.0),
             np.zeros_like(known),
             threshold,
+            settings,
         )
 
     def at(self, events: slice | Ints) -> _Sheets:
-        return _Sheets(
-            self.value[events],
-            self.variance[events],
-            self.usual[events],
-            self.alone[events],
-            self.threshold,
+        """Some of the events."""
+        return replace(
+            self,
+            value=self.value[events],
+            variance=self.variance[events],
+            usual=self.usual[events],
+            alone=self.alone[events],
         )
 
+    def scatter(self, ratio: Floats, relative: float) -> Floats:
+        """Variance of true ratios about profiles of this ratio, and of real profiles about those tried."""
+        away = np.abs(ratio / self.threshold - 1)
+        growth = 1 + self.settings.profile_error_growth * away
+        unlike = self.settings.profile_error * away * growth * self.threshold
+        return np.asarray((relative * ratio) ** 2 + unlike**2)
+
     def about_profile(self, relative: float) -> Floats:
-        """Variance of the measurements about the profile; inf for those that say nothing of it."""
-        return np.where(self.alone, np.inf, self.variance + _scatter(self.usual, relative, self.threshold))
-
-
-def _scatter(ratio: Floats, relative: float, threshold: float) -> Floats:
-    """Variance of true ratios about profiles of this ratio, and of real profiles about those tried."""
-    away = np.abs(ratio / threshold - 1)
-    unlike = _UNLIKE * away * (1 + _FARTHER * away) * threshold
-    return np.asarray((relative * np.maximum(ratio, _SMALL * threshold)) ** 2 + unlike**2)
-
-
-def shell_sizes(side: Side, *, threshold: float, certainty: float) -> tuple[Ints, Ints, Ints]:
-    """Stiff sheets of one side, (event,): the median, and the ends of the shortest interval at `certainty`.
-
-    Sheets far off every rising profile are counted by their own measurement, though it is held possible
-    that they were misread; so are all sheets of an event where the ratio falls with n beyond chance even
-    when those are left out.  Stick lengths are varied by their error, for all sheets at once.
-    """
-    profiles = _Profiles.crossing(side.n, threshold)
-    sheets = _Sheets.of(side, threshold)
-    sheets = replace(sheets, alone=_strange(sheets, profiles.thinned()))
-    relative = _likeliest_scatter(sheets, profiles.thinned())
-    falls = ~isotonic(side.without(sheets.alone))[1]
-    single = replace(sheets, alone=sheets.alone | (falls[:, None] & side.known))
-    found = []
-    for block in _blocks(len(falls)):
-        share, _ = _weigh(profiles, sheets.at(block), relative)
-        ratio = _draw_ratios(profiles, share, single.at(block), relative, misread=sheets.alone[block])
-        found.append(_summary(_count(ratio, threshold, side.length_err[block]), certainty))
-    size, low, high = np.concatenate(found, axis=1)
-    return size, low, high
+        """Variance of the measurements about the profile; inf for those that do not follow it."""
+        return np.where(self.alone, np.inf, self.variance + self.scatter(self.usual, relative))
 
 
 def _blocks(events: int) -> Iterator[slice]:
@@ -151,14 +166,14 @@ def _weigh(profiles: _Profiles, sheets: _Sheets, relative: float) -> tuple[Float
     return share / total, (most + np.log(total))[:, 0] + own.sum(axis=1) / 2
 
 
-def _strange(sheets: _Sheets, profiles: _Profiles) -> Bools:
-    """Sheets off what the others say, (event, N), found one after the other, the farthest first."""
+def _outliers(sheets: _Sheets, profiles: _Profiles) -> Bools:
+    """Sheets far from what the others say, (event, N), found one after the other, the farthest first."""
     alone = sheets.alone.copy()
     events = np.arange(len(alone))
-    for _ in range(_MOST_STRANGE):
+    for _ in range(_MOST_OUTLIERS):
         rest = replace(sheets, alone=alone)
         off = np.concatenate([_off(profiles, rest.at(events[block])) for block in _blocks(events.size)])
-        far = off.max(axis=1) > _STRANGE
+        far = off.max(axis=1) > sheets.settings.outlier_sigma
         events, worst = events[far], off.argmax(axis=1)[far]
         alone[events, worst] = True
         if events.size == 0:
@@ -168,60 +183,68 @@ def _strange(sheets: _Sheets, profiles: _Profiles) -> Bools:
 
 def _off(profiles: _Profiles, sheets: _Sheets) -> Floats:
     """Standard deviations by which each measurement is off the profile, 0 where none is compared."""
-    share, _ = _weigh(profiles, sheets, _SCATTERS[-1])
+    largest = sheets.settings.sheet_scatters[-1]
+    share, _ = _weigh(profiles, sheets, largest)
     mean = share @ profiles.ratio
     spread = np.maximum(2 * share @ profiles.half_square - mean**2, 0)
-    return np.asarray(np.abs(sheets.value - mean) / np.sqrt(sheets.about_profile(_SCATTERS[-1]) + spread))
+    return np.asarray(np.abs(sheets.value - mean) / np.sqrt(sheets.about_profile(largest) + spread))
 
 
 def _likeliest_scatter(sheets: _Sheets, profiles: _Profiles) -> float:
     """The relative scatter of sheets about their profile under which all measurements are likeliest."""
-    asked = sheets.at(slice(None, None, max(1, len(sheets.value) // _ASKED)))
-    evidence = [_weigh(profiles, asked, relative)[1].sum() for relative in _SCATTERS]
-    return _SCATTERS[int(np.argmax(evidence))]
+    some = sheets.at(slice(None, None, max(1, len(sheets.value) // _SCATTER_EVENTS)))
+    scatters = sheets.settings.sheet_scatters
+    evidence = [_weigh(profiles, some, relative)[1].sum() for relative in scatters]
+    return scatters[int(np.argmax(evidence))]
+
+
+# --- draws --------------------------------------------------------------------------------------------------
 
 
 def _draw_ratios(
-    profiles: _Profiles, share: Floats32, sheets: _Sheets, relative: float, *, misread: Bools
+    profiles: _Profiles, share: Floats32, sheets: _Sheets, relative: float, *, outliers: Bools
 ) -> Floats:
     """True ratios that the data allow, (event, draw, N): profiles by their share, and sheets about them.
 
     The random numbers are always the same, so that a table comes out the same twice.
     """
+    draws = sheets.settings.draws
     rng = np.random.default_rng(0)
-    curve = profiles.ratio[_places(share)].astype(float)
-    scatter = _scatter(curve, relative, sheets.threshold)
+    curve = profiles.ratio[_drawn(share, draws)].astype(float)
+    scatter = sheets.scatter(curve, relative)
     # Between the profile and the measurement, either of which may say nothing (variance inf).
     certain = np.where(sheets.alone[:, None], 0.0, 1 / scatter) + 1 / sheets.variance[:, None]
-    pull = 1 / sheets.variance[:, None] / certain
-    ratio = curve + pull * (sheets.value[:, None] - curve)
-    ratio += rng.standard_normal((_DRAWS, curve.shape[2])) / np.sqrt(certain)
-    return np.asarray(np.where(misread[:, None] & _SOME_DRAWS[:, None], curve, ratio))
+    own = 1 / sheets.variance[:, None] / certain
+    ratio = curve + own * (sheets.value[:, None] - curve)
+    ratio += rng.standard_normal((draws, curve.shape[2])) / np.sqrt(certain)
+    misread = np.arange(draws) * sheets.settings.misread_share % 1 < sheets.settings.misread_share - 1e-9
+    return np.asarray(np.where(outliers[:, None] & misread[:, None], curve, ratio))
+
+
+def _drawn(share: Floats32, draws: int) -> Ints:
+    """Curves drawn evenly by their share, (event, draw)."""
+    events, curves = share.shape
+    row = 2 * np.arange(events)[:, None]  # one search for all events: each has a stretch of its own
+    reached = np.cumsum(share, axis=1, dtype=float)
+    wanted = (np.arange(draws) + 0.5) / draws * reached[:, -1:]
+    place = np.searchsorted((reached + row).ravel(), (wanted + row).ravel()) % curves
+    return np.asarray(place.reshape(events, draws))
 
 
 def _count(ratio: Floats, threshold: float, length_err: Floats) -> Ints:
     """Ratios below the threshold in each draw, (event, draw); stick lengths differ from draw to draw."""
-    length = 1 + length_err[:, None] * np.random.default_rng(1).standard_normal(_DRAWS)
+    length = 1 + length_err[:, None] * np.random.default_rng(1).standard_normal(ratio.shape[1])
     return np.asarray((np.abs(ratio) < threshold * length[..., None]).sum(axis=2))
 
 
 def _summary(sizes: Ints, certainty: float) -> Ints:
     """Median, and the ends of the shortest interval that holds `certainty` of the draws, (3, event)."""
+    draws = sizes.shape[1]
     ordered = np.sort(sizes, axis=1)
-    holding = int(np.ceil(certainty * _DRAWS))
-    first = np.arange(_DRAWS - holding + 1)
+    holding = int(np.ceil(certainty * draws))
+    first = np.arange(draws - holding + 1)
     length = ordered[:, holding - 1 :] - ordered[:, first]
     # Of equally short ones, the most central.
-    best = (length + np.abs(first - first.mean()) / _DRAWS).argmin(axis=1)
+    best = (length + np.abs(first - first.mean()) / draws).argmin(axis=1)
     event = np.arange(len(ordered))
-    return np.stack([ordered[:, _DRAWS // 2], ordered[event, best], ordered[event, best + holding - 1]])
-
-
-def _places(share: Floats32) -> Ints:
-    """Curves drawn evenly by their share, (event, draw)."""
-    events, curves = share.shape
-    row = 2 * np.arange(events)[:, None]  # one search for all events: each has a stretch of its own
-    reached = np.cumsum(share, axis=1, dtype=float)
-    wanted = (np.arange(_DRAWS) + 0.5) / _DRAWS * reached[:, -1:]
-    place = np.searchsorted((reached + row).ravel(), (wanted + row).ravel()) % curves
-    return np.asarray(place.reshape(events, _DRAWS))
+    return np.stack([ordered[:, draws // 2], ordered[event, best], ordered[event, best + holding - 1]])
