@@ -8,8 +8,8 @@ from tests.scenes.creeping import profile
 from tests.scenes.shells import ideal, measured
 from vision.errors import InputError
 from vision.models import equations
-from vision.models.equations import Assembly
 from vision.models.fits import fit_models
+from vision.sample import Sample
 from vision.shells import classify_sheets, classify_shells, deformation_table, with_model
 
 DEFORMATION = (
@@ -103,7 +103,7 @@ def test_the_model_fits_take_the_table():
     _, motion = measured(profile([8.0, 6.0, 5.0]), noise_px=0.03)
     shells = classify_shells(motion)
     shells.loc[0, ["stiff_sheets", "stiff_low", "stiff_high"]] = pd.NA
-    fits = fit_models(_force_events(), shells, assembly=Assembly())
+    fits = fit_models(_force_events(), shells, assembly=Sample())
     assert fits.shells is not None
     assert fits.shells.compared == 5
     assert np.isfinite(with_model(shells, fits.effective_sheets)["M_eff_model"]).all()
