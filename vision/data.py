@@ -375,8 +375,19 @@ class StickMetadata(Metadata):
     period_samples, spikes
         Usual samples from slip to slip; impulsive spikes that were ignored.
     lowpass_s, lowpass_how
-        Time constant of the load cell's low-pass that was corrected for; "found", "given", "none", or
-        "doubtful" (the transients after slips fit no single filter; not corrected).
+        Time constant of the load cell's low-pass that was corrected for, 0 for none: "recorded" (as asked, and by
+        default), "given", or where it was to be found: "found" (proven), "doubtful" (seen, not proven, not
+        corrected) or "none" (nothing seen).
+    lowpass_proposed_s, lowpass_proven
+        Time constant that the transients after slips suggest and that was not corrected for (NaN: none), and
+        whether slips of different size and spacing show the same. What it changes is part of the errors.
+    two_slopes
+        Whether sticks were fitted with a knee.
+    regime, fall_over_rise, line_share
+        "stick-slip", "oscillation" or "cycles"; median duration of falls over that of rises; share of the
+        variance near the frequency of the slips.
+    warnings
+        What speaks against stick-slip.
     first_slip_s, first_slip_N, last_slip_s
         Times (force clock) of the first and last slip; load before the first one.
     machine_stiffness_N_per_mm
@@ -392,6 +403,13 @@ class StickMetadata(Metadata):
     spikes: int = 0
     lowpass_s: float = 0.0
     lowpass_how: str = "none"
+    lowpass_proposed_s: float = math.nan
+    lowpass_proven: bool = False
+    two_slopes: bool = False
+    regime: str = "stick-slip"
+    fall_over_rise: float = math.nan
+    line_share: float = math.nan
+    warnings: Sequence[str] = field(default_factory=list)
     first_slip_s: float = math.nan
     first_slip_N: float = math.nan
     last_slip_s: float = math.nan
@@ -421,8 +439,12 @@ STICKS = Schema(
         "F_p_raw_N": Variable(_EVENT, "N", "highest load near the peak, spikes aside", required=False),
         "K30_N_per_mm": Variable(_EVENT, "N/mm", "stiffness over the central 30 %", required=False),
         "K70_N_per_mm": Variable(_EVENT, "N/mm", "stiffness over the central 70 %", required=False),
+        "F_v_err_N": Variable(_EVENT, "N", "standard error of F_v", required=False),
+        "F_p_err_N": Variable(_EVENT, "N", "standard error of F_p", required=False),
+        "dF_err_N": Variable(_EVENT, "N", "standard error of ΔF", required=False),
         "K1_N_per_mm": Variable(_EVENT, "N/mm", "stiffness before the knee", required=False),
         "K2_N_per_mm": Variable(_EVENT, "N/mm", "stiffness after the knee", required=False),
+        "K2_err_N_per_mm": Variable(_EVENT, "N/mm", "standard error of K2", required=False),
         "knee": Variable(_EVENT, "1", "place of the knee, fraction of the fitted stretch", required=False),
         "knee_gain": Variable(
             _EVENT, "1", "squared residuals of one line over those with a knee", required=False
