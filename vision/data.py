@@ -322,8 +322,8 @@ class ForceMetadata(Metadata):
         The file's path.
     separation_from
         "displacement", "speed" (d = d0 + V t) or "none" (d is not known).
-    speed_mm_min, d0_mm
-        V, measured where a displacement was recorded; initial separation. NaN where not known.
+    speed_mm_min, d0_mm, d0_err_mm
+        V, measured where a displacement was recorded; initial separation and its error. NaN where not known.
     layout, encoding, separator, decimal, columns, blocks, columns_seen
         What the file looks like, and which of its columns are which.
     notes, warnings
@@ -334,6 +334,7 @@ class ForceMetadata(Metadata):
     separation_from: str = "none"
     speed_mm_min: float = math.nan
     d0_mm: float = math.nan
+    d0_err_mm: float = math.nan
     layout: str = ""
     encoding: str = ""
     separator: str = ""
@@ -375,9 +376,9 @@ class StickMetadata(Metadata):
     period_samples, spikes
         Usual samples from slip to slip; impulsive spikes that were ignored.
     lowpass_s, lowpass_how
-        Time constant of the load cell's low-pass that was corrected for, 0 for none: "recorded" (as asked, and by
-        default), "given", or where it was to be found: "found" (proven), "doubtful" (seen, not proven, not
-        corrected) or "none" (nothing seen).
+        Time constant of the load cell's low-pass that was corrected for, 0 for none: "recorded" (as asked,
+        and by default), "given", or where it was to be found: "found" (proven), "doubtful" (seen, not proven,
+        not corrected) or "none" (nothing seen).
     lowpass_proposed_s, lowpass_proven
         Time constant that the transients after slips suggest and that was not corrected for (NaN: none), and
         whether slips of different size and spacing show the same. What it changes is part of the errors.

@@ -28,7 +28,6 @@ from vision.force.settings import DEFAULTS, ForceSettings
 from vision.force.slips import Slips, find_slips, stick_middles
 from vision.numeric import Bools, Floats, Ints
 
-
 _STICKS_FOR_KNEES = 60  # looked at, from first to last, to tell whether sticks have two slopes
 
 
@@ -104,41 +103,20 @@ def find_stick_slip(
             f"{slips.edge.size} drops above {slips.threshold:.3g} (noise {signal.sigma:.2g})",
             "lower `threshold_N` if smaller drops are slips",
         )
-    period_s = slips.period * signal.interval_s
-    if isinstance(lowpass_s, str):
-        if lowpass_s != "auto":
-            raise InputError("`lowpass_s`", "seconds or auto", f"'{lowpass_s}'")
-    elif not 0 <= lowpass_s < period_s:
-        raise InputError(
-            metadata.source,
-            f"a time constant from 0 to less than from slip to slip, {period_s:.3g} s",
-            f"{lowpass_s:g} s",
-            "give `lowpass_s` in seconds, or auto to have it found",
-        )
-    bent = _have_knees(signal, slips, settings) if two_slopes is None else two_slopes
-    compliance = 1 / (machine_stiffness_N_per_mm or np.inf)
-    corners = _corners(signal, slips, bent, 0.0, settings)
-    extremes = find_extremes(signal.clean, corners.middle, corners.valley - corners.peak)
-    regime = find_regime(signal.clean, extremes, settings)
-    found, tau, how = _Lowpass(), 0.0, "recorded" if lowpass_s == 0 else "none"
-    if lowpass_s in (0, "auto") and regime.name == "stick-slip":
-        found = _lowpass(signal, slips, corners, bent, settings)
-    if lowpass_s == "auto" and found.samples:
-        tau, how = (found.samples, "found") if found.proven else (0.0, "doubtful")
-    elif not isinstance(lowpass_s, str) and lowpass_s:
-        tau, how = lowpass_s / signal.interval_s, "given"
-    if tau:
-        corners = _corners(signal, slips, bent, tau, settings)
-    unloading = is_unloading(signal.travel, extremes)
+    _check_lowpass(lowpass_s, slips.period * signal.interval_s, metadata.source)
+    chain = _chain(signal, slips, lowpass_s, two_slopes, settings)
+    corners, tau, found, regime = chain.corners, chain.samples, chain.found, chain.regime
+    unloading = is_unloading(signal.travel, chain.extremes)
     if unloading.all():
         raise InputError(
             metadata.source,
             "stick-slip: the force falls while the crosshead goes on",
             f"{unloading.size} falls, all while it goes back: push–pull cycles",
         )
-    events = _measure(signal, corners, extremes, tau, bent, compliance, settings)
+    compliance = 1 / (machine_stiffness_N_per_mm or np.inf)
+    events = _measure(signal, corners, chain.extremes, tau, chain.bent, compliance, settings)
     if found.samples and not tau:
-        events = _with_bias(events, signal, slips, bent, compliance, found.samples, settings)
+        events = _with_bias(events, signal, slips, chain.bent, compliance, found.samples, settings)
     response = tau or (found.samples if found.proven else 0.0)
     events = events.assign(
         flag=_with_doubts(events, regime.name, unloading, response * signal.interval_s, signal, settings)
@@ -151,10 +129,10 @@ def find_stick_slip(
         period_samples=slips.period,
         spikes=int(signal.is_spike.sum()),
         lowpass_s=tau * signal.interval_s,
-        lowpass_how=how,
+        lowpass_how=chain.how,
         lowpass_proposed_s=found.samples * signal.interval_s if found.samples and not tau else float("nan"),
         lowpass_proven=found.proven,
-        two_slopes=bool(bent),
+        two_slopes=bool(chain.bent),
         regime=regime.name,
         fall_over_rise=regime.fall_over_rise,
         line_share=regime.line_share,
@@ -214,7 +192,65 @@ class _Signal:
         return np.where(self.is_spike, np.nan, self.load)
 
 
-def _have_knees(signal: _Signal, slips: Slips, settings: ForceSettings) -> bool:
+def _check_lowpass(lowpass_s: float | str, period_s: float, source: str) -> None:
+    """Refuses what is no time constant of a recording whose slips follow each other after period_s."""
+    if isinstance(lowpass_s, str):
+        if lowpass_s != "auto":
+            raise InputError("`lowpass_s`", "seconds or auto", f"'{lowpass_s}'")
+    elif not 0 <= lowpass_s < period_s:
+        raise InputError(
+            source,
+            f"a time constant from 0 to less than from slip to slip, {period_s:.3g} s",
+            f"{lowpass_s:g} s",
+            "give `lowpass_s` in seconds, or auto to have it found",
+        )
+
+
+@dataclass(frozen=True)
+class _Chain:
+    """Corners and recorded extremes, the low-pass corrected for in samples (how: `StickMetadata`) and the one
+    found, the kind of motion, and whether sticks have knees."""
+
+    corners: Corners
+    extremes: Extremes
+    regime: Regime
+    bent: bool
+    found: _Lowpass
+    samples: float
+    how: str
+
+
+def _chain(
+    signal: _Signal,
+    slips: Slips,
+    lowpass_s: float | str,
+    two_slopes: bool | None,
+    settings: ForceSettings,
+) -> _Chain:
+    """What the recording shows, and what of the load cell's low-pass is to be corrected."""
+    given = 0.0 if isinstance(lowpass_s, str) else lowpass_s / signal.interval_s
+    bent = _have_knees(signal, slips, given, settings) if two_slopes is None else two_slopes
+    corners = _corners(signal, slips, bent, 0.0, settings)
+    extremes = find_extremes(signal.clean, corners.middle, corners.valley - corners.peak)
+    regime = find_regime(signal.clean, extremes, settings)
+    found = _Lowpass()
+    if not given and regime.name == "stick-slip":
+        found = _lowpass(signal, slips, corners, bent, settings)
+        if found.samples and not bent and two_slopes is None:
+            # Transients of the low-pass may have hidden the knees.
+            bent = _have_knees(signal, slips, found.samples, settings)
+            if bent:
+                corners = _corners(signal, slips, bent, 0.0, settings)
+                found = _lowpass(signal, slips, corners, bent, settings)
+    tau, how = given, "given" if given else "recorded" if lowpass_s == 0 else "none"
+    if lowpass_s == "auto" and found.samples:
+        tau, how = (found.samples, "found") if found.proven else (0.0, "doubtful")
+    if tau:
+        corners = _corners(signal, slips, bent, tau, settings)
+    return _Chain(corners, extremes, regime, bent, found, tau, how)
+
+
+def _have_knees(signal: _Signal, slips: Slips, lag: float, settings: ForceSettings) -> bool:
     """Whether the recording's sticks begin steeper than they go on, at the median of all of them.
 
     The speed has no say: sticks at 4.9975 and at 5.0000 mm/min are the same.
@@ -222,7 +258,7 @@ def _have_knees(signal: _Signal, slips: Slips, settings: ForceSettings) -> bool:
     start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
     some = np.unique(np.linspace(0, start.size - 1, _STICKS_FOR_KNEES).astype(np.int64))
     index = np.arange(signal.clean.size, dtype=float)
-    broken = fit_broken_lines(index, signal.clean, start[some], stop[some])
+    broken = fit_broken_lines(index, signal.clean, start[some], stop[some], lag=lag)
     known = np.isfinite(broken.gain) & (broken.first > 0) & (broken.second > 0)
     if known.sum() < max(2, 0.5 * known.size):
         return False

@@ -81,9 +81,9 @@ class ForceSettings:
     and flagged. Extrapolated stick lines read half cosines 0.4 % too large at 0.33 and 20 % at 1."""
 
     between_samples: float = 0.03
-    """Share of the drop by which a stick's line may end below the lowest sample: what fast slips leave between
-    two samples. Smaller reads drops at 200 Hz 2 % too small, larger believes the line where the load cell was
-    too slow to follow."""
+    """Share of the drop by which a stick's line may end below the lowest sample: what fast slips leave
+    between two samples. Smaller reads drops at 200 Hz 2 % too small, larger believes the line where the load
+    cell was too slow to follow."""
 
     short_stick: float = 3.0
     """Time constants of the load cell's low-pass that a stick must last. A shorter one is flagged "short":
