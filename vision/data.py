@@ -382,6 +382,8 @@ class StickMetadata(Metadata):
     lowpass_proposed_s, lowpass_proven
         Time constant that the transients after slips suggest and that was not corrected for (NaN: none), and
         whether slips of different size and spacing show the same. What it changes is part of the errors.
+    lowpass_dF_share, lowpass_K_share
+        Median share by which correcting for that would change ΔF and K.
     two_slopes
         Whether sticks were fitted with a knee.
     regime, fall_over_rise, line_share
@@ -406,6 +408,8 @@ class StickMetadata(Metadata):
     lowpass_how: str = "none"
     lowpass_proposed_s: float = math.nan
     lowpass_proven: bool = False
+    lowpass_dF_share: float = 0.0
+    lowpass_K_share: float = 0.0
     two_slopes: bool = False
     regime: str = "stick-slip"
     fall_over_rise: float = math.nan

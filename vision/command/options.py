@@ -320,7 +320,7 @@ def parse_range(text: str | None, option: str) -> slice | None:
 
 
 def parse_with_error(text: str | float | None, option: str) -> tuple[float | None, float | None]:
-    """(value, error) of 13, 13.0±0.1 or 13.0+-0.1, the error None where there is none.  Raises: InputError."""
+    """(value, error) of 13, 13.0±0.1 or 13.0+-0.1, the error None if not given.  Raises: InputError."""
     if text is None:
         return None, None
     value, sign, error = str(text).replace("+-", "±").replace("+/-", "±").partition("±")

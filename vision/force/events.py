@@ -132,6 +132,8 @@ def find_stick_slip(
         lowpass_how=chain.how,
         lowpass_proposed_s=found.samples * signal.interval_s if found.samples and not tau else float("nan"),
         lowpass_proven=found.proven,
+        lowpass_dF_share=events.attrs.get("lowpass_dF_share", 0.0),
+        lowpass_K_share=events.attrs.get("lowpass_K_share", 0.0),
         two_slopes=bool(chain.bent),
         regime=regime.name,
         fall_over_rise=regime.fall_over_rise,
@@ -520,7 +522,13 @@ def _with_bias(
         bias = np.nan_to_num(other[value].to_numpy(float) - events[value].to_numpy(float))
         # One and the same bias in all events: added, not in squares.
         changed[error] = events[error] + np.abs(np.where(np.isfinite(events[value]), bias, 0.0))
-    return events.assign(**changed)
+    biased = events.assign(**changed)
+    for name in ("dF", "K"):
+        column = "dF_N" if name == "dF" else "K_N_per_mm"
+        ratio = (other[column] / events[column] - 1).to_numpy(float)
+        known = ratio[np.isfinite(ratio)]
+        biased.attrs[f"lowpass_{name}_share"] = float(np.median(known)) if known.size else 0.0
+    return biased
 
 
 def _with_doubts(

@@ -250,7 +250,8 @@ def fit_models(
         if not all(np.isfinite((part.value, part.error)).all() for part in parts):
             raise _undetermined("values or errors that are not finite")
         left_out = {"flagged": len(sticks) - len(whole)} | left_out
-        fits = _with_systematics(fits, force, events, free_t_star, held, errors)
+        lowpass = {name: float(sticks.attrs.get(name, 0.0)) for name in _LOWPASS}
+        fits = _with_systematics(fits, force, events, free_t_star, held, errors, lowpass)
     notes, warnings = _remarks(fits, force, left_out, fit_range_mm is not None)
     return replace(fits, left_out=left_out, notes=(*fits.notes, *notes), warnings=warnings)
 
@@ -367,8 +368,31 @@ def _first_that_fits(events: pd.DataFrame, sample: Sample, held: Mapping[str, fl
         noise = np.sqrt(np.mean(np.diff(fit.residual) ** 2) / 2)
         begins = abs(float(first.mean())) < 2 * noise / np.sqrt(first.size)
         if begins and fit.goodness.chi2_dof < _usual_chi2(len(part)):
-            return int(start)
+            over = _build_up_over(events, sample, held) if start else 0
+            return int(max(start, min(over, len(events) - max(2 * _LEAST_EVENTS, len(events) // 4))))
     return top
+
+
+def _build_up_over(events: pd.DataFrame, sample: Sample, held: Mapping[str, float]) -> int:
+    """Where a build-up that decays exponentially no longer matters: below half a standard error of its own.
+
+    Noise hides the last part of a build-up that still bends the fit; its beginning shows how long it is.
+    """
+    d, peak = events["d_p_mm"].to_numpy(float), events["F_p_N"].to_numpy(float)
+    start = _fit_peaks(events, sample, False, held)
+
+    def model(q: Floats) -> Floats:
+        force = equations.traction(d, mu=max(float(q[0]), 1e-3), sample=sample) + q[1]
+        missing = np.exp(-np.exp(q[3]) - (d - d[0]) / np.exp(q[2]))  # a share of 1 or less at first
+        return np.asarray(force * (1 - missing))
+
+    span = max(float(np.ptp(d)), 1e-9)
+    fit = _fit(model, peak, None, [*start.value[:2], float(np.log(span / 20)), -1.0])
+    length, share = float(np.exp(fit.value[2])), float(np.exp(-np.exp(fit.value[3])))
+    points = max(length * d.size / span / 2, 1.0)  # over which a build-up counts
+    limit = 0.5 * fit.goodness.scatter / np.sqrt(points)
+    over = d[0] + length * np.log(max(share / max(limit, 1e-12), 1.0))
+    return int(np.searchsorted(np.maximum.accumulate(d), over)) if np.isfinite(over) else 0
 
 
 def _usual_chi2(points: int) -> float:
@@ -577,6 +601,7 @@ def _correlations(peaks: _Fit, stiffness: _Fit, free_t_star: bool) -> dict[str, 
 
 # --- systematic errors --------------------------------------------------------------------------------------
 
+_LOWPASS = ("lowpass_dF_share", "lowpass_K_share")
 _BUDGET = {
     "mu": "mu",
     "T0_N": "t0_N",
@@ -594,6 +619,7 @@ def _with_systematics(
     free_t_star: bool,
     held: Mapping[str, float],
     geometry: Mapping[str, float],
+    lowpass: Mapping[str, float],
 ) -> ModelFits:
     """The fits with a budget of systematic errors: everything fitted again with each source moved."""
     d0_err = ForceMetadata.of(force).d0_err_mm
@@ -625,6 +651,14 @@ def _with_systematics(
         budget["d0"] = moved | {"K_N_per_mm": 0.0, "ratio": 0.0}
     moved = half(again(drifted(drift)), again(drifted(-drift)))
     budget["load_drift"] = moved | {"T0_N": drift, "K_N_per_mm": drift / span, "ratio": 0.0}
+    if any(lowpass.values()):
+        # What the load cell's low-pass takes from all drops and slopes, as a share of each.
+        none: dict[str, float | None] = dict.fromkeys((*_BUDGET, "ratio"), 0.0)
+        budget["low_pass"] = none | {
+            "A": abs(fits.amplitude.value * lowpass["lowpass_dF_share"]),
+            "Y_eff_GPa": abs(fits.modulus_GPa.value * lowpass["lowpass_K_share"]),
+            "K_N_per_mm": abs(float(events["K_N_per_mm"].median()) * lowpass["lowpass_K_share"]),
+        }
     for name, error in geometry.items():
         value = getattr(fits.sample, name)
         larger, smaller = (replace(fits.sample, **{name: value + by}) for by in (error, -error))
