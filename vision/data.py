@@ -322,8 +322,8 @@ class ForceMetadata(Metadata):
         The file's path.
     separation_from
         "displacement", "speed" (d = d0 + V t) or "none" (d is not known).
-    speed_mm_min, d0_mm
-        V, measured where a displacement was recorded; initial separation. NaN where not known.
+    speed_mm_min, d0_mm, d0_err_mm
+        V, measured where a displacement was recorded; initial separation and its error. NaN where not known.
     layout, encoding, separator, decimal, columns, blocks, columns_seen
         What the file looks like, and which of its columns are which.
     notes, warnings
@@ -334,6 +334,7 @@ class ForceMetadata(Metadata):
     separation_from: str = "none"
     speed_mm_min: float = math.nan
     d0_mm: float = math.nan
+    d0_err_mm: float = math.nan
     layout: str = ""
     encoding: str = ""
     separator: str = ""
@@ -375,8 +376,21 @@ class StickMetadata(Metadata):
     period_samples, spikes
         Usual samples from slip to slip; impulsive spikes that were ignored.
     lowpass_s, lowpass_how
-        Time constant of the load cell's low-pass that was corrected for; "found", "given", "none", or
-        "doubtful" (the transients after slips fit no single filter; not corrected).
+        Time constant of the load cell's low-pass that was corrected for, 0 for none: "recorded" (as asked,
+        and by default), "given", or where it was to be found: "found" (proven), "doubtful" (seen, not proven,
+        not corrected) or "none" (nothing seen).
+    lowpass_proposed_s, lowpass_proven
+        Time constant that the transients after slips suggest and that was not corrected for (NaN: none), and
+        whether slips of different size and spacing show the same. What it changes is part of the errors.
+    lowpass_dF_share, lowpass_K_share
+        Median share by which correcting for that would change ΔF and K.
+    two_slopes
+        Whether sticks were fitted with a knee.
+    regime, fall_over_rise, line_share
+        "stick-slip", "oscillation" or "cycles"; median duration of falls over that of rises; share of the
+        variance near the frequency of the slips.
+    warnings
+        What speaks against stick-slip.
     first_slip_s, first_slip_N, last_slip_s
         Times (force clock) of the first and last slip; load before the first one.
     machine_stiffness_N_per_mm
@@ -392,6 +406,15 @@ class StickMetadata(Metadata):
     spikes: int = 0
     lowpass_s: float = 0.0
     lowpass_how: str = "none"
+    lowpass_proposed_s: float = math.nan
+    lowpass_proven: bool = False
+    lowpass_dF_share: float = 0.0
+    lowpass_K_share: float = 0.0
+    two_slopes: bool = False
+    regime: str = "stick-slip"
+    fall_over_rise: float = math.nan
+    line_share: float = math.nan
+    warnings: Sequence[str] = field(default_factory=list)
     first_slip_s: float = math.nan
     first_slip_N: float = math.nan
     last_slip_s: float = math.nan
@@ -421,8 +444,12 @@ STICKS = Schema(
         "F_p_raw_N": Variable(_EVENT, "N", "highest load near the peak, spikes aside", required=False),
         "K30_N_per_mm": Variable(_EVENT, "N/mm", "stiffness over the central 30 %", required=False),
         "K70_N_per_mm": Variable(_EVENT, "N/mm", "stiffness over the central 70 %", required=False),
+        "F_v_err_N": Variable(_EVENT, "N", "standard error of F_v", required=False),
+        "F_p_err_N": Variable(_EVENT, "N", "standard error of F_p", required=False),
+        "dF_err_N": Variable(_EVENT, "N", "standard error of ΔF", required=False),
         "K1_N_per_mm": Variable(_EVENT, "N/mm", "stiffness before the knee", required=False),
         "K2_N_per_mm": Variable(_EVENT, "N/mm", "stiffness after the knee", required=False),
+        "K2_err_N_per_mm": Variable(_EVENT, "N/mm", "standard error of K2", required=False),
         "knee": Variable(_EVENT, "1", "place of the knee, fraction of the fitted stretch", required=False),
         "knee_gain": Variable(
             _EVENT, "1", "squared residuals of one line over those with a knee", required=False

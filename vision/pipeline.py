@@ -27,6 +27,7 @@ from vision.errors import InputError
 from vision.figures import FIGURES, Figure
 from vision.force import ForceSettings, find_stick_slip, read_force
 from vision.models import ModelFits, fit_models
+from vision.models.modulus import cycles_seen
 from vision.numeric import Pixels
 from vision.sample import PUBLISHED, Sample
 from vision.sheets import FitName, TrackingSettings, track_sheets
@@ -75,10 +76,14 @@ class Settings:
         Subpixel method ("sliding", "paper" or "template") and its window: odd, or "auto".
     pixel_size_um
         µm per pixel; without it there are no lengths in µm and no deformation.
-    speed_mm_min, d0_mm, force_columns
-        V where no displacement is recorded, the initial separation, and the recording's columns by role.
+    speed_mm_min, d0_mm, d0_err_mm, force_columns
+        V where no displacement is recorded, the initial separation with its error, and the recording's
+        columns by role.
     force_threshold_N, force_lowpass_s, machine_stiffness_N_per_mm
-        Smallest drop that is a slip; the load cell's time constant; the machine's own stiffness.
+        Smallest drop that is a slip; the load cell's time constant to be undone (0: as recorded; "auto":
+        where it is proven); the machine's own stiffness.
+    fit_range_mm, mu, modulus_GPa
+        Separations between which the models are fitted; friction coefficient and Y_eff where they are known.
     offset_s
         Force clock at video time 0.
     threshold
@@ -105,9 +110,13 @@ class Settings:
     pixel_size_um: float | None = None
     speed_mm_min: float | None = None
     d0_mm: float | None = None
+    d0_err_mm: float | None = None
     force_columns: Mapping[str, str] | None = None
     force_threshold_N: float | None = None
-    force_lowpass_s: float | None = None
+    force_lowpass_s: float | Literal["auto"] = 0.0
+    fit_range_mm: tuple[float, float] | None = None
+    mu: float | None = None
+    modulus_GPa: float | None = None
     machine_stiffness_N_per_mm: float | None = None
     offset_s: float | None = None
     threshold: float = 0.1
@@ -272,7 +281,7 @@ def analyse(
         shells=shells,
         reasons=stage.reasons,
         failures=stage.failures,
-        warnings=_warnings(tracks, machine, clock, stage.reasons.get("fits")),
+        warnings=_warnings(tracks, machine, sticks, fits, clock, stage.reasons.get("fits")),
         seconds=stage.seconds,
     )
 
@@ -360,7 +369,12 @@ def _recording(force: xr.Dataset | str | Path, chosen: Settings) -> xr.Dataset:
     if isinstance(force, xr.Dataset):
         return force
     return read_force(
-        force, speed_mm_min=chosen.speed_mm_min, d0_mm=chosen.d0_mm, columns=chosen.force_columns
+        force,
+        speed_mm_min=chosen.speed_mm_min,
+        d0_mm=chosen.d0_mm,
+        d0_err_mm=chosen.d0_err_mm,
+        columns=chosen.force_columns,
+        settings=chosen.tuning.force,
     )
 
 
@@ -375,7 +389,15 @@ def _sticks(force: xr.Dataset, chosen: Settings) -> pd.DataFrame:
 
 
 def _fits(force: xr.Dataset, sticks: pd.DataFrame, chosen: Settings) -> ModelFits:
-    return fit_models(force, sticks, chosen.sample, free_t_star=chosen.t_star_fitted)
+    return fit_models(
+        force,
+        sticks,
+        chosen.sample,
+        free_t_star=chosen.t_star_fitted,
+        mu=chosen.mu,
+        modulus_GPa=chosen.modulus_GPa,
+        fit_range_mm=chosen.fit_range_mm,
+    )
 
 
 def _clock(tracks: xr.Dataset, force: xr.Dataset, sticks: pd.DataFrame, chosen: Settings) -> Clock:
@@ -411,11 +433,18 @@ def _fits_are_expected(force: xr.Dataset) -> bool:
 
 
 def _warnings(
-    tracks: xr.Dataset | None, force: xr.Dataset | None, clock: Clock | None, no_fits: str | None
+    tracks: xr.Dataset | None,
+    force: xr.Dataset | None,
+    sticks: pd.DataFrame | None,
+    fits: ModelFits | None,
+    clock: Clock | None,
+    no_fits: str | None,
 ) -> tuple[str, ...]:
     """What matters for the results, in the order of the stages."""
     lines = [] if tracks is None else [*warnings_of(tracks), *tracking_warnings(tracks)]
-    lines += warnings_of(force)
+    lines += warnings_of(force, sticks)
+    lines += [line] if force is not None and (line := cycles_seen(force)) else []
+    lines += fits.warnings if fits else ()
     if no_fits and force is not None and _fits_are_expected(force):
         lines.append(f"no model fits: {no_fits}")
     lines += clock.warnings if clock else ()

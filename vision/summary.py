@@ -33,6 +33,7 @@ def summary_lines(results: Results) -> list[str]:
         lines.append(f"events     {len(results.sticks)} stick-slip events; {sizes}; {lowpass}")
     if results.fits is not None:
         lines.append(f"models     {_models(results.fits)}")
+        lines += [f"           {note}" for note in results.fits.notes]
     elif reason := results.reasons.get("fits"):
         lines.append(f"models     none: {reason}")
     if results.clock is not None:
@@ -117,10 +118,15 @@ def event_sizes(force: xr.Dataset, sticks: pd.DataFrame) -> str:
 def lowpass_correction(sticks: pd.DataFrame) -> str:
     """Summarise the load-cell low-pass correction."""
     facts = StickMetadata.of(sticks)
-    if facts.lowpass_how == "doubtful":
-        return "post-slip tails fit no single filter; not corrected (`force_lowpass_s`)"
     if not facts.lowpass_s:
-        return "no low-pass corrected"
+        proposal = ""
+        if math.isfinite(facts.lowpass_proposed_s):
+            sure = "show" if facts.lowpass_proven else "may show, but not all slips alike,"
+            proposal = (
+                f"; the slips {sure} a low-pass of {1e3 * facts.lowpass_proposed_s:.2g} ms, which "
+                "`lowpass_s` would correct"
+            )
+        return f"forces as recorded{proposal}"
     return f"corrected for a low-pass of {1e3 * facts.lowpass_s:.2g} ms ({facts.lowpass_how})"
 
 

@@ -42,6 +42,10 @@ _OPTION_OF = {
     "threshold_N": "--force-threshold",
     "force_lowpass_s": "--force-lowpass",
     "lowpass_s": "--force-lowpass",
+    "d0_err_mm": "--d0",
+    "fit_range_mm": "--fit-range",
+    "mu": "--fix-mu",
+    "modulus_GPa": "--fix-yeff",
     "machine_stiffness_N_per_mm": "--machine-stiffness",
     "offset_s": "--offset",
     "threshold": "--threshold",
@@ -102,17 +106,24 @@ class ForceOptions:
 
     speed: float | None = None
     """Pulling speed V in mm/min, where no displacement is recorded."""
-    d0: float | None = None
-    """Initial separation in mm, added to the crosshead; 0 if the column is the separation itself."""
+    d0: str | None = None
+    """Initial separation in mm, also with its error (13.0±0.1), added to the crosshead's change since the
+    recording began; 0 if the column is the separation itself."""
     force_columns: str | None = None
     """Columns by name or number, as in time=Time,load=Load:kN,displacement=3."""
     force_threshold: float | None = None
     """Smallest drop that is a slip, N; found from the noise if not given."""
-    force_lowpass: float | None = None
-    """Time constant of the load cell's low-pass, s, that is corrected for; found from the slips if not
-    given, 0 for none."""
+    force_lowpass: str | None = None
+    """Time constant of the load cell's low-pass, s, that is corrected for; 0 (default): forces as recorded;
+    auto: found from the slips, and corrected for where it is proven."""
     machine_stiffness: float | None = None
     """The machine's own stiffness in N/mm, to correct d; no correction if not given."""
+    fit_range: str | None = None
+    """Separations between which the models are fitted, A:B in mm; from where Eq. 1 fits if not given."""
+    fix_mu: float | None = None
+    """Friction coefficient, where it is known and not to be fitted."""
+    fix_yeff: float | None = None
+    """Effective modulus Y_eff in GPa, where it is known and not to be fitted."""
 
 
 @Option(name="*")
@@ -167,6 +178,7 @@ class RunOptions:
 GROUPS = (VideoOptions, ForceOptions, SampleOptions, TestOptions)
 DEFAULTS: Mapping[str, Any] = {
     "strip": "auto",
+    "force_lowpass": "0",
     "ridges": "auto",
     "fit": "sliding",
     "rotate": 0,
@@ -275,10 +287,13 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
         "window_px": parse_window(value.get("window")),
         "pixel_size_um": value.get("pixel_size"),
         "speed_mm_min": number(value.get("speed"), "--speed", least=1e-9),
-        "d0_mm": number(value.get("d0"), "--d0", least=0),
+        **dict(zip(("d0_mm", "d0_err_mm"), parse_with_error(value.get("d0"), "--d0"), strict=True)),
         "force_columns": parse_columns(columns) if columns else None,
         "force_threshold_N": number(value.get("force_threshold"), "--force-threshold", least=0),
-        "force_lowpass_s": number(value.get("force_lowpass"), "--force-lowpass", least=0),
+        "force_lowpass_s": parse_lowpass(value.get("force_lowpass")),
+        "fit_range_mm": parse_mm_range(value.get("fit_range"), "--fit-range"),
+        "mu": number(value.get("fix_mu"), "--fix-mu", least=1e-9),
+        "modulus_GPa": number(value.get("fix_yeff"), "--fix-yeff", least=1e-9),
         "machine_stiffness_N_per_mm": number(
             value.get("machine_stiffness"), "--machine-stiffness", least=1e-9
         ),
@@ -304,6 +319,38 @@ def parse_range(text: str | None, option: str) -> slice | None:
     if match is None or (stop is not None and stop <= (start or 0)):
         raise InputError(option, "two whole numbers A:B with 0 <= A < B", f"'{text}'")
     return slice(start, stop)
+
+
+def parse_with_error(text: str | float | None, option: str) -> tuple[float | None, float | None]:
+    """(value, error) of 13, 13.0±0.1 or 13.0+-0.1, the error None if not given.  Raises: InputError."""
+    if text is None:
+        return None, None
+    value, sign, error = str(text).replace("+-", "±").replace("+/-", "±").partition("±")
+    parts = _float(value), _float(error) if sign else 0.0
+    if not all(0 <= part < math.inf for part in parts):
+        raise InputError(option, "a number from 0, or with its error", f"'{text}'", "write 13 or 13.0±0.1")
+    return parts[0], parts[1] if sign else None
+
+
+def parse_lowpass(text: str | float | None) -> float | Literal["auto"] | None:
+    """Seconds from 0, or "auto".  Raises: InputError."""
+    if text is None or text == "auto":
+        return None if text is None else "auto"
+    value = _float(str(text))
+    if not 0 <= value < math.inf:
+        raise InputError("--force-lowpass", "seconds from 0, or auto", f"'{text}'")
+    return value
+
+
+def parse_mm_range(text: str | None, option: str) -> tuple[float, float] | None:
+    """`A:B` in mm.  Raises: InputError."""
+    if text is None:
+        return None
+    first, _, last = text.partition(":")
+    ends = _float(first), _float(last)
+    if not 0 <= ends[0] < ends[1] < math.inf:
+        raise InputError(option, "two separations in mm A:B with A < B", f"'{text}'", "write 13.2:17")
+    return ends
 
 
 def parse_window(text: str | None) -> int | Literal["auto"] | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -12,12 +13,22 @@ import xarray as xr
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
 from vision.errors import InputError
 from vision.force.corners import Corners, find_corners
-from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines, flat_ranges
-from vision.force.lowpass import deconvolve_lowpass, estimate_lowpass
+from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines
+from vision.force.lowpass import SlipTransients, deconvolve_lowpass, estimate_lowpass
 from vision.force.recording import find_spikes, is_compression, noise_sigma, usable
+from vision.force.regime import (
+    Extremes,
+    Regime,
+    find_extremes,
+    find_regime,
+    is_slow,
+    is_unloading,
+)
 from vision.force.settings import DEFAULTS, ForceSettings
-from vision.force.slips import Slips, find_slips
+from vision.force.slips import Slips, find_slips, stick_middles
 from vision.numeric import Bools, Floats, Ints
+
+_STICKS_FOR_KNEES = 60  # looked at, from first to last, to tell whether sticks have two slopes
 
 
 def find_stick_slip(
@@ -26,7 +37,7 @@ def find_stick_slip(
     threshold_N: float | None = None,
     machine_stiffness_N_per_mm: float | None = None,
     two_slopes: bool | None = None,
-    lowpass_s: float | None = None,
+    lowpass_s: float | Literal["auto"] = 0.0,
     settings: ForceSettings = DEFAULTS,
 ) -> pd.DataFrame:
     """Stick-slip events of a recording, one row per complete stick: valley (v), peak (p), next valley.
@@ -43,30 +54,36 @@ def find_stick_slip(
     machine_stiffness_N_per_mm
         Corrects d for the machine's own stretch, d - F/K_machine; no correction if absent.
     two_slopes
-        Whether sticks are fitted with K1 up to a knee and K2 after it; by default from 5 mm/min on.
+        Whether sticks are fitted with K1 up to a knee and K2 after it; by default decided from the sticks
+        themselves.
     lowpass_s
-        Time constant of the load cell's low-pass to correct for, 0 for none; found from the transients after
-        slips if absent.
+        Time constant of the load cell's low-pass to correct for. 0: everything as recorded. "auto": what the
+        transients after slips prove, else as recorded; a constant that was found is proposed either way
+        (``lowpass_proposed_s``).
     settings
         See `ForceSettings`.
 
     Returns
     -------
     Table with the columns of ``events.csv`` in order, then further ones; all are described in
-    `vision.data.STICKS`. F_v and F_p are the stick line through the central 80 % extended to valley and peak;
-    K is the slope of the central half, with two slopes of what follows the knee. Lengths and stiffness are
-    NaN where d is not known. ``flag`` is "ok" or what is wrong within the stick: gap, nan, saturated,
-    repeated, backwards, few (samples), falling. Attributes as `vision.data.StickMetadata`.
+    `vision.data.STICKS`. F_v and F_p are the stick line through the central 80 % extended to valley and peak,
+    within what was recorded there; beside slow slips the recorded extremes. K is the slope of the central
+    half, K1 and K2 those before and after a knee. Lengths and stiffness are NaN where d is not known.
+    ``flag`` is "ok" or, joined by "+", what is wrong within the stick (gap, nan, saturated, repeated,
+    backwards, few (samples), falling, unloading), what the instrument cannot give (short, negative), or how
+    it was measured (slow); "oscillation" and "cycles" are those of the whole recording. Attributes as
+    `vision.data.StickMetadata`.
 
     Raises
     ------
     InputError
-        For a load in compression, fewer than two slips, or a `lowpass_s` below 0 or not shorter than the
-        usual time between slips.
+        For a load in compression, fewer than two slips, falls that are all unloading, or a `lowpass_s` below
+        0 or not shorter than the usual time between slips.
 
     Notes
     -----
-    Source: paper, section on stick-slip features.
+    Errors of forces and lengths hold the noise, the place of the corners, and what an uncorrected low-pass,
+    where one was found, changes in each event. Source: paper, section on stick-slip features.
     """
     FORCE.check(force)
     metadata = ForceMetadata.of(force)
@@ -86,17 +103,24 @@ def find_stick_slip(
             f"{slips.edge.size} drops above {slips.threshold:.3g} (noise {signal.sigma:.2g})",
             "lower `threshold_N` if smaller drops are slips",
         )
-    period_s = slips.period * signal.interval_s
-    if lowpass_s is not None and not 0 <= lowpass_s < period_s:
+    _check_lowpass(lowpass_s, slips.period * signal.interval_s, metadata.source)
+    chain = _chain(signal, slips, lowpass_s, two_slopes, settings)
+    corners, tau, found, regime = chain.corners, chain.samples, chain.found, chain.regime
+    unloading = is_unloading(signal.travel, chain.extremes)
+    if unloading.all():
         raise InputError(
             metadata.source,
-            f"a time constant from 0 to less than from slip to slip, {period_s:.3g} s",
-            f"{lowpass_s:g} s",
-            "give `lowpass_s` in seconds, or leave it out to have it found",
+            "stick-slip: the force falls while the crosshead goes on",
+            f"{unloading.size} falls, all while it goes back: push–pull cycles",
         )
-    fast = metadata.speed_mm_min >= settings.fast_mm_min if two_slopes is None else two_slopes
-    corners, tau, how = _corners(signal, slips, fast, lowpass_s, settings)
-    events = _measure(signal, corners, tau, fast, 1 / (machine_stiffness_N_per_mm or np.inf), settings)
+    compliance = 1 / (machine_stiffness_N_per_mm or np.inf)
+    events = _measure(signal, corners, chain.extremes, tau, chain.bent, compliance, settings)
+    if found.samples and not tau:
+        events = _with_bias(events, signal, slips, chain.bent, compliance, found.samples, settings)
+    response = tau or (found.samples if found.proven else 0.0)
+    events = events.assign(
+        flag=_with_doubts(events, regime.name, unloading, response * signal.interval_s, signal, settings)
+    )
     first, last = np.interp(corners.peak[[0, -1]], np.arange(signal.time.size), signal.time)
     events.attrs |= StickMetadata(
         noise_N=signal.sigma,
@@ -105,7 +129,16 @@ def find_stick_slip(
         period_samples=slips.period,
         spikes=int(signal.is_spike.sum()),
         lowpass_s=tau * signal.interval_s,
-        lowpass_how=how,
+        lowpass_how=chain.how,
+        lowpass_proposed_s=found.samples * signal.interval_s if found.samples and not tau else float("nan"),
+        lowpass_proven=found.proven,
+        lowpass_dF_share=events.attrs.get("lowpass_dF_share", 0.0),
+        lowpass_K_share=events.attrs.get("lowpass_K_share", 0.0),
+        two_slopes=bool(chain.bent),
+        regime=regime.name,
+        fall_over_rise=regime.fall_over_rise,
+        line_share=regime.line_share,
+        warnings=_warnings(events, regime, signal),
         first_slip_s=float(first),
         first_slip_N=float(signal.clean[int(corners.peak[0])]),
         last_slip_s=float(last),
@@ -161,31 +194,130 @@ class _Signal:
         return np.where(self.is_spike, np.nan, self.load)
 
 
-def _corners(
-    signal: _Signal, slips: Slips, two_slopes: bool, lowpass_s: float | None, settings: ForceSettings
-) -> tuple[Corners, float, str]:
-    """Corners of the slips, the low-pass's time constant in samples, and how it is known."""
+def _check_lowpass(lowpass_s: float | str, period_s: float, source: str) -> None:
+    """Refuses what is no time constant of a recording whose slips follow each other after period_s."""
+    if isinstance(lowpass_s, str):
+        if lowpass_s != "auto":
+            raise InputError("`lowpass_s`", "seconds or auto", f"'{lowpass_s}'")
+    elif not 0 <= lowpass_s < period_s:
+        raise InputError(
+            source,
+            f"a time constant from 0 to less than from slip to slip, {period_s:.3g} s",
+            f"{lowpass_s:g} s",
+            "give `lowpass_s` in seconds, or auto to have it found",
+        )
 
-    def corners(tau: float) -> Corners:
-        corrected = deconvolve_lowpass(signal.clean, signal.sigma, slips, tau)
-        return find_corners(corrected, two_slopes=two_slopes, settings=settings)
 
-    if lowpass_s is not None:
-        tau = lowpass_s / signal.interval_s
-        return corners(tau), tau, "given"
-    plain = corners(0.0)
+@dataclass(frozen=True)
+class _Chain:
+    """Corners and recorded extremes, the low-pass corrected for in samples (how: `StickMetadata`) and the one
+    found, the kind of motion, and whether sticks have knees."""
+
+    corners: Corners
+    extremes: Extremes
+    regime: Regime
+    bent: bool
+    found: _Lowpass
+    samples: float
+    how: str
+
+
+def _chain(
+    signal: _Signal,
+    slips: Slips,
+    lowpass_s: float | str,
+    two_slopes: bool | None,
+    settings: ForceSettings,
+) -> _Chain:
+    """What the recording shows, and what of the load cell's low-pass is to be corrected."""
+    given = 0.0 if isinstance(lowpass_s, str) else lowpass_s / signal.interval_s
+    bent = _have_knees(signal, slips, given, settings) if two_slopes is None else two_slopes
+    corners = _corners(signal, slips, bent, 0.0, settings)
+    extremes = find_extremes(signal.clean, corners.middle, corners.valley - corners.peak)
+    regime = find_regime(signal.clean, extremes, settings)
+    found = _Lowpass()
+    if not given and regime.name == "stick-slip":
+        found = _lowpass(signal, slips, corners, bent, settings)
+        if found.samples and not bent and two_slopes is None:
+            # Transients of the low-pass may have hidden the knees.
+            bent = _have_knees(signal, slips, found.samples, settings)
+            if bent:
+                corners = _corners(signal, slips, bent, 0.0, settings)
+                found = _lowpass(signal, slips, corners, bent, settings)
+    tau, how = given, "given" if given else "recorded" if lowpass_s == 0 else "none"
+    if lowpass_s == "auto" and found.samples:
+        tau, how = (found.samples, "found") if found.proven else (0.0, "doubtful")
+    if tau:
+        corners = _corners(signal, slips, bent, tau, settings)
+    return _Chain(corners, extremes, regime, bent, found, tau, how)
+
+
+def _have_knees(signal: _Signal, slips: Slips, lag: float, settings: ForceSettings) -> bool:
+    """Whether the recording's sticks begin steeper than they go on, at the median of all of them.
+
+    The speed has no say: sticks at 4.9975 and at 5.0000 mm/min are the same.
+    """
+    start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
+    some = np.unique(np.linspace(0, start.size - 1, _STICKS_FOR_KNEES).astype(np.int64))
+    index = np.arange(signal.clean.size, dtype=float)
+    broken = fit_broken_lines(index, signal.clean, start[some], stop[some], lag=lag)
+    known = np.isfinite(broken.gain) & (broken.first > 0) & (broken.second > 0)
+    if known.sum() < max(2, 0.5 * known.size):
+        return False
+    ratio = float(np.median(broken.first[known] / broken.second[known]))
+    return float(np.median(broken.gain[known])) > settings.knee_gain and ratio > settings.knee_ratio
+
+
+def _corners(signal: _Signal, slips: Slips, two_slopes: bool, tau: float, settings: ForceSettings) -> Corners:
+    """Corners of the slips, corrected for a low-pass of tau samples."""
+    corrected = deconvolve_lowpass(signal.clean, signal.sigma, slips, tau)
+    return find_corners(corrected, two_slopes=two_slopes, settings=settings)
+
+
+@dataclass(frozen=True)
+class _Lowpass:
+    """Time constant in samples that the transients after slips suggest, 0 for none; is it proven?"""
+
+    samples: float = 0.0
+    proven: bool = False
+
+
+def _lowpass(
+    signal: _Signal, slips: Slips, plain: Corners, two_slopes: bool, settings: ForceSettings
+) -> _Lowpass:
+    """The low-pass of the load cell: proven where large and small, early and late slips show the same."""
     found = estimate_lowpass(signal.clean, plain.transients())
     if found is None or found.gain <= 2.5:  # nothing to look into
-        return plain, 0.0, "none"
+        return _Lowpass()
     # Corrected corners show the transients from their very begin: what is found a second time is believed.
     for _ in range(3):
-        again = estimate_lowpass(signal.clean, corners(found.samples).transients(), found.samples)
+        transients = _corners(signal, slips, two_slopes, found.samples, settings).transients()
+        again = estimate_lowpass(signal.clean, transients, found.samples)
         if again is None:
             break
         if again.confirms(found, settings):
-            return corners(again.samples), again.samples, "found"
+            return _Lowpass(again.samples, _same_everywhere(signal, transients, again.samples, settings))
         found = again
-    return plain, 0.0, "doubtful"
+    return _Lowpass()
+
+
+def _same_everywhere(
+    signal: _Signal, transients: SlipTransients, tau: float, settings: ForceSettings
+) -> bool:
+    """Whether slips of different size, and of different sticks, each show the time constant of all.
+
+    An amplifier's constant is one; relaxation of the sample itself changes with the slip.
+    """
+    stick = transients.peak - transients.valley
+    if not tau < 0.5 * float(np.median(stick)):
+        return False
+    for quantity in (transients.drop, stick):
+        large = quantity > np.median(quantity)
+        for part in (large, ~large):
+            some = estimate_lowpass(signal.clean, transients.take(part), tau)
+            if some is None or abs(np.log(some.samples / tau)) > settings.lowpass_same:
+                return False
+    return True
 
 
 # --- what is measured on each stick, all sticks at once -----------------------------------------------------
@@ -227,6 +359,7 @@ def _between(start: Floats, stop: Floats) -> tuple[Ints, Ints]:
 def _measure(
     signal: _Signal,
     corners: Corners,
+    extremes: Extremes,
     lag: float,
     two_slopes: bool,
     compliance: float,
@@ -237,15 +370,29 @@ def _measure(
     lag: time constant of the low-pass in samples.  compliance: of the machine, mm/N.
     """
     index = np.arange(signal.time.size, dtype=float)
-    v, p, v_next = corners.valley[:-1], corners.peak[1:], corners.valley[1:]
+    slow = is_slow(corners.valley - corners.peak, corners.peak[1:] - corners.valley[:-1], settings)
+    recorded = slow if not lag else np.zeros_like(slow)
+    valley = np.where(recorded, extremes.valley, corners.valley)
+    peak = np.where(recorded, extremes.peak, corners.peak)
+    v, p, v_next = valley[:-1], peak[1:], valley[1:]
     sticks = _Sticks(v, p, corners.knee[1:-1], lag, settings)
     t_v, t_p, t_next = (np.interp(at, index, signal.time) for at in (v, p, v_next))
-    f_v, f_p, rising = _ends(signal, sticks, t_v, t_p)
+    ends = _ends(signal, sticks, t_v, t_p)
+    f_v, f_p = ends.f_v, ends.f_p
+    if not lag:
+        f_v, f_p = _within_recorded(signal, extremes, ends, settings)
+        f_v = np.where(recorded[:-1], extremes.low[:-1], f_v)
+        f_p = np.where(recorded[1:], extremes.high[1:], f_p)
+    place = np.where(recorded, _flat_top_error(signal, corners, extremes), corners.error)
     # The machine's stretch is subtracted at the corners: at every sample it would add the load's noise to d.
     d_v = np.interp(v, index, signal.travel) - compliance * f_v
     d_p = np.interp(p, index, signal.travel) - compliance * f_p
     last = np.interp(v_next[-1:], index, signal.travel) - compliance * signal.clean[int(v_next[-1])]
-    relative = np.hypot(corners.error[:-1], corners.error[1:]) / (p - v)
+    relative = np.hypot(place[:-1], place[1:]) / (p - v)
+    # Near a slow slip's extreme the load is level: the place of the corner does not matter there.
+    rise = np.abs(ends.slope) * signal.interval_s
+    f_v_err = np.hypot(ends.error_v, np.where(recorded[:-1], 0, rise * place[:-1]))
+    f_p_err = np.hypot(ends.error_p, np.where(recorded[1:], 0, rise * place[1:]))
     table = pd.DataFrame(
         {
             "event": np.arange(v.size),
@@ -259,17 +406,55 @@ def _measure(
             "stick_length_um": 1e3 * (d_p - d_v),
             "slip_length_um": 1e3 * (np.r_[d_v[1:], last] - d_p),
             **_stiffness(signal, sticks, two_slopes, compliance),
-            **_raw_extremes(signal, v, p),
+            "F_v_raw_N": extremes.lowest[:-1],
+            "F_p_raw_N": extremes.highest[1:],
+            "F_v_err_N": f_v_err,
+            "F_p_err_N": f_p_err,
+            "dF_err_N": np.hypot(f_v_err, f_p_err),
             "stick_length_err_um": 1e3 * (d_p - d_v) * relative,
             "slip_time_s": t_next - t_p,
             "samples": (p - v).astype(int),
         }
     )
-    return table.assign(flag=_event_flags(signal, sticks, rising))
+    return table.assign(flag=_event_flags(signal, sticks, ends.slope > 0, slow[:-1] | slow[1:]))
 
 
-def _ends(signal: _Signal, sticks: _Sticks, t_v: Floats, t_p: Floats) -> tuple[Floats, Floats, Bools]:
-    """(F_v, F_p, does the load rise): stick lines extended to the corners, each side of the knee its own."""
+def _within_recorded(
+    signal: _Signal, extremes: Extremes, ends: _Ends, settings: ForceSettings
+) -> tuple[Floats, Floats]:
+    """Forces at the ends of the stick lines, held to what was recorded there.
+
+    A stick begins and ends between two samples: it may be a sample's rise longer than what was recorded. The
+    load cell is late, too: the lowest sample lies above the true valley, and a small share of the drop is
+    left for that. The whole recording's range is never left.
+    """
+    highest, lowest = extremes.highest[1:], extremes.lowest[:-1]
+    rise = np.abs(ends.slope) * signal.interval_s
+    spare = rise + settings.between_samples * np.maximum(highest - lowest, 0)
+    f_v = np.fmax(ends.f_v, np.maximum(lowest - spare, signal.clean.min()))
+    return f_v, np.fmin(ends.f_p, np.minimum(highest + rise, signal.clean.max()))
+
+
+def _flat_top_error(signal: _Signal, corners: Corners, extremes: Extremes) -> Floats:
+    """Samples within which noise hides the extreme of half a cosine."""
+    noise = signal.sigma / np.sqrt(extremes.width)
+    relative = noise / np.maximum(extremes.high - extremes.low, noise)
+    return np.asarray(np.fmax(extremes.fall * 2 / np.pi * np.sqrt(relative), corners.error))
+
+
+@dataclass(frozen=True)
+class _Ends:
+    """Forces at the two ends of each stick with the errors of their lines, and the sticks' slope in N/s."""
+
+    f_v: Floats
+    f_p: Floats
+    error_v: Floats
+    error_p: Floats
+    slope: Floats
+
+
+def _ends(signal: _Signal, sticks: _Sticks, t_v: Floats, t_p: Floats) -> _Ends:
+    """Stick lines extended to the corners, each side of the knee its own."""
     central = sticks.central(sticks.settings.line_part)
     line = fit_lines(signal.time, signal.spikeless, *central, lag=sticks.lag)
     bent = np.isfinite(sticks.knee)
@@ -278,7 +463,7 @@ def _ends(signal: _Signal, sticks: _Sticks, t_v: Floats, t_p: Floats) -> tuple[F
         broken = sticks.broken(signal.time, signal.spikeless)
         f_v = np.where(bent, broken.first_at(t_v), f_v)
         f_p = np.where(bent, broken.second_at(t_p), f_p)
-    return f_v, f_p, line.slope > 0
+    return _Ends(f_v, f_p, line.error_at(t_v), line.error_at(t_p), line.slope)
 
 
 def _stiffness(signal: _Signal, sticks: _Sticks, two_slopes: bool, compliance: float) -> dict[str, Floats]:
@@ -289,40 +474,118 @@ def _stiffness(signal: _Signal, sticks: _Sticks, two_slopes: bool, compliance: f
             return np.where(slope * compliance < 1, slope / (1 - slope * compliance), np.nan)
 
     travel, load = signal.travel, signal.spikeless
+
+    def both(line: Lines) -> tuple[Floats, Floats]:
+        k = sample(line.slope)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return k, line.slope_error * (k / line.slope) ** 2
+
+    part = sticks.settings.central_part
     central, narrow, wide = (
-        fit_lines(travel, load, *sticks.one_slope(part), lag=sticks.lag)
-        for part in (sticks.settings.central_part, 0.3, 0.7)
+        fit_lines(travel, load, *sticks.central(share), lag=sticks.lag) for share in (part, 0.3, 0.7)
     )
-    k = sample(central.slope)
-    with np.errstate(invalid="ignore"):
-        columns = {"K_N_per_mm": k, "K_err_N_per_mm": central.slope_error * (k / central.slope) ** 2}
+    k, error = both(central)
+    columns = {"K_N_per_mm": k, "K_err_N_per_mm": error}
     columns |= {"K30_N_per_mm": sample(narrow.slope), "K70_N_per_mm": sample(wide.slope)}
-    names = ("K1_N_per_mm", "K2_N_per_mm", "knee", "knee_gain")
+    names = ("K1_N_per_mm", "K2_N_per_mm", "K2_err_N_per_mm", "knee", "knee_gain")
     if not two_slopes or not np.isfinite(travel).any():
         return columns | dict.fromkeys(names, np.full(k.size, np.nan))
     broken = sticks.broken(travel, load)
-    found = sample(broken.first), sample(broken.second), broken.knee, broken.gain
-    return columns | dict(zip(names, found, strict=True))
+    after, after_error = both(fit_lines(travel, load, *sticks.one_slope(part), lag=sticks.lag))
+    bent = np.isfinite(sticks.knee)
+    second = np.where(bent, after, sample(broken.second)), np.where(bent, after_error, error)
+    return columns | dict(zip(names, (sample(broken.first), *second, broken.knee, broken.gain), strict=True))
 
 
-def _raw_extremes(signal: _Signal, v: Floats, p: Floats) -> dict[str, Floats]:
-    """Lowest load near each valley and highest near each peak, spikes aside: within a tenth of the stick."""
-    reach = np.maximum(0.1 * (p - v), 1)
-    size = signal.clean.size
-    lowest, highest = np.full(v.size, np.inf), np.full(v.size, -np.inf)
-    for extreme, corner, place in ((np.minimum, v, lowest), (np.maximum, p, highest)):
-        start = np.clip(np.floor(corner - reach), 0, size - 1).astype(np.int64)
-        row, index = flat_ranges(start, np.clip(np.ceil(corner + reach) + 1, 1, size).astype(np.int64))
-        extreme.at(place, row, signal.clean[index])
-    return {"F_v_raw_N": lowest, "F_p_raw_N": highest}
+def _with_bias(
+    events: pd.DataFrame,
+    signal: _Signal,
+    slips: Slips,
+    two_slopes: bool,
+    compliance: float,
+    tau: float,
+    settings: ForceSettings,
+) -> pd.DataFrame:
+    """Errors that hold what a low-pass of tau samples, left as recorded, changes in each event."""
+    corners = _corners(signal, slips, two_slopes, tau, settings)
+    extremes = find_extremes(signal.clean, corners.middle, corners.valley - corners.peak)
+    other = _measure(signal, corners, extremes, tau, two_slopes, compliance, settings)
+    pairs = {
+        "F_v_N": "F_v_err_N",
+        "F_p_N": "F_p_err_N",
+        "dF_N": "dF_err_N",
+        "stick_length_um": "stick_length_err_um",
+        "K_N_per_mm": "K_err_N_per_mm",
+    }
+    changed = {}
+    for value, error in pairs.items():
+        bias = np.nan_to_num(other[value].to_numpy(float) - events[value].to_numpy(float))
+        # One and the same bias in all events: added, not in squares.
+        changed[error] = events[error] + np.abs(np.where(np.isfinite(events[value]), bias, 0.0))
+    biased = events.assign(**changed)
+    for name in ("dF", "K"):
+        column = "dF_N" if name == "dF" else "K_N_per_mm"
+        ratio = (other[column] / events[column] - 1).to_numpy(float)
+        known = ratio[np.isfinite(ratio)]
+        biased.attrs[f"lowpass_{name}_share"] = float(np.median(known)) if known.size else 0.0
+    return biased
 
 
-def _event_flags(signal: _Signal, sticks: _Sticks, rising: Bools) -> list[str]:
+def _with_doubts(
+    events: pd.DataFrame,
+    regime: str,
+    unloading: Bools,
+    response_s: float,
+    signal: _Signal,
+    settings: ForceSettings,
+) -> list[str]:
+    """The flags with what contradicts stick-slip, or what the instrument cannot give, added."""
+    duration = (events["t_p_s"] - events["t_v_s"]).to_numpy(float)
+    marks = {
+        "unloading": unloading[:-1] | unloading[1:],
+        "short": duration < settings.short_stick * response_s,
+        "negative": events["F_v_N"].to_numpy(float) < -3 * signal.sigma,
+        regime: np.full(len(events), regime != "stick-slip"),
+    }
+    added = ["+".join(word for word, mark in marks.items() if mark[k]) for k in range(len(events))]
+    return [
+        "+".join(part for part in (old if old != "ok" or not new else "", new) if part)
+        for old, new in zip(events["flag"], added, strict=True)
+    ]
+
+
+def _warnings(events: pd.DataFrame, regime: Regime, signal: _Signal) -> list[str]:
+    """What speaks against stick-slip in the whole recording."""
+    lines = []
+    if regime.name == "oscillation":
+        low, high = np.percentile(signal.clean, [1, 99])
+        lines.append(
+            f"an oscillation, no stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises, "
+            f"sticks are not straight, {100 * regime.line_share:.0f} % of the variance is one line of the "
+            f"spectrum; it swings by {high - low:.3g} (1 to 99 % of the samples)"
+        )
+    elif regime.name == "cycles":
+        lines.append(
+            f"no stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises and are as "
+            "straight; these look like cycles of loading and unloading"
+        )
+    flags = events["flag"].str.split("+")
+    for word, meaning in (
+        ("unloading", "lie beside a fall while the crosshead went back"),
+        ("short", "are shorter than the load cell's own response allows"),
+        ("negative", "have a negative friction force: check the load cell's zero"),
+    ):
+        if count := int(flags.map(lambda words, word=word: word in words).sum()):
+            lines.append(f"{count} of {len(events)} sticks {meaning} (flag {word})")
+    return lines
+
+
+def _event_flags(signal: _Signal, sticks: _Sticks, rising: Bools, slow: Bools) -> list[str]:
     """What is wrong within each stick, joined by "+"; "ok" where nothing is."""
     v, p, last = sticks.v, sticks.p, signal.time.size - 1
     first, final = np.clip(np.floor(v), 0, last).astype(int), np.clip(np.ceil(p), 0, last).astype(int)
     marks = {kind: seen[final] > seen[first] for kind, seen in signal.damage.items()}
-    marks |= {"few": p - v < sticks.settings.few_samples, "falling": ~rising}
+    marks |= {"few": p - v < sticks.settings.few_samples, "falling": ~rising, "slow": slow}
     return ["+".join(word for word, mark in marks.items() if mark[k]) or "ok" for k in range(v.size)]
 
 

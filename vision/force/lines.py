@@ -60,6 +60,10 @@ class Lines:
         """The lines' values."""
         return self.mean_y + self.slope * (x - self.mean_x)
 
+    def error_at(self, x: Floats) -> Floats:
+        """Standard error of the lines' values, from the residuals."""
+        return self.spread * np.sqrt(1 / self.count + (x - self.mean_x) ** 2 / self.sxx)
+
     @property
     def squares(self) -> Floats:
         """Sums of squared residuals, without a lag."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -37,6 +37,10 @@ class SlipTransients:
     valley: Floats
     peak: Floats
     drop: Floats
+
+    def take(self, rows: Bools) -> SlipTransients:
+        """Some of the transients."""
+        return SlipTransients(*(getattr(self, part.name)[rows] for part in fields(self)))
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from vision.force.settings import DEFAULTS, ForceSettings
 from vision.numeric import Bools, Floats, Strings
 
 _LEAST_SAMPLES = 10
+_STARTS_NEAR_ZERO = 0.05  # of the whole travel: a machine's zero is set by hand
 
 
 def read_force(
@@ -24,6 +25,7 @@ def read_force(
     *,
     speed_mm_min: float | None = None,
     d0_mm: float | None = None,
+    d0_err_mm: float | None = None,
     columns: Mapping[str, str] | None = None,
     settings: ForceSettings = DEFAULTS,
 ) -> xr.Dataset:
@@ -36,8 +38,10 @@ def read_force(
     speed_mm_min
         V, pulling speed; used where no displacement is recorded, else compared with the displacement.
     d0_mm
-        Separation at crosshead 0; 0 where the column is the separation itself. Without it `d_mm` counts from
-        the crosshead's zero, which a note says.
+        Separation when the recording begins: the crosshead's change since then is added. 0 where the column
+        is the separation itself. Without it `d_mm` counts from the crosshead's zero, which a note says.
+    d0_err_mm
+        Its error, for the systematic errors of the fits.
     columns
         ``{"time": …, "load": …, "displacement": …, "video_time": …}`` as `parse_columns` returns, for columns
         that are not found by their names.
@@ -58,7 +62,8 @@ def read_force(
 
     Notes
     -----
-    .. math:: d = d_0 + x_\\mathrm{crosshead} \\quad\\text{or}\\quad d = d_0 + V (t - t_0)
+    .. math:: d = d_0 + x_\\mathrm{crosshead}(t) - x_\\mathrm{crosshead}(t_0)
+        \\quad\\text{or}\\quad d = d_0 + V (t - t_0)
     """
     path = Path(path)
     if not path.is_file():
@@ -66,12 +71,17 @@ def read_force(
     with np.errstate(invalid="ignore"):
         found, facts = _joined(path, read_tables(path), columns)
         force = _dataset(path, found, facts, speed_mm_min, d0_mm, settings)
+        if d0_err_mm is not None:
+            if not 0 <= d0_err_mm < np.inf:
+                raise InputError("`d0_err_mm`", "a number from 0", f"{d0_err_mm!r}")
+            force.attrs["d0_err_mm"] = float(d0_err_mm)
     return record(
         force,
         "read_force",
         path=str(path),
         speed_mm_min=speed_mm_min,
         d0_mm=d0_mm,
+        d0_err_mm=d0_err_mm,
         columns=dict(columns) if columns else None,
         settings=settings.changed(),
     )
@@ -133,8 +143,11 @@ def _dataset(
     good = usable(flags)
     if not good.any():
         raise InputError(path, "rising times and finite loads", f"none among {time.size} rows")
+    start = 0.0
     if crosshead is not None:
-        travel, source = crosshead, "displacement"
+        # With d0 = 0 the column is the separation itself.
+        start = float(crosshead[good][0]) if d0_mm else 0.0
+        travel, source = crosshead - start, "displacement"
     elif speed_mm_min is not None:
         travel, source = speed_mm_min / 60.0 * (time - float(time[good][0])), "speed"
     else:
@@ -156,10 +169,21 @@ def _dataset(
         d0_mm=float("nan") if d0_mm is None else d0_mm,
         columns="; ".join(f"{role} = {c.name} [{c.unit}]" for role, c in found.items()),
         notes=_notes(found, source, d0_mm),
-        warnings=_warnings(flags, load[good], source, speed_mm_min, measured),
-        **facts,
+        warnings=_warnings(flags, load[good], source, speed_mm_min, measured)
+        + _start_warnings(start, travel[good], d0_mm),
+        **facts,  # type: ignore[arg-type]
     )
     return force.assign_attrs(metadata.attrs())
+
+
+def _start_warnings(start: float, travel: Floats, d0_mm: float | None) -> list[str]:
+    """A crosshead that does not start near 0, which may be the separation itself."""
+    if not d0_mm or abs(start) <= _STARTS_NEAR_ZERO * max(float(np.ptp(travel)), 1e-9):
+        return []
+    return [
+        f"the crosshead starts at {start:.4g} mm: `d0_mm` {d0_mm:g} is added to its change since then; "
+        "`d0_mm` 0 takes the column for the separation itself"
+    ]
 
 
 def _speed(time: Floats, travel: Floats) -> float:

@@ -49,9 +49,10 @@ class ForceSettings:
     """Central part of a stick through which its line is fitted; drops, F_v and F_p are extrapolated
     from it. Larger comes closer to the rounded ends, smaller extrapolates further."""
 
-    fast_mm_min: float = 5.0
-    """Pulling speed from which sticks may have two slopes. Fast pulls show a steeper start; fitting a knee to
-    slow ones only adds noise."""
+    knee_ratio: float = 1.2
+    """Slope before over slope after the knee, at the median of the sticks, from which a recording's sticks
+    have two slopes. Sticks that soften by 10 % reach 1.1 and stay single; fast pulls of the publication's
+    kind reach 1.8."""
 
     knee_gain: float = 1.5
     """How many times smaller the squared residuals with a knee must be for a stick to have two slopes.
@@ -69,6 +70,32 @@ class ForceSettings:
     """Gain in squares, over chance, that a low-pass must reach when corners are corrected for it. Lower finds
     low-passes in noise, higher leaves the drops of fast pulls too small; shown by sawteeth with and without
     one."""
+
+    lowpass_same: float = 0.2
+    """Relative difference within which the time constants from large and small, early and late, slips must
+    agree for a low-pass to be proven. Larger believes transients that follow the slips themselves; shown by
+    recordings of paper on paper, which must give none."""
+
+    slow_slip: float = 0.2
+    """Length of a slip over that of the stick beside it from which it is slow: measured at recorded extremes
+    and flagged. Extrapolated stick lines read half cosines 0.4 % too large at 0.33 and 20 % at 1."""
+
+    between_samples: float = 0.03
+    """Share of the drop by which a stick's line may end below the lowest sample: what fast slips leave
+    between two samples. Smaller reads drops at 200 Hz 2 % too small, larger believes the line where the load
+    cell was too slow to follow."""
+
+    short_stick: float = 3.0
+    """Time constants of the load cell's low-pass that a stick must last. A shorter one is flagged "short":
+    what is seen of it is the instrument's response."""
+
+    equal_share: float = 0.5
+    """Duration of falls over that of rises (or its inverse) from which the two count as equally long. Slow
+    slips of true stick-slip stay below it or have straight sticks; a sinusoid has 1."""
+
+    line_share: float = 0.5
+    """Share of the variance near the frequency of the slips from which an equally long, rounded rise and fall
+    is an oscillation. A sinusoid whose amplitude wanders keeps more than 0.7."""
 
     central_part: float = 0.5
     """Central part of the stick over which K is measured. Larger lowers the error of K and takes in the

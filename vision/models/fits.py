@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 from numpy.typing import ArrayLike
+from scipy.ndimage import median_filter
 from scipy.optimize import least_squares
 
 from vision.data import FORCE, ForceMetadata
@@ -22,6 +23,10 @@ from vision.sample import PUBLISHED, Sample
 
 _LEAST_EVENTS = 6
 _DEGENERATE = 0.98  # correlation from which two parameters are better read together
+_MEASURED = frozenset({"ok", "slow", "negative"})  # flags of events that are whole
+_SLOW_MM_MIN = 1.0  # up to which the publication states A, N-hat and Y_eff
+_LARGEST_OFFSET_N = 10.0  # limits of T0 in the publication: what a load cell's zero may be off by
+_GEOMETRY = ("thickness_mm", "width_mm", "length_mm", "t_star_N")
 
 
 @dataclass(frozen=True)
@@ -79,6 +84,15 @@ class ModelFits:
         As given.
     notes
         What limits the result.
+    warnings
+        What speaks against it.
+    held
+        Names of parameters that were given, not fitted.
+    left_out
+        Events not used, by the reason: "flagged", "build_up" (before the peaks' maximum), "misfit" (after it,
+        before Eq. 1 fits) and "outside" the range given.
+    budget
+        Source of a systematic error to what it contributes to each parameter; None where it is not known.
     """
 
     mu: Estimate
@@ -94,6 +108,10 @@ class ModelFits:
     d_mm: tuple[float, float]
     sample: Sample
     notes: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
+    left_out: Mapping[str, int] = field(default_factory=dict)
+    budget: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
 
     def reduced_separation(self, d_mm: ArrayLike) -> Floats:
         """Separation over Lambda-hat, without unit."""
@@ -142,7 +160,11 @@ class ModelFits:
             "d_mm": self.d_mm,
             "d_hat": tuple(self.reduced_separation(self.d_mm).tolist()),
             "M_eff": tuple(self.effective_sheets(self.d_mm).tolist()),
+            "held": self.held,
+            "events_left_out": dict(self.left_out),
+            "budget": {source: dict(parts) for source, parts in self.budget.items()},
             "notes": self.notes,
+            "warnings": self.warnings,
         }
         return {key: _without_nan(item) for key, item in content.items()}
 
@@ -161,6 +183,10 @@ def fit_models(
     sample: Sample = PUBLISHED,
     *,
     free_t_star: bool = False,
+    mu: float | None = None,
+    modulus_GPa: float | None = None,
+    fit_range_mm: tuple[float, float] | None = None,
+    geometry_err: Mapping[str, float] | None = None,
 ) -> ModelFits:
     r"""Friction coefficient and offset from the peaks, A from the drops, N-hat and Y_eff from the stiffness.
 
@@ -169,11 +195,18 @@ def fit_models(
     force
         As from `read_force`: its load must be in N and its initial separation known.
     sticks
-        As from `find_stick_slip`; events not flagged "ok" are left out.
+        As from `find_stick_slip`; events with a flag other than "slow" or "negative" are left out.
     sample
         M, thickness, width, length and T*; the publication's by default.
     free_t_star
         Fit T* too, which is degenerate with the friction coefficient (correlation -0.999) and noted.
+    mu, modulus_GPa
+        Friction coefficient and Y_eff, where they are known and not to be fitted.
+    fit_range_mm
+        Separations (d_v) of the first and last event to use. By default from the maximum of the peaks on, or
+        from where Eq. 1 fits after it: while the pull builds up no event follows it.
+    geometry_err
+        Errors of fields of the sample, such as ``{"thickness_mm": 0.002}``, for the systematic errors.
 
     Returns
     -------
@@ -183,32 +216,60 @@ def fit_models(
     ------
     InputError
         For a force over a weight, an unknown initial separation, fewer than six whole events, separations
-        that are not between 0 and the sheets' length, or events that do not determine the parameters.
+        that are not between 0 and the sheets' length, events that do not determine the parameters, or
+        arguments that are not positive.
 
     Notes
     -----
     .. math:: F_p = \mathcal T(d_p; \mu, T^*) + \mathcal T_0, \quad
         \Delta F = A\, \mathcal N(d_v), \quad K = M_\mathrm{eff}(d_v; \hat N)\, \epsilon W Y_\mathrm{eff} / L
 
-    The first fit gives the friction coefficient that the other two use. Peaks and drops scatter by a share of
-    themselves and are weighted accordingly; K by its own error. Standard errors come from the deviations
-    themselves (White's covariance), so they hold whatever the size of the scatter; the error of the friction
-    coefficient is carried into A, N-hat and Y_eff.
+    The first fit gives the friction coefficient. K depends on it and on N-hat through Lambda-hat alone, so
+    (Lambda-hat, Y_eff) are fitted and N-hat follows. Where sticks have a knee, K is the slope after it. Peaks
+    and drops scatter by a share of themselves and are weighted accordingly; K by its own error. Standard
+    errors come from the deviations themselves (White's covariance), so they hold whatever the size of the
+    scatter, times the root of chi2_dof where that is above 1. Systematic errors are what the parameters
+    change by when d0 and the geometry move by their errors, and when a drift of the load cell as large as T0
+    (at most 10 N) builds up over the test.
     Source: paper, Eqs. 1 and 2, section on the effective number of sheets.
     """
     FORCE.check(force)
     _check_force(force)
+    held = _held(mu, modulus_GPa)
+    errors = _geometry_errors(geometry_err)
+    whole = _usable(sticks, sample)
     with np.errstate(all="ignore"):  # fits may stray; what comes out is checked
         try:
-            fits = _fit_all(_usable(sticks, sample), sample, free_t_star)
+            events, left_out = _chosen(whole, sample, held, fit_range_mm)
+            fits = _fit_all(events, sample, free_t_star, held)
         except InputError:
             raise
         except (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError) as error:
             raise _undetermined(str(error)) from error
-    parts = (fits.mu, fits.t0_N, fits.amplitude, fits.n_hat_N, fits.modulus_GPa, fits.scale_mm)
-    if not all(np.isfinite((part.value, part.error)).all() for part in parts):
-        raise _undetermined("values or errors that are not finite")
-    return fits
+        parts = (fits.mu, fits.t0_N, fits.amplitude, fits.n_hat_N, fits.modulus_GPa, fits.scale_mm)
+        if not all(np.isfinite((part.value, part.error)).all() for part in parts):
+            raise _undetermined("values or errors that are not finite")
+        left_out = {"flagged": len(sticks) - len(whole)} | left_out
+        lowpass = {name: float(sticks.attrs.get(name, 0.0)) for name in _LOWPASS}
+        fits = _with_systematics(fits, force, events, free_t_star, held, errors, lowpass)
+    notes, warnings = _remarks(fits, force, left_out, fit_range_mm is not None)
+    return replace(fits, left_out=left_out, notes=(*fits.notes, *notes), warnings=warnings)
+
+
+def _held(mu: float | None, modulus_GPa: float | None) -> dict[str, float]:
+    """Parameters that are given, by their field in `ModelFits`."""
+    held = {"mu": mu, "modulus_GPa": modulus_GPa}
+    for name, value in held.items():
+        if value is not None and not 0 < value < np.inf:
+            raise InputError(f"`{name}`", "a positive number", f"{value!r}")
+    return {name: float(value) for name, value in held.items() if value is not None}
+
+
+def _geometry_errors(given: Mapping[str, float] | None) -> dict[str, float]:
+    for name, value in (given or {}).items():
+        if name not in _GEOMETRY or not 0 <= value < np.inf:
+            raise InputError("`geometry_err`", f"errors of {', '.join(_GEOMETRY)}", f"{name}: {value!r}")
+    return dict(given or {})
 
 
 def _undetermined(reason: str) -> InputError:
@@ -230,7 +291,16 @@ def _usable(sticks: pd.DataFrame, sample: Sample) -> pd.DataFrame:
     needed = ["d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm"]
     if absent := [name for name in needed if name not in sticks]:
         raise InputError("model fits", f"columns {', '.join(needed)}", f"no {', '.join(absent)}")
-    events: pd.DataFrame = sticks[sticks["flag"] == "ok"] if "flag" in sticks else sticks
+    if "flag" in sticks:
+        fine = [set(str(flag).split("+")) <= _MEASURED for flag in sticks["flag"]]
+        events: pd.DataFrame = sticks[np.asarray(fine, dtype=bool)]
+    else:
+        events = sticks
+    if "K2_N_per_mm" in events and np.isfinite(events["K2_N_per_mm"].to_numpy(float)).mean() > 0.5:
+        # Sticks with a knee: the assembly's stiffness is what is left when all sheets have gripped.
+        events = events.assign(K_N_per_mm=events["K2_N_per_mm"])
+        if "K2_err_N_per_mm" in events:
+            events = events.assign(K_err_N_per_mm=events["K2_err_N_per_mm"])
     rising = (events["dF_N"] > 0) & (events["K_N_per_mm"] > 0)
     events = events.loc[rising & np.isfinite(events[needed].to_numpy(float)).all(axis=1)]
     if len(events) < _LEAST_EVENTS:
@@ -251,10 +321,92 @@ def _usable(sticks: pd.DataFrame, sample: Sample) -> pd.DataFrame:
     return events
 
 
-def _fit_all(events: pd.DataFrame, given: Sample, free_t_star: bool) -> ModelFits:
+# --- which events -------------------------------------------------------------------------------------------
+
+
+def _chosen(
+    events: pd.DataFrame, sample: Sample, held: Mapping[str, float], given: tuple[float, float] | None
+) -> tuple[pd.DataFrame, dict[str, int]]:
+    """The events to fit, and how many are left out for what reason."""
+    if given is not None:
+        low, high = given
+        if not 0 <= low < high < np.inf:
+            raise InputError("`fit_range_mm`", "two separations A < B in mm", f"{low:g} and {high:g}")
+        inside = events["d_v_mm"].between(low, high)
+        if inside.sum() < _LEAST_EVENTS:
+            seen = f"{inside.sum()} of {len(events)}, which lie between "
+            seen += f"{events['d_v_mm'].min():.4g} and {events['d_v_mm'].max():.4g} mm"
+            raise InputError("`fit_range_mm`", f"at least {_LEAST_EVENTS} events within", seen)
+        return events[inside], {"outside": int((~inside).sum())}
+    top = _maximum(events["F_p_N"].to_numpy(float))
+    start = _first_that_fits(events, sample, held, top)
+    return events.iloc[start:], {"build_up": top, "misfit": start - top}
+
+
+def _maximum(peaks: Floats) -> int:
+    """Where the peaks, smoothed over seven, are largest; 0 where scatter alone may have put it there."""
+    smooth = median_filter(peaks, size=min(7, peaks.size), mode="reflect")
+    top = int(np.argmax(smooth))
+    scatter = 1.4826 * float(np.median(np.abs(np.diff(peaks)))) / np.sqrt(2)
+    risen = smooth[top] - np.median(peaks[: max(min(3, top), 1)])
+    return top if risen > 3 * scatter and peaks.size - top >= _LEAST_EVENTS else 0
+
+
+def _first_that_fits(events: pd.DataFrame, sample: Sample, held: Mapping[str, float], top: int) -> int:
+    """The first event from which on Eq. 1 follows the peaks: in all, and where it begins.
+
+    Later starts are tried up to half of the events; where none fits it is the maximum of the peaks.
+    """
+    count = len(events) - top
+    steps = np.r_[0.0, np.geomspace(0.01, 0.5, 12)] * count
+    for start in top + np.unique(steps.astype(np.int64)):
+        part = events.iloc[int(start) :]
+        if len(part) < _LEAST_EVENTS:
+            break
+        fit = _fit_peaks(part, sample, False, held)
+        first = fit.residual[: max(5, len(part) // 20)]
+        noise = np.sqrt(np.mean(np.diff(fit.residual) ** 2) / 2)
+        begins = abs(float(first.mean())) < 2 * noise / np.sqrt(first.size)
+        if begins and fit.goodness.chi2_dof < _usual_chi2(len(part)):
+            over = _build_up_over(events, sample, held) if start else 0
+            return int(max(start, min(over, len(events) - max(2 * _LEAST_EVENTS, len(events) // 4))))
+    return top
+
+
+def _build_up_over(events: pd.DataFrame, sample: Sample, held: Mapping[str, float]) -> int:
+    """Where a build-up that decays exponentially no longer matters: below half a standard error of its own.
+
+    Noise hides the last part of a build-up that still bends the fit; its beginning shows how long it is.
+    """
+    d, peak = events["d_p_mm"].to_numpy(float), events["F_p_N"].to_numpy(float)
+    start = _fit_peaks(events, sample, False, held)
+
+    def model(q: Floats) -> Floats:
+        force = equations.traction(d, mu=max(float(q[0]), 1e-3), sample=sample) + q[1]
+        missing = np.exp(-np.exp(q[3]) - (d - d[0]) / np.exp(q[2]))  # a share of 1 or less at first
+        return np.asarray(force * (1 - missing))
+
+    span = max(float(np.ptp(d)), 1e-9)
+    fit = _fit(model, peak, None, [*start.value[:2], float(np.log(span / 20)), -1.0])
+    length, share = float(np.exp(fit.value[2])), float(np.exp(-np.exp(fit.value[3])))
+    points = max(length * d.size / span / 2, 1.0)  # over which a build-up counts
+    limit = 0.5 * fit.goodness.scatter / np.sqrt(points)
+    over = d[0] + length * np.log(max(share / max(limit, 1e-12), 1.0))
+    return int(np.searchsorted(np.maximum.accumulate(d), over)) if np.isfinite(over) else 0
+
+
+def _usual_chi2(points: int) -> float:
+    """What chi2_dof rarely exceeds where the model is right: it compares two estimates of one variance."""
+    return float(1 + 3 / np.sqrt(points))
+
+
+# --- the fits -----------------------------------------------------------------------------------------------
+
+
+def _fit_all(events: pd.DataFrame, given: Sample, free_t_star: bool, held: Mapping[str, float]) -> ModelFits:
     """The three fits one after the other, and what follows from them."""
-    peaks = _fit_peaks(events, given, free_t_star)
-    mu = peaks.estimate(0)
+    peaks = _fit_peaks(events, given, free_t_star, held)
+    mu, t0 = peaks.estimate(0), peaks.estimate(1)
     t_star = Estimate(given.t_star_N, float("nan"))
     if free_t_star:
         t_star = replace(peaks.estimate(2), value=abs(float(peaks.value[2])))
@@ -262,23 +414,24 @@ def _fit_all(events: pd.DataFrame, given: Sample, free_t_star: bool) -> ModelFit
         raise _undetermined(f"friction coefficient {mu.value:.3g} ± {mu.error:.2g}")
     sample = replace(given, t_star_N=t_star.value)
     drops = _with_friction(lambda m: _fit_drops(events, sample, m), mu)
-    stiffness = _with_friction(lambda m: _fit_stiffness(events, sample, m), mu)
+    stiffness = _fit_stiffness(events, sample, held)
     span = (float(events["d_v_mm"].min()), float(events["d_v_mm"].max()))
-    scale, bending = _derived(stiffness, mu, sample, 0.5 * sum(span))
+    n_hat, bending, correlation = _derived(stiffness, peaks, sample, free_t_star, 0.5 * sum(span))
     return ModelFits(
         mu=mu,
-        t0_N=peaks.estimate(1),
+        t0_N=t0,
         t_star_N=t_star,
         amplitude=drops.estimate(0),
-        n_hat_N=stiffness.estimate(0),
+        n_hat_N=n_hat,
         modulus_GPa=stiffness.estimate(1),
-        scale_mm=scale,
+        scale_mm=stiffness.estimate(0),
         bending_mm=bending,
         goodness={"peaks": peaks.goodness, "drops": drops.goodness, "stiffness": stiffness.goodness},
-        correlation=_correlations(peaks, stiffness, free_t_star),
+        correlation=_correlations(peaks, stiffness, free_t_star) | correlation,
         d_mm=span,
         sample=given,
-        notes=_notes(peaks, stiffness, span, scale, free_t_star),
+        notes=_notes(peaks, stiffness, span, free_t_star),
+        held=tuple(held),
     )
 
 
@@ -289,12 +442,19 @@ class _Fit:
     value: Floats
     covariance: Floats
     goodness: Goodness
+    residual: Floats
 
     def estimate(self, k: int) -> Estimate:
         return Estimate(float(self.value[k]), float(np.sqrt(self.covariance[k, k])))
 
     def correlation(self, a: int, b: int) -> float:
-        return float(self.covariance[a, b] / np.sqrt(self.covariance[a, a] * self.covariance[b, b]))
+        both = float(np.sqrt(self.covariance[a, a] * self.covariance[b, b]))
+        return float(self.covariance[a, b]) / both if both > 0 else 0.0
+
+    def with_held(self, place: int, value: float) -> _Fit:
+        """The same with one more parameter, known and without error, before `place`."""
+        covariance = np.insert(np.insert(self.covariance, place, 0.0, axis=0), place, 0.0, axis=1)
+        return replace(self, value=np.insert(self.value, place, value), covariance=covariance)
 
 
 def _fit(model: Callable[[Floats], Floats], y: Floats, sigma: Floats | None, start: Sequence[float]) -> _Fit:
@@ -314,7 +474,10 @@ def _fit(model: Callable[[Floats], Floats], y: Floats, sigma: Floats | None, sta
     bread = np.linalg.pinv(jacobian.T @ jacobian)
     meat = jacobian.T @ (jacobian * residual[:, np.newaxis] ** 2)
     free = max(y.size - value.size, 1)
-    return _Fit(value, bread @ meat @ bread * y.size / free, _goodness(model(value), y, residual, free))
+    goodness = _goodness(model(value), y, residual, free)
+    # Deviations that hang together from event to event count for fewer than they are.
+    wider = max(goodness.chi2_dof, 1.0) if np.isfinite(goodness.chi2_dof) else 1.0
+    return _Fit(value, bread @ meat @ bread * (y.size / free * wider), goodness, residual)
 
 
 def _goodness(model: Floats, y: Floats, residual: Floats, free: int) -> Goodness:
@@ -323,19 +486,25 @@ def _goodness(model: Floats, y: Floats, residual: Floats, free: int) -> Goodness
     return Goodness(int(y.size), float(np.sqrt(np.mean((y / model - 1) ** 2))), chi2)
 
 
-def _fit_peaks(events: pd.DataFrame, sample: Sample, free_t_star: bool) -> _Fit:
-    """μ and 𝒯0, and T* if that is free, from the peak forces."""
+def _fit_peaks(events: pd.DataFrame, sample: Sample, free_t_star: bool, held: Mapping[str, float]) -> _Fit:
+    """μ, 𝒯0 and, if that is free, T* from the peak forces."""
     d, peak = events["d_p_mm"].to_numpy(float), events["F_p_N"].to_numpy(float)
 
-    def model(q: Floats) -> Floats:
-        assumed = replace(sample, t_star_N=max(abs(float(q[2])), 1e-12)) if free_t_star else sample
-        return np.asarray(equations.traction(d, mu=max(q[0], 1e-3), sample=assumed) + q[1])
+    def force(mu: float, t0: float, t_star: float) -> Floats:
+        assumed = replace(sample, t_star_N=max(abs(t_star), 1e-12))
+        return np.asarray(equations.traction(d, mu=max(mu, 1e-3), sample=assumed) + t0)
 
-    trials = np.linspace(0.2, 2.0, 91)
-    start = [0.0, 0.0, sample.t_star_N]
-    misfit = [np.sum((model(np.array([mu, *start[1:]])) / peak - 1) ** 2) for mu in trials]
-    start[0] = float(trials[int(np.argmin(misfit))])
-    return _fit(model, peak, None, start if free_t_star else start[:2])
+    given = held.get("mu")
+
+    def model(q: Floats) -> Floats:
+        mu, rest = (given, q) if given is not None else (float(q[0]), q[1:])
+        return force(mu, float(rest[0]), float(rest[1]) if free_t_star else sample.t_star_N)
+
+    trials = np.linspace(0.2, 2.0, 91) if given is None else np.array([given])
+    misfit = [np.sum((force(float(mu), 0.0, sample.t_star_N) / peak - 1) ** 2) for mu in trials]
+    start = [float(trials[int(np.argmin(misfit))])] if given is None else []
+    fit = _fit(model, peak, None, [*start, 0.0, *([sample.t_star_N] if free_t_star else [])])
+    return fit if given is None else fit.with_held(0, given)
 
 
 def _fit_drops(events: pd.DataFrame, sample: Sample, mu: float) -> _Fit:
@@ -345,26 +514,35 @@ def _fit_drops(events: pd.DataFrame, sample: Sample, mu: float) -> _Fit:
     return _fit(lambda q: np.asarray(q[0] * total), drop, None, [float(np.median(drop / total))])
 
 
-def _fit_stiffness(events: pd.DataFrame, sample: Sample, mu: float) -> _Fit:
-    """N̂ and Y_eff from the stiffness."""
+def _fit_stiffness(events: pd.DataFrame, sample: Sample, held: Mapping[str, float]) -> _Fit:
+    """Λ̂ and Y_eff from the stiffness, K = M √(1 − d/Λ̂) ε W Y_eff / L: no friction coefficient in it."""
     d, k = events["d_v_mm"].to_numpy(float), events["K_N_per_mm"].to_numpy(float)
     sigma = _stiffness_errors(events)
+    given = held.get("modulus_GPa")
+
+    def stiffness(scale: float, modulus: float) -> Floats:
+        sheets = equations.effective_sheets(d / scale, sample=sample)
+        return np.asarray(sheets * equations.sheet_stiffness(modulus_GPa=modulus, sample=sample))
 
     def model(q: Floats) -> Floats:
-        return np.asarray(
-            equations.assembly_stiffness(d, mu=mu, n_hat_N=np.exp(q[0]), modulus_GPa=q[1], sample=sample)
-        )
+        return stiffness(float(np.exp(q[0])), float(q[1]) if given is None else given)
 
-    trials = np.geomspace(0.005, 20, 60)
-    shape = [model(np.array([np.log(n_hat), 1.0])) for n_hat in trials]
-    modulus = [float(np.sum(k * s / sigma**2) / max(np.sum((s / sigma) ** 2), 1e-300)) for s in shape]
-    misfit = [np.sum(((k - y * s) / sigma) ** 2) for y, s in zip(modulus, shape, strict=True)]
+    trials = np.geomspace(1.001 * d.min(), 20 * d.max(), 120)
+    shapes = [stiffness(float(scale), 1.0) for scale in trials]
+    modulus = [
+        given or float(np.sum(k * s / sigma**2) / max(float(np.sum((s / sigma) ** 2)), 1e-300))
+        for s in shapes
+    ]
+    misfit = [np.sum(((k - y * s) / sigma) ** 2) for y, s in zip(modulus, shapes, strict=True)]
     best = int(np.argmin(misfit))
-    fit = _fit(model, k, sigma, [float(np.log(trials[best])), modulus[best]])
-    # Fitted as log N̂, which keeps it positive; reported as N̂.
-    turn = np.diag([np.exp(fit.value[0]), 1.0])
-    value = np.array([np.exp(fit.value[0]), fit.value[1]])
-    return _Fit(value, turn @ fit.covariance @ turn, fit.goodness)
+    start = [float(np.log(trials[best])), *([modulus[best]] if given is None else [])]
+    fit = _fit(model, k, sigma, start)
+    if given is not None:
+        fit = fit.with_held(1, given)
+    # Fitted as log Λ̂, which keeps it positive; reported as Λ̂.
+    scale = float(np.exp(fit.value[0]))
+    turn = np.diag([scale, 1.0])
+    return replace(fit, value=np.array([scale, fit.value[1]]), covariance=turn @ fit.covariance @ turn)
 
 
 def _stiffness_errors(events: pd.DataFrame) -> Floats:
@@ -381,37 +559,123 @@ def _with_friction(fit: Callable[[float], _Fit], mu: Estimate) -> _Fit:
     """A fit at the fitted μ whose covariance carries the error of μ too."""
     centre = fit(mu.value)
     slope = (fit(mu.value + mu.error).value - fit(mu.value - mu.error).value) / 2
-    return _Fit(centre.value, centre.covariance + np.outer(slope, slope), centre.goodness)
+    return replace(centre, covariance=centre.covariance + np.outer(slope, slope))
 
 
-def _derived(stiffness: _Fit, mu: Estimate, sample: Sample, d_mm: float) -> tuple[Estimate, Estimate]:
-    """(Λ̂, λ of the outermost sheet), errors carried through to first order."""
+def _derived(
+    stiffness: _Fit, peaks: _Fit, sample: Sample, free_t_star: bool, d_mm: float
+) -> tuple[Estimate, Estimate, dict[str, float]]:
+    """(N̂, λ of the outermost sheet, the correlation of N̂ and Y_eff), errors carried through to first order.
 
-    def both(parameters: Floats) -> Floats:
-        n_hat, modulus = parameters
-        scale = equations.separation_scale_mm(mu=mu.value, n_hat_N=n_hat, sample=sample)
+    N̂ = T*/2μ (exp(2 μ ε M²/Λ̂) − 1) depends on μ itself: that part of its error is much of it.
+    """
+    shared = [0, 2] if free_t_star else [0]
+    parameters = np.r_[stiffness.value, np.abs(peaks.value[shared])]
+    covariance = np.zeros((parameters.size, parameters.size))
+    covariance[:2, :2] = stiffness.covariance
+    covariance[2:, 2:] = peaks.covariance[np.ix_(shared, shared)]
+
+    def both(q: Floats) -> Floats:
+        t_star = float(q[3]) if free_t_star else sample.t_star_N
+        alpha = 2 * q[2] * sample.thickness_mm * sample.sheets_per_block**2 / q[0]
+        n_hat = t_star / (2 * q[2]) * float(np.expm1(alpha))
         outermost = sample.sheets_per_block
-        bending = bending_length_mm(outermost, d_mm, n_hat_N=n_hat, modulus_GPa=modulus, sample=sample)
-        return np.array([float(scale), float(bending)])
+        bending = bending_length_mm(outermost, d_mm, n_hat_N=n_hat, modulus_GPa=float(q[1]), sample=sample)
+        return np.array([n_hat, float(bending), q[1]])
 
-    centre = stiffness.value
-    step = 1e-4 * np.diag(centre)
+    moves = 1e-5 * np.diag(parameters)
     slopes = np.column_stack(
-        [(both(centre + move) - both(centre - move)) / (2 * move.sum()) for move in step]
+        [(both(parameters + move) - both(parameters - move)) / (2 * move.sum()) for move in moves]
     )
-    scale, bending = both(centre).tolist()
-    scale_error, bending_error = np.sqrt(np.diag(slopes @ stiffness.covariance @ slopes.T)).tolist()
-    return Estimate(scale, scale_error), Estimate(bending, bending_error)
+    spread = slopes @ covariance @ slopes.T
+    values, errors = both(parameters), np.sqrt(np.diag(spread))
+    together = float(spread[0, 2] / (errors[0] * errors[2])) if errors[0] * errors[2] > 0 else 0.0
+    n_hat, bending = (Estimate(float(values[k]), float(errors[k])) for k in (0, 1))
+    return n_hat, bending, {"N_hat_N,Y_eff_GPa": together}
 
 
 def _correlations(peaks: _Fit, stiffness: _Fit, free_t_star: bool) -> dict[str, float]:
-    found = {"mu,T0_N": peaks.correlation(0, 1), "N_hat_N,Y_eff_GPa": stiffness.correlation(0, 1)}
+    found = {"mu,T0_N": peaks.correlation(0, 1), "Lambda_hat_mm,Y_eff_GPa": stiffness.correlation(0, 1)}
     return found | ({"mu,T_star_N": peaks.correlation(0, 2)} if free_t_star else {})
 
 
-def _notes(
-    peaks: _Fit, stiffness: _Fit, span: tuple[float, float], scale: Estimate, free_t_star: bool
-) -> tuple[str, ...]:
+# --- systematic errors --------------------------------------------------------------------------------------
+
+_LOWPASS = ("lowpass_dF_share", "lowpass_K_share")
+_BUDGET = {
+    "mu": "mu",
+    "T0_N": "t0_N",
+    "A": "amplitude",
+    "N_hat_N": "n_hat_N",
+    "Y_eff_GPa": "modulus_GPa",
+    "Lambda_hat_mm": "scale_mm",
+}
+
+
+def _with_systematics(
+    fits: ModelFits,
+    force: xr.Dataset,
+    events: pd.DataFrame,
+    free_t_star: bool,
+    held: Mapping[str, float],
+    geometry: Mapping[str, float],
+    lowpass: Mapping[str, float],
+) -> ModelFits:
+    """The fits with a budget of systematic errors: everything fitted again with each source moved."""
+    d0_err = ForceMetadata.of(force).d0_err_mm
+    drift = min(max(abs(fits.t0_N.value), fits.t0_N.error), _LARGEST_OFFSET_N)
+    span = max(fits.d_mm[1] - fits.d_mm[0], 1e-9)
+
+    def again(moved: pd.DataFrame, sample: Sample = fits.sample) -> dict[str, float]:
+        try:
+            found = _fit_all(moved, sample, free_t_star, held)
+        except (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError):
+            return dict.fromkeys(_BUDGET, float("nan"))
+        return {name: getattr(found, part).value for name, part in _BUDGET.items()}
+
+    def half(plus: Mapping[str, float], minus: Mapping[str, float]) -> dict[str, float | None]:
+        return {name: abs(plus[name] - minus[name]) / 2 for name in _BUDGET}
+
+    def shifted(by: float) -> pd.DataFrame:
+        return events.assign(d_v_mm=events["d_v_mm"] + by, d_p_mm=events["d_p_mm"] + by)
+
+    def drifted(by: float) -> pd.DataFrame:
+        # Growing from nothing at the first event to `by` at the last.
+        ramp = by * (events["d_p_mm"] - events["d_p_mm"].min()) / span
+        return events.assign(F_p_N=events["F_p_N"] + ramp, K_N_per_mm=events["K_N_per_mm"] + by / span)
+
+    unknown: dict[str, float | None] = dict.fromkeys((*_BUDGET, "K_N_per_mm", "ratio"))
+    budget = {"d0": unknown}
+    if np.isfinite(d0_err):
+        moved = half(again(shifted(d0_err)), again(shifted(-d0_err)))
+        budget["d0"] = moved | {"K_N_per_mm": 0.0, "ratio": 0.0}
+    moved = half(again(drifted(drift)), again(drifted(-drift)))
+    budget["load_drift"] = moved | {"T0_N": drift, "K_N_per_mm": drift / span, "ratio": 0.0}
+    if any(lowpass.values()):
+        # What the load cell's low-pass takes from all drops and slopes, as a share of each.
+        none: dict[str, float | None] = dict.fromkeys((*_BUDGET, "ratio"), 0.0)
+        budget["low_pass"] = none | {
+            "A": abs(fits.amplitude.value * lowpass["lowpass_dF_share"]),
+            "Y_eff_GPa": abs(fits.modulus_GPa.value * lowpass["lowpass_K_share"]),
+            "K_N_per_mm": abs(float(events["K_N_per_mm"].median()) * lowpass["lowpass_K_share"]),
+        }
+    for name, error in geometry.items():
+        value = getattr(fits.sample, name)
+        larger, smaller = (replace(fits.sample, **{name: value + by}) for by in (error, -error))
+        budget[name] = half(again(events, larger), again(events, smaller)) | {"K_N_per_mm": 0.0, "ratio": 0.0}
+
+    def systematic(name: str, estimate: Estimate) -> Estimate:
+        parts = [part for source in budget.values() if (part := source[name]) is not None]
+        return replace(estimate, systematic_error=float(np.sqrt(np.sum(np.square(parts)))))
+
+    changed = {part: systematic(name, getattr(fits, part)) for name, part in _BUDGET.items()}
+    return replace(fits, budget=budget, **changed)  # type: ignore[arg-type]
+
+
+# --- what is said -------------------------------------------------------------------------------------------
+
+
+def _notes(peaks: _Fit, stiffness: _Fit, span: tuple[float, float], free_t_star: bool) -> tuple[str, ...]:
     """What limits the result."""
     notes = []
     if free_t_star:
@@ -419,7 +683,43 @@ def _notes(
             f"T* and mu are degenerate (correlation {peaks.correlation(0, 2):.3f}): read them together only"
         )
     if abs(stiffness.correlation(0, 1)) > _DEGENERATE:
-        notes.append("N_hat and Y_eff are nearly degenerate over this range of d")
-    if span[1] > scale.value:
-        notes.append(f"d goes beyond {scale.value:.2f} mm, where M_eff is 0")
+        notes.append("Lambda_hat and Y_eff are nearly degenerate over this range of d")
+    if span[1] > stiffness.value[0]:
+        notes.append(f"d goes beyond {stiffness.value[0]:.2f} mm, where M_eff is 0")
     return tuple(notes)
+
+
+def _remarks(
+    fits: ModelFits, force: xr.Dataset, left_out: Mapping[str, int], given_range: bool
+) -> tuple[list[str], tuple[str, ...]]:
+    """(notes, warnings) on the range used, the misfit, the offset, the speed and systematic errors."""
+    notes: list[str] = []
+    warnings: list[str] = []
+    used = fits.goodness["peaks"].points
+    build_up, misfit = left_out.get("build_up", 0), left_out.get("misfit", 0)
+    if build_up or misfit:
+        notes.append(
+            f"{build_up} events of the build-up and {misfit} after it that Eq. 1 does not fit are left out: "
+            f"{used} events from d = {fits.d_mm[0]:.2f} to {fits.d_mm[1]:.2f} mm used (`fit_range_mm`)"
+        )
+    elif given_range:
+        notes.append(f"{used} events within the range given used, {left_out.get('outside', 0)} left out")
+    for name, good in fits.goodness.items():
+        if good.chi2_dof > _usual_chi2(good.points):
+            line = f"the model does not follow the {name} (χ²/dof {good.chi2_dof:.3g}): "
+            line += f"errors widened {np.sqrt(good.chi2_dof):.2g} times"
+            (warnings if good.chi2_dof > 3 else notes).append(line)
+    if abs(fits.t0_N.value) > _LARGEST_OFFSET_N:
+        warnings.append(
+            f"𝒯0 = {fits.t0_N.value:.3g} N lies beyond the ±{_LARGEST_OFFSET_N:g} N of a load cell's zero: "
+            "check `d0_mm`, the sample's geometry and the zero"
+        )
+    facts = ForceMetadata.of(force)
+    if facts.speed_mm_min > _SLOW_MM_MIN * 1.05:
+        notes.append(
+            f"A, N_hat and Y_eff belong to models for V ≤ {_SLOW_MM_MIN:g} mm/min; "
+            f"here V = {facts.speed_mm_min:.3g} mm/min"
+        )
+    if not np.isfinite(facts.d0_err_mm):
+        notes.append("systematic errors are without that of d0, which is not known (`d0_mm` as 13.0±0.1)")
+    return notes, tuple(warnings)
