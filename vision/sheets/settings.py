@@ -165,6 +165,22 @@ class TrackingSettings:
     """Difference of two neighbours' displacements, in pitches, that no slip causes. Larger lets wrong
     identities pass, smaller flags avalanches."""
 
+    leave_sigmas: float = 8.0
+    """Times its own scatter by which a sheet leaves what its neighbours say before another ridge is
+    looked for. Larger lets hops pass, smaller doubts sheets that move by themselves."""
+
+    excursion_pitches: float = 0.4
+    """Pitches by which a part of the comb stands away for a few frames to be an excursion;
+    test_neighbours.py. Larger misses jumps of an uneven comb, smaller takes motion for misreadings."""
+
+    anchor_nats: float = 9.0
+    """Log-likelihood ratio by which the pattern must exclude other numberings for a doubt to end. Larger
+    keeps doubts that the pattern has settled, smaller ends them on equal sheets ("cropped combs")."""
+
+    anchor_fit: float = 1.5
+    """Mean cost of a feature, nats, up to which a frame's pattern is the learned one (0.5 where all is
+    normal)."""
+
     merged_widths: float = 0.8
     """Two sheets nearer to each other than this, in ridge widths, are one ridge: the resolution of two
     Gaussians."""
