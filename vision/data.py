@@ -268,6 +268,8 @@ class TrackMetadata(Metadata):
         Persistent ridges that are no sheets.
     wide_spacings
         Where a sheet may have been overlooked: "748 px (1.9 pitches)".
+    corrections_applied
+        Decisions by hand; they stand among the operations.
     """
 
     fit: str = "unknown"
@@ -285,6 +287,7 @@ class TrackMetadata(Metadata):
     least_margin: float = math.nan
     ridges_dropped: int = 0
     wide_spacings: Sequence[str] = field(default_factory=list)
+    corrections_applied: int = 0
 
 
 _FRAME_SHEET, _SHEET = ("frame", "sheet"), ("sheet",)
@@ -295,6 +298,11 @@ TRACKS = Schema(
         "x_px": Variable(_FRAME_SHEET, "px", "position of the sheet"),
         "x_err_px": Variable(_FRAME_SHEET, "px", "standard error of the position"),
         "flag": Variable(_FRAME_SHEET, "", "ok, or why there is no position"),
+        "why": Variable(_FRAME_SHEET, "", "why a doubtful identity is doubted", required=False),
+        "x_withheld_px": Variable(_FRAME_SHEET, "px", "ridge whose identity is doubtful", required=False),
+        "x_expected_px": Variable(
+            _FRAME_SHEET, "px", "where the sheets around say that it must be", required=False
+        ),
         "x_mean_px": Variable(_SHEET, "px", "median position", required=False),
         "found": Variable(_SHEET, "1", "fraction of the frames with a position", required=False),
         "fwhm_px": Variable(_SHEET, "px", "full width of the ridge at half maximum", required=False),

@@ -28,7 +28,7 @@ from vision.force import ForceSettings, find_stick_slip, read_force
 from vision.models import ModelFits, fit_models
 from vision.numeric import Pixels
 from vision.sample import PUBLISHED, Sample
-from vision.sheets import FitName, TrackingSettings, track_sheets
+from vision.sheets import Correction, FitName, TrackingSettings, track_sheets
 from vision.shells import ShellSettings, classify_shells
 from vision.summary import summary_lines, tracking_warnings
 from vision.video import Video, VideoSettings, open_video, reference_frame, strip_profile
@@ -72,6 +72,8 @@ class Settings:
         Polarity ("bright", "dark" or "auto"), number of ridges in view, symmetry axis in px.
     fit, window_px
         Subpixel method ("sliding", "paper" or "template") and its window: odd, or "auto".
+    corrections
+        Decisions by hand about identities, from `vision.sheets.read_corrections`.
     pixel_size_um
         µm per pixel; without it there are no lengths in µm and no deformation.
     speed_mm_min, d0_mm, force_columns
@@ -101,6 +103,7 @@ class Settings:
     axis_px: float | None = None
     fit: FitName = "sliding"
     window_px: int | Literal["auto"] | None = None
+    corrections: tuple[Correction, ...] = ()
     pixel_size_um: float | None = None
     speed_mm_min: float | None = None
     d0_mm: float | None = None
@@ -339,6 +342,7 @@ def _tracks(strip: xr.DataArray, chosen: Settings) -> xr.Dataset:
         axis_px=chosen.axis_px,
         fit=chosen.fit,
         window_px=chosen.window_px,
+        corrections=chosen.corrections,
         settings=chosen.tuning.tracking,
     )
 

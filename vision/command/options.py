@@ -30,6 +30,7 @@ _OPTION_OF = {
     "axis_px": "--axis",
     "fit": "--fit",
     "window_px": "--window",
+    "corrections": "--corrections",
     "pixel_size_um": "--pixel-size",
     "fps": "--fps",
     "timestamps": "--timestamps",
@@ -83,6 +84,8 @@ class VideoOptions:
     """sliding (default), paper (the publication's, exactly) or template (best for wide ridges)."""
     window: str | None = None
     """Fit window in px, odd, or auto to follow the ridges' width; 9 where they are 6 to 14 px wide."""
+    corrections: Path | None = None
+    """TOML file of decisions about identities: accept, leave_out, swap, assign."""
     pixel_size: str | None = None
     """µm per pixel, also as 10um or 0.01mm; without it lengths are in px."""
     fps: float | None = None
@@ -258,9 +261,10 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
     from vision.force import parse_columns
     from vision.pipeline import Settings
     from vision.sample import Sample
+    from vision.sheets import read_corrections
 
     value = {name: parameter.value for name, parameter in parameters.items()}
-    columns = value.get("force_columns")
+    columns, corrections = value.get("force_columns"), value.get("corrections")
     parts = {
         "rows": parse_range(value.get("strip"), "--strip"),
         "columns": parse_range(value.get("columns"), "--columns"),
@@ -273,6 +277,7 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
         "axis_px": number(value.get("axis"), "--axis", least=-1e6),
         "fit": value.get("fit"),
         "window_px": parse_window(value.get("window")),
+        "corrections": read_corrections(corrections) if corrections else None,
         "pixel_size_um": value.get("pixel_size"),
         "speed_mm_min": number(value.get("speed"), "--speed", least=1e-9),
         "d0_mm": number(value.get("d0"), "--d0", least=0),

@@ -47,6 +47,14 @@ def neighbour_residual(x_px: Floats) -> Floats:
     comb, where pairs are lacking, lines through two sheets on one side take their place. A median over the
     pairs, so that one wrong neighbour does not mislead.
     """
+    return np.asarray(x_px - said_by_neighbours(x_px), np.float64)
+
+
+def said_by_neighbours(x_px: Floats) -> Floats:
+    """Where the sheets around say that each sheet stands, px, (frame, N), whether it is seen there or not.
+
+    NaN as in `neighbour_residual`.
+    """
     sheets = x_px.shape[1]
     if sheets < 3:
         return np.full(x_px.shape, np.nan)
@@ -57,8 +65,7 @@ def neighbour_residual(x_px: Floats) -> Floats:
     lines = [_beyond(moved, step * a, step * b) for step in (1, -1) for a, b in LINES]
     lines = [np.where(few, line, np.nan) for line in lines]
     said = nan_median(np.stack([*pairs, *lines]))
-    residual = moved - said
-    return np.asarray(residual - nan_median(residual), np.float64)
+    return np.asarray(place + said + nan_median(moved - said), np.float64)
 
 
 def _shifted(values: Floats, by: int) -> Floats:
@@ -172,7 +179,7 @@ def anchored(
     anchored.
     """
     if x_px.shape[1] < 3 or trusted.any(axis=1).mean() < 0.1:
-        return np.zeros(len(x_px), bool)
+        return np.zeros(x_px.shape, bool)
     gap = np.diff(x_px, axis=1, append=np.nan)
     both = trusted & np.hstack([trusted[:, 1:], np.zeros((len(trusted), 1), bool)])
     features = (

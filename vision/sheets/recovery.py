@@ -37,8 +37,6 @@ class Detections:
         Why a doubtful identity is doubted: one of `DOUBTS`, "" elsewhere.
     withheld_px
         Whole pixel of the doubtful ridge, NaN elsewhere.
-    expected_px
-        Where the sheet must be as far as its neighbours tell.
     """
 
     start_px: Floats
@@ -47,7 +45,6 @@ class Detections:
     flag: Strings
     why: Strings
     withheld_px: Floats
-    expected_px: Floats
 
 
 def assign_detections(
@@ -107,7 +104,7 @@ def assign_detections(
     flag[doubtful] = "doubtful"
     ok = flag == "ok"
     start, contrast, fwhm = (np.where(ok, values, np.nan) for values in (start, contrast, fwhm))
-    return Detections(start, contrast, fwhm, flag, why, withheld, expected)
+    return Detections(start, contrast, fwhm, flag, why, withheld)
 
 
 def _of_sheets(values: Floats32, match: Ints) -> Floats:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -11,7 +12,9 @@ import xarray as xr
 from vision.data import STRIP, TRACKS, StripMetadata, TrackMetadata, record
 from vision.errors import InputError
 from vision.numeric import Floats, Floats32, Strings, nan_median
+from vision.sheets.corrections import Correction, apply_corrections
 from vision.sheets.identities import Identities, identify_sheets
+from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.recovery import Detections, assign_detections
 from vision.sheets.reference import wide_spacings
@@ -37,6 +40,7 @@ def track_sheets(
     axis_px: float | None = None,
     fit: FitName = "sliding",
     window_px: int | Literal["auto"] | None = None,
+    corrections: Sequence[Correction] = (),
     settings: TrackingSettings = DEFAULT,
 ) -> xr.Dataset:
     """Positions of all sheets in all frames.
@@ -58,6 +62,8 @@ def track_sheets(
     window_px
         Odd fit window; None is 9 where the ridges are 6–14 px wide, else, as with "auto", it follows their
         width.
+    corrections
+        Decisions by hand about identities, from `vision.sheets.corrections.read_corrections`.
     settings
         Thresholds and costs.
 
@@ -95,6 +101,15 @@ def track_sheets(
         candidates, comb, width_px=profile.shape[1], sheets=sheets, source=facts.source, settings=settings
     )
     detections = assign_detections(profile, candidates, identities, comb, settings=settings)
+    detections = apply_corrections(
+        detections,
+        candidates,
+        corrections,
+        comb,
+        frames=strip["frame"].values,
+        origin_px=origin_px,
+        settings=settings,
+    )
     x, err, noise = _positions(profile, detections.start_px, comb, fit, window)
     if facts.codec in LOSSY:
         scatter = position_noise(x) / np.maximum(nan_median(err), 1e-9)
@@ -103,6 +118,7 @@ def track_sheets(
     numbering = number_sheets(x, axis_px=axis, settings=settings)
     found = _Found(comb, identities, detections, numbering, x, err, noise, origin_px)
     metadata = found.metadata(fit, window, settings, count_given=sheets is not None)
+    metadata = replace(metadata, corrections_applied=len(corrections))
     return record(
         _dataset(strip, found, metadata),
         "track_sheets",
@@ -111,6 +127,7 @@ def track_sheets(
         axis_px=axis_px,
         fit=fit,
         window_px=window_px,
+        corrections=[asdict(correction) for correction in corrections],
         settings=asdict(settings),
     )
 
@@ -194,6 +211,9 @@ def _dataset(strip: xr.DataArray, found: _Found, metadata: TrackMetadata) -> xr.
         "x_px": x,
         "x_err_px": np.where(ok, found.err_px, np.nan),
         "flag": flag,
+        "why": np.where(flag == "doubtful", found.detections.why, ""),
+        "x_withheld_px": found.detections.withheld_px + found.origin_px,
+        "x_expected_px": said_by_neighbours(x),
         "x_mean_px": nan_median(x),
         "found": ok.mean(axis=0),
         "fwhm_px": nan_median(np.where(ok, found.detections.fwhm_px, np.nan)),
