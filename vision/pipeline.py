@@ -28,9 +28,9 @@ from vision.force import ForceSettings, find_stick_slip, read_force
 from vision.models import ModelFits, fit_models
 from vision.numeric import Pixels
 from vision.sample import PUBLISHED, Sample
-from vision.sheets import Correction, FitName, TrackingSettings, track_sheets
+from vision.sheets import Correction, FitChoice, TrackingSettings, track_sheets
 from vision.shells import ShellSettings, classify_shells
-from vision.summary import summary_lines, tracking_warnings
+from vision.summary import consistency_warnings, summary_lines, tracking_warnings
 from vision.video import Video, VideoSettings, open_video, reference_frame, strip_profile
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ class Settings:
     ridges, sheets, axis_px
         Polarity ("bright", "dark" or "auto"), number of ridges in view, symmetry axis in px.
     fit, window_px
-        Subpixel method ("sliding", "paper" or "template") and its window: odd, or "auto".
+        Subpixel method ("auto", "sliding", "paper" or "template") and its window: odd, or "auto".
     corrections
         Decisions by hand about identities, from `vision.sheets.read_corrections`.
     pixel_size_um
@@ -101,7 +101,7 @@ class Settings:
     ridges: Literal["bright", "dark", "auto"] = "auto"
     sheets: int | None = None
     axis_px: float | None = None
-    fit: FitName = "sliding"
+    fit: FitChoice = "auto"
     window_px: int | Literal["auto"] | None = None
     corrections: tuple[Correction, ...] = ()
     pixel_size_um: float | None = None
@@ -274,7 +274,7 @@ def analyse(
         shells=shells,
         reasons=stage.reasons,
         failures=stage.failures,
-        warnings=_warnings(tracks, machine, clock, stage.reasons.get("fits")),
+        warnings=_warnings(chosen, tracks, machine, clock, stage.reasons.get("fits")),
         seconds=stage.seconds,
     )
 
@@ -397,10 +397,15 @@ def _shells(motion: xr.Dataset, fits: ModelFits | None, chosen: Settings) -> pd.
 
 
 def _warnings(
-    tracks: xr.Dataset | None, force: xr.Dataset | None, clock: Clock | None, no_fits: str | None
+    chosen: Settings,
+    tracks: xr.Dataset | None,
+    force: xr.Dataset | None,
+    clock: Clock | None,
+    no_fits: str | None,
 ) -> tuple[str, ...]:
     """What matters for the results, in the order of the stages."""
     lines = [] if tracks is None else [*warnings_of(tracks), *tracking_warnings(tracks)]
+    lines += [] if tracks is None else consistency_warnings(tracks, chosen.sample)
     lines += warnings_of(force)
     lines += [f"no model fits: {no_fits}"] if no_fits else []
     lines += clock.warnings if clock else ()

@@ -80,8 +80,9 @@ class VideoOptions:
     """Polarity: bright, dark or auto."""
     axis: float | None = None
     """Symmetry axis in px; found from the motion if not given."""
-    fit: Literal["sliding", "paper", "template"] | None = None
-    """sliding (default), paper (the publication's, exactly) or template (best for wide ridges)."""
+    fit: Literal["auto", "sliding", "paper", "template"] | None = None
+    """auto (default: template where it is learned well, else sliding), sliding, paper (the publication's,
+    exactly) or template."""
     window: str | None = None
     """Fit window in px, odd, or auto to follow the ridges' width; 9 where they are 6 to 14 px wide."""
     corrections: Path | None = None
@@ -171,7 +172,7 @@ GROUPS = (VideoOptions, ForceOptions, SampleOptions, TestOptions)
 DEFAULTS: Mapping[str, Any] = {
     "strip": "auto",
     "ridges": "auto",
-    "fit": "sliding",
+    "fit": "auto",
     "rotate": 0,
     "threshold": 0.1,
     "sheets_per_block": 25,

@@ -4,6 +4,7 @@ from vision.sheets.corrections import Correction, doubtful_stretches, read_corre
 from vision.sheets.reference import wide_spacings
 from vision.sheets.settings import TrackingSettings
 from vision.sheets.subpixel import (
+    FitChoice,
     FitName,
     FittedPositions,
     Starts,
@@ -17,6 +18,7 @@ from vision.sheets.tracks import track_sheets
 
 __all__ = [
     "Correction",
+    "FitChoice",
     "FitName",
     "FittedPositions",
     "Starts",
