@@ -252,9 +252,9 @@ class TrackMetadata(Metadata):
 
     Parameters
     ----------
-    fit, window_px
-        Subpixel method used ("unknown" for positions from elsewhere) and its window. The error of positions
-        depends on both.
+    fit, fit_asked, window_px
+        Subpixel method used ("unknown" for positions from elsewhere), the one asked for ("auto" leaves the
+        choice), and its window. The error of positions depends on method and window.
     ridges, sheets
         Polarity ("bright" or "dark") and number of sheets.
     ridge_fwhm_px, pitch_px, contrast, profile_noise
@@ -268,9 +268,14 @@ class TrackMetadata(Metadata):
         Persistent ridges that are no sheets.
     wide_spacings
         Where a sheet may have been overlooked: "748 px (1.9 pitches)".
+    ridges_beyond
+        Ridges like the sheets that continue the comb beyond the number that was given.
+    corrections_applied
+        Decisions by hand; they stand among the operations.
     """
 
     fit: str = "unknown"
+    fit_asked: str = "unknown"
     window_px: int = 9
     ridges: str = "bright"
     sheets: int = 0
@@ -285,6 +290,8 @@ class TrackMetadata(Metadata):
     least_margin: float = math.nan
     ridges_dropped: int = 0
     wide_spacings: Sequence[str] = field(default_factory=list)
+    ridges_beyond: int = 0
+    corrections_applied: int = 0
 
 
 _FRAME_SHEET, _SHEET = ("frame", "sheet"), ("sheet",)
@@ -294,7 +301,12 @@ TRACKS = Schema(
     {
         "x_px": Variable(_FRAME_SHEET, "px", "position of the sheet"),
         "x_err_px": Variable(_FRAME_SHEET, "px", "standard error of the position"),
-        "flag": Variable(_FRAME_SHEET, "", "ok, or why there is no position"),
+        "flag": Variable(_FRAME_SHEET, "", "ok, blurred, or why there is no position"),
+        "why": Variable(_FRAME_SHEET, "", "why a doubtful identity is doubted", required=False),
+        "x_withheld_px": Variable(_FRAME_SHEET, "px", "ridge whose identity is doubtful", required=False),
+        "x_expected_px": Variable(
+            _FRAME_SHEET, "px", "where the sheets around say that it must be", required=False
+        ),
         "x_mean_px": Variable(_SHEET, "px", "median position", required=False),
         "found": Variable(_SHEET, "1", "fraction of the frames with a position", required=False),
         "fwhm_px": Variable(_SHEET, "px", "full width of the ridge at half maximum", required=False),
@@ -302,6 +314,10 @@ TRACKS = Schema(
         "x_noise_px": Variable(
             _SHEET, "px", "measured scatter of the position from frame to frame", required=False
         ),
+        "x_scatter_px": Variable(
+            _SHEET, "px", "measured scatter of the position between neighbouring sheets", required=False
+        ),
+        "x_predicted_px": Variable(_SHEET, "px", "error predicted from the noise of pixels", required=False),
         "time_s": Variable(("frame",), "s", "time of the frame"),
         "side": Variable(_SHEET, "", "-1 left, +1 right of the axis"),
         "n": Variable(_SHEET, "", "sheet number, counted from the centre outwards"),

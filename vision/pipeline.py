@@ -13,7 +13,7 @@ import math
 import time
 import traceback
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -30,9 +30,9 @@ from vision.models import ModelFits, fit_models
 from vision.models.modulus import cycles_seen
 from vision.numeric import Pixels
 from vision.sample import PUBLISHED, Sample
-from vision.sheets import FitName, TrackingSettings, track_sheets
+from vision.sheets import Correction, FitChoice, TrackingSettings, track_sheets
 from vision.shells import ShellSettings, classify_shells
-from vision.summary import summary_lines, tracking_warnings
+from vision.summary import consistency_warnings, summary_lines, tracking_warnings
 from vision.video import Video, VideoSettings, open_video, reference_frame, strip_profile
 
 if TYPE_CHECKING:
@@ -73,7 +73,9 @@ class Settings:
     ridges, sheets, axis_px
         Polarity ("bright", "dark" or "auto"), number of ridges in view, symmetry axis in px.
     fit, window_px
-        Subpixel method ("sliding", "paper" or "template") and its window: odd, or "auto".
+        Subpixel method ("auto", "sliding", "paper" or "template") and its window: odd, or "auto".
+    corrections
+        Decisions by hand about identities, from `vision.sheets.read_corrections`.
     pixel_size_um
         µm per pixel; without it there are no lengths in µm and no deformation.
     speed_mm_min, d0_mm, d0_err_mm, force_columns
@@ -105,8 +107,9 @@ class Settings:
     ridges: Literal["bright", "dark", "auto"] = "auto"
     sheets: int | None = None
     axis_px: float | None = None
-    fit: FitName = "sliding"
+    fit: FitChoice = "auto"
     window_px: int | Literal["auto"] | None = None
+    corrections: tuple[Correction, ...] = ()
     pixel_size_um: float | None = None
     speed_mm_min: float | None = None
     d0_mm: float | None = None
@@ -267,7 +270,7 @@ def analyse(
     shells = stage.may(
         "shells", lambda moved, settings: _shells(moved, fits, settings), motion, settings=chosen
     )
-    return Analysis(
+    analysis = Analysis(
         settings=chosen,
         video=recording,
         frame=frame,
@@ -281,9 +284,9 @@ def analyse(
         shells=shells,
         reasons=stage.reasons,
         failures=stage.failures,
-        warnings=_warnings(tracks, machine, sticks, fits, clock, stage.reasons.get("fits")),
         seconds=stage.seconds,
     )
+    return replace(analysis, warnings=_warnings(analysis))
 
 
 class _Stages:
@@ -361,6 +364,7 @@ def _tracks(strip: xr.DataArray, chosen: Settings) -> xr.Dataset:
         axis_px=chosen.axis_px,
         fit=chosen.fit,
         window_px=chosen.window_px,
+        corrections=chosen.corrections,
         settings=chosen.tuning.tracking,
     )
 
@@ -432,20 +436,18 @@ def _fits_are_expected(force: xr.Dataset) -> bool:
     return math.isfinite(ForceMetadata.of(force).d0_mm) and force["load_N"].attrs["units"] == "N"
 
 
-def _warnings(
-    tracks: xr.Dataset | None,
-    force: xr.Dataset | None,
-    sticks: pd.DataFrame | None,
-    fits: ModelFits | None,
-    clock: Clock | None,
-    no_fits: str | None,
-) -> tuple[str, ...]:
-    """What matters for the results, in the order of the stages."""
-    lines = [] if tracks is None else [*warnings_of(tracks), *tracking_warnings(tracks)]
-    lines += warnings_of(force, sticks)
-    lines += [line] if force is not None and (line := cycles_seen(force)) else []
-    lines += fits.warnings if fits else ()
-    if no_fits and force is not None and _fits_are_expected(force):
-        lines.append(f"no model fits: {no_fits}")
-    lines += clock.warnings if clock else ()
+def _warnings(found: Analysis) -> tuple[str, ...]:
+    """What matters for the results, in the order of the stages, each once."""
+    lines: list[str] = []
+    if found.tracks is not None:
+        lines += warnings_of(found.tracks)
+        lines += tracking_warnings(found.tracks)
+        lines += consistency_warnings(found.tracks, found.settings.sample)
+    if found.force is not None:
+        lines += warnings_of(found.force, found.sticks)
+        lines += filter(None, [cycles_seen(found.force)])
+        if "fits" in found.reasons and _fits_are_expected(found.force):
+            lines.append(f"no model fits: {found.reasons['fits']}")
+    lines += found.fits.warnings if found.fits else ()
+    lines += found.clock.warnings if found.clock else ()
     return tuple(dict.fromkeys(lines))

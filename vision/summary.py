@@ -13,12 +13,19 @@ import xarray as xr
 from vision.data import StickMetadata, StripMetadata, TrackMetadata
 from vision.figures.labels import plus_minus
 from vision.numeric import nan_median
+from vision.sample import PUBLISHED, Sample
+from vision.sheets import doubtful_stretches
+from vision.sheets.tracks import LOSSY
 
 if TYPE_CHECKING:
     from vision.clock import Clock
     from vision.figures import Results
     from vision.models import ModelFits
 
+WEAK_SNR = 0.1
+"""Of the median sheet's: below it a ridge may be a bump of the background."""
+RARELY = 0.25
+"""Of the frames: a sheet that is found in fewer may be none."""
 MISSING_SHARE = 0.01
 """Of all positions: more missing ones are a warning, fewer are the usual gaps at the edges of the picture."""
 
@@ -47,6 +54,10 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     """Doubtful identities, many missing positions, sheets perhaps overlooked."""
     lines, flags = [], flag_counts(tracks)
     total = max(1, sum(flags.values()))
+    if frozen := flags.get("frozen", 0):
+        lines.append(
+            f"{frozen // tracks.sizes['sheet']} frame(s) repeat the one before: no positions (frozen)"
+        )
     unsure = flags.get("doubtful", 0) + flags.get("merged", 0)
     if unsure:
         lines.append(f"{unsure} of {total} positions not given because the sheet's identity is in doubt")
@@ -57,6 +68,58 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
         where = ", ".join(wide)
         lines.append(f"sheets may be missing at x = {where}: look there, or give their number (`sheets`)")
     return lines
+
+
+def consistency_warnings(tracks: xr.Dataset, sample: Sample = PUBLISHED) -> list[str]:
+    """What was found and does not fit together, each with what to do about it.
+
+    Parameters
+    ----------
+    tracks
+        From `vision.track_sheets`.
+    sample
+        The sheets of one block are compared with the ridges per side, unless the sample was only assumed.
+    """
+    found, lines = TrackMetadata.of(tracks), []
+    if found.ridges_beyond:
+        lines.append(
+            f"{found.ridges_beyond} more ridges like the {found.sheets} sheets continue their comb, which"
+            f" changes every n: give `sheets` as {found.sheets + found.ridges_beyond} or leave it out"
+        )
+    snr, share = tracks["snr"].values, tracks["found"].values
+    weak = np.flatnonzero((snr < WEAK_SNR * np.nanmedian(snr)) | (share < RARELY))
+    if len(weak) and found.sheets > 1:
+        which = ", ".join(str(k) for k in weak[:6]) + (" …" if len(weak) > 6 else "")
+        lines.append(
+            f"{len(weak)} of {found.sheets} sheets (index {which}) hardly stand out from the background or"
+            " are found in few frames: they may be none; restrict `columns` or give `sheets`"
+        )
+    slack = found.pitch_px / 2
+    known = math.isfinite(found.axis_low_px) and math.isfinite(found.axis_high_px)
+    if known and not found.axis_low_px - slack <= found.axis_px <= found.axis_high_px + slack:
+        lines.append(
+            f"the axis at {found.axis_px:.0f} px is not where motion allows it ({found.axis_low_px:.0f} to"
+            f" {found.axis_high_px:.0f} px): check `axis_px`, or whether both sides are in view"
+        )
+    most = max((int((tracks["side"].values == side).sum()) for side in (-1, 1)), default=0)
+    if sample != PUBLISHED and most > sample.sheets_per_block:
+        lines.append(
+            f"{most} ridges on one side, but {sample.sheets_per_block} sheets in a block: check `axis_px`,"
+            " `sheets` and `sheets_per_block`"
+        )
+    return lines
+
+
+def doubt_line(tracks: xr.Dataset) -> str:
+    """Number of doubtful stretches and the worst three; "" without any."""
+    table = doubtful_stretches(tracks)
+    if table.empty:
+        return ""
+    worst = [
+        f"sheet {row['sheet']} in {row['first_frame']}:{row['last_frame'] + 1} ({row['why']})"
+        for row in table.head(3).to_dict("records")
+    ]
+    return f"{len(table)} doubtful stretches; longest: {'; '.join(worst)}"
 
 
 def flag_counts(tracks: xr.Dataset) -> dict[str, int]:
@@ -70,6 +133,8 @@ def noise_figures(tracks: xr.Dataset, pixel_size_um: float | None) -> dict[str, 
     measured = float(nan_median(tracks["x_noise_px"].values.ravel()))
     predicted = float(nan_median(tracks["x_err_px"].values.ravel()))
     figures = {"measured_px": measured, "predicted_px": predicted}
+    if "x_scatter_px" in tracks and np.isfinite(tracks["x_scatter_px"].values).any():
+        figures["scatter_px"] = float(nan_median(tracks["x_scatter_px"].values.ravel()))
     if pixel_size_um is not None:
         figures |= {"measured_um": measured * pixel_size_um, "predicted_um": predicted * pixel_size_um}
     return figures
@@ -139,14 +204,22 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
     tilt = f", lean {strip.tilt_deg:+.2f}°" if math.isfinite(strip.tilt_deg) else ""
     corrupt = f" ({strip.frames_corrupt} of them corrupt)" if strip.frames_corrupt else ""
     scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
+    # compression hides the noise of pixels: what they predict is then no check of what was measured
+    predicted = (
+        f"; raised for {strip.codec} compression, {noise['predicted_px']:.4f} px stated"
+        if strip.codec in LOSSY
+        else f", {noise['predicted_px']:.4f} px predicted from the pixels"
+    )
     return [
         f"sheets     {found.sheets} {found.ridges} ridges ({(side < 0).sum()} left, {(side > 0).sum()} right)"
         f"; {found.ridges_dropped} other ridges left out",
         f"frames     {strip.frames_read} of {strip.frames_expected} read; {strip.frames_lost} lost{corrupt}, "
         f"{strip.frames_blank} blank",
         f"positions  {flags.get('ok', 0)} measured; {other}",
-        f"noise      {noise['measured_px']:.4f} px{length} measured, "
-        f"{noise['predicted_px']:.4f} px predicted",
+        f"noise      {noise['measured_px']:.4f} px{length} from frame to frame"
+        + (f", {noise['scatter_px']:.4f} px between sheets" if "scatter_px" in noise else "")
+        + predicted,
+        *([f"doubt      {doubt}"] if (doubt := doubt_line(tracks)) else []),
         f"strip      rows {strip.strip_z0}:{strip.strip_z1} ({strip.strip_how}){tilt}",
         f"ridges     {found.ridge_fwhm_px:.1f} px wide, {found.pitch_px:.1f} px apart; {found.fit} fit over "
         f"{found.window_px} px",

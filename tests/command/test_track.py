@@ -121,7 +121,7 @@ def test_run_json_says_what_was_given_and_what_was_found(video):
     assert run([str(video), "--quiet", "--sheets", "8"]) == 0
     facts = json.loads(Path("comb_tracks/run.json").read_text())
     assert facts["parameters"]["sheets"] == {"value": 8, "how": "given"}
-    assert facts["parameters"]["fit"] == {"value": "sliding", "how": "default"}
+    assert facts["parameters"]["fit"] == {"value": "auto", "how": "default"}
     assert facts["found"]["ridges"]["polarity"] == "bright"
     assert facts["found"]["window_px"] == 9
     assert facts["frames"]["expected"] == facts["frames"]["read"] == 60

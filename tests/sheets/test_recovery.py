@@ -71,4 +71,6 @@ def test_a_sheet_displaced_unlike_its_neighbours_is_doubtful():
     x[60:63, 5] -= 13.0  # two thirds of a pitch, alone
     got = flags(x)
     assert not (got[60:63, 5] == "ok").any()
-    assert (np.delete(got, 5, axis=1) == "ok").all()
+    # its neighbour, half covered by it, is measured with a larger error
+    assert np.isin(np.delete(got, 5, axis=1), ("ok", "blurred")).all()
+    assert (np.delete(got, (4, 5), axis=1) == "ok").all()

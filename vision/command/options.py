@@ -30,6 +30,7 @@ _OPTION_OF = {
     "axis_px": "--axis",
     "fit": "--fit",
     "window_px": "--window",
+    "corrections": "--corrections",
     "pixel_size_um": "--pixel-size",
     "fps": "--fps",
     "timestamps": "--timestamps",
@@ -83,10 +84,13 @@ class VideoOptions:
     """Polarity: bright, dark or auto."""
     axis: float | None = None
     """Symmetry axis in px; found from the motion if not given."""
-    fit: Literal["sliding", "paper", "template"] | None = None
-    """sliding (default), paper (the publication's, exactly) or template (best for wide ridges)."""
+    fit: Literal["auto", "sliding", "paper", "template"] | None = None
+    """auto (default: template where it is learned well, else sliding), sliding, paper (the publication's,
+    exactly) or template."""
     window: str | None = None
     """Fit window in px, odd, or auto to follow the ridges' width; 9 where they are 6 to 14 px wide."""
+    corrections: Path | None = None
+    """TOML file of decisions about identities: accept, leave_out, swap, assign."""
     pixel_size: str | None = None
     """µm per pixel, also as 10um or 0.01mm; without it lengths are in px."""
     fps: float | None = None
@@ -180,7 +184,7 @@ DEFAULTS: Mapping[str, Any] = {
     "strip": "auto",
     "force_lowpass": "0",
     "ridges": "auto",
-    "fit": "sliding",
+    "fit": "auto",
     "rotate": 0,
     "threshold": 0.1,
     "sheets_per_block": 25,
@@ -270,9 +274,10 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
     from vision.force import parse_columns
     from vision.pipeline import Settings
     from vision.sample import Sample
+    from vision.sheets import read_corrections
 
     value = {name: parameter.value for name, parameter in parameters.items()}
-    columns = value.get("force_columns")
+    columns, corrections = value.get("force_columns"), value.get("corrections")
     parts = {
         "rows": parse_range(value.get("strip"), "--strip"),
         "columns": parse_range(value.get("columns"), "--columns"),
@@ -285,6 +290,7 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
         "axis_px": number(value.get("axis"), "--axis", least=-1e6),
         "fit": value.get("fit"),
         "window_px": parse_window(value.get("window")),
+        "corrections": read_corrections(corrections) if corrections else None,
         "pixel_size_um": value.get("pixel_size"),
         "speed_mm_min": number(value.get("speed"), "--speed", least=1e-9),
         **dict(zip(("d0_mm", "d0_err_mm"), parse_with_error(value.get("d0"), "--d0"), strict=True)),

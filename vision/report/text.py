@@ -58,7 +58,7 @@ def _sheets(results: Results) -> Answer | None:
     if tracks is None:
         return None
     side, flags = tracks["side"].values, tracks["flag"].values
-    ok = float((flags == "ok").mean()) if flags.size else 0.0
+    ok = float(np.isin(flags, ("ok", "blurred")).mean()) if flags.size else 0.0
     return Answer(
         "sheets tracked",
         f"{side.size} ({(side < 0).sum()} left, {(side > 0).sum()} right)",

@@ -149,7 +149,9 @@ def trackpy_table(run: RunFolder) -> pd.DataFrame:
     """
     tracks = tracks_of(run)
     table = tracks_table(tracks)
-    table = table[table["flag"] == "ok"].rename(columns={"x_px": "x", "x_err_px": "ep", "index": "particle"})
+    table = table[table["flag"].isin(("ok", "blurred"))].rename(
+        columns={"x_px": "x", "x_err_px": "ep", "index": "particle"}
+    )
     table["y"] = _strip_middle_px(tracks)
     names = ["x", "y", "frame", "particle", "ep", "time_s", "side", "n"]
     return table[names].reset_index(drop=True)

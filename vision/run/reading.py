@@ -152,7 +152,8 @@ def _read_tracks(path: Path) -> xr.Dataset:
         with xr.open_dataset(path, engine="h5netcdf") as data:
             tracks = data.load()
         tracks.attrs = attrs_of_netcdf(tracks.attrs)
-        return tracks.assign(flag=tracks["flag"].astype(str))
+        words = [name for name in ("flag", "why") if name in tracks]
+        return tracks.assign({name: tracks[name].astype(str) for name in words})
     except (OSError, ValueError, KeyError) as error:
         raise InputError(path, "tracks as track writes them", str(error), AGAIN) from error
 

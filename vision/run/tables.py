@@ -56,6 +56,7 @@ def tracks_table(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> p
 def sheets_table(tracks: xr.Dataset) -> pd.DataFrame:
     """One row per sheet: index, side, n, x_mean_px, found, fwhm_px, snr, x_noise_px."""
     digits = {"x_mean_px": 4, "found": 5, "fwhm_px": 2, "snr": 1, "x_noise_px": 5}
+    digits |= {name: 5 for name in ("x_scatter_px", "x_predicted_px") if name in tracks}
     who = {"index": tracks["sheet"].values, "side": tracks["side"].values, "n": tracks["n"].values}
     return pd.DataFrame(who | {name: tracks[name].values.round(places) for name, places in digits.items()})
 
@@ -75,7 +76,9 @@ def write_tracks_nc(tracks: xr.Dataset, path: Path, *, pixel_size_um: float | No
     packed: dict[str, dict[str, Any]] = {
         str(name): {"zlib": True, "complevel": 1} for name in data.data_vars if data[name].ndim == 2
     }
-    packed["flag"] |= {"dtype": "S1", "char_dim_name": "flag_length"}
+    for name in ("flag", "why"):
+        if name in packed:
+            packed[name] |= {"dtype": "S1", "char_dim_name": f"{name}_length"}
     path.write_bytes(data.to_netcdf(engine="h5netcdf", encoding=packed))
 
 

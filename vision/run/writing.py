@@ -17,6 +17,7 @@ from vision.run.folder import run_folder
 from vision.run.provenance import Parameter, describe_input, versions, write_json
 from vision.run.tables import sheets_table, write_table, write_tracks_csv, write_tracks_nc
 from vision.run.tiff import write_kymograph_tif
+from vision.sheets import doubtful_stretches
 from vision.shells import deformation_table
 from vision.summary import findings, flag_counts, noise_figures
 
@@ -152,6 +153,8 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
         "frames": frames,
         "positions": flag_counts(tracks),
         "noise": noise_figures(tracks, analysis.pixel_size_um),
+        "doubtful_stretches": doubtful_stretches(tracks).astype(object).to_dict("records"),
+        "corrections": [asdict(correction) for correction in analysis.settings.corrections],
     }
 
 

@@ -1,8 +1,10 @@
 """I(x, t) becomes x(n, t): ridges, subpixel fits, identities, numbering."""
 
+from vision.sheets.corrections import Correction, doubtful_stretches, read_corrections
 from vision.sheets.reference import wide_spacings
 from vision.sheets.settings import TrackingSettings
 from vision.sheets.subpixel import (
+    FitChoice,
     FitName,
     FittedPositions,
     Starts,
@@ -15,13 +17,17 @@ from vision.sheets.subpixel import (
 from vision.sheets.tracks import track_sheets
 
 __all__ = [
+    "Correction",
+    "FitChoice",
     "FitName",
     "FittedPositions",
     "Starts",
     "TrackingSettings",
     "choose_window",
+    "doubtful_stretches",
     "paper_vertex",
     "position_noise",
+    "read_corrections",
     "sliding_vertex",
     "template_shift",
     "track_sheets",

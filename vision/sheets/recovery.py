@@ -12,8 +12,13 @@ import numpy as np
 
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median
 from vision.sheets.identities import Identities, fill_rows
+from vision.sheets.neighbours import anchored, excursions, hops, neighbour_residual
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
+
+HOP_PASSES = 4  # each names the one sheet that leaves its neighbours most, and the next looks without it
+LIKE_ITSELF = 0.7
+"""Logarithm of contrast within which a ridge may be the sheet that was expected there: a factor of two."""
 
 
 @dataclass(frozen=True)
@@ -28,12 +33,18 @@ class Detections:
         Its prominence, grey levels, and width.
     flag
         "ok", "missing", "merged", "edge" or "doubtful".
+    why
+        Why a doubtful identity is doubted: one of `DOUBTS`, "" elsewhere.
+    withheld_px
+        Whole pixel of the doubtful ridge, NaN elsewhere.
     """
 
     start_px: Floats
     contrast: Floats
     fwhm_px: Floats
     flag: Strings
+    why: Strings
+    withheld_px: Floats
 
 
 def assign_detections(
@@ -72,14 +83,19 @@ def assign_detections(
     table = [
         _of_sheets(values, identities.match) for values in (ridges.x_px, ridges.contrast, ridges.fwhm_px)
     ]
-    found = np.where(paired, table[0], np.nan)
-    doubtful = paired & ~(identities.margin >= settings.doubt)
-    doubtful |= _outliers(found - identities.rest_px, comb, settings)
-    doubtful |= _after_jumps(found, identities, comb, profile.shape[1], settings)
-    start, contrast, fwhm = (np.where(paired & ~doubtful, values, np.nan) for values in table)
+    why = _doubts(np.where(paired, table[0], np.nan), identities, comb, profile.shape[1], settings)
+    table = [np.where(paired, values, np.nan) for values in table]
+    why = _settled(why, table, comb, settings)
+    table, why = _other_ridges(ridges, identities, table, why, comb, settings)
+    withheld = np.where(why != "", table[0], np.nan)
+    doubtful = why != ""
+    start, contrast, fwhm = (np.where(doubtful, np.nan, values) for values in table)
     expected = _expected(start, identities.rest_px)
     rows, sheet, values = _faint_ridges(profile, start, contrast, expected, doubtful, comb, settings)
     start[rows, sheet], contrast[rows, sheet], fwhm[rows, sheet] = values
+    strange = hops(neighbour_residual(start), comb, settings)
+    strange &= np.isnan(table[0])  # a second look may find no more than a ridge that happens to be near
+    start, contrast, fwhm = (np.where(strange, np.nan, values) for values in (start, contrast, fwhm))
     flag = np.where(np.isfinite(start), "ok", "missing").astype("<U8")
     flag[_merged(start, expected, comb, settings)] = "merged"
     half = comb.fwhm_px / 2
@@ -88,7 +104,7 @@ def assign_detections(
     flag[doubtful] = "doubtful"
     ok = flag == "ok"
     start, contrast, fwhm = (np.where(ok, values, np.nan) for values in (start, contrast, fwhm))
-    return Detections(start, contrast, fwhm, flag)
+    return Detections(start, contrast, fwhm, flag, why, withheld)
 
 
 def _of_sheets(values: Floats32, match: Ints) -> Floats:
@@ -97,6 +113,97 @@ def _of_sheets(values: Floats32, match: Ints) -> Floats:
 
 
 # --- doubt --------------------------------------------------------------------------------------------------
+
+DOUBTS = {
+    "margin": "another numbering fits nearly as well",
+    "tear": "displaced unlike the largest group of sheets",
+    "jump": "after a jump by whole pitches",
+    "hop": "away from where the neighbours say, on another ridge",
+    "excursion": "a jump away and back within a few frames",
+}
+"""What `Detections.why` means."""
+
+
+def _doubts(
+    x: Floats, identities: Identities, comb: RidgeComb, width_px: int, settings: TrackingSettings
+) -> Strings:
+    """Why the identity of each paired ridge (frame, N) is doubtful, as far as frame and margin tell."""
+    why = np.full(x.shape, "", "<U9")
+    why[_after_jumps(x, identities, comb, width_px, settings)] = "jump"
+    why[~(identities.margin >= settings.doubt)] = "margin"
+    why[_outliers(x - identities.rest_px, comb, settings)] = "tear"
+    why[np.isnan(x)] = ""
+    return why
+
+
+def _settled(why: Strings, table: list[Floats], comb: RidgeComb, settings: TrackingSettings) -> Strings:
+    """The doubts without those that the pattern settles: it fits this numbering and no other one."""
+    x, contrast, fwhm = table
+    with np.errstate(divide="ignore", invalid="ignore"):
+        looks = np.log(contrast), np.log(fwhm)
+    known = np.where(why == "tear", np.nan, x)
+    sure = anchored(known, *looks, np.isfinite(known) & (why == ""), comb, settings)
+    settles = sure & ((why == "jump") | (why == "margin"))
+    return np.where(settles, "", why)
+
+
+def _other_ridges(
+    ridges: Ridges,
+    identities: Identities,
+    table: list[Floats],
+    why: Strings,
+    comb: RidgeComb,
+    settings: TrackingSettings,
+) -> tuple[list[Floats], Strings]:
+    """Sheets that hopped to another ridge or jumped away and back: the ridge in the right place where
+    there is one that no other sheet has, else a doubt."""
+    x = np.where(why == "", table[0], np.nan)
+    away, place = excursions(x, comb, settings)
+    certain = identities.margin >= settings.stay_cost + 2 * settings.crossing_cost + 1.0
+    away &= ~certain
+    table, why = _moved_to(ridges, table, why, away, place, "excursion", comb, settings)
+    for _ in range(HOP_PASSES):
+        x = np.where(why == "", table[0], np.nan)
+        residual = neighbour_residual(x)
+        off = hops(residual, comb, settings)
+        if not off.any():
+            break
+        table, why = _moved_to(ridges, table, why, off, x - residual, "hop", comb, settings)
+    return table, why
+
+
+def _moved_to(
+    ridges: Ridges,
+    table: list[Floats],
+    why: Strings,
+    off: Bools,
+    place: Floats,
+    reason: str,
+    comb: RidgeComb,
+    settings: TrackingSettings,
+) -> tuple[list[Floats], Strings]:
+    """Sheets `off` put on the ridge nearest to `place`; doubtful where there is none, or it is another
+    sheet's."""
+    frame, sheet = np.nonzero(off)
+    if not len(frame):
+        return table, why
+    why, table = why.copy(), [np.array(values) for values in table]
+    distance = np.abs(ridges.x_px[frame] - place[frame, sheet][:, None])
+    distance = np.where(np.isfinite(distance), distance, np.inf)
+    best = np.argmin(distance, axis=1)
+    there = ridges.x_px[frame, best].astype(np.float64)
+    near = distance[np.arange(len(frame)), best] <= settings.faint_reach * comb.pitch_px
+    near &= there != table[0][frame, sheet]
+    usual = nan_median(np.log(np.where(why == "", table[1], np.nan)))[sheet]
+    alike = np.abs(np.log(ridges.contrast[frame, best]) - usual) < LIKE_ITSELF
+    taken = np.where(off, np.nan, table[0])
+    free = ~(taken[frame] == there[:, None]).any(axis=1)
+    take = near & alike & free
+    take &= _unshared(frame, there, take)
+    why[frame[~take], sheet[~take]] = reason
+    for values, of_ridges in zip(table, (ridges.x_px, ridges.contrast, ridges.fwhm_px), strict=True):
+        values[frame[take], sheet[take]] = of_ridges[frame[take], best[take]]
+    return table, why
 
 
 def _outliers(moved: Floats, comb: RidgeComb, settings: TrackingSettings) -> Bools:

@@ -38,6 +38,8 @@ class ReferenceComb:
         Fraction of the frames in which each is found.
     dropped
         How many persistent ridges were taken out.
+    beyond
+        How many of these continue the comb, where the number of sheets was given.
     """
 
     x_px: Floats
@@ -45,6 +47,7 @@ class ReferenceComb:
     log_width: Floats
     found: Floats
     dropped: int = 0
+    beyond: int = 0
 
     @property
     def sheets(self) -> int:
@@ -136,9 +139,23 @@ def build_reference(
         )
     score = _sheet_score(reference, settings)
     best = reference.only(_choose_sheets(reference.x_px, score, comb.pitch_px, sheets, settings))
-    if sheets is not None:
-        _check_ends(best.x_px, sheets, source, settings)
-    return best
+    if sheets is None:
+        return best
+    _check_ends(best.x_px, sheets, source, settings)
+    return replace(best, beyond=_beyond(reference, best, comb.pitch_px))
+
+
+def _beyond(everything: ReferenceComb, best: ReferenceComb, pitch_px: float) -> int:
+    """How many ridges continue a comb of a given number of sheets: like these, and at their spacing."""
+    like = np.abs(everything.log_contrast - np.median(best.log_contrast)) < np.log(2.0)
+    like &= np.abs(everything.log_width - np.median(best.log_width)) < np.log(1.5)
+    x, count = everything.x_px[like & (everything.found >= 0.5)], 0
+    for side, end in ((-1, best.x_px[0]), (1, best.x_px[-1])):
+        at = end
+        while (np.abs(side * (x - at) - pitch_px) < 0.25 * pitch_px).any():
+            at = x[np.argmin(np.abs(side * (x - at) - pitch_px))]
+            count += 1
+    return count
 
 
 def _check_ends(x_px: Floats, sheets: int, source: str, settings: TrackingSettings) -> None:

@@ -60,6 +60,19 @@ class TrackingSettings:
     """Window for other ridges, in ridge widths. Larger takes in flanks and neighbours, smaller more noise;
     test_accuracy.py holds ridges of 3 to 30 px to 30 mpx."""
 
+    template_frames: int = 100
+    """Frames in which a sheet must be seen for its mean shape to be learned. Fewer learn noise: the shape's
+    own error is that of the profile over their root."""
+
+    template_motion_px: float = 0.2
+    """Motion, rms, over which the mean shape is known between pixels."""
+
+    template_scale: float = 0.03
+    """Difference by which the template's motion may be scaled against the sliding window's."""
+
+    template_ridges: int = 4_000_000
+    """Ridges in all, beyond which the template is not tried, as it holds all their pixels: about 1 GB."""
+
     # --- segments (identities.py) ---
 
     step_fraction: float = 0.3
@@ -165,9 +178,45 @@ class TrackingSettings:
     """Difference of two neighbours' displacements, in pitches, that no slip causes. Larger lets wrong
     identities pass, smaller flags avalanches."""
 
+    leave_sigmas: float = 8.0
+    """Times its own scatter by which a sheet leaves what its neighbours say before another ridge is
+    looked for. Larger lets hops pass, smaller doubts sheets that move by themselves."""
+
+    excursion_pitches: float = 0.4
+    """Pitches by which a part of the comb stands away for a few frames to be an excursion;
+    test_neighbours.py. Larger misses jumps of an uneven comb, smaller takes motion for misreadings."""
+
+    anchor_nats: float = 9.0
+    """Log-likelihood ratio by which the pattern must exclude other numberings for a doubt to end. Larger
+    keeps doubts that the pattern has settled, smaller ends them on equal sheets ("cropped combs")."""
+
+    anchor_fit: float = 1.5
+    """Mean cost of a feature, nats, up to which a frame's pattern is the learned one (0.5 where all is
+    normal)."""
+
     merged_widths: float = 0.8
     """Two sheets nearer to each other than this, in ridge widths, are one ridge: the resolution of two
     Gaussians."""
+
+    # --- frames and blur (quality.py) ---
+
+    frozen_fraction: float = 0.3
+    """Change from the frame before, as a fraction of the quietest frames', below which a frame repeats it.
+    Larger drops quiet frames, smaller misses repeated frames that a codec has touched up; test_quality.py."""
+
+    least_changing: float = 0.1
+    """Fraction of the frames that must differ from the one before for the others to be repeated ones."""
+
+    blur_sigmas: float = 4.0
+    """Times its own scatter by which a ridge is wider or lower than usual when it is blurred. Larger misses
+    blur, smaller flags sharp slips; from half of it on the error grows."""
+
+    blur_fraction: float = 0.2
+    """Motion between frames, in ridge widths, from which a ridge can be blurred. Smaller flags noise."""
+
+    blur_error: float = 0.8
+    """Error of a blurred position, in terms of lost height times motion; test_quality.py holds it to cover 62
+    to 74 of 100 truths."""
 
     # --- symmetry axis (numbering.py) ---
 

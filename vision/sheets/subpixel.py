@@ -22,6 +22,7 @@ from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 FitName = Literal["sliding", "paper", "template"]
+FitChoice = Literal["auto", "sliding", "paper", "template"]
 
 FRAMES_PER_BLOCK = 512
 TRIPLES = 400  # groups of three consecutive frames from which noise is measured, spread over the recording
@@ -364,6 +365,59 @@ def fit_sheets(
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(run, [slice(i, i + FRAMES_PER_BLOCK) for i in range(0, len(bright), FRAMES_PER_BLOCK)]))
     return _matched(bright, x, comb) if fit == "template" else (x, err)
+
+
+def learned_template(
+    bright: Floats32, x_px: Floats, err: Floats, comb: RidgeComb, *, settings: TrackingSettings = DEFAULT
+) -> tuple[Floats, Floats, Bools]:
+    """Positions against each sheet's mean shape where that is learned well, else those of the sliding window.
+
+    Parameters
+    ----------
+    bright
+        Profile with bright ridges (frame, x).
+    x_px, err
+        Positions and errors per grey level by the sliding window (frame, N).
+    comb
+        Width and pitch of the ridges.
+    settings
+        What is learned well.
+
+    Returns
+    -------
+    x_px, err, learned
+        Positions and errors (frame, N); whether each sheet's are the template's (N,).
+
+    Notes
+    -----
+    A mean shape is known between pixels only if its sheet moved over them, in enough frames. It is used for a
+    sheet if it answers wherever the window does, follows its motion with the same scale, and scatters less
+    from frame to frame; and for none if it fails for most sheets, or where the film is so long that all
+    its ridges do not fit into memory.
+    """
+    none = np.zeros(x_px.shape[1], bool)
+    seen = np.isfinite(x_px)
+    enough = seen.sum(axis=0) >= settings.template_frames
+    if not enough.any() or seen.sum() > settings.template_ridges:
+        return x_px, err, none
+    moved = x_px - nan_median(x_px)
+    spread = nan_median(np.abs(moved)) / NORMAL_MEDIAN
+    learned = enough & (spread >= settings.template_motion_px)
+    if learned.mean() < 0.5:
+        return x_px, err, none
+    there, own_err = _matched(bright, np.where(learned, x_px, np.nan), comb)
+    answers = (np.isfinite(there) | ~seen).mean(axis=0) > 0.99
+    both = np.isfinite(there) & seen
+    ours, theirs = np.where(both, moved, 0.0), np.where(both, there - nan_median(x_px), 0.0)
+    scale = (ours * theirs).sum(axis=0) / np.maximum((ours**2).sum(axis=0), 1e-12)
+    new = seen.any(axis=1)  # frames that repeat the one before are none
+    with np.errstate(invalid="ignore"):
+        better = position_noise(there[new]) <= position_noise(x_px[new])
+    learned &= answers & (np.abs(scale - 1) < settings.template_scale) & better
+    if learned.mean() < 0.5:
+        return x_px, err, none
+    take = learned & np.isfinite(there)
+    return np.where(take, there, x_px), np.where(take, own_err, err), learned
 
 
 def locking_error(

@@ -2,31 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from vision.data import STRIP, TRACKS, StripMetadata, TrackMetadata, record
 from vision.errors import InputError
-from vision.numeric import Floats, Floats32, Strings, nan_median
+from vision.numeric import Bools, Floats, Floats32, Strings, nan_median
+from vision.sheets.corrections import Correction, apply_corrections
 from vision.sheets.identities import Identities, identify_sheets
+from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.numbering import Numbering, number_sheets
+from vision.sheets.quality import motion_blur, repeated_frames, spatial_scatter
 from vision.sheets.recovery import Detections, assign_detections
 from vision.sheets.reference import wide_spacings
 from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import (
+    FitChoice,
     FitName,
     choose_window,
     fit_sheets,
     intensity_noise,
+    learned_template,
     locking_error,
     position_noise,
 )
 
 LOSSY = frozenset({"h264", "hevc", "mjpeg", "mpeg1video", "mpeg2video", "mpeg4", "vp8", "vp9", "av1", "wmv3"})
+LEAST_NOISE_GREY = 0.05  # noise of a profile drawn without any: whole grey levels, averaged over some rows
+LEAST_ERROR_PX = 1e-4
 
 
 def track_sheets(
@@ -35,8 +43,9 @@ def track_sheets(
     ridges: Literal["bright", "dark", "auto"] = "auto",
     sheets: int | None = None,
     axis_px: float | None = None,
-    fit: FitName = "sliding",
+    fit: FitChoice = "auto",
     window_px: int | Literal["auto"] | None = None,
+    corrections: Sequence[Correction] = (),
     settings: TrackingSettings = DEFAULT,
 ) -> xr.Dataset:
     """Positions of all sheets in all frames.
@@ -54,10 +63,13 @@ def track_sheets(
     axis_px
         Symmetry axis, found if None.
     fit
-        "sliding", "paper" (the publication's, exactly) or "template".
+        "sliding", "paper" (the publication's, exactly), "template", or "auto": the template for the sheets
+        for which it is learned well if these are most of them, else sliding.
     window_px
         Odd fit window; None is 9 where the ridges are 6–14 px wide, else, as with "auto", it follows their
         width.
+    corrections
+        Decisions by hand about identities, from `vision.sheets.corrections.read_corrections`.
     settings
         Thresholds and costs.
 
@@ -95,14 +107,37 @@ def track_sheets(
         candidates, comb, width_px=profile.shape[1], sheets=sheets, source=facts.source, settings=settings
     )
     detections = assign_detections(profile, candidates, identities, comb, settings=settings)
-    x, err, noise = _positions(profile, detections.start_px, comb, fit, window)
-    if facts.codec in LOSSY:
-        scatter = position_noise(x) / np.maximum(nan_median(err), 1e-9)
-        err = err * np.maximum(np.nan_to_num(scatter, nan=1.0), 1.0)
+    detections = apply_corrections(
+        detections,
+        candidates,
+        corrections,
+        comb,
+        frames=strip["frame"].values,
+        origin_px=origin_px,
+        settings=settings,
+    )
+    used: FitName = "sliding" if fit == "auto" else fit
+    frozen = repeated_frames(profile, settings)
+    x, err, noise = _positions(profile, detections.start_px, comb, used, window, frozen)
+    if fit == "auto":
+        bright = profile if comb.sign > 0 else -profile
+        usable = np.where(frozen[:, None], np.nan, x)
+        matched, per_grey, learned = learned_template(
+            bright, usable, err / np.maximum(noise, 1e-12), comb, settings=settings
+        )
+        if learned.any():
+            used, x, err = "template", matched, per_grey * noise
+    errors = _errors(x, err, noise, frozen, lossy=facts.codec in LOSSY)
+    blur = motion_blur(
+        np.where(frozen[:, None], np.nan, x), detections.contrast, detections.fwhm_px, comb, settings
+    )
+    err = np.hypot(errors.err_px, blur.err_px)
     axis = None if axis_px is None else axis_px - origin_px
     numbering = number_sheets(x, axis_px=axis, settings=settings)
-    found = _Found(comb, identities, detections, numbering, x, err, noise, origin_px)
-    metadata = found.metadata(fit, window, settings, count_given=sheets is not None)
+    quality = _Quality(frozen, blur.blurred, errors)
+    found = _Found(comb, identities, detections, numbering, x, err, noise, origin_px, quality)
+    metadata = found.metadata(used, window, settings, count_given=sheets is not None)
+    metadata = replace(metadata, fit_asked=fit, corrections_applied=len(corrections))
     return record(
         _dataset(strip, found, metadata),
         "track_sheets",
@@ -111,8 +146,26 @@ def track_sheets(
         axis_px=axis_px,
         fit=fit,
         window_px=window_px,
+        corrections=[asdict(correction) for correction in corrections],
         settings=asdict(settings),
     )
+
+
+class _Errors(NamedTuple):
+    """Errors of positions (frame, N), and by sheet (N,) what they come from, all px."""
+
+    err_px: Floats
+    noise_px: Floats
+    scatter_px: Floats
+    predicted_px: Floats
+
+
+class _Quality(NamedTuple):
+    """Repeated frames (frame,), blurred ridges (frame, N), and errors."""
+
+    frozen: Bools
+    blurred: Bools
+    errors: _Errors
 
 
 @dataclass(frozen=True)
@@ -127,6 +180,7 @@ class _Found:
     err_px: Floats
     noise: Floats
     origin_px: float
+    quality: _Quality
 
     def metadata(
         self, fit: FitName, window_px: int, settings: TrackingSettings, *, count_given: bool
@@ -150,6 +204,7 @@ class _Found:
             axis_high_px=numbering.high_px + self.origin_px,
             least_margin=float(np.nan_to_num(least_margin, posinf=1e9)),
             ridges_dropped=reference.dropped,
+            ridges_beyond=reference.beyond,
             wide_spacings=[f"{x + self.origin_px:.0f} px ({size:.1f} pitches)" for x, size in gaps],
         )
 
@@ -173,32 +228,56 @@ def _check_axis(axis_px: float | None, first_px: float, last_px: float) -> None:
 
 
 def _positions(
-    profile: Floats32, start_px: Floats, comb: RidgeComb, fit: FitName, window_px: int
+    profile: Floats32, start_px: Floats, comb: RidgeComb, fit: FitName, window_px: int, frozen: Bools
 ) -> tuple[Floats, Floats, Floats]:
     """Positions and their standard error (frame, N), and the profile's noise at each sheet (N,)."""
     bright = profile if comb.sign > 0 else -profile
     x, per_noise = fit_sheets(bright, start_px, fit=fit, window_px=window_px, comb=comb)
-    noise = intensity_noise(profile, x, half_px=window_px // 2, fallback=comb.noise)
+    noise = intensity_noise(profile[~frozen], x[~frozen], half_px=window_px // 2, fallback=comb.noise)
     err = per_noise * noise
     if fit == "paper":
         err = np.hypot(err, locking_error(x, bright, start_px, window_px, comb))
     return x, err, noise
 
 
+def _errors(x: Floats, err: Floats, noise: Floats, frozen: Bools, *, lossy: bool) -> _Errors:
+    """Predicted from the pixels, measured in time and between sheets; the largest in compressed film.
+
+    Repeated frames would halve the scatter or make it zero, so they are left out. Never zero: a profile
+    without noise still holds whole grey levels.
+    """
+    new = np.where(frozen[:, None], np.nan, x)
+    noise_px, scatter_px = position_noise(x[~frozen]), spatial_scatter(new)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        per_grey = err / noise
+    err = np.where(np.isfinite(err) & (err > 0), err, LEAST_NOISE_GREY * np.nan_to_num(per_grey, nan=1.0))
+    err = np.maximum(err, LEAST_ERROR_PX)
+    predicted = nan_median(np.where(np.isfinite(new), err, np.nan))
+    if lossy:
+        measured = np.fmax(np.fmax(noise_px, scatter_px), predicted)
+        err = err * np.nan_to_num(measured / predicted, nan=1.0)
+    return _Errors(err, noise_px, scatter_px, predicted)
+
+
 def _dataset(strip: xr.DataArray, found: _Found, metadata: TrackMetadata) -> xr.Dataset:
     flag = _flags(strip, found)
-    ok = flag == "ok"
+    ok = np.isin(flag, ("ok", "blurred"))
     x = np.where(ok, found.x_px, np.nan) + found.origin_px
     contrast = np.where(ok, found.detections.contrast, np.nan)
     values: dict[str, Any] = {
         "x_px": x,
         "x_err_px": np.where(ok, found.err_px, np.nan),
         "flag": flag,
+        "why": np.where(flag == "doubtful", found.detections.why, ""),
+        "x_withheld_px": found.detections.withheld_px + found.origin_px,
+        "x_expected_px": said_by_neighbours(x),
         "x_mean_px": nan_median(x),
         "found": ok.mean(axis=0),
         "fwhm_px": nan_median(np.where(ok, found.detections.fwhm_px, np.nan)),
         "snr": nan_median(contrast) / np.maximum(found.noise, 1e-12),
-        "x_noise_px": position_noise(x),
+        "x_noise_px": found.quality.errors.noise_px,
+        "x_scatter_px": found.quality.errors.scatter_px,
+        "x_predicted_px": found.quality.errors.predicted_px,
         "time_s": strip["time_s"].values,
         "side": found.numbering.side,
         "n": found.numbering.n,
@@ -217,4 +296,6 @@ def _flags(strip: xr.DataArray, found: _Found) -> Strings:
         status = np.where(np.isfinite(strip.values).all(axis=1), "ok", "blank").astype("<U8")
     flag = found.detections.flag.copy()
     flag[(flag == "ok") & ~np.isfinite(found.x_px)] = "unfit"
+    flag[(flag == "ok") & found.quality.blurred] = "blurred"
+    flag[found.quality.frozen] = "frozen"
     return np.where(status[:, None] != "ok", status[:, None], flag)

@@ -1,0 +1,120 @@
+"""Identities held against the sheets and frames around and the pattern: scenes with known mistakes."""
+
+import numpy as np
+import pytest
+
+from tests.scenes.combs import comb, ridges, strip
+from tests.scenes.identity_cases import brightness
+from vision.sheets import track_sheets
+from vision.sheets.neighbours import anchored, excursions, hops, neighbour_residual
+from vision.sheets.ridges import RidgeComb
+
+PITCH = 20.0
+COMB = RidgeComb("bright", 7.0, PITCH, 60.0, 0.6, 50.0, 100.0)
+FRAMES = 200
+
+
+def moving(frames=FRAMES):
+    """Fifty sheets that stick and slip, with noise of 0.05 px."""
+    return comb(frames, slip=0.6) + np.random.default_rng(0).normal(0, 0.05, (frames, 50))
+
+
+def test_a_slip_leaves_no_residual():
+    """A failure means the motion of the sheets themselves is taken for wrong identities."""
+    residual = neighbour_residual(moving())
+    assert np.isfinite(residual).all()
+    assert np.quantile(np.abs(residual), 0.999) < 0.5
+    assert not hops(residual, COMB).any()
+
+
+@pytest.mark.parametrize("sheet", [0, 1, 12, 48, 49])
+def test_one_sheet_that_leaves_its_neighbours_is_named(sheet):
+    """A failure means a hop to another ridge passes, or its neighbours are accused in its place."""
+    x = moving()
+    x[50:81, sheet] += 12
+    off = hops(neighbour_residual(x), COMB)
+    assert off[50:81, sheet].all()
+    assert off.sum() == 31
+
+
+def test_a_smaller_departure_is_motion():
+    """Half a ridge's width is no other ridge: sheets may move by themselves."""
+    x = moving()
+    x[50:81, 12] += 3.5
+    assert not hops(neighbour_residual(x), COMB).any()
+
+
+@pytest.mark.parametrize("length", [1, 2, 3])
+def test_a_part_of_the_comb_that_jumps_away_and_back_is_an_excursion(length):
+    x = moving() + 0.1 * np.arange(FRAMES)[:, None]
+    x[60 : 60 + length, 5:16] -= PITCH
+    away, place = excursions(x, COMB)
+    assert away[60 : 60 + length, 5:16].all()
+    assert away.sum() == 11 * length
+    assert np.abs(place - x - PITCH)[60 : 60 + length, 5:16].max() < 0.5 * PITCH
+
+
+def test_a_slip_that_lasts_is_no_excursion():
+    x = moving()
+    x[60:, 5:16] -= 0.6 * PITCH
+    assert not excursions(x, COMB)[0].any()
+
+
+def looks(contrast):
+    rng = np.random.default_rng(3)
+    return [np.log(value) + rng.normal(0, 0.02, (FRAMES, 50)) for value in (contrast, np.full(50, 7.0))]
+
+
+@pytest.mark.parametrize(("contrast", "unique"), [(brightness(), True), (np.ones(50), False)])
+def test_only_a_unique_pattern_anchors(contrast, unique):
+    """A failure means doubts end on sheets that nothing tells apart, or never end."""
+    trusted = np.zeros((FRAMES, 50), bool)
+    trusted[:60] = True
+    sure = anchored(moving(), *looks(contrast), trusted, COMB)
+    assert sure.mean() > 0.95 if unique else not sure.any()
+
+
+def test_a_wrong_numbering_is_not_anchored():
+    """The frames numbered one too high from frame 100 on fit the pattern of another numbering."""
+    x, (bright, wide) = moving(), looks(brightness())
+    x, bright, wide = (np.vstack([v[:100], np.roll(v[100:], 1, axis=1)]) for v in (x, bright, wide))
+    trusted = np.zeros((FRAMES, 50), bool)
+    trusted[:60] = True
+    sure = anchored(x[:, 1:], bright[:, 1:], wide[:, 1:], trusted[:, 1:], COMB)
+    assert sure[:100].all()
+    assert not sure[100:].any()
+
+
+def marked_comb(hop_px):
+    """A comb of eleven pairs of ridges; one ridge is hidden for 31 frames while a speck appears beside it."""
+    x = 60 + 100.0 * np.arange(11) + np.cumsum(np.random.default_rng(4).normal(0, 2, FRAMES))[:, None]
+    drawn = x.copy()
+    drawn[80:111, 6] += hop_px
+    return x, strip(ridges(drawn, width=1200, fwhm_px=10, contrast=brightness(11)))
+
+
+def test_a_ridge_that_hops_away_from_all_others_is_not_given():
+    """A failure means that a speck 27 px beside a hidden marker is handed on as the marker unsaid."""
+    truth, picture = marked_comb(27)
+    tracks = track_sheets(picture, sheets=11)
+    given = tracks.flag.values == "ok"
+    assert not given[80:111, 6].any()
+    assert np.nanmax(np.abs(tracks.x_px.values - truth)[given]) < 5
+    assert given.mean() > 0.98
+
+
+def upper_floor(*, even):
+    """Seven sheets that fill the picture, pulled aside slowly by 0.6 pitches and let go, four times."""
+    pull = 96 * ((np.arange(240) / 60) % 1)
+    uneven = np.zeros(7) if even else np.array([-8, 5, 9, -7, 3, -9, 6])
+    x = 130 + 160.0 * np.arange(7) + uneven + pull[:, None]
+    return x, strip(ridges(x, width=1300, fwhm_px=16), snr=100)
+
+
+def test_doubt_ends_where_the_comb_comes_to_rest_as_before():
+    """A failure means that one fast jump costs a sheet to the end of the film, though the pattern is back."""
+    truth, picture = upper_floor(even=False)
+    tracks = track_sheets(picture, sheets=7)
+    given = tracks.flag.values == "ok"
+    assert np.nanmax(np.abs(tracks.x_px.values - truth)[given]) < 5
+    assert given.mean() > 0.97

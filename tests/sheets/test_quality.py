@@ -1,0 +1,118 @@
+"""Repeated frames, motion blur and errors that were measured: scenes with known truth."""
+
+import numpy as np
+import pytest
+
+from tests.scenes.combs import comb, ridges, strip
+from vision.sheets import track_sheets
+from vision.sheets.quality import repeated_frames, spatial_scatter
+
+
+def creeping(frames=120, snr=100):
+    x = comb(frames, per_side=8, axis_px=200) + np.linspace(0, 3, frames)[:, None]
+    return x, strip(ridges(x, width=400), snr=snr)
+
+
+@pytest.mark.parametrize("touched", [0.0, 0.05])
+def test_repeated_frames_are_found_and_give_no_position(touched):
+    """A failure means that a film whose codec froze is taken for one without noise."""
+    _, picture = creeping()
+    again = [10, 40, 41, 42, 90]
+    for frame in again:
+        noise = np.random.default_rng(frame).normal(0, touched, picture.shape[1])
+        picture.values[frame] = picture.values[frame - 1] + noise
+    tracks = track_sheets(picture)
+    frozen = (tracks.flag.values == "frozen").all(axis=1)
+    assert np.flatnonzero(frozen).tolist() == again
+    assert np.isnan(tracks.x_px.values[again]).all()
+
+
+def test_quiet_frames_of_a_moving_film_are_no_repeats():
+    """Most frames move by pixels, some stand still: these have noise of their own."""
+    x, _ = creeping()
+    x = x + np.cumsum(np.where(np.arange(120) % 10 < 7, 3.0, 0.0) * (-1) ** np.arange(120))[:, None]
+    assert not repeated_frames(strip(ridges(x, width=420)).values).any()
+
+
+def test_the_noise_is_measured_without_the_repeats():
+    """Every frame twice, as from a codec that doubles the rate: the noise is still that of the frames."""
+    _, picture = creeping()
+    once = track_sheets(picture)
+    twice = track_sheets(picture.isel(frame=np.repeat(np.arange(120), 2)).assign_coords(frame=np.arange(240)))
+    assert (twice.flag.values == "frozen").mean() == pytest.approx(0.5, abs=0.01)
+    assert twice.x_noise_px.median() == pytest.approx(float(once.x_noise_px.median()), rel=0.15)
+
+
+def test_errors_are_never_zero():
+    """A drawing without noise still holds errors above zero."""
+    x, _ = creeping()
+    tracks = track_sheets(strip(ridges(x, width=400), snr=1e9))
+    assert (tracks.x_err_px.values > 0).all()
+
+
+def test_scatter_between_sheets_sees_errors_that_persist():
+    """Errors carried from frame to frame for ten frames: the scatter in time misses them."""
+    rng = np.random.default_rng(5)
+    x = comb(2000, slip=0.3) + np.repeat(rng.normal(0, 0.1, (200, 50)), 10, axis=0)
+    assert np.median(spatial_scatter(x)) == pytest.approx(0.1, rel=0.1)
+
+
+def slipping(slip_widths, *, fwhm=7.0, frames=240, seed=0):
+    """Forty sheets, the outermost of which jump to and fro by so many widths within every sixth exposure, at
+    a random time: two ridges drawn over each other. Truth is the mean over the exposure."""
+    rng = np.random.default_rng(seed)
+    rest = 60 + 25.0 * np.arange(40)
+    size = slip_widths * fwhm * np.abs(np.arange(40) - 19.5) / 20
+    slips = np.arange(frames) % 6 == 5
+    after = np.cumsum(slips) % 2
+    before = np.r_[0, after[:-1]]
+    share = np.where(slips, rng.random(frames), 1.0)[:, None]
+    first, last = (rest + state[:, None] * size for state in (before, after))
+    light = share * ridges(first, width=1120, fwhm_px=fwhm)
+    light += (1 - share) * ridges(last, width=1120, fwhm_px=fwhm)
+    return share * first + (1 - share) * last, strip(light), slips
+
+
+def test_errors_hold_in_frames_in_which_sheets_slip():
+    """A failure means that sheets off by pixels in a slip frame claim hundredths: 62 to 74 in 100 truths are
+    to lie within one error, over small and large slips."""
+    inside, found = [], 0
+    for slip in (0.5, 1.0, 1.5, 2.0):
+        truth, picture, slips = slipping(slip)
+        tracks = track_sheets(picture, sheets=40)
+        inside.append((np.abs(tracks.x_px.values - truth) < tracks.x_err_px.values)[slips])
+        found += (tracks.flag.values[slips] == "blurred").sum()
+        assert not (tracks.flag.values[~slips] == "blurred").any()
+    assert 0.62 < np.mean(inside) < 0.74
+    assert found > 0.3 * np.size(inside)
+
+
+def test_without_the_blur_the_same_errors_fail():
+    """The errors of the quiet frames hold few of the truths in slip frames: the scene is hard."""
+    truth, picture, slips = slipping(1.5)
+    tracks = track_sheets(picture, sheets=40)
+    quiet = np.nanmedian(tracks.x_err_px.values[~slips], axis=0)
+    assert (np.abs(tracks.x_px.values - truth) < quiet)[slips].mean() < 0.4
+
+
+def test_sharp_slips_are_not_called_blurred():
+    """A short exposure shows every slip sharply: nothing is to be flagged."""
+    x = comb(200, slip=0.8)
+    tracks = track_sheets(strip(ridges(x)))
+    assert (tracks.flag.values == "blurred").mean() < 1e-3
+
+
+def test_auto_takes_the_template_where_it_is_better_and_says_so():
+    x, picture = creeping(300)
+    tracks = track_sheets(picture)
+    assert (tracks.attrs["fit"], tracks.attrs["fit_asked"]) == ("template", "auto")
+    error, sliding = (np.std(t.x_px.values - x) for t in (tracks, track_sheets(picture, fit="sliding")))
+    assert error < 0.97 * sliding
+
+
+@pytest.mark.parametrize("film", ["few frames", "still"])
+def test_auto_keeps_to_sliding_where_no_shape_can_be_learned(film):
+    """A failure means that a mean shape of one fraction of a pixel, or from a few frames, is trusted."""
+    x = comb(40) + 0.0 if film == "few frames" else np.broadcast_to(comb(1), (300, 50))
+    tracks = track_sheets(strip(ridges(x)))
+    assert tracks.attrs["fit"] == "sliding"

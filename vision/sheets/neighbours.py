@@ -1,0 +1,225 @@
+"""Identities held against the sheets around, against the frames around, and against the comb's own pattern.
+
+The alignment decides which ridge is which sheet; what it decided is tested here with what it did not use.
+`neighbour_residual` says how far each sheet leaves what its neighbours say; `hops` finds sheets that have
+gone over to another ridge, `excursions` groups of sheets that jump away and come straight back, and
+`anchored` the frames in which spacings, brightnesses and widths fit one numbering only, so that an
+earlier doubt ends.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median
+from vision.sheets.ridges import RidgeComb
+from vision.sheets.settings import DEFAULT, TrackingSettings
+
+PAIRS = 3  # neighbours on either side that a sheet is compared with
+LINES = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))  # at the ends; one wrong sheet is never in the majority
+AROUND = 7  # frames before and after that an excursion (up to three frames) is compared with
+SHIFTS = (-2, -1, 1, 2)  # other numberings that the pattern must exclude
+TERM_LIMIT = 4.0  # nats: no single spacing, brightness or width decides a numbering
+
+
+def neighbour_residual(x_px: Floats) -> Floats:
+    r"""How far each sheet stands from where the sheets around it say, px, (frame, N).
+
+    Parameters
+    ----------
+    x_px
+        Positions (frame, N), NaN where missing.
+
+    Returns
+    -------
+    Residual less each sheet's own median over the frames; NaN where the sheet or all its neighbours are
+    missing, and for fewer than three sheets.
+
+    Notes
+    -----
+    With the displacement :math:`u_n` from the median position, the neighbours say
+
+    .. math:: \hat u_n = \operatorname{median}_{k \le 3}
+              \frac{u_{n-k}\,d_{n+k} + u_{n+k}\,d_{n-k}}{d_{n-k} + d_{n+k}},
+
+    d being distances at rest: linear in n between each pair, whatever the mechanics. Towards the ends of the
+    comb, where pairs are lacking, lines through two sheets on one side take their place. A median over the
+    pairs, so that one wrong neighbour does not mislead.
+    """
+    return np.asarray(x_px - said_by_neighbours(x_px), np.float64)
+
+
+def said_by_neighbours(x_px: Floats) -> Floats:
+    """Where the sheets around say that each sheet stands, px, (frame, N), whether it is seen there or not.
+
+    NaN as in `neighbour_residual`.
+    """
+    sheets = x_px.shape[1]
+    if sheets < 3:
+        return np.full(x_px.shape, np.nan)
+    place = nan_median(x_px)
+    moved = x_px - place
+    pairs = [_between(moved, place, k) for k in range(1, PAIRS + 1)]
+    few = np.isfinite(np.stack(pairs)).sum(axis=0) < 2
+    lines = [_beyond(moved, step * a, step * b) for step in (1, -1) for a, b in LINES]
+    lines = [np.where(few, line, np.nan) for line in lines]
+    said = nan_median(np.stack([*pairs, *lines]))
+    return np.asarray(place + said + nan_median(moved - said), np.float64)
+
+
+def _shifted(values: Floats, by: int) -> Floats:
+    """Column n holds that of sheet n + by; NaN outside."""
+    out = np.full(values.shape, np.nan)
+    if abs(by) >= values.shape[1]:
+        return out
+    if by >= 0:
+        out[:, : values.shape[1] - by] = values[:, by:]
+    else:
+        out[:, -by:] = values[:, :by]
+    return out
+
+
+def _between(moved: Floats, place: Floats, k: int) -> Floats:
+    """Displacement said by the k-th neighbours on both sides, linear between them."""
+    left, right = _shifted(moved, -k), _shifted(moved, k)
+    to_left = place - _shifted(place[None], -k)
+    to_right = _shifted(place[None], k) - place
+    return np.asarray((left * to_right + right * to_left) / (to_left + to_right))
+
+
+def _beyond(moved: Floats, near: int, far: int) -> Floats:
+    """Displacement said by two sheets on one side, on a line through them."""
+    close, remote = _shifted(moved, near), _shifted(moved, far)
+    return np.asarray(close + (close - remote) * near / (far - near))
+
+
+def hops(residual: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Bools:
+    """Sheets that left what their neighbours say, (frame, N): they stand on another ridge.
+
+    By several times the sheet's own scatter, by more than a ridge's width (two ridges are not resolved nearer
+    than that), and by far more than most sheets of the frame, since in an avalanche or in a blurred frame
+    many leave at once. Of sheets side by side only the one that leaves most is named: it misleads the others.
+    """
+    size = np.abs(residual)
+    own = settings.leave_sigmas * nan_median(size) / NORMAL_MEDIAN
+    frame = np.full(len(size), np.nan)
+    some = np.isfinite(size).any(axis=1)
+    frame[some] = 3.0 * np.nanquantile(size[some], 0.75, axis=1)
+    least = np.fmax(np.fmax(own, comb.fwhm_px), frame[:, None])
+    padded = np.pad(size, ((0, 0), (PAIRS, PAIRS)), constant_values=np.nan)
+    around = [padded[:, i : i + size.shape[1]] for i in range(2 * PAIRS + 1)]
+    return np.asarray((size > least) & (size >= np.fmax.reduce(around)), bool)
+
+
+def excursions(x_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> tuple[Bools, Floats]:
+    """Sheets that jump away from the comb for a few frames and come back, and where they should have been.
+
+    A slip moves sheets for good, vibration moves all of them; a part of the comb that stands about a pitch
+    away for one to three frames and as before after that was misread, unless its looks prove otherwise.
+
+    Parameters
+    ----------
+    x_px
+        Positions (frame, N), NaN where missing.
+    comb
+        Pitch of the ridges.
+    settings
+        What counts as away.
+
+    Returns
+    -------
+    away, place_px
+        Both (frame, N).
+    """
+    frames = len(x_px)
+    padded = np.pad(x_px, ((AROUND, AROUND), (0, 0)), constant_values=np.nan)
+    before = nan_median(np.stack([padded[i : i + frames] for i in range(AROUND)]))
+    after = nan_median(np.stack([padded[i : i + frames] for i in range(AROUND + 1, 2 * AROUND + 1)]))
+    middle = (before + after) / 2
+    common = nan_median(x_px - middle, axis=1)[:, None]  # the whole comb, vibration included
+    least = settings.excursion_pitches * comb.pitch_px
+    gone, back = x_px - before - common, x_px - after - common
+    away = (np.minimum(np.abs(gone), np.abs(back)) > least) & (gone * back > 0)
+    away &= np.abs(before - after) < 0.8 * np.minimum(np.abs(gone), np.abs(back))
+    return np.asarray(away, bool), np.asarray(middle + common, np.float64)
+
+
+def anchored(
+    x_px: Floats,
+    log_contrast: Floats,
+    log_width: Floats,
+    trusted: Bools,
+    comb: RidgeComb,
+    settings: TrackingSettings = DEFAULT,
+) -> Bools:
+    """Sheets in frames whose pattern of spacings, brightnesses and widths fits this numbering only.
+
+    Parameters
+    ----------
+    x_px, log_contrast, log_width
+        Of the ridge paired with each sheet (frame, N), NaN where none.
+    trusted
+        Identities from which the pattern is learned (frame, N).
+    comb
+        Pitch of the ridges.
+    settings
+        Scatter that is allowed for, and the least log-likelihood ratio.
+
+    Returns
+    -------
+    (frame, N). False where fewer than a tenth of the frames are trusted, and for sheets that stand beside no
+    neighbour at their usual spacing: the rest of the frame says nothing about these.
+
+    Notes
+    -----
+    Every feature's median and scatter are measured over the trusted frames. The cost of a numbering is the
+    sum of squares over twice the variance, each at most `TERM_LIMIT`; a frame is anchored where every
+    numbering shifted by one or two sheets costs `anchor_nats` more. An even comb of equal sheets is never
+    anchored.
+    """
+    if x_px.shape[1] < 3 or trusted.any(axis=1).mean() < 0.1:
+        return np.zeros(x_px.shape, bool)
+    gap = np.diff(x_px, axis=1, append=np.nan)
+    both = trusted & np.hstack([trusted[:, 1:], np.zeros((len(trusted), 1), bool)])
+    features = (
+        (gap, both, 0.01 * comb.pitch_px),
+        (_less_common(log_contrast), trusted, 0.05),
+        (_less_common(log_width), trusted, 0.05),
+    )
+    own = np.zeros(len(x_px))
+    terms = np.zeros(len(x_px))
+    excess = np.zeros((len(SHIFTS), len(x_px)))
+    for values, learned, floor in features:
+        cost = _feature_costs(values, learned, floor)
+        own += np.nansum(cost[0], axis=1)
+        terms += np.isfinite(cost[0]).sum(axis=1)
+        # only what both numberings explain
+        excess += np.stack([np.nansum(shifted - cost[0], axis=1) for shifted in cost[1:]])
+    fits = own < settings.anchor_fit * np.maximum(terms, 1)
+    spacing = _feature_costs(gap, both, 0.01 * comb.pitch_px)[0] < TERM_LIMIT / 2
+    beside = spacing | np.hstack([np.zeros((len(gap), 1), bool), spacing[:, :-1]])
+    return np.asarray((fits & (excess.min(axis=0) > settings.anchor_nats))[:, None] & beside, bool)
+
+
+def _less_common(values: Floats) -> Floats:
+    """Less the median over the sheets of each frame, about each sheet's own: flicker and focus."""
+    off = values - nan_median(values)
+    return np.asarray(values - nan_median(off, axis=1)[:, None])
+
+
+def _feature_costs(values: Floats, learned: Bools, floor: float) -> list[NDArray[np.float64]]:
+    """Cost of each value in its own place, then in those of SHIFTS, (frame, N), NaN where unknown."""
+    seen = np.where(learned, values, np.nan)
+    middle = nan_median(seen)
+    spread = nan_median(np.abs(seen - middle)) / NORMAL_MEDIAN
+    spread = np.maximum(spread, floor)
+    out = []
+    for shift in (0, *SHIFTS):
+        place, sigma = _shifted(middle[None], shift), _shifted(spread[None], shift)
+        # the wider of both scatters, so that a noisy sheet does not exclude a numbering by itself
+        sigma = np.fmax(sigma, spread[None])
+        out.append(
+            np.fmin((values - place) ** 2 / (2 * sigma**2), np.where(np.isfinite(place), TERM_LIMIT, np.nan))
+        )
+    return [np.where(np.isfinite(values), cost, np.nan) for cost in out]

@@ -1,0 +1,133 @@
+"""What the recording does to positions beyond the noise of its pixels: repeated frames, blur, compression.
+
+`repeated_frames` finds frames that the codec or the recorder repeated; `motion_blur` the ridges that moved
+while the shutter was open, and what that may cost; `spatial_scatter` how unevenly neighbouring sheets stand
+in one frame, which shows errors that persist from frame to frame.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median
+from vision.sheets.ridges import RidgeComb
+from vision.sheets.settings import DEFAULT, TrackingSettings
+
+FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
+LEAST_FRAMES = 8
+
+
+def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> Bools:
+    """Frames whose strip is that of the frame before, (frame,).
+
+    Parameters
+    ----------
+    profile
+        Grey levels (frame, x).
+    settings
+        `frozen_fraction`.
+
+    Notes
+    -----
+    The root mean square change from frame to frame is compared with that of the quietest tenth of the frames
+    that change at all. Noise alone makes a frame differ from the one before by √2 of its standard deviation,
+    within a few per cent; a frame that changes by much less repeats the one before.
+    """
+    change = np.sqrt(np.mean(np.diff(profile.astype(np.float64), axis=0) ** 2, axis=1))
+    moving = change[np.isfinite(change) & (change > 0)]
+    frozen = np.zeros(len(profile), bool)
+    # a drawing without noise, or a still: nothing says that a frame should have changed
+    if moving.size >= max(LEAST_FRAMES, settings.least_changing * len(change)):
+        frozen[1:] = change < settings.frozen_fraction * np.quantile(moving, 0.1)
+    return frozen
+
+
+class Blur(NamedTuple):
+    """Both (frame, N).
+
+    Parameters
+    ----------
+    blurred
+        Ridges that moved while the shutter was open.
+    err_px
+        What this may shift them by, 0 elsewhere.
+    """
+
+    blurred: Bools
+    err_px: Floats
+
+
+def motion_blur(
+    x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
+) -> Blur:
+    r"""Ridges smeared by their motion within one exposure.
+
+    Parameters
+    ----------
+    x_px
+        Positions (frame, N), NaN where missing.
+    contrast, fwhm_px
+        Height and width of the ridges (frame, N).
+    comb
+        Width of the ridges.
+    settings
+        `blur_sigmas`, `blur_fraction`, `blur_error`.
+
+    Returns
+    -------
+    Blur
+
+    Notes
+    -----
+    A ridge that jumps by D while the shutter is open, after a fraction p of it, is drawn twice, p and 1 − p
+    high; its mean is what was exposed, but the fit follows the higher part, and is off by up to
+    :math:`\min(p, 1-p)\,D`: the loss of height times the jump. D is the difference between the frames on
+    both sides. Where ridge and jump are about equally wide the two parts merge, the ridge grows wider, and
+    the fit is less far off. Blurred are ridges wider or lower than usual by more than their scatter in a
+    frame in which they moved by more than a fraction of their width.
+    """
+    moved = np.zeros_like(x_px)
+    moved[1:-1] = np.nan_to_num(np.abs(x_px[2:] - x_px[:-2]))
+    steps = np.nan_to_num(np.abs(np.diff(x_px, axis=0)))
+    moved[1:] = np.maximum(moved[1:], steps)
+    moved[:-1] = np.maximum(moved[:-1], steps)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        lower, wider = -np.log(contrast), np.log(fwhm_px)
+    fast = (moved > settings.blur_fraction * comb.fwhm_px) & np.isfinite(x_px)
+    sampled = 0.7 / comb.fwhm_px**2  # height that a ridge between two pixels loses
+    excess = np.maximum(_excess(lower, sampled), _excess(wider, sampled))
+    blurred = fast & (excess > settings.blur_sigmas)
+    suspect = fast & (
+        excess > 0.5 * settings.blur_sigmas
+    )  # too little to be flagged, not too little to matter
+    loss = np.clip(1 - np.exp(-np.nan_to_num(lower - nan_median(lower))), 0.0, 0.5)
+    apart = moved / comb.fwhm_px
+    share = np.minimum(0.8, apart)  # two parts nearer than a width merge, and the fit takes the middle
+    return Blur(blurred, np.where(suspect, settings.blur_error * loss * moved * share, 0.0))
+
+
+def _excess(values: Floats, least: float) -> Floats:
+    """How far values (frame, N) exceed each sheet's median, in its standard deviations."""
+    off = values - nan_median(values)
+    spread = nan_median(np.abs(off)) / NORMAL_MEDIAN
+    return np.nan_to_num(np.maximum(off - least, 0.0) / np.maximum(spread, 0.004))
+
+
+def spatial_scatter(x_px: Floats) -> Floats:
+    """Scatter of each sheet against a smooth line through its neighbours, px, (N,).
+
+    From fourth differences along n of the displacements, which a motion smooth in n hardly has; median
+    absolute value over the frames. Unlike the scatter from frame to frame it sees errors that a codec
+    carries from one frame into the next. NaN with fewer than five sheets.
+    """
+    sheets = x_px.shape[1]
+    if sheets < len(FOURTH):
+        return np.full(sheets, np.nan)
+    moved = x_px - nan_median(x_px)
+    columns = range(sheets - len(FOURTH) + 1)
+    parts = [moved[:, k : k + len(columns)] * weight for k, weight in enumerate(FOURTH)]
+    fourth = np.sum(parts, axis=0)
+    typical = nan_median(np.abs(fourth - nan_median(fourth))) / NORMAL_MEDIAN / np.sqrt((FOURTH**2).sum())
+    return np.asarray(np.pad(typical, 2, mode="edge"), np.float64)
