@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import tifffile
 import xarray as xr
-from vision.run.tiff import frame_step_s, unevenness_s, write_kymograph_tif, write_space_time_tif
 
 from vision.errors import InputError
 from vision.run import kymograph
+from vision.run.tiff import frame_step_s, unevenness_s, write_kymograph_tif, write_space_time_tif
 
 
 def diagram_of(values, *, first_x=100, times=None, bits=8):

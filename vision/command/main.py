@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import sys
 import tempfile
 import traceback
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -22,6 +24,7 @@ from vision.command.modulus import modulus
 from vision.command.simulate import simulate
 from vision.command.track import track
 from vision.errors import InputError
+from vision.files import MOST_PIXELS
 
 HELP = """Follow every sheet of a stick-slip video to a hundredth of a pixel.
 
@@ -62,10 +65,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Being told to stop (a closed terminal, a batch system's time limit) ends a run as Ctrl-C does.
     """
     hold_streams()
+    _plain_surroundings()
     for name in ("SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), _interrupt)
     sys.exit(run(sys.argv[1:] if arguments is None else list(arguments)))
+
+
+def _plain_surroundings() -> None:
+    """Nothing of the user's settings for other programs, of the working directory, of libraries' chatter."""
+    sys.path[:] = [place for place in sys.path if place]  # "" is wherever the data are
+    os.environ.pop("MPLBACKEND", None)  # Jupyter's, which need not be installed here
+    os.environ["MATPLOTLIBRC"] = os.devnull
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
+    warnings.simplefilter("ignore")  # what a user should know is a warning line of the run
 
 
 def _interrupt(number: int, frame: Any) -> None:
