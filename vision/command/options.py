@@ -220,6 +220,8 @@ def merged(*groups: Any, config: Path | None = None) -> dict[str, Parameter]:
             merged[name] = Parameter(filed[name], "config")
         else:
             merged[name] = Parameter(DEFAULTS.get(name), "default")
+    if size := merged.get("pixel_size"):
+        merged["pixel_size"] = Parameter(parse_pixel_size(size.value), size.how)
     return merged
 
 
@@ -295,7 +297,7 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
         "axis_px": number(value.get("axis"), "--axis", least=-1e6),
         "fit": value.get("fit"),
         "window_px": parse_window(value.get("window")),
-        "pixel_size_um": parse_pixel_size(value.get("pixel_size")),
+        "pixel_size_um": value.get("pixel_size"),
         "speed_mm_min": number(value.get("speed"), "--speed", least=1e-9),
         "d0_mm": number(value.get("d0"), "--d0", least=0),
         "force_columns": parse_columns(columns) if columns else None,
