@@ -13,11 +13,11 @@ from vision.errors import InputError
 from vision.files import shortened
 
 SECONDS, SECONDS_PER_BYTE = 8.0, 5e-8
-"""Longest time of reading, and what is added for the file's size. Recordings in use take under one second, most
-of which is the start of the process; more waits longer for damaged files, which end in a loop."""
+"""Longest time of reading, and what is added for the file's size. Recordings in use take under one second,
+most of which is the start of the process; more waits longer for damaged files, which end in a loop."""
 MEMORY_BYTES, MEMORY_PER_BYTE = 2 << 30, 4
-"""Address space of the process, and what is added for the file's size. The libraries alone reserve half a GiB;
-more lets a damaged length take what other programs need."""
+"""Address space of the process, and what is added for the file's size. The libraries reserve half a GiB; more
+lets a damaged length take what other programs need."""
 
 # Reads every value of a file and keeps none. The names come from the caller, the path from the command line.
 _PARSERS = {

@@ -2,6 +2,7 @@
 
 import argparse
 import faulthandler
+import logging
 import sys
 import tempfile
 import time
@@ -21,6 +22,7 @@ def main() -> int:
     given = parser.parse_args()
     faulthandler.enable()
     warnings.simplefilter("ignore")
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)
     folder = given.keep or Path(tempfile.mkdtemp(prefix="fuzz-"))
     started, outcomes, failures = time.monotonic(), Counter(), 0
     for _, outcome, failure in run_cases(given.cases, given.seed, folder):
@@ -28,9 +30,12 @@ def main() -> int:
         if failure is not None:
             failures += 1
             sys.stdout.write(f"--- {failure.file}\n{failure.what}\n")
+            sys.stdout.flush()
     sys.stdout.write("".join(f"{count:7d}  {outcome}\n" for outcome, count in sorted(outcomes.items())))
     seconds = time.monotonic() - started
-    sys.stdout.write(f"{given.cases} cases, {failures} failed, {seconds:.0f} s, {peak_bytes() >> 20} MiB; {folder}\n")
+    sys.stdout.write(
+        f"{given.cases} cases, {failures} failed, {seconds:.0f} s, {peak_bytes() >> 20} MiB; {folder}\n"
+    )
     return 1 if failures else 0
 
 

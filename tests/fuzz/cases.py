@@ -21,7 +21,16 @@ SECONDS = 10
 MEMORY_BYTES = 2 << 30
 FORCE = ("text", "mat", "hdf5")
 # Out of 1000: MATLAB and HDF5 start a process each, which takes as long as twenty others.
-SHARE = {"riff": 190, "tiff": 260, "mp4": 90, "matroska": 110, "png": 60, "bytes": 60, "cine": 60, "text": 130}
+SHARE = {
+    "riff": 190,
+    "tiff": 260,
+    "mp4": 90,
+    "matroska": 110,
+    "png": 60,
+    "bytes": 60,
+    "cine": 60,
+    "text": 130,
+}
 SHARE |= {"times": 30, "mat": 5, "hdf5": 5}
 
 
@@ -58,7 +67,7 @@ def run_cases(cases: int, seed: int, folder: Path) -> Iterator[tuple[int, str, F
 
 
 def one_case(file: Path, kind: str) -> str:
-    """"read", "refused", or what went wrong."""
+    """ "read", "refused", or what went wrong."""
     before = peak_bytes()
     started = time.monotonic()
     try:

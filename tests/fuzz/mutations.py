@@ -10,8 +10,37 @@ import numpy as np
 Random = np.random.Generator
 NUMBERS = (0, 1, 2, 3, 7, 8, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 20, 1 << 62)
 WORDS = (
-    *("nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "1e999", "9" * 400, "²", "٣", "\x00", '"', "'", "--"),
-    *("", " " * 3000, "," * 300, ";" * 300, '"' * 301, "0x10", "1.2.3", "1,2,3", "+", "-", "e", "\ufeff", "\u2028"),
+    *(
+        "nan",
+        "inf",
+        "-inf",
+        "1e308",
+        "-1e308",
+        "1e-320",
+        "1e999",
+        "9" * 400,
+        "²",
+        "٣",
+        "\x00",
+        '"',
+        "'",
+        "--",
+    ),
+    *(
+        "",
+        " " * 3000,
+        "," * 300,
+        ";" * 300,
+        '"' * 301,
+        "0x10",
+        "1.2.3",
+        "1,2,3",
+        "+",
+        "-",
+        "e",
+        "\ufeff",
+        "\u2028",
+    ),
     *("=1+1", "<script>", "%s", "{}", "Time", "Load [kN]", "(((((((((((((((", "mm", "#" * 200, "1" * 3000),
 )
 
@@ -57,20 +86,29 @@ def _tiff(data: bytes) -> list[tuple[int, int]]:
         found.append((at, head))
         for n in range(min(tags, 40)):
             tag = at + head + n * entry
-            found += [(tag, 2), (tag + 2, 2), (tag + 4, width), (tag + 4 + width, width), (tag + 4 + width, 2)]
+            found += [
+                (tag, 2),
+                (tag + 2, 2),
+                (tag + 4, width),
+                (tag + 4 + width, width),
+                (tag + 4 + width, 2),
+            ]
         at += head + tags * entry
         found.append((at, width))
     return found
 
 
 def _mp4(data: bytes) -> list[tuple[int, int]]:
-    names = rb"ftyp|moov|mvhd|trak|tkhd|mdia|mdhd|minf|stbl|stsd|stts|stss|ctts|stsc|stsz|stco|mdat|avc1|avcC|edts|elst"
+        rb"ftyp|moov|mvhd|trak|tkhd|mdia|mdhd|minf|stbl|stsd|stts|stss|ctts|stsc|stsz|stco|mdat|avc1|elst"
     return [(at + k, 4) for at in _all(data, names) for k in (-4, 8, 12, 16, 20, 28, 32)]
 
 
 def _matroska(data: bytes) -> list[tuple[int, int]]:
-    names = rb"\x18\x53\x80\x67|\x15\x49\xa9\x66|\x16\x54\xae\x6b|\x1f\x43\xb6\x75|\x1c\x53\xbb\x6b|\xae|\xe0|\xb0|\xba|\xa3|\x44\x89"
-    return [(at + k, size) for at in _all(data, names) for k, size in ((1, 1), (2, 1), (3, 2), (4, 1), (4, 4))]
+    masters = rb"\x18\x53\x80\x67|\x15\x49\xa9\x66|\x16\x54\xae\x6b|\x1f\x43\xb6\x75|\x1c\x53\xbb\x6b"
+    names = masters + rb"|\xae|\xe0|\xb0|\xba|\xa3|\x44\x89"
+    return [
+        (at + k, size) for at in _all(data, names) for k, size in ((1, 1), (2, 1), (3, 2), (4, 1), (4, 4))
+    ]
 
 
 def _png(data: bytes) -> list[tuple[int, int]]:
@@ -80,7 +118,11 @@ def _png(data: bytes) -> list[tuple[int, int]]:
 
 
 def _cine(data: bytes) -> list[tuple[int, int]]:
-    return [(k, 4) for k in range(0, 84, 4)] + [(84 + k, 4) for k in (140, 142, 896)] + [(2084 + k, 4) for k in range(0, 140, 4)]
+    return (
+        [(k, 4) for k in range(0, 84, 4)]
+        + [(84 + k, 4) for k in (140, 142, 896)]
+        + [(2084 + k, 4) for k in range(0, 140, 4)]
+    )
 
 
 def _mat(data: bytes) -> list[tuple[int, int]]:
@@ -179,7 +221,13 @@ def line(data: bytes, kind: str, random: Random) -> bytes:
     """A line goes, comes twice, is of blanks, or is padded."""
     lines = data.split(b"\n")
     at = int(random.integers(len(lines)))
-    options = ([], [lines[at]] * 2, [b""] * 3, [lines[at].replace(b",", b" , ") + b" " * 2000 + b"x"], [b'"' + lines[at]])
+    options = (
+        [],
+        [lines[at]] * 2,
+        [b""] * 3,
+        [lines[at].replace(b",", b" , ") + b" " * 2000 + b"x"],
+        [b'"' + lines[at]],
+    )
     lines[at : at + 1] = options[int(random.integers(len(options)))]
     return b"\n".join(lines)
 

@@ -15,7 +15,7 @@ FORCE_ROWS = 60
 
 
 def write_seeds(folder: Path) -> dict[str, list[Path]]:
-    """Files by the structure that mutations know: riff, tiff, mp4, matroska, png, cine, bytes, mat, hdf5, text."""
+    """Files by the structure that mutations know."""
     frames = comb(8, 12, 50)
     return {
         "riff": _riff(folder, frames),
@@ -81,9 +81,7 @@ def _cine(path: Path, frames) -> Path:
     images_at = setup_at + len(setup) + len(times)
     first = images_at + 8 * count
     size = rows * columns + 8
-    head = struct.pack(
-        "<2sHHHiIiIIII8x", b"CI", 44, 0, 1, 0, count, 0, count, bitmap_at, setup_at, images_at
-    )
+    head = struct.pack("<2sHHHiIiIIII8x", b"CI", 44, 0, 1, 0, count, 0, count, bitmap_at, setup_at, images_at)
     bitmap = struct.pack("<IiiHHIIiiII", 40, columns, rows, 1, 8, 0, rows * columns, 0, 0, 0, 0)
     places = np.array([first + n * size for n in range(count)], "<i8").tobytes()
     body = b"".join(struct.pack("<II", 8, rows * columns) + frame.tobytes() for frame in frames)
@@ -112,7 +110,12 @@ def _mat73(path: Path) -> Path:
 def _text(folder: Path) -> list[Path]:
     rows = np.column_stack(list(_columns().values()))
     made = []
-    for name, separator, decimal in (("c.csv", ",", "."), ("s.txt", ";", ","), ("t.txt", "\t", "."), ("w.txt", "  ", ".")):
+    for name, separator, decimal in (
+        ("c.csv", ",", "."),
+        ("s.txt", ";", ","),
+        ("t.txt", "\t", "."),
+        ("w.txt", "  ", "."),
+    ):
         cells = [separator.join(f"{value:8.4f}".replace(".", decimal) for value in row) for row in rows]
         header = [separator.join(("Time", "Load", "Position")), separator.join(("s", "N", "mm"))]
         made.append(folder / name)

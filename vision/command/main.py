@@ -14,7 +14,7 @@ from typing import Any
 
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
-from vision.command.console import complain, hold_streams
+from vision.command.console import complain, hold_streams, silence_libraries
 from vision.command.export import export
 from vision.command.figures import figures
 from vision.command.force import force
@@ -65,11 +65,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Being told to stop (a closed terminal, a batch system's time limit) ends a run as Ctrl-C does.
     """
     hold_streams()
+    silence_libraries()
     _plain_surroundings()
-    for name in ("SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), _interrupt)
-    sys.exit(run(sys.argv[1:] if arguments is None else list(arguments)))
+    status = run(sys.argv[1:] if arguments is None else list(arguments))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the status is decided
+    sys.exit(130 if _interrupted else status)
 
 
 def _plain_surroundings() -> None:
@@ -82,7 +85,12 @@ def _plain_surroundings() -> None:
     warnings.simplefilter("ignore")  # what a user should know is a warning line of the run
 
 
+_interrupted: list[int] = []  # signals that told to stop
+
+
 def _interrupt(number: int, frame: Any) -> None:
+    """Kept in mind too: where a library calls back, Python can only print the exception and go on."""
+    _interrupted.append(number)
     raise KeyboardInterrupt
 
 
@@ -97,16 +105,20 @@ def run(arguments: Sequence[str]) -> int:
             print_error=False,
             result_action="return_value",
         )
-    except (InputError, CycloptsError, OSError, MemoryError) as error:
-        complain(_one_line(error))
-        return 2
     except KeyboardInterrupt:
-        complain("interrupted; no half-written run folder is left")
-        return 130
+        return _stopped()
     except Exception as error:
-        complain(_unforeseen(error))
-        return 3
+        if _interrupted:  # it became another exception on its way
+            return _stopped()
+        foreseen = isinstance(error, InputError | CycloptsError | OSError | MemoryError)
+        complain(_one_line(error) if foreseen else _unforeseen(error))
+        return 2 if foreseen else 3
     return status if isinstance(status, int) else 0
+
+
+def _stopped() -> int:
+    complain("interrupted; no half-written run folder is left")
+    return 130
 
 
 def _unforeseen(error: Exception) -> str:

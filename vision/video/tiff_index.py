@@ -14,7 +14,7 @@ from vision.files import check_pixels
 MOST_TAGS = 1000
 """Tags of one page. Microscopes write up to 60; more refuses fewer damaged pages, which take long."""
 MOST_TAG_BYTES = 1 << 26
-"""Bytes that all tags of a file may point to besides its own size: values that pages share would take for ever."""
+"""Bytes that all tags may point to besides the file's own size: shared values would take for ever."""
 _BYTES_OF_TYPE = dict(enumerate((1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 2, 4, 8, 8, 8, 8), 1))
 _WIDTH, _LENGTH, _SAMPLES = 256, 257, 277
 _ADVICE = "copy or export it again"
