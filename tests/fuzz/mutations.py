@@ -99,7 +99,7 @@ def _tiff(data: bytes) -> list[tuple[int, int]]:
 
 
 def _mp4(data: bytes) -> list[tuple[int, int]]:
-        rb"ftyp|moov|mvhd|trak|tkhd|mdia|mdhd|minf|stbl|stsd|stts|stss|ctts|stsc|stsz|stco|mdat|avc1|elst"
+    names = rb"ftyp|moov|mvhd|trak|tkhd|mdia|mdhd|minf|stbl|stsd|stts|stss|ctts|stsc|stsz|stco|mdat|avc1|elst"
     return [(at + k, 4) for at in _all(data, names) for k in (-4, 8, 12, 16, 20, 28, 32)]
 
 
