@@ -8,6 +8,8 @@ VISION = Path(__file__).parents[1] / "vision"
 LAYERS = (
     "errors",
     "numeric",
+    "files",
+    "isolation",
     "data",
     "sample",
     "video",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from typing import TextIO
 
@@ -23,6 +23,22 @@ def hold_streams() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
+
+
+def silence_libraries() -> None:
+    """What C libraries write to standard error by themselves leads nowhere; Python's own messages do not.
+
+    libpng, OpenCV and HDF5 print a line of theirs beside the one that says what is wrong.
+    """
+    with suppress(OSError, ValueError, AttributeError):
+        kept = os.dup(sys.stderr.fileno())
+        os.set_inheritable(kept, False)
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stderr.fileno())
+        os.close(nowhere)
+        sys.stderr = open(  # noqa: SIM115, PTH123  # for as long as the program runs
+            kept, "w", buffering=1, encoding=sys.stderr.encoding, errors="replace"
+        )
 
 
 def say(lines: Iterable[str]) -> None:

@@ -24,6 +24,7 @@ from vision.command.options import (
 )
 from vision.command.track import command_line, run_name
 from vision.errors import InputError
+from vision.files import reading as reading_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -114,7 +115,8 @@ def kymograph(
     check_mark(target, MARK)
     parameters = merged(reading)
     if is_run(video_or_run):
-        source = _from_run(video_or_run, reading)
+        with reading_of(video_or_run, "a run folder as track writes it", "run track again"):
+            source = _from_run(video_or_run, reading)
         options["frames"] = parse_range(reading.frames, "--frames")
     else:
         wanted = bool(options["sheets"])

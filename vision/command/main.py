@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import sys
 import tempfile
 import traceback
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
-from vision.command.console import complain, hold_streams
+from vision.command.console import complain, hold_streams, silence_libraries
 from vision.command.export import export
 from vision.command.figures import figures
 from vision.command.force import force
@@ -22,6 +24,7 @@ from vision.command.modulus import modulus
 from vision.command.simulate import simulate
 from vision.command.track import track
 from vision.errors import InputError
+from vision.files import MOST_PIXELS
 
 HELP = """Follow every sheet of a stick-slip video to a hundredth of a pixel.
 
@@ -62,13 +65,32 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Being told to stop (a closed terminal, a batch system's time limit) ends a run as Ctrl-C does.
     """
     hold_streams()
-    for name in ("SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
+    silence_libraries()
+    _plain_surroundings()
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), _interrupt)
-    sys.exit(run(sys.argv[1:] if arguments is None else list(arguments)))
+    status = run(sys.argv[1:] if arguments is None else list(arguments))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the status is decided
+    sys.exit(130 if _interrupted else status)
+
+
+def _plain_surroundings() -> None:
+    """Nothing of the user's settings for other programs, of the working directory, of libraries' chatter."""
+    sys.path[:] = [place for place in sys.path if place]  # "" is wherever the data are
+    os.environ.pop("MPLBACKEND", None)  # Jupyter's, which need not be installed here
+    os.environ["MATPLOTLIBRC"] = os.devnull
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
+    warnings.simplefilter("ignore")  # what a user should know is a warning line of the run
+
+
+_interrupted: list[int] = []  # signals that told to stop
 
 
 def _interrupt(number: int, frame: Any) -> None:
+    """Kept in mind too: where a library calls back, Python can only print the exception and go on."""
+    _interrupted.append(number)
     raise KeyboardInterrupt
 
 
@@ -83,16 +105,20 @@ def run(arguments: Sequence[str]) -> int:
             print_error=False,
             result_action="return_value",
         )
-    except (InputError, CycloptsError, OSError, MemoryError) as error:
-        complain(_one_line(error))
-        return 2
     except KeyboardInterrupt:
-        complain("interrupted; no half-written run folder is left")
-        return 130
+        return _stopped()
     except Exception as error:
-        complain(_unforeseen(error))
-        return 3
+        if _interrupted:  # it became another exception on its way
+            return _stopped()
+        foreseen = isinstance(error, InputError | CycloptsError | OSError | MemoryError)
+        complain(_one_line(error) if foreseen else _unforeseen(error))
+        return 2 if foreseen else 3
     return status if isinstance(status, int) else 0
+
+
+def _stopped() -> int:
+    complain("interrupted; no half-written run folder is left")
+    return 130
 
 
 def _unforeseen(error: Exception) -> str:

@@ -14,13 +14,32 @@ from cyclopts import App, CycloptsError
 from cyclopts import Parameter as Option
 
 from vision.errors import InputError
+from vision.files import check_regular, shortened
 
 if TYPE_CHECKING:
     from vision.pipeline import Settings
     from vision.run.provenance import Parameter
     from vision.spacetime import Sheet
 
+
+def _whole(kind: Any, tokens: Sequence[Any]) -> int:
+    """A whole number as it is written: 1.5 is none, where a conversion would round it.
+
+    Raises
+    ------
+    ValueError
+        For anything else.
+    """
+    text = str(tokens[0].value).strip()
+    if not re.fullmatch(r"[-+]?[0-9]{1,9}(?:\.0{1,9})?", text):
+        raise ValueError("give a whole number")
+    return int(text.partition(".")[0])
+
+
+Whole = Annotated[int, Option(converter=_whole)]
 Flag = Annotated[bool, Option(negative="", show_default=False)]
+MOST_CONFIG_BYTES = 1 << 20
+MOST_LETTERS = 4000  # of a value: longer than any name of a file
 UM_PER = {"mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Greek mu
 _OPTION_OF = {
     "rows": "--strip",
@@ -78,7 +97,7 @@ class VideoOptions:
     """Rows averaged, Z0:Z1, half-open, from the top; auto finds where ridges are straight and clear."""
     columns: str | None = None
     """Columns looked at, X0:X1."""
-    sheets: int | None = None
+    sheets: Whole | None = None
     """Number of ridges in view; found if not given."""
     ridges: Literal["bright", "dark", "auto"] | None = None
     """Polarity: bright, dark or auto."""
@@ -135,7 +154,7 @@ class ForceOptions:
 class SampleOptions:
     """The sample; the publication's if not given."""
 
-    sheets_per_block: int | None = None
+    sheets_per_block: Whole | None = None
     """M, sheets in one block."""
     thickness: float | None = None
     """ε of one sheet, mm."""
@@ -228,10 +247,14 @@ def read_config(path: Path) -> dict[str, Any]:
     Tables group options: ``[sample]`` holds those of the sample.
     """
     try:
+        if check_regular(path, "a TOML file of options").st_size > MOST_CONFIG_BYTES:
+            raise InputError(path, "a TOML file of options", "a far larger one", "check its name")
         table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+    except (OSError, ValueError, RecursionError) as error:  # a number of 5000 digits is a ValueError
+        if isinstance(error, InputError):
+            raise
         advice = "write lines like: strip = '60:144'"
-        raise InputError(path, "a TOML file of options", str(error), advice) from error
+        raise InputError(path, "a TOML file of options", shortened(str(error)), advice) from error
     known = [field.name for group in GROUPS for field in fields(group)]
     found: dict[str, Any] = {}
     for key, value in table.items():
@@ -246,16 +269,17 @@ def _parsed(path: Path, key: str, value: Any, known: Sequence[str]) -> dict[str,
     name = key.replace("-", "_")
     if name not in known:
         raise InputError(path, f"options of track ({', '.join(known)})", f"'{key}'")
-    if isinstance(value, dict | list | bool):
+    if not isinstance(value, str | int | float) or isinstance(value, bool):
         raise InputError(path, f"one value for '{key}'", f"a {type(value).__name__}")
     group = next(group for group in GROUPS if name in {field.name for field in fields(group)})
     app = App(help_flags=(), version_flags=())
     app.default(_collect(group))
     try:
-        tokens = [f"--{name.replace('_', '-')}={value}"]
+        tokens = [f"--{name.replace('_', '-')}={str(value)[:MOST_LETTERS]}"]
         parsed = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
-    except CycloptsError as error:
-        raise InputError(path, f"a value for '{key}' as on the command line", f"{value!r}") from error
+    except (CycloptsError, ValueError, OverflowError) as error:
+        found = shortened(repr(value))
+        raise InputError(path, f"a value for '{key}' as on the command line", found) from error
     return {name: getattr(parsed, name)}
 
 

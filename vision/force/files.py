@@ -1,27 +1,30 @@
-"""Files of testing machines (text, MATLAB) as tables: encoding, separator, decimal mark, header, blocks."""
+"""Text files of testing machines as tables: encoding, separator, decimal mark, header, blocks."""
 
 from __future__ import annotations
 
 import csv
 import io
 import re
-from collections import Counter
-from collections.abc import Iterator, Mapping
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pandas as pd
-from scipy.io import loadmat
 
 from vision.errors import InputError
+from vision.files import check_regular, reading
 from vision.force.columns import Table, split_name, unit_of, without_brackets
+from vision.force.matlab import LEAST_ROWS, read_mat
 from vision.numeric import Bools, Floats
 
-_LEAST_ROWS = 3
-_MOST_MATRIX_COLUMNS = 20  # of a matrix in a .mat file; wider ones are images or tables of something else
+_HEAD_BYTES = 1 << 17  # in which the header and the first rows are looked for
+_MOST_BYTES = 8 << 30  # of a table of plain numbers, about 300 million rows
+_MOST_MIXED_BYTES = 1 << 30  # of any other text, which takes ten times its size in memory
+_MOST_COLUMNS = 1000
+_MOST_LETTERS = 200  # of a cell of the header, or of a number with its unit
+_WANTED = "a force recording"
 
 
 def read_tables(path: Path) -> list[Table]:
@@ -44,7 +47,11 @@ def read_tables(path: Path) -> list[Table]:
     InputError
         For a file that cannot be read, no block of three rows of numbers, or no vectors.
     """
-    return _read_mat(path) if path.suffix.lower() == ".mat" else _read_text(path)
+    size = check_regular(path, _WANTED).st_size
+    if size > _MOST_BYTES:
+        raise InputError(path, f"at most {_MOST_BYTES >> 30} GiB", f"{size >> 20} MiB", "export a part of it")
+    with reading(path, _WANTED, "export it again"):
+        return read_mat(path) if path.suffix.lower() == ".mat" else _read_text(path)
 
 
 # --- text ---------------------------------------------------------------------------------------------------
@@ -58,23 +65,69 @@ _SUFFIXED = re.compile(r"^\s*(?P<number>[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?)\s*(?P<u
 
 def _read_text(path: Path) -> list[Table]:
     """Every block of numbers of a text recording."""
-    text, encoding = _decode(path)
+    plain = _read_plain(path)
+    if plain is not None:
+        return [plain]
+    size = path.stat().st_size
+    if size > _MOST_MIXED_BYTES:
+        wanted = f"at most {_MOST_MIXED_BYTES >> 30} GiB of text that is not numbers alone"
+        raise InputError(path, wanted, f"{size >> 20} MiB", "export one table of numbers")
+    text, encoding = _decode(path, path.read_bytes())
     lines = text.splitlines()
     style = _find_style(lines)
     if style is None:
         return [_suffixed_column(path, lines, encoding)]
-    facts = {
+    tables = _read_blocks(path, lines, style, _facts(lines, style, encoding))
+    if not tables:
+        advice = "export the recording as text with one row per sample"
+        raise InputError(path, f"{LEAST_ROWS} lines of numbers in a row", "none", advice)
+    return tables
+
+
+def _read_plain(path: Path) -> Table | None:
+    """The commonest recording, a header and numbers from there to the end, read by pandas from the disk.
+
+    None for any other, which takes ten times as long and as much memory to read: several blocks, remarks,
+    cells of text.
+    """
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+        whole = not file.read(1)
+    raw = head.split(b"\n")[: None if whole else -1]
+    text, encoding = _decode(path, b"\n".join(raw))
+    lines = text.splitlines()
+    style = _find_style(lines)
+    if len(lines) not in (len(raw), len(raw) - 1) or style is None or style.separator == style.decimal:
+        return None
+    runs = _runs(lines, style)
+    if len(runs) != 1 or any(line.strip() for line in lines[runs[0][1] :]):
+        return None
+    start = runs[0][0]
+    width = _width([line for line in lines[start:] if line.strip()], style, path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # a later row that is longer
+            values = _parsed(str(path.absolute()), style, width, skiprows=start, dtype=np.float64).to_numpy()
+    except (ValueError, pd.errors.ParserWarning):
+        return None
+    if np.isnan(values[:, 1:]).all(axis=1).any() or len(values) < LEAST_ROWS:
+        return None  # a remark, or the last line cut short
+    names, units = _header(lines[:start], style, width)
+    return _drop_empty(Table(names, units, values, _facts(lines, style, encoding)))
+
+
+def _facts(lines: list[str], style: _Style, encoding: str) -> dict[str, str]:
+    """How the file was read."""
+    return {
         "layout": _layout(lines),
         "encoding": encoding,
         "separator": _SEPARATOR_NAMES[style.separator],
         "decimal": style.decimal,
     }
-    return _read_blocks(lines, style, facts)
 
 
-def _decode(path: Path) -> tuple[str, str]:
-    """(text, encoding) of a file."""
-    data = path.read_bytes()
+def _decode(path: Path, data: bytes) -> tuple[str, str]:
+    """(text, encoding) of a file's bytes."""
     if not data.strip():
         raise InputError(path, "a force recording", "an empty file")
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -104,20 +157,24 @@ class _Style:
     def number(self) -> str:
         """Pattern of one number."""
         mark = re.escape(self.decimal)
-        return rf"[-+]?(?:\d+(?:{mark}\d*)?|{mark}\d+)(?:[eE][-+]?\d+)?"
+        return rf"[-+]?+(?:[0-9]++(?:{mark}[0-9]*+)?+|{mark}[0-9]++)(?:[eE][-+]?+[0-9]++)?+"
 
     def patterns(self) -> tuple[re.Pattern[str], re.Pattern[str]]:
-        """(one number, a whole line of numbers)."""
-        words = "|".join(re.escape(word) for word in _NOT_A_NUMBER if word)
-        value = rf"(?:{self.number}|{words})"
+        """(one number, a whole line of numbers).
+
+        Nothing is ever tried twice (`*+` gives nothing back): a line of padded cells would else take longer
+        than the test.
+        """
+        words = "|".join(re.escape(word) for word in sorted(_NOT_A_NUMBER, key=len, reverse=True) if word)
+        value = rf"(?>{self.number}|{words})"
         if self.separator == _WHITESPACE:
-            line = rf"\s*{value}(?:\s+{value})+\s*"
+            line = rf"\s*+{value}(?:\s++{value})+\s*+"
         else:
             # Where comma is both separator and decimal mark only quotes tell them apart.
             cell = (
-                rf'[ ]*"[ ]*{value}?[ ]*"[ ]*'
+                rf'[ ]*+"[ ]*+{value}?+[ ]*+"[ ]*+'
                 if self.separator == self.decimal
-                else rf'[ ]*"?[ ]*{value}?[ ]*"?[ ]*'
+                else rf'[ ]*+"?+[ ]*+{value}?+[ ]*+"?+[ ]*+'
             )
             line = rf"{cell}(?:{re.escape(self.separator)}{cell})+"
         return re.compile(self.number), re.compile(line, re.IGNORECASE)
@@ -152,7 +209,7 @@ def _find_style(lines: list[str]) -> _Style | None:
     styles = [_Style(separator, decimal) for separator in _SEPARATORS for decimal in (".", ",")]
     counts = [int(_data_lines(sample, style).sum()) for style in styles]
     best = int(np.argmax(counts))
-    return styles[best] if counts[best] >= _LEAST_ROWS else None
+    return styles[best] if counts[best] >= LEAST_ROWS else None
 
 
 def _layout(lines: list[str]) -> str:
@@ -170,12 +227,12 @@ def _layout(lines: list[str]) -> str:
     return next((name for mark, name in known.items() if mark in head), "table")
 
 
-def _read_blocks(lines: list[str], style: _Style, facts: dict[str, str]) -> list[Table]:
+def _read_blocks(path: Path, lines: list[str], style: _Style, facts: dict[str, str]) -> list[Table]:
     """Each run of data lines as a table, with the header above it."""
     tables: list[Table] = []
     header_from = 0
     for start, stop in _runs(lines, style):
-        values = _numbers([line for line in lines[start:stop] if line.strip()], style)
+        values = _numbers(path, [line for line in lines[start:stop] if line.strip()], style)
         names, units = _header(lines[header_from:start], style, values.shape[1])
         if tables and not any(names) and values.shape[1] == tables[-1].numbers.shape[1]:
             # A remark between two runs of numbers is not a header: the columns go on as before.
@@ -196,28 +253,42 @@ def _runs(lines: list[str], style: _Style) -> list[tuple[int, int]]:
     first = np.flatnonzero(np.r_[True, np.diff(run[rows]) > 0])
     last = np.r_[first[1:], rows.size] - 1
     return [
-        (int(rows[a]), int(rows[b]) + 1) for a, b in zip(first, last, strict=True) if b - a + 1 >= _LEAST_ROWS
+        (int(rows[a]), int(rows[b]) + 1) for a, b in zip(first, last, strict=True) if b - a + 1 >= LEAST_ROWS
     ]
 
 
-def _numbers(lines: list[str], style: _Style) -> Floats:
-    """Lines of numbers as an array, NaN where a cell is not a number."""
+def _width(lines: list[str], style: _Style, path: Path) -> int:
+    """Columns of the longest line.  Raises: InputError for more than a recording has."""
     if style.separator == _WHITESPACE:
-        width = max(len(line.split()) for line in lines)
+        width = max((len(line.split()) for line in lines), default=0)
     else:
-        width = max(line.count(style.separator) for line in lines) + 1
-    frame = pd.read_csv(
-        io.StringIO("\n".join(lines)),
+        width = max((line.count(style.separator) for line in lines), default=0) + 1
+    if width > _MOST_COLUMNS:
+        raise InputError(path, f"at most {_MOST_COLUMNS} columns", str(width), "export fewer of them")
+    return width
+
+
+def _parsed(source: str | io.StringIO, style: _Style, width: int, **more: Any) -> pd.DataFrame:
+    """Numbers by pandas' C parser, from a file or from text."""
+    frame: pd.DataFrame = pd.read_csv(
+        source,
         sep=style.separator,
         decimal=style.decimal,
         header=None,
         names=list(range(width)),
         na_values=list(_NOT_A_NUMBER[1:]),
         skipinitialspace=True,
-        skip_blank_lines=False,
         index_col=False,
-        low_memory=False,
+        compression=None,
+        **more,
     )
+    return frame
+
+
+def _numbers(path: Path, lines: list[str], style: _Style) -> Floats:
+    """Lines of numbers as an array, NaN where a cell is not a number."""
+    width, text = _width(lines, style, path), io.StringIO("\n".join(lines))
+    frame = _parsed(text, style, width, skip_blank_lines=False, low_memory=False)
     return np.column_stack([_as_floats(frame[column], style.decimal) for column in frame.columns])
 
 
@@ -249,7 +320,7 @@ def _is_unit_row(cells: list[str]) -> bool:
 
 def _fit(cells: list[str], width: int) -> tuple[str, ...]:
     """Exactly `width` cells: cut off, or filled up with ""."""
-    return tuple([*(cell.strip() for cell in cells), *[""] * width][:width])
+    return tuple([*(cell.strip()[:_MOST_LETTERS] for cell in cells[:width]), *[""] * width][:width])
 
 
 def _drop_empty(table: Table) -> Table:
@@ -265,9 +336,10 @@ def _drop_empty(table: Table) -> Table:
 
 def _suffixed_column(path: Path, lines: list[str], encoding: str) -> Table:
     """One column whose every line carries its unit, as in "0.00 N1", or no unit at all."""
-    found = [match for line in lines if (match := _SUFFIXED.match(line))]
-    plain = [line for line in lines if re.fullmatch(_Style(";", ".").number, line.strip())]
-    if max(len(found), len(plain)) < _LEAST_ROWS:
+    short = [line for line in lines if len(line) <= _MOST_LETTERS]
+    found = [match for line in short if (match := _SUFFIXED.match(line))]
+    plain = [line for line in short if re.fullmatch(_Style(";", ".").number, line.strip())]
+    if max(len(found), len(plain)) < LEAST_ROWS:
         raise InputError(
             path,
             "columns of numbers (time, load, displacement)",
@@ -279,56 +351,3 @@ def _suffixed_column(path: Path, lines: list[str], encoding: str) -> Table:
         values = np.array([float(match["number"]) for match in found])
         return Table(("",), (found[0]["unit"],), values[:, np.newaxis], facts)
     return Table(("",), ("",), np.array([float(line) for line in plain])[:, np.newaxis], facts)
-
-
-# --- MATLAB -------------------------------------------------------------------------------------------------
-
-
-def _read_mat(path: Path) -> list[Table]:
-    """The vectors of a .mat file that share the commonest length, as one table."""
-    version, variables = _load(path)
-    vectors = dict(_vectors(variables))
-    if not vectors:
-        raise InputError(
-            path, "vectors of time and force", "no numeric vectors", "save them with plain names"
-        )
-    length = Counter(v.size for v in vectors.values()).most_common(1)[0][0]
-    chosen = {name: v for name, v in vectors.items() if v.size == length}
-    names, units = zip(*(split_name(name) for name in chosen), strict=True)
-    values = np.column_stack(list(chosen.values()))
-    return [Table(tuple(names), tuple(units), values, {"layout": f"MATLAB {version}", "encoding": "binary"})]
-
-
-def _load(path: Path) -> tuple[str, Mapping[str, Any]]:
-    """(version, variables by name) of a .mat file; fields of groups as "group.field"."""
-    try:
-        if not h5py.is_hdf5(path):
-            return "v5", loadmat(path, squeeze_me=True, struct_as_record=True)
-        found: dict[str, Any] = {}
-
-        def keep(name: str, item: object) -> None:
-            if isinstance(item, h5py.Dataset) and not name.startswith("#"):
-                # MATLAB stores columns first: a matrix comes out of HDF5 transposed.
-                found[name.replace("/", ".")] = np.squeeze(np.asarray(item).T)
-
-        with h5py.File(path) as file:
-            file.visititems(keep)
-    except Exception as error:  # SciPy's and HDF5's readers raise many kinds on damaged files
-        raise InputError(
-            path, "a MATLAB .mat file", f"one that cannot be read ({error})", "save it again"
-        ) from error
-    return "v7.3", found
-
-
-def _vectors(variables: Mapping[str, Any]) -> Iterator[tuple[str, Floats]]:
-    """Numeric vectors, and columns of matrices, by name."""
-    for name, value in variables.items():
-        array = np.asarray(value)
-        if name.startswith("__"):
-            continue
-        if array.dtype.names and array.ndim == 0:
-            yield from _vectors({f"{name}.{key}": array[key].item() for key in array.dtype.names})
-        elif array.dtype.kind in "fiu" and array.ndim == 1 and array.size >= _LEAST_ROWS:
-            yield name, array.astype(float)
-        elif array.dtype.kind in "fiu" and array.ndim == 2 and array.shape[1] <= _MOST_MATRIX_COLUMNS:
-            yield from ((f"{name} {k + 1}", column.astype(float)) for k, column in enumerate(array.T))

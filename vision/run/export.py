@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +16,10 @@ import xarray as xr
 
 from vision.data import StripMetadata
 from vision.errors import InputError
+from vision.files import reading
 from vision.run.folder import check_target, run_folder, whole_file
 from vision.run.provenance import write_json
-from vision.run.reading import RunFolder, check_mark, read_json, read_table, tracks_of
+from vision.run.reading import AGAIN, RunFolder, check_mark, read_json, read_table, tracks_of
 from vision.run.tables import sheets_table, tracks_table
 
 Format = Literal["csv", "xlsx", "parquet", "mat", "trackpy", "napari"]
@@ -29,6 +31,8 @@ MARK = "export"  # of run.json: tells a folder of exported tables from a run
 PER_EVENT = ("events", "deformation", "shells")
 EXCEL_ROWS = (1 << 20) - 1  # below the header
 ROWS_AT_ONCE = 50_000
+_FORMULA = tuple("=+-@")  # what a cell begins with that Excel and LibreOffice compute
+_NUMBER = re.compile(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?")
 
 
 @dataclass(frozen=True)
@@ -53,12 +57,13 @@ def export_run(run: RunFolder, to: Format, *, out: Path | None = None, overwrite
     name = run.folder.resolve().name
     target = out or Path(f"{name}{ENDINGS.get(to, f'_{to}')}")
     _check_outside(run, target)
-    if to not in ENDINGS:
-        _write_folder(run, to, target, overwrite=overwrite)
-        return Exported(target)
-    _check_file(target, overwrite=overwrite)
-    with whole_file(target) as path:
-        return Exported(target, tuple(_write_file(run, to, path)))
+    with reading(run.folder, "a run folder as track writes it", AGAIN):  # damaged tables show only in use
+        if to not in ENDINGS:
+            _write_folder(run, to, target, overwrite=overwrite)
+            return Exported(target)
+        _check_file(target, overwrite=overwrite)
+        with whole_file(target) as path:
+            return Exported(target, tuple(_write_file(run, to, path)))
 
 
 def _write_folder(run: RunFolder, to: Format, target: Path, *, overwrite: bool) -> None:
@@ -81,7 +86,7 @@ def _write_file(run: RunFolder, to: Format, path: Path) -> list[str]:
         write_mat(run, path)
     else:
         table = trackpy_table(run) if to == "trackpy" else napari_table(run)
-        table.to_csv(path, index=False, lineterminator="\n")
+        _harmless(table).to_csv(path, index=False, lineterminator="\n")
     return []
 
 
@@ -196,7 +201,26 @@ def _strip_middle_px(tracks: xr.Dataset) -> float:
 def write_csv(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
     """One file per table, as in the run folder: commas, points, empty where there is nothing."""
     for name, table in tables.items():
-        table.to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
+        _harmless(table).to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
+
+
+def harmless(text: str) -> str:
+    """Text that no spreadsheet takes for a formula: one that begins as such gets an apostrophe before it.
+
+    Numbers in text stay as they are.
+    """
+    bites = text.lstrip()[:1] in _FORMULA or text[:1] in "\t\r"
+    return f"'{text}" if text and bites and not _NUMBER.fullmatch(text) else text
+
+
+def _harmless(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with `harmless` text and names of columns."""
+    safe = table.rename(columns=lambda name: harmless(str(name)))
+    for place, column in enumerate(safe.columns):
+        if safe.iloc[:, place].dtype.kind not in "iufb":
+            cells = safe.iloc[:, place].map(lambda cell: harmless(cell) if isinstance(cell, str) else cell)
+            safe = safe.assign(**{column: cells})
+    return safe
 
 
 def write_parquet(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
@@ -233,7 +257,7 @@ def _write_sheet(book: Any, name: str, table: pd.DataFrame) -> None:
 
     sheet = book.create_sheet(name)
     sheet.freeze_panes = "A2"
-    header = [WriteOnlyCell(sheet, value=str(column)) for column in table.columns]
+    header = [WriteOnlyCell(sheet, value=harmless(str(column))) for column in table.columns]
     for cell in header:
         cell.font = Font(bold=True)
     sheet.append(header)
@@ -258,7 +282,9 @@ def _column(column: pd.Series[Any]) -> pd.Series[Any]:
         return cells.mask(np.isinf(column), column.astype(str))
     if column.dtype.kind in "iub":
         return cells
-    return cells.map(lambda text: ILLEGAL_CHARACTERS_RE.sub("", text) if isinstance(text, str) else text)
+    return cells.map(
+        lambda text: harmless(ILLEGAL_CHARACTERS_RE.sub("", text)) if isinstance(text, str) else text
+    )
 
 
 def write_mat(run: RunFolder, path: Path) -> None:

@@ -13,10 +13,14 @@ import pandas as pd
 import tifffile
 import xarray as xr
 
+from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
+from vision.files import check_regular, reading, shortened
+from vision.isolation import try_out
 from vision.numeric import Floats, Floats32
 from vision.run.folder import MARK
 from vision.run.tables import attrs_of_netcdf
+from vision.video.tiff_index import check_tiff
 
 AGAIN = "run track again"
 
@@ -81,10 +85,8 @@ def tracks_of(run: RunFolder) -> xr.Dataset:
 
 def read_json(path: Path) -> dict[str, Any]:
     """One JSON object.  Raises: InputError."""
-    try:
+    with reading(path, "JSON as track writes it", AGAIN):
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(path, "JSON as track writes it", str(error), AGAIN) from error
     if not isinstance(content, dict):
         raise InputError(path, "a JSON object", f"a {type(content).__name__}", AGAIN)
     return content
@@ -95,10 +97,8 @@ def read_table(run: RunFolder, name: str) -> pd.DataFrame | None:
     path = run.folder / f"{name}.csv"
     if not path.exists():
         return None
-    try:
+    with reading(path, "a table as track writes it", AGAIN):
         return pd.read_csv(path)
-    except (OSError, ValueError) as error:
-        raise InputError(path, "a table as track writes it", str(error), AGAIN) from error
 
 
 def read_strip(run: RunFolder) -> xr.DataArray:
@@ -148,18 +148,38 @@ def slip_times_s(run: RunFolder) -> Floats | None:
 
 
 def _read_tracks(path: Path) -> xr.Dataset:
-    try:
+    """tracks.nc; HDF5 can crash or run for ever on a damaged file, so a process of its own tries it first."""
+    wanted = "tracks as track writes them"
+    check_regular(path, wanted)
+    try_out(path, "HDF5", wanted)
+    with reading(path, wanted, AGAIN):
         with xr.open_dataset(path, engine="h5netcdf") as data:
             tracks = data.load()
         tracks.attrs = attrs_of_netcdf(tracks.attrs)
         words = [name for name in ("flag", "why") if name in tracks]
-        return tracks.assign({name: tracks[name].astype(str) for name in words})
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(path, "tracks as track writes them", str(error), AGAIN) from error
+        tracks = tracks.assign({name: tracks[name].astype(str) for name in words})
+        try:
+            TRACKS.check(tracks)
+            TrackMetadata.of(tracks)
+            StripMetadata.of(tracks)
+        except InputError as error:
+            raise InputError(path, wanted, shortened(str(error)), AGAIN) from error
+        _check_numbers(tracks, path, wanted)
+    return tracks
+
+
+def _check_numbers(tracks: xr.Dataset, path: Path, wanted: str) -> None:
+    """Refuse variables that are no numbers.  Raises: InputError."""
+    odd = [str(name) for name in TRACKS.variables if name in tracks.variables and name not in ("flag", "why")]
+    odd = [name for name in odd if tracks[name].dtype.kind not in "fiu"]
+    if odd:
+        raise InputError(path, wanted, f"no numbers in {', '.join(odd)}", AGAIN)
 
 
 def _map_tif(path: Path) -> Floats32:
-    try:
+    """The one page of a space-time diagram, on disk."""
+    wanted = "a space-time diagram as track writes it"
+    check_regular(path, wanted)
+    check_tiff(path)
+    with reading(path, wanted, AGAIN):
         return np.asarray(tifffile.memmap(path, mode="r"))
-    except (OSError, ValueError, tifffile.TiffFileError) as error:
-        raise InputError(path, "a space-time diagram as track writes it", str(error), AGAIN) from error

@@ -120,7 +120,7 @@ def build_reference(
     ------
     InputError
         Where there is no candidate at all, or fewer ridges than `sheets`, not counting specks far outside the
-        comb.
+        comb; or no ridge that most frames show.
     """
     chosen = _representative(frames)
     some, weight = candidates.take(chosen), frames[chosen].astype(np.float64)
@@ -129,6 +129,9 @@ def build_reference(
     reference = _seed(candidates, frames)
     for _ in range(REVISIONS):
         revised = _revise(reference, some, weight, comb, width_px, settings)
+        if not revised.sheets:
+            advice = "check `rows` and `rotate`; one picture may be a title among few frames"
+            raise InputError(source, "ridges that most frames show", "none that lasts", advice)
         settled = revised.sheets == reference.sheets
         reference = revised
         if settled:

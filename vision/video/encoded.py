@@ -15,6 +15,7 @@ import numpy as np
 import simplejpeg
 
 from vision.errors import InputError
+from vision.files import MOST_PIXELS, check_pixels, check_regular
 from vision.numeric import Pixels
 from vision.video.reader import (
     AS_STORED,
@@ -30,8 +31,15 @@ from vision.video.reader import (
 )
 
 _NOT_VIDEO = {"tty", "image2", "txt"}  # containers that swallow any text or picture
+_EBML, _SEGMENT = b"\x1a\x45\xdf\xa3", b"\x18\x53\x80\x67"  # Matroska and WebM
 _REORDERS = 8  # AV_CODEC_PROP_REORDER
+_DROPPED_BYTES = 8  # that a dropped frame takes in an AVI: the head of a chunk
 _LIMITED_RANGE = 1  # AVColorRange: 16..235 of 255
+# What cameras, microscopes and their programs write; no playlists, no lists of other files, no networks.
+_FORMATS = (
+    "avi,mov,matroska,webm,asf,flv,mpeg,mpegts,mpegvideo,h264,hevc,m4v,mjpeg,mjpeg_2000,mxf,nut,ogg,cine,ivf,dv,"
+    "wtv,yuv4mpegpipe,gif,apng,av1,obu,vc1,rm,swf,gxf,nsv,mpjpeg,r3d,bink,smjpeg"
+)
 _STAMPED = {"matroska", "webm"}  # containers whose times are those of each frame, not of a rate
 _PACKED_LUMA = {"yuyv422": (0, 2), "uyvy422": (1, 2), "yvyu422": (0, 2)}  # first luma byte, step
 
@@ -54,7 +62,9 @@ class EncodedReader:
             stream = _video_stream(container, path)
             first = _first_frame(container, stream, path)
             self._dtype = grey_plane(first).dtype.newbyteorder("=")
-            self.facts = _facts(container, stream, first)
+            cut = (f"{path.name}: the file was cut short; its last frames are missing",) * _ends_early(path)
+            self.facts = replace(_facts(container, stream, first, path.stat().st_size), warnings=cut)
+            self._size = path.stat().st_size
             self._fixed_rate = stream.average_rate if container.format.name == "avi" else None
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
@@ -98,10 +108,15 @@ class EncodedReader:
         return float(pts * stream.time_base)
 
     def _skipped(self, pts: int | None, number: int, stream: av.VideoStream) -> int:
-        """Frame numbers a fixed-rate container leaves out before this one (cameras drop frames that way)."""
+        """Frame numbers a fixed-rate container leaves out before this one (cameras drop frames that way).
+
+        A number behind the end by the header is no number.
+        """
         if self._fixed_rate is None or pts is None or stream.time_base is None:
             return 0
-        return max(0, round(pts * stream.time_base * self._fixed_rate) - number)
+        place = round(pts * stream.time_base * self._fixed_rate)
+        last = self.facts.declared_frames or self.facts.estimated_frames or 0
+        return max(0, place - number) if place < max(last, self._size // _DROPPED_BYTES) else 0
 
     def _checked(self, pixels: Pixels) -> Pixels:
         if pixels.shape != self.facts.shape:
@@ -179,8 +194,17 @@ def _y_plane(jpeg: bytes) -> Pixels | None:
 
 def _open_container(path: Path) -> av.container.InputContainer:
     """The container; InputError where the file is none."""
+    check_regular(path, "a video")
     try:
-        container = av.open(str(path))
+        container = av.open(
+            _url(path),
+            options={
+                "protocol_whitelist": "file",
+                "format_whitelist": _FORMATS,
+                "max_pixels": str(MOST_PIXELS),
+            },
+            metadata_errors="replace",
+        )
     except (av.error.FFmpegError, OSError) as error:
         with path.open("rb") as file:
             head = file.read(12)
@@ -197,6 +221,11 @@ def _open_container(path: Path) -> av.container.InputContainer:
     return container
 
 
+def _url(path: Path) -> str:
+    """The name for FFmpeg, with its protocol: a colon in a name, as of a time, would be taken for one."""
+    return f"file:{path}"
+
+
 def _video_stream(container: av.container.InputContainer, path: Path) -> av.VideoStream:
     """The video stream, to be decoded on all cores; InputError for none or an unknown codec."""
     if not container.streams.video:
@@ -205,6 +234,8 @@ def _video_stream(container: av.container.InputContainer, path: Path) -> av.Vide
     if getattr(stream, "codec_context", None) is None:
         advice = "convert the video to FFV1 or raw AVI"
         raise InputError(path, "a codec FFmpeg knows", "an unknown one", advice)
+    if stream.codec_context.width and stream.codec_context.height:
+        check_pixels(path, stream.codec_context.height, stream.codec_context.width)
     stream.thread_type = "AUTO"
     return stream
 
@@ -218,22 +249,51 @@ def _first_frame(container: av.container.InputContainer, stream: av.VideoStream,
     raise InputError(path, "a video with at least one readable frame", f"none (codec {codec})")
 
 
-def _facts(container: av.container.InputContainer, stream: av.VideoStream, first: av.VideoFrame) -> Facts:
+def _ends_early(path: Path) -> bool:
+    """Whether the file ends before its Matroska segment does by the size that stands at the segment's head.
+
+    Recorders that do not close their file leave that size unknown, all ones.
+    """
+    with path.open("rb") as file:
+        head = file.read(4096)
+    if head[:4] != _EBML:
+        return False
+    length, at = _vint(head, 4)
+    at += length or 0
+    if length is None or head[at : at + 4] != _SEGMENT:
+        return False
+    length, at = _vint(head, at + 4)
+    return length is not None and at + length > path.stat().st_size
+
+
+def _vint(data: bytes, at: int) -> tuple[int | None, int]:
+    """A Matroska length and the place behind it; None for one that is unknown, or not there."""
+    size = 9 - data[at].bit_length() if at < len(data) and data[at] else 0
+    value = int.from_bytes(data[at : at + size], "big") & ((1 << 7 * size) - 1)
+    known = size and at + size <= len(data) and value != (1 << 7 * size) - 1
+    return (value if known else None), at + size
+
+
+def _facts(
+    container: av.container.InputContainer, stream: av.VideoStream, first: av.VideoFrame, size: int
+) -> Facts:
+    """Facts of a file of so many bytes: it cannot hold more frames than bytes."""
     rate = stream.average_rate
     stamped = bool(_STAMPED & set(container.format.name.split(",")))
     duration_s = None if container.duration is None else container.duration / av.time_base
     depth_bits, saturation_level, grey = _grey_scale(first)
+    estimated = round(duration_s * float(rate)) if rate and duration_s else 0
     return Facts(
         shape=(first.height, first.width),
         depth_bits=depth_bits,
         saturation_level=saturation_level,
-        declared_frames=stream.frames or None,
+        declared_frames=stream.frames if 0 < stream.frames <= size else None,
         container=container.format.name,
         codec=stream.codec_context.name,
         pixel_format=first.format.name,
         decoder="FFmpeg",
         grey=grey,
-        estimated_frames=round(duration_s * float(rate)) if rate and duration_s else None,
+        estimated_frames=estimated if 0 < estimated <= size else None,
         duration_s=duration_s if stamped else None,
         playback_fps=float(rate) if rate else None,
         times_in_blocks=stamped,

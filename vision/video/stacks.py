@@ -14,8 +14,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import tifffile
+from PIL import Image as Pillow
 
 from vision.errors import InputError
+from vision.files import check_pixels, reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.reader import (
     AS_STORED,
@@ -29,11 +31,17 @@ from vision.video.reader import (
     luma,
     shape_text,
 )
+from vision.video.tiff_index import check_tiff
 from vision.video.uncompressed import MappedReader
 
 IMAGES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"}
 _TIFF = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+_MOST_CHANNELS = 64  # tifffile takes memory for all of them
 _UNIT_S = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+
+_PILLOW = ("PNG", "JPEG", "BMP", "DIB", "MPO", "TIFF")
+
+Pillow.MAX_IMAGE_PIXELS = None  # its warning; `check_pixels` bounds what is decoded
 
 Page = tifffile.TiffPage | tifffile.TiffFrame | None
 
@@ -56,14 +64,9 @@ def open_stack(path: Path) -> Reader:
         For a damaged file, several dimensions (time and channel, say), pages of several sizes, signed or
         64-bit pixels.
     """
-    try:
-        with tifffile.TiffFile(path) as tif:
-            pages = _pages(tif, path)
-            return _reader_of_pages(tif, pages, path)
-    except (tifffile.TiffFileError, OSError, ValueError, IndexError, KeyError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(path, "a TIFF stack", f"a damaged one ({error})", "export it again") from None
+    check_tiff(path)
+    with reading(path, "a TIFF stack"), tifffile.TiffFile(path) as tif:
+        return _reader_of_pages(tif, _pages(tif, path), path)
 
 
 def _reader_of_pages(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) -> Reader:
@@ -73,11 +76,16 @@ def _reader_of_pages(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) 
         raise InputError(path, wanted, found, "convert the stack")
     channels = first.samplesperpixel
     dtype = first.dtype.newbyteorder(tif.byteorder)
+    if not (1 <= channels <= _MOST_CHANNELS):
+        raise InputError(path, f"1 to {_MOST_CHANNELS} values per pixel", str(channels), "export it as grey")
+    check_pixels(path, first.imagelength, first.imagewidth)
+    if first.nbytes <= 0:
+        raise InputError(path, "pages with pixels", "none", "export it again")
     offsets = _offsets(tif, pages, path) if first.planarconfig == 1 or channels == 1 else None
     if offsets is None:
-        facts = _stack_facts(tif, len(pages), path, decoder="tifffile")
+        facts = _stack_facts(tif, len(pages), len(pages), path, decoder="tifffile")
         return ImagesReader(facts, dtype.newbyteorder("="), len(pages), partial(_decode_pages, path))
-    facts = _stack_facts(tif, offsets.size, path, decoder="none")
+    facts = _stack_facts(tif, offsets.size, len(pages), path, decoder="none")
     return MappedReader(
         path=path,
         facts=facts,
@@ -166,13 +174,14 @@ def _contiguous_runs(page: tifffile.TiffPage | tifffile.TiffFrame) -> list[int]:
     return [starts[0], *(start for start, before, length in pieces if start != before + length)]
 
 
-def _stack_facts(tif: tifffile.TiffFile, held: int, path: Path, *, decoder: str) -> Facts:
+def _stack_facts(tif: tifffile.TiffFile, held: int, indexed: int, path: Path, *, decoder: str) -> Facts:
+    """Facts of a stack of which `held` pages are whole and `indexed` are promised by its index."""
     first = tif.pages.first
     is_float = first.dtype is not None and first.dtype.kind == "f"
     bits = 32 if is_float else int(first.bitspersample)
     if not held:
         raise InputError(path, "at least one whole frame", "none", "the file was cut short; copy it again")
-    declared = max(_declared_frames(tif), held)
+    declared = max(_possible(_declared_frames(tif), path), held, indexed)
     return Facts(
         shape=(first.imagelength, first.imagewidth),
         depth_bits=bits,
@@ -200,6 +209,14 @@ def _declared_frames(tif: tifffile.TiffFile) -> int:
         colour = 1 if tif.pages.first.samplesperpixel > 1 else 0
         return math.prod(shape[: len(shape) - 2 - colour])
     return 0
+
+
+def _possible(declared: int, path: Path) -> int:
+    """The number of frames by the metadata; 0 where a file of ten times this size could not hold them.
+
+    A file that was cut short tells how much is missing; a damaged number tells nothing.
+    """
+    return declared if 0 <= declared <= 10 * path.stat().st_size else 0
 
 
 def _is_cut_short(tif: tifffile.TiffFile) -> bool:
@@ -342,12 +359,42 @@ def _frame_numbers(numbers: Ints, path: Path) -> tuple[Ints, tuple[str, ...]]:
 
 def _image(file: Path) -> Pixels | None:
     """Grey pixels of an image file at its full depth; None where it cannot be decoded."""
-    if file.suffix.lower() in (".tif", ".tiff"):
-        try:
-            grey = _grey_page(tifffile.imread(file, maxworkers=1))
-        except Exception:  # tifffile and its codecs raise whatever they like for damaged data
-            return None
-        return grey.astype(grey.dtype.newbyteorder("="), copy=False)
+    try:
+        pixels = _tiff_image(file) if file.suffix.lower() in (".tif", ".tiff") else _other_image(file)
+    except _SeveralPagesError:
+        raise
+    except Exception:  # decoders raise whatever they like for damaged data
+        return None
+    usable = (
+        pixels is not None and pixels.ndim == 2 and pixels.dtype.kind in "uf" and pixels.dtype.itemsize <= 4
+    )
+    return pixels if usable else None
+
+
+class _SeveralPagesError(InputError):
+    """A stack among single images."""
+
+
+def _tiff_image(file: Path) -> Pixels:
+    """The one page of a TIFF.  Raises: whatever the decoder does."""
+    check_tiff(file)
+    with tifffile.TiffFile(file) as tif:
+        held = max(len(tif.pages), _declared_frames(tif))
+        same = sum(page.shape == tif.pages.first.shape for page in tif.pages[:3])
+        if held > 1 and (same > 1 or len(tif.pages) == 1):
+            found = f"one with {held}"
+            raise _SeveralPagesError(
+                file, "one page per image of a folder", found, "give the stacks one by one"
+            )
+        check_pixels(file, tif.pages.first.imagelength, tif.pages.first.imagewidth)
+        grey = _grey_page(tif.pages.first.asarray(maxworkers=1))
+    return grey.astype(grey.dtype.newbyteorder("="), copy=False)
+
+
+def _other_image(file: Path) -> Pixels | None:
+    """A PNG, JPEG or BMP, or what OpenCV reads under such a name; None where it is none."""
+    with Pillow.open(file, formats=_PILLOW) as header:  # reads the header alone
+        check_pixels(file, header.height, header.width)
     data = np.fromfile(file, np.uint8)
     pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     if pixels is None:

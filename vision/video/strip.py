@@ -190,7 +190,7 @@ def _metadata(
         frames_lost=counts.expected - counts.read,
         frames_blank=counts.blank,
         frames_corrupt=counts.corrupt,
-        warnings=[*video.warnings, *strip.warnings, *counts.warnings],
+        warnings=[*video.warnings, *video.changes, *strip.warnings, *counts.warnings],
     )
 
 

@@ -176,6 +176,8 @@ def _best_run(slopes: _Slopes, settings: VideoSettings) -> tuple[int, int] | Non
     noise_sums = np.concatenate([np.zeros_like(noise[:1]), np.cumsum(noise, axis=0)])
     with_ridges = _shows_ridges(slopes, starts, settings)
     best, score = None, 0.0
+    if not with_ridges.any():
+        return None
     for first in range(bands):  # over starting bands, not frames; every end at once
         count = np.arange(1, bands - first + 1)[:, np.newaxis]
         total = ((sums[:, first + 1 :] - sums[:, first : first + 1]) ** 2).sum(axis=0)

@@ -1,4 +1,4 @@
-"""Uncompressed frames, memory-mapped; raw AVI: 8-bit grey, palettes, BGR, 10 to 16 bits in two bytes."""
+"""Uncompressed frames, read row by row; raw AVI: 8-bit grey, palettes, BGR, 10 to 16 bits in two bytes."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ _GREY_BITS = {
 
 @dataclass(frozen=True, kw_only=True)
 class MappedReader:
-    """A `Reader` of frames that lie uncompressed in a file; only the pages of the wanted rows are touched.
+    """A `Reader` of frames that lie uncompressed in a file; only the wanted rows are read.
 
-    Each block is mapped on its own, so memory does not grow with the file.
+    They are read rather than mapped: a mapped file that becomes shorter kills the process.
 
     Parameters
     ----------
@@ -98,20 +98,32 @@ class MappedReader:
         if self.offsets[first] < 0:
             nothing = np.zeros((count, rows.stop - rows.start, columns.stop - columns.start), self._native)
             return Block(nothing, first, _repeated("lost", count))
-        return Block(self._grey(self._view(first, last)[:, rows, columns]), first, _repeated("ok", count))
+        return Block(
+            self._grey(self._stored(first, last, rows)[:, :, columns]), first, _repeated("ok", count)
+        )
 
-    def _view(self, first: int, last: int) -> Pixels:
-        """Frames first..last, (k, rows, columns) or with channels last, top row first, not copied."""
+    def _stored(self, first: int, last: int, rows: slice) -> Pixels:
+        """Frames first..last cut to rows, (k, rows, columns) or with channels last, top row first.
+
+        Raises
+        ------
+        InputError
+            Where the file has become shorter.
+        """
         height, width = self.facts.shape
-        step = int(self.offsets[first + 1] - self.offsets[first]) if last - first > 1 else 0
+        top, stop = (height - rows.stop, height - rows.start) if self.bottom_up else (rows.start, rows.stop)
         pixel = self.dtype.itemsize * self.channels
-        length = step * (last - first - 1) + (height - 1) * self.row_bytes + width * pixel
-        raw = np.memmap(self.path, np.uint8, "r", offset=int(self.offsets[first]), shape=(length,))
+        length = (stop - top - 1) * self.row_bytes + width * pixel  # a file may end with the last pixel
+        raw = np.empty((last - first, (stop - top) * self.row_bytes), np.uint8)
+        with self.path.open("rb", buffering=0) as file:
+            for place, frame in zip(self.offsets[first:last].tolist(), raw, strict=True):
+                file.seek(place + top * self.row_bytes)
+                _fill(file, memoryview(frame)[:length], self.path)
         view: Pixels = np.ndarray(
-            (last - first, height, width, self.channels),
+            (last - first, stop - top, width, self.channels),
             self.dtype,
             raw,
-            strides=(step, self.row_bytes, pixel, self.dtype.itemsize),
+            strides=(raw.shape[1], self.row_bytes, pixel, self.dtype.itemsize),
         )
         view = view if self.channels > 1 else view[..., 0]
         return view[:, ::-1] if self.bottom_up else view
@@ -129,6 +141,19 @@ class MappedReader:
     @property
     def _native(self) -> np.dtype[np.generic]:
         return self.dtype.newbyteorder("=")
+
+
+def _fill(file: BinaryIO, buffer: memoryview, path: Path) -> None:
+    """Read until the buffer is full; InputError where the file ends before."""
+    done = 0
+    while done < len(buffer):
+        count = file.readinto(buffer[done:])  # type: ignore[attr-defined]  # raw files have it
+        if not count:
+            advice = "wait until it is copied, then run again"
+            raise InputError(
+                path, "a file that stays whole while it is read", "one that became shorter", advice
+            )
+        done += count
 
 
 def _repeated(status: Status, count: int) -> tuple[Status, ...]:

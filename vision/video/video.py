@@ -6,13 +6,14 @@ import glob
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from vision.errors import InputError
+from vision.files import Stamp, check_pixels, check_regular, reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.cine import is_cine, open_cine
 from vision.video.encoded import open_encoded
@@ -20,6 +21,7 @@ from vision.video.reader import Block, Facts, Reader
 from vision.video.stacks import IMAGES, is_tiff, open_sequence, open_stack
 from vision.video.uncompressed import is_avi, open_raw_avi, read_avi_layout
 
+_MOST_TIMES_BYTES = 1 << 28  # ten million frames
 _SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
 _UNIT = re.compile(r"(?:^|[\s_(\[.,;/-])(s|sec|seconds|ms|us|µs|μs|ns)(?:$|[\s)\],;])", re.IGNORECASE)
 _TIME_NAME = re.compile(r"time|stamp|zeit|temps", re.IGNORECASE)
@@ -60,6 +62,8 @@ class Video:
         The camera's clock as the user states it, which outranks the file's.
     warnings
         What is wrong with the file as far as its headers tell.
+    stamp
+        The file's size and time when it was opened.
     """
 
     path: Path
@@ -70,6 +74,7 @@ class Video:
     given_fps: float | None = None
     given_times_s: Floats | None = None
     warnings: tuple[str, ...] = ()
+    stamp: Stamp = field(default_factory=Stamp)
 
     def __repr__(self) -> str:
         count = "an unknown number of" if self.expected is None else self.expected
@@ -154,9 +159,30 @@ class Video:
         r = cut(rows, height, what=f"{self.path}: `rows`")
         c = cut(columns, width, what=f"{self.path}: `columns`")
         file_rows, file_columns = _before_rotation(r, c, self.facts.shape, self.rotate)
-        for block in self.reader.read(self.first, self.stop, file_rows, file_columns):
+        blocks = self.reader.read(self.first, self.stop, file_rows, file_columns)
+        while (block := self._next(blocks)) is not None:
             times_s = block.times_s if self.clock.kind == "file" else None
             yield Block(self._turned(block.pixels), block.start, block.status, times_s)
+
+    def _next(self, blocks: Iterator[Block]) -> Block | None:
+        """The next block; InputError for whatever a decoder raises, or a file that is another one now."""
+        with reading(self.path, "a recording that can be read to its end"):
+            block = next(blocks, None)
+        change = self.stamp.change(self.path)
+        if change not in ("", "grew", "was changed"):
+            advice = "wait until nothing writes it, then run again"
+            raise InputError(
+                self.path, "a recording that stays as it is while it is read", f"one that {change}", advice
+            )
+        return block
+
+    @property
+    def changes(self) -> tuple[str, ...]:
+        """A warning if the file has been written to since it was opened."""
+        change = self.stamp.change(self.path)
+        if not change:
+            return ()
+        return (f"{self.path.name}: the recording {change} while it was read: run again when it is complete",)
 
     def frames(self) -> Iterator[Pixels]:
         """Every readable frame, whole."""
@@ -170,7 +196,12 @@ class Video:
         last = self.facts.declared_frames or self.facts.estimated_frames or self.first + count
         last = last if self.stop is None else min(last, self.stop)
         spread = np.linspace(self.first, max(last - 1, self.first), count)
-        for pixels in self.reader.sample(np.unique(np.round(spread).astype(np.int64)).tolist()):
+        found = self.reader.sample(np.unique(np.round(spread).astype(np.int64)).tolist())
+        while True:
+            with reading(self.path, "a recording that can be read"):
+                pixels = next(found, None)
+            if pixels is None:
+                return
             yield self._turned(pixels)
 
     def _turned(self, pixels: Pixels) -> Pixels:
@@ -218,8 +249,11 @@ def open_video(
         raise InputError("`fps`", "a positive number of frames per second", str(fps))
     if fps is not None and timestamps is not None:
         raise InputError("`fps` and `timestamps`", "one of the two", "both")
-    reader = _open_reader(where)
+    stamp = Stamp.of(where)
+    with reading(where, "a recording"):
+        reader = _open_reader(where)
     facts = reader.facts
+    check_pixels(where, *facts.shape)
     first, stop = _frame_range(frames, facts.declared_frames, where)
     warnings, times_s = [*facts.warnings], None
     if timestamps is not None:
@@ -241,6 +275,7 @@ def open_video(
         given_fps=fps,
         given_times_s=times_s,
         warnings=tuple(warnings),
+        stamp=stamp,
     )
 
 
@@ -248,12 +283,13 @@ def _open_reader(path: Path) -> Reader:
     """The reader for this kind of file, recognised by its first bytes."""
     if path.is_dir() or (not path.exists() and glob.has_magic(str(path))):
         return open_sequence(path)
+    wanted = "a video, a TIFF, a folder or glob of images"
+    check_regular(path, wanted)
     try:
         with path.open("rb") as file:
             head = file.read(12)
     except OSError as error:
-        wanted, found = "a video, a TIFF, a folder or glob of images", error.strerror or type(error).__name__
-        raise InputError(path, wanted, found, "check the path") from None
+        raise InputError(path, wanted, error.strerror or type(error).__name__, "check the path") from None
     if not head:
         advice = "copy it again from the camera's computer"
         raise InputError(path, "a video", "an empty file (0 bytes)", advice)
@@ -330,11 +366,14 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     InputError
         For a missing or empty file, or text where a number is due.
     """
+    wanted = "a readable file of time stamps"
+    if check_regular(path, wanted).st_size > _MOST_TIMES_BYTES:
+        raise InputError(path, wanted, "a far larger file", "check its name")
     try:
         text = path.read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
         found = error.strerror or type(error).__name__
-        raise InputError(path, "a readable file of time stamps", found) from None
+        raise InputError(path, wanted, found) from None
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     rows = [_numbers(line) for line in lines]
     first = next((n for n, row in enumerate(rows) if row), None)

@@ -1,0 +1,124 @@
+"""Damaged files through the readers: each is read, or refused by an InputError; nothing else, and soon."""
+
+import resource
+import signal
+import time
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tests.fuzz.mutations import mutated
+from tests.fuzz.seeds import write_seeds
+from vision.errors import InputError
+from vision.force import read_force
+from vision.video import open_video, read_timestamps
+
+SECONDS = 10
+MEMORY_BYTES = 2 << 30
+FORCE = ("text", "mat", "hdf5")
+# Out of 1000: MATLAB and HDF5 start a process each, which takes as long as twenty others.
+SHARE = {
+    "riff": 190,
+    "tiff": 260,
+    "mp4": 90,
+    "matroska": 110,
+    "png": 60,
+    "bytes": 60,
+    "cine": 60,
+    "text": 130,
+}
+SHARE |= {"times": 30, "mat": 5, "hdf5": 5}
+
+
+class HangError(BaseException):
+    """A case that took longer than `SECONDS`."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A case that ended in anything but a result or an InputError; file: kept for a look."""
+
+    case: int
+    file: Path
+    what: str
+
+
+def run_cases(cases: int, seed: int, folder: Path) -> Iterator[tuple[int, str, Failure | None]]:
+    """(number, kind and outcome, failure) of each case; case n of a seed is always the same file."""
+    (folder / "seeds").mkdir(parents=True, exist_ok=True)
+    seeds = write_seeds(folder / "seeds")
+    kinds = list(SHARE)
+    weights = np.array([SHARE[kind] for kind in kinds]) / sum(SHARE.values())
+    for case in range(cases):
+        random = np.random.default_rng([seed, case])
+        kind = kinds[int(random.choice(len(kinds), p=weights))]
+        source = seeds[kind][int(random.integers(len(seeds[kind])))]
+        file = folder / f"{seed}_{case}_{source.name}"
+        file.write_bytes(mutated(source.read_bytes(), kind, random))
+        outcome = one_case(file, kind)
+        failed = outcome not in ("read", "refused")
+        if not failed:
+            file.unlink()
+        yield case, f"{kind} {outcome.splitlines()[-1]}", Failure(case, file, outcome) if failed else None
+
+
+def one_case(file: Path, kind: str) -> str:
+    """ "read", "refused", or what went wrong."""
+    before = peak_bytes()
+    started = time.monotonic()
+    try:
+        with alarm(SECONDS):
+            read(file, kind)
+        outcome = "read"
+    except InputError as error:
+        outcome = "refused" if "\n" not in str(error) else "a message of several lines"
+    except HangError:
+        outcome = f"hang: {traceback.format_exc()}\nhang"
+    except Exception:
+        outcome = traceback.format_exc()
+    if time.monotonic() - started > SECONDS:
+        return f"{time.monotonic() - started:.0f} s: {outcome}"
+    if before < MEMORY_BYTES < peak_bytes():
+        return f"{peak_bytes() >> 20} MiB: {outcome}"
+    return outcome
+
+
+def read(file: Path, kind: str) -> None:
+    """The file read to its end as the program does."""
+    if kind in FORCE:
+        read_force(file)
+    elif kind == "times":
+        read_timestamps(file)
+    else:
+        video = open_video(file)
+        for pixels in video.sample(3):
+            assert pixels.shape == video.shape
+        frames = 0
+        for block in video.blocks():
+            assert block.start == frames
+            frames += len(block.status)
+
+
+def peak_bytes() -> int:
+    """The most memory this process has had."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
+
+
+@contextmanager
+def alarm(seconds: int) -> Iterator[None]:
+    """HangError after so many seconds."""
+
+    def ring(*_: object) -> None:
+        raise HangError
+
+    earlier = signal.signal(signal.SIGALRM, ring)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, earlier)

@@ -1,0 +1,128 @@
+"""Files from outside: which are opened, that they stay the same meanwhile, what a failed decoder becomes."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from vision.errors import InputError
+
+MOST_PIXELS = 100_000_000
+"""Pixels of one frame. More refuses fewer damaged headers and takes more memory before the picture proves to
+be none; the largest cameras for film have 70 million (tests/video/test_broken.py)."""
+
+
+def check_regular(path: Path, wanted: str) -> os.stat_result:
+    """Refuse what is no regular file: a pipe or a device would wait, or give, for ever.
+
+    Parameters
+    ----------
+    path
+        The file.
+    wanted
+        What it should be, for the message.
+
+    Returns
+    -------
+    Its facts.
+
+    Raises
+    ------
+    InputError
+        For anything else, and for a file that is not there.
+    """
+    try:
+        facts = path.stat()
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the name
+        found = getattr(error, "strerror", None) or str(error)
+        raise InputError(path, wanted, found, "check the path") from None
+    if not stat.S_ISREG(facts.st_mode):
+        kind = "a folder" if stat.S_ISDIR(facts.st_mode) else "a device, pipe or socket"
+        raise InputError(path, wanted, kind, "give a file")
+    return facts
+
+
+def check_pixels(path: Path, rows: int, columns: int) -> None:
+    """Refuse a frame of no pixels, or of more than `MOST_PIXELS`.
+
+    Raises
+    ------
+    InputError
+        Before memory is taken for it.
+    """
+    if not (rows > 0 and columns > 0 and rows * columns <= MOST_PIXELS):
+        wanted = f"frames of 1 to {MOST_PIXELS // 1_000_000} million pixels"
+        raise InputError(path, wanted, f"{columns} x {rows} in its header", "copy or export it again")
+
+
+@contextmanager
+def reading(path: Path, wanted: str, advice: str = "copy or export it again") -> Iterator[None]:
+    """Turn whatever a decoder raises inside into one line.
+
+    Decoders raise what they like for damaged data: struct errors, assertions, overflows, wrong types.
+
+    Parameters
+    ----------
+    path
+        What is read.
+    wanted
+        What it should be.
+    advice
+        What to do.
+
+    Raises
+    ------
+    InputError
+        In place of every other exception.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except MemoryError as error:
+        raise InputError(path, wanted, "one that asks for more memory than there is", advice) from error
+    except OSError as error:
+        found = f"one that cannot be read ({str(error.strerror or error).lower()})"
+        raise InputError(path, wanted, found, advice) from error
+    except Exception as error:
+        what = f"{type(error).__name__}: {error}"
+        raise InputError(path, wanted, f"a damaged one ({shortened(what)})", advice) from error
+
+
+def shortened(text: str, most: int = 160) -> str:
+    """One line of at most so many letters."""
+    line = " ".join(text.split())
+    return line if len(line) <= most else line[: most - 1] + "…"
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """What tells whether a file is still the same: its size, time and identity; None for one that is gone."""
+
+    facts: tuple[int, int, int, int] | None = None
+
+    @classmethod
+    def of(cls, path: Path) -> Stamp:
+        """The stamp of a file or folder."""
+        try:
+            found = path.stat()
+        except (OSError, ValueError):
+            return cls(None)
+        return cls((found.st_size, found.st_mtime_ns, found.st_ino, found.st_dev))
+
+    def change(self, path: Path) -> str:
+        """What happened to the file since; "" for nothing."""
+        now = Stamp.of(path).facts
+        if self.facts is None or now == self.facts:
+            return ""
+        if now is None:
+            return "was removed"
+        if now[2:] != self.facts[2:]:
+            return "was replaced"
+        if now[0] != self.facts[0]:
+            return "became shorter" if now[0] < self.facts[0] else "grew"
+        return "was changed"

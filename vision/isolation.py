@@ -1,0 +1,114 @@
+"""Files tried out in a process of their own first, for parsers that crash or never end on damaged ones."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from vision.errors import InputError
+from vision.files import shortened
+
+SECONDS, SECONDS_PER_BYTE = 8.0, 5e-8
+"""Longest time of reading, and what is added for the file's size. Recordings in use take under one second,
+most of which is the start of the process; more waits longer for damaged files, which end in a loop."""
+MEMORY_BYTES, MEMORY_PER_BYTE = 2 << 30, 4
+"""Address space of the process, and what is added for the file's size. The libraries reserve half a GiB; more
+lets a damaged length take what other programs need."""
+
+# Reads every value of a file and keeps none. The names come from the caller, the path from the command line.
+_PARSERS = {
+    "MATLAB": "from scipy.io import loadmat; loadmat(path, squeeze_me=True, struct_as_record=True)",
+    "HDF5": (
+        "import h5py\n"
+        "def look(name, item):\n"
+        "    dict(item.attrs)\n"
+        "    if isinstance(item, h5py.Dataset): item[()]\n"
+        "with h5py.File(path, 'r') as file:\n"
+        "    dict(file.attrs)\n"
+        "    file.visititems(look)"
+    ),
+}
+_CHILD = """
+import json, sys
+path, modules, seconds, memory, parser = json.loads(sys.stdin.readline())
+sys.path[:] = modules
+try:
+    import ctypes, resource
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
+    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None).prctl(1, 9)  # killed with its parent
+except (ImportError, OSError, ValueError, AttributeError):
+    pass
+try:
+    exec(parser, {"path": path})
+except BaseException as error:
+    print(json.dumps(type(error).__name__ + ": " + str(error)))
+    sys.exit(1)
+"""
+
+
+def try_out(path: Path, kind: str, wanted: str, *, seconds: float | None = None) -> None:
+    """Let a process of its own, bounded in time and memory, read the whole file; refuse one it cannot read.
+
+    The process finds the same packages as this one, and none in the working directory or beside the data. It
+    ends with this one.
+
+    Parameters
+    ----------
+    path
+        The file.
+    kind
+        "MATLAB" (version 4 and 5) or "HDF5".
+    wanted
+        What the file should be, for the message.
+    seconds
+        Longest time it may take; by the file's size if not given.
+
+    Raises
+    ------
+    InputError
+        Where the parser raises, crashes, or takes longer.
+    """
+    size = path.stat().st_size
+    seconds = SECONDS + SECONDS_PER_BYTE * size if seconds is None else seconds
+    memory = MEMORY_BYTES + MEMORY_PER_BYTE * size
+    modules = [place for place in sys.path if place]
+    task = json.dumps([os.path.abspath(path), modules, int(seconds) + 1, memory, _PARSERS[kind]])  # noqa: PTH100
+    quiet = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # each thread would reserve memory
+    child = subprocess.Popen(
+        [sys.executable, "-I", "-c", _CHILD],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | quiet,
+    )
+    try:
+        out, _ = child.communicate(task.encode() + b"\n", timeout=seconds)
+    except subprocess.TimeoutExpired:
+        found = f"one whose reading does not end within {seconds:g} s"
+    else:
+        found = _found(child.returncode, out)
+    finally:
+        child.kill()
+        child.wait()
+    if found:
+        raise InputError(path, wanted, found, "save or copy it again")
+
+
+def _found(status: int, out: bytes) -> str:
+    """What is wrong with the file; "" for nothing."""
+    if status == 0:
+        return ""
+    if status < 0:
+        return f"one that ends its reader ({signal.Signals(-status).name})"
+    try:
+        why = str(json.loads(out.decode().splitlines()[-1]))
+    except (ValueError, IndexError):
+        why = f"status {status}"
+    return f"one that cannot be read ({shortened(why)})"
