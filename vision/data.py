@@ -183,7 +183,8 @@ class StripMetadata(Metadata):
     source
         The video's path.
     codec
-        Of the pixels, as FFmpeg names it; "uncompressed" or "packed"; TIFF's compression; an image's suffix.
+        Of the pixels, as FFmpeg names it ("mjpeg" for JPEG images and JPEG in TIFF, too); "uncompressed" or
+        "packed"; TIFF's compression; an image's suffix.
         Lossy ones hide the noise.
     container, pixel_format, decoder, grey
         The kind of file, how a pixel is stored, what decoded it ("none" where nothing had to), and what a

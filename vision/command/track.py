@@ -60,13 +60,14 @@ def track(
     parameters = merged(*groups, sample or SampleOptions(), config=config)
     from vision.pipeline import analyse
     from vision.run import Origin, check_target, write_run
+    from vision.video import video_files
 
     target = run.out or Path(f"{run_name(video)}_tracks")
     check_target(target, overwrite=run.overwrite)
     settings, force = settings_of(parameters), parameters["force"].value
     with frame_progress("reading", quiet=run.quiet) as progress:
         analysis = analyse(video, force, settings, progress=progress)
-    inputs = (video,) if force is None else (video, force)
+    inputs = (*video_files(video), *(() if force is None else (force,)))
     origin = Origin(
         command=command_line(),
         inputs=inputs,
