@@ -168,4 +168,4 @@ def test_the_recording_of_two_bands(name):
     video = open_video(DATA / name, rotate=90)
     assert (video.shape, video.expected, video.depth_bits) == ((640, 40), 75, 8)
     assert (video.clock.kind, video.clock.fps) == ("file", 15000.0)
-    assert "save step of 100" in video.warnings[0]  # said, since 150 frames/s would be as consistent
+    assert "save step is 100" in video.warnings[0]  # said, since 150 frames/s would be as consistent
