@@ -19,6 +19,7 @@ from vision.command.force import force
 from vision.command.friction import friction
 from vision.command.kymograph import kymograph
 from vision.command.modulus import modulus
+from vision.command.overlay import overlay
 from vision.command.preview import preview
 from vision.command.simulate import simulate
 from vision.command.track import track
@@ -52,7 +53,7 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
     )
     app.default(track)
-    for command in (preview, force, simulate, kymograph, export, figures, friction, modulus):
+    for command in (preview, overlay, force, simulate, kymograph, export, figures, friction, modulus):
         app.command(command)
     return app
 

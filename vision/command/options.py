@@ -54,6 +54,7 @@ _OPTION_OF = {
     "width_um": "--width",
     "width_px": "--width",
     "sheet": "--sheet",
+    "film": "--film",
     "out": "--out",
     "overwrite": "--overwrite",
 }
