@@ -90,9 +90,12 @@ def preview(
         raise InputError(target, "a new file", "one that exists", "give `overwrite` or another `out`")
     from vision.figures import preview_figure
     from vision.run import whole_file
+    from vision.sheets import pixel_size_from_pitch
 
     found = look(video, settings)
     size = settings.pixel_size_um
+    if settings.pitch_um is not None:
+        size = pixel_size_from_pitch(found.tracks, settings.pitch_um)
     with whole_file(target) as path:
         preview_figure(found.frame, found.strip, found.tracks, pixel_size_um=size).save(path)
     warnings = _warnings(found)

@@ -1,6 +1,7 @@
 """I(x, t) becomes x(n, t): ridges, subpixel fits, identities, numbering."""
 
 from vision.sheets.reference import wide_spacings
+from vision.sheets.scale import pixel_size_from_pitch
 from vision.sheets.settings import TrackingSettings
 from vision.sheets.subpixel import (
     FitName,
@@ -21,6 +22,7 @@ __all__ = [
     "TrackingSettings",
     "choose_window",
     "paper_vertex",
+    "pixel_size_from_pitch",
     "position_noise",
     "sliding_vertex",
     "template_shift",
