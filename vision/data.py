@@ -183,7 +183,8 @@ class StripMetadata(Metadata):
     source
         The video's path.
     codec
-        Of the pixels, as FFmpeg names it; "uncompressed" or "packed"; TIFF's compression; an image's suffix.
+        Of the pixels, as FFmpeg names it ("mjpeg" for JPEG images and JPEG in TIFF, too); "uncompressed" or
+        "packed"; TIFF's compression; an image's suffix.
         Lossy ones hide the noise.
     container, pixel_format, decoder, grey
         The kind of file, how a pixel is stored, what decoded it ("none" where nothing had to), and what a
@@ -197,6 +198,9 @@ class StripMetadata(Metadata):
         slopes in odd and even rows, 0 to 1.
     tilt_deg
         Lean of the ridges, NaN where it is not known.
+    strip_halves_px, strip_bow_px, strip_err_px
+        RMS difference of positions from the strip's upper and lower half, and from its outer and inner half,
+        beyond lean and noise; the error of positions that follows from the bow. 0 where nothing shows.
     clock_kind, fps
         "file" (the recording's time stamps), "given", or "playback" (the container's rate); frames per
         second, NaN where not known.
@@ -220,6 +224,9 @@ class StripMetadata(Metadata):
     strip_how: str = "given"
     strip_clarity: float = math.nan
     tilt_deg: float = math.nan
+    strip_halves_px: float = 0.0
+    strip_bow_px: float = 0.0
+    strip_err_px: float = 0.0
     clock_kind: str = "playback"
     fps: float = math.nan
     frames_expected: int = 0

@@ -30,7 +30,13 @@ from vision.models import ModelFits, fit_models
 from vision.models.modulus import cycles_seen
 from vision.numeric import Pixels
 from vision.sample import PUBLISHED, Sample
-from vision.sheets import Correction, FitChoice, TrackingSettings, track_sheets
+from vision.sheets import (
+    Correction,
+    FitChoice,
+    TrackingSettings,
+    pixel_size_from_pitch,
+    track_sheets,
+)
 from vision.shells import ShellSettings, classify_shells
 from vision.summary import consistency_warnings, summary_lines, tracking_warnings
 from vision.video import Video, VideoSettings, open_video, reference_frame, strip_profile
@@ -78,6 +84,9 @@ class Settings:
         Decisions by hand about identities, from `vision.sheets.read_corrections`.
     pixel_size_um
         µm per pixel; without it there are no lengths in µm and no deformation.
+    pitch_um
+        Mean distance between neighbouring sheets, from which µm per pixel are found in place of
+        `pixel_size_um`.
     speed_mm_min, d0_mm, d0_err_mm, force_columns
         V where no displacement is recorded, the initial separation with its error, and the recording's
         columns by role.
@@ -111,6 +120,7 @@ class Settings:
     window_px: int | Literal["auto"] | None = None
     corrections: tuple[Correction, ...] = ()
     pixel_size_um: float | None = None
+    pitch_um: float | None = None
     speed_mm_min: float | None = None
     d0_mm: float | None = None
     d0_err_mm: float | None = None
@@ -254,6 +264,8 @@ def analyse(
         For a video or force recording that cannot be read, or a video without ridges.
     """
     chosen = settings or Settings()
+    if chosen.pitch_um is not None and chosen.pixel_size_um is not None:
+        raise InputError("`pitch_um` and `pixel_size_um`", "one of the two", "both")
     stage = _Stages()
     # A force file that is not understood is refused before the long work of reading a video.
     machine = None if force is None else stage.must("reading force", lambda: _recording(force, chosen))
@@ -263,6 +275,8 @@ def analyse(
         strip = stage.must("reading", lambda: _strip(recording, chosen, progress))
         frame = stage.must("first frame", lambda: reference_frame(recording))
         tracks = stage.must("tracking", lambda: _tracks(strip, chosen))
+        if chosen.pitch_um is not None:
+            chosen = replace(chosen, pixel_size_um=pixel_size_from_pitch(tracks, chosen.pitch_um))
     sticks = stage.may("sticks", _sticks, machine, settings=chosen, needed=recording is None)
     fits = stage.may("fits", _fits, machine, sticks, settings=chosen)
     clock = stage.may("clock", _clock, tracks, machine, sticks, settings=chosen)

@@ -224,7 +224,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
         f"ridges     {found.ridge_fwhm_px:.1f} px wide, {found.pitch_px:.1f} px apart; {found.fit} fit over "
         f"{found.window_px} px",
         f"axis       {found.axis_px:.1f} px ({_axis(found)})",
-        f"clock      {_frame_times(strip)}",
+        f"clock      {frame_times(strip)}",
         f"scale      {scale}",
     ]
 
@@ -238,7 +238,8 @@ def _axis(found: TrackMetadata) -> str:
     return f"{how}; motion allows {found.axis_low_px:.0f} to {found.axis_high_px:.0f}"
 
 
-def _frame_times(strip: StripMetadata) -> str:
+def frame_times(strip: StripMetadata) -> str:
+    """The frame rate and what it was taken from."""
     if not math.isfinite(strip.fps) and strip.clock_kind == "playback":
         return "the file holds no frame rate: give the camera's with `fps`"
     rate = f"{strip.fps:g} frames/s"

@@ -2,7 +2,14 @@
 
 import pytest
 
-from vision.command.options import parse_length, parse_seconds, parse_sheets
+from vision.command.options import (
+    VideoOptions,
+    merged,
+    parse_length,
+    parse_scale,
+    parse_seconds,
+    parse_sheets,
+)
 from vision.errors import InputError
 
 
@@ -27,6 +34,33 @@ def test_a_length_without_sense_is_refused(text):
     """A failure means that a unit is guessed."""
     with pytest.raises(InputError, match="--width"):
         parse_length(text, "--width")
+
+
+@pytest.mark.parametrize("text", ["1mm=103px", "103 px = 1 mm", "1000um=103px", "0.5mm=51.5px"])
+def test_a_scale_is_its_length_over_its_pixels(text):
+    """A failure means a pixel size upside down, or a unit ignored."""
+    assert parse_scale(text) == pytest.approx(1000 / 103)
+
+
+@pytest.mark.parametrize(
+    "text", ["1mm", "103px", "1=103", "1mm=0px", "1mm=2mm", "1px=2px", "1mm=2px=3px", ""]
+)
+def test_a_scale_without_sense_is_refused(text):
+    """A failure means that lengths are scaled by a guess."""
+    with pytest.raises(InputError, match="--scale"):
+        parse_scale(text)
+
+
+def test_a_pixel_size_typed_goes_before_another_kind_in_the_file(tmp_path):
+    """A failure means that a file's pixel size is used though a scale was typed, or both are refused."""
+    config = tmp_path / "run.toml"
+    config.write_text("pixel-size = '10um'\n")
+    options = merged(VideoOptions(scale="1mm=50px"), config=config)
+    assert (options["pixel_size"].value, options["pixel_size"].how) == (20, "given")
+    assert merged(VideoOptions(), config=config)["pixel_size"].value == 10
+    config.write_text("pixel-size = '10um'\npitch = '0.2mm'\n")
+    with pytest.raises(InputError, match="one of"):
+        merged(VideoOptions(), config=config)
 
 
 def test_seconds_are_half_open_with_open_ends():

@@ -7,6 +7,7 @@ import tifffile
 
 from tests.scenes.films import comb, states, whole
 from vision.errors import InputError
+from vision.sheets.tracks import LOSSY
 from vision.video import open_video, strip_profile
 from vision.video.uncompressed import MappedReader
 
@@ -261,3 +262,24 @@ def test_jpeg_images(tmp_path):
     frames = comb(rows=32, columns=64)
     video = open_video(write_images(tmp_path / "f", frames, "jpg"))
     assert np.abs(whole(video).astype(int) - frames).mean() < 2
+
+
+@pytest.mark.parametrize("kind", ["jpg images", "jpeg images", "tiff images", "stack"])
+def test_jpeg_counts_as_lossy_wherever_it_stands(tmp_path, kind):
+    """Failure: errors of a JPEG sequence are stated as if its noise were the camera's."""
+    frames = comb(rows=32, columns=64)
+    if kind == "stack":
+        path = tmp_path / "a.tif"
+        tifffile.imwrite(path, frames, compression="jpeg", photometric="minisblack")
+    else:
+        path = tmp_path / "a"
+        path.mkdir()
+        suffix = kind.partition(" ")[0]
+        for n, frame in enumerate(frames):
+            if suffix == "tiff":
+                tifffile.imwrite(path / f"{n}.tiff", frame, compression="jpeg")
+            else:
+                cv2.imwrite(str(path / f"{n}.{suffix}"), frame)
+    assert open_video(path).facts.codec in LOSSY
+    tifffile.imwrite(tmp_path / "b.tif", frames, compression="zlib")
+    assert open_video(tmp_path / "b.tif").facts.codec not in LOSSY

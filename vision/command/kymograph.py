@@ -192,9 +192,10 @@ def _from_video(path: Path, settings: Settings, *, track: bool, quiet: bool) -> 
     from vision.video import open_video, strip_profile
 
     with frame_progress("reading", quiet=quiet) as progress:
-        if track:
+        if track or settings.pitch_um is not None:
             analysis = analyse(path, None, settings, progress=progress)
             strip, tracks, warnings = analysis.strip, analysis.tracks, analysis.warnings
+            settings = analysis.settings
         else:
             video = open_video(
                 path,

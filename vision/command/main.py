@@ -6,24 +6,24 @@ import logging
 import os
 import signal
 import sys
-import tempfile
-import traceback
 import warnings
 from collections.abc import Sequence
 from typing import Any
 
-from cyclopts import App, CycloptsError, UnusedCliTokensError
+from cyclopts import App
 
 from vision.command.console import complain, hold_streams, silence_libraries
 from vision.command.export import export
+from vision.command.failures import outcome
 from vision.command.figures import figures
 from vision.command.force import force
 from vision.command.friction import friction
 from vision.command.kymograph import kymograph
 from vision.command.modulus import modulus
+from vision.command.overlay import overlay
+from vision.command.preview import preview
 from vision.command.simulate import simulate
 from vision.command.track import track
-from vision.errors import InputError
 from vision.files import MOST_PIXELS
 
 HELP = """Follow every sheet of a stick-slip video to a hundredth of a pixel.
@@ -36,6 +36,7 @@ tracks.csv, tracks.nc, sheets.csv, kymograph.tif and run.json. Try:
     track beam.cine --rotate 90
     track markers.avi --ridges dark --sheets 7
     track 'frames/*.tiff' --fps 60
+    track *.avi --out series
 
 Exit status: 0 done, 1 finished with a warning that matters, 2 input that cannot be used, 3 a failure that
 nobody foresaw (what was measured before it is kept).
@@ -54,7 +55,7 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
     )
     app.default(track)
-    for command in (force, simulate, kymograph, export, figures, friction, modulus):
+    for command in (preview, overlay, force, simulate, kymograph, export, figures, friction, modulus):
         app.command(command)
     return app
 
@@ -99,54 +100,23 @@ def run(arguments: Sequence[str]) -> int:
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # cut files are reported by the reader itself
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # a home that cannot be written is no concern
     try:
-        status = make_app()(
-            list(arguments) or ["--help"],
-            exit_on_error=False,
-            print_error=False,
-            result_action="return_value",
+        status, why = outcome(
+            lambda: make_app()(
+                list(arguments) or ["--help"],
+                exit_on_error=False,
+                print_error=False,
+                result_action="return_value",
+            )
         )
     except KeyboardInterrupt:
         return _stopped()
-    except Exception as error:
-        if _interrupted:  # it became another exception on its way
-            return _stopped()
-        foreseen = isinstance(error, InputError | CycloptsError | OSError | MemoryError)
-        complain(_one_line(error) if foreseen else _unforeseen(error))
-        return 2 if foreseen else 3
-    return status if isinstance(status, int) else 0
+    if _interrupted:  # it became another exception on its way
+        return _stopped()
+    if why:
+        complain(why)
+    return status
 
 
 def _stopped() -> int:
     complain("interrupted; no half-written run folder is left")
     return 130
-
-
-def _unforeseen(error: Exception) -> str:
-    """One line, and the details in a file that it names."""
-    what = " ".join(f"{type(error).__name__}: {error}".split())
-    try:
-        with tempfile.NamedTemporaryFile("w", prefix="track-", suffix=".txt", delete=False) as file:
-            file.write("".join(traceback.format_exception(error)))
-    except OSError:
-        return f"a failure that nobody foresaw ({what}); its details could not be written"
-    return f"a failure that nobody foresaw ({what}); please report it with {file.name}"
-
-
-def _one_line(error: Exception) -> str:
-    """What went wrong, where, and what to do."""
-    if isinstance(error, UnusedCliTokensError):
-        extra = " ".join(error.unused_tokens or ())
-        error = InputError(
-            extra, "one input", "more", "quote a glob of images; track --help lists the options"
-        )
-    elif isinstance(error, CycloptsError):
-        return " ".join(str(error).split()) + " (track --help lists the options)"
-    elif isinstance(error, OSError):
-        about = error.filename if isinstance(error.filename, str) else "the recording"
-        found = (error.strerror or str(error)).lower()
-        error = InputError(about, "a file or folder that can be used", found, "check the path and its rights")
-    elif isinstance(error, MemoryError):
-        error = InputError(
-            "the recording", "enough memory", "not enough memory", "take a part of it (`frames`)"
-        )
-    return str(error)

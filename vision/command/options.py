@@ -51,6 +51,7 @@ _OPTION_OF = {
     "window_px": "--window",
     "corrections": "--corrections",
     "pixel_size_um": "--pixel-size",
+    "pitch_um": "--pitch",
     "fps": "--fps",
     "timestamps": "--timestamps",
     "frames": "--frames",
@@ -78,6 +79,7 @@ _OPTION_OF = {
     "width_um": "--width",
     "width_px": "--width",
     "sheet": "--sheet",
+    "film": "--film",
     "out": "--out",
     "overwrite": "--overwrite",
 }
@@ -112,6 +114,10 @@ class VideoOptions:
     """TOML file of decisions about identities: accept, leave_out, swap, assign."""
     pixel_size: str | None = None
     """µm per pixel, also as 10um or 0.01mm; without it lengths are in px."""
+    scale: str | None = None
+    """Pixel size from a known length, as in 1mm=103px."""
+    pitch: str | None = None
+    """Pixel size from the sheets' mean spacing, as in 0.2mm: the film's own ridges are the ruler."""
     fps: float | None = None
     """The camera's frame rate, where the file's own is only a playback rate."""
     timestamps: Path | None = None
@@ -236,9 +242,34 @@ def merged(*groups: Any, config: Path | None = None) -> dict[str, Parameter]:
             merged[name] = Parameter(filed[name], "config")
         else:
             merged[name] = Parameter(DEFAULTS.get(name), "default")
-    if size := merged.get("pixel_size"):
-        merged["pixel_size"] = Parameter(parse_pixel_size(size.value), size.how)
+    if "pixel_size" in merged:
+        merged |= _pixel_size(merged)
     return merged
+
+
+SIZES = ("pixel_size", "scale", "pitch")  # of which one gives the pixel size
+
+
+def _pixel_size(options: Mapping[str, Parameter]) -> dict[str, Parameter]:
+    """The pixel size in µm from the one option that gives it; one typed wins over another in a file.
+
+    Raises
+    ------
+    InputError
+        For two of them.
+    """
+    from vision.run.provenance import Parameter
+
+    hows = [options[name].how for name in SIZES if options[name].value is not None]
+    how: Literal["given", "config"] = "given" if "given" in hows else "config"
+    chosen = {
+        name: options[name] if options[name].how == how else Parameter(None, "default") for name in SIZES
+    }
+    given = [f"--{name.replace('_', '-')}" for name in SIZES if chosen[name].value is not None]
+    if len(given) > 1:
+        raise InputError(" and ".join(given), "one of --pixel-size, --scale and --pitch", f"{len(given)}")
+    size = parse_pixel_size(chosen["pixel_size"].value) or parse_scale(chosen["scale"].value)
+    return chosen | {"pixel_size": Parameter(size, how if size else "default")}
 
 
 def read_config(path: Path) -> dict[str, Any]:
@@ -316,6 +347,7 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
         "window_px": parse_window(value.get("window")),
         "corrections": read_corrections(corrections) if corrections else None,
         "pixel_size_um": value.get("pixel_size"),
+        "pitch_um": parse_pitch(value.get("pitch")),
         "speed_mm_min": number(value.get("speed"), "--speed", least=1e-9),
         **dict(zip(("d0_mm", "d0_err_mm"), parse_with_error(value.get("d0"), "--d0"), strict=True)),
         "force_columns": parse_columns(columns) if columns else None,
@@ -413,6 +445,31 @@ def parse_pixel_size(text: str | None) -> float | None:
             "--pixel-size", "a number from 1e-06 (µm per px)", f"'{text}'", "write 10, 10um or 0.01mm"
         )
     return value
+
+
+def parse_scale(text: str | None) -> float | None:
+    """µm per pixel from a length and the pixels it takes, in either order: 1mm=103px.  Raises: InputError."""
+    if text is None:
+        return None
+    sides = sorted(text.split("="), key=lambda side: side.strip().endswith("px"))
+    try:
+        lengths = [parse_length(side, "--scale") for side in sides]
+        size = lengths[0]["width_um"] / lengths[1]["width_px"] if len(lengths) == 2 else math.nan
+    except (InputError, KeyError):
+        size = math.nan
+    if not 1e-6 <= size < math.inf:
+        raise InputError("--scale", "a length and its pixels", f"'{text}'", "write 1mm=103px")
+    return size
+
+
+def parse_pitch(text: str | None) -> float | None:
+    """µm from one sheet to the next, with its unit: 0.2mm.  Raises: InputError."""
+    if text is None:
+        return None
+    length = parse_length(text, "--pitch")
+    if "width_um" not in length:
+        raise InputError("--pitch", "a length in mm or µm", f"'{text}'", "write 0.2mm")
+    return length["width_um"]
 
 
 def parse_length(text: str, option: str) -> dict[str, float]:

@@ -21,27 +21,29 @@ from vision.command.options import (
 
 if TYPE_CHECKING:
     from vision.pipeline import Analysis
+    from vision.run import Parameter
 
 REFUSED = ("sticks", "clock", "motion", "shells")  # stages whose input cannot be used: exit status 2
 
 
 def track(
-    video: Path,
-    /,
+    *videos: Path,
     reading: VideoOptions | None = None,
     test: TestOptions | None = None,
     machine: ForceOptions | None = None,
     sample: SampleOptions | None = None,
     run: RunOptions | None = None,
-    *,
     config: Path | None = None,
 ) -> int:
     """Track every sheet of a video: positions x(n,t), their errors, pictures and tables in a new folder.
 
+    Several videos are tracked one after the other, each into its own folder; one that cannot be used does not
+    keep the others from being done.
+
     Parameters
     ----------
-    video
-        A video file, a TIFF stack, a folder or a quoted glob of numbered images.
+    videos
+        A video file, a TIFF stack, a folder or a quoted glob of numbered images; or several.
     reading
         How the video is read and its sheets are found.
     test
@@ -51,22 +53,50 @@ def track(
     sample
         Geometry of the sample.
     run
-        Where the results go.
+        Where the results go; with several videos --out is the folder that holds their folders.
     config
         TOML file with any of these options; the command line wins.
     """
     run = run or RunOptions()
     groups = (reading or VideoOptions(), test or TestOptions(), machine or ForceOptions())
     parameters = merged(*groups, sample or SampleOptions(), config=config)
-    from vision.pipeline import analyse
-    from vision.run import Origin, check_target, write_run
+    if len(videos) == 1:
+        target = run.out or Path(f"{run_name(videos[0])}_tracks")
+        return _track_one(videos[0], target, parameters, run)[0]
+    from vision.command.several import targets_of, track_several
 
-    target = run.out or Path(f"{run_name(video)}_tracks")
+    targets = targets_of(videos, run.out, parameters)
+    settings_of(parameters)  # what fits no film is said once
+    return track_several(
+        targets,
+        lambda film, target: _track_one(film, target, parameters, run, one_of_many=True),
+        quiet=run.quiet,
+    )
+
+
+def _track_one(
+    video: Path,
+    target: Path,
+    parameters: dict[str, Parameter],
+    run: RunOptions,
+    *,
+    one_of_many: bool = False,
+) -> tuple[int, Analysis]:
+    """One film to one run folder: the exit status and what was found.
+
+    Of many films each warning names its film, and the summary waits for the table unless all is asked for.
+    """
+    from vision.pipeline import analyse
+    from vision.run import Origin, Parameter, check_target, write_run
+    from vision.video import video_files
+
     check_target(target, overwrite=run.overwrite)
     settings, force = settings_of(parameters), parameters["force"].value
     with frame_progress("reading", quiet=run.quiet) as progress:
         analysis = analyse(video, force, settings, progress=progress)
-    inputs = (video,) if force is None else (video, force)
+    inputs = (*video_files(video), *(() if force is None else (force,)))
+    if settings.pitch_um is not None:
+        parameters = {**parameters, "pixel_size": Parameter(analysis.pixel_size_um, "found")}
     origin = Origin(
         command=command_line(),
         inputs=inputs,
@@ -75,7 +105,15 @@ def track(
         options=option_names(),
     )
     write_run(analysis, target, origin, overwrite=run.overwrite, report=run.report)
-    return finish(analysis, target, "overview.png", quiet=run.quiet, verbose=run.verbose)
+    status = finish(
+        analysis,
+        target,
+        "overview.png",
+        quiet=run.quiet or (one_of_many and not run.verbose),
+        verbose=run.verbose,
+        about=f"{video.name}: " if one_of_many else "",
+    )
+    return status, analysis
 
 
 def run_name(video: Path) -> str:
@@ -92,7 +130,9 @@ def command_line() -> str:
     return shlex.join(["track", *sys.argv[1:]])
 
 
-def finish(analysis: Analysis, target: Path, picture: str, *, quiet: bool, verbose: bool = False) -> int:
+def finish(
+    analysis: Analysis, target: Path, picture: str, *, quiet: bool, verbose: bool = False, about: str = ""
+) -> int:
     """Summary to standard output, warnings to standard error; the exit status.
 
     0: done.  1: a warning that matters.  2: the force recording could not be used (what was measured is
@@ -101,7 +141,7 @@ def finish(analysis: Analysis, target: Path, picture: str, *, quiet: bool, verbo
     from vision.summary import findings
 
     for line in analysis.warnings:
-        complain(f"warning: {line}")
+        complain(f"warning: {about}{line.removeprefix(about)}")
     if not quiet:
         lines = [*analysis.summary(), f"results    {target}/ (look at {picture} first)"]
         if verbose and analysis.tracks is not None:
@@ -110,7 +150,7 @@ def finish(analysis: Analysis, target: Path, picture: str, *, quiet: bool, verbo
     ambiguous = analysis.clock is not None and analysis.clock.status == "ambiguous"
     refused = [] if ambiguous else [name for name in REFUSED if name in analysis.reasons]
     for name in {*refused, *analysis.failures}:
-        complain(f"{analysis.reasons[name]} (what was measured before is kept in {target})")
+        complain(f"{about}{analysis.reasons[name]} (what was measured before is kept in {target})")
     if analysis.failures:
         return 3
     return 2 if refused else 1 if analysis.warnings else 0

@@ -29,6 +29,7 @@ from vision.figures.force import (
     stiffness_figure,
 )
 from vision.figures.labels import percent, plus_minus, signed
+from vision.figures.preview import preview_figure
 from vision.figures.video import (
     frame_figure,
     kymograph_figure,
@@ -62,6 +63,7 @@ __all__ = [
     "percent",
     "pixel_locking_figure",
     "plus_minus",
+    "preview_figure",
     "save_figures",
     "sections_of",
     "shells_figure",

@@ -2,6 +2,7 @@
 
 from vision.sheets.corrections import Correction, doubtful_stretches, read_corrections
 from vision.sheets.reference import wide_spacings
+from vision.sheets.scale import pixel_size_from_pitch
 from vision.sheets.settings import TrackingSettings
 from vision.sheets.subpixel import (
     FitChoice,
@@ -26,6 +27,7 @@ __all__ = [
     "choose_window",
     "doubtful_stretches",
     "paper_vertex",
+    "pixel_size_from_pitch",
     "position_noise",
     "read_corrections",
     "sliding_vertex",

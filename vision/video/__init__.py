@@ -4,7 +4,7 @@ from vision.video.reader import Block, Facts, Reader
 from vision.video.settings import VideoSettings
 from vision.video.strip import reference_frame, strip_profile
 from vision.video.strip_find import Strip, find_strip, measure_strip
-from vision.video.video import FrameClock, Video, open_video, read_timestamps
+from vision.video.video import FrameClock, Video, open_video, read_timestamps, video_files
 
 __all__ = [
     "Block",
@@ -20,4 +20,5 @@ __all__ = [
     "read_timestamps",
     "reference_frame",
     "strip_profile",
+    "video_files",
 ]

@@ -40,6 +40,8 @@ class Facts:
         How long the file says it lasts, if frames carry times.
     playback_fps
         The container's rate, which need not be the camera's.
+    camera_fps
+        The rate at which the camera recorded, by its own header, where frames carry no times.
     times_s
         The recording's own time of each frame (frame), where the headers hold them.
     times_in_blocks
@@ -62,6 +64,7 @@ class Facts:
     estimated_frames: int | None = None
     duration_s: float | None = None
     playback_fps: float | None = None
+    camera_fps: float | None = None
     times_s: Floats | None = None
     times_in_blocks: bool = False
     warnings: tuple[str, ...] = ()

@@ -45,6 +45,36 @@ class VideoSettings:
     ridges, which cost precision; shown by
     test_leaning_too_far_is_reported_and_the_wrong_rows_are_worse."""
 
+    edge_share: float = 0.08
+    """Part of the frame's height left out where a strip of bowed ridges reaches its edge: there the bow moves
+    positions most. Larger costs noise (a tenth at 0.08 on both edges), smaller leaves bias to the outer
+    sheets (test_bowed_ridges_lose_the_rows_at_the_frame_s_edges)."""
+    edge_height: int = 64
+    """Frames lower than this were cut to the strip by the camera: every row is kept. Smaller costs noise in
+    films that have few rows."""
+    edge_bow_px: float = 0.05
+    """Difference between outer and inner rows from which ridges count as bowed. Smaller leaves out rows of
+    straight ridges, larger keeps bias that exceeds the noise."""
+
+    # the rows of the strip against each other (strip_rows)
+    least_bands: int = 8
+    """Bands that a strip needs for its rows to be compared. Fewer give no middle half to compare with."""
+    least_strength: float = 0.2
+    """Bands with ridges weaker than this part of the middle's are taken as this strong, or their displacement
+    would be noise divided by nothing. Larger hides the displacement of dim rows."""
+    worth_trimming: float = 0.8
+    """Rows are left out only if that lowers the expected error of positions to this share. Larger trims for
+    the noise of the comparison, smaller keeps bowed and shaded rows (test_strip_rows)."""
+    significant_rows: float = 2.0
+    """Differences between halves of the strip below this many of their standard errors count as noise. Larger
+    hides bias, smaller states one where there is none (test_straight_ridges_have_no_error_of_the_strip)."""
+    least_bias_px: float = 0.05
+    """Displacement of the mean by rows that stand apart below which none is left out. Smaller cuts strips for
+    texture, larger keeps bias above the noise of most recordings (test_shaded_rows_are_left_out)."""
+    strip_warning_px: float = 0.15
+    """Error from the choice of rows above which a warning is given. Smaller warns of ordinary bows, larger
+    keeps silent about bias of several times the noise."""
+
     # blank frames
     blank_contrast: float = 0.1
     """Frames with less than this part of the usual contrast are blank. Larger loses frames under a dimmed

@@ -35,6 +35,7 @@ from vision.video.tiff_index import check_tiff
 from vision.video.uncompressed import MappedReader
 
 IMAGES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"}
+_JPEG = {"jpg", "jpeg", "ojpeg", "jpeg_lossy"}
 _TIFF = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 _MOST_CHANNELS = 64  # tifffile takes memory for all of them
 _UNIT_S = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
@@ -188,13 +189,33 @@ def _stack_facts(tif: tifffile.TiffFile, held: int, indexed: int, path: Path, *,
         saturation_level=None if is_float else full_scale(bits),
         declared_frames=declared,
         container="tiff",
-        codec=first.compression.name.lower() if hasattr(first.compression, "name") else "uncompressed",
+        codec=_codec_of_page(first),
         pixel_format=f"{first.samplesperpixel} x {first.dtype}",
         decoder=decoder,
         grey=LUMA_RULE if first.samplesperpixel > 1 else AS_STORED,
         times_s=_own_times(tif, declared),
         warnings=(f"{path.name}: the file was cut short; more pages were to follow",) * _is_cut_short(tif),
     )
+
+
+def _codec_of_page(page: tifffile.TiffPage) -> str:
+    """TIFF's name of the compression; "mjpeg" for every JPEG, as in films: it is as lossy there."""
+    if not hasattr(page.compression, "name"):
+        return "uncompressed"
+    name = page.compression.name.lower()
+    return "mjpeg" if name in _JPEG else str(name)
+
+
+def _codec_of_image(file: Path) -> str:
+    """The suffix of an image file; of a TIFF, its compression."""
+    suffix = file.suffix.lower().lstrip(".")
+    if suffix not in ("tif", "tiff"):
+        return "mjpeg" if suffix in _JPEG else suffix
+    try:
+        with tifffile.TiffFile(file) as tif:
+            return _codec_of_page(tif.pages.first)
+    except (tifffile.TiffFileError, OSError, ValueError, IndexError, KeyError):  # a damaged first image
+        return "tiff"
 
 
 def _declared_frames(tif: tifffile.TiffFile) -> int:
@@ -277,7 +298,7 @@ def open_sequence(path: Path) -> ImagesReader:
         saturation_level=None if is_float else full_scale(bits),
         declared_frames=len(files),
         container="images",
-        codec=suffix.lstrip("."),
+        codec=_codec_of_image(next(file for file in files if file is not None)),
         pixel_format=str(first.dtype),
         decoder="tifffile" if suffix in (".tif", ".tiff") else "OpenCV",
         grey=f"{AS_STORED}; colour by {LUMA_RULE}",

@@ -13,6 +13,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from vision.numeric import Bools, Floats32, Ints, Pixels
 from vision.video.settings import DEFAULTS, VideoSettings
+from vision.video.strip_rows import NO_ERRORS, StripErrors, best_rows, row_shifts, strip_errors
 from vision.video.video import Video, cut
 
 
@@ -32,6 +33,8 @@ class Strip:
         Correlation of odd and even rows' mean slopes, 0 (noise) to 1.
     warnings
         What may spoil the results.
+    errors
+        How much positions depend on which of the rows are averaged.
     """
 
     rows: slice
@@ -39,6 +42,7 @@ class Strip:
     tilt_deg: float = math.nan
     clarity: float = 0.0
     warnings: tuple[str, ...] = ()
+    errors: StripErrors = NO_ERRORS
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,10 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
     largest where ridges are clear, straight and upright: leaning or bowed ridges blur the mean, clamps and
     black rows dilute it. No segment counts for more than segments with ridges usually do, so labels and marks
     gain nothing by their strong edges. Brightness, pitch and polarity do not matter.
+
+    Of that run those bands are kept whose mean gives positions with the smallest error
+    (`strip_rows.best_rows`): rows that see the ridges elsewhere, bowed, shaded or at the frame's edge, are
+    left out where the bias they bring is larger than the noise they save.
     """
     height, width = video.shape
     x = cut(columns, width, what=f"{video.path}: `columns`")
@@ -100,9 +108,24 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
     best = _best_run(slopes, settings)
     if best is None:
         return Strip(slice(0, height), "all rows")
-    first, last = best
+    lean = lean_px(slopes.mean[:, best[0] : best[1]])
+    first, last = _agreeing(slopes, *best, lean, settings)
     bottom = height if last == slopes.mean.shape[1] else last * band_rows
-    return _described(slopes, first, last, Strip(slice(first * band_rows, bottom), "found"), settings)
+    rows = slice(first * band_rows, bottom)
+    bands = slopes.mean[:, first:last]
+    if strip_errors(row_shifts(bands, lean, settings), settings).bow_px > settings.edge_bow_px:
+        rows = _off_edges(rows, height, settings)
+    first, last = -(-rows.start // band_rows), max(rows.stop // band_rows, first + 1)
+    return _described(slopes, min(first, last - 1), last, Strip(rows, "found"), settings, lean=lean)
+
+
+def _off_edges(rows: slice, height: int, settings: VideoSettings) -> slice:
+    """Rows without those next to the frame's upper and lower edge; all of a low frame."""
+    if height < settings.edge_height:
+        return rows
+    margin = round(settings.edge_share * height)
+    kept = slice(max(rows.start, margin), min(rows.stop, height - margin))
+    return kept if kept.stop - kept.start >= (rows.stop - rows.start) / 2 else rows
 
 
 def measure_strip(
@@ -125,23 +148,63 @@ def measure_strip(
     return _described(slopes, 0, slopes.mean.shape[1], Strip(z, "given"), settings)
 
 
-def _described(slopes: _Slopes, first: int, last: int, strip: Strip, settings: VideoSettings) -> Strip:
-    """The strip with tilt, clarity, and a warning where the ridges lean too far."""
+def _described(
+    slopes: _Slopes,
+    first: int,
+    last: int,
+    strip: Strip,
+    settings: VideoSettings,
+    *,
+    lean: float | None = None,
+) -> Strip:
+    """The strip with tilt, clarity, and warnings where ridges lean too far or positions depend on the rows.
+
+    lean: shift from band to band, px, where more rows than the strip's tell it.
+    """
     bands = slopes.mean[:, first:last]
     clarity = _clarity(slopes, first, last)
     if clarity < settings.min_clarity:
         return Strip(strip.rows, strip.how, clarity=clarity)
     height = strip.rows.stop - strip.rows.start
-    per_row = lean_px(bands) / slopes.band_rows
+    per_band = lean_px(bands) if lean is None else lean
+    per_row = per_band / slopes.band_rows
     smear, ridge = abs(per_row) * height, ridge_width_px(bands.mean(axis=1))
     tilt_deg = float(np.degrees(np.arctan(per_row)))
-    warning = (
-        f"ridges lean by {tilt_deg:+.2f} deg, {smear:.1f} px over the {height} rows of the strip, and are "
-        f"about {ridge:.0f} px wide: turn the camera or give fewer `rows`"
-    )
-    return Strip(
-        strip.rows, strip.how, tilt_deg, clarity, (warning,) if smear > settings.max_smear * ridge else ()
-    )
+    errors = strip_errors(row_shifts(bands, per_band, settings), settings)
+    warnings = []
+    if smear > settings.max_smear * ridge:
+        warnings.append(
+            f"ridges lean by {tilt_deg:+.2f} deg, {smear:.1f} px over the {height} rows of the strip, and "
+            f"are about {ridge:.0f} px wide: turn the camera or give fewer `rows`"
+        )
+    if errors.error_px > settings.strip_warning_px:
+        warnings.append(
+            f"positions depend on the rows averaged: {errors.error_px:.2f} px with a fifth of them left out, "
+            f"{errors.halves_px:.2f} px between the strip's upper and lower half, {errors.bow_px:.2f} px "
+            "between its outer and inner half; bowed ridges or a shadow: look at the frame, give fewer `rows`"
+        )
+    return Strip(strip.rows, strip.how, tilt_deg, clarity, tuple(warnings), errors)
+
+
+def _agreeing(
+    slopes: _Slopes, first: int, last: int, lean: float, settings: VideoSettings
+) -> tuple[int, int]:
+    """The part of a run of bands in which the ridges stand at the same place, as far as that is worth it."""
+    bands = slopes.mean[:, first:last]
+    width_px = ridge_width_px(bands.mean(axis=1))
+    if not width_px > 0:
+        return first, last
+    ridges = max(1.0, 2 * settings.segment_px / (2.5 * width_px))
+    begin, end = 0, last - first
+    for _ in range(2):  # rows that stand apart spoil the lean, too: once more with that of the rest
+        shifts = row_shifts(bands, lean, settings)
+        if shifts is None:
+            break
+        begin, end = best_rows(shifts, ridges, settings)
+        if (begin, end) == (0, last - first):
+            break
+        lean = lean_px(bands[:, begin:end])
+    return first + begin, first + end
 
 
 def _measure_slopes(

@@ -17,6 +17,7 @@ from vision.files import Stamp, check_pixels, check_regular, reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.cine import is_cine, open_cine
 from vision.video.encoded import open_encoded
+from vision.video.photron import is_photron, open_photron, photron_files
 from vision.video.reader import Block, Facts, Reader
 from vision.video.stacks import IMAGES, is_tiff, open_sequence, open_stack
 from vision.video.uncompressed import is_avi, open_raw_avi, read_avi_layout
@@ -34,7 +35,7 @@ class FrameClock:
     Parameters
     ----------
     kind
-        "file" (time stamps of the recording itself), "given" (`fps` or `timestamps`) or "playback" (a
+        "file" (time stamps or rate of the recording itself), "given" (`fps` or `timestamps`) or "playback" (a
         container's rate, which need not be the camera's).
     fps
         Frames per second; None where not known.
@@ -132,6 +133,8 @@ class Video:
             return FrameClock("given", self.given_fps)
         if self.facts.times_s is not None:
             return FrameClock("file", _median_rate(self.facts.times_s))
+        if self.facts.camera_fps is not None:
+            return FrameClock("file", self.facts.camera_fps)
         return FrameClock("file" if self.facts.times_in_blocks else "playback", self.facts.playback_fps)
 
     def times(self, frames: Ints) -> Floats:
@@ -221,7 +224,7 @@ def open_video(
     Parameters
     ----------
     path
-        A video file, a TIFF, a cine, a folder or a glob of numbered images.
+        A video file, a TIFF, a cine, a Photron .mraw or .cih, a folder or a glob of numbered images.
     rotate
         Degrees clockwise by which each frame is turned: 0, 90, 180 or 270.
     frames
@@ -279,6 +282,11 @@ def open_video(
     )
 
 
+def video_files(path: Path) -> tuple[Path, ...]:
+    """Every file that a recording consists of: one, or a Photron recording's pixels and their description."""
+    return photron_files(path) if path.is_file() and is_photron(path) else (path,)
+
+
 def _open_reader(path: Path) -> Reader:
     """The reader for this kind of file, recognised by its first bytes."""
     if path.is_dir() or (not path.exists() and glob.has_magic(str(path))):
@@ -293,6 +301,8 @@ def _open_reader(path: Path) -> Reader:
     if not head:
         advice = "copy it again from the camera's computer"
         raise InputError(path, "a video", "an empty file (0 bytes)", advice)
+    if is_photron(path):
+        return open_photron(path)
     if is_avi(head) and (layout := read_avi_layout(path)).is_uncompressed:
         return open_raw_avi(path, layout)
     if is_tiff(head):

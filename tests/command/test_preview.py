@@ -1,0 +1,86 @@
+"""`track preview`: what would be measured, from a few frames of a film with a known comb."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.scenes.comb_video import frames_of, positions, write_video
+from vision.command.main import run
+from vision.command.options import VideoOptions, merged, settings_of
+from vision.command.preview import look
+from vision.figures import preview_figure
+from vision.video.uncompressed import MappedReader
+
+FRAMES = 400
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    return write_video(tmp_path_factory.mktemp("film") / "comb.tif", frames_of(positions(FRAMES)))
+
+
+@pytest.fixture(scope="module")
+def found(film):
+    return look(film, settings_of(merged(VideoOptions())))
+
+
+def test_sheets_positions_and_noise_are_the_scene_s(found):
+    """Failure: the preview promises other sheets or another noise than the film has."""
+    x = found.tracks["x_px"].values
+    error = x - positions(FRAMES)[: len(x)]
+    assert x.shape == (24, 8)
+    assert np.abs(error).max() < 0.1
+    scatter = np.std(error - error.mean(axis=0))
+    stated = np.median(found.tracks["x_err_px"].values)
+    assert stated == pytest.approx(scatter, rel=0.2)
+    assert (found.counts == 8).all()
+    assert found.counts.size == 12
+
+
+def test_some_tens_of_frames_are_read(film, monkeypatch):
+    """Failure: a film of an hour is read whole before anything is shown."""
+    read, block = [], MappedReader._block
+
+    def counted(self, first, last, rows, columns):
+        read.append(last - first)
+        return block(self, first, last, rows, columns)
+
+    monkeypatch.setattr(MappedReader, "_block", counted)
+    look(film, settings_of(merged(VideoOptions())))
+    assert sum(read) < 100
+
+
+def test_ten_lines_and_a_picture(film, tmp_path, monkeypatch, capsys):
+    """Failure: the summary is longer, lacks the noise, or the picture is not where it is said to be."""
+    monkeypatch.chdir(tmp_path)
+    assert run(["preview", str(film), "--fps", "20", "--pixel-size", "10"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 10
+    assert "8 bright ridges (4 left, 4 right)" in lines[3]
+    px, um = map(float, re.search(r"noise +([\d.]+) px = ([\d.]+) µm", lines[7]).groups())
+    assert um == pytest.approx(10 * px, abs=0.001)
+    assert Path("comb_preview.png").stat().st_size > 10_000
+    assert run(["preview", str(film), "--quiet"]) == 0  # its own picture is made anew
+    assert run(["preview", str(film), "--out", "comb_preview.png"]) == 2
+    assert "one that exists" in capsys.readouterr().err
+
+
+def test_the_picture_shows_the_measured_numbers(found):
+    """Failure: the picture shows other positions or another noise than the lines say."""
+    frame, profile, noise = preview_figure(found.frame, found.strip, found.tracks, pixel_size_um=10).panels
+    assert np.allclose(profile.series[1].x, positions(FRAMES)[0], atol=0.1)
+    assert np.array_equal(profile.series[0].y, found.strip.values[0])
+    assert "µm" in noise.y_label
+    assert np.allclose(noise.series[1].y, 10 * np.median(found.tracks["x_err_px"].values, axis=0))
+    assert frame.image is not None
+
+
+def test_a_film_without_ridges_is_refused_in_one_line(tmp_path, monkeypatch, capsys):
+    """Failure: a film of nothing ends in a traceback, or in a picture."""
+    monkeypatch.chdir(tmp_path)
+    write_video(tmp_path / "flat.tif", np.full((5, 20, 60), 90, np.uint8))
+    assert run(["preview", "flat.tif"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert not Path("flat_preview.png").exists()

@@ -1,0 +1,114 @@
+"""Several videos in one call; the pixel size from the sheets' own spacing."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.scenes.comb_video import frames_of, positions, write_video
+from vision.command.main import run
+
+
+@pytest.fixture
+def films(tmp_path, monkeypatch):
+    """Three good films, of 8, 7 and 6 sheets."""
+    monkeypatch.chdir(tmp_path)
+    for k, sheets in enumerate((8, 7, 6)):
+        write_video(tmp_path / f"t{k}.tif", frames_of(positions(30, sheets=sheets)))
+    return ["t0.tif", "t1.tif", "t2.tif"]
+
+
+def test_each_film_has_its_folder_and_its_row(films, capsys):
+    """A failure means that one film's results stand under another's name, or that the table lacks one."""
+    assert run([*films, "--fps", "20", "--no-report"]) == 0
+    head, *rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert head[:4] == ["film", "status", "sheets", "frames"]
+    assert [row[:4] for row in rows] == [[f"t{k}.tif", "0", str(8 - k), "30"] for k in range(3)]
+    for k in range(3):
+        assert pd.read_csv(f"t{k}_tracks/tracks.csv")["index"].nunique() == 8 - k
+        assert not Path(f"t{k}_tracks/report.html").exists()
+
+
+def test_a_bad_film_costs_nothing_but_itself(films, capsys, monkeypatch):
+    """A failure means that films after a bad one are not done, or that the exit status hides it."""
+    Path("t1.tif").write_bytes(b"II*\0nothing")
+    assert run([*films, "--out", "runs", "--no-report"]) == 2
+    said = capsys.readouterr()
+    assert sorted(path.name for path in Path("runs").iterdir()) == ["t0_tracks", "t2_tracks"]
+    assert len(said.err.splitlines()) == 1
+    assert "t1.tif" in said.err
+    assert [line.split()[1] for line in said.out.splitlines()[1:]] == ["0", "2", "0"]
+    assert run([*films, "--out", "runs", "--no-report", "--overwrite", "--quiet"]) == 2
+    assert not capsys.readouterr().out
+
+    from vision import pipeline
+
+    track_sheets = pipeline.track_sheets
+
+    def broken(strip, **options):
+        if "t0" in strip.attrs["source"]:
+            raise RuntimeError("nobody foresaw this")
+        return track_sheets(strip, **options)
+
+    monkeypatch.setattr(pipeline, "track_sheets", broken)
+    assert run([*films, "--out", "others", "--no-report"]) == 3  # the worst of 3, 2 and 0
+    assert [path.name for path in Path("others").iterdir()] == ["t2_tracks"]
+
+
+def test_warnings_name_their_film(films, capsys):
+    """A failure means that nobody knows which of a hundred films lost frames."""
+    pixels = frames_of(positions(30))
+    pixels[4:8] = 0
+    write_video(Path("t1.tif"), pixels)
+    assert run([*films, "--no-report"]) == 1
+    said = capsys.readouterr()
+    assert said.err.startswith("track: warning: t1.tif: 4 frame(s) blank")
+    assert "1 warning" in said.out.splitlines()[2]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--force", "t0.tif"], "one video"),
+        (["--offset", "0"], "one video"),
+        (["sub/t0.tif"], "different names"),
+        (["--strip", "5"], "--strip"),
+    ],
+)
+def test_what_cannot_be_true_of_several_is_refused(films, capsys, arguments, expected):
+    """A failure means that one force recording is laid under all films, or a folder written twice."""
+    Path("sub").mkdir()
+    write_video(Path("sub/t0.tif"))
+    assert run([*films, *arguments]) == 2
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert expected in said
+    assert not list(Path().glob("*_tracks"))
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+def test_frames_that_the_shell_spread_out_are_no_films(suffix, tmp_path, monkeypatch, capsys):
+    """A failure means that 500 images of one film become 500 run folders."""
+    monkeypatch.chdir(tmp_path)
+    names = [f"{k}.{suffix}" for k in range(3)]
+    for name in names:
+        cv2.imwrite(name, frames_of(positions(1))[0])
+    assert run(names) == 2
+    assert "quote the glob" in capsys.readouterr().err
+    assert run([]) == 0  # help
+    assert run(["--fps", "5"]) == 2
+
+
+def test_the_sheets_themselves_are_the_ruler(films):
+    """A failure means lengths in a wrong unit: the comb's spacing is 20 px less its opening of 1 px or so."""
+    assert run([films[0], "--pitch", "0.2mm", "--no-report", "--quiet"]) == 0
+    facts = json.loads(Path("t0_tracks/run.json").read_text())
+    true_px = np.diff(np.median(positions(30), axis=0)).mean()
+    size = facts["parameters"]["pixel_size"]
+    assert size["how"] == "found"
+    assert size["value"] == pytest.approx(200 / true_px, rel=5e-4)  # half a pixel in 20 would be 2.5e-2
+    table = pd.read_csv("t0_tracks/tracks.csv")
+    assert np.allclose(table["x_um"], size["value"] * table["x_px"], rtol=1e-4)

@@ -1,0 +1,261 @@
+"""The film of a run with its tracks drawn on it, as MP4: read, drawn and encoded frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from vision.data import StripMetadata
+from vision.errors import InputError
+from vision.figures.style import HIGHLIGHT, LEFT_ON_GREY, RIGHT_ON_GREY, rgb
+from vision.numeric import Floats, Ints, Pixels
+from vision.run.provenance import describe_input
+from vision.run.reading import RunFolder, tracks_of
+from vision.video import Video, open_video
+
+Progress = Callable[[int, int | None], None]
+Colour = NDArray[np.uint8]
+
+MOST_WIDTH, MOST_HEIGHT = 1920, 1080
+"""Larger frames are scaled down: more pixels cost bits and time, and no player shows them."""
+LEAST_SIDE = 480  # smaller frames are enlarged by a whole factor, or numbers would cover them
+SLOWEST_FPS, FASTEST_FPS, UNKNOWN_FPS = 5.0, 50.0, 25.0
+"""Rates at which the film is played: a high-speed film in slow motion, a time lapse not as still pictures."""
+QUALITY = {"crf": "23", "preset": "veryfast", "maxrate": "8M", "bufsize": "16M"}
+MARGIN = 22  # px above the picture for the numbers, and below it for frame and time
+LETTER_WIDTH = 9.0  # px of a digit at the size in use
+STROKE = 0.25  # of the strip's height, at both its ends: the ridge itself stays in view
+SUBPIXEL_BITS = 4  # of OpenCV's coordinates: strokes lie where the sheet was found, to 1/16 px
+SAMPLED = 8  # frames from which the grey scale is taken
+_FONT, _SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.42
+_WHITE = (235, 235, 235)
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """What was written: frames, the size of a frame (rows, columns), and frames per second when played."""
+
+    frames: int
+    shape: tuple[int, int]
+    fps: float
+
+
+def film_of(run: RunFolder, moved: Path | None = None) -> Path:
+    """The film that the run was made from.
+
+    Parameters
+    ----------
+    run
+        From `read_run`.
+    moved
+        Where the film lies now, if not where it was.
+
+    Raises
+    ------
+    InputError
+        Where it is gone, or another file has its name: size and fingerprint are those in run.json.
+    """
+    inputs = run.facts.get("inputs") or []
+    if not inputs or run.tracks is None:
+        raise InputError(run.folder, "a run of a video", "no film in its run.json", "give the run of a video")
+    known = inputs[0]
+    named = Path(str(known["path"]))
+    places = [named, run.folder.absolute().parent / named] if moved is None else [moved]
+    film = next((place for place in places if _there(place)), None)
+    if film is None:
+        found, advice = "no such file", "say where it lies now (`film`)"
+        raise InputError(places[0], f"the film of {run.folder}", found, advice)
+    whole = "sha256" in known
+    now = describe_input(film, whole=whole)
+    if now["size_bytes"] != known["size_bytes"]:
+        found = f"one of {now['size_bytes']} bytes"
+        raise InputError(film, f"the film of {run.folder}, {known['size_bytes']} bytes", found)
+    kind = "sha256" if whole else "fingerprint"
+    if now.get(kind) != known.get(kind):
+        raise InputError(film, f"the film of {run.folder}", "another of the same size", "track it again")
+    return film
+
+
+def _there(place: Path) -> bool:
+    return place.exists() or bool(any(c in str(place) for c in "*?[") and list(Path().glob(str(place))))
+
+
+def write_overlay(
+    run: RunFolder, film: Path, target: Path, *, frames: slice | None = None, progress: Progress | None = None
+) -> Overlay:
+    """Draw the sheets on every frame: strokes at both ends of the strip, and their numbers n above.
+
+    Parameters
+    ----------
+    run
+        From `read_run`.
+    film
+        From `film_of`.
+    target
+        The MP4 to be written.
+    frames
+        Half-open range of frame numbers; all of the run's by default.
+    progress
+        Called with (frames done, frames in all or None).
+
+    Raises
+    ------
+    InputError
+        Where the film cannot be read, or holds none of these frames.
+
+    Notes
+    -----
+    One frame is held at a time. Grey levels are stretched by the same limits throughout. Sheets left of the
+    axis are blue, right ones orange; positions with a flag other than "ok" are white. Frames that cannot be
+    shown are black and say why.
+    """
+    tracks = tracks_of(run)
+    video = open_video(film, rotate=StripMetadata.of(tracks).rotate, frames=_within(tracks, frames, run))
+    canvas = _Canvas.of(video, tracks)
+    row_of = {int(number): row for row, number in enumerate(tracks["frame"].values)}
+    fps = _playback(StripMetadata.of(tracks).fps)
+    done = 0
+    with av.open(str(target), "w", format="mp4") as file:
+        stream: Any = file.add_stream("libx264", rate=fps, options=QUALITY)
+        stream.height, stream.width = canvas.shape
+        stream.pix_fmt = "yuv420p"
+        for block in video.blocks():
+            for k, status in enumerate(block.status):
+                row = row_of.get(block.start + k)
+                if row is None:
+                    continue
+                picture = canvas.draw(block.pixels[k] if status == "ok" else None, row)
+                file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, "rgb24")))
+                done += 1
+            if progress is not None:
+                progress(done, video.estimated)
+        if done:
+            file.mux(stream.encode(None))
+    if not done:
+        raise InputError(film, "frames within `frames`", "none of the run's")
+    return Overlay(done, canvas.shape, float(fps))
+
+
+def _within(tracks: xr.Dataset, frames: slice | None, run: RunFolder) -> slice:
+    """The part of the run that is asked for."""
+    numbers = tracks["frame"].values
+    first, last = int(numbers[0]), int(numbers[-1]) + 1
+    start, stop = (frames.start or first, frames.stop or last) if frames else (first, last)
+    part = slice(max(start, first), min(stop, last))
+    if part.start >= part.stop:
+        raise InputError("`frames`", f"a part of {first}:{last}, those of {run.folder}", f"{start}:{stop}")
+    return part
+
+
+def _playback(fps: float) -> Fraction:
+    known = fps if np.isfinite(fps) else UNKNOWN_FPS
+    return Fraction(float(np.clip(known, SLOWEST_FPS, FASTEST_FPS))).limit_denominator(1000)
+
+
+@dataclass(frozen=True)
+class _Canvas:
+    """Where everything stands. scale: pixels of the MP4 per pixel of the film; low, high: black and white."""
+
+    tracks: xr.Dataset
+    x_px: Floats
+    scale: float
+    picture: tuple[int, int]
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, video: Video, tracks: xr.Dataset) -> _Canvas:
+        rows, columns = video.shape
+        scale = min(1.0, MOST_WIDTH / columns, MOST_HEIGHT / rows)
+        if max(rows, columns) < LEAST_SIDE:
+            scale = float(-(-LEAST_SIDE // max(rows, columns)))
+        sample = [np.asarray(frame, np.float32) for frame in video.sample(SAMPLED)]
+        known = np.concatenate([frame[np.isfinite(frame)] for frame in sample] or [np.zeros(1, np.float32)])
+        low, high = np.percentile(known, (0.5, 99.8)) if known.size else (0.0, 1.0)
+        picture = (max(2, round(rows * scale)), max(2, round(columns * scale)))
+        x_px = np.asarray(tracks["x_px"].values, np.float64)
+        return cls(tracks, x_px, scale, picture, float(low), float(max(high, low + 1e-6)))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) of the MP4, both even as libx264 demands."""
+        height, width = self.picture
+        height, width = height + 2 * MARGIN, max(width, 240)  # room for the line below
+        return height + height % 2, width + width % 2
+
+    def draw(self, pixels: Pixels | None, row: int) -> Colour:
+        """The frame with everything on it, RGB."""
+        canvas = np.zeros((*self.shape, 3), np.uint8)
+        height, width = self.picture
+        flag = np.asarray(self.tracks["flag"].values[row])
+        state = ""
+        if pixels is None:
+            state = f" {flag[0]}"
+        else:
+            grey = (np.asarray(pixels, np.float32) - self.low) * (255 / (self.high - self.low))
+            grey = np.clip(np.nan_to_num(grey), 0, 255).astype(np.uint8)
+            how = cv2.INTER_AREA if self.scale < 1 else cv2.INTER_NEAREST
+            shown = cv2.resize(grey, (width, height), interpolation=how)
+            canvas[MARGIN : MARGIN + height, :width] = shown[..., None]
+            self._mark(canvas, row, flag)
+        frame, time_s = int(self.tracks["frame"].values[row]), float(self.tracks["time_s"].values[row])
+        ok = int(np.isin(flag, "ok").sum())
+        text = f"frame {frame}  " + (f"{time_s:.4g} s  " if np.isfinite(time_s) else "")
+        _write(canvas, f"{text}{ok} of {flag.size} sheets{state}", 4, canvas.shape[0] - 6)
+        return canvas
+
+    def _mark(self, canvas: Colour, row: int, flag: NDArray[np.str_]) -> None:
+        """Outline of the strip, strokes at its ends, numbers above the picture."""
+        strip = StripMetadata.of(self.tracks)
+        top, bottom = self._y(strip.strip_z0 - 0.5), self._y(strip.strip_z1 - 0.5)
+        for edge in (top, bottom):
+            self._line(canvas, (0.0, edge), (self.picture[1] - 1.0, edge), rgb(HIGHLIGHT))
+        stroke = max(3.0, STROKE * (bottom - top))
+        side, n = self.tracks["side"].values, self.tracks["n"].values
+        seen = np.flatnonzero(np.isfinite(self.x_px[row]))
+        for k in seen:
+            x = self._x(self.x_px[row, k])
+            ink = _WHITE if flag[k] != "ok" else rgb((LEFT_ON_GREY if side[k] < 0 else RIGHT_ON_GREY)[0])
+            self._line(canvas, (x, top), (x, top + stroke), ink)
+            self._line(canvas, (x, bottom), (x, bottom - stroke), ink)
+        for k in self._numbered(n):
+            if np.isfinite(self.x_px[row, k]):
+                ink = rgb((LEFT_ON_GREY if side[k] < 0 else RIGHT_ON_GREY)[0])
+                text = str(n[k])
+                _write(
+                    canvas, text, self._x(self.x_px[row, k]) - LETTER_WIDTH * len(text) / 2, MARGIN - 7, ink
+                )
+
+    def _numbered(self, n: Ints) -> Ints:
+        """Sheets whose numbers are written: each, or every second, fifth, … so that none overlap."""
+        middle = np.nanmedian(self.x_px, axis=0) if self.x_px.size else np.empty(0)
+        gaps = np.diff(middle[np.isfinite(middle)]) * self.scale
+        room = float(np.percentile(gaps, 10)) if gaps.size else np.inf
+        needed = LETTER_WIDTH * (len(str(int(n.max(initial=1)))) + 0.6)
+        every = next((step for step in (1, 2, 5, 10, 20, 50) if step * room >= needed), 100)
+        return np.flatnonzero(n % every == 0) if every > 1 else np.arange(n.size)
+
+    def _x(self, x_px: float) -> float:
+        """Column of the MP4: pixel centres are at integers in both."""
+        return float((x_px + 0.5) * self.scale - 0.5)
+
+    def _y(self, z_px: float) -> float:
+        return float((z_px + 0.5) * self.scale - 0.5 + MARGIN)
+
+    @staticmethod
+    def _line(canvas: Colour, start: tuple[float, float], end: tuple[float, float], ink: Any) -> None:
+        fixed = [tuple(round(v * (1 << SUBPIXEL_BITS)) for v in point) for point in (start, end)]
+        cv2.line(canvas, fixed[0], fixed[1], ink, 1, cv2.LINE_AA, SUBPIXEL_BITS)
+
+
+def _write(canvas: Colour, text: str, x: float, y: float, ink: tuple[int, int, int] = _WHITE) -> None:
+    cv2.putText(canvas, text, (round(x), round(y)), _FONT, _SIZE, ink, 1, cv2.LINE_AA)
