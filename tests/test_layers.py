@@ -22,7 +22,7 @@ LAYERS = (
     "figures",
     "summary",
     "pipeline",
-    "compare",
+    "comparison",
     "report",
     "run",
     "review",

@@ -54,6 +54,10 @@ _OPTION_OF = {
     "width_um": "--width",
     "width_px": "--width",
     "sheet": "--sheet",
+    "runs": "RUN…",
+    "table": "--table",
+    "main_sample": "--main-sample",
+    "modulus_GPa": "--y-eff",
     "out": "--out",
     "overwrite": "--overwrite",
 }

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
+import pandas as pd
 from scipy.optimize import minimize_scalar
 
-from vision.compare.tests import TractionTest
+from vision.comparison.tests import TractionTest
 from vision.models import Estimate, equations
 from vision.numeric import Bools, Floats
 from vision.sample import Sample
@@ -108,7 +109,7 @@ def usable_range(test: TractionTest) -> Bools:
     if test.fit_range_mm is not None:
         low, high = test.fit_range_mm
         used = (d >= low - 1e-6) & (d <= high + 1e-6)
-    smooth = np.array([np.median(peak[max(k - 2, 0) : k + 3]) for k in range(peak.size)])
+    smooth = pd.Series(peak).rolling(5, center=True, min_periods=1).median().to_numpy()
     used &= np.arange(d.size) >= int(np.argmax(np.where(used, smooth, -np.inf)))
     return used if used.sum() >= 6 else np.ones(d.size, bool)
 

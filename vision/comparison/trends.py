@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import rankdata
 
-from vision.compare.joint import CompareSettings
+from vision.comparison.joint import CompareSettings
 from vision.numeric import Bools, Floats
 
 QUANTITIES = ("mu", "N_hat_N", "Lambda_hat_mm")
@@ -151,7 +151,7 @@ def weighted_fit(design: Floats, y: Floats, error: Floats) -> tuple[Floats, Floa
     low, high = 0.0, float(np.std(y)) * 2
     if fit(0.0)[2] <= 1 or high == 0:
         return *fit(0.0)[:2], 0.0
-    for _ in range(40):
+    for _ in range(25):
         middle = (low + high) / 2
         low, high = (middle, high) if fit(middle)[2] > 1 else (low, middle)
     return *fit(high)[:2], high

@@ -231,7 +231,9 @@ def _rows_of_runs(
             warnings.append(f"run {name} stands in the table more than once; its first row is used")
         elif same:
             known[same[0]] = row
-    if missing := [str(folder) for folder in folders if folder not in known and folder.exists()]:
+    if missing := [
+        str(folder) for folder in folders if folder not in known and (folder / "run.json").is_file()
+    ]:
         warnings.append(f"not in the table, so left out of the trends: {', '.join(missing)}")
     return known
 

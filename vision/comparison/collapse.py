@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from vision.compare.joint import TestFit, fit_scale, stiffness_errors
-from vision.compare.tests import TractionTest
+from vision.comparison.joint import TestFit, fit_scale, stiffness_errors
+from vision.comparison.tests import TractionTest
 from vision.models import Estimate, equations
 
 

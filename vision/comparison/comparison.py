@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vision.compare.collapse import Collapse, collapse
-from vision.compare.irregular import Irregularity, find_irregular
-from vision.compare.joint import (
+from vision.comparison.collapse import Collapse, collapse
+from vision.comparison.irregular import Irregularity, find_irregular
+from vision.comparison.joint import (
     CompareSettings,
     JointFriction,
     TestFit,
@@ -20,8 +20,8 @@ from vision.compare.joint import (
     fit_joint,
     fit_test,
 )
-from vision.compare.tests import TractionTest, read_tests
-from vision.compare.trends import Trend, find_trends
+from vision.comparison.tests import TractionTest, read_tests
+from vision.comparison.trends import Trend, find_trends
 from vision.errors import InputError
 from vision.figures import Figure, load_figures
 from vision.figures.compare import Overlay, compare_figures
