@@ -262,7 +262,10 @@ def _read_test(folder: Path, name: str, row: Mapping[str, Any], warnings: list[s
     if math.isfinite(told) and math.isfinite(recorded) and abs(told / recorded - 1) > 0.05:
         warnings.append(f"{name}: the table has V = {told:g} mm/min, its recording {recorded:.4g}")
     modulus = models.get("Y_eff_GPa") or {}
-    sample = _sample(models.get("sample") or facts.get("sample"), name, warnings)
+    sample = _sample(models.get("sample") or facts.get("sample"))
+    events = _events(folder / "events.csv", sample)
+    if sample is PUBLISHED:
+        warnings.append(f"{name}: the run does not say which sample it had; the publication's is assumed")
     label = row.get("sample")
     return TractionTest(
         run=name,
@@ -273,7 +276,7 @@ def _read_test(folder: Path, name: str, row: Mapping[str, Any], warnings: list[s
         humidity_percent=_number(row.get("RH_percent")),
         temperature_C=_number(row.get("T_C")),
         sample=sample,
-        events=_events(folder / "events.csv", sample),
+        events=events,
         fit_range_mm=_pair(models.get("fit_range_mm")),
         modulus_GPa=_number(modulus.get("value")),
         modulus_err_GPa=_number(modulus.get("error")),
@@ -310,17 +313,17 @@ def _events(path: Path, sample: Sample) -> pd.DataFrame:
             path,
             f"at least {LEAST_EVENTS} whole events with d, F_p, dF and K",
             f"{whole.sum()} of {len(table)}",
-            "run track again with `d0_mm`",
+            "run track again with `d0_mm`" if np.isnan(values[:, :2]).all() else "",
         )
     ordered: pd.DataFrame = table[whole].sort_values("d_v_mm", ignore_index=True)
     return ordered
 
 
-def _sample(content: Any, name: str, warnings: list[str]) -> Sample:
+def _sample(content: Any) -> Sample:
+    """The run's sample; the very object PUBLISHED where it does not say which."""
     parts = {part.name for part in fields(Sample)}
     if isinstance(content, Mapping) and parts <= set(content):
         return Sample(**{part: content[part] for part in parts})
-    warnings.append(f"{name}: the run does not say which sample it had; the publication's is assumed")
     return PUBLISHED
 
 
