@@ -24,7 +24,7 @@ LAYERS = (
     "figures",
     "summary",
     "pipeline",
-    "compare",
+    "comparison",
     "report",
     "run",
     "review",

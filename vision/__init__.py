@@ -1,7 +1,7 @@
-"""From a video of interleaved sheets and a force recording to x(n,t), σ_x/Λ_st and shells, in eleven names.
+"""From a video of interleaved sheets and a force recording to x(n,t), σ_x/Λ_st and shells, in twelve names.
 
-`analyse` does all of it; the other ten are its stages. Each name is loaded from its package when it is first
-used; everything else is reached through its module.
+`analyse` does all of it, `compare` puts several tests side by side; the other ten are stages. Each name is
+loaded from its package when it is first used; everything else is reached through its module.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ __version__ = "0.2.0"
 _PACKAGE_OF = {
     "analyse": "vision.pipeline",
     "classify_shells": "vision.shells",
+    "compare": "vision.comparison",
     "find_stick_slip": "vision.force",
     "fit_models": "vision.models",
     "horizontal_deformation": "vision.deformation",
@@ -27,6 +28,7 @@ _PACKAGE_OF = {
 
 if TYPE_CHECKING:
     from vision.clock import synchronise
+    from vision.comparison import compare
     from vision.deformation import horizontal_deformation
     from vision.force import find_stick_slip, read_force
     from vision.models import fit_models
@@ -40,6 +42,7 @@ __all__ = [
     "__version__",
     "analyse",
     "classify_shells",
+    "compare",
     "find_stick_slip",
     "fit_models",
     "horizontal_deformation",

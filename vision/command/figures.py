@@ -1,4 +1,4 @@
-"""`track figures RUN`: the report's figures for a manuscript."""
+"""`track figures RUN` or `track figures --compare DIR`: the report's figures for a manuscript."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from vision.errors import InputError
 
 
 def figures(
-    run: Path,
+    run: Path | None = None,
     /,
     *names: str,
+    compare: Path | None = None,
     to: Literal["pdf", "svg", "png", "csv"] = "pdf",
     out: Path | None = None,
     overwrite: Flag = False,
@@ -27,12 +28,16 @@ def figures(
 
         track figures test_tracks deformation shells --to pdf --out manuscript
 
+        track figures --compare comparison collapse trends
+
     Parameters
     ----------
     run
         Run folder.
     names
         Figures; all of the run if none is named.
+    compare
+        Folder that `track compare` wrote, in place of a run.
     to
         Format.
     out
@@ -45,6 +50,11 @@ def figures(
     from vision.figures import load_figures
     from vision.run import read_run, whole_file
 
+    if compare is not None:  # what stands where the run does is the first figure's name
+        names = names if run is None else (str(run), *names)
+        run = compare
+    if run is None:
+        raise InputError("track figures", "a run folder", "none", "give RUN, or --compare DIR")
     folder = read_run(run).folder
     made = {figure.name: figure for figure in load_figures(folder / "figures.npz")}
     if unknown := [name for name in names if name not in made]:

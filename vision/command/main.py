@@ -12,6 +12,7 @@ from typing import Any
 
 from cyclopts import App
 
+from vision.command.compare import compare
 from vision.command.console import complain, hold_streams, silence_libraries
 from vision.command.export import export
 from vision.command.failures import outcome
@@ -55,7 +56,8 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
     )
     app.default(track)
-    for command in (preview, overlay, force, simulate, kymograph, export, figures, friction, modulus):
+    single = (preview, overlay, force, simulate, kymograph, export, figures, friction, modulus)
+    for command in (*single, compare):
         app.command(command)
     return app
 

@@ -80,6 +80,9 @@ _OPTION_OF = {
     "width_px": "--width",
     "sheet": "--sheet",
     "film": "--film",
+    "runs": "RUN…",
+    "table": "--table",
+    "main_sample": "--main-sample",
     "out": "--out",
     "overwrite": "--overwrite",
 }

@@ -11,7 +11,8 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock
-from vision.figures import deformation, force, video
+from vision.errors import InputError
+from vision.figures import deformation, force, paper, video
 from vision.figures.figure import Figure
 from vision.figures.labels import load_unit
 from vision.models import ModelFits
@@ -113,6 +114,12 @@ def figures_of(results: Results) -> list[Figure]:
     Those that only put others together, "overview", "kymograph" and "force_overview", are left out.
     """
     made = (entry.make(results) for entry in FIGURES.values() if entry.section)
+    return [figure for figure in made if figure is not None]
+
+
+def manuscript_figures(results: Results) -> list[Figure]:
+    """The publication's figures that put several views together, which the report's page does not show."""
+    made = (FIGURES[name].make(results) for name in MANUSCRIPT)
     return [figure for figure in made if figure is not None]
 
 
@@ -252,6 +259,38 @@ def _force_overview(r: Results) -> Figure | None:
     return force.force_overview_figure(r.force, r.sticks, r.fits)
 
 
+def _force_insets(r: Results) -> Figure | None:
+    if r.force is None or not _separated(r.sticks) or not paper.knows_separation(r.force):
+        return None
+    return paper.force_insets_figure(r.force, r.sticks, r.fits)
+
+
+def _single_sheets(r: Results) -> Figure | None:
+    if r.strip is None or r.tracks is None:
+        return None
+    slips_s = None
+    if r.clock is not None and r.clock.status != "ambiguous" and r.sticks is not None:
+        at = r.clock.to_video_s(r.sticks["t_p_s"].to_numpy(float))
+        time = np.asarray(r.tracks["time_s"].values, float)
+        slips_s = at[(at > np.nanmin(time)) & (at < np.nanmax(time))]
+    try:
+        return paper.single_sheets_figure(r.strip, r.tracks, pixel_size_um=r.pixel_size_um, slips_s=slips_s)
+    except InputError:  # a sheet that was never found, or a recording without a clock
+        return None
+
+
+def _profile(r: Results) -> Figure | None:
+    if r.strip is None or r.tracks is None:
+        return None
+    return paper.profile_figure(r.strip, r.tracks, clock=r.clock, sticks=r.sticks)
+
+
+def _deformation_mean(r: Results) -> Figure | None:
+    if r.motion is None or not r.motion.sizes["event"]:
+        return None
+    return paper.deformation_mean_figure(r.motion, threshold=r.threshold)
+
+
 def _separated(sticks: pd.DataFrame | None) -> TypeGuard[pd.DataFrame]:
     """Whether there are events with a known separation."""
     return sticks is not None and bool(sticks["d_v_mm"].notna().any())
@@ -274,7 +313,12 @@ FIGURES: Mapping[str, CatalogueEntry] = {
     "overview": CatalogueEntry("", _overview),
     "kymograph": CatalogueEntry("", _kymograph),
     "force_overview": CatalogueEntry("", _force_overview),
+    "force_insets": CatalogueEntry("", _force_insets),
+    "single_sheets": CatalogueEntry("", _single_sheets),
+    "profile": CatalogueEntry("", _profile),
+    "deformation_mean": CatalogueEntry("", _deformation_mean),
 }
+MANUSCRIPT = ("force_insets", "single_sheets", "profile", "deformation_mean")
 """Figures by name, in reading order."""
 
 

@@ -41,12 +41,12 @@ class Series:
     ink
         Its colour.
     look
-        "line", "points", "both", "steps" (bars of a histogram) or "ticks" (strokes at `low` and `high` with
-        `text` above).
+        "line", "points", "both", "steps" (bars of a histogram), "arrow" (with two heads, from the first point
+        to the last, `text` beside it) or "ticks" (strokes at `low` and `high` with `text` above).
     low, high
         Ends of error bars, (k,), where there are any.
     text
-        One label a point, for "ticks".
+        One label a point, for "ticks"; one for "arrow".
     dashed, hollow
         Distinguish series without colour.
     shift
@@ -63,7 +63,7 @@ class Series:
     x: Floats
     y: Floats
     ink: Ink
-    look: Literal["line", "points", "both", "steps", "ticks"] = "line"
+    look: Literal["line", "points", "both", "steps", "ticks", "arrow"] = "line"
     low: Floats | None = None
     high: Floats | None = None
     text: tuple[str, ...] = ()
@@ -140,6 +140,8 @@ class Panel:
         Shown above a panel of several.
     placeholder
         Shown where there is nothing to draw.
+    inset
+        A small panel in the upper right corner, which the page leaves out.
     """
 
     x_label: str
@@ -161,6 +163,7 @@ class Panel:
     square_pixels: bool = False
     title: str = ""
     placeholder: str = "no data"
+    inset: Panel | None = None
 
     @property
     def switchable(self) -> bool:

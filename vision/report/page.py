@@ -69,21 +69,52 @@ def write_report(
     Long records are decimated for display to the minimum and maximum of short intervals.
     """
     figures = figures_of(results) if figures is None else figures
-    shown = [(title, [_shown(figure) for figure in part]) for title, part in sections_of(figures)]
     warnings = dict.fromkeys([*map(str, facts.get("warnings", ())), *results.warnings])
     named = dict(options or {})
-    text = _template().render(
+    return render_page(
+        path,
+        sections_of(figures),
+        facts,
         title=_title(results),
+        kind="sheet positions",
         subtitle=subtitle(results),
         answers=answers(results),
         warnings=[with_options(line, named) for line in warnings],
         missing=[with_options(line, named) for line in missing_parts(results)],
-        sections=shown,
         methods=methods(results),
         citation=citation(),
+    )
+
+
+def render_page(
+    path: str | Path,
+    sections: Sequence[tuple[str, Sequence[Figure]]],
+    facts: Mapping[str, Any],
+    **content: Any,
+) -> Path:
+    """Write a page of these figures under their headings.
+
+    Parameters
+    ----------
+    path
+        Where to.
+    sections
+        Headings with their figures, of one panel each.
+    facts
+        The content of run.json.
+    content
+        ``title``, ``kind``, ``subtitle``, ``answers``, ``warnings``, ``missing``, ``methods``, ``citation``.
+
+    Returns
+    -------
+    The path.
+    """
+    text = _template().render(
+        sections=[(heading, [_shown(figure) for figure in part]) for heading, part in sections],
         provenance=provenance(facts),
-        data=Markup(_script_safe(page_data([f for _, part in sections_of(figures) for f in part]))),
+        data=Markup(_script_safe(page_data([figure for _, part in sections for figure in part]))),
         **{name: Markup(text) for name, text in _assets().items()},
+        **content,
     )
     path = Path(path)
     path.write_text(text, encoding="utf-8")

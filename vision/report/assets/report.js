@@ -102,10 +102,10 @@
   /* ---- one chart ---- */
   const crowded = (s, chart) => { const a = chart.arrays[s.x]; return !a.v || a.v.length > 250; };
   function seriesOf(s, chart) {
-    const points = s.look === "points" || s.look === "both", line = s.look === "line" || s.look === "both";
+    const points = s.look === "points" || s.look === "both", line = ["line", "both", "arrow"].includes(s.look);
     const colour = () => (chart.picture ? s.ink[1] : ink(s.ink));
     const out = {
-      label: s.label, scale: s.axis === "right" ? "y2" : "y", stroke: colour, width: s.width,
+      label: s.label, class: s.label ? undefined : "unnamed", scale: s.axis === "right" ? "y2" : "y", stroke: colour, width: s.width,
       dash: s.dashed ? [5, 3] : undefined, spanGaps: !chart.commonX, value: (u, v) => short(v), pxAlign: 0,
       points: { show: points, size: (s.hollow ? 9 : 5) * (crowded(s, chart) ? 0.75 : 1), width: 1.3, stroke: colour, fill: s.hollow ? "transparent" : colour },
     };

@@ -1,0 +1,192 @@
+"""`track compare` from run folders to a folder of its own, and what it says of bad input."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import vision
+from tests.compare.scenes import campaign, events, write_campaign, write_run
+from vision.command.main import run
+from vision.errors import InputError
+from vision.experiment import Experiment, force_recording, with_settings, write_force
+from vision.experiment.mechanics import simulate_pull
+from vision.figures import load_figures
+from vision.figures.compare import compare_sections
+
+COLUMNS = [
+    "run",
+    "sample",
+    "V_mm_min",
+    "n_test",
+    "RH_percent",
+    "mu",
+    "mu_err",
+    "T0_N",
+    "T0_err_N",
+    "A",
+    "A_err",
+    "N_hat_N",
+    "N_hat_err_N",
+    "Lambda_hat_mm",
+    "Lambda_hat_err_mm",
+    "chi2_dof",
+]
+
+
+@pytest.fixture
+def six(tmp_path, monkeypatch):
+    """Six runs and their table, in a fresh working directory."""
+    monkeypatch.chdir(tmp_path)
+    truth = campaign(np.random.default_rng(4)).iloc[:6]
+    write_campaign(tmp_path, truth)
+    return [f"test{k:02d}" for k in range(6)]
+
+
+def test_the_folder(six, tmp_path, capsys):
+    """A failure means that a script that reads the agreed names breaks."""
+    assert run(["compare", *six, "--table", "tests.csv"]) == 0
+    shown = capsys.readouterr()
+    assert "one μ for 4 tests" in shown.out
+    folder = tmp_path / "comparison"
+    table = pd.read_csv(folder / "tests.csv")
+    assert list(table.columns[: len(COLUMNS)]) == COLUMNS
+    assert table["run"].tolist() == six
+    trends = json.loads((folder / "trends.json").read_text(encoding="utf-8"))
+    assert {t["quantity"] for t in trends["trends"]} == {"mu", "N_hat_N", "Lambda_hat_mm"}
+    assert trends["collapse"]["rms_after"] < trends["collapse"]["rms_before"]
+    assert len(pd.read_csv(folder / "all_events.csv")) == sum(
+        len(pd.read_csv(tmp_path / name / "events.csv")) for name in six
+    )
+    facts = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    assert facts["compare"]["runs"] == six
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "6 tests: comparison" in page
+    assert 'id="collapse"' in page
+    assert "https://" not in page.split("<script")[0]
+
+
+def test_figures_of_a_comparison(six, tmp_path, capsys):
+    """A failure means that the figures of several tests cannot be had for a manuscript."""
+    assert run(["compare", *six, "--table", "tests.csv", "--out", "all", "--quiet"]) == 0
+    assert run(["figures", "--compare", "all", "collapse", "trends", "--to", "csv", "--out", "m"]) == 0
+    collapse = pd.read_csv(tmp_path / "m" / "collapse.csv")
+    assert (tmp_path / "m" / "trends.csv").exists()
+    assert collapse["d̂ = d_v / Λ̂"].between(0.5, 1.2).all()
+    figures = load_figures(tmp_path / "all" / "figures.npz")
+    named = {figure.name: figure for figure in figures}
+    assert {"peaks", "drops", "stiffnesses", "collapse", "irregular", "trends"} <= set(named)
+    assert named["collapse"].panel.inset is not None
+    on_page = [figure.name for _, part in compare_sections(figures) for figure in part]
+    assert len(on_page) == len(set(on_page)) >= 8
+    assert "trends" not in on_page  # the page shows its panels as figures of their own
+    for figure in figures:
+        assert figure.save(tmp_path / f"{figure.name}.png").stat().st_size > 5000
+    assert run(["figures", "--compare", "all", "shells"]) == 2
+    assert "collapse" in capsys.readouterr().err
+    assert run(["figures"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda t: t.rename(columns={"RH_percent": "humidity"}), "the nearest is RH_percent"),
+        (lambda t: t.rename(columns={"V_mm_min": "V_mm_mn"}), "the nearest is V_mm_min"),
+        (lambda t: t.assign(RH_percent=t["RH_percent"] / 100), "look like fractions"),
+        (lambda t: t.assign(n_test=["x", *t["n_test"][1:].astype(str)]), "1e+06; found 'x'"),
+        (lambda t: t.assign(run=["gone", *t["run"][1:]]), "gone: expected a finished run"),
+        (lambda t: t.iloc[1:], "not in the table, so left out of the trends: test00"),
+        (lambda t: pd.concat([t, t.iloc[:1]]), "run test00 stands in the table more than once"),
+        (lambda t: t.assign(V_mm_min=60.0), "the table has V = 60 mm/min, its recording"),
+    ],
+)  # fmt: skip
+def test_a_doubtful_table(six, tmp_path, change, said, capsys):
+    """One line for each doubt, the rest done, exit status 1."""
+    change(pd.read_csv("tests.csv")).to_csv("changed.csv", index=False)
+    assert run(["compare", *six, "--table", "changed.csv", "--quiet", "--no-report"]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert any(said in line for line in lines)
+    assert all(line.startswith("track: ") for line in lines)
+    assert len(pd.read_csv(tmp_path / "comparison" / "tests.csv")) == 6
+
+
+def test_runs_that_cannot_be_used_are_named_and_the_rest_done(six, tmp_path, capsys):
+    """A failure means that one bad run costs all others, or is silently left out."""
+    made = tmp_path / "few"
+    write_run(made, events().iloc[:4])
+    (tmp_path / "video_only").mkdir()
+    (tmp_path / "video_only" / "run.json").write_text("{}")
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "run.json").write_text("{")
+    bad = ["few", "video_only", "broken", "nowhere"]
+    assert run(["compare", *six[:2], *bad, "--out", "out", "--quiet"]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 4
+    assert all(any(f"{name}" in line for line in lines) for name in bad)
+    assert "at least 6 whole events" in lines[0]
+    assert len(pd.read_csv("out/tests.csv")) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["compare"], "expected finished run folders"),
+        (["compare", "nowhere"], "found no such folder"),
+        (["compare", "test00", "--table", "none.csv"], "none.csv: expected a CSV table"),
+        (["compare", "test00", "--table", "empty.csv"], "empty.csv"),
+        (["compare", "test00", "--table", "tests.csv", "--main-sample", "z"], "--main-sample: expected"),
+        (["compare", "test00", "--y-eff", "-1"], "--y-eff: expected a positive number"),
+        (["compare", "test00", "--table", "nameless.csv"], "--table: expected 1 rows"),
+        (["compare", "test00", "--out", "test01", "--overwrite"], "test01: expected a folder of compare"),
+    ],
+)  # fmt: skip
+def test_input_that_cannot_be_used(six, tmp_path, arguments, said, capsys):
+    """Exit status 2, one line, nothing written."""
+    (tmp_path / "empty.csv").write_text("")
+    (tmp_path / "nameless.csv").write_text("n_test\n1\n2\n")
+    before = {path.name for path in tmp_path.iterdir()}
+    assert run(arguments) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert said in lines[0]
+    assert {path.name for path in tmp_path.iterdir()} == before
+
+
+def test_a_table_alone_and_one_with_semicolons(six, tmp_path):
+    """The table may name the runs; decimal commas and a byte-order mark are no obstacle."""
+    table = pd.read_csv("tests.csv")
+    table.to_csv("german.csv", sep=";", decimal=",", index=False, encoding="utf-8-sig")
+    found = vision.compare(table=tmp_path / "german.csv")
+    assert found.table["RH_percent"].to_numpy() == pytest.approx(table["RH_percent"])
+    assert found.warnings == ()
+    in_order = vision.compare(six, table.drop(columns="run"))
+    assert in_order.table["n_test"].tolist() == table["n_test"].tolist()
+    with pytest.raises(InputError, match="`runs`"):
+        vision.compare()
+
+
+def test_force_recordings_go_all_the_way(tmp_path, monkeypatch):
+    """Two simulated recordings at two velocities, through `track force`: one μ, and single sticks drawn."""
+    monkeypatch.chdir(tmp_path)
+    names = []
+    for k, speed in enumerate((0.5, 1.0)):
+        experiment = with_settings(
+            Experiment(), {"mechanics.speed_mm_min": speed, "mechanics.d_end_mm": 16.0, "seed": k}
+        )
+        pull = simulate_pull(experiment.mechanics, seed=experiment.seed)
+        write_force(
+            tmp_path / f"v{k}.txt", force_recording(experiment, pull), experiment.force_file, name="t"
+        )
+        assert run(["force", f"v{k}.txt", "--d0", f"{experiment.mechanics.d0_mm:g}", "--quiet"]) in (0, 1)
+        names.append(f"v{k}_force")
+    found = vision.compare(names)
+    assert found.table["V_mm_min"].to_numpy() == pytest.approx([0.5, 1.0], rel=0.02)
+    (joint,) = found.joint
+    assert joint.mu.value == pytest.approx(Experiment().mechanics.mu, abs=0.004)
+    figures = {figure.name: figure for figure in found.figures()}
+    assert len(figures["sticks"].panels) == 2
+    arrows = [s for s in figures["sticks"].panel.series if s.look == "arrow"]
+    assert {arrow.label for arrow in arrows} == {"Λ_st", "ΔF"}
+    for figure in figures.values():
+        figure.save(tmp_path / f"{figure.name}.png")

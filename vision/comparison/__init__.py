@@ -1,0 +1,7 @@
+"""Several finished tests side by side: one table, one μ, the collapse, the trends."""
+
+from vision.comparison.comparison import Comparison, compare
+from vision.comparison.joint import CompareSettings
+from vision.comparison.tests import read_tests
+
+__all__ = ["CompareSettings", "Comparison", "compare", "read_tests"]

@@ -1,0 +1,341 @@
+"""Finished runs and the table that says of which sample, at which velocity and in which air each was made."""
+
+# ruff: noqa: N815 (the unit is part of a name, and newton is N)
+from __future__ import annotations
+
+import difflib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vision.errors import InputError
+from vision.numeric import Floats
+from vision.sample import PUBLISHED, Sample
+
+COLUMNS = ("run", "sample", "V_mm_min", "n_test", "RH_percent", "T_C")
+LIMITS = {"V_mm_min": (1e-6, 1e4), "n_test": (0.0, 1e6), "RH_percent": (0.0, 100.0), "T_C": (-90.0, 200.0)}
+LEAST_EVENTS = 6
+_NEEDED = ("d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm")
+# what people call the columns, so that the nearest of ours can be shown
+_ALIKE = {
+    "run": "run", "name": "run", "folder": "run", "file": "run", "test": "run",
+    "sample": "sample", "block": "sample", "specimen": "sample",
+    "v_mm_min": "V_mm_min", "v": "V_mm_min", "speed": "V_mm_min", "velocity": "V_mm_min",
+    "n_test": "n_test", "n": "n_test", "tests": "n_test", "previous": "n_test", "age": "n_test",
+    "rh_percent": "RH_percent", "rh": "RH_percent", "humidity": "RH_percent",
+    "t_c": "T_C", "t": "T_C", "temperature": "T_C", "temp": "T_C",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TractionTest:
+    """One finished run and what the table says of it.
+
+    Parameters
+    ----------
+    run
+        Name by which it is told from the others.
+    folder
+        Run folder.
+    sample_name
+        Of the sample; "" where it is not known.
+    speed_mm_min, n_test, humidity_percent, temperature_C
+        Pulling velocity, number of previous tests, air; NaN where not known.
+    sample
+        Geometry and adhesion.
+    events
+        Whole events with separation, force and stiffness, in order of d_v_mm.
+    fit_range_mm
+        Separations over which the run's own fits were made; None where it has none.
+    modulus_GPa, modulus_err_GPa
+        Y_eff of the run's own fit; NaN where it has none.
+    """
+
+    run: str
+    folder: Path
+    sample_name: str
+    speed_mm_min: float
+    n_test: float
+    humidity_percent: float
+    temperature_C: float
+    sample: Sample
+    events: pd.DataFrame
+    fit_range_mm: tuple[float, float] | None
+    modulus_GPa: float
+    modulus_err_GPa: float
+
+    def column(self, name: str) -> Floats:
+        """One column of the events."""
+        return self.events[name].to_numpy(float)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TestSet:
+    """The tests that can be compared, what is wrong with the others, and remarks that matter."""
+
+    __test__ = False  # no test of pytest's
+    tests: tuple[TractionTest, ...]
+    failures: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame | None = None) -> TestSet:
+    """Read finished run folders and the table of tests.
+
+    Parameters
+    ----------
+    runs
+        Run folders of `track` or `track force`; those that the table names if none is given.
+    table
+        CSV with any of the columns run, sample, V_mm_min, n_test, RH_percent and T_C, or such a data frame.
+        Folders in it are relative to the file. Without a column ``run``, its rows are the runs in order.
+
+    Returns
+    -------
+    The tests, and one line for each run, cell or column that cannot be used.
+
+    Raises
+    ------
+    InputError
+        Where there is no table and no run, the table cannot be read, or no run is left.
+    """
+    rows, base, warnings = _read_table(table)
+    folders = [Path(run) for run in runs]
+    failures: list[str] = []
+    if not folders:
+        if rows is None or "run" not in rows:
+            raise InputError("`runs`", "finished run folders", "none", "name them, or give `table`")
+        folders = [_found(str(name), base) for name in rows["run"]]
+    folders = list(dict.fromkeys(folders))
+    known = _rows_of_runs(folders, rows, base, failures, warnings)
+    names = _short_names(folders)
+    tests: list[TractionTest] = []
+    for folder in folders:
+        try:
+            tests.append(_read_test(folder, names[folder], known.get(folder, {}), warnings))
+        except InputError as error:
+            failures.append(str(error))
+    if not tests:
+        more = f" (and {len(failures) - 1} more)" if len(failures) > 1 else ""
+        about, _, rest = failures[0].partition(": expected ")
+        expected, _, found = rest.partition("; found ")
+        raise InputError(about, expected, found + more)
+    return TestSet(tests=tuple(tests), failures=tuple(failures), warnings=tuple(warnings))
+
+
+# --- the table ----------------------------------------------------------------------------------------------
+
+
+def _read_table(
+    table: str | Path | pd.DataFrame | None,
+) -> tuple[pd.DataFrame | None, Path, list[str]]:
+    """Known columns with checked values, the folder that names are relative to, and what is wrong."""
+    if table is None:
+        return None, Path(), []
+    if isinstance(table, pd.DataFrame):
+        rows, source, base = table.copy(), "`table`", Path()
+    else:
+        rows, source, base = _csv(Path(table)), str(table), Path(table).parent
+    rows.columns = [str(name).strip().lstrip("\ufeff") for name in rows.columns]
+    warnings = []
+    for name in [name for name in rows.columns if name not in COLUMNS]:
+        near = difflib.get_close_matches(name.lower(), _ALIKE, n=1, cutoff=0.0)[0]
+        warnings.append(f"{source}: column '{name}' is not known and left out; the nearest is {_ALIKE[near]}")
+    rows = rows[[name for name in COLUMNS if name in rows.columns]]
+    if rows.empty or not len(rows.columns):
+        raise InputError(source, f"rows with any of the columns {', '.join(COLUMNS)}", "none")
+    for name, limits in LIMITS.items():
+        if name in rows:
+            rows = rows.assign(**{name: _numbers(rows[name], name, limits, source, warnings)})
+    return rows, base, warnings
+
+
+def _csv(path: Path) -> pd.DataFrame:
+    """A table with commas, semicolons or tabs; decimal commas where commas do not separate."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        first = text.lstrip().partition("\n")[0]
+        mark = max((",", ";", "\t"), key=first.count)
+        decimal = "." if mark == "," else ","
+        rows = pd.read_csv(path, sep=mark, dtype=str, encoding="utf-8-sig", skipinitialspace=True)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(path, "a CSV table of tests", str(reason).lower()) from error
+    shown: pd.DataFrame = rows.apply(
+        lambda column: column.str.replace(",", ".") if decimal == "," else column
+    )
+    return shown
+
+
+def _numbers(
+    column: pd.Series, name: str, limits: tuple[float, float], source: str, warnings: list[str]
+) -> pd.Series:
+    """Numbers within their limits; NaN and one line for all others of a column."""
+    values = pd.to_numeric(column, errors="coerce").astype(float)
+    given = column.notna() & (column.astype(str).str.strip() != "")
+    wrong = given & ~((values >= limits[0]) & (values <= limits[1]))
+    if wrong.any():
+        shown = ", ".join(f"'{cell}'" for cell in column[wrong].astype(str).tolist()[:3])
+        warnings.append(
+            f"{source}: expected {name} between {limits[0]:g} and {limits[1]:g}; found {shown}; left out"
+        )
+    values = values.where(~wrong)
+    if name == "RH_percent" and values.notna().any() and values.max() <= 1:
+        warnings.append(
+            f"{source}: expected RH_percent in percent; found nothing above {values.max():g}, which look "
+            "like fractions; left out"
+        )
+        values[:] = np.nan
+    return values
+
+
+def _found(name: str, base: Path) -> Path:
+    """A folder by the name that the table has, relative to the table or to the working directory."""
+    beside = base / name
+    return beside if beside.exists() or not Path(name).exists() else Path(name)
+
+
+def _rows_of_runs(
+    folders: Sequence[Path],
+    rows: pd.DataFrame | None,
+    base: Path,
+    failures: list[str],
+    warnings: list[str],
+) -> dict[Path, Mapping[str, Any]]:
+    """The table's row of each run. Runs without a row, and rows without a run, are said."""
+    if rows is None:
+        return {}
+    if "run" not in rows:
+        if len(rows) != len(folders):
+            expected = f"{len(folders)} rows, one a run in their order, or a column run"
+            raise InputError("`table`", expected, f"{len(rows)}")
+        return dict(zip(folders, _records(rows), strict=True))
+    known: dict[Path, Mapping[str, Any]] = {}
+    for row in _records(rows):
+        name = str(row["run"]).strip()
+        at = _found(name, base)
+        same = [f for f in folders if f.resolve() == at.resolve()] or [
+            f for f in folders if f.resolve().name == Path(name).name
+        ]
+        if len(same) > 1:
+            warnings.append(f"run {name} of the table fits {len(same)} runs: give its path; row left out")
+        elif not same and not at.exists():
+            failures.append(f"{name}: expected a finished run, as the table names it; found no such folder")
+        elif same and same[0] in known:
+            warnings.append(f"run {name} stands in the table more than once; its first row is used")
+        elif same:
+            known[same[0]] = row
+    if missing := [
+        str(folder) for folder in folders if folder not in known and (folder / "run.json").is_file()
+    ]:
+        warnings.append(f"not in the table, so left out of the trends: {', '.join(missing)}")
+    return known
+
+
+def _records(rows: pd.DataFrame) -> list[dict[str, Any]]:
+    return [{str(name): cell for name, cell in row.items()} for row in rows.to_dict("records")]
+
+
+def _short_names(folders: Sequence[Path]) -> dict[Path, str]:
+    """The folder's own name, or its path where two have one name."""
+    names = [folder.resolve().name for folder in folders]
+    return {f: n if names.count(n) == 1 else str(f) for f, n in zip(folders, names, strict=True)}
+
+
+# --- one run ------------------------------------------------------------------------------------------------
+
+
+def _read_test(folder: Path, name: str, row: Mapping[str, Any], warnings: list[str]) -> TractionTest:
+    if not (folder / "run.json").is_file():
+        found = "no run.json in it" if folder.is_dir() else "no such folder"
+        raise InputError(folder, "a finished run of track or track force", found)
+    facts = _json(folder / "run.json")
+    models = _json(folder / "models.json") if (folder / "models.json").is_file() else {}
+    recorded = _number((facts.get("force") or {}).get("speed_mm_min"))
+    told = _number(row.get("V_mm_min"))
+    if math.isfinite(told) and math.isfinite(recorded) and abs(told / recorded - 1) > 0.05:
+        warnings.append(f"{name}: the table has V = {told:g} mm/min, its recording {recorded:.4g}")
+    modulus = models.get("Y_eff_GPa") or {}
+    sample = _sample(models.get("sample") or facts.get("sample"))
+    events = _events(folder / "events.csv", sample)
+    if sample is PUBLISHED:
+        warnings.append(f"{name}: the run does not say which sample it had; the publication's is assumed")
+    label = row.get("sample")
+    return TractionTest(
+        run=name,
+        folder=folder,
+        sample_name="" if label is None or label != label else str(label).strip(),
+        speed_mm_min=told if math.isfinite(told) else recorded,
+        n_test=_number(row.get("n_test")),
+        humidity_percent=_number(row.get("RH_percent")),
+        temperature_C=_number(row.get("T_C")),
+        sample=sample,
+        events=events,
+        fit_range_mm=_pair(models.get("fit_range_mm")),
+        modulus_GPa=_number(modulus.get("value")),
+        modulus_err_GPa=_number(modulus.get("error")),
+    )
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(path, "JSON as track writes it", str(error), "run track again") from error
+    if not isinstance(content, dict):
+        raise InputError(path, "a JSON object", f"a {type(content).__name__}", "run track again")
+    return content
+
+
+def _events(path: Path, sample: Sample) -> pd.DataFrame:
+    """Whole events with everything that is compared, in order of d_v_mm."""
+    if not path.is_file():
+        raise InputError(path.parent, "a run with a force recording", "no events.csv in it")
+    try:
+        table = pd.read_csv(path)
+    except (OSError, ValueError) as error:
+        raise InputError(path, "a table as track writes it", str(error), "run track again") from error
+    if absent := [name for name in _NEEDED if name not in table]:
+        raise InputError(path, f"columns {', '.join(_NEEDED)}", f"no {', '.join(absent)}")
+    values = table[list(_NEEDED)].apply(pd.to_numeric, errors="coerce").to_numpy(float)
+    whole = np.isfinite(values).all(axis=1) & (values[:, 3:] > 0).all(axis=1)
+    whole &= (values[:, 0] > 0) & (values[:, 1] < sample.length_mm)
+    if "flag" in table:
+        whole &= (table["flag"].fillna("ok") == "ok").to_numpy()
+    if whole.sum() < LEAST_EVENTS:
+        raise InputError(
+            path,
+            f"at least {LEAST_EVENTS} whole events with d, F_p, dF and K",
+            f"{whole.sum()} of {len(table)}",
+            "run track again with `d0_mm`" if np.isnan(values[:, :2]).all() else "",
+        )
+    ordered: pd.DataFrame = table[whole].sort_values("d_v_mm", ignore_index=True)
+    return ordered
+
+
+def _sample(content: Any) -> Sample:
+    """The run's sample; the very object PUBLISHED where it does not say which."""
+    parts = {part.name for part in fields(Sample)}
+    if isinstance(content, Mapping) and parts <= set(content):
+        return Sample(**{part: content[part] for part in parts})
+    return PUBLISHED
+
+
+def _pair(value: Any) -> tuple[float, float] | None:
+    if not isinstance(value, Sequence) or len(value) != 2:
+        return None
+    low, high = _number(value[0]), _number(value[1])
+    return (low, high) if low < high else None
+
+
+def _number(value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return math.nan

@@ -1,0 +1,464 @@
+"""Figures of several tests: overlays by velocity, the collapse, irregular stick-slip, the trends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vision.figures.figure import Figure, Ink, Panel, Range, Series
+from vision.figures.labels import plus_minus
+from vision.figures.style import DATA, MODEL, OTHER_MODEL, PEAK, QUIET, VALLEY, ordered_inks
+from vision.models import Estimate, equations
+from vision.numeric import Floats
+from vision.sample import Sample
+
+CURVE_POINTS = 300
+MOST_NAMED = 8  # runs that get a colour of their own; more are told apart by sample or velocity
+SHOWN_TRENDS = {
+    "n_test": "previous tests n_test",
+    "RH_percent": "relative humidity (%)",
+}
+_QUANTITY: Mapping[str, tuple[str, str, str]] = {
+    "mu": ("μ", "mu_err", "μ"),
+    "N_hat_N": ("N̂ (N)", "N_hat_err_N", "N̂"),
+    "Lambda_hat_mm": ("Λ̂ (mm)", "Lambda_hat_err_mm", "Λ̂"),
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Overlay:
+    """What the figures of several tests are drawn from.
+
+    Parameters
+    ----------
+    events
+        All events with ``run``, ``sample``, ``V_mm_min`` and ``used``.
+    table
+        tests.csv.
+    sample
+        Geometry of the first test, for the model curves.
+    mu, amplitude, modulus
+        Of the joint fit, A, and the Y_eff held fixed.
+    joint_name
+        Sample of the joint fit; "" where there is none.
+    collapse
+        One row an event: ``run``, ``d_v_mm``, ``d_hat``, ``sheets``; None without.
+    rms
+        Distance from the master curve before and after the collapse, and that of noise alone.
+    irregular
+        Running variation of ΔF and its change point, one mapping a test.
+    trends
+        One mapping a trend.
+    sticks
+        Velocity and figure of single sticks, one a velocity.
+    """
+
+    events: pd.DataFrame
+    table: pd.DataFrame
+    sample: Sample
+    mu: Estimate
+    amplitude: Estimate
+    modulus: Estimate
+    joint_name: str
+    collapse: pd.DataFrame | None
+    rms: tuple[float, float, float]
+    irregular: Sequence[Mapping[str, Any]]
+    trends: Sequence[Mapping[str, Any]]
+    sticks: Sequence[tuple[float, Figure]]
+
+
+def compare_figures(overlay: Overlay) -> list[Figure]:
+    """Every figure that these tests allow, in reading order."""
+    return [figure for make in COMPARE_FIGURES.values() for figure in make(overlay)]
+
+
+def compare_sections(figures: Iterable[Figure]) -> list[tuple[str, list[Figure]]]:
+    """Headings of the report's page with their figures; those of several panels are left out."""
+    sections: dict[str, list[Figure]] = {}
+    for figure in figures:
+        heading = next((text for start, text in _HEADINGS.items() if figure.name.startswith(start)), "")
+        if heading and len(figure.panels) == 1:
+            sections.setdefault(heading, []).append(figure)
+    return list(sections.items())
+
+
+_HEADINGS = {
+    "peaks": "All tests over one another",
+    "drops": "All tests over one another",
+    "stiffnesses": "All tests over one another",
+    "sticks": "Single stick-slip events",
+    "collapse": "The collapse",
+    "irregular": "Where stick-slip turns irregular",
+    "trend": "Trends",
+}
+
+
+# --- overlays by velocity -----------------------------------------------------------------------------------
+
+
+def velocity(speed_mm_min: float) -> float:
+    """Nominal velocity: two digits of the measured one."""
+    return float(f"{speed_mm_min:.2g}") if np.isfinite(speed_mm_min) else float("nan")
+
+
+def peaks_figure(o: Overlay) -> Figure:
+    """F_p − 𝒯0 against d of all velocities, with Eq. 1 and the joint μ."""
+    offset = o.table.set_index("run")["T0_N"]
+    events = o.events.assign(y=o.events["F_p_N"] - o.events["run"].map(offset))
+    d = _span(events, "d_p_mm")
+    eq1 = _curve("Eq. 1", d, equations.traction(d, mu=o.mu.value, sample=o.sample), MODEL)
+    whose = f"fitted jointly to {o.joint_name or 'all tests'}" if o.joint_name else "of the first test"
+    return _one(
+        "peaks",
+        "Peak forces at all velocities",
+        f"Peak force of every event less its test's offset T_0. Dashed: Eq. 1 with μ = {plus_minus(o.mu)}, "
+        f"{whose}, T* = {1000 * o.sample.t_star_N:g} mN.",
+        Panel(
+            x_label="d_p (mm)", y_label="F_p − T_0 (N)", series=(*_by_velocity(events, "d_p_mm", "y"), eq1)
+        ),
+    )
+
+
+def drops_figure(o: Overlay) -> Figure:
+    """ΔF against d_v of all velocities, with A times the normal force."""
+    d = _span(o.events, "d_v_mm")
+    series = _by_velocity(o.events, "d_v_mm", "dF_N")
+    model = ""
+    if np.isfinite(o.amplitude.value):
+        drop = equations.stick_slip_amplitude(d, mu=o.mu.value, prefactor=o.amplitude.value, sample=o.sample)
+        series = (*series, _curve("A × normal force", d, drop, MODEL))
+        model = f" Dashed: A times the total normal force, A = {plus_minus(o.amplitude)} (slow tests)."
+    return _one(
+        "drops",
+        "Stick-slip amplitudes at all velocities",
+        f"ΔF = F_p − F_v of every event against the separation at its valley.{model}",
+        Panel(x_label="d_v (mm)", y_label="ΔF (N)", y_range=_from_zero(o.events["dF_N"]), series=series),
+    )
+
+
+def stiffness_panel(o: Overlay) -> Panel:
+    """K against d_v of all velocities, with M_eff K_eff and (L + d)⁻¹."""
+    d = _span(o.events, "d_v_mm")
+    scale = (
+        float(np.nanmedian(o.table["Lambda_hat_mm"])) if o.table["Lambda_hat_mm"].notna().any() else np.nan
+    )
+    series = _by_velocity(o.events, "d_v_mm", "K_N_per_mm")
+    if np.isfinite(scale):
+        one = equations.sheet_stiffness(modulus_GPa=o.modulus.value, sample=o.sample)
+        k = np.asarray(equations.effective_sheets(d / scale, sample=o.sample) * one)
+        longer = k[0] * (o.sample.length_mm + d[0]) / (o.sample.length_mm + d)
+        series = (
+            *series,
+            _curve("M_eff K_eff, median Λ̂", d, k, MODEL),
+            Series(label="∝ (L + d)⁻¹", x=d, y=longer, ink=OTHER_MODEL, width=2.0),
+        )
+    return Panel(
+        x_label="d_v (mm)", y_label="K (N/mm)", y_range=_from_zero(o.events["K_N_per_mm"]), series=series
+    )
+
+
+def stiffnesses_figure(o: Overlay) -> Figure:
+    """K against d_v of all velocities."""
+    return _one(
+        "stiffnesses",
+        "Stiffness at all velocities",
+        "K of every event, the slope of the central part of its stick. Dashed: M_eff K_eff with the median Λ̂ "
+        f"of the tests and Y_eff = {plus_minus(o.modulus)} GPa. Solid: lengthening alone.",
+        stiffness_panel(o),
+    )
+
+
+def _by_velocity(events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
+    """Points of all tests of one velocity; used events filled, those left out of the fits hollow and grey."""
+    speeds = events["V_mm_min"].map(velocity)
+    names = sorted(speeds.dropna().unique()) + ([np.nan] if speeds.isna().any() else [])
+    series = []
+    for k, (v, ink) in enumerate(zip(names, ordered_inks(len(names)), strict=True)):
+        mine = events[(speeds == v) | (speeds.isna() & np.isnan(v))]
+        label = "V unknown" if np.isnan(v) else f"V = {v:g} mm/min"
+        part = mine[mine["used"]].sort_values(x)
+        series.append(_points(label, part[x], part[y], ink, hollow=k % 2 == 1))
+    if not events["used"].all():
+        rest = events[~events["used"]].sort_values(x)
+        series.append(_points("not used", rest[x], rest[y], QUIET, hollow=True))
+    return tuple(series)
+
+
+# --- single events ------------------------------------------------------------------------------------------
+
+
+def sticks_figures(o: Overlay) -> list[Figure]:
+    """F − F_v against d − d_v: one panel a velocity, and all of them in one figure."""
+    panels = [(v, _stick_panel(figure, o, v)) for v, figure in o.sticks]
+    caption = (
+        "Force above the valley against separation beyond it, events from the beginning to the end of the "
+        "test, as recorded. Rings: ends of the central part whose slope is K, of one event. Arrows: its "
+        "ΔF and Λ_st."
+    )
+    made = [
+        _one(f"sticks_V{v:g}".replace(".", "p"), f"Stick-slip events at V = {v:g} mm/min", caption, panel)
+        for v, panel in panels
+    ]
+    if len(panels) > 1:
+        parts = tuple(replace(panel, title=f"V = {v:g} mm/min") for v, panel in panels)
+        title = "Single stick-slip events at several velocities"
+        made.append(
+            Figure(name="sticks", title=title, caption=caption, panels=parts, columns=2, width_in=13.0)
+        )
+    return made
+
+
+def _stick_panel(figure: Figure, o: Overlay, v: float) -> Panel:
+    """The run's own curves, with arrows along the event that is longest on the page."""
+    panel = figure.panel
+    series = [s for s in panel.series if s.x.size > 3]
+    if not series:
+        return panel
+    shown = max(series, key=lambda s: float(np.nanmax(s.y)))
+    peak = int(np.nanargmax(shown.y))
+    length, drop = float(shown.x[peak]), float(shown.y[peak])
+    reach, top = float(np.nanmax(shown.x)), float(np.nanmax(shown.y))
+    low, high = (int(np.searchsorted(shown.x[: peak + 1], share * length)) for share in (0.25, 0.75))
+    ends = [min(low, peak), min(high, peak)]
+    marks = (
+        Series(label="", x=shown.x[ends], y=shown.y[ends], ink=PEAK, look="points", hollow=True),
+        Series(
+            label="Λ_st", x=np.array([0.0, length]), y=np.full(2, 1.06 * top), ink=QUIET, look="arrow",
+            text=("Λ_st",),
+        ),
+        Series(
+            label="ΔF", x=np.full(2, -0.05 * reach), y=np.array([0.0, drop]), ink=QUIET, look="arrow",
+            text=("ΔF",),
+        ),
+    )  # fmt: skip
+    return replace(
+        panel,
+        series=(*panel.series, *marks),
+        x_range=(-0.12 * reach, 1.05 * max(float(np.nanmax(s.x)) for s in series)),
+        y_range=(min(0.0, *(float(np.nanmin(s.y)) for s in series)) - 0.03 * top, 1.18 * top),
+    )
+
+
+# --- the collapse -------------------------------------------------------------------------------------------
+
+
+def collapse_figure(o: Overlay) -> Figure | None:
+    """K/K_eff against d̂ with M√(1 − d̂), and K(d_v) in the inset."""
+    if o.collapse is None:
+        return None
+    named = o.collapse.merge(
+        o.events[["run", "sample", "V_mm_min"]].drop_duplicates("run"), on="run", how="left"
+    )
+    stiffness = o.events.loc[o.events["used"], ["run", "sample", "V_mm_min", "d_v_mm", "K_N_per_mm"]]
+    d_hat = np.linspace(min(0.999, float(named["d_hat"].min())), 1.0, CURVE_POINTS)
+    blocks = sorted(named["sheets_per_block"].unique())
+    masters = tuple(
+        _curve(
+            "M √(1 − d̂)" if len(blocks) == 1 else f"M √(1 − d̂), M = {m:g}",
+            d_hat,
+            m * np.sqrt(1 - d_hat),
+            MODEL,
+        )
+        for m in blocks
+    )
+    inset = Panel(
+        x_label="d_v (mm)",
+        y_label="K (N/mm)",
+        series=_by_test(stiffness, "d_v_mm", "K_N_per_mm", label=False),
+    )
+    top = 1.05 * float(np.nanquantile(named["sheets"], 0.999))
+    before, after, noise = o.rms
+    return _one(
+        "collapse",
+        "Stiffness in units of one sheet against the reduced separation",
+        "K/K_eff of every event against d̂ = d_v/Λ̂, Λ̂ of each test with Y_eff = "
+        f"{plus_minus(o.modulus)} GPa held fixed. Dashed: the master curve. Root mean square distance from "
+        f"it: {before:.3g} sheets with one Λ̂ for all tests, {after:.3g} with each test's own; neighbouring "
+        f"events alone scatter by {noise:.3g}. Inset: K against d_v.",
+        Panel(
+            x_label="d̂ = d_v / Λ̂",
+            y_label="K / K_eff (sheets)",
+            series=(*_by_test(named, "d_hat", "sheets"), *masters),
+            y_range=(0.0, 1.75 * top),  # the inset stands above the points
+            inset=inset,
+            aspect=0.75,
+        ),
+    )
+
+
+def _by_test(events: pd.DataFrame, x: str, y: str, *, label: bool = True) -> tuple[Series, ...]:
+    """Points by run where these are few, else by sample, else by velocity."""
+    key = events["run"]
+    if key.nunique() > MOST_NAMED:
+        samples = len(set(events["sample"])) > 1
+        speeds = [f"V = {v:g} mm/min" for v in events["V_mm_min"].map(velocity)]
+        key = events["sample"] if samples else pd.Series(speeds, events.index)
+    names = list(dict.fromkeys(key))
+    series = []
+    for k, (name, ink) in enumerate(zip(names, ordered_inks(len(names)), strict=True)):
+        part = events[key == name].sort_values(x)
+        shown = (str(name) or "sample not named") if label else ""
+        series.append(_points(shown, part[x], part[y], ink, hollow=k % 2 == 1))
+    return tuple(series)
+
+
+# --- irregular stick-slip -----------------------------------------------------------------------------------
+
+
+def irregular_figure(o: Overlay) -> Figure | None:
+    """Running coefficient of variation of ΔF against d_v with the change points."""
+    known = [one for one in o.irregular if np.isfinite(one["variation"]).any()]
+    if not known:
+        return None
+    speeds = sorted({velocity(one["speed_mm_min"]) for one in known}, key=lambda v: (np.isnan(v), v))
+    inks = dict(zip(map(str, speeds), ordered_inks(len(speeds)), strict=True))
+    shown: set[str] = set()
+    series, lines, said = [], [], []
+    for one in sorted(known, key=lambda one: velocity(one["speed_mm_min"])):
+        v = velocity(one["speed_mm_min"])
+        label = "V unknown" if np.isnan(v) else f"V = {v:g} mm/min"
+        name = "" if label in shown else label
+        shown.add(label)
+        dashed = speeds.index(v) % 2 == 1 if v in speeds else False
+        series.append(Series(label=name, x=one["d_mm"], y=one["variation"], ink=inks[str(v)], dashed=dashed))
+        if np.isfinite(one["change_mm"]):
+            lines.append(float(one["change_mm"]))
+            place = plus_minus(Estimate(one["change_mm"], one["change_err_mm"]))
+            said.append(f"{one['run']}: {place} mm")
+    found = f"Vertical: where it rises for good ({'; '.join(said[:6])})." if said else "No test has a change."
+    return _one(
+        "irregular",
+        "Regularity of stick-slip",
+        "Coefficient of variation of ΔF over a running window of events, about ΔF's own smooth course. "
+        f"{found}",
+        Panel(
+            x_label="d_v (mm)",
+            y_label="variation of ΔF",
+            series=tuple(series),
+            x_lines=tuple(lines),
+            y_range=(0.0, 1.1 * max(float(np.nanmax(one["variation"])) for one in known)),
+        ),
+    )
+
+
+# --- trends -------------------------------------------------------------------------------------------------
+
+
+def trends_figures(o: Overlay) -> list[Figure]:
+    """μ and N̂, and Λ̂, against the previous tests and the humidity: single, and all four in one."""
+    made = []
+    for quantities, title in ((("N_hat_N", "mu"), "N̂ and μ"), (("Lambda_hat_mm",), "Λ̂")):
+        for predictor, what in SHOWN_TRENDS.items():
+            panel = _trend_panel(o, quantities, predictor, what)
+            if panel is not None:
+                said = " ".join(_said(o, quantity, predictor) for quantity in quantities)
+                caption = f"Values of every test with standard errors, and weighted lines. {said}"
+                name = f"trend_{'scale' if len(quantities) == 1 else 'fits'}_{predictor.partition('_')[0]}"
+                made.append(_one(name, f"{title} against {what}", caption, panel))
+    if len(made) > 1:
+        parts = tuple(replace(figure.panel, title=figure.title) for figure in made)
+        caption = " ".join(f"({figure.title}) {figure.caption}" for figure in made)
+        made.append(
+            Figure(name="trends", title="Trends", caption=caption, panels=parts, columns=2, width_in=13.0)
+        )
+    return made
+
+
+def _trend_panel(o: Overlay, quantities: Sequence[str], predictor: str, what: str) -> Panel | None:
+    series: list[Series] = []
+    for k, quantity in enumerate(quantities):
+        _, error_name, short = _QUANTITY[quantity]
+        ink = (DATA, PEAK)[k] if len(quantities) > 1 else VALLEY
+        known = o.table.dropna(subset=[quantity, predictor]).sort_values(predictor)
+        if known.empty or known[predictor].nunique() < 2:
+            continue
+        x, y, error = (known[name].to_numpy(float) for name in (predictor, quantity, error_name))
+        axis: Any = "right" if k else "left"
+        series.append(
+            Series(
+                label=short, x=x, y=y, low=y - error, high=y + error, ink=ink, look="points", hollow=k == 1,
+                axis=axis,
+            )
+        )  # fmt: skip
+        trend = _trend_of(o, quantity, predictor)
+        if trend is not None and np.isfinite(trend["slope"]):
+            ends = np.array([x[0], x[-1]])
+            series.append(
+                Series(
+                    label="", x=ends, y=trend["intercept"] + trend["slope"] * ends, ink=ink, axis=axis,
+                    dashed=not trend["claimed"],
+                )
+            )  # fmt: skip
+    if not series or (len(quantities) > 1 and not any(s.axis == "right" for s in series)):
+        return None
+    second = _QUANTITY[quantities[1]][0] if len(quantities) > 1 else ""
+    return Panel(
+        x_label=what, y_label=_QUANTITY[quantities[0]][0], y2_label=second, series=tuple(series), aspect=0.6
+    )
+
+
+def _trend_of(o: Overlay, quantity: str, predictor: str) -> Mapping[str, Any] | None:
+    for trend in o.trends:
+        if (trend["quantity"], trend["predictor"]) == (quantity, predictor):
+            return trend
+    return None
+
+
+def _said(o: Overlay, quantity: str, predictor: str) -> str:
+    trend = _trend_of(o, quantity, predictor)
+    if trend is None or not np.isfinite(trend["slope"]):
+        return ""
+    slope = plus_minus(Estimate(trend["slope"], trend["slope_err"]))
+    rank = f"Spearman ρ = {trend['spearman']:.2f} (p = {trend['p']:.2g})"
+    text = f"{_QUANTITY[quantity][2]}: slope {slope}, {rank}"
+    if np.isfinite(trend["partial_slope"]):
+        partial = plus_minus(Estimate(trend["partial_slope"], trend["partial_slope_err"]))
+        text += f", with the other held fixed {partial} (p = {trend['partial_p']:.2g})"
+    claim = "a trend (solid line)" if trend["claimed"] else "no trend claimed (dashed line)"
+    return f"{text}; {claim}.".replace("-", "−")
+
+
+# --- parts --------------------------------------------------------------------------------------------------
+
+
+def _one(name: str, title: str, caption: str, panel: Panel) -> Figure:
+    return Figure(name=name, title=title, caption=caption, panels=(panel,))
+
+
+def _points(label: str, x: pd.Series, y: pd.Series, ink: Ink, *, hollow: bool = False) -> Series:
+    values = x.to_numpy(float), y.to_numpy(float)
+    return Series(label=label, x=values[0], y=values[1], ink=ink, look="points", hollow=hollow)
+
+
+def _curve(label: str, x: Floats, y: Floats, ink: Ink) -> Series:
+    return Series(label=label, x=x, y=np.asarray(y, float), ink=ink, dashed=True, width=2.0)
+
+
+def _span(events: pd.DataFrame, column: str) -> Floats:
+    used = events.loc[events["used"], column]
+    return np.linspace(float(used.min()), float(used.max()), CURVE_POINTS)
+
+
+def _from_zero(values: pd.Series) -> Range | None:
+    known = values.to_numpy(float)
+    return (0.0, 1.25 * float(np.nanquantile(known, 0.99))) if np.isfinite(known).any() else None
+
+
+def _some(figure: Figure | None) -> list[Figure]:
+    return [] if figure is None else [figure]
+
+
+COMPARE_FIGURES: Mapping[str, Callable[[Overlay], list[Figure]]] = {
+    "peaks": lambda o: [peaks_figure(o)],
+    "drops": lambda o: [drops_figure(o)],
+    "stiffnesses": lambda o: [stiffnesses_figure(o)],
+    "sticks": sticks_figures,
+    "collapse": lambda o: _some(collapse_figure(o)),
+    "irregular": lambda o: _some(irregular_figure(o)),
+    "trends": trends_figures,
+}
+"""Figures of several tests by name, in reading order."""
