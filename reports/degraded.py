@@ -93,8 +93,8 @@ def main() -> None:
         "# Degraded films",
         "",
         f"Films of {FRAMES} frames of {WIDTH} × {ROWS} px at {FPS} frames/s with {SHEETS} sheets,",
-        "pitch 20 px, FWHM 8 px, three or four slips, drawn with known positions, degraded, written to a file and",
-        "tracked without any option. "
+        "pitch 20 px, FWHM 8 px, three or four slips, drawn with known positions, degraded, written",
+        "to a file and tracked without any option. "
         f"Seeds {', '.join(map(str, SEEDS))}: counts are sums, the rest averages.",
         "",
         "- *found*: positions called ok, of all that there are.",

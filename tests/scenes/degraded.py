@@ -1,8 +1,8 @@
 """Small films with known positions, degraded as real recordings are, written through real codecs.
 
 A film is rendered by `vision.experiment`; what happens to it here happens to its pixels (and, where frames
-are lost, repeated or mixed, to its truth). Truth is where a sheet was while the frame was exposed, not what the
-picture shows: a frozen frame that shows an old position is wrong unless the program says so.
+are lost, repeated or mixed, to its truth). Truth is where a sheet was while the frame was exposed, not what
+the picture shows: a frozen frame that shows an old position is wrong unless the program says so.
 """
 
 from __future__ import annotations
