@@ -25,6 +25,7 @@ LAYERS = (
     "compare",
     "report",
     "run",
+    "certify",
     "review",
     "command",
 )

@@ -12,6 +12,7 @@ from typing import Any
 
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
+from vision.command.certify import certify
 from vision.command.console import complain, hold_streams
 from vision.command.export import export
 from vision.command.figures import figures
@@ -51,7 +52,7 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
     )
     app.default(track)
-    for command in (force, simulate, kymograph, export, figures, friction, modulus):
+    for command in (force, simulate, kymograph, export, figures, certify, friction, modulus):
         app.command(command)
     return app
 
