@@ -104,8 +104,8 @@ def main() -> None:
         "H.264 holds a sheet still while it creeps, which looks like its motion; frozen frames show an old",
         "place; dirt and highlights pull a ridge as long as it stands beside them; frames in which a hand",
         "covers sheets are not imitated. The certificate warns of the codec and of frames left out, not of",
-        "the others. Too large: frames lost or repeated make motion uneven, which counts as noise, as does what",
-        "automatic exposure clips in some frames only.",
+        "the others. Too large: frames lost or repeated make motion uneven, which counts as noise, as does",
+        "what automatic exposure clips in some frames only.",
         "",
         "Made by `python -m reports.certify`.",
     ]

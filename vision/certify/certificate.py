@@ -25,6 +25,8 @@ from vision.sheets import TrackingSettings, track_sheets
 
 Progress = Callable[[int, int | None], None]
 
+UNLIKE = 5.0
+"""Error over measured noise from which films are called unlike the recording."""
 _LEAST_STICK = 5  # frames of a piece in which a sweep is measured
 _PHASES = 41  # frames of the film that crosses one pixel
 
@@ -217,7 +219,7 @@ def certify(
     locking = _locking(like, again)
     done()
     sweeps, stick_frames = _sweep_errors(like, measured, settings)
-    margin, tried = _identity_margin(like, again, measured[0], scales, done)
+    margin, tried = _identity_margin(like, again, measured, scales, done)
     at_threshold = None
     if sticks is not None and clock is not None and pixel_size_um is not None:
         at_threshold = _at_threshold(
@@ -245,7 +247,7 @@ def certify(
         identity_margin=margin,
         identity_tried=tried,
         threshold=at_threshold,
-        warnings=_warnings(like, facts, tracks, known, at_threshold is None),
+        warnings=_warnings(like, facts, tracks, known, _rms(error), at_threshold is None),
     )
 
 
@@ -352,7 +354,7 @@ def _largest_jump(like: Likeness) -> float:
 def _identity_margin(
     like: Likeness,
     again: Callable[[xr.DataArray], xr.Dataset],
-    first: _Measured,
+    measured: list[_Measured],
     scales: list[float],
     done: _Counter,
 ) -> tuple[float, float]:
@@ -361,8 +363,8 @@ def _identity_margin(
     Multiples at which sheets would overlap are not tried.
     """
     middle = np.median(like.motion_px, axis=0)
-    margin = 0.0 if first.wrong else 1.0
-    tried, kept = 1.0, float(np.isfinite(first.error_px).mean())
+    margin = 0.0 if any(film.wrong for film in measured) else 1.0
+    tried, kept = 1.0, float(np.isfinite(measured[0].error_px).mean())
     for scale in scales if margin else []:
         motion = middle + scale * (like.motion_px - middle)
         if np.diff(motion, axis=1).min(initial=np.inf) < 0.6 * _pitch(like):
@@ -455,13 +457,19 @@ def _sheet_table(
 
 
 def _warnings(
-    like: Likeness, facts: StripMetadata, tracks: xr.Dataset, known: Any, no_threshold: bool
+    like: Likeness, facts: StripMetadata, tracks: xr.Dataset, known: Any, error_px: float, no_threshold: bool
 ) -> tuple[str, ...]:
     lines = []
     if facts.codec in BETWEEN_FRAMES:
         lines.append(
             f"{facts.codec} carries content from frame to frame: errors that last as long as a stick look "
             "like motion and are not in this certificate; the true error is larger, up to twice in tests"
+        )
+    noise = float(np.nan_to_num(nan_median(tracks["x_noise_px"].values)))
+    if error_px > UNLIKE * max(noise, 1e-6) and facts.codec not in BETWEEN_FRAMES:
+        lines.append(
+            f"errors of the films, {error_px:.3f} px, are far above the noise of the recording, "
+            f"{noise:.3f} px: its motion is not smooth between slips, and the films are not like it"
         )
     left = len(like.motion_px) - len(like.residual) - 2 * like.slips.size
     if left > 0.02 * len(like.motion_px):

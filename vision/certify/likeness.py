@@ -20,10 +20,12 @@ from vision.certify.settings import CertifySettings
 from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints, mad_sigma, nan_median
+from vision.sheets.subpixel import position_noise
 
 LEAST_FRAMES = 30
 BEYOND = 3.5  # half widths of the outermost ridge from its middle, beyond which nothing moves with it
 FAR_PX = 1e4
+LEAST_SHARING = 5  # sheets from which what all do together is told from what each does
 
 BETWEEN_FRAMES = frozenset(
     {"h264", "hevc", "mpeg1video", "mpeg2video", "mpeg4", "vp8", "vp9", "av1", "wmv3", "msmpeg4v2"}
@@ -157,7 +159,8 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     x_px = np.asarray(tracks["x_px"].values, float)[:, order] - float(strip["x"].values[0])
     values = np.asarray(strip.values, np.float32)
     seen = np.isfinite(x_px).mean(axis=1)
-    whole = (seen >= settings.least_ok) & np.isfinite(values).all(axis=1)
+    least = min(settings.least_ok, float(np.median(seen)))
+    whole = (seen >= least) & (seen > 0) & np.isfinite(values).all(axis=1)
     if whole.sum() < LEAST_FRAMES:
         raise InputError(
             "the run",
@@ -167,7 +170,8 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
         )
     x_px = x_px[:, np.isfinite(x_px[whole]).mean(axis=0) > 0.5]
     slips = find_slips(x_px, settings)
-    motion, left = smooth_motion(x_px, slips, settings)
+    chained = StripMetadata.of(strip).codec in BETWEEN_FRAMES
+    motion, left = smooth_motion(x_px, slips, settings, chained=chained)
     usable = whole & ~_beside(slips, len(x_px))
     if usable.sum() < LEAST_FRAMES:
         usable = whole
@@ -190,7 +194,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
         residual=np.zeros((1, width), np.float32),
         slow=np.zeros(values.shape, np.float32),
         reach=settings.longest_piece,
-        chained=StripMetadata.of(strip).codec in BETWEEN_FRAMES,
+        chained=chained,
         slips=slips,
         strip=strip,
     )
@@ -247,28 +251,43 @@ def find_slips(x_px: Floats, settings: CertifySettings) -> Ints:
     return np.flatnonzero(size > limit) + 1
 
 
-def smooth_motion(x_px: Floats, slips: Ints, settings: CertifySettings) -> tuple[Floats, Floats]:
+def smooth_motion(
+    x_px: Floats, slips: Ints, settings: CertifySettings, *, chained: bool = False
+) -> tuple[Floats, Floats]:
     """Positions without noise, (frame, sheet), and the share of the noise's variance not in them, (frame,).
 
-    Between slips a cubic (a parabola in short pieces), plus what all sheets do together in each frame.
+    Between slips a cubic (a parabola in short pieces) through as many frames as it fits, plus what all sheets
+    do together in each frame. Codecs that chain frames make steps that are no motion: fits are kept.
     """
     frames, sheets = x_px.shape
-    motion = _filled(x_px)
-    left, blurred = np.zeros(frames), _beside(slips, frames)
+    filled, left = _filled(x_px), np.zeros(frames)
+    motion, blurred = filled.copy(), _beside(slips, frames)
+    noise = np.nan_to_num(position_noise(x_px), nan=np.inf)
     edges = np.unique(np.concatenate([[0, frames], slips]))
+    waiting = []
     for start, stop in pairwise(edges):
-        pieces = max(1, round((stop - start) / settings.longest_piece))
-        for piece in np.array_split(np.arange(start, stop), pieces):
-            degree = 3 if piece.size >= 2 * settings.least_piece else 2
-            if piece.size < settings.least_piece:
-                continue
-            basis = np.polynomial.legendre.legvander(np.linspace(-1, 1, piece.size), degree)
-            sharp = piece[~blurred[piece]]
-            inner = basis[~blurred[piece]]
-            motion[piece] = basis @ np.linalg.lstsq(inner, motion[sharp], rcond=None)[0]
-            left[sharp] = 1 - (np.linalg.qr(inner)[0] ** 2).sum(axis=1)
-    common = np.nan_to_num(nan_median(x_px - motion, axis=1)) if sheets >= 5 else np.zeros(frames)
-    shared = 1 - 1.57 / sheets if sheets >= 5 else 1.0  # a median's variance is π/2 of a mean's
+        waiting += np.array_split(
+            np.arange(start, stop), max(1, round((stop - start) / settings.longest_piece))
+        )
+    while waiting:
+        piece = waiting.pop()
+        sharp = piece[~blurred[piece]]
+        if piece.size < settings.least_piece:
+            continue
+        degree = 3 if piece.size >= 2 * settings.least_piece else 2
+        basis = np.polynomial.legendre.legvander(np.linspace(-1, 1, piece.size), degree)
+        inner = basis[~blurred[piece]]
+        fitted = basis @ np.linalg.lstsq(inner, filled[sharp], rcond=None)[0]
+        off = (filled[piece] - fitted)[~blurred[piece]]
+        if sheets >= LEAST_SHARING:
+            off = off - np.median(off, axis=1)[:, None]
+        if not chained and np.median(np.sqrt((off**2).mean(axis=0)) / noise) > settings.misfit:
+            waiting += np.array_split(piece, 2)
+            continue
+        motion[piece] = fitted
+        left[sharp] = 1 - (np.linalg.qr(inner)[0] ** 2).sum(axis=1)
+    common = np.nan_to_num(nan_median(x_px - motion, axis=1)) if sheets >= LEAST_SHARING else np.zeros(frames)
+    shared = 1 - 1.57 / sheets if sheets >= LEAST_SHARING else 1.0  # a median's variance is π/2 of a mean's
     return motion + common[:, None], left * shared
 
 
@@ -285,9 +304,9 @@ def _mean_picture(
     values: Floats32, motion: Floats, usable: Ints, grid: Floats, rest: Floats, rigid: Floats
 ) -> tuple[Floats, Floats]:
     """M on the grid, and the brightness of every frame; two rounds, since each needs the other."""
-    gain = np.nan_to_num(np.nanmean(values, axis=1), nan=1.0).astype(float)
+    gain = values.mean(axis=1, dtype=float)
     gain /= np.median(gain[usable]) or 1.0
-    gain[gain <= 0] = 1.0
+    gain[~(gain > 0)] = 1.0  # blank frames
     total = np.zeros(grid.size)
     for t in usable:
         seen = _material(grid, rest, motion[t], rigid)  # the column at which each point of M is seen

@@ -28,6 +28,10 @@ class CertifySettings:
     """Frames over which the motion is a cubic.  Longer takes motion for noise; shorter noise for motion
     (made up for by the degrees of freedom, which fails where they are few)."""
 
+    misfit: float = 4.0
+    """Scatter of the positions about the smooth motion, over that from frame to frame, from which a piece
+    is cut in half.  Smaller takes slow noise for motion; larger takes fast motion, such as ringing, for noise."""
+
     least_piece: int = 8
     """Frames between two slips from which a polynomial is fitted; shorter pieces are left as measured."""
 
@@ -36,8 +40,9 @@ class CertifySettings:
     for a slip, in median absolute deviations.  Smaller cuts up quiet pieces; larger smooths small slips."""
 
     least_ok: float = 0.9
-    """Share of the sheets that a frame must show for its residual to be used.  Smaller lets what covers the
-    picture into every film; larger leaves no frame where a sheet is often hidden."""
+    """Share of the sheets that a frame must show for its residual to be used, or the share that half of the
+    frames show where that is less.  Smaller lets what covers the picture into every film; larger leaves no
+    frame where a sheet is often hidden."""
 
     slow_frames: int = 9
     """Frames over which the residual is averaged to find its slow part.  Fewer keep more of the noise where
