@@ -27,6 +27,7 @@ LAYERS = (
     "comparison",
     "report",
     "run",
+    "certify",
     "review",
     "command",
 )

@@ -12,6 +12,7 @@ from typing import Any
 
 from cyclopts import App
 
+from vision.command.certify import certify
 from vision.command.compare import compare
 from vision.command.console import complain, hold_streams, silence_libraries
 from vision.command.export import export
@@ -56,8 +57,8 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
     )
     app.default(track)
-    single = (preview, overlay, force, simulate, kymograph, export, figures, friction, modulus)
-    for command in (*single, compare):
+    others = (preview, overlay, force, simulate, kymograph, export, figures, certify, compare)
+    for command in (*others, friction, modulus):
         app.command(command)
     return app
 

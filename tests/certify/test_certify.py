@@ -1,0 +1,141 @@
+"""What a certificate predicts against what the errors truly were, on films it has not seen."""
+
+import math
+from functools import cache
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.scenes.degraded import CODECS, FRAMES, SCENE, clean
+from vision.certify import CertifySettings, certify, write_certificate
+from vision.certify.likeness import find_slips, learn
+from vision.errors import InputError
+from vision.experiment import preset, profiles, with_settings
+from vision.run.reading import read_json
+from vision.sheets import track_sheets
+from vision.video import open_video, strip_profile
+
+ONE_FILM = CertifySettings(films=1, largest_jump=1.0)
+FILMS = {
+    "as usual": {},
+    "noisy": {"camera.full_well_e": 1000},
+    "narrow": {"optics.fwhm_px": 6, "camera.full_well_e": 4000},
+    "broad": {"optics.fwhm_px": 11, "camera.full_well_e": 4000},
+    "shouldered": {"optics.shape": "shouldered", "camera.full_well_e": 4000},
+    "dark": {"optics.polarity": "dark", "camera.full_well_e": 4000},
+}
+
+
+@cache
+def drawn(name, fit="sliding", seed=21):
+    """Strip, tracks, and errors of displacements (frame, sheet)."""
+    strip, truth = profiles(with_settings(preset("paper", seed=seed), {**SCENE, **FILMS[name]}))
+    tracks = track_sheets(strip, fit=fit)
+    return strip, tracks, moved(tracks.x_px.values - truth.x_px.values)
+
+
+def moved(error):
+    return error - np.nanmean(error, axis=0)
+
+
+def rms(values, axis=None):
+    return np.sqrt(np.nanmean(values**2, axis=axis))
+
+
+@pytest.mark.parametrize("fit", ["sliding", "template"])
+@pytest.mark.parametrize("name", FILMS)
+def test_predicted_error_is_the_actual_one(name, fit):
+    """Within 15 %.  A failure means that a certificate promises more, or less, than a recording gives."""
+    strip, tracks, error = drawn(name, fit)
+    certificate = certify(strip, tracks, settings=ONE_FILM)
+    assert 0.85 < certificate.error_px / rms(error) < 1.15
+    assert certificate.wrong == 0
+    assert 0.6 < certificate.within_error < 0.8
+    each = certificate.sheets["error_px"].to_numpy() / rms(error, axis=0)
+    assert ((each > 0.65) & (each < 1.45)).all()  # 120 frames tell an error to 6 %, textures differ
+
+
+def test_the_papers_fit_is_certified_with_its_locking():
+    """A failure means that pull towards whole pixels, of 60 mpx and more there, is not seen."""
+    strip, tracks, error = drawn("narrow", "paper")
+    certificate = certify(strip, tracks, settings=ONE_FILM)
+    assert 0.85 < certificate.error_px / rms(error) < 1.15
+    assert certificate.locking_px > 0.06
+    strip, tracks, _ = drawn("narrow")
+    assert certify(strip, tracks, settings=ONE_FILM).locking_px < 0.01
+
+
+def test_smallest_sweep_is_three_actual_errors():
+    """Of sweeps by straight lines through as many frames: within 25 %, for 26 sheets in a few sticks."""
+    strip, tracks, error = drawn("noisy")
+    certificate = certify(strip, tracks, settings=CertifySettings(largest_jump=1.0))
+    frames = int(certificate.stick_frames)
+    slips = find_slips(tracks.x_px.values, CertifySettings())
+    u = np.linspace(-0.5, 0.5, frames)
+    starts = [
+        start + 1
+        for start in slips
+        if start + 1 + frames <= FRAMES and not ((slips > start) & (slips <= start + frames)).any()
+    ]
+    sweeps = np.array([u @ error[start : start + frames] / (u @ u) for start in starts])
+    assert len(starts) >= 2
+    assert 0.75 < certificate.smallest_sweep_px / (3 * rms(sweeps)) < 1.25
+
+
+def test_slips_are_found_where_they_are():
+    """The truth's own jumps: every one, and none else."""
+    strip, tracks, _ = drawn("as usual")
+    truth = profiles(with_settings(preset("paper", seed=21), SCENE))[1]
+    outer = truth.x_px.values[:, 0] - np.median(truth.x_px.values, axis=1)
+    jumps = np.flatnonzero(np.abs(np.diff(outer)) > 1) + 1
+    found = learn(strip, tracks, CertifySettings()).slips
+    assert set(jumps) <= set(found) | set(found + 1)
+    assert len(found) <= 2 * len(jumps)
+
+
+@pytest.mark.parametrize("codec", ["MJPEG 90", "MJPEG 60", "H.264 crf 23"])
+def test_compressed_films(codec, tmp_path):
+    """Still pictures: within 15 %.  Codecs that chain frames hide errors as motion: the certificate says so.
+
+    A failure means that compressed films are certified with errors that they do not have.
+    """
+    film = clean(21)
+    strip = strip_profile(open_video(CODECS[codec](tmp_path, film.pixels)))
+    tracks = track_sheets(strip)
+    certificate = certify(strip, tracks, settings=ONE_FILM)
+    ratio = certificate.error_px / rms(moved(tracks.x_px.values - film.truth_px))
+    chained = codec.startswith("H.264")
+    assert any("from frame to frame" in line for line in certificate.warnings) == chained
+    assert 0.85 < ratio < 1.15 or (chained and 0.5 < ratio < 1.15)
+
+
+def test_identities_fail_where_jumps_are_too_large():
+    """Even comb, jumps of a quarter of a pitch times four: the margin ends, or what was tried does."""
+    strip, tracks, _ = drawn("as usual")
+    certificate = certify(strip, tracks, settings=CertifySettings(films=1))
+    assert 1 <= certificate.identity_margin <= certificate.identity_tried <= 4
+    assert 0.05 < certificate.largest_jump_pitches < 0.5
+
+
+def test_files(tmp_path):
+    """JSON, CSV and one page that needs nothing else; no NaN in the JSON."""
+    strip, tracks, _ = drawn("as usual")
+    certificate = certify(strip, tracks, pixel_size_um=10, settings=ONE_FILM)
+    write_certificate(certificate, tmp_path / "out")
+    facts = read_json(tmp_path / "out/certificate.json")
+    table = pd.read_csv(tmp_path / "out/certificate.csv")
+    page = (tmp_path / "out/certificate.html").read_text("utf-8")
+    assert facts["error_px"] == pytest.approx(certificate.error_px)
+    assert list(table["n"]) == list(tracks["n"].values)
+    assert f"{certificate.error_px:.4f} px" in page
+    assert "http" not in page.replace("http-equiv", "")
+    assert facts["threshold"] is None
+    assert math.isfinite(table["error_px"].sum())
+
+
+def test_too_few_frames():
+    """A failure means that ten frames are certified."""
+    strip, tracks, _ = drawn("as usual")
+    with pytest.raises(InputError, match="30 frames"):
+        certify(strip.isel(frame=slice(0, 10)), tracks.isel(frame=slice(0, 10)))

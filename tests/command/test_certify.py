@@ -1,0 +1,50 @@
+"""`track certify` as typed, on a simulated test: the certificate against the truth."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+from tests.scenes.degraded import SCENE
+from vision.command.main import run
+from vision.experiment import preset, simulate, with_settings
+from vision.run.reading import read_json
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("certify")
+    changes = {**SCENE, "camera.duration_s": 10, "mechanics.d_end_mm": 15}
+    test = simulate(with_settings(preset("paper", seed=3), changes), folder / "sim")
+    told = ["--timestamps", str(test.timestamps), "--pixel-size", "10", "--offset", "36", "--quiet"]
+    target = folder / "sim_tracks"
+    assert run([str(test.video), "--force", str(test.force), *told, "--out", str(target)]) in (0, 1)
+    return target, test.truth
+
+
+def test_the_certificate_of_a_run(made, tmp_path, capsys, monkeypatch):
+    """A failure means that the command does not certify a run, or not with what the errors were."""
+    target, truth = made
+    monkeypatch.chdir(tmp_path)
+    assert run(["certify", str(target), "--films", "1"]) == 0
+    assert "Error of a displacement" in capsys.readouterr().out
+    facts = read_json(tmp_path / "sim_tracks_certificate/certificate.json")
+    error = _positions(target / "tracks.nc") - _positions(truth)
+    actual = np.sqrt(np.mean((error - error.mean(axis=0)) ** 2))
+    assert 0.85 < facts["error_px"] / actual < 1.15
+    assert abs(facts["threshold"]["bias"]) < 0.05
+    assert len(pd.read_csv(tmp_path / "sim_tracks_certificate/certificate.csv")) == error.shape[1]
+    assert run(["certify", str(target)]) == 2  # never over an earlier one unasked
+    assert "--overwrite" in capsys.readouterr().err
+
+
+def test_what_cannot_be_certified(tmp_path, capsys):
+    """One line each, exit status 2."""
+    assert run(["certify", str(tmp_path)]) == 2
+    assert run(["certify", str(tmp_path), "--films", "0"]) == 2
+    assert capsys.readouterr().err.count("\n") == 2
+
+
+def _positions(path):
+    with xr.open_dataset(path, engine="h5netcdf") as data:
+        return data["x_px"].values

@@ -1,0 +1,485 @@
+"""certify(): what one recording can resolve, measured on films like it whose truth is known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from vision.certify.likeness import BETWEEN_FRAMES, Likeness, learn
+from vision.certify.settings import DEFAULT, CertifySettings
+from vision.clock import Clock
+from vision.data import StripMetadata, TrackMetadata
+from vision.deformation import horizontal_deformation
+from vision.errors import InputError
+from vision.numeric import Floats, Ints, nan_median
+from vision.run import RunFolder, read_strip, read_table
+from vision.run.reading import read_json, tracks_of
+from vision.sheets import TrackingSettings, track_sheets
+
+Progress = Callable[[int, int | None], None]
+
+UNLIKE = 5.0
+"""Error over measured noise from which films are called unlike the recording."""
+_LEAST_STICK = 5  # frames of a piece in which a sweep is measured
+_PHASES = 41  # frames of the film that crosses one pixel
+
+
+@dataclass(frozen=True, kw_only=True)
+class Threshold:
+    """σ_x/Λ_st of films in which every sheet stands at the threshold.
+
+    Parameters
+    ----------
+    ratio
+        The threshold, which is the truth.
+    bias, raw_bias
+        Mean of the measured ratio over the truth, less 1; the same for the RMS displacement as measured.
+    scatter
+        Standard deviation of single measurements over the truth.
+    stated
+        Median stated error over the truth.
+    called_stiff
+        Share called stiff: half, where there is no bias.
+    """
+
+    ratio: float
+    bias: float
+    raw_bias: float
+    scatter: float
+    stated: float
+    called_stiff: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """What a recording can resolve.
+
+    Parameters
+    ----------
+    source, codec, fit
+        The video, its codec, and the subpixel fit used.
+    frames, films, pixel_size_um
+        Frames imitated, films made, and the scale where it is known.
+    sheets
+        One row a sheet: index, side, n, x_px, error_px (RMS error of a displacement), stated_px (median
+        x_err_px), within_error (share of positions within it), found, locking_px (peak to peak),
+        sweep_error_px and smallest_sweep_px (over a stick).
+    error_px, within_error, found, wrong
+        RMS over all sheets; shares; positions called ok that are more than half a pitch off.
+    locking_px
+        Error that repeats with the fraction of a pixel, peak to peak, median over sheets.
+    smallest_sweep_px, stick_frames
+        Median over sheets, and the frames of a stick for which it holds; NaN without a piece long enough.
+    largest_jump_pitches, identity_margin
+        Largest jump of a sheet from frame to frame, and how many times the recording's motion was followed
+        without a wrong identity; the largest that was tried is a lower bound.
+    identity_tried
+        That largest.
+    threshold
+        At the stiffness threshold; None without stick phases or scale.
+    warnings
+        What the certificate does not cover.
+    """
+
+    source: str
+    codec: str
+    fit: str
+    frames: int
+    films: int
+    pixel_size_um: float | None
+    sheets: pd.DataFrame
+    error_px: float
+    within_error: float
+    found: float
+    wrong: int
+    locking_px: float
+    smallest_sweep_px: float
+    stick_frames: float
+    largest_jump_pitches: float
+    identity_margin: float
+    identity_tried: float
+    threshold: Threshold | None
+    warnings: tuple[str, ...]
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Everything but the table of sheets, for certificate.json."""
+        values = {part.name: getattr(self, part.name) for part in fields(self)}
+        values.pop("sheets")
+        return values
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """Errors of one film, (frame, sheet of the truth), px; NaN where nothing is called ok."""
+
+    error_px: Floats
+    stated_px: Floats
+    wrong: int
+
+
+def certify_run(
+    run: RunFolder, *, settings: CertifySettings = DEFAULT, progress: Progress | None = None
+) -> Certificate:
+    """The certificate of a finished run, with its events and clock where it has them.
+
+    Raises
+    ------
+    InputError
+        For a run without a video, or whose sheets are seen in too few frames.
+    """
+    sticks, path = read_table(run, "events"), run.folder / "clock.json"
+    clock = _clock(read_json(path)) if path.exists() else None
+    given = run.facts.get("parameters", {}).get("threshold", {}).get("value")
+    return certify(
+        read_strip(run),
+        tracks_of(run),
+        pixel_size_um=run.pixel_size_um,
+        sticks=sticks,
+        clock=clock,
+        threshold=0.1 if given is None else float(given),
+        settings=settings,
+        progress=progress,
+    )
+
+
+def _clock(facts: dict[str, Any]) -> Clock | None:
+    """The run's clock; None for one that may be wrong by whole slips."""
+    if facts.get("status") not in ("ok", "given"):
+        return None
+    known = {part.name for part in fields(Clock)} - {"candidates", "warnings"}
+    values: dict[str, Any] = {name: facts[name] for name in known if name in facts}
+    for name, value in values.items():
+        values[name] = math.nan if value is None else value
+    return Clock(**values)
+
+
+def certify(
+    strip: xr.DataArray,
+    tracks: xr.Dataset,
+    *,
+    pixel_size_um: float | None = None,
+    sticks: pd.DataFrame | None = None,
+    clock: Clock | None = None,
+    threshold: float = 0.1,
+    settings: CertifySettings = DEFAULT,
+    progress: Progress | None = None,
+) -> Certificate:
+    """What one recording can resolve.
+
+    Parameters
+    ----------
+    strip, tracks
+        I(x, t) and x(n, t) of the recording, as `strip_profile` and `track_sheets` return them.
+    pixel_size_um, sticks, clock
+        Scale, stick-slip events and clock, without which there is no statement about σ_x/Λ_st.
+    threshold
+        σ_x/Λ_st below which a sheet is stiff.
+    settings
+        Tunable constants.
+    progress
+        Called with (films tracked, films in all).
+
+    Returns
+    -------
+    Certificate
+
+    Raises
+    ------
+    InputError
+        Where fewer than 30 frames show the sheets.
+
+    Notes
+    -----
+    Films are made from the recording's own mean picture, smooth motion and residuals, see
+    `vision.certify.likeness`: nothing is assumed about the shape of ridges, the light or the noise. Residuals
+    are those that were recorded, what the codec did to them included, moved in time against the motion. What
+    a film cannot tell: a constant error of a sheet's position (displacements do not have it), and errors that
+    last as long as a stick, since those cannot be told from motion; codecs that carry content from frame to
+    frame make such.
+    """
+    like = learn(strip, tracks, settings)
+    again = _tracking(tracks)
+    scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]
+    work = settings.films + 1 + len(scales) + (settings.films if sticks is not None else 0)
+    done = _Counter(progress, work)
+    measured = []
+    for number in range(settings.films):
+        measured.append(_measure(like, like.motion_px, again(like.film(like.motion_px, number=number))))
+        done()
+    error = np.concatenate([_without_means(film.error_px) for film in measured])
+    stated = np.concatenate([film.stated_px for film in measured])
+    locking = _locking(like, again)
+    done()
+    sweeps, stick_frames = _sweep_errors(like, measured, settings)
+    margin, tried = _identity_margin(like, again, measured, scales, done)
+    at_threshold = None
+    if sticks is not None and clock is not None and pixel_size_um is not None:
+        at_threshold = _at_threshold(
+            like, again, settings.films, sticks, clock, pixel_size_um, threshold, tracks
+        )
+    metadata, facts = TrackMetadata.of(tracks), StripMetadata.of(strip)
+    sheets = _sheet_table(like, tracks, error, stated, locking, sweeps * settings.errors_resolved, sweeps)
+    known = np.isfinite(error)
+    return Certificate(
+        source=facts.source,
+        codec=facts.codec,
+        fit=metadata.fit,
+        frames=len(like.motion_px),
+        films=settings.films,
+        pixel_size_um=pixel_size_um,
+        sheets=sheets,
+        error_px=_rms(error),
+        within_error=float((np.abs(error) <= stated)[known].mean()) if known.any() else math.nan,
+        found=float(known.mean()),
+        wrong=sum(film.wrong for film in measured),
+        locking_px=float(nan_median(locking[None], axis=1)[0]),
+        smallest_sweep_px=settings.errors_resolved * float(nan_median(sweeps[None], axis=1)[0]),
+        stick_frames=stick_frames,
+        largest_jump_pitches=_largest_jump(like),
+        identity_margin=margin,
+        identity_tried=tried,
+        threshold=at_threshold,
+        warnings=_warnings(like, facts, tracks, known, _rms(error), at_threshold is None),
+    )
+
+
+class _Counter:
+    def __init__(self, progress: Progress | None, total: int) -> None:
+        self.progress, self.total, self.count = progress, total, 0
+
+    def __call__(self) -> None:
+        self.count += 1
+        if self.progress is not None:
+            self.progress(self.count, self.total)
+
+
+def _tracking(tracks: xr.Dataset) -> Callable[[xr.DataArray], xr.Dataset]:
+    """`track_sheets` with what the run was asked for."""
+    steps = [step for step in tracks.attrs.get("operations", ()) if step["operation"] == "track_sheets"]
+    asked = dict(steps[-1]["parameters"]) if steps else {}
+    tuned = asked.pop("settings", {})
+    known = {part.name for part in fields(TrackingSettings)}
+    values: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in tuned.items()
+        if name in known
+    }
+    chosen = TrackingSettings(**values)
+    return lambda film: track_sheets(film, **asked, settings=chosen)
+
+
+def _measure(like: Likeness, truth_px: Floats, found: xr.Dataset) -> _Measured:
+    """Errors of the ridge that is nearest to each true sheet most of the time."""
+    x = found["x_px"].values - float(like.strip["x"].values[0])
+    ok = found["flag"].values == "ok"
+    away = nan_median(np.abs(np.where(ok, x, np.nan)[:, :, None] - truth_px[:, None, :]))
+    sheet = np.argmin(np.nan_to_num(away, nan=np.inf), axis=1)
+    error, stated = np.full(truth_px.shape, np.nan), np.full(truth_px.shape, np.nan)
+    half, wrong = 0.5 * _pitch(like), 0
+    for k, n in enumerate(sheet):
+        off = np.where(ok[:, k], x[:, k] - truth_px[:, n], np.nan)
+        far = np.abs(off) > half
+        wrong += int(far.sum())
+        error[:, n] = np.where(far, np.nan, off)
+        stated[:, n] = found["x_err_px"].values[:, k]
+    return _Measured(error, stated, wrong)
+
+
+def _pitch(like: Likeness) -> float:
+    return float(np.median(np.diff(like.rest_px))) if like.rest_px.size > 1 else 20.0
+
+
+def _rms(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else math.nan
+
+
+def _columns(values: Floats, work: Callable[[Floats], float]) -> Floats:
+    """`work` of what is known of each column; NaN where nothing is."""
+    known = (column[np.isfinite(column)] for column in values.T)
+    return np.array([work(column) if column.size else math.nan for column in known])
+
+
+def _without_means(error: Floats) -> Floats:
+    return error - _columns(error, lambda column: float(column.mean()))
+
+
+def _locking(like: Likeness, again: Callable[[xr.DataArray], xr.Dataset]) -> Floats:
+    """Peak to peak of the error, without noise, while all sheets cross one pixel together, (sheet,)."""
+    motion = like.rest_px + np.linspace(0, 1, _PHASES)[:, None]
+    error = _measure(like, motion, again(like.film(motion, number=None))).error_px
+    return _columns(error, lambda column: float(np.ptp(column)))
+
+
+def _pieces(like: Likeness) -> list[Ints]:
+    """Frames from slip to slip, without those that a slip may have blurred."""
+    edges = np.unique(np.concatenate([[0, len(like.motion_px)], like.slips]))
+    pieces = [np.arange(start + (start > 0), stop - (stop < edges[-1])) for start, stop in pairwise(edges)]
+    return [piece for piece in pieces if piece.size >= _LEAST_STICK]
+
+
+def _sweep_errors(
+    like: Likeness, measured: list[_Measured], settings: CertifySettings
+) -> tuple[Floats, float]:
+    """RMS error of the sweep by a straight line over a stick, (sheet,), and the frames of a typical one."""
+    pieces = _pieces(like)
+    if not pieces:
+        return np.full(like.rest_px.size, np.nan), math.nan
+    frames = int(np.median([piece.size for piece in pieces]))
+    found = []
+    for piece in pieces:
+        for first in range(0, piece.size - frames + 1, frames):
+            u = np.linspace(-0.5, 0.5, frames)
+            slope = u / (u @ u)
+            found += [slope @ film.error_px[piece[first : first + frames]] for film in measured]
+    return _columns(np.array(found), _rms), float(frames)
+
+
+def _largest_jump(like: Likeness) -> float:
+    """Largest movement of a sheet from frame to frame against the others, in pitches."""
+    if len(like.motion_px) < 2:
+        return 0.0
+    step = np.diff(like.motion_px, axis=0)
+    return float(np.abs(step - np.median(step, axis=1)[:, None]).max() / _pitch(like))
+
+
+def _identity_margin(
+    like: Likeness,
+    again: Callable[[xr.DataArray], xr.Dataset],
+    measured: list[_Measured],
+    scales: list[float],
+    done: _Counter,
+) -> tuple[float, float]:
+    """The largest multiple of the motion that is followed without a wrong identity, and the largest tried.
+
+    Multiples at which sheets would overlap are not tried.
+    """
+    middle = np.median(like.motion_px, axis=0)
+    margin = 0.0 if any(film.wrong for film in measured) else 1.0
+    tried, kept = 1.0, float(np.isfinite(measured[0].error_px).mean())
+    for scale in scales if margin else []:
+        motion = middle + scale * (like.motion_px - middle)
+        if np.diff(motion, axis=1).min(initial=np.inf) < 0.6 * _pitch(like):
+            break
+        tried = scale
+        film = _measure(like, motion, again(like.film(motion, number=0)))
+        done()
+        if film.wrong or np.isfinite(film.error_px).mean() < 0.9 * kept:
+            break
+        margin = scale
+    return margin, tried
+
+
+def _at_threshold(
+    like: Likeness,
+    again: Callable[[xr.DataArray], xr.Dataset],
+    films: int,
+    sticks: pd.DataFrame,
+    clock: Clock,
+    pixel_size_um: float,
+    threshold: float,
+    tracks: xr.Dataset,
+) -> Threshold | None:
+    """Films in which every sheet creeps by √12 × threshold × Λ_st in every stick, fully analysed."""
+    time = np.asarray(clock.to_force_s(np.asarray(like.strip["time_s"].values, float)), float)
+    side = np.where(like.rest_px < TrackMetadata.of(tracks).axis_px - float(like.strip["x"].values[0]), -1, 1)
+    length = sticks["stick_length_um"].to_numpy(float)
+    start, stop = sticks["t_v_s"].to_numpy(float), sticks["t_p_s"].to_numpy(float)
+    inward = np.zeros(time.size)
+    for begin, end, long in zip(start, stop, length, strict=True):
+        inside = (time >= begin) & (time <= end)
+        share = (time[inside] - begin) / max(end - begin, 1e-9) - 0.5
+        inward[inside] = share * np.sqrt(12) * threshold * np.nan_to_num(long) / pixel_size_um
+    motion = like.rest_px - side * inward[:, None]
+    ratios, raws, errors = [], [], []
+    for number in range(films):
+        try:
+            moved = horizontal_deformation(
+                again(like.film(motion, number=number)), sticks, clock, pixel_size_um=pixel_size_um
+            )
+        except InputError:
+            return None
+        ratios.append(moved["ratio_signed"].values.ravel() / threshold)
+        raw = moved["sigma_x_um"].values / moved["stick_length_um"].values[:, None]
+        raws.append(raw.ravel() / threshold)
+        errors.append(moved["ratio_err"].values.ravel() / threshold)
+    ratio, raw, error = (np.concatenate(part) for part in (ratios, raws, errors))
+    known = np.isfinite(ratio)
+    if not known.any():
+        return None
+    return Threshold(
+        ratio=threshold,
+        bias=float(ratio[known].mean() - 1),
+        raw_bias=float(np.nanmean(raw) - 1),
+        scatter=float(ratio[known].std()),
+        stated=float(np.median(error[known])),
+        called_stiff=float((ratio[known] < 1).mean()),
+    )
+
+
+def _sheet_table(
+    like: Likeness,
+    tracks: xr.Dataset,
+    error: Floats,
+    stated: Floats,
+    locking: Floats,
+    smallest: Floats,
+    sweeps: Floats,
+) -> pd.DataFrame:
+    """One row a sheet of the run; empty cells where a sheet was seen too seldom to be imitated."""
+    place = like.rest_px + float(like.strip["x"].values[0])
+    middle = nan_median(tracks["x_px"].values)
+    nearest = np.argmin(np.abs(np.nan_to_num(middle, nan=np.inf)[:, None] - place), axis=0)
+    within = np.where(np.isfinite(error), np.abs(error) <= stated, np.nan)
+    return pd.DataFrame(
+        {
+            "index": tracks["sheet"].values[nearest],
+            "side": tracks["side"].values[nearest],
+            "n": tracks["n"].values[nearest],
+            "x_px": place.round(3),
+            "error_px": _columns(error, _rms).round(5),
+            "stated_px": nan_median(stated).round(5),
+            "within_error": _columns(within, lambda column: float(column.mean())).round(4),
+            "found": np.isfinite(error).mean(axis=0).round(4),
+            "locking_px": locking.round(5),
+            "sweep_error_px": sweeps.round(5),
+            "smallest_sweep_px": smallest.round(5),
+        }
+    )
+
+
+def _warnings(
+    like: Likeness, facts: StripMetadata, tracks: xr.Dataset, known: Any, error_px: float, no_threshold: bool
+) -> tuple[str, ...]:
+    lines = []
+    if facts.codec in BETWEEN_FRAMES:
+        lines.append(
+            f"{facts.codec} carries content from frame to frame: errors that last as long as a stick look "
+            "like motion and are not in this certificate; the true error is larger, up to twice in tests"
+        )
+    noise = float(np.nan_to_num(nan_median(tracks["x_noise_px"].values)))
+    if error_px > UNLIKE * max(noise, 1e-6) and facts.codec not in BETWEEN_FRAMES:
+        lines.append(
+            f"errors of the films, {error_px:.3f} px, are far above the noise of the recording, "
+            f"{noise:.3f} px: its motion is not smooth between slips, and the films are not like it"
+        )
+    left = len(like.motion_px) - len(like.residual) - 2 * like.slips.size
+    if left > 0.02 * len(like.motion_px):
+        lines.append(f"{left} frames that do not show all sheets are not imitated")
+    if like.rest_px.size < tracks.sizes["sheet"]:
+        lines.append(
+            f"{tracks.sizes['sheet'] - like.rest_px.size} sheets seen in under half of the frames left out"
+        )
+    if known.mean() < 0.95:
+        lines.append(f"only {100 * known.mean():.0f} % of the positions of the films were found")
+    if no_threshold:
+        lines.append("nothing about σ_x/Λ_st: that needs a force recording, a clock and the pixel size")
+    return tuple(lines)
