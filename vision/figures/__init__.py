@@ -11,6 +11,7 @@ from vision.figures.catalogue import (
 )
 from vision.figures.deformation import deformation_figure, shells_figure, stick_figure
 from vision.figures.figure import (
+    Arrow,
     Band,
     Figure,
     Image,
@@ -40,6 +41,7 @@ from vision.figures.video import (
 
 __all__ = [
     "FIGURES",
+    "Arrow",
     "Band",
     "Figure",
     "Image",

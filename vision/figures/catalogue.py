@@ -10,12 +10,14 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.clock import Clock
+from vision.clock import Clock, video_slips
+from vision.data import TrackMetadata
+from vision.errors import InputError
 from vision.figures import deformation, force, video
 from vision.figures.figure import Figure
 from vision.figures.labels import load_unit
 from vision.models import ModelFits
-from vision.numeric import Pixels
+from vision.numeric import Floats, Pixels
 
 
 class Results(Protocol):
@@ -177,11 +179,34 @@ def _frame(r: Results) -> Figure | None:
 def _space_time(r: Results) -> Figure | None:
     if r.strip is None or r.tracks is None:
         return None
-    return video.space_time_figure(r.strip, r.tracks, pixel_size_um=r.pixel_size_um)
+    slips_s, slips_from = slip_times(r)
+    return video.space_time_figure(
+        r.strip, r.tracks, pixel_size_um=r.pixel_size_um, slips_s=slips_s, slips_from=slips_from
+    )
+
+
+def slip_times(r: Results) -> tuple[Floats | None, str]:
+    """Times of the slips on the camera's clock, s, and what they are from.
+
+    Those of the force where its clock is sure, else the common outward steps of the sheets; None where
+    neither is known: with an axis that was only guessed from the sheets' places, outward is not known.
+    """
+    if r.sticks is not None and len(r.sticks) and r.clock is not None and r.clock.status != "ambiguous":
+        return np.sort(r.clock.to_video_s(r.sticks["t_p_s"].to_numpy(float))), "the force"
+    if r.tracks is None or TrackMetadata.of(r.tracks).axis_how == "geometry":
+        return None, ""
+    try:
+        return video_slips(r.tracks)["time_s"].to_numpy(float), "the sheets' common steps"
+    except InputError:  # too few frames, or none with a time: nothing to mark
+        return None, ""
 
 
 def _tracks(r: Results) -> Figure | None:
     return None if r.tracks is None else video.tracks_figure(r.tracks, pixel_size_um=r.pixel_size_um)
+
+
+def _outer_inner(r: Results) -> Figure | None:
+    return None if r.tracks is None else video.outer_inner_figure(r.tracks, pixel_size_um=r.pixel_size_um)
 
 
 def _noise(r: Results) -> Figure | None:
@@ -202,6 +227,12 @@ def _clocks(r: Results) -> Figure | None:
     return force.clocks_figure(r.force, r.tracks, r.clock, r.sticks, pixel_size_um=r.pixel_size_um)
 
 
+def _clock_residuals(r: Results) -> Figure | None:
+    if r.force is None or r.tracks is None or r.clock is None or r.sticks is None:
+        return None
+    return force.clock_residuals_figure(r.force, r.tracks, r.clock, r.sticks)
+
+
 def _sticks(r: Results) -> Figure | None:
     return None if r.force is None or not _separated(r.sticks) else force.sticks_figure(r.force, r.sticks)
 
@@ -216,6 +247,12 @@ def _stiffness(r: Results) -> Figure | None:
     if r.force is None or not _separated(r.sticks):
         return None
     return force.stiffness_figure(r.sticks, r.fits, unit=load_unit(r.force))
+
+
+def _stiffness_residuals(r: Results) -> Figure | None:
+    if r.force is None or r.fits is None or not _separated(r.sticks):
+        return None
+    return force.stiffness_residuals_figure(r.sticks, r.fits, unit=load_unit(r.force))
 
 
 def _stick(r: Results) -> Figure | None:
@@ -261,13 +298,16 @@ FIGURES: Mapping[str, CatalogueEntry] = {
     "frame": CatalogueEntry("What the camera saw", _frame),
     "space_time": CatalogueEntry("What the camera saw", _space_time),
     "tracks": CatalogueEntry("Positions of the sheets", _tracks),
+    "outer_inner": CatalogueEntry("Positions of the sheets", _outer_inner),
     "noise": CatalogueEntry("Can the positions be trusted?", _noise),
     "pixel_locking": CatalogueEntry("Can the positions be trusted?", _pixel_locking),
     "force": CatalogueEntry("Traction force", _force),
     "clocks": CatalogueEntry("The two clocks", _clocks),
+    "clock_residuals": CatalogueEntry("The two clocks", _clock_residuals),
     "sticks": CatalogueEntry("Stick phases", _sticks),
     "force_drop": CatalogueEntry("Stick phases", _force_drop),
     "stiffness": CatalogueEntry("Stick phases", _stiffness),
+    "stiffness_residuals": CatalogueEntry("Stick phases", _stiffness_residuals),
     "stick": CatalogueEntry("Deformation and the stiff shell", _stick),
     "deformation": CatalogueEntry("Deformation and the stiff shell", _deformation),
     "shells": CatalogueEntry("Deformation and the stiff shell", _shells),
