@@ -7,6 +7,7 @@ from vision.figures.catalogue import (
     kymograph,
     missing_parts,
     overview,
+    publication_figures_of,
     sections_of,
 )
 from vision.figures.deformation import deformation_figure, shells_figure, stick_figure
@@ -64,6 +65,7 @@ __all__ = [
     "percent",
     "pixel_locking_figure",
     "plus_minus",
+    "publication_figures_of",
     "save_figures",
     "sections_of",
     "shells_figure",

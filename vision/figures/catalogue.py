@@ -13,7 +13,7 @@ import xarray as xr
 from vision.clock import Clock, video_slips
 from vision.data import TrackMetadata
 from vision.errors import InputError
-from vision.figures import deformation, force, video
+from vision.figures import deformation, force, publication, video
 from vision.figures.figure import Figure
 from vision.figures.labels import load_unit
 from vision.models import ModelFits
@@ -101,12 +101,22 @@ class CatalogueEntry:
     section
         Heading of the report under which it stands; "" for figures that the report does not show, because
         their panels are figures of their own there.
-    make
+    build
         The figure of these results; None where they lack what it shows.
+    paper
+        Number of the publication's figure that it corresponds to, "" for none.
     """
 
     section: str
-    make: Callable[[Results], Figure | None]
+    build: Callable[[Results], Figure | None]
+    paper: str = ""
+
+    def make(self, results: Results) -> Figure | None:
+        """The figure, with the publication's number in its caption; None where the results lack its data."""
+        figure = self.build(results)
+        if figure is None or not self.paper:
+            return figure
+        return replace(figure, caption=f"{figure.caption} Compare figure {self.paper} of the publication.")
 
 
 def figures_of(results: Results) -> list[Figure]:
@@ -115,6 +125,13 @@ def figures_of(results: Results) -> list[Figure]:
     Those that only put others together, "overview", "kymograph" and "force_overview", are left out.
     """
     made = (entry.make(results) for entry in FIGURES.values() if entry.section)
+    return [figure for figure in made if figure is not None]
+
+
+def publication_figures_of(results: Results) -> list[Figure]:
+    """The publication's figures that are not among `figures_of`: no part of the report, drawn by name."""
+    entries = [entry for entry in FIGURES.values() if entry.paper and not entry.section]
+    made = (entry.make(results) for entry in entries)
     return [figure for figure in made if figure is not None]
 
 
@@ -273,6 +290,33 @@ def _shells(r: Results) -> Figure | None:
     return deformation.shells_figure(r.shells, r.fits)
 
 
+def _force_insets(r: Results) -> Figure | None:
+    if r.force is None or not _separated(r.sticks):
+        return None
+    return publication.force_insets_figure(r.force, r.sticks, r.fits)
+
+
+def _single_sheets(r: Results) -> Figure | None:
+    slips_s, slips_from = slip_times(r)
+    if r.strip is None or r.tracks is None or slips_s is None:
+        return None
+    return publication.single_sheets_figure(
+        r.strip, r.tracks, slips_s, pixel_size_um=r.pixel_size_um, slips_from=slips_from
+    )
+
+
+def _mean_deformation(r: Results) -> Figure | None:
+    if r.motion is None or not r.motion.sizes["event"]:
+        return None
+    return publication.mean_deformation_figure(r.motion, threshold=r.threshold)
+
+
+def _intensity(r: Results) -> Figure | None:
+    if r.strip is None or r.tracks is None:
+        return None
+    return publication.intensity_figure(r.strip, r.tracks, slip_times(r)[0])
+
+
 def _overview(r: Results) -> Figure | None:
     return overview(figure for make in (_frame, _space_time, _tracks) if (figure := make(r)) is not None)
 
@@ -295,22 +339,26 @@ def _separated(sticks: pd.DataFrame | None) -> TypeGuard[pd.DataFrame]:
 
 
 FIGURES: Mapping[str, CatalogueEntry] = {
-    "frame": CatalogueEntry("What the camera saw", _frame),
+    "frame": CatalogueEntry("What the camera saw", _frame, "7a"),
     "space_time": CatalogueEntry("What the camera saw", _space_time),
     "tracks": CatalogueEntry("Positions of the sheets", _tracks),
     "outer_inner": CatalogueEntry("Positions of the sheets", _outer_inner),
     "noise": CatalogueEntry("Can the positions be trusted?", _noise),
     "pixel_locking": CatalogueEntry("Can the positions be trusted?", _pixel_locking),
-    "force": CatalogueEntry("Traction force", _force),
+    "force": CatalogueEntry("Traction force", _force, "2"),
     "clocks": CatalogueEntry("The two clocks", _clocks),
     "clock_residuals": CatalogueEntry("The two clocks", _clock_residuals),
-    "sticks": CatalogueEntry("Stick phases", _sticks),
-    "force_drop": CatalogueEntry("Stick phases", _force_drop),
-    "stiffness": CatalogueEntry("Stick phases", _stiffness),
+    "sticks": CatalogueEntry("Stick phases", _sticks, "4"),
+    "force_drop": CatalogueEntry("Stick phases", _force_drop, "5"),
+    "stiffness": CatalogueEntry("Stick phases", _stiffness, "6"),
     "stiffness_residuals": CatalogueEntry("Stick phases", _stiffness_residuals),
-    "stick": CatalogueEntry("Deformation and the stiff shell", _stick),
-    "deformation": CatalogueEntry("Deformation and the stiff shell", _deformation),
+    "stick": CatalogueEntry("Deformation and the stiff shell", _stick, "7d"),
+    "deformation": CatalogueEntry("Deformation and the stiff shell", _deformation, "8"),
     "shells": CatalogueEntry("Deformation and the stiff shell", _shells),
+    "force_insets": CatalogueEntry("", _force_insets, "2"),
+    "single_sheets": CatalogueEntry("", _single_sheets, "7b and c"),
+    "mean_deformation": CatalogueEntry("", _mean_deformation, "8"),
+    "intensity": CatalogueEntry("", _intensity, "12"),
     "overview": CatalogueEntry("", _overview),
     "kymograph": CatalogueEntry("", _kymograph),
     "force_overview": CatalogueEntry("", _force_overview),

@@ -13,7 +13,7 @@ from vision.data import StickMetadata
 from vision.errors import InputError
 from vision.figures.decimate import minmax_by_x, minmax_decimate
 from vision.figures.displacement import outward_px
-from vision.figures.figure import Figure, Ink, Panel, Range, Series
+from vision.figures.figure import Arrow, Figure, Ink, Panel, Range, Series
 from vision.figures.labels import displacement_unit, load_label, load_unit, plus_minus, signed, time_axis
 from vision.figures.style import DATA, MODEL, OTHER_MODEL, PEAK, QUIET, VALLEY, ordered_inks
 from vision.force.recording import good_samples
@@ -23,6 +23,7 @@ from vision.numeric import Floats
 BINS = 4000  # of F(d)
 MOST_SAMPLES = 30_000  # of force or opening on the clocks' axis
 SHOWN_STICKS = 5
+DOTS = 12  # that mark the part of a stick over which K is taken
 FIRST_STICKS = 10  # that the page shows of the clocks at first
 ZOOMED_EVENTS = 6  # of the overview's second panel
 CURVE_POINTS = 300
@@ -47,7 +48,7 @@ def force_figure(
     fits
         From `fit_models`.
     """
-    good = _measurable(force)
+    good = measurable(force)
     d, time = good["d_mm"].to_numpy(), good["time_s"].to_numpy()
     known = bool(np.isfinite(d).any())
     x, y = minmax_by_x(d if known else time, good["load_N"].to_numpy(), bins=BINS)
@@ -102,7 +103,7 @@ def clocks_figure(
     time = clock.to_force_s(time_axis(tracks)[0])
     scale, unit = displacement_unit(pixel_size_um)
     t_video, opened = minmax_decimate(time, outward_px(tracks)[:, None] * scale, most=MOST_SAMPLES)
-    good = _measurable(force)
+    good = measurable(force)
     margin = 0.1 * float(time[-1] - time[0])
     near = (good["time_s"] > time[0] - margin) & (good["time_s"] < time[-1] + margin)
     part = good.isel(time_s=np.flatnonzero(near.to_numpy())) if near.any() else good
@@ -153,6 +154,7 @@ def clock_residuals_figure(
     at, residual = there[same], 1000 * residual[same]
     if not at.size:
         return None
+    reach = 1.1 * float(np.max(np.abs(residual) + error))
     panel = Panel(
         x_label="t (s, force clock)",
         y_label="video − force (ms)",
@@ -168,6 +170,7 @@ def clock_residuals_figure(
                 high=residual + error,
             ),
         ),
+        y_range=(-reach, reach),
         aspect=0.25,
     )
     return Figure(
@@ -214,7 +217,7 @@ def _some_sticks(t_video: Floats, sticks: pd.DataFrame | None) -> Range | None:
 def sticks_figure(force: xr.Dataset, sticks: pd.DataFrame) -> Figure:
     """F − F_v against d − d_v for a few stick-slip events from first to last."""
     chosen = _spread(sticks)
-    good = _measurable(force)
+    good = measurable(force)
     time, d, load = (good[name].to_numpy().astype(float) for name in ("time_s", "d_mm", "load_N"))
     t_v, t_p, slip, d_v, f_v = (
         chosen[name].to_numpy(float) for name in ("t_v_s", "t_p_s", "slip_time_s", "d_v_mm", "F_v_N")
@@ -232,17 +235,57 @@ def sticks_figure(force: xr.Dataset, sticks: pd.DataFrame) -> Figure:
         )
         for k, ink in enumerate(ordered_inks(len(chosen)))
     )
-    panel = Panel(x_label="d − d_v (µm)", y_label=load_label("F − F_v", load_unit(force)), series=series)
+    part = StickMetadata.of(sticks).central_part
+    panel = Panel(
+        x_label="d − d_v (µm)",
+        y_label=load_label("F − F_v", load_unit(force)),
+        series=series + _central_parts(chosen, series, part),
+        arrows=_stick_sizes(chosen),
+    )
+    if arrows := panel.arrows:  # room for the arrows and their symbols
+        x = np.concatenate([curve.x for curve in series])
+        y = np.concatenate([curve.y for curve in series])
+        beside = 1.12 * max(float(x.max()), arrows[0].x[0])
+        above = 1.15 * max(float(y.max()), arrows[1].y[0])
+        panel = replace(
+            panel, x_range=(float(x.min()) - 0.02 * beside, beside), y_range=(min(float(y.min()), 0.0), above)
+        )
     return Figure(
         name="sticks",
         title="Single stick-slip events",
         caption=(
             "Force above the valley against separation beyond the valley, samples as recorded, for "
-            "events from the beginning to the end of the test; later ones brighter. The slope of the "
-            "central half is K, the height ΔF, the length Λ_st. A drop at the very start is the end of the "
-            "slip before."
+            "events from the beginning to the end of the test; later ones brighter. Dots: the central "
+            f"{100 * part:.0f} %, whose slope is K; arrows: the height ΔF and the length Λ_st of the first. "
+            "A drop at the very start is the end of the slip before."
         ),
         panels=(panel,),
+    )
+
+
+def _central_parts(chosen: pd.DataFrame, curves: tuple[Series, ...], part: float) -> tuple[Series, ...]:
+    """The samples over which K is taken, thinned to some dots a stick."""
+    dots: list[Series] = []
+    for length, curve in zip(chosen["stick_length_um"].to_numpy(float), curves, strict=True):
+        inside = np.flatnonzero(np.abs(curve.x - length / 2) <= part * length / 2)
+        inside = inside[:: max(1, inside.size // DOTS)]
+        if inside.size:
+            label = "" if dots else "K is taken here"
+            dots.append(
+                Series(label=label, x=curve.x[inside], y=curve.y[inside], ink=curve.ink, look="points")
+            )
+    return tuple(dots)
+
+
+def _stick_sizes(chosen: pd.DataFrame) -> tuple[Arrow, ...]:
+    """ΔF and Λ_st of the first event shown."""
+    if chosen.empty or not np.isfinite(chosen["stick_length_um"].iloc[0]):
+        return ()
+    length, drop = float(chosen["stick_length_um"].iloc[0]), float(chosen["dF_N"].iloc[0])
+    beside, above = 1.04 * length, 1.05 * drop
+    return (
+        Arrow(x=(beside, beside), y=(0.0, drop), label="ΔF"),
+        Arrow(x=(0.0, length), y=(above, above), label="Λ_st"),
     )
 
 
@@ -395,7 +438,7 @@ def _zoom(force: xr.Dataset, sticks: pd.DataFrame) -> Panel:
     series: tuple[Series, ...] = ()
     if len(some):
         margin = 0.15 * (t_p[-1] - t_v[0])
-        good = _measurable(force)
+        good = measurable(force)
         time = good["time_s"].to_numpy()
         near = (time > t_v[0] - margin) & (time < t_p[-1] + margin)
         at, load = minmax_decimate(
@@ -421,7 +464,8 @@ def _zoom(force: xr.Dataset, sticks: pd.DataFrame) -> Panel:
 # --- series -------------------------------------------------------------------------------------------------
 
 
-def _measurable(force: xr.Dataset) -> xr.Dataset:
+def measurable(force: xr.Dataset) -> xr.Dataset:
+    """The samples without a flag."""
     return good_samples(force) if "flag" in force else force
 
 

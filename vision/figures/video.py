@@ -85,7 +85,7 @@ def frame_figure(frame: Pixels, tracks: xr.Dataset) -> Figure:
         name="frame",
         title="The frame, the strip and the numbered sheets",
         caption=(
-            f"One frame of the recording. The outlined rows {z0:.0f} to {z1:.0f} (half-open) are averaged "
+            f"{which} of the recording. The outlined rows {z0:.0f} to {z1:.0f} (half-open) are averaged "
             "to the profile I(x); vertical strokes mark the sheets that were found, with their number n "
             "counted outwards from the symmetry axis (dashed)."
         ),

@@ -164,6 +164,7 @@ def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
         "picture": None if panel.image is None else _image_data(panel.image),
         "bands": [{"low": b.low, "high": b.high, "outline": b.outline} for b in panel.bands],
         "marks": [] if panel.marks is None else [float(f"{t:.8g}") for t in panel.marks.tolist()],
+        "arrows": [{"x": a.x, "y": a.y, "label": to_unicode(a.label)} for a in panel.arrows],
         "xLines": panel.x_lines,
         "xRange": panel.x_range,
         "yRange": panel.y_range,

@@ -97,6 +97,25 @@
     }
     c.stroke(); c.restore();
   }
+  /* Lengths that are pointed out, with a head at either end. */
+  function lengths(u, chart) {
+    const c = u.ctx, box = u.bbox, r = devicePixelRatio;
+    c.save(); c.beginPath(); c.rect(box.left, box.top, box.width, box.height); c.clip();
+    c.setLineDash([]); c.lineWidth = 1.3 * r; c.strokeStyle = c.fillStyle = css("--text");
+    c.font = `${13 * r}px system-ui, sans-serif`;
+    for (const a of chart.arrows) {
+      const [x0, x1] = a.x.map((v) => u.valToPos(v, "x", true)), [y0, y1] = a.y.map((v) => u.valToPos(v, "y", true));
+      const turn = Math.atan2(y1 - y0, x1 - x0), upright = Math.abs(x1 - x0) < 1;
+      c.beginPath(); c.moveTo(x0, y0); c.lineTo(x1, y1);
+      for (const [x, y, way] of [[x0, y0, turn], [x1, y1, turn + Math.PI]]) {
+        for (const off of [-0.4, 0.4]) { c.moveTo(x, y); c.lineTo(x + 8 * r * Math.cos(way + off), y + 8 * r * Math.sin(way + off)); }
+      }
+      c.stroke();
+      c.textAlign = upright ? "left" : "center"; c.textBaseline = upright ? "middle" : "bottom";
+      c.fillText(a.label, (x0 + x1) / 2 + (upright ? 6 * r : 0), (y0 + y1) / 2 - (upright ? 0 : 3 * r));
+    }
+    c.restore();
+  }
   /* Every how many-th sheet has room for its number: 1, 2, 5, 10, 20 … */
   function labelStep(u, c, xs, text) {
     const wide = Math.max(...text.map((t) => c.measureText(t).width)) + 5 * devicePixelRatio;
@@ -215,7 +234,7 @@
         points: { show: !both } },
       hooks: {
         drawClear: [(u) => underlay(u, chart, image)],
-        draw: [(u) => { bars(u, chart, arrays); ticks(u, chart); holder.parentElement.dataset.drawn = "yes"; }],
+        draw: [(u) => { bars(u, chart, arrays); ticks(u, chart); lengths(u, chart); holder.parentElement.dataset.drawn = "yes"; }],
         setSelect: [(u) => select(u, chart)],
         setCursor: [(u) => read(u, chart, readout)],
       },
