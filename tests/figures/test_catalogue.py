@@ -55,7 +55,10 @@ def scene(*, sheets=7, frames=40, rows=60, columns=400, times_s=None, nothing_fo
 def test_any_recording_has_its_figures(options, tmp_path):
     """A failure means that a run's tables are lost because its figures cannot be drawn."""
     figures = figures_of(scene(**options))
-    assert [figure.name for figure in figures] == ["frame", "space_time", "tracks", "noise", "pixel_locking"]
+    names = ["frame", "space_time", "tracks", "outer_inner", "noise", "pixel_locking"]
+    if options.get("sheets", 7) < 6:  # thirds of a side need three sheets
+        names.remove("outer_inner")
+    assert [figure.name for figure in figures] == names
     for figure in (*figures, overview(figures), kymograph(figures)):
         assert figure.save(tmp_path / f"{figure.name}.png").stat().st_size > 3000
 
@@ -74,7 +77,8 @@ def test_no_two_sheet_numbers_overlap(sheets):
     """A failure means that the numbers 1 and 1 at the centre read as 11."""
     page = overview(figures_of(scene(sheets=sheets, columns=1920, frames=3))).plot().figure
     FigureCanvasAgg(page).draw()
-    boxes = sorted((label.get_window_extent() for label in page.axes[0].texts), key=lambda box: box.x0)
+    numbers = [label for label in page.axes[0].texts if label.get_text().isdigit()]
+    boxes = sorted((label.get_window_extent() for label in numbers), key=lambda box: box.x0)
     assert len(boxes) >= min(sheets, 20)
     assert all(a.x1 <= b.x0 for a, b in itertools.pairwise(boxes))
 
@@ -102,7 +106,7 @@ def test_tracks_lie_on_their_ridges_also_after_a_gap():
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("x (mm)", "t (s)")
     drawn = [line for collection in ax.collections for line in collection.get_segments()]
     expected = np.stack([results.tracks["x_px"].values.T / 100, np.tile(times_s, (7, 1))], axis=2)
-    np.testing.assert_allclose(drawn, expected)
+    np.testing.assert_allclose(drawn, np.concatenate([expected, expected]))  # dark edges, then colours
 
 
 def test_a_single_frame_is_seen_as_dots():

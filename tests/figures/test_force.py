@@ -7,7 +7,8 @@ import pytest
 
 from tests.scenes.report_data import make_tracks, sawtooth
 from vision.figures import figures_of, force_overview_figure
-from vision.figures.force import ZOOMED_EVENTS, clocks_figure, force_figure, opening_px, sticks_figure
+from vision.figures.displacement import outward_px
+from vision.figures.force import ZOOMED_EVENTS, clocks_figure, force_figure, sticks_figure
 from vision.report.text import methods
 
 JUMP_PX = 4.0
@@ -24,7 +25,7 @@ def by_label(figure):
 
 def test_all_sheets_opening_is_positive(tracks):
     """A failure means that the clock check compares force drops with steps of the wrong sign."""
-    opened = opening_px(tracks)
+    opened = outward_px(tracks)
     assert opened[51] - opened[48] == pytest.approx(JUMP_PX * np.mean([1, 3, 5, 7, 9]) / 9, abs=0.2)
 
 
@@ -32,7 +33,7 @@ def test_frames_without_sheets_have_no_opening(tracks):
     """A failure means that lost frames are shown as motion."""
     x = tracks["x_px"].values.copy()
     x[100:110] = np.nan
-    opened = opening_px(make_tracks(x))
+    opened = outward_px(make_tracks(x))
     assert np.isnan(opened[100:110]).all()
     assert np.isfinite(np.delete(opened, np.s_[100:110])).all()
 

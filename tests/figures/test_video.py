@@ -125,9 +125,9 @@ def test_a_frame_keeps_its_shape_unless_nothing_could_be_seen(tracks, rows, squa
 def test_one_definition_of_displacement(tracks):
     """A failure means that overview.png and the report subtract different things."""
     x = tracks["x_px"].values.copy()
-    x[0, 3] += 500  # which moves the mean, not the median
+    x[0, 3] += 500  # which moves a mean, not a median
     tracks = make_tracks(x)
     strip = make_profile(tracks, 220)
     figures = [space_time_figure(strip, tracks), tracks_figure(tracks)]
     assert overview(figures).panels[-1].series is figures[1].panel.series
-    np.testing.assert_allclose(figures[1].panel.series[3].y, x[:, 3] - np.median(x[:, 3]))
+    np.testing.assert_allclose(figures[1].panel.series[3].y, x[:, 3] - np.median(x[:20, 3]))

@@ -26,7 +26,7 @@ def names(results):
 def test_without_force_the_page_says_what_is_missing(video_only, tmp_path):
     """A failure means an empty figure, or a reader who does not learn why there is none."""
     page = page_of(video_only, tmp_path)
-    assert names(video_only) == ["frame", "space_time", "tracks", "noise", "pixel_locking"]
+    assert names(video_only) == ["frame", "space_time", "tracks", "outer_inner", "noise", "pixel_locking"]
     assert "no force recording was given (--force)" in page
     assert "no pixel size was given (--pixel-size)" in page
     assert "stiff shell</div>" not in page
@@ -141,7 +141,7 @@ def test_a_force_recording_alone_has_its_page(pulled, tmp_path):
     """A failure means that the report takes a video for granted."""
     alone = Found(force=pulled.force, sticks=pulled.sticks, fits=pulled.fits)
     page = page_of(alone, tmp_path)
-    assert names(alone) == ["force", "sticks", "force_drop", "stiffness"]
+    assert names(alone) == ["force", "sticks", "force_drop", "stiffness", "stiffness_residuals"]
     assert f'<div class="what">stick phases</div><div class="value">{len(pulled.sticks)}' in page
     assert "no video was given" in page
 

@@ -33,8 +33,8 @@ def friction(
 ) -> int:
     """Static and dynamic friction of two sheets from a rheometer's files, and the law μ_s = a(1 + b/N).
 
-    Writes friction.csv, friction.json, run.json and friction.png. A file or measurement that cannot be used
-    is named, the others are done, and the exit status is 1.
+    Writes friction.csv, friction.json, run.json, friction.png and figures.npz. A file or measurement that
+    cannot be used is named, the others are done, and the exit status is 1.
 
     Parameters
     ----------
@@ -160,8 +160,9 @@ def _write(
     parameters: Mapping[str, Parameter],
     start: float,
 ) -> None:
+    from vision.figures import save_figures
+    from vision.figures.single_sheets import friction_figure
     from vision.models.friction import RIM_CAVEAT, friction_table
-    from vision.report.single_sheets import write_friction_picture
     from vision.run.folder import run_folder
     from vision.run.provenance import describe_input, versions, write_json
     from vision.run.tables import write_table
@@ -190,14 +191,9 @@ def _write(
     with run_folder(target, overwrite=overwrite) as folder:
         write_table(friction_table(found.measured), folder / "friction.csv")
         write_json(content, folder / "friction.json")
-        write_friction_picture(
-            folder / "friction.png",
-            found.measured,
-            found.curves,
-            law,
-            mu=mu,
-            dynamic_deg=settings.dynamic_deg,
-        )
+        figure = friction_figure(found.measured, found.curves, law, mu=mu, dynamic_deg=settings.dynamic_deg)
+        figure.save(folder / "friction.png")
+        save_figures(folder / "figures.npz", [figure])
         write_json({**facts, "seconds": {"total": time.perf_counter() - start}}, folder / "run.json")
 
 

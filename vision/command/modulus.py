@@ -30,7 +30,8 @@ def modulus(
 ) -> int:
     """Young's modulus of one sheet from push–pull cycles.
 
-    Writes cycles.csv, modulus.json, run.json and modulus.png. Exit status 1 if a warning matters.
+    Writes cycles.csv, modulus.json, run.json, modulus.png and figures.npz. Exit status 1 if a
+    warning matters.
 
     Parameters
     ----------
@@ -57,12 +58,13 @@ def modulus(
     quiet
         No summary on standard output.
     """
+    from vision.figures import save_figures
     from vision.figures.labels import plus_minus
+    from vision.figures.single_sheets import modulus_figure
     from vision.force.columns import parse_columns
     from vision.force.recording import read_force
     from vision.models import Estimate
     from vision.models.modulus import ModulusSettings, measure_cycles, summarise_modulus
-    from vision.report.single_sheets import write_modulus_picture
     from vision.run.folder import check_target, run_folder
     from vision.run.provenance import Parameter, describe_input, versions, write_json
     from vision.run.tables import write_table
@@ -117,7 +119,9 @@ def modulus(
     with run_folder(target, overwrite=overwrite) as folder:
         write_table(cycles, folder / "cycles.csv")
         write_json(content, folder / "modulus.json")
-        write_modulus_picture(folder / "modulus.png", force, cycles, clamp_distance_mm=clamp_distance)
+        figure = modulus_figure(force, cycles, clamp_distance_mm=clamp_distance)
+        figure.save(folder / "modulus.png")
+        save_figures(folder / "figures.npz", [figure])
         write_json({**facts, "seconds": {"total": time.perf_counter() - start}}, folder / "run.json")
     if not quiet:
         named = {"Y_p = |F0|/(εW)": "Y_p_GPa", "kL/(εW)": "Y_slope_GPa"}

@@ -5,13 +5,14 @@ from vision.figures.catalogue import (
     Results,
     figures_of,
     kymograph,
-    manuscript_figures,
     missing_parts,
     overview,
+    publication_figures_of,
     sections_of,
 )
 from vision.figures.deformation import deformation_figure, shells_figure, stick_figure
 from vision.figures.figure import (
+    Arrow,
     Band,
     Figure,
     Image,
@@ -42,6 +43,7 @@ from vision.figures.video import (
 
 __all__ = [
     "FIGURES",
+    "Arrow",
     "Band",
     "Figure",
     "Image",
@@ -58,7 +60,6 @@ __all__ = [
     "kymograph",
     "kymograph_figure",
     "load_figures",
-    "manuscript_figures",
     "missing_parts",
     "noise_figure",
     "overview",
@@ -66,6 +67,7 @@ __all__ = [
     "pixel_locking_figure",
     "plus_minus",
     "preview_figure",
+    "publication_figures_of",
     "save_figures",
     "sections_of",
     "shells_figure",

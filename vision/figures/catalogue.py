@@ -10,13 +10,14 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.clock import Clock
+from vision.clock import Clock, video_slips
+from vision.data import TrackMetadata
 from vision.errors import InputError
-from vision.figures import deformation, force, paper, video
+from vision.figures import deformation, force, publication, video
 from vision.figures.figure import Figure
 from vision.figures.labels import load_unit
 from vision.models import ModelFits
-from vision.numeric import Pixels
+from vision.numeric import Floats, Pixels
 
 
 class Results(Protocol):
@@ -100,12 +101,22 @@ class CatalogueEntry:
     section
         Heading of the report under which it stands; "" for figures that the report does not show, because
         their panels are figures of their own there.
-    make
+    build
         The figure of these results; None where they lack what it shows.
+    paper
+        Number of the publication's figure that it corresponds to, "" for none.
     """
 
     section: str
-    make: Callable[[Results], Figure | None]
+    build: Callable[[Results], Figure | None]
+    paper: str = ""
+
+    def make(self, results: Results) -> Figure | None:
+        """The figure, with the publication's number in its caption; None where the results lack its data."""
+        figure = self.build(results)
+        if figure is None or not self.paper:
+            return figure
+        return replace(figure, caption=f"{figure.caption} Compare figure {self.paper} of the publication.")
 
 
 def figures_of(results: Results) -> list[Figure]:
@@ -117,9 +128,10 @@ def figures_of(results: Results) -> list[Figure]:
     return [figure for figure in made if figure is not None]
 
 
-def manuscript_figures(results: Results) -> list[Figure]:
-    """The publication's figures that put several views together, which the report's page does not show."""
-    made = (FIGURES[name].make(results) for name in MANUSCRIPT)
+def publication_figures_of(results: Results) -> list[Figure]:
+    """The publication's figures that are not among `figures_of`: no part of the report, drawn by name."""
+    entries = [entry for entry in FIGURES.values() if entry.paper and not entry.section]
+    made = (entry.make(results) for entry in entries)
     return [figure for figure in made if figure is not None]
 
 
@@ -184,11 +196,34 @@ def _frame(r: Results) -> Figure | None:
 def _space_time(r: Results) -> Figure | None:
     if r.strip is None or r.tracks is None:
         return None
-    return video.space_time_figure(r.strip, r.tracks, pixel_size_um=r.pixel_size_um)
+    slips_s, slips_from = slip_times(r)
+    return video.space_time_figure(
+        r.strip, r.tracks, pixel_size_um=r.pixel_size_um, slips_s=slips_s, slips_from=slips_from
+    )
+
+
+def slip_times(r: Results) -> tuple[Floats | None, str]:
+    """Times of the slips on the camera's clock, s, and what they are from.
+
+    Those of the force where its clock is sure, else the common outward steps of the sheets; None where
+    neither is known: with an axis that was only guessed from the sheets' places, outward is not known.
+    """
+    if r.sticks is not None and len(r.sticks) and r.clock is not None and r.clock.status != "ambiguous":
+        return np.sort(r.clock.to_video_s(r.sticks["t_p_s"].to_numpy(float))), "the force"
+    if r.tracks is None or TrackMetadata.of(r.tracks).axis_how == "geometry":
+        return None, ""
+    try:
+        return video_slips(r.tracks)["time_s"].to_numpy(float), "the sheets' common steps"
+    except InputError:  # too few frames, or none with a time: nothing to mark
+        return None, ""
 
 
 def _tracks(r: Results) -> Figure | None:
     return None if r.tracks is None else video.tracks_figure(r.tracks, pixel_size_um=r.pixel_size_um)
+
+
+def _outer_inner(r: Results) -> Figure | None:
+    return None if r.tracks is None else video.outer_inner_figure(r.tracks, pixel_size_um=r.pixel_size_um)
 
 
 def _noise(r: Results) -> Figure | None:
@@ -209,6 +244,12 @@ def _clocks(r: Results) -> Figure | None:
     return force.clocks_figure(r.force, r.tracks, r.clock, r.sticks, pixel_size_um=r.pixel_size_um)
 
 
+def _clock_residuals(r: Results) -> Figure | None:
+    if r.force is None or r.tracks is None or r.clock is None or r.sticks is None:
+        return None
+    return force.clock_residuals_figure(r.force, r.tracks, r.clock, r.sticks)
+
+
 def _sticks(r: Results) -> Figure | None:
     return None if r.force is None or not _separated(r.sticks) else force.sticks_figure(r.force, r.sticks)
 
@@ -223,6 +264,12 @@ def _stiffness(r: Results) -> Figure | None:
     if r.force is None or not _separated(r.sticks):
         return None
     return force.stiffness_figure(r.sticks, r.fits, unit=load_unit(r.force))
+
+
+def _stiffness_residuals(r: Results) -> Figure | None:
+    if r.force is None or r.fits is None or not _separated(r.sticks):
+        return None
+    return force.stiffness_residuals_figure(r.sticks, r.fits, unit=load_unit(r.force))
 
 
 def _stick(r: Results) -> Figure | None:
@@ -243,6 +290,33 @@ def _shells(r: Results) -> Figure | None:
     return deformation.shells_figure(r.shells, r.fits)
 
 
+def _force_insets(r: Results) -> Figure | None:
+    if r.force is None or not _separated(r.sticks):
+        return None
+    return publication.force_insets_figure(r.force, r.sticks, r.fits)
+
+
+def _single_sheets(r: Results) -> Figure | None:
+    slips_s, slips_from = slip_times(r)
+    if r.strip is None or r.tracks is None or slips_s is None:
+        return None
+    return publication.single_sheets_figure(
+        r.strip, r.tracks, slips_s, pixel_size_um=r.pixel_size_um, slips_from=slips_from
+    )
+
+
+def _mean_deformation(r: Results) -> Figure | None:
+    if r.motion is None or not r.motion.sizes["event"]:
+        return None
+    return publication.mean_deformation_figure(r.motion, threshold=r.threshold)
+
+
+def _intensity(r: Results) -> Figure | None:
+    if r.strip is None or r.tracks is None:
+        return None
+    return publication.intensity_figure(r.strip, r.tracks, slip_times(r)[0])
+
+
 def _overview(r: Results) -> Figure | None:
     return overview(figure for make in (_frame, _space_time, _tracks) if (figure := make(r)) is not None)
 
@@ -259,66 +333,36 @@ def _force_overview(r: Results) -> Figure | None:
     return force.force_overview_figure(r.force, r.sticks, r.fits)
 
 
-def _force_insets(r: Results) -> Figure | None:
-    if r.force is None or not _separated(r.sticks) or not paper.knows_separation(r.force):
-        return None
-    return paper.force_insets_figure(r.force, r.sticks, r.fits)
-
-
-def _single_sheets(r: Results) -> Figure | None:
-    if r.strip is None or r.tracks is None:
-        return None
-    slips_s = None
-    if r.clock is not None and r.clock.status != "ambiguous" and r.sticks is not None:
-        at = r.clock.to_video_s(r.sticks["t_p_s"].to_numpy(float))
-        time = np.asarray(r.tracks["time_s"].values, float)
-        slips_s = at[(at > np.nanmin(time)) & (at < np.nanmax(time))]
-    try:
-        return paper.single_sheets_figure(r.strip, r.tracks, pixel_size_um=r.pixel_size_um, slips_s=slips_s)
-    except InputError:  # a sheet that was never found, or a recording without a clock
-        return None
-
-
-def _profile(r: Results) -> Figure | None:
-    if r.strip is None or r.tracks is None:
-        return None
-    return paper.profile_figure(r.strip, r.tracks, clock=r.clock, sticks=r.sticks)
-
-
-def _deformation_mean(r: Results) -> Figure | None:
-    if r.motion is None or not r.motion.sizes["event"]:
-        return None
-    return paper.deformation_mean_figure(r.motion, threshold=r.threshold)
-
-
 def _separated(sticks: pd.DataFrame | None) -> TypeGuard[pd.DataFrame]:
     """Whether there are events with a known separation."""
     return sticks is not None and bool(sticks["d_v_mm"].notna().any())
 
 
 FIGURES: Mapping[str, CatalogueEntry] = {
-    "frame": CatalogueEntry("What the camera saw", _frame),
+    "frame": CatalogueEntry("What the camera saw", _frame, "7a"),
     "space_time": CatalogueEntry("What the camera saw", _space_time),
     "tracks": CatalogueEntry("Positions of the sheets", _tracks),
+    "outer_inner": CatalogueEntry("Positions of the sheets", _outer_inner),
     "noise": CatalogueEntry("Can the positions be trusted?", _noise),
     "pixel_locking": CatalogueEntry("Can the positions be trusted?", _pixel_locking),
-    "force": CatalogueEntry("Traction force", _force),
+    "force": CatalogueEntry("Traction force", _force, "2"),
     "clocks": CatalogueEntry("The two clocks", _clocks),
-    "sticks": CatalogueEntry("Stick phases", _sticks),
-    "force_drop": CatalogueEntry("Stick phases", _force_drop),
-    "stiffness": CatalogueEntry("Stick phases", _stiffness),
-    "stick": CatalogueEntry("Deformation and the stiff shell", _stick),
-    "deformation": CatalogueEntry("Deformation and the stiff shell", _deformation),
+    "clock_residuals": CatalogueEntry("The two clocks", _clock_residuals),
+    "sticks": CatalogueEntry("Stick phases", _sticks, "4"),
+    "force_drop": CatalogueEntry("Stick phases", _force_drop, "5"),
+    "stiffness": CatalogueEntry("Stick phases", _stiffness, "6"),
+    "stiffness_residuals": CatalogueEntry("Stick phases", _stiffness_residuals),
+    "stick": CatalogueEntry("Deformation and the stiff shell", _stick, "7d"),
+    "deformation": CatalogueEntry("Deformation and the stiff shell", _deformation, "8"),
     "shells": CatalogueEntry("Deformation and the stiff shell", _shells),
+    "force_insets": CatalogueEntry("", _force_insets, "2"),
+    "single_sheets": CatalogueEntry("", _single_sheets, "7b and c"),
+    "mean_deformation": CatalogueEntry("", _mean_deformation, "8"),
+    "intensity": CatalogueEntry("", _intensity, "12"),
     "overview": CatalogueEntry("", _overview),
     "kymograph": CatalogueEntry("", _kymograph),
     "force_overview": CatalogueEntry("", _force_overview),
-    "force_insets": CatalogueEntry("", _force_insets),
-    "single_sheets": CatalogueEntry("", _single_sheets),
-    "profile": CatalogueEntry("", _profile),
-    "deformation_mean": CatalogueEntry("", _deformation_mean),
 }
-MANUSCRIPT = ("force_insets", "single_sheets", "profile", "deformation_mean")
 """Figures by name, in reading order."""
 
 

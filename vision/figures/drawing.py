@@ -23,9 +23,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from PIL import Image as Pillow
 
-from vision.figures.figure import Band, Figure, Image, Panel, Series
+from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series
 from vision.figures.labels import to_mathtext
-from vision.figures.style import HIGHLIGHT, MISSING, QUIET, rgb
+from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET, rgb
 
 PNG_DPI, VECTOR_DPI = 100, 300
 STROKE = 0.2  # of the strip's height: a sheet is marked above and below, so that its ridge stays in view
@@ -45,7 +45,7 @@ _STYLE: dict[str, Any] = {
 # inches
 _LEFT, _INNER, _BOTTOM, _TOP = 0.8, 0.15, 0.55, 0.12
 _TITLE, _LEGEND = 0.26, 0.24
-_LEAST_HEIGHT, _MOST_HEIGHT = 0.45, 9.0
+_LEAST_HEIGHT, _MOST_HEIGHT = 0.35, 9.0
 _LETTER, _MARKER = 0.075, 0.55  # of a legend's entry
 
 
@@ -78,6 +78,9 @@ def draw_panel(ax: Axes, panel: Panel) -> Axes:
         for colour, dashes in (("white", "-"), (QUIET[0], (0, (6, 4)))):  # visible on dark and light images
             ax.axvline(x, color=colour, lw=1, ls=dashes)
     _set_axes(ax, right, panel)
+    _draw_arrows(ax, panel.arrows)
+    if panel.image is not None and panel.image.scale:
+        _draw_scale(ax, panel.image.scale, above=panel.downwards)
     _draw_ticks(ax, [series for series in panel.series if series.look == "ticks"])
     _draw_arrows(ax, [series for series in panel.series if series.look == "arrow"])
     if panel.inset is not None:
@@ -160,6 +163,16 @@ def _draw_image(ax: Axes, image: Image, *, square: bool) -> None:
     ax.imshow(_rgba(image), extent=extent, aspect=aspect, interpolation="nearest")
 
 
+def _draw_scale(ax: Axes, text: str, *, above: bool) -> None:
+    """The grey scale in words: above a frame, which may be flat, else in the corner of the image."""
+    look: dict[str, Any] = {"transform": ax.transAxes, "ha": "right", "va": "bottom", "fontsize": 6.5}
+    if above:
+        ax.text(1, 1.01, text, color=QUIET[0], **look)
+    else:
+        box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8}
+        ax.text(0.99, 0.01, text, bbox=box, **look)
+
+
 def _draw_bands(ax: Axes, panel: Panel) -> None:
     for band in panel.bands:
         if band.outline:
@@ -167,7 +180,8 @@ def _draw_bands(ax: Axes, panel: Panel) -> None:
             size = high - low, band.high - band.low
             ax.add_patch(Rectangle((low, band.low), *size, fill=False, ec=HIGHLIGHT, lw=1.5))
         else:
-            ax.axhspan(band.low, band.high, color=QUIET[0], alpha=0.15, lw=0)
+            shade = ax.axvspan if band.of_x else ax.axhspan
+            shade(band.low, band.high, color=QUIET[0], alpha=0.15, lw=0)
 
 
 def _rgba(image: Image) -> Any:
@@ -187,6 +201,9 @@ def _draw_sheets(ax: Axes, panel: Panel) -> None:
         lines = [np.stack([s.y, s.x] if panel.time_down else [s.x, s.y], axis=1) for s in mine]
         if lines:
             look: dict[str, Any] = {"linewidths": mine[0].width, "linestyles": _DASHES if dashed else "-"}
+            if panel.image is not None:  # coloured lines are lost on white ridges without a dark edge
+                casing: dict[str, Any] = {"colors": CASING, "linewidths": mine[0].width + 0.9, "alpha": 0.7}
+                ax.add_collection(LineCollection(lines, **casing))
             ax.add_collection(LineCollection(lines, colors=[s.ink[0] for s in mine], **look))
     for series in dots:  # few points: a line alone would hide where they are
         x, y = (series.y, series.x) if panel.time_down else (series.x, series.y)
@@ -196,7 +213,10 @@ def _draw_sheets(ax: Axes, panel: Panel) -> None:
 def _draw_series(ax: Axes, series: Series) -> None:
     colour, at = series.ink[0], series.x + series.shift
     if series.low is not None and series.high is not None:
-        ax.vlines(at, series.low, series.high, color=colour, lw=0.9)
+        if series.look == "line":  # a spread about a curve
+            ax.fill_between(at, series.low, series.high, color=colour, alpha=0.2, lw=0)
+        else:
+            ax.vlines(at, series.low, series.high, color=colour, lw=0.9)
     if series.look == "steps":
         width = float(series.x[1] - series.x[0]) if len(series.x) > 1 else 1.0
         ax.bar(at, series.y, width, color=colour, alpha=0.5, ec=colour, label=series.label)
@@ -283,6 +303,24 @@ def label_step(x: Any, room: float) -> int:
     return int(steps[min(int(np.searchsorted(steps, least)), steps.size - 1)])
 
 
+def _draw_arrows(ax: Axes, arrows: tuple[Arrow, ...]) -> None:
+    for arrow in arrows:
+        (x0, x1), (y0, y1) = arrow.x, arrow.y
+        head: dict[str, Any] = {
+            "arrowstyle": "<->" if arrow.double else "->",
+            "shrinkA": 0,
+            "shrinkB": 0,
+            "color": MODEL[0],
+            "lw": 1.1,
+        }
+        ax.annotate("", (x1, y1), (x0, y0), arrowprops=head)
+        upright = abs(x1 - x0) < 1e-9 * max(abs(x0), abs(x1), 1e-9)
+        look: dict[str, Any] = {"textcoords": "offset points", "fontsize": 10}
+        look |= {"ha": "left", "va": "center"} if upright else {"ha": "center", "va": "bottom"}
+        middle = ((x0 + x1) / 2, (y0 + y1) / 2)
+        ax.annotate(to_mathtext(arrow.label), middle, (5, 0) if upright else (0, 3), **look)
+
+
 def _draw_marks(ax: Axes, marks: Any) -> None:
     """A pointer at both edges for each time and a thin line across; short ticks alone where they are many."""
     few = marks.size <= MOST_LINES
@@ -308,6 +346,10 @@ def _set_axes(ax: Axes, right: Axes | None, panel: Panel) -> None:
     if panel.time_down:
         along, across, labels = across, along, labels[::-1]
     ax.set(xlabel=labels[0], ylabel=labels[1])
+    if panel.x_log:
+        ax.set_xscale("log")
+    if panel.y_log:
+        ax.set_yscale("log")
     if along is not None and along[1] > along[0]:
         ax.set_xlim(along)
     elif panel.image is None and all(series.look == "line" for series in panel.series):

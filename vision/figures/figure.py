@@ -7,6 +7,7 @@ table (`Figure.table`), and kept in a file (`save_figures`, `load_figures`).
 from __future__ import annotations
 
 import json
+import math
 import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
@@ -87,6 +88,8 @@ class Image:
         Outer edges in units of the axes.
     missing
         True where nothing was recorded, (row, column); None where every pixel is known.
+    black, white
+        Grey levels of the recording that are shown black and white; NaN where the image has no scale.
     """
 
     pixels: NDArray[np.uint8]
@@ -95,16 +98,36 @@ class Image:
     top: float
     bottom: float
     missing: Bools | None = None
+    black: float = math.nan
+    white: float = math.nan
+
+    @property
+    def scale(self) -> str:
+        """The grey scale in words, black to white, "" without one."""
+        if not (math.isfinite(self.black) and math.isfinite(self.white)):
+            return ""
+        return f"grey levels {self.black:.3g} to {self.white:.3g}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Band:
-    """A shaded range of the y axis, or only its outline."""
+    """A shaded range of the y axis, or of the x axis (`of_x`), or only its outline."""
 
     low: float
     high: float
     label: str
     outline: bool = False
+    of_x: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Arrow:
+    """A length between two points, with a head at both ends (`double`) or at the second."""
+
+    x: Range
+    y: Range
+    label: str
+    double: bool = True
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,6 +159,10 @@ class Panel:
         Height over width of the plotted area.
     square_pixels
         Both axes have the same scale.
+    x_log, y_log
+        Logarithmic axes.
+    arrows
+        Lengths that are pointed out, with their symbols.
     title
         Shown above a panel of several.
     placeholder
@@ -161,6 +188,9 @@ class Panel:
     whole_numbers: bool = False
     aspect: float = 0.5
     square_pixels: bool = False
+    x_log: bool = False
+    y_log: bool = False
+    arrows: tuple[Arrow, ...] = ()
     title: str = ""
     placeholder: str = "no data"
     inset: Panel | None = None
@@ -330,7 +360,7 @@ def write_captions(path: Path, figures: Iterable[Figure]) -> None:
 
 # --- figures in a file --------------------------------------------------------------------------------------
 
-_CLASSES: dict[str, type] = {part.__name__: part for part in (Series, Image, Band, Panel, Figure)}
+_CLASSES: dict[str, type] = {part.__name__: part for part in (Series, Image, Band, Arrow, Panel, Figure)}
 _COMPRESSION = 1  # of 9: four times as fast as the usual 6, for files a twentieth larger
 
 
@@ -394,10 +424,16 @@ def _encode(value: Any, place: Callable[[NDArray[Any]], Any]) -> Any:
         content = {
             part.name: _encode(found, place)
             for part in fields(value)
-            if (found := getattr(value, part.name)) is not part.default
+            if not _is_default(found := getattr(value, part.name), part.default)
         }
         return {"class": type(value).__name__} | content
     return [_encode(item, place) for item in value] if isinstance(value, tuple) else value
+
+
+def _is_default(value: Any, default: Any) -> bool:
+    """Whether a field need not be kept; NaN, which JSON lacks, is only ever a default."""
+    numbers = isinstance(value, float) and isinstance(default, float)
+    return value is default or (numbers and math.isnan(value) and math.isnan(default))
 
 
 def load_figures(path: str | Path) -> list[Figure]:

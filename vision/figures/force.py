@@ -8,22 +8,26 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.clock import Clock
+from vision.clock import Clock, force_slips, video_slips
 from vision.data import StickMetadata
+from vision.errors import InputError
 from vision.figures.decimate import minmax_by_x, minmax_decimate
-from vision.figures.figure import Figure, Ink, Panel, Range, Series
+from vision.figures.displacement import outward_px
+from vision.figures.figure import Arrow, Figure, Ink, Panel, Range, Series
 from vision.figures.labels import displacement_unit, load_label, load_unit, plus_minus, signed, time_axis
 from vision.figures.style import DATA, MODEL, OTHER_MODEL, PEAK, QUIET, VALLEY, ordered_inks
 from vision.force.recording import good_samples
 from vision.models import ModelFits, equations
-from vision.numeric import Floats, nan_median
+from vision.numeric import Floats
 
 BINS = 4000  # of F(d)
 MOST_SAMPLES = 30_000  # of force or opening on the clocks' axis
 SHOWN_STICKS = 5
+DOTS = 12  # that mark the part of a stick over which K is taken
 FIRST_STICKS = 10  # that the page shows of the clocks at first
 ZOOMED_EVENTS = 6  # of the overview's second panel
 CURVE_POINTS = 300
+SAME_SLIP = 0.25  # of the time from slip to slip: farther apart, two slips are not the same one
 SAMPLES_AFTER_SLIP = 2  # of the next stick, so that the slip is shown to its end
 
 
@@ -44,7 +48,7 @@ def force_figure(
     fits
         From `fit_models`.
     """
-    good = _measurable(force)
+    good = measurable(force)
     d, time = good["d_mm"].to_numpy(), good["time_s"].to_numpy()
     known = bool(np.isfinite(d).any())
     x, y = minmax_by_x(d if known else time, good["load_N"].to_numpy(), bins=BINS)
@@ -98,8 +102,8 @@ def clocks_figure(
     """
     time = clock.to_force_s(time_axis(tracks)[0])
     scale, unit = displacement_unit(pixel_size_um)
-    t_video, opened = minmax_decimate(time, opening_px(tracks)[:, None] * scale, most=MOST_SAMPLES)
-    good = _measurable(force)
+    t_video, opened = minmax_decimate(time, outward_px(tracks)[:, None] * scale, most=MOST_SAMPLES)
+    good = measurable(force)
     margin = 0.1 * float(time[-1] - time[0])
     near = (good["time_s"] > time[0] - margin) & (good["time_s"] < time[-1] + margin)
     part = good.isel(time_s=np.flatnonzero(near.to_numpy())) if near.any() else good
@@ -131,13 +135,55 @@ def clocks_figure(
     )
 
 
-def opening_px(tracks: xr.Dataset) -> Floats:
-    """Mean displacement of all sheets away from the axis, px, (frame,); NaN in frames without any."""
-    outward = (tracks["x_px"].values - nan_median(tracks["x_px"].values)) * tracks["side"].values
-    known = np.isfinite(outward)
-    count = known.sum(axis=1)
-    total = np.where(known, outward, 0).sum(axis=1)
-    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan), np.float64)
+def clock_residuals_figure(
+    force: xr.Dataset, tracks: xr.Dataset, clock: Clock, sticks: pd.DataFrame
+) -> Figure | None:
+    """Slips of the video less the nearest of the force, ms; None where none coincide."""
+    try:
+        seen, drops = video_slips(tracks), force_slips(force, sticks)
+    except InputError:  # frames without times, or too few: nothing to compare
+        return None
+    if not len(seen) or len(drops) < 2:
+        return None
+    there, machine = clock.to_force_s(seen["time_s"].to_numpy()), drops["time_s"].to_numpy()
+    after = np.clip(np.searchsorted(machine, there), 1, machine.size - 1)
+    nearest = np.where(there - machine[after - 1] < machine[after] - there, after - 1, after)
+    residual = there - machine[nearest]
+    same = np.abs(residual) < SAME_SLIP * float(np.median(np.diff(machine)))
+    error = 1000 * seen["error_s"].to_numpy()[same]
+    at, residual = there[same], 1000 * residual[same]
+    if not at.size:
+        return None
+    reach = 1.1 * float(np.max(np.abs(residual) + error))
+    panel = Panel(
+        x_label="t (s, force clock)",
+        y_label="video − force (ms)",
+        series=(
+            Series(label="", x=at[[0, -1]], y=np.zeros(2), ink=QUIET, width=0.8),
+            Series(
+                label="slips",
+                x=at,
+                y=residual,
+                ink=DATA,
+                look="points",
+                low=residual - error,
+                high=residual + error,
+            ),
+        ),
+        y_range=(-reach, reach),
+        aspect=0.25,
+    )
+    return Figure(
+        name="clock_residuals",
+        title="Residuals of the clocks",
+        caption=(
+            "Time of each slip in the video, taken to the force clock, less that of the nearest slip in the "
+            f"force, with the standard error of the former; {at.size} of {there.size} slips of the video are "
+            f"within {SAME_SLIP:g} of a stick from one in the force. A trend would be a drift that the clock "
+            "does not take up, one level all along a wrong offset."
+        ),
+        panels=(panel,),
+    )
 
 
 def _agreement(clock: Clock) -> str:
@@ -171,7 +217,7 @@ def _some_sticks(t_video: Floats, sticks: pd.DataFrame | None) -> Range | None:
 def sticks_figure(force: xr.Dataset, sticks: pd.DataFrame) -> Figure:
     """F − F_v against d − d_v for a few stick-slip events from first to last."""
     chosen = _spread(sticks)
-    good = _measurable(force)
+    good = measurable(force)
     time, d, load = (good[name].to_numpy().astype(float) for name in ("time_s", "d_mm", "load_N"))
     t_v, t_p, slip, d_v, f_v = (
         chosen[name].to_numpy(float) for name in ("t_v_s", "t_p_s", "slip_time_s", "d_v_mm", "F_v_N")
@@ -189,17 +235,57 @@ def sticks_figure(force: xr.Dataset, sticks: pd.DataFrame) -> Figure:
         )
         for k, ink in enumerate(ordered_inks(len(chosen)))
     )
-    panel = Panel(x_label="d − d_v (µm)", y_label=load_label("F − F_v", load_unit(force)), series=series)
+    part = StickMetadata.of(sticks).central_part
+    panel = Panel(
+        x_label="d − d_v (µm)",
+        y_label=load_label("F − F_v", load_unit(force)),
+        series=series + _central_parts(chosen, series, part),
+        arrows=_stick_sizes(chosen),
+    )
+    if arrows := panel.arrows:  # room for the arrows and their symbols
+        x = np.concatenate([curve.x for curve in series])
+        y = np.concatenate([curve.y for curve in series])
+        beside = 1.12 * max(float(x.max()), arrows[0].x[0])
+        above = 1.15 * max(float(y.max()), arrows[1].y[0])
+        panel = replace(
+            panel, x_range=(float(x.min()) - 0.02 * beside, beside), y_range=(min(float(y.min()), 0.0), above)
+        )
     return Figure(
         name="sticks",
         title="Single stick-slip events",
         caption=(
             "Force above the valley against separation beyond the valley, samples as recorded, for "
-            "events from the beginning to the end of the test; later ones brighter. The slope of the "
-            "central half is K, the height ΔF, the length Λ_st. A drop at the very start is the end of the "
-            "slip before."
+            "events from the beginning to the end of the test; later ones brighter. Dots: the central "
+            f"{100 * part:.0f} %, whose slope is K; arrows: the height ΔF and the length Λ_st of the first. "
+            "A drop at the very start is the end of the slip before."
         ),
         panels=(panel,),
+    )
+
+
+def _central_parts(chosen: pd.DataFrame, curves: tuple[Series, ...], part: float) -> tuple[Series, ...]:
+    """The samples over which K is taken, thinned to some dots a stick."""
+    dots: list[Series] = []
+    for length, curve in zip(chosen["stick_length_um"].to_numpy(float), curves, strict=True):
+        inside = np.flatnonzero(np.abs(curve.x - length / 2) <= part * length / 2)
+        inside = inside[:: max(1, inside.size // DOTS)]
+        if inside.size:
+            label = "" if dots else "K is taken here"
+            dots.append(
+                Series(label=label, x=curve.x[inside], y=curve.y[inside], ink=curve.ink, look="points")
+            )
+    return tuple(dots)
+
+
+def _stick_sizes(chosen: pd.DataFrame) -> tuple[Arrow, ...]:
+    """ΔF and Λ_st of the first event shown."""
+    if chosen.empty or not np.isfinite(chosen["stick_length_um"].iloc[0]):
+        return ()
+    length, drop = float(chosen["stick_length_um"].iloc[0]), float(chosen["dF_N"].iloc[0])
+    beside, above = 1.04 * length, 1.05 * drop
+    return (
+        Arrow(x=(beside, beside), y=(0.0, drop), label="ΔF"),
+        Arrow(x=(0.0, length), y=(above, above), label="Λ_st"),
     )
 
 
@@ -243,7 +329,8 @@ def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, uni
 
     unit: of the load, "1" for a force over a weight.
     """
-    series, model = [_points(sticks, "d_v_mm", "K_N_per_mm", "K", DATA, error="K_err_N_per_mm")], ""
+    measured = _points(sticks, "d_v_mm", "K_N_per_mm", "K", DATA, error="K_err_N_per_mm")
+    series, model = [measured], ""
     if fits is not None:
         d = np.linspace(*fits.d_mm, CURVE_POINTS)
         stiffness = fits.stiffness_N_per_mm(d)
@@ -259,7 +346,7 @@ def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, uni
     panel = Panel(
         title="Stiffness of the sample",
         x_label="d_v (mm)",
-        y_label=f"{load_label('K', unit)} (1/mm)" if unit == "1" else f"K ({unit}/mm)",
+        y_label=_stiffness_label("K", unit),
         y_range=_from_zero(sticks["K_N_per_mm"]),
         series=tuple(series),
         placeholder="d is not known",
@@ -268,6 +355,46 @@ def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, uni
         name="stiffness",
         title=panel.title,
         caption=f"K from the slope of the central half of every stick, with its standard error.{model}",
+        panels=(panel,),
+    )
+
+
+def _stiffness_label(name: str, unit: str) -> str:
+    return f"{load_label(name, unit)} (1/mm)" if unit == "1" else f"{name} ({unit}/mm)"
+
+
+def stiffness_residuals_figure(sticks: pd.DataFrame, fits: ModelFits, *, unit: str = "N") -> Figure | None:
+    """K less M_eff K_eff against d, with K's errors; None without a stick.
+
+    unit: of the load, "1" for a force over a weight.
+    """
+    measured = _points(sticks, "d_v_mm", "K_N_per_mm", "K", DATA, error="K_err_N_per_mm")
+    if not measured.x.size or measured.low is None or measured.high is None:
+        return None
+    model = fits.stiffness_N_per_mm(measured.x)
+    points = replace(
+        measured,
+        label="K − M_eff K_eff",
+        y=measured.y - model,
+        low=measured.low - model,
+        high=measured.high - model,
+    )
+    line = Series(label="", x=measured.x[[0, -1]], y=np.zeros(2), ink=MODEL, dashed=True)
+    reach = 1.3 * float(np.nanquantile(np.abs(points.y), 0.98)) or 1.0
+    panel = Panel(
+        x_label="d_v (mm)",
+        y_label=_stiffness_label("K − model", unit),
+        y_range=(-reach, reach),
+        series=(line, points),
+        aspect=0.25,
+    )
+    return Figure(
+        name="stiffness_residuals",
+        title="Stiffness less its model",
+        caption=(
+            "K of every stick less M_eff K_eff at its d_v, with K's standard error. What is not spread "
+            "evenly about zero the model does not describe."
+        ),
         panels=(panel,),
     )
 
@@ -311,7 +438,7 @@ def _zoom(force: xr.Dataset, sticks: pd.DataFrame) -> Panel:
     series: tuple[Series, ...] = ()
     if len(some):
         margin = 0.15 * (t_p[-1] - t_v[0])
-        good = _measurable(force)
+        good = measurable(force)
         time = good["time_s"].to_numpy()
         near = (time > t_v[0] - margin) & (time < t_p[-1] + margin)
         at, load = minmax_decimate(
@@ -337,7 +464,8 @@ def _zoom(force: xr.Dataset, sticks: pd.DataFrame) -> Panel:
 # --- series -------------------------------------------------------------------------------------------------
 
 
-def _measurable(force: xr.Dataset) -> xr.Dataset:
+def measurable(force: xr.Dataset) -> xr.Dataset:
+    """The samples without a flag."""
     return good_samples(force) if "flag" in force else force
 
 

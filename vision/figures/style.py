@@ -18,9 +18,10 @@ VALLEY: Ink = ("#008060", "#4fd6ad")
 MODEL: Ink = ("#1a1a1a", "#f2f2f2")
 OTHER_MODEL: Ink = ("#8a5a83", "#e0a3d6")
 QUIET: Ink = ("#6b6b6b", "#a8a8a8")
-LEFT_ON_GREY: Ink = ("#1e88ff", "#1e88ff")
-RIGHT_ON_GREY: Ink = ("#ff6a00", "#ff6a00")
+LEFT_ON_GREY: Ink = ("#3fb0ff", "#3fb0ff")
+RIGHT_ON_GREY: Ink = ("#ff8a1f", "#ff8a1f")
 HIGHLIGHT = "#d55e00"  # of the strip's outline and of marked slips
+CASING = "#101010"  # edge of tracks over an image
 MISSING = "#cfe3f5"  # pixels that were not recorded
 
 # parts of matplotlib's Blues, Oranges and viridis, as (light background, dark background)

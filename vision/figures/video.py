@@ -11,6 +11,7 @@ import xarray as xr
 
 from vision.data import StripMetadata, TrackMetadata
 from vision.figures.decimate import grey_levels, minmax_decimate, time_rows
+from vision.figures.displacement import origin_px, outer_less_inner_px
 from vision.figures.figure import Band, Figure, Image, Ink, Panel, Range, Series
 from vision.figures.labels import UM_PER_MM, displacement_unit, position_unit, time_axis
 from vision.figures.style import DATA, LEFT_ON_GREY, MODEL, PEAK, RIGHT_ON_GREY, sheet_inks
@@ -26,11 +27,15 @@ KYMOGRAPH_CAPTION = (
 FEW_FRAMES = 60  # of which every position is shown as a dot
 ROWS_PER_INCH = 75  # of the window around a sheet
 BINS = 20  # of a pixel
+NOT_SHOWN = ("lost", "blank", "corrupt")  # frames that hold no picture
+FLATTEST = 0.03  # height over width of a frame below which it is stretched, or nothing could be seen
 SAMPLED = 500  # rows and columns from which the grey scale is taken
 
 
 def frame_figure(frame: Pixels, tracks: xr.Dataset) -> Figure:
     """One whole frame with the averaged rows outlined, the sheets' numbers n and the symmetry axis.
+
+    A pixel is drawn square; only a frame too flat to show anything is stretched, and its title says so.
 
     Parameters
     ----------
@@ -51,36 +56,50 @@ def frame_figure(frame: Pixels, tracks: xr.Dataset) -> Figure:
         rows - 0.5,
     )  # the numbers stand above the strip
     aspect = (shown[1] - shown[0]) / columns
+    low, high = float(low), float(max(high, low + 1))
+    which = _which_frame(tracks)
+    stretched = f"; z stretched {FLATTEST / aspect:.2g} times" if aspect < FLATTEST else ""
     panel = Panel(
-        title="One frame: the averaged rows (outlined), sheet numbers n, symmetry axis (dashed)",
+        title=f"{which}: averaged rows (outlined), sheet numbers n, symmetry axis (dashed){stretched}",
         x_label="x (px)",
         y_label="z (px)",
         series=_numbered_strokes(tracks, z0, z1),
         image=Image(
-            pixels=grey_levels(grey, float(low), float(max(high, low + 1))),
+            pixels=grey_levels(grey, low, high),
             left=-0.5,
             right=columns - 0.5,
             top=-0.5,
             bottom=rows - 0.5,
+            black=low,
+            white=high,
         ),
         bands=(Band(low=z0 - 0.5, high=z1 - 0.5, label="strip", outline=True),),
         x_lines=(axis_px,) if np.isfinite(axis_px) else (),
         x_range=(-0.5, columns - 0.5),
         y_range=shown,
         downwards=True,
-        aspect=float(np.clip(aspect, 0.05, 1)),
-        square_pixels=aspect >= 0.05,  # a narrower frame is stretched, or nothing could be seen
+        aspect=float(np.clip(aspect, FLATTEST, 1)),
+        square_pixels=aspect >= FLATTEST,
     )
     return Figure(
         name="frame",
         title="The frame, the strip and the numbered sheets",
         caption=(
-            f"One frame of the recording. The outlined rows {z0:.0f} to {z1:.0f} (half-open) are averaged "
+            f"{which} of the recording. The outlined rows {z0:.0f} to {z1:.0f} (half-open) are averaged "
             "to the profile I(x); vertical strokes mark the sheets that were found, with their number n "
             "counted outwards from the symmetry axis (dashed)."
         ),
         panels=(panel,),
     )
+
+
+def _which_frame(tracks: xr.Dataset) -> str:
+    """Number and time of the frame that is shown, the first that is neither lost nor blank."""
+    shown = ~np.isin(tracks["flag"].values[:, :1], NOT_SHOWN) if "flag" in tracks else np.ones((1, 1), bool)
+    place = int(shown[:, 0].argmax()) if shown.size else 0
+    number = int(tracks["frame"].values[place]) if "frame" in tracks.coords else place
+    time = float(tracks["time_s"].values[place])
+    return f"Frame {number}" + (f" (t = {time:.4g} s)" if np.isfinite(time) else "")
 
 
 def _numbered_strokes(tracks: xr.Dataset, z0: float, z1: float) -> tuple[Series, ...]:
@@ -113,7 +132,12 @@ def _numbered_strokes(tracks: xr.Dataset, z0: float, z1: float) -> tuple[Series,
 
 
 def space_time_figure(
-    strip: xr.DataArray, tracks: xr.Dataset, *, pixel_size_um: float | None = None
+    strip: xr.DataArray,
+    tracks: xr.Dataset,
+    *,
+    pixel_size_um: float | None = None,
+    slips_s: Floats | None = None,
+    slips_from: str = "the force",
 ) -> Figure:
     """I(x, t), time downwards, with the tracks on it.
 
@@ -125,6 +149,9 @@ def space_time_figure(
         From `track_sheets`.
     pixel_size_um
         Gives lengths in mm (µm below 1 mm); px without it.
+    slips_s, slips_from
+        Times to mark, on the recording's clock, s, and where they are from: in a long recording an image row
+        stands for many frames, and a slip cannot be seen otherwise.
 
     Notes
     -----
@@ -138,20 +165,30 @@ def space_time_figure(
         strip,
         pixel_size_um=pixel_size_um,
         limits=grey_limits([strip]),
-        series=sheet_series(tracks, at, x_px * scale, inks=inks, width=0.8),
+        series=tuple(
+            replace(series, dashed=False)  # dashes are lost in a narrow line with a dark edge
+            for series in sheet_series(tracks, at, x_px * scale, inks=inks, width=1.0)
+        ),
         title="Space-time diagram with the tracks",
+        marks=slips_s,
+        marks_label=f"orange: slips, from {slips_from}",
     )
     panel = replace(panel, y_range=_comb_range(tracks, panel, scale))
     rows = 1 if panel.image is None else len(panel.image.pixels)
     averaged = strip.sizes["frame"] / rows
     means = f" Each row is the mean of about {averaged:.0f} frames." if averaged > 1.5 else ""
+    marked = (
+        f" Orange ticks: {panel.marks.size} slips, from {slips_from}."
+        if panel.marks is not None and panel.marks.size
+        else ""
+    )
     return Figure(
         name="space_time",
         title="Space-time diagram with the tracks",
         caption=(
             "Intensity I(x,t) averaged over the strip's rows, one frame below the other, time downwards; "
-            "the lines are the positions x(n,t), left of the symmetry axis blue and dashed, right orange."
-            f"{means} kymograph.tif holds every frame."
+            "the lines are the positions x(n,t), left of the symmetry axis blue, right orange."
+            f"{means}{marked} kymograph.tif holds every frame."
         ),
         panels=(panel,),
     )
@@ -251,6 +288,8 @@ def _diagram_panel(
             top=float(edges[0]),
             bottom=float(edges[-1]),
             missing=missing if missing.any() else None,
+            black=limits[0],
+            white=limits[1],
         ),
         marks=marks,
         marks_label=marks_label if marks is not None and marks.size else "",
@@ -298,10 +337,13 @@ def _window_title(diagram: xr.DataArray, pixel_size_um: float | None) -> str:
 
 
 def tracks_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Figure:
-    """x(n, t) less each sheet's median position; in µm where the pixel size is known, else px."""
+    """x(n, t) less each sheet's first position, in µm where the pixel size is known, else px.
+
+    The origin is that of `vision.figures.displacement.origin_px`.
+    """
     at, x_px = decimated_tracks(tracks)
     scale, unit = displacement_unit(pixel_size_um)
-    displacement = (x_px - nan_median(tracks["x_px"].values)) * scale
+    displacement = (x_px - origin_px(tracks)) * scale
     frames = tracks.sizes["frame"]
     decimated = (
         f" The lines show the minimum and maximum position in each of {len(at) // 2} intervals of the "
@@ -312,7 +354,7 @@ def tracks_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> 
     panel = Panel(
         title="Displacement of every sheet",
         x_label=time_axis(tracks)[1],
-        y_label=f"x − median ({unit})",
+        y_label=f"x − x(start) ({unit})",
         series=sheet_series(tracks, at, displacement, inks=sheet_inks(tracks)),
         placeholder="no positions",
         aspect=0.4,
@@ -321,8 +363,49 @@ def tracks_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> 
         name="tracks",
         title="x(n,t): displacement of every sheet",
         caption=(
-            "Position of each sheet less its median over the recording. Left sheets are dashed and blue, "
+            "Position of each sheet less its median over the first frames in which most sheets were "
+            "measured, so that a gap later on shifts no curve. Left sheets are dashed and blue, "
             f"right ones solid and orange; the tone changes steadily from the centre outwards.{decimated}"
+        ),
+        panels=(panel,),
+    )
+
+
+def outer_inner_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Figure | None:
+    """Deformation alone: the outer third of a side's sheets less the inner third; None for few sheets."""
+    scale, unit = displacement_unit(pixel_size_um)
+    curves = outer_less_inner_px(tracks)
+    if not curves:
+        return None
+    at, y = minmax_decimate(
+        time_axis(tracks)[0], np.stack(list(curves.values()), axis=1) * scale, most=MOST_POINTS
+    )
+    series = tuple(
+        Series(
+            label="left side" if which < 0 else "right side",
+            x=at,
+            y=column,
+            ink=DATA if which < 0 else PEAK,
+            dashed=which < 0,
+            width=1.0,
+        )
+        for which, column in zip(curves, y.T, strict=True)
+    )
+    panel = Panel(
+        title="Outer less inner sheets",
+        x_label=time_axis(tracks)[1],
+        y_label=f"outer − inner ({unit})",
+        series=series,
+        placeholder="no frame with all of these sheets",
+        aspect=0.25,
+    )
+    return Figure(
+        name="outer_inner",
+        title="Outer less inner sheets",
+        caption=(
+            "Mean outward displacement of the outer third of the sheets of a side less that of its inner "
+            "third: motion of the camera and of the sample as a whole drops out, deformation is left. Empty "
+            "where a sheet that is otherwise there has no position."
         ),
         panels=(panel,),
     )

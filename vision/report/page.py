@@ -123,7 +123,13 @@ def render_page(
 
 def _shown(figure: Figure) -> dict[str, Any]:
     """What the template needs of a figure."""
-    return {"name": figure.name, "title": figure.title, "caption": figure.caption, "notes": figure.notes}
+    scale = "" if figure.panel.image is None else figure.panel.image.scale
+    return {
+        "name": figure.name,
+        "title": figure.title,
+        "caption": f"{figure.caption} Black to white: {scale}." if scale else figure.caption,
+        "notes": figure.notes,
+    }
 
 
 def _title(results: Results) -> str:
@@ -161,11 +167,11 @@ def _asset(name: str) -> str:
 def page_data(figures: Iterable[Figure]) -> dict[str, Any]:
     """What the page's script draws from: figures by name, and the long arrays that they share."""
     store = ArrayStore()
-    content = {figure.name: _figure_data(figure, store) for figure in figures}
+    content = {figure.name: _panel_data(figure.name, figure.panel, store) for figure in figures}
     return {"charts": content, "blobs": store.blobs()}
 
 
-def _figure_data(figure: Figure, store: ArrayStore) -> dict[str, Any]:
+def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
     arrays: list[dict[str, Any]] = []
     places: dict[int, int] = {}
 
@@ -175,10 +181,8 @@ def _figure_data(figure: Figure, store: ArrayStore) -> dict[str, Any]:
             arrays.append(store.add(values))
         return places[id(values)]
 
-    panel = figure.panel
     return {
-        "name": figure.name,
-        "title": figure.title,
+        "name": name,
         "xLabel": panel.x_label,
         "yLabel": panel.y_label,
         "y2Label": panel.y2_label,
@@ -190,6 +194,8 @@ def _figure_data(figure: Figure, store: ArrayStore) -> dict[str, Any]:
         "commonX": panel.common_x if panel.series else False,
         "picture": None if panel.image is None else _image_data(panel.image),
         "bands": [{"low": b.low, "high": b.high, "outline": b.outline} for b in panel.bands],
+        "marks": [] if panel.marks is None else [float(f"{t:.8g}") for t in panel.marks.tolist()],
+        "arrows": [{"x": a.x, "y": a.y, "label": to_unicode(a.label)} for a in panel.arrows],
         "xLines": panel.x_lines,
         "xRange": panel.x_range,
         "yRange": panel.y_range,

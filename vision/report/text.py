@@ -16,11 +16,13 @@ from vision.figures import Results, percent, plus_minus, signed
 from vision.figures.labels import load_unit
 from vision.models import ModelFits
 from vision.numeric import Floats
+from vision.sheets.tracks import LOSSY
 
 PAPER = (
     "A. Plati, F. Restagno, C. Poulard, Stick-slip dynamics in an interleaved system with self-amplified "
     "friction."
 )
+DOUBTFUL = ("doubtful", "merged")  # flags of positions whose sheet is not sure
 END_ROWS = 6  # of the shell table, three sticks of two sides, whose median stands for either end of the video
 
 # --- the answers --------------------------------------------------------------------------------------------
@@ -183,14 +185,37 @@ def _video(profile: xr.DataArray, pixel_size_um: float | None) -> str:
         "file": " (the recording's own time stamps)",
     }.get(strip.clock_kind, "")
     known = math.isfinite(strip.fps)
-    rate = f"{strip.fps:.6g} frames per second{source}" if known else "an unknown frame rate"
-    scale = "" if pixel_size_um is None else f" at {pixel_size_um:g} µm per pixel"
-    chosen = "given" if strip.strip_how == "given" else "found automatically"
-    return (
-        f"The edges of the sheets were recorded at {rate}{scale}, {strip.depth_bits} bits deep. In each "
-        f"of {strip.frames_read} frames the intensity was averaged over {strip.strip_z1 - strip.strip_z0} "
-        f"rows (rows {strip.strip_z0} to {strip.strip_z1}, {chosen}) to a profile I(x,t)."
+    rate = f"{strip.fps:.6g} frames per second{source}" if known else "a frame rate that is not known"
+    scale = (
+        "; the pixel size is not known" if pixel_size_um is None else f" at {pixel_size_um:g} µm per pixel"
     )
+    chosen = {"given": "as given", "all rows": "all there are"}.get(strip.strip_how, "found automatically")
+    lean = (
+        f" The ridges lean by {abs(strip.tilt_deg):.2f}°, which the mean over the rows does not correct for."
+        if math.isfinite(strip.tilt_deg)
+        else ""
+    )
+    return (
+        f"The edges of the sheets were recorded at {rate}{scale}, {strip.depth_bits} bits deep"
+        f"{_compression(strip.codec)}. In each of {strip.frames_read} frames{_bad_frames(strip)} the "
+        f"intensity was averaged over {strip.strip_z1 - strip.strip_z0} rows (rows {strip.strip_z0} to "
+        f"{strip.strip_z1}, {chosen}) to a profile I(x,t).{lean}"
+    )
+
+
+def _compression(codec: str) -> str:
+    """How the film was stored, "" where that is not known."""
+    if not codec:
+        return ""
+    if codec in LOSSY:
+        return f" and compressed with loss ({codec}), which alters and can hide the noise"
+    return ", uncompressed" if codec in ("uncompressed", "rawvideo", "packed") else f", stored as {codec}"
+
+
+def _bad_frames(strip: StripMetadata) -> str:
+    bad = {"lost": strip.frames_lost, "blank": strip.frames_blank, "corrupt": strip.frames_corrupt}
+    named = ", ".join(f"{count} {name}" for name, count in bad.items() if count)
+    return f" ({named})" if named else ""
 
 
 def _tracking(tracks: xr.Dataset) -> str:
@@ -216,8 +241,22 @@ def _tracking(tracks: xr.Dataset) -> str:
         f"The {t.sheets} sheets appear as {t.ridges} ridges {t.ridge_fwhm_px:.1f} px wide and "
         f"{t.pitch_px:.1f} px apart. Their positions x(n,t) were located {method}; identities were kept "
         "through slips from the order of the sheets, their spacing and their brightness, and n counts "
-        f"outwards from the symmetry axis{axis}.{scatter}"
+        f"outwards from the symmetry axis{axis}.{scatter}{_withheld(tracks)}"
     )
+
+
+def _withheld(tracks: xr.Dataset) -> str:
+    """Positions that are not given, and those that carry a flag; "" where all are measured."""
+    flags = tracks["flag"].values
+    total = max(1, flags.size)
+    doubtful = int(np.isin(flags, DOUBTFUL).sum())
+    other = int((~np.isin(flags, (*DOUBTFUL, "ok"))).sum())
+    text = ""
+    if doubtful:
+        text += f" {doubtful} of {total} positions were withheld because the sheet's identity was in doubt."
+    if other:
+        text += f" {other} of {total} positions are missing or carry another flag (tracks.csv)."
+    return text
 
 
 def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:

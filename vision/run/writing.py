@@ -10,7 +10,15 @@ from typing import Any
 
 from vision.data import ForceMetadata, StickMetadata, StripMetadata
 from vision.errors import with_options
-from vision.figures import FIGURES, Figure, figures_of, kymograph, manuscript_figures, overview, save_figures
+from vision.figures import (
+    FIGURES,
+    Figure,
+    figures_of,
+    kymograph,
+    overview,
+    publication_figures_of,
+    save_figures,
+)
 from vision.pipeline import Analysis
 from vision.report import write_report
 from vision.run.folder import run_folder
@@ -192,4 +200,4 @@ def _write_pictures(analysis: Analysis, folder: Path, figures: Sequence[Figure])
     for file, figure in pictures.items():
         if figure is not None:
             figure.save(folder / file)
-    save_figures(folder / "figures.npz", [*figures, *manuscript_figures(analysis)])
+    save_figures(folder / "figures.npz", [*figures, *publication_figures_of(analysis)])

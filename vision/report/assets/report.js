@@ -57,11 +57,62 @@
         c.fillRect(box.left, Math.min(y0, y1), box.width, Math.abs(y1 - y0));
       }
     }
+    if (chart.picture && chart.switchable && chart.commonX) casing(u, chart);
     c.strokeStyle = chart.picture ? "#fff" : css("--soft"); c.lineWidth = 1.4 * devicePixelRatio;
     c.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
     for (const x of chart.xLines) {
       const at = place(x, "x");
       c.beginPath(); c.moveTo(at, box.top); c.lineTo(at, box.top + box.height); c.stroke();
+    }
+    c.restore();
+  }
+  /* A dark edge under tracks, which would be lost on white ridges. */
+  function casing(u, chart) {
+    const c = u.ctx, xs = u.data[0], along = xs.map((v) => u.valToPos(v, "x", true));
+    c.save(); c.strokeStyle = "rgba(16,16,16,0.7)"; c.setLineDash([]);
+    chart.series.forEach((s, k) => {
+      if (!u.series[k + 1].show) return;
+      c.lineWidth = (s.width + 0.9) * devicePixelRatio; c.beginPath();
+      let pen = false;
+      u.data[k + 1].forEach((v, i) => {
+        if (v == null) { pen = false; return; }
+        const across = u.valToPos(v, "y", true), p = chart.timeDown ? [across, along[i]] : [along[i], across];
+        c[pen ? "lineTo" : "moveTo"](...p); pen = true;
+      });
+      c.stroke();
+    });
+    c.restore();
+  }
+  /* Times marked at both edges of a space-time diagram. */
+  function ticks(u, chart) {
+    if (!chart.marks.length) return;
+    const c = u.ctx, box = u.bbox, r = devicePixelRatio;
+    c.save(); c.strokeStyle = "#d55e00"; c.setLineDash([]); c.lineWidth = 1.4 * r; c.beginPath();
+    for (const t of chart.marks) {
+      const at = u.valToPos(t, "x", true);
+      if (at < box.top || at > box.top + box.height) continue;
+      for (const [from, to] of [[box.left - 4 * r, box.left + 7 * r], [box.left + box.width - 7 * r, box.left + box.width + 4 * r]]) {
+        c.moveTo(from, at); c.lineTo(to, at);
+      }
+    }
+    c.stroke(); c.restore();
+  }
+  /* Lengths that are pointed out, with a head at either end. */
+  function lengths(u, chart) {
+    const c = u.ctx, box = u.bbox, r = devicePixelRatio;
+    c.save(); c.beginPath(); c.rect(box.left, box.top, box.width, box.height); c.clip();
+    c.setLineDash([]); c.lineWidth = 1.3 * r; c.strokeStyle = c.fillStyle = css("--text");
+    c.font = `${13 * r}px system-ui, sans-serif`;
+    for (const a of chart.arrows) {
+      const [x0, x1] = a.x.map((v) => u.valToPos(v, "x", true)), [y0, y1] = a.y.map((v) => u.valToPos(v, "y", true));
+      const turn = Math.atan2(y1 - y0, x1 - x0), upright = Math.abs(x1 - x0) < 1;
+      c.beginPath(); c.moveTo(x0, y0); c.lineTo(x1, y1);
+      for (const [x, y, way] of [[x0, y0, turn], [x1, y1, turn + Math.PI]]) {
+        for (const off of [-0.4, 0.4]) { c.moveTo(x, y); c.lineTo(x + 8 * r * Math.cos(way + off), y + 8 * r * Math.sin(way + off)); }
+      }
+      c.stroke();
+      c.textAlign = upright ? "left" : "center"; c.textBaseline = upright ? "middle" : "bottom";
+      c.fillText(a.label, (x0 + x1) / 2 + (upright ? 6 * r : 0), (y0 + y1) / 2 - (upright ? 0 : 3 * r));
     }
     c.restore();
   }
@@ -129,7 +180,7 @@
     while (digits < 9 && Math.abs(step * 10 ** digits - Math.round(step * 10 ** digits)) > 1e-6 * step * 10 ** digits) digits++;
     return splits.map((v) => (v == null ? "" : v.toFixed(digits).replace("-", "−")));
   }
-  const legendOf = (chart) => !chart.switchable && !chart.series.some((s) => s.look === "ticks");
+  const legendOf = (chart) => !chart.switchable && chart.series.some((s) => s.label) && !chart.series.some((s) => s.look === "ticks");
 
   function scalesOf(chart) {
     const fixed = (range) => (range ? (u, low, high) => (u.zoomed ? [low, high] : range) : undefined);
@@ -155,8 +206,13 @@
   }
   function sizeOf(chart, holder) {
     let width = Math.max(260, Math.floor(holder.clientWidth));
-    if (chart.squarePixels && width * chart.aspect > 560) width = Math.max(260, Math.floor(560 / chart.aspect) + 60);
-    const height = Math.round(Math.max(230, Math.min(620, width * chart.aspect + 60)));
+    if (chart.squarePixels) { /* the plotted area keeps the frame's shape: what is left are the axes */
+      const across = 62, along = 56;
+      if ((width - across) * chart.aspect > 560) width = Math.max(260, Math.floor(560 / chart.aspect) + across);
+      return { width, height: Math.round((width - across) * chart.aspect) + along };
+    }
+    const least = chart.aspect < 0.3 ? 160 : 230;
+    const height = Math.round(Math.max(least, Math.min(620, width * chart.aspect + 60)));
     return { width, height };
   }
   function options(chart, holder, arrays, image, readout) {
@@ -178,7 +234,7 @@
         points: { show: !both } },
       hooks: {
         drawClear: [(u) => underlay(u, chart, image)],
-        draw: [(u) => { bars(u, chart, arrays); holder.parentElement.dataset.drawn = "yes"; }],
+        draw: [(u) => { bars(u, chart, arrays); ticks(u, chart); lengths(u, chart); holder.parentElement.dataset.drawn = "yes"; }],
         setSelect: [(u) => select(u, chart)],
         setCursor: [(u) => read(u, chart, readout)],
       },
@@ -397,10 +453,16 @@
 
   /* The legend's marks show colour, dashes and hollow points alike, so that grey print keeps them apart. */
   function key(figure, chart) {
-    const marks = [...figure.querySelectorAll(".u-legend .u-series")].slice(1).map((row) => row.querySelector(".u-marker"));
+    const marks = [...figure.querySelector(".u-legend").querySelectorAll(".u-series")].slice(1).map((row) => row.querySelector(".u-marker"));
     chart.series.forEach((s, k) => {
       const points = s.look === "points" || s.look === "both" || s.look === "steps";
       marks[k].nextElementSibling.innerHTML = s.html;
+      if (!s.label) { marks[k].closest(".u-series").style.display = "none"; return; }
+      if (s.look === "line") { /* a line as a line */
+        Object.assign(marks[k].style, { border: "none", borderTop: `${Math.max(2, s.width)}px ${s.dashed ? "dashed" : "solid"} ${ink(s.ink)}`,
+          background: "transparent", borderRadius: "0", width: "1.7em", height: "0", verticalAlign: "middle" });
+        return;
+      }
       Object.assign(marks[k].style, {
         border: `2px ${s.dashed ? "dashed" : "solid"} ${ink(s.ink)}`,
         background: points && !s.hollow ? ink(s.ink) : "transparent",
@@ -459,7 +521,7 @@
     b.textContent = "copied";
   }));
 
-  document.querySelectorAll("figure[data-chart]").forEach((figure) => {
+  document.querySelectorAll("[data-chart]").forEach((figure) => {
     const chart = page.charts[figure.dataset.chart];
     const ready = (image) => { make(figure, chart, image); figures.push(figure); };
     if (!chart.picture) { ready(null); return; }

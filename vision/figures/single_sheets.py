@@ -1,0 +1,284 @@
+"""Figures of single sheets: friction of two on the rheometer, modulus of one from push–pull cycles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from vision.figures.decimate import minmax_decimate
+from vision.figures.figure import Band, Figure, Panel, Range, Series
+from vision.figures.labels import plus_minus
+from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, ordered_inks
+from vision.models import Estimate
+from vision.models.friction import PUBLISHED_FRICTION, DiscFriction, StaticFriction, threshold_curves
+from vision.models.modulus import CyclesMetadata, clamp_distance, mean_over_cycles
+from vision.numeric import Floats
+from vision.sample import Sample
+
+MOST_POINTS = 3000
+LEAST_ANGLE_DEG = 0.01  # left end of the logarithmic axis
+CURVE_POINTS = 200
+BESIDE = 0.05  # of a cycle: how far the two moduli stand apart, each way
+
+
+def friction_figure(
+    measured: Sequence[DiscFriction],
+    curves: Sequence[pd.DataFrame],
+    law: StaticFriction | None,
+    *,
+    mu: float = 0.89,
+    dynamic_deg: tuple[float, float] = (0.3, 120.0),
+) -> Figure:
+    """μ(φ) with the maxima, μ_s and μ_d against N, and the threshold forces.
+
+    Parameters
+    ----------
+    measured, curves
+        Of `friction_of_disc` and `friction_curve`, in the same order.
+    law
+        Fitted to the measurements; None where there were too few.
+    mu
+        Constant coefficient to compare with, as the fit of Eq. 1 gives it.
+    dynamic_deg
+        Range of μ_d, shaded.
+    """
+    fitted = (
+        f" Line: μ_s = a(1 + b/N), a = {plus_minus(Estimate(law.a, law.a_err))}, "
+        f"b = {plus_minus(Estimate(law.b_N, law.b_err_N))} N."
+        if law is not None
+        else " Too few measurements for a law of their own: the publication's thresholds are shown."
+    )
+    return Figure(
+        name="friction",
+        title="Friction of two sheets",
+        caption=(
+            "Left: μ = 3τ/2RN against the angle, later loads brighter, with the first maximum of each, μ_s; "
+            "shaded: where μ_d is the mean. Middle: both coefficients against the normal force, with "
+            f"standard errors.{fitted} Right: static friction force over the loads inside the blocks, with a constant "
+            "coefficient and with this law. Compare figure 10 of the publication."
+        ),
+        panels=(
+            _angle_panel(measured, curves, dynamic_deg),
+            _coefficient_panel(measured, law, mu),
+            _threshold_panel(law, mu),
+        ),
+        columns=3,
+        width_in=15.0,
+    )
+
+
+def _angle_panel(
+    measured: Sequence[DiscFriction], curves: Sequence[pd.DataFrame], dynamic_deg: tuple[float, float]
+) -> Panel:
+    order = np.argsort([one.N_N for one in measured])
+    series: list[Series] = []
+    top = 0.0
+    for k, ink in zip(order, ordered_inks(len(order)), strict=True):
+        one, curve = measured[k], curves[k]
+        angle = np.maximum(curve["angle_deg"].to_numpy(float), LEAST_ANGLE_DEG)
+        at, height = minmax_decimate(angle, curve["mu"].to_numpy(float)[:, None], most=MOST_POINTS)
+        series.append(Series(label=f"{one.N_N:.3g} N", x=at, y=height[:, 0], ink=ink, width=0.9))
+        if np.isfinite(one.mu_s):
+            low, high = (np.array([one.mu_s + sign * one.mu_s_err]) for sign in (-1, 1))
+            x, y = np.array([one.peak_deg]), np.array([one.mu_s])
+            series.append(
+                Series(label="", x=x, y=y, low=low, high=high, ink=MODEL, look="points", hollow=True)
+            )
+            top = max(top, one.mu_s)
+    last = max((float(s.x.max()) for s in series if s.x.size), default=1.0)
+    return Panel(
+        title="Friction against angle",
+        x_label="φ (°)",
+        y_label="μ = 3τ / 2RN",
+        series=tuple(series),
+        bands=(Band(low=dynamic_deg[0], high=dynamic_deg[1], label="range of μ_d", of_x=True),),
+        x_range=(LEAST_ANGLE_DEG, max(last, 10 * LEAST_ANGLE_DEG)),
+        y_range=(0.0, 1.15 * top) if top else None,
+        x_log=True,
+        aspect=0.9,
+    )
+
+
+def _coefficient_panel(measured: Sequence[DiscFriction], law: StaticFriction | None, mu: float) -> Panel:
+    load = np.array([one.N_N for one in measured])
+    order = np.argsort(load)
+    series: list[Series] = []
+    for name, label, ink, hollow in (("mu_s", "μ static", PEAK, False), ("mu_d", "μ dynamic", DATA, True)):
+        value = np.array([getattr(one, name) for one in measured])[order]
+        error = np.array([getattr(one, f"{name}_err") for one in measured])[order]
+        series.append(
+            Series(
+                label=label,
+                x=load[order],
+                y=value,
+                low=value - error,
+                high=value + error,
+                ink=ink,
+                look="points",
+                hollow=hollow,
+            )
+        )
+    at = np.geomspace(0.7 * load.min(), 1.3 * load.max(), CURVE_POINTS)
+    if law is not None:
+        series.append(Series(label="a(1 + b/N)", x=at, y=law.mu_s(at), ink=MODEL))
+    constant = np.full(2, mu)
+    series.append(Series(label=f"μ = {mu:g}", x=at[[0, -1]], y=constant, ink=QUIET, dashed=True))
+    top = max(mu, float(np.nanmax([*(s.y for s in series[0:2] if np.isfinite(s.y).any()), [mu] * load.size])))
+    return Panel(
+        title="Static and dynamic coefficient",
+        x_label="N (N)",
+        y_label="friction coefficient",
+        series=tuple(series),
+        y_range=(0.0, 1.2 * top),
+        x_range=(float(at[0]), float(at[-1])),
+        x_log=True,
+        aspect=0.9,
+    )
+
+
+def _threshold_panel(law: StaticFriction | None, mu: float) -> Panel:
+    shown = law or PUBLISHED_FRICTION
+    table = threshold_curves(mu=mu, law=shown)
+    load = table["N_N"].to_numpy(float)
+    name = "a(N + b)" if law is not None else "a(N + b), published"
+    series = [
+        Series(
+            label=f"μN, μ = {mu:g}", x=load, y=table["constant_N"].to_numpy(float), ink=QUIET, dashed=True
+        ),
+        Series(label=name, x=load, y=table["law_N"].to_numpy(float), ink=MODEL),
+    ]
+    crossing = shown.crossing_N(mu)
+    if np.isfinite(crossing):
+        x, y = np.array([crossing]), np.array([mu * crossing])
+        series.append(Series(label=f"equal at {crossing:.3f} N", x=x, y=y, ink=PEAK, look="points"))
+    return Panel(
+        title="Thresholds over the loads in the blocks",
+        x_label="N (N)",
+        y_label="static friction force (N)",
+        series=tuple(series),
+        x_range=(float(load.min()), float(load.max())),
+        x_log=True,
+        y_log=True,
+        aspect=0.9,
+    )
+
+
+# --- the modulus of one sheet -------------------------------------------------------------------------------
+
+
+def modulus_figure(
+    force: xr.Dataset, cycles: pd.DataFrame, *, clamp_distance_mm: float | None = None
+) -> Figure:
+    """F(Δ) with the fitted parts, the loading branches about their lines, and the modulus of each cycle.
+
+    Parameters
+    ----------
+    force, cycles
+        Of `vision.read_force` and `measure_cycles`.
+    clamp_distance_mm
+        As given to `measure_cycles`.
+    """
+    facts = CyclesMetadata.of(cycles)
+    thickness, width, length = facts.sheet
+    sheet = Sample(thickness_mm=thickness, width_mm=width, length_mm=length)
+    delta = clamp_distance(force, sheet=sheet, clamp_distance_mm=clamp_distance_mm)
+    load = force["load_N"].to_numpy().astype(float)
+    if np.isfinite(facts.machine_stiffness_N_per_mm):
+        delta = delta - load / facts.machine_stiffness_N_per_mm
+    return Figure(
+        name="modulus",
+        title="Young's modulus of one sheet",
+        caption=(
+            f"Left: force against the distance of the clamps, {len(cycles)} loading branches with the fitted "
+            "parts F = kΔ + F0 in colour. Middle: the branches less their lines; shaded: what is fitted. "
+            "Right: modulus of each cycle with its standard error, and the means (dashed). Compare figure 11 "
+            "of the publication."
+        ),
+        panels=(
+            _cycles_panel(delta, load, cycles),
+            _branches_panel(force, delta, load, cycles),
+            _moduli(cycles),
+        ),
+        columns=3,
+        width_in=15.0,
+    )
+
+
+def _cycles_panel(delta: Floats, load: Floats, cycles: pd.DataFrame) -> Panel:
+    step = max(1, -(-delta.size // (4 * MOST_POINTS)))  # a loop has no rising x: thinned, not decimated
+    series = [Series(label="F", x=delta[::step], y=load[::step], ink=QUIET, width=0.7)]
+    for ink, row in zip(ordered_inks(len(cycles)), cycles.to_dict("records"), strict=True):
+        line = np.array([row["fit_from_mm"], row["fit_to_mm"]])
+        fitted = row["k_N_per_mm"] * line + row["F0_N"]
+        series.append(Series(label="", x=line, y=fitted, ink=ink, width=2.0))
+    return Panel(
+        title="Push–pull cycles",
+        x_label="distance of the clamps Δ (mm)",
+        y_label="F (N)",
+        series=tuple(series),
+        aspect=0.9,
+    )
+
+
+def _branches_panel(force: xr.Dataset, delta: Floats, load: Floats, cycles: pd.DataFrame) -> Panel:
+    """Residuals of the loading branches; what is far from the fitted part only tells of the slack."""
+    time = force["time_s"].to_numpy()
+    low, high = float(cycles["fit_from_mm"].min()), float(cycles["fit_to_mm"].max())
+    view: Range = (low - 0.3 * (high - low), min(high + 0.3 * (high - low), float(np.nanmax(delta))))
+    series: list[Series] = []
+    for ink, row in zip(ordered_inks(len(cycles)), cycles.to_dict("records"), strict=True):
+        branch = (
+            (time >= row["t_start_s"]) & (time <= row["t_end_s"]) & (delta >= view[0]) & (delta <= view[1])
+        )
+        x = delta[branch]
+        residual = load[branch] - (row["k_N_per_mm"] * x + row["F0_N"])
+        at, y = minmax_decimate(x, residual[:, None], most=MOST_POINTS)
+        series.append(Series(label=str(row["cycle"]), x=at, y=y[:, 0], ink=ink, width=0.8))
+    inside = [s.y[(s.x >= low) & (s.x <= high)] for s in series]
+    reach = 2.5 * max((float(np.nanmax(np.abs(y))) for y in inside if y.size), default=1.0) or 1.0
+    return Panel(
+        title="Branches less their lines",
+        x_label="Δ (mm)",
+        y_label="F − (kΔ + F0) (N)",
+        series=tuple(series),
+        bands=(Band(low=low, high=high, label="fitted", of_x=True),),
+        x_range=view,
+        y_range=(-reach, reach),
+        aspect=0.9,
+    )
+
+
+def _moduli(cycles: pd.DataFrame) -> Panel:
+    number = cycles["cycle"].to_numpy(float)
+    series: list[Series] = []
+    ends = np.array([number.min() - 0.3, number.max() + 0.3])
+    drawn = (("Y_p", PEAK, False, -BESIDE, "|F0|/(εW)"), ("Y_slope", VALLEY, True, BESIDE, "kL/(εW)"))
+    for name, ink, hollow, shift, label in drawn:
+        value, error = (cycles[f"{name}{part}_GPa"].to_numpy(float) for part in ("", "_err"))
+        mean = mean_over_cycles(cycles, f"{name}_GPa")
+        text = f"{label}: {plus_minus(Estimate(mean.value, mean.error))} GPa"
+        series += [
+            Series(
+                label=text,
+                x=number,
+                y=value,
+                low=value - error,
+                high=value + error,
+                ink=ink,
+                look="points",
+                hollow=hollow,
+                shift=shift,
+            ),
+            Series(label="", x=ends, y=np.full(2, mean.value), ink=ink, dashed=True, width=0.8),
+        ]
+    return Panel(
+        title="Modulus of each cycle",
+        x_label="cycle",
+        y_label="Young's modulus (GPa)",
+        series=tuple(series),
+        whole_numbers=True,
+        aspect=0.9,
+    )
