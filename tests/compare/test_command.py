@@ -186,7 +186,6 @@ def test_force_recordings_go_all_the_way(tmp_path, monkeypatch):
     assert joint.mu.value == pytest.approx(Experiment().mechanics.mu, abs=0.004)
     figures = {figure.name: figure for figure in found.figures()}
     assert len(figures["sticks"].panels) == 2
-    arrows = [s for s in figures["sticks"].panel.series if s.look == "arrow"]
-    assert {arrow.label for arrow in arrows} == {"Λ_st", "ΔF"}
+    assert {arrow.label for arrow in figures["sticks"].panel.arrows} == {"Λ_st", "ΔF"}
     for figure in figures.values():
         figure.save(tmp_path / f"{figure.name}.png")

@@ -193,7 +193,7 @@ def _by_velocity(events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
 
 def sticks_figures(o: Overlay) -> list[Figure]:
     """F − F_v against d − d_v: one panel a velocity, and all of them in one figure."""
-    panels = [(v, _stick_panel(figure, o, v)) for v, figure in o.sticks]
+    panels = [(v, figure.panel) for v, figure in o.sticks]
     caption = (
         "Force above the valley against separation beyond it, events from the beginning to the end of the "
         "test, as recorded. Rings: ends of the central part whose slope is K, of one event. Arrows: its "
@@ -210,37 +210,6 @@ def sticks_figures(o: Overlay) -> list[Figure]:
             Figure(name="sticks", title=title, caption=caption, panels=parts, columns=2, width_in=13.0)
         )
     return made
-
-
-def _stick_panel(figure: Figure, o: Overlay, v: float) -> Panel:
-    """The run's own curves, with arrows along the event that is longest on the page."""
-    panel = figure.panel
-    series = [s for s in panel.series if s.x.size > 3]
-    if not series:
-        return panel
-    shown = max(series, key=lambda s: float(np.nanmax(s.y)))
-    peak = int(np.nanargmax(shown.y))
-    length, drop = float(shown.x[peak]), float(shown.y[peak])
-    reach, top = float(np.nanmax(shown.x)), float(np.nanmax(shown.y))
-    low, high = (int(np.searchsorted(shown.x[: peak + 1], share * length)) for share in (0.25, 0.75))
-    ends = [min(low, peak), min(high, peak)]
-    marks = (
-        Series(label="", x=shown.x[ends], y=shown.y[ends], ink=PEAK, look="points", hollow=True),
-        Series(
-            label="Λ_st", x=np.array([0.0, length]), y=np.full(2, 1.06 * top), ink=QUIET, look="arrow",
-            text=("Λ_st",),
-        ),
-        Series(
-            label="ΔF", x=np.full(2, -0.05 * reach), y=np.array([0.0, drop]), ink=QUIET, look="arrow",
-            text=("ΔF",),
-        ),
-    )  # fmt: skip
-    return replace(
-        panel,
-        series=(*panel.series, *marks),
-        x_range=(-0.12 * reach, 1.05 * max(float(np.nanmax(s.x)) for s in series)),
-        y_range=(min(0.0, *(float(np.nanmin(s.y)) for s in series)) - 0.03 * top, 1.18 * top),
-    )
 
 
 # --- the collapse -------------------------------------------------------------------------------------------

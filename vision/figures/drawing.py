@@ -72,26 +72,30 @@ def draw_panel(ax: Axes, panel: Panel) -> Axes:
         _draw_sheets(ax, panel)
     else:
         for series in panel.series:
-            if series.look not in ("ticks", "arrow"):
+            if series.look != "ticks":
                 _draw_series(right if series.axis == "right" and right else ax, series)
     for x in panel.x_lines:
         for colour, dashes in (("white", "-"), (QUIET[0], (0, (6, 4)))):  # visible on dark and light images
             ax.axvline(x, color=colour, lw=1, ls=dashes)
     _set_axes(ax, right, panel)
-    _draw_arrows(ax, panel.arrows)
-    if panel.image is not None and panel.image.scale:
-        _draw_scale(ax, panel.image.scale, above=panel.downwards)
-    _draw_ticks(ax, [series for series in panel.series if series.look == "ticks"])
-    _draw_arrows(ax, [series for series in panel.series if series.look == "arrow"])
-    if panel.inset is not None:
-        _draw_inset(ax, panel.inset)
-    if panel.marks is not None and panel.marks.size:
-        _draw_marks(ax, panel.marks)
+    _draw_annotations(ax, panel)
     if panel.empty:
         ax.text(0.5, 0.5, panel.placeholder, transform=ax.transAxes, ha="center", color=QUIET[0])
         ax.set(xticks=[], yticks=[])
     _draw_legend(ax, panel)
     return ax
+
+
+def _draw_annotations(ax: Axes, panel: Panel) -> None:
+    """What explains the data: arrows, a grey scale, numbers, an inset, marks along the edge."""
+    _draw_arrows(ax, panel.arrows)
+    if panel.image is not None and panel.image.scale:
+        _draw_scale(ax, panel.image.scale, above=panel.downwards)
+    _draw_ticks(ax, [series for series in panel.series if series.look == "ticks"])
+    if panel.inset is not None:
+        _draw_inset(ax, panel.inset)
+    if panel.marks is not None and panel.marks.size:
+        _draw_marks(ax, panel.marks)
 
 
 def new_figure(figure: Figure, *, interactive: bool = False) -> Page:
@@ -261,29 +265,6 @@ def _draw_ticks(ax: Axes, groups: list[Series]) -> None:
             ax.annotate(text, (x, y), (0, 3), fontsize=7, bbox=box, **place)
 
 
-def _draw_arrows(ax: Axes, arrows: list[Series]) -> None:
-    """Two-headed arrows with their text above the middle, or to the right of an upright one."""
-    for arrow in arrows:
-        ends = (arrow.x[0], arrow.y[0]), (arrow.x[-1], arrow.y[-1])
-        look: dict[str, Any] = {
-            "arrowstyle": "<->",
-            "color": arrow.ink[0],
-            "lw": 1.2,
-            "shrinkA": 0,
-            "shrinkB": 0,
-        }
-        ax.annotate("", xy=ends[1], xytext=ends[0], arrowprops=look)
-        upright = arrow.x[0] == arrow.x[-1]
-        place: dict[str, Any] = (
-            {"xytext": (4, 0), "ha": "left", "va": "center"}
-            if upright
-            else {"xytext": (0, 2), "ha": "center", "va": "bottom"}
-        )
-        middle = (ends[0][0] + ends[1][0]) / 2, (ends[0][1] + ends[1][1]) / 2
-        text = to_mathtext("".join(arrow.text))
-        ax.annotate(text, middle, textcoords="offset points", color=arrow.ink[0], **place)
-
-
 def _draw_inset(ax: Axes, panel: Panel) -> None:
     small = ax.inset_axes((0.52, 0.58, 0.46, 0.40))
     for series in panel.series:
@@ -395,8 +376,7 @@ def _legend_entries(panel: Panel) -> list[tuple[Series | Band, str]]:
         return []
     if not panel.switchable:
         parts: list[Series | Band] = [*panel.series, *panel.bands]
-        arrows = [part for part in parts if isinstance(part, Series) and part.look == "arrow"]
-        return [(part, part.label) for part in parts if part.label and part not in arrows]
+        return [(part, part.label) for part in parts if part.label]
     entries: list[tuple[Series | Band, str]] = []
     for side, name in ((-1, "left"), (1, "right")):
         mine = {s.sheet[1]: s for s in panel.series if s.sheet is not None and s.sheet[0] == side}

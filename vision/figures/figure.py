@@ -42,12 +42,12 @@ class Series:
     ink
         Its colour.
     look
-        "line", "points", "both", "steps" (bars of a histogram), "arrow" (with two heads, from the first point
-        to the last, `text` beside it) or "ticks" (strokes at `low` and `high` with `text` above).
+        "line", "points", "both", "steps" (bars of a histogram) or "ticks" (strokes at `low` and `high` with
+        `text` above).
     low, high
         Ends of error bars, (k,), where there are any.
     text
-        One label a point, for "ticks"; one for "arrow".
+        One label a point, for "ticks".
     dashed, hollow
         Distinguish series without colour.
     shift
@@ -64,7 +64,7 @@ class Series:
     x: Floats
     y: Floats
     ink: Ink
-    look: Literal["line", "points", "both", "steps", "ticks", "arrow"] = "line"
+    look: Literal["line", "points", "both", "steps", "ticks"] = "line"
     low: Floats | None = None
     high: Floats | None = None
     text: tuple[str, ...] = ()

@@ -57,8 +57,8 @@ def friction_figure(
         caption=(
             "Left: μ = 3τ/2RN against the angle, later loads brighter, with the first maximum of each, μ_s; "
             "shaded: where μ_d is the mean. Middle: both coefficients against the normal force, with "
-            f"standard errors.{fitted} Right: static friction force over the loads inside the blocks, with a constant "
-            "coefficient and with this law. Compare figure 10 of the publication."
+            f"standard errors.{fitted} Right: static friction force over the loads inside the blocks, with a "
+            "constant coefficient and with this law. Compare figure 10 of the publication."
         ),
         panels=(
             _angle_panel(measured, curves, dynamic_deg),

@@ -153,7 +153,7 @@
   /* ---- one chart ---- */
   const crowded = (s, chart) => { const a = chart.arrays[s.x]; return !a.v || a.v.length > 250; };
   function seriesOf(s, chart) {
-    const points = s.look === "points" || s.look === "both", line = ["line", "both", "arrow"].includes(s.look);
+    const points = s.look === "points" || s.look === "both", line = ["line", "both"].includes(s.look);
     const colour = () => (chart.picture ? s.ink[1] : ink(s.ink));
     const out = {
       label: s.label, class: s.label ? undefined : "unnamed", scale: s.axis === "right" ? "y2" : "y", stroke: colour, width: s.width,
