@@ -19,7 +19,7 @@ def compare(
     *runs: Path,
     table: Path | None = None,
     main_sample: str | None = None,
-    y_eff: float | None = None,
+    fix_yeff: float | None = None,
     out: Path | None = None,
     overwrite: Flag = False,
     report: Annotated[bool, Option(show_default=False)] = True,
@@ -44,7 +44,7 @@ def compare(
         CSV with any of the columns run,sample,V_mm_min,n_test,RH_percent,T_C.
     main_sample
         Sample whose Y_eff is held fixed for all tests; that of the first run if not given.
-    y_eff
+    fix_yeff
         Y_eff in GPa, where it is known otherwise.
     out
         Folder; comparison in the working directory if not given.
@@ -62,8 +62,8 @@ def compare(
     target = out or Path("comparison")
     check_target(target, overwrite=overwrite)
     check_mark(target, MARK)
-    found = compare_runs(runs, table, main_sample=main_sample, modulus_GPa=y_eff)
-    typed: dict[str, Any] = {"table": table, "main_sample": main_sample, "y_eff": y_eff}
+    found = compare_runs(runs, table, main_sample=main_sample, modulus_GPa=fix_yeff)
+    typed: dict[str, Any] = {"table": table, "main_sample": main_sample, "fix_yeff": fix_yeff}
     origin = Origin(
         command=command_line(),
         inputs=[path for test in found.tests for path in (test.folder / "events.csv",)]
