@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 import pytest
 
@@ -122,3 +123,13 @@ def test_wide_films_are_scaled_down(tmp_path, monkeypatch):
     assert run(["overlay", "wide_tracks", "--quiet"]) == 0
     film, _ = decoded("wide_tracks_overlay.mp4")
     assert film.shape[2] == 1920
+
+
+def test_a_film_of_images_given_as_a_pattern(tmp_path, monkeypatch):
+    """Failure: a film that is a glob, absolute or not, is thought to be gone."""
+    monkeypatch.chdir(tmp_path)
+    for k, frame in enumerate(frames_of(positions(5))):
+        cv2.imwrite(f"f{k}.png", frame)
+    assert run([str(tmp_path / "f*.png"), "--quiet", "--no-report", "--out", "run"]) in (0, 1)
+    assert run(["overlay", "run", "--quiet"]) == 0
+    assert len(decoded("run_overlay.mp4")[0]) == 5

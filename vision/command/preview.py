@@ -174,7 +174,8 @@ def lines(found: Preview, pixel_size_um: float | None) -> list[str]:
     return [
         f"film       {about}{count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
         f"clock      {frame_times(strip)}",
-        f"strip      rows {strip.strip_z0}:{strip.strip_z1}, clarity {strip.strip_clarity:.2f}, {lean}",
+        f"strip      rows {strip.strip_z0}:{strip.strip_z1}, clarity {strip.strip_clarity:.2f}, {lean}, "
+        f"{strip.strip_err_px:.3f} px from the choice of rows",
         f"sheets     {comb.sheets} {comb.ridges} ridges ({(side < 0).sum()} left, {(side > 0).sum()} right); "
         f"{counted} in {found.counts.size} frames over the film, others than sheets included",
         f"ridges     {comb.ridge_fwhm_px:.1f} px wide, {comb.pitch_px:.1f} px apart; {comb.fit} fit over "

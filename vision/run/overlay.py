@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
@@ -86,7 +87,7 @@ def film_of(run: RunFolder, moved: Path | None = None) -> Path:
 
 
 def _there(place: Path) -> bool:
-    return place.exists() or bool(any(c in str(place) for c in "*?[") and list(Path().glob(str(place))))
+    return place.exists() or bool(glob.glob(str(place)))  # noqa: PTH207  # may be absolute
 
 
 def write_overlay(
