@@ -22,6 +22,7 @@ STRANGE = {
     "six events": lambda t: t.iloc[:6],
     "tiny": lambda t: t.assign(F_p_N=1e-9 * t["F_p_N"], dF_N=1e-9 * t["dF_N"]),
 }
+REFUSED = ("one separation", "peaks that rise", "equal peaks", "tiny")
 
 
 @pytest.mark.parametrize("name", STRANGE)
@@ -35,6 +36,7 @@ def test_strange_events(name, tmp_path):
     assert np.isfinite(found.table["mu_err"].iloc[:2]).all()
     for figure in found.figures():
         figure.save(tmp_path / f"{figure.name}.csv")
+    assert (len(found.failures) == 1) == (name in REFUSED)
     try:
         vision.compare([odd])
     except InputError as error:
@@ -56,6 +58,7 @@ def test_random_events(tmp_path):
         d = np.sort(rng.uniform(0.5, 56, count))
         write_run(tmp_path / f"r{k}", table.assign(d_v_mm=d, d_p_mm=d + 0.01))
     found = vision.compare([tmp_path / f"r{k}" for k in range(20)])
-    assert len(found.table) == 20
+    assert len(found.table) + len(found.failures) == 20
+    assert len(found.failures) > 5
     found.to_json()
     found.figures()
