@@ -138,10 +138,9 @@ def compare(
     tests = read.tests
     warnings = list(read.warnings)
     modulus, source = _modulus(tests, main_sample, modulus_GPa, tuning)
-    fits = tuple(fit_test(test, modulus, tuning) for test in tests)
-    warnings += [
-        f"{t.run}: {note}" for t, f in zip(tests, fits, strict=True) for note in f.notes if "𝒯0" in note
-    ]
+    tests, fits, unfitted = _fits(tests, modulus, tuning)
+    for test, fit in zip(tests, fits, strict=True):
+        warnings += [f"{test.run}: {note}" for note in fit.notes if "𝒯0" in note or "misfit" in note]
     if modulus_GPa is None and any(f.scale_mm.value != f.scale_mm.value for f in fits):
         lost = ", ".join(t.run for t, f in zip(tests, fits, strict=True) if np.isnan(f.scale_mm.value))
         warnings.append(f"no Λ̂ with Y_eff = {modulus.value:.3g} GPa: {lost} (`modulus_GPa`, `main_sample`)")
@@ -156,7 +155,7 @@ def compare(
         collapse=collapse(tests, fits, modulus),
         irregular=tuple(find_irregular(test, tuning) for test in tests),
         trends=find_trends(rows, tuning),
-        failures=read.failures,
+        failures=(*read.failures, *unfitted),
         warnings=tuple(warnings),
     )
 
@@ -180,6 +179,22 @@ def _modulus(
     if not np.isfinite(modulus.value):
         raise InputError("`modulus_GPa`", "tests of the main sample that give Y_eff", "none", "give it")
     return modulus, source
+
+
+def _fits(
+    tests: Sequence[TractionTest], modulus: Estimate, tuning: CompareSettings
+) -> tuple[tuple[TractionTest, ...], tuple[TestFit, ...], list[str]]:
+    """The tests that can be fitted, their fits, and one line for each of the others."""
+    done: dict[TractionTest, TestFit] = {}
+    errors = []
+    for test in tests:
+        try:
+            done[test] = fit_test(test, modulus, tuning)
+        except InputError as error:
+            errors.append(error)
+    if not done:
+        raise errors[0]
+    return tuple(done), tuple(done.values()), [str(error) for error in errors]
 
 
 def _table(tests: Sequence[TractionTest], fits: Sequence[TestFit]) -> pd.DataFrame:

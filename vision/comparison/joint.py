@@ -12,9 +12,13 @@ import pandas as pd
 from scipy.optimize import minimize_scalar
 
 from vision.comparison.tests import TractionTest
+from vision.errors import InputError
 from vision.models import Estimate, equations
 from vision.numeric import Bools, Floats
 from vision.sample import Sample
+
+MU_RANGE = 0.05, 5.0  # looked through; a fit at either end is none
+MISFIT = 3.0  # χ²/dof from which it is said
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,6 +130,11 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings | 
     settings
         Tunable constants.
 
+    Raises
+    ------
+    InputError
+        For peaks that do not fall with d.
+
     Notes
     -----
     .. math:: F_p = \mathcal T(d_p; \mu) + \mathcal T_0, \quad \Delta F = A\, \mathcal N(d_v; \mu), \quad
@@ -139,6 +148,9 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings | 
     used = usable_range(test)
     d_v, d_p = test.column("d_v_mm")[used], test.column("d_p_mm")[used]
     mu, t0, scatter, misfit_p = _fit_peaks(d_p, test.column("F_p_N")[used], test.sample)
+    if not (MU_RANGE[0] * 1.1 < mu.value < MU_RANGE[1] / 1.1 and mu.value > 2 * mu.error):
+        found = f"others (μ = {mu.value:.3g} ± {mu.error:.2g})"
+        raise InputError(test.folder, "peak forces that fall with d as Eq. 1 does", found, "check `d0_mm`")
     amplitude, misfit_d = _fit_drops(d_v, test.column("dF_N")[used], mu, test.sample)
     k, sigma = test.column("K_N_per_mm")[used], stiffness_errors(test)[used]
     scale, misfit_k = fit_scale(d_v, k, sigma, modulus, test.sample)
@@ -149,6 +161,9 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings | 
         notes.append(f"A, N̂ and Λ̂ are defined for V up to {tuning.slow_mm_min:g} mm/min")
     if not np.isfinite(scale.value):
         notes.append("K is not that of M_eff sheets with this Y_eff: no Λ̂")
+    chi2 = float(np.nanmean([misfit_p, misfit_d, misfit_k]))
+    if chi2 > MISFIT:
+        notes.append(f"the models misfit: χ²/dof = {chi2:.3g}, errors scaled")
     left = int((~used).sum())
     if left:
         notes.append(f"{left} events before the largest peaks or outside the run's fit range left out")
@@ -158,7 +173,7 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings | 
         amplitude=amplitude,
         scale_mm=scale,
         n_hat_N=_n_hat(mu, scale, test.sample),
-        chi2_dof=float(np.nanmean([misfit_p, misfit_d, misfit_k])),
+        chi2_dof=chi2,
         peak_scatter=scatter,
         used=used,
         notes=tuple(notes),
@@ -174,7 +189,7 @@ def _fit_peaks(d: Floats, peak: Floats, sample: Sample) -> tuple[Estimate, Estim
     width = np.maximum(np.abs(peak), floor)
     mu, t0 = 0.5, 0.0
     for _ in range(3):
-        mu = _best(partial(_offset_misfit, d=d, peak=peak, width=width, sample=sample), 0.05, 5.0)
+        mu = _best(partial(_offset_misfit, d=d, peak=peak, width=width, sample=sample), *MU_RANGE)
         model = equations.traction(d, mu=mu, sample=sample)
         t0 = float(np.average(peak - model, weights=width**-2))
         width = np.maximum(np.abs(model + t0), floor)
@@ -393,7 +408,7 @@ def fit_joint(
         t0 = float(np.clip(np.average(off, weights=width**-2), -tuning.t0_limit_N, tuning.t0_limit_N))
         return (off - t0) / width, t0
 
-    mu = _best(lambda m: sum(float(np.sum(rest(m, part)[0] ** 2)) for part in parts), 0.05, 5.0)
+    mu = _best(lambda m: sum(float(np.sum(rest(m, part)[0] ** 2)) for part in parts), *MU_RANGE)
     offsets = [rest(mu, part)[1] for part in parts]
     bound = [abs(t0) >= tuning.t0_limit_N for t0 in offsets]
     slopes = []

@@ -21,6 +21,7 @@ from vision.sample import PUBLISHED, Sample
 COLUMNS = ("run", "sample", "V_mm_min", "n_test", "RH_percent", "T_C")
 LIMITS = {"V_mm_min": (1e-6, 1e4), "n_test": (0.0, 1e6), "RH_percent": (0.0, 100.0), "T_C": (-90.0, 200.0)}
 LEAST_EVENTS = 6
+LEAST_SPAN_MM = 0.01  # of separations: less holds no information on how anything falls with d
 _NEEDED = ("d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm")
 # what people call the columns, so that the nearest of ours can be shown
 _ALIKE = {
@@ -315,6 +316,9 @@ def _events(path: Path, sample: Sample) -> pd.DataFrame:
             f"{whole.sum()} of {len(table)}",
             "run track again with `d0_mm`" if np.isnan(values[:, :2]).all() else "",
         )
+    low, high = float(values[whole, 0].min()), float(values[whole, 0].max())
+    if high - low < LEAST_SPAN_MM:
+        raise InputError(path, "events over a range of separations", f"d from {low:.4g} to {high:.4g} mm")
     ordered: pd.DataFrame = table[whole].sort_values("d_v_mm", ignore_index=True)
     return ordered
 

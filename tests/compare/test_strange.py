@@ -1,0 +1,64 @@
+"""Runs whose events follow no model are compared or refused, never at the others' cost."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import vision
+from tests.compare.scenes import events, write_run
+from vision.errors import InputError
+
+STRANGE = {
+    "one separation": lambda t: t.assign(d_v_mm=14.0, d_p_mm=14.02),
+    "equal peaks": lambda t: t.assign(F_p_N=100.0),
+    "equal drops": lambda t: t.assign(dF_N=10.0),
+    "equal stiffness without errors": lambda t: t.assign(K_N_per_mm=3000.0, K_err_N_per_mm=0.0),
+    "stiffness beyond all sheets": lambda t: t.assign(K_N_per_mm=1e5),
+    "stiffness that rises": lambda t: t.assign(K_N_per_mm=t["K_N_per_mm"].to_numpy()[::-1]),
+    "peaks that rise": lambda t: t.assign(F_p_N=t["F_p_N"].to_numpy()[::-1]),
+    "peaks below zero": lambda t: t.assign(F_p_N=t["F_p_N"] - 1000),
+    "no errors of K": lambda t: t.drop(columns=["K_err_N_per_mm", "flag"]),
+    "one huge drop": lambda t: t.assign(dF_N=t["dF_N"].where(t.index != 50, 1e6)),
+    "six events": lambda t: t.iloc[:6],
+    "tiny": lambda t: t.assign(F_p_N=1e-9 * t["F_p_N"], dF_N=1e-9 * t["dF_N"]),
+}
+REFUSED = ("one separation", "peaks that rise", "equal peaks", "tiny")
+
+
+@pytest.mark.parametrize("name", STRANGE)
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_strange_events(name, tmp_path):
+    """A failure means that one odd run costs the comparison of all."""
+    odd = write_run(tmp_path / "odd", STRANGE[name](events(seed=1)))
+    good = [write_run(tmp_path / f"good{k}", events(seed=k)) for k in range(2)]
+    found = vision.compare([*good, odd])
+    assert found.table["mu"].iloc[:2].to_numpy() == pytest.approx(0.89, abs=0.003)
+    assert np.isfinite(found.table["mu_err"].iloc[:2]).all()
+    for figure in found.figures():
+        figure.save(tmp_path / f"{figure.name}.csv")
+    assert (len(found.failures) == 1) == (name in REFUSED)
+    try:
+        vision.compare([odd])
+    except InputError as error:
+        assert "\n" not in str(error)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_random_events(tmp_path):
+    """A failure means a traceback for numbers that some instrument will write one day."""
+    rng = np.random.default_rng(0)
+    for k in range(20):
+        count = int(rng.integers(6, 60))
+        table = pd.DataFrame(
+            {
+                name: 10.0 ** rng.uniform(-3, 4, count) if k % 2 else rng.uniform(1, 50, count)
+                for name in ("F_p_N", "dF_N", "K_N_per_mm", "K_err_N_per_mm")
+            }
+        )
+        d = np.sort(rng.uniform(0.5, 56, count))
+        write_run(tmp_path / f"r{k}", table.assign(d_v_mm=d, d_p_mm=d + 0.01))
+    found = vision.compare([tmp_path / f"r{k}" for k in range(20)])
+    assert len(found.table) + len(found.failures) == 20
+    assert len(found.failures) > 5
+    found.to_json()
+    found.figures()
