@@ -29,9 +29,8 @@ class CertifySettings:
     (made up for by the degrees of freedom, which fails where they are few)."""
 
     misfit: float = 4.0
-    """Scatter of the positions about the smooth motion, over that from frame to frame, from which a piece
-    is cut in half. Smaller takes slow noise for motion; larger takes fast motion, such as ringing, for
-    noise."""
+    """Scatter about the smooth motion, over that from frame to frame, from which a piece is cut in half.
+    Smaller takes slow noise for motion; larger takes fast motion, such as ringing, for noise."""
 
     least_piece: int = 8
     """Frames between two slips from which a polynomial is fitted; shorter pieces are left as measured."""
