@@ -57,8 +57,8 @@ def friction_figure(
         caption=(
             "Left: μ = 3τ/2RN against the angle, later loads brighter, with the first maximum of each, μ_s; "
             "shaded: where μ_d is the mean. Middle: both coefficients against the normal force, with "
-            f"standard errors.{fitted} Right: static friction force over the loads inside the blocks, with a constant "
-            "coefficient and with this law. Compare figure 10 of the publication."
+            f"standard errors.{fitted} Right: static friction force over the loads inside the blocks, with a "
+            "constant coefficient and with this law. Compare figure 10 of the publication."
         ),
         panels=(
             _angle_panel(measured, curves, dynamic_deg),
@@ -94,7 +94,7 @@ def _angle_panel(
         x_label="φ (°)",
         y_label="μ = 3τ / 2RN",
         series=tuple(series),
-        bands=(Band(low=dynamic_deg[0], high=dynamic_deg[1], label="range of μ_d", of_x=True),),
+        bands=(Band(low=dynamic_deg[0], high=dynamic_deg[1], label="dynamic range", of_x=True),),
         x_range=(LEAST_ANGLE_DEG, max(last, 10 * LEAST_ANGLE_DEG)),
         y_range=(0.0, 1.15 * top) if top else None,
         x_log=True,
