@@ -9,6 +9,7 @@ Every stage adds itself, with its parameters, to ``attrs["operations"]``.
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
+import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
@@ -598,3 +599,16 @@ SHELLS = Schema(
     },
     ShellMetadata,
 )
+
+
+# --- notebooks ----------------------------------------------------------------------------------------------
+
+
+def html_table(title: str, rows: Mapping[str, str]) -> str:
+    """A short table of two columns, as notebooks show objects; text is escaped."""
+    cells = "".join(
+        f'<tr><th style="text-align:left">{html.escape(name)}</th>'
+        f'<td style="text-align:left">{html.escape(value)}</td></tr>'
+        for name, value in rows.items()
+    )
+    return f"<table><caption>{html.escape(title)}</caption>{cells}</table>"

@@ -8,7 +8,6 @@ deformation, shells. No stage needs a later one.
 from __future__ import annotations
 
 import base64
-import html
 import math
 import time
 import traceback
@@ -21,7 +20,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock, ClockSettings, synchronise
-from vision.data import ForceMetadata, warnings_of
+from vision.data import ForceMetadata, html_table, warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import InputError
 from vision.figures import FIGURES, Figure
@@ -201,8 +200,9 @@ class Analysis:
         return summary_lines(self)
 
     def _repr_html_(self) -> str:
-        lines = [*self.summary(), *(f"warning: {line}" for line in self.warnings)]
-        text = f"<pre>{html.escape(chr(10).join(lines))}</pre>"
+        found = {name: rest.strip() for name, _, rest in (line.partition(" ") for line in self.summary())}
+        found |= {f"warning {k}": line for k, line in enumerate(self.warnings, 1)}
+        text = html_table("analysis", found)
         if self.tracks is None:
             return text
         picture = base64.b64encode(_figure(self, "tracks").png()).decode()

@@ -10,6 +10,7 @@ from tests.scenes.analysed import FACTS, Found
 from tests.scenes.report_data import make_profile, make_tracks, sawtooth
 from vision.figures import figures_of
 from vision.report import write_report
+from vision.report.text import methods
 
 LIMIT = 3_000_000
 
@@ -153,3 +154,19 @@ def test_arguments_are_shown_as_the_command_s_options(video_only, tmp_path):
     assert "`" not in page.split("<script")[0].split("</style>")[-1]
     bare = write_report(tmp_path / "bare.html", video_only, {}).read_text(encoding="utf-8")
     assert "(pixel_size_um)" in bare
+
+
+def test_methods_tell_what_this_run_lacks(pulled):
+    """A failure means that a paper claims what the run did not have."""
+    plain = " ".join(methods(pulled))
+    assert "withheld" not in plain
+    assert "compressed" not in plain
+    flags = pulled.tracks["flag"].copy()
+    flags[:3, 0] = "doubtful"
+    strip = pulled.strip.assign_attrs(codec="h264", tilt_deg=0.7, frames_lost=4, fps=float("nan"))
+    text = " ".join(methods(replace(pulled, tracks=pulled.tracks.assign(flag=flags), strip=strip)))
+    assert f"3 of {flags.size} positions were withheld" in text
+    assert "compressed with loss (h264)" in text
+    assert "lean by 0.70°" in text
+    assert "(4 lost)" in text
+    assert "a frame rate that is not known" in text

@@ -16,7 +16,7 @@ from vision.clock.ambiguity import Alignments, align
 from vision.clock.force_slips import force_slips
 from vision.clock.settings import ClockSettings
 from vision.clock.video_slips import video_slips
-from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata
+from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata, html_table
 from vision.errors import InputError
 from vision.force.recording import good_samples
 from vision.numeric import NORMAL_MEDIAN, Floats, nan_median
@@ -104,6 +104,24 @@ class Clock:
     def to_video_s(self, force_time_s: ArrayLike) -> Floats:
         """Video time at these times of the force clock, s; NaN stays NaN."""
         return (np.asarray(force_time_s, np.float64) - self.offset_s) / (1 + 1e-6 * self.drift_ppm)
+
+    def _repr_html_(self) -> str:
+        def with_error(value: str, error: float, unit: str) -> str:
+            return f"{value} ± {error:.2g} {unit}" if math.isfinite(error) else f"{value} {unit}"
+
+        rows = {
+            "status": f"{self.status} (from {self.how})",
+            "offset": with_error(f"{self.offset_s:.4f}", self.error_ms / 1000, "s"),
+            "drift": with_error(f"{self.drift_ppm:.1f}", self.drift_err_ppm, "ppm"),
+            "slips": f"{self.matched} matched, {self.unmatched_video} only in the video, "
+            f"{self.unmatched_force} only in the force",
+        }
+        if math.isfinite(self.residual_ms):
+            rows["residual"] = f"{self.residual_ms:.2g} ms (median)"
+        if math.isfinite(self.margin):
+            rows["margin"] = f"{self.margin:.1f} in log-likelihood"
+        rows |= {f"warning {k}": line for k, line in enumerate(self.warnings, 1)}
+        return html_table("camera's clock to force clock", rows)
 
     def to_json(self) -> dict[str, Any]:
         """What `clock.json` holds; numbers that are not known are null."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, TypeGuard
@@ -210,7 +211,10 @@ def slip_times(r: Results) -> tuple[Floats | None, str]:
     """
     if r.sticks is not None and len(r.sticks) and r.clock is not None and r.clock.status != "ambiguous":
         return np.sort(r.clock.to_video_s(r.sticks["t_p_s"].to_numpy(float))), "the force"
-    if r.tracks is None or TrackMetadata.of(r.tracks).axis_how == "geometry":
+    if r.tracks is None:
+        return None, ""
+    found = TrackMetadata.of(r.tracks)
+    if found.axis_how == "geometry" and math.isnan(found.axis_low_px):
         return None, ""
     try:
         return video_slips(r.tracks)["time_s"].to_numpy(float), "the sheets' common steps"

@@ -94,7 +94,7 @@ def _angle_panel(
         x_label="φ (°)",
         y_label="μ = 3τ / 2RN",
         series=tuple(series),
-        bands=(Band(low=dynamic_deg[0], high=dynamic_deg[1], label="range of μ_d", of_x=True),),
+        bands=(Band(low=dynamic_deg[0], high=dynamic_deg[1], label="dynamic range", of_x=True),),
         x_range=(LEAST_ANGLE_DEG, max(last, 10 * LEAST_ANGLE_DEG)),
         y_range=(0.0, 1.15 * top) if top else None,
         x_log=True,

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import median_filter
 from scipy.optimize import least_squares
 
-from vision.data import FORCE, ForceMetadata
+from vision.data import FORCE, ForceMetadata, html_table
 from vision.errors import InputError
 from vision.models import equations
 from vision.models.single_sheet import bending_length_mm
@@ -135,6 +135,27 @@ class ModelFits:
     def chi2_dof(self) -> float:
         """That of the three fits together."""
         return float(np.mean([good.chi2_dof for good in self.goodness.values()]))
+
+    def _repr_html_(self) -> str:
+        named = {
+            "μ": (self.mu, ""),
+            "𝒯0": (self.t0_N, "N"),
+            "A": (self.amplitude, ""),
+            "N̂": (self.n_hat_N, "N"),
+            "Y_eff": (self.modulus_GPa, "GPa"),
+            "Λ̂": (self.scale_mm, "mm"),
+        }
+        rows = {
+            name: f"{one.value:.5g}" + (f" ± {one.error:.2g}" if np.isfinite(one.error) else "") + f" {unit}"
+            for name, (one, unit) in named.items()
+        }
+        rows["d"] = f"{self.d_mm[0]:.2f} to {self.d_mm[1]:.2f} mm"
+        rows |= {
+            f"χ²/dof, {name}": f"{good.chi2_dof:.3g} ({good.points} points)"
+            for name, good in self.goodness.items()
+        }
+        rows |= {f"note {k}": line for k, line in enumerate(self.notes, 1)}
+        return html_table("models fitted to the force recording", rows)
 
     def to_json(self) -> dict[str, Any]:
         """The content of models.json: values with errors, how well they fit, and the sample; no NaN in it."""

@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from vision.data import html_table
 from vision.errors import InputError
 from vision.files import Stamp, check_pixels, check_regular, reading
 from vision.numeric import Floats, Ints, Pixels
@@ -82,6 +83,18 @@ class Video:
         rate = "" if self.clock.fps is None else f", {self.clock.fps:g} frames/s ({self.clock.kind})"
         rows, columns = self.shape
         return f"<{self.path.name}: {count} frames of {columns} x {rows} px, {self.depth_bits} bit{rate}>"
+
+    def _repr_html_(self) -> str:
+        rows, columns = self.shape
+        known = self.clock.fps is not None
+        table = {
+            "frames": "not known" if self.expected is None else str(self.expected),
+            "size": f"{columns} x {rows} px, {self.depth_bits} bit",
+            "frame rate": f"{self.clock.fps:g} /s ({self.clock.kind})" if known else "not known",
+            "duration": "not known" if self.duration_s is None else f"{self.duration_s:.4g} s",
+        }
+        table |= {f"warning {k}": line for k, line in enumerate(self.warnings, 1)}
+        return html_table(self.path.name, table)
 
     @property
     def facts(self) -> Facts:
