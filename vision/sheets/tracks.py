@@ -36,7 +36,8 @@ LOSSY = frozenset({"h264", "hevc", "mjpeg", "mpeg1video", "mpeg2video", "mpeg4",
 LEAST_NOISE_GREY = 0.05  # noise of a profile drawn without any: whole grey levels, averaged over some rows
 CODEC_HIDDEN = 0.2
 """By how much more than the measured scatter a codec shifts ridges where it wiped the noise out: artefacts
-that stay in place show neither in time nor between sheets. Films of known truth in test_identity_compressed.py."""
+that stay in place show neither in time nor between sheets. Films of known truth:
+test_identity_compressed.py."""
 LEAST_ERROR_PX = 1e-4
 
 
