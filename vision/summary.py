@@ -40,6 +40,8 @@ def summary_lines(results: Results) -> list[str]:
         lines.append(f"events     {len(results.sticks)} stick-slip events; {sizes}; {lowpass}")
     if results.fits is not None:
         lines.append(f"models     {_models(results.fits)}")
+    elif reason := results.reasons.get("fits"):
+        lines.append(f"models     none: {reason}")
     if results.clock is not None:
         lines.append(f"clocks     {_clocks(results.clock)}")
     if results.shells is not None and results.motion is not None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tests.scenes.creeping import Clock, make, profile
+from tests.scenes.creeping import PIXEL_UM, Clock, make, profile
 from vision.deformation import horizontal_deformation
 
 
@@ -14,7 +14,7 @@ def scores(shells, truth):
 
 def measured(ratio, **options):
     made = make(ratio, **options)
-    return made, horizontal_deformation(made.tracks, made.sticks, Clock())
+    return made, horizontal_deformation(made.tracks, made.sticks, Clock(), pixel_size_um=PIXEL_UM)
 
 
 def stage(stick_um, frames, m_eff, *, noise_px, rho=0.0, events=60):
@@ -31,7 +31,7 @@ def ideal(ratio, error):
     """What `horizontal_deformation` would return for ratios (event, n) on the right, measured perfectly."""
     made = make(np.full(ratio.shape, 0.2), frames=8, noise_px=0.02)
     right = made.tracks.isel(sheet=slice(ratio.shape[1], None))
-    motion = horizontal_deformation(right, made.sticks, Clock())
+    motion = horizontal_deformation(right, made.sticks, Clock(), pixel_size_um=PIXEL_UM)
     where, error = ("event", "sheet"), np.broadcast_to(error, ratio.shape)
     sigma_um = error * motion["stick_length_um"].to_numpy()[:, None]
     return motion.assign(

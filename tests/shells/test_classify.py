@@ -7,9 +7,6 @@ import pytest
 from tests.scenes.creeping import profile
 from tests.scenes.shells import ideal, measured
 from vision.errors import InputError
-from vision.models import equations
-from vision.models.fits import fit_models
-from vision.sample import Sample
 from vision.shells import classify_sheets, classify_shells, deformation_table, with_model
 
 DEFORMATION = (
@@ -96,31 +93,6 @@ def test_the_forces_figure_stands_beside_imagings():
     assert plain["M_eff_model"].isna().all()
     np.testing.assert_allclose(full["M_eff_model"], 2 * plain["d_v_mm"])
     pd.testing.assert_frame_equal(full, classify_shells(motion, effective_sheets=lambda d_mm: 2 * d_mm))
-
-
-def test_the_model_fits_take_the_table():
-    """A failure means that the fits cannot read the shells they are to be compared with."""
-    _, motion = measured(profile([8.0, 6.0, 5.0]), noise_px=0.03)
-    shells = classify_shells(motion)
-    shells.loc[0, ["stiff_sheets", "stiff_low", "stiff_high"]] = pd.NA
-    fits = fit_models(_force_events(), shells, assembly=Sample())
-    assert fits.shells is not None
-    assert fits.shells.compared == 5
-    assert np.isfinite(with_model(shells, fits.effective_sheets)["M_eff_model"]).all()
-
-
-def _force_events():
-    d = np.linspace(13.2, 17.0, 12)
-    return pd.DataFrame(
-        {
-            "d_v_mm": d,
-            "d_p_mm": d + 0.01,
-            "F_p_N": equations.traction(d + 0.01, mu=0.89),
-            "dF_N": equations.stick_slip_amplitude(d, mu=0.89),
-            "K_N_per_mm": equations.assembly_stiffness(d, mu=0.89, n_hat_N=0.57, modulus_GPa=3.8),
-            "K_err_N_per_mm": 20.0,
-        }
-    )
 
 
 @pytest.mark.parametrize(

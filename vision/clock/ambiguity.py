@@ -19,9 +19,7 @@ from vision.clock.alignment import (
     off_trend,
 )
 from vision.clock.settings import ClockSettings
-from vision.numeric import Floats, Ints
-
-_MAD_TO_SIGMA = 1.4826
+from vision.numeric import NORMAL_MEDIAN, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -155,7 +153,7 @@ def _interval_evidence(trains: SlipTrains, fits: ClockFits, settings: ClockSetti
     if not len(change):
         return 0.0
     # Errors of the force's slips look uneven, too: three of them, the middle one twice, make a change.
-    uneven2 = (_MAD_TO_SIGMA * float(np.median(change))) ** 2 / 2 - 3 * trains.force_error_s**2
+    uneven2 = (float(np.median(change)) / NORMAL_MEDIAN) ** 2 / 2 - 3 * trains.force_error_s**2
     error = trains.typical_error_s * fits.error_scale[0]
     most = np.median(trains.pair_gain(settings))
     return float(len(interval) * min(0.5 * max(uneven2, 0.0) / error**2, 0.5 * most))
