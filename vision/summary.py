@@ -206,7 +206,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
     scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
     # compression hides the noise of pixels: what they predict is then no check of what was measured
     predicted = (
-        f"; raised for {strip.codec} compression, {noise['predicted_px']:.4f} px stated"
+        f"; {noise['predicted_px']:.4f} px stated ({strip.codec} hides the noise of pixels)"
         if strip.codec in LOSSY
         else f", {noise['predicted_px']:.4f} px predicted from the pixels"
     )
