@@ -88,7 +88,7 @@ def try_out(path: Path, kind: str, wanted: str, *, seconds: float | None = None)
         stderr=subprocess.DEVNULL,
         env=os.environ | quiet,
     )
-    try:
+    try:  # a `with` alone would wait for a process that never ends
         out, _ = child.communicate(task.encode() + b"\n", timeout=seconds)
     except subprocess.TimeoutExpired:
         found = f"one whose reading does not end within {seconds:g} s"
@@ -96,7 +96,8 @@ def try_out(path: Path, kind: str, wanted: str, *, seconds: float | None = None)
         found = _found(child.returncode, out)
     finally:
         child.kill()
-        child.wait()
+        with child:  # closes its pipes
+            pass
     if found:
         raise InputError(path, wanted, found, "save or copy it again")
 

@@ -1,8 +1,10 @@
-"""Lengths, seconds and sheets as typed."""
+"""Lengths, seconds and sheets as typed; options from a file."""
 
 import pytest
 
+from vision.command.main import run
 from vision.command.options import (
+    SampleOptions,
     VideoOptions,
     merged,
     parse_length,
@@ -91,3 +93,43 @@ def test_sheets_that_cannot_be_are_refused(text):
     """A failure means that a typing error picks some sheet."""
     with pytest.raises(InputError, match="--sheet"):
         parse_sheets([text])
+
+
+@pytest.mark.parametrize("text", ["1.5", "9" * 400, "²", "1e400", "nan", "0x10", "", "-3", "true"])
+@pytest.mark.parametrize("option", ["--sheets", "--sheets-per-block"])
+def test_a_number_of_sheets_is_whole(option, text, tmp_path, capsys):
+    """A failure means that 1.5 sheets become two, or a traceback."""
+    (tmp_path / "a.csv").write_text("x")
+    assert run([str(tmp_path / "a.csv"), f"{option}={text}", "--out", str(tmp_path / "run")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+WRONG = (
+    *("sheets = 1.5", "sheets = true", "sheets = [1]", "sheets = 2026-01-01", "sheets = 1e400", "fps = 'x'"),
+    *("rotate = 45", "ridges = 1", "unknown = 1", "sample = 5", "[sample]\nwidth = 'x'", "[sample.a]\nb = 1"),
+    *("x = " + "[" * 3000, f"pixel_size = {'9' * 5000}", "fps = ", "\x00", "a = 1\na = 2", "fps = {a = 1}"),
+)
+
+
+@pytest.mark.parametrize("text", WRONG, ids=lambda text: text[:20])
+def test_a_file_of_options_is_checked_as_the_command_line_is(text, tmp_path):
+    """A failure means a traceback, or a value that is guessed."""
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.raises(InputError, match=r"a\.toml") as caught:
+        merged(VideoOptions(), SampleOptions(), config=tmp_path / "a.toml")
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 1000
+
+
+def test_a_file_of_options_gives_what_it_says(tmp_path):
+    """A failure means that the checks refuse what is right."""
+    (tmp_path / "a.toml").write_text(
+        "sheets = 50\nfps = 60\nstrip = '6:14'\n[sample]\nsheets-per-block = 25.0\n"
+    )
+    found = merged(VideoOptions(), SampleOptions(), config=tmp_path / "a.toml")
+    assert [found[name].value for name in ("sheets", "fps", "strip", "sheets_per_block")] == [
+        50,
+        60,
+        "6:14",
+        25,
+    ]

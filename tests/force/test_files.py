@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import h5py
@@ -13,6 +14,7 @@ from tests.scenes.machine_files import LAYOUTS, LOAD, PULL, TIME, written
 from vision.data import ForceMetadata
 from vision.errors import InputError
 from vision.force import read_force
+from vision.force.files import read_tables
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -66,3 +68,38 @@ def test_missing_or_damaged_files(tmp_path: Path) -> None:
         path.write_bytes(damaged.encode("latin-1"))
         with pytest.raises(InputError, match="MATLAB"):
             read_force(path)
+
+
+def test_padded_cells_beside_words_are_read_soon(tmp_path):
+    """A failure means that an aligned table with a column of words takes for ever."""
+    cells = [", ".join(f"{v:>12.4f}" for v in (n / 100, 5.0, n / 60, 1.0, 2.0, 3.0, 4.0)) for n in range(100)]
+    text = "Time (s), Load (N), Disp (mm), A, B, C, D, Status\n"
+    file = tmp_path / "pad.csv"
+    file.write_text(text + "".join(f"{line},          running \n" for line in cells))
+    started = time.monotonic()
+    (table,) = read_tables(file)
+    assert time.monotonic() - started < 5
+    assert table.numbers.shape == (100, 8)
+    assert np.allclose(table.numbers[:, 0], np.arange(100) / 100)
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", "   "])
+@pytest.mark.parametrize("odd", ["", "nan", "remark"])
+def test_the_fast_way_gives_what_the_careful_one_does(separator, odd, tmp_path, monkeypatch):
+    """A failure means that numbers depend on which of the two ways read them."""
+    rows = np.random.default_rng(0).normal(0, 50, (500, 3)).round(5)
+    lines = [separator.join(map(str, row)) for row in rows.tolist()]
+    if odd == "nan":
+        lines[200] = separator.join(("1.5", "nan", "2"))
+    elif odd:
+        lines[200] = "a remark of the machine"
+    file = tmp_path / "a.txt"
+    head = [separator.join(("Time", "Load", "Position")), separator.join(("s", "N", "mm"))]
+    file.write_text("\n".join(["Test 7", *head, *lines]) + "\n")
+    fast = read_tables(file)
+    monkeypatch.setattr("vision.force.files._read_plain", lambda path: None)
+    slow = read_tables(file)
+    assert [t.names for t in fast] == [t.names for t in slow]
+    for one, other in zip(fast, slow, strict=True):
+        assert (one.units, one.facts) == (other.units, other.facts)
+        assert np.array_equal(one.numbers, other.numbers, equal_nan=True)

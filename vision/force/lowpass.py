@@ -134,7 +134,8 @@ class _Blocks:
     def of(cls, y: Floats, transients: SlipTransients, corrected: float) -> _Blocks | None:
         """At most 100 sticks of about 120 blocks: enough for a time constant known to a few per cent."""
         count = transients.stop - transients.start
-        usable = np.flatnonzero((count >= 8) & (transients.drop > 0))
+        inside = (transients.start >= 0) & (transients.stop <= y.size)  # a slip without a place has none
+        usable = np.flatnonzero((count >= 8) & (transients.drop > 0) & inside)
         if usable.size < 3:
             return None
         pick = usable[np.unique(np.linspace(0, usable.size - 1, 100).astype(np.int64))]

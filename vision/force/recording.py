@@ -18,6 +18,7 @@ from vision.numeric import Bools, Floats, Strings
 
 _LEAST_SAMPLES = 10
 _STARTS_NEAR_ZERO = 0.05  # of the whole travel: a machine's zero is set by hand
+_MOST = 1e11  # s, N or mm: beyond all that is recorded, clock times since 1601 in s included
 
 
 def read_force(
@@ -259,9 +260,9 @@ def sample_flags(
     "gap": the time before this sample spans several sampling intervals (the sample itself is good).
     """
     flags = np.full(time_s.shape, "ok", dtype="<U9")
-    bad = ~np.isfinite(time_s) | ~np.isfinite(load)
+    bad = ~(np.abs(time_s) < _MOST) | ~(np.abs(load) < _MOST)  # damaged digits; NaN and infinity too
     if displacement is not None:
-        bad |= ~np.isfinite(displacement)
+        bad |= ~(np.abs(displacement) < _MOST)
     latest = np.fmax.accumulate(np.r_[-np.inf, np.where(bad, -np.inf, time_s)])[:-1]
     step = np.where(bad, np.nan, time_s) - latest
     forward = step[np.isfinite(step) & (step > 0)]

@@ -207,9 +207,10 @@ def write_csv(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
 def harmless(text: str) -> str:
     """Text that no spreadsheet takes for a formula: one that begins as such gets an apostrophe before it.
 
-    Numbers in text stay as they are.
+    Numbers in text stay as they are. Carriage returns become blanks, as some programs begin a row there.
     """
-    bites = text.lstrip()[:1] in _FORMULA or text[:1] in "\t\r"
+    text = text.replace("\r", " ")
+    bites = text.lstrip()[:1] in _FORMULA or text[:1] == "\t"
     return f"'{text}" if text and bites and not _NUMBER.fullmatch(text) else text
 
 

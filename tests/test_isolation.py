@@ -1,0 +1,92 @@
+"""Parsers in a process of their own: bounded, blind to the working directory, ended with their parent."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from vision import isolation
+from vision.errors import InputError
+from vision.isolation import try_out
+
+
+@pytest.fixture
+def matlab(tmp_path):
+    savemat(tmp_path / "a.mat", {"t": np.arange(50.0)})
+    return tmp_path / "a.mat"
+
+
+def test_whole_files_pass(matlab, tmp_path):
+    """A failure means that good recordings are refused."""
+    try_out(matlab, "MATLAB", "a .mat file")
+    with h5py.File(tmp_path / "a.nc", "w") as file:
+        file["x"] = np.arange(5)
+    try_out(tmp_path / "a.nc", "HDF5", "a netCDF file")
+
+
+@pytest.mark.parametrize(
+    ("parser", "found"),
+    [
+        ("import os; os.kill(os.getpid(), 11)", "SIGSEGV"),
+        ("while True: pass", "does not end"),
+        ("bytearray(1 << 40)", "MemoryError"),
+        ("raise TypeError('a\\nb')", "TypeError: a b"),
+        ("import os; os._exit(7)", "status 7"),
+    ],
+)
+def test_whatever_a_parser_does_is_one_line(parser, found, matlab, monkeypatch):
+    """A failure means that a damaged file ends, or holds up, the program itself."""
+    monkeypatch.setitem(isolation._PARSERS, "MATLAB", parser)
+    with pytest.raises(InputError, match=found) as caught:
+        try_out(matlab, "MATLAB", "a .mat file", seconds=3)
+    assert "\n" not in str(caught.value)
+
+
+def test_modules_beside_the_data_are_not_run(matlab, monkeypatch):
+    """A failure means that opening a folder of someone's data runs their code."""
+    monkeypatch.chdir(matlab.parent)
+    monkeypatch.setenv("PYTHONPATH", ".")
+    monkeypatch.setattr(sys, "path", ["", *sys.path])
+    for name in ("pickle", "scipy", "json", "ctypes"):
+        (matlab.parent / f"{name}.py").write_text("open('executed', 'w')")
+    try_out(matlab, "MATLAB", "a .mat file")
+    assert not (matlab.parent / "executed").exists()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="prctl is Linux's")
+def test_it_ends_with_its_parent(matlab, tmp_path):
+    """A failure means that a killed run leaves a process that eats a core."""
+    code = (
+        "from vision import isolation; from pathlib import Path\n"
+        "parser = \"import os, time; print(os.getpid(),file=open('pid', 'w'), flush=True); time.sleep(60)\"\n"
+        "isolation._PARSERS['MATLAB'] = parser\n"
+        f"isolation.try_out(Path({str(matlab)!r}), 'MATLAB', 'x', seconds=60)"
+    )
+    place = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    parent = subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, env=place)
+    pid = until(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text().strip())
+    parent.kill()
+    parent.wait()
+    until(lambda: not alive(int(pid)))
+
+
+def until(true, seconds=20):
+    end = time.monotonic() + seconds
+    while not (value := true()):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    return value
+
+
+def alive(pid):
+    """Whether a process runs; a dead one that nobody waits for does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False

@@ -1,0 +1,173 @@
+"""Films that are damaged, cut short, changed meanwhile, or no files at all."""
+
+import os
+import struct
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from tests.scenes.films import comb, write_avi, write_encoded
+from vision.errors import InputError
+from vision.files import MOST_PIXELS
+from vision.video import open_video, read_timestamps, strip_profile
+
+
+def pages(path, frames, **more):
+    tifffile.imwrite(path, frames, photometric="minisblack", **more)
+    return path
+
+
+def cut(path, share):
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    return path
+
+
+def index_first(path, frames):
+    """A classic TIFF whose pages stand before all pixels, as some cameras write it."""
+    count, rows, columns = frames.shape
+    tags, head = 8, 8
+    size = 2 + 12 * tags + 4
+    first = head + count * size
+    out = struct.pack("<2sHI", b"II", 42, head)
+    for n in range(count):
+        place = first + n * frames[0].nbytes
+        values = ((256, 4, columns), (257, 4, rows), (258, 3, 8), (259, 3, 1), (262, 3, 1), (273, 4, place))
+        values += ((278, 4, rows), (279, 4, frames[0].nbytes))
+        out += struct.pack("<H", tags) + b"".join(struct.pack("<HHII", t, k, 1, v) for t, k, v in values)
+        out += struct.pack("<I", head + (n + 1) * size if n + 1 < count else 0)
+    path.write_bytes(out + frames.tobytes())
+    return path
+
+
+# --- frames that are not there --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [0.6, 0.999])
+def test_frames_promised_by_an_index_are_counted(share, tmp_path):
+    """A failure means "19 of 19" of 40: what is promised was counted after what is missing was left out."""
+    video = open_video(cut(index_first(tmp_path / "a.tif", comb(40, 12, 300)), share))
+    assert video.expected == 40
+    strip = strip_profile(video)
+    assert strip.attrs["frames_expected"] == 40
+    assert strip.attrs["frames_read"] == {0.6: 23, 0.999: 39}[share]
+    assert any("missing" in line for line in strip.attrs["warnings"])
+
+
+def test_a_matroska_cut_near_its_start_is_reported(tmp_path):
+    """A failure means that one frame of forty passes for a whole recording."""
+    whole = write_encoded(tmp_path / "a.mkv", comb(40, 12, 300), codec="ffv1", pix_fmt="gray", source="gray")
+    assert open_video(whole).warnings == ()
+    assert any("cut short" in line for line in open_video(cut(whole, 0.3)).warnings)
+
+
+def test_stacks_among_images_are_refused(tmp_path):
+    """A failure means that of each file's ten frames one is read."""
+    for n in range(3):
+        pages(tmp_path / f"a_{n:04d}.tif", comb(10, 12, 60))
+    with pytest.raises(InputError, match="one page per image"):
+        open_video(tmp_path)
+
+
+def test_pages_that_go_in_circles_are_refused(tmp_path):
+    """A failure means a program that never ends."""
+    file = index_first(tmp_path / "a.tif", comb(4, 12, 60))
+    data = bytearray(file.read_bytes())
+    size = 2 + 12 * 8 + 4
+    struct.pack_into("<I", data, 8 + 4 * size - 4, 8 + size)
+    file.write_bytes(data)
+    with pytest.raises(InputError, match="page 4 is an earlier one"):
+        open_video(file)
+
+
+def test_frames_far_too_large_are_refused_before_memory_is_taken(tmp_path, monkeypatch):
+    """A failure means that a picture of a few kilobytes takes gigabytes."""
+    rows, columns = 30_000, 30_000
+    assert rows * columns > MOST_PIXELS
+    file = tmp_path / "a_0001.png"
+    cv2.imwrite(str(file), np.zeros((4, 4), np.uint8))
+    data = bytearray(file.read_bytes())
+    data[16:24] = struct.pack(">II", columns, rows)
+    file.write_bytes(data)
+    with pytest.raises(InputError):
+        open_video(file)
+    monkeypatch.setattr("vision.files.MOST_PIXELS", 500)
+    with pytest.raises(InputError, match="million pixels"):
+        open_video(write_avi(tmp_path / "a.avi", comb(2, 12, 50)))
+
+
+# --- what is opened, and under what name -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("reader", [open_video, read_timestamps])
+def test_pipes_and_devices_are_refused(reader, tmp_path):
+    """A failure means that the program waits, or reads, for ever."""
+    os.mkfifo(tmp_path / "pipe.avi")
+    for path in (tmp_path / "pipe.avi", "/dev/zero"):
+        with pytest.raises(InputError, match="device, pipe or socket"):
+            reader(type(tmp_path)(path))
+
+
+@pytest.mark.parametrize(
+    "name", ["2024-05-12T14:30:05.mkv", "concat:a.mkv", "a%20b?c#d.mkv", b"\xe9\xff.mkv"]
+)
+def test_any_name_of_a_file_will_do(name, tmp_path):
+    """A failure means that a time in a name is taken for a protocol, or that an old name is none."""
+    made = write_encoded(tmp_path / "a.mkv", comb(5), codec="ffv1", pix_fmt="gray", source="gray")
+    path = tmp_path / os.fsdecode(name)
+    made.rename(path)
+    assert sum(len(block.status) for block in open_video(path).blocks()) == 5
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["ffconcat version 1.0\nfile secret.mkv\n", "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nsecret.mkv\n"],
+)
+def test_lists_of_other_files_are_not_followed(text, tmp_path):
+    """A failure means that a file makes the program read others."""
+    write_encoded(tmp_path / "secret.mkv", comb(5), codec="ffv1", pix_fmt="gray", source="gray")
+    for name in ("a.mkv", "a.m3u8", "a.ffconcat"):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(InputError):
+            open_video(tmp_path / name)
+
+
+# --- files that change meanwhile -------------------------------------------------------------------
+
+
+def reading_while(path, happens):
+    """Blocks of a film to which something happens after the first."""
+    for n, block in enumerate(open_video(path).blocks()):
+        if n == 0:
+            happens()
+        yield block
+
+
+def big(path):
+    return write_avi(path, comb(600, 12, 5000))
+
+
+def test_a_file_that_shrinks_is_one_line(tmp_path):
+    """A failure means that the process is killed (SIGBUS), or reads zeros."""
+    file = big(tmp_path / "a.avi")
+    with pytest.raises(InputError, match="shorter"):
+        list(reading_while(file, lambda: os.truncate(file, 100_000)))
+
+
+def test_a_file_that_is_replaced_is_one_line(tmp_path):
+    """A failure means that frames of two films are mixed."""
+    file, other = big(tmp_path / "a.avi"), big(tmp_path / "b.avi")
+    with pytest.raises(InputError, match="replaced"):
+        list(reading_while(file, lambda: other.rename(file)))
+
+
+def test_a_file_that_grows_is_said(tmp_path):
+    """A failure means that a film which a camera still writes passes for whole."""
+    file = big(tmp_path / "a.avi")
+    video = open_video(file)
+    assert video.changes == ()
+    with file.open("ab") as out:
+        out.write(b"more")
+    assert "grew" in video.changes[0]
