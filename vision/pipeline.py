@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import html
+import math
 import time
 import traceback
 from collections.abc import Callable, Mapping
@@ -20,7 +21,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock, ClockSettings, synchronise
-from vision.data import warnings_of
+from vision.data import ForceMetadata, warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import InputError
 from vision.figures import FIGURES, Figure
@@ -259,7 +260,7 @@ def analyse(
         strip = stage.must("reading", lambda: _strip(recording, chosen, progress))
         frame = stage.must("first frame", lambda: reference_frame(recording))
         tracks = stage.must("tracking", lambda: _tracks(strip, chosen))
-    sticks = stage.may("sticks", _sticks, machine, settings=chosen)
+    sticks = stage.may("sticks", _sticks, machine, settings=chosen, needed=recording is None)
     fits = stage.may("fits", _fits, machine, sticks, settings=chosen)
     clock = stage.may("clock", _clock, tracks, machine, sticks, settings=chosen)
     motion = stage.may("motion", _motion, tracks, sticks, clock, settings=chosen)
@@ -301,10 +302,22 @@ class _Stages:
         finally:
             self.seconds[name] = time.perf_counter() - started
 
-    def may(self, name: str, work: Callable[..., Result], *inputs: Any, settings: Settings) -> Result | None:
-        """None where an input is missing, or where the stage ends in an error, which is kept."""
+    def may(
+        self,
+        name: str,
+        work: Callable[..., Result],
+        *inputs: Any,
+        settings: Settings,
+        needed: bool = False,
+    ) -> Result | None:
+        """None where an input is missing, or where the stage ends in an error, which is kept.
+
+        needed: there is nothing before it to be kept, so that its errors are raised.
+        """
         if any(part is None for part in inputs):
             return None
+        if needed:
+            return self.must(name, lambda: work(*inputs, settings))
         try:
             return self.must(name, lambda: work(*inputs, settings))
         except InputError as error:
@@ -414,6 +427,11 @@ def _shells(motion: xr.Dataset, fits: ModelFits | None, chosen: Settings) -> pd.
     )
 
 
+def _fits_are_expected(force: xr.Dataset) -> bool:
+    """Without d0, or with a force over a weight, nobody asked for the models."""
+    return math.isfinite(ForceMetadata.of(force).d0_mm) and force["load_N"].attrs["units"] == "N"
+
+
 def _warnings(
     tracks: xr.Dataset | None,
     force: xr.Dataset | None,
@@ -427,6 +445,7 @@ def _warnings(
     lines += warnings_of(force, sticks)
     lines += [line] if force is not None and (line := cycles_seen(force)) else []
     lines += fits.warnings if fits else ()
-    lines += [f"no model fits: {no_fits}"] if no_fits else []
+    if no_fits and force is not None and _fits_are_expected(force):
+        lines.append(f"no model fits: {no_fits}")
     lines += clock.warnings if clock else ()
     return tuple(dict.fromkeys(lines))

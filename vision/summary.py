@@ -34,6 +34,8 @@ def summary_lines(results: Results) -> list[str]:
     if results.fits is not None:
         lines.append(f"models     {_models(results.fits)}")
         lines += [f"           {note}" for note in results.fits.notes]
+    elif reason := results.reasons.get("fits"):
+        lines.append(f"models     none: {reason}")
     if results.clock is not None:
         lines.append(f"clocks     {_clocks(results.clock)}")
     if results.shells is not None and results.motion is not None:

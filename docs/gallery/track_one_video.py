@@ -7,10 +7,9 @@ import sys
 from pathlib import Path
 
 from matplotlib.figure import Figure
-from vision.report.kymograph import draw_kymograph
-from vision.report.overview import draw_displacements
 
 import vision
+from vision.figures import kymograph_figure, space_time_figure, tracks_figure
 
 PIXEL_SIZE_UM = 10.0
 recording = Path(__file__).parents[2] / "fixtures" / "paper" / "video.avi"
@@ -20,15 +19,14 @@ folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path()
 video = vision.open_video(recording, fps=60)
 strip = vision.strip_profile(video)  # I(x, t); the strip of rows is found
 tracks = vision.track_sheets(strip)  # x_px, x_err_px and flag (frame, sheet)
-whole = vision.space_time(strip, pixel_size_um=PIXEL_SIZE_UM)
 outermost = vision.space_time(
     strip, around=tracks, sheet=("right", 25), width_um=200, pixel_size_um=PIXEL_SIZE_UM
 )
 
 figure = Figure(figsize=(11, 12), layout="constrained")
 top, motion, one = figure.subplots(3, 1)
-draw_kymograph(top, whole, tracks=tracks)
-draw_displacements(motion, tracks, pixel_size_um=PIXEL_SIZE_UM)
-draw_kymograph(one, outermost)
+space_time_figure(strip, tracks, pixel_size_um=PIXEL_SIZE_UM).plot(top)
+tracks_figure(tracks, pixel_size_um=PIXEL_SIZE_UM).plot(motion)
+kymograph_figure([outermost]).plot(one)
 one.set_title("Sheet n = 25 on the right at native resolution: creep and slips", loc="left")
 figure.savefig(folder / "track_one_video.png", dpi=110)

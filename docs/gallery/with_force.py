@@ -8,9 +8,9 @@ from pathlib import Path
 
 import xarray as xr
 from matplotlib.figure import Figure
-from vision.report.figures import draw_clocks, draw_pull, draw_ratio, draw_shells
 
 import vision
+from vision.figures import clocks_figure, deformation_figure, force_figure, shells_figure
 
 PIXEL_SIZE_UM = 10.0
 sample = Path(__file__).parents[2] / "fixtures" / "paper"
@@ -21,7 +21,7 @@ tracks = vision.track_sheets(strip)
 
 force = vision.read_force(sample / "force.txt", d0_mm=13)  # load_N and d_mm (time_s)
 sticks = vision.find_stick_slip(force)  # one row per stick-slip event
-fits = vision.fit_models(sticks)  # Eq. 1, amplitude and stiffness, from the force alone
+fits = vision.fit_models(force, sticks)  # Eq. 1, amplitude and stiffness, from the force alone
 
 # Five seconds hold too few slips to align the clocks by, so the offset is given. For a longer video leave
 # it out: the slips that camera and machine both saw decide.
@@ -33,10 +33,10 @@ shells = vision.classify_shells(motion, threshold=0.1, effective_sheets=fits.eff
 
 figure = Figure(figsize=(13, 9), layout="constrained")
 (pull, clocks), (ratio, shell) = figure.subplots(2, 2)
-draw_pull(pull, force, sticks, fits)
-draw_clocks(clocks, force, tracks, clock, sticks, pixel_size_um=PIXEL_SIZE_UM)
-draw_ratio(ratio, motion, threshold=0.1)
-draw_shells(shell, shells, fits)
+force_figure(force, sticks, fits).plot(pull)
+clocks_figure(force, tracks, clock, sticks, pixel_size_um=PIXEL_SIZE_UM).plot(clocks)
+deformation_figure(motion, threshold=0.1).plot(ratio)
+shells_figure(shells, fits).plot(shell)
 titles = "The pull", "Force and sheets on one clock", "Deformation of every sheet", "Size of the stiff shell"
 for ax, title in zip((pull, clocks, ratio, shell), titles, strict=True):
     ax.set_title(title, loc="left")

@@ -112,8 +112,7 @@ def test_another_sample_has_its_own_forces():
     """M, ε, W, L and T* all reach the forces and the stiffness: fewer and stiffer sheets."""
     sample = Sample(sheets_per_block=20, thickness_mm=0.15, width_mm=30.0, length_mm=40.0, t_star_N=0.004)
     events = simulate_pull(REGULAR, seed=0, sample=sample).events()
-    same = eq.Assembly(sheets_per_side=20, thickness_mm=0.15, width_mm=30.0, length_mm=40.0)
-    peaks = eq.traction(events["d_p_mm"], mu=0.89, t_star_N=0.004, assembly=same)
+    peaks = eq.traction(events["d_p_mm"], mu=0.89, sample=sample)
     assert events["F_p_N"].to_numpy() == pytest.approx(peaks, rel=1e-12)
     one_sheet = 3.8e3 * 0.15 * 30 / 40
     stiffness = np.maximum(events["M_eff"], 1) * one_sheet

@@ -204,3 +204,10 @@ def test_meaningless_pulls_are_refused(wrong: dict[str, object]) -> None:
     """A failure means NaN, or a loop without end."""
     with pytest.raises(InputError, match=f"`{next(iter(wrong))}`"):
         replace(PULL, **wrong)
+
+
+def test_sheets_on_the_verge_of_sliding_do_not_stop_the_pull() -> None:
+    """A sheet whose own load decided whether it sticks or slides once kept the pull at one d for ever."""
+    result = pull_sheets(SheetPull(d0_mm=14.0, d_end_mm=14.15, normal_force="loads"))
+    assert result["d_mm"].values[-1] == pytest.approx(14.15)
+    assert result.sizes["step"] < 5000

@@ -13,7 +13,7 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 
 from tests.scenes.report_data import make_tracks, sawtooth
 from vision.figures import figures_of
-from vision.figures.drawing import picture_style, label_step
+from vision.figures.drawing import label_step, picture_style
 from vision.figures.force import clocks_figure
 from vision.figures.video import noise_figure, space_time_figure, tracks_figure
 

@@ -247,7 +247,7 @@ def test_an_export_never_touches_what_is_there(run, to, tmp_path):
     """A failure means that an export destroys a run, an earlier export or another file."""
     first = export_run(run, to).target
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
-    with pytest.raises(InputError, match="--overwrite"):
+    with pytest.raises(InputError, match="overwrite"):
         export_run(run, to)
     with pytest.raises(InputError, match="outside the run"):
         export_run(run, to, out=run.folder / "tracks.csv", overwrite=True)
@@ -275,10 +275,9 @@ def test_a_failed_export_leaves_nothing(run, to, tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["film_tracks"]
 
 
-@pytest.mark.parametrize(("to", "package"), [("xlsx", "openpyxl"), ("parquet", "pyarrow")])
-def test_a_package_that_is_not_there_is_named(run, to, package, tmp_path, monkeypatch):
+def test_a_package_that_is_not_there_is_named(run, tmp_path, monkeypatch):
     """A failure means a traceback where an optional package is not installed."""
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    with pytest.raises(InputError, match=rf"{package}.*sheetvision\[export\]"):
-        export_run(run, to)
+    with pytest.raises(InputError, match=r"openpyxl.*sheetvision\[export\]"):
+        export_run(run, "xlsx")
     assert [p.name for p in tmp_path.iterdir()] == ["film_tracks"]

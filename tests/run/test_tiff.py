@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import tifffile
 import xarray as xr
-from vision.run.tiff import frame_step_s, unevenness_s, write_kymograph_tif, write_space_time_tif
 
 from vision.errors import InputError
-from vision.run import kymograph
+from vision.run import tiff
+from vision.run.tiff import frame_step_s, unevenness_s, write_kymograph_tif, write_space_time_tif
 
 
 def diagram_of(values, *, first_x=100, times=None, bits=8):
@@ -94,7 +94,7 @@ def test_many_rows_are_written_as_few(tmp_path, monkeypatch):
     """A failure means that blocks are lost or written twice in long recordings."""
     values = np.random.default_rng(2).uniform(0, 255, (30, 20))
     write_space_time_tif(diagram_of(values), tmp_path / "once.tif", pixel_size_um=None)
-    monkeypatch.setattr(kymograph, "ROWS", 7)
+    monkeypatch.setattr(tiff, "ROWS", 7)
     write_space_time_tif(diagram_of(values), tmp_path / "blocks.tif", pixel_size_um=None)
     np.testing.assert_array_equal(
         tifffile.imread(tmp_path / "once.tif"), tifffile.imread(tmp_path / "blocks.tif")
@@ -103,7 +103,7 @@ def test_many_rows_are_written_as_few(tmp_path, monkeypatch):
 
 def test_more_than_fiji_s_tiff_holds_is_refused(tmp_path, monkeypatch):
     """A failure means a file that Fiji cannot open."""
-    monkeypatch.setattr(kymograph, "IMAGEJ_BYTES", 1000)
+    monkeypatch.setattr(tiff, "IMAGEJ_BYTES", 1000)
     with pytest.raises(InputError, match="time_s"):
         write_space_time_tif(diagram_of(np.ones((30, 20))), tmp_path / "k.tif", pixel_size_um=None)
     assert not (tmp_path / "k.tif").exists()

@@ -88,7 +88,7 @@ def with_force():
         write_force(path, recording, EXPERIMENT.force_file, name="test")
         force = read_force(path, d0_mm=EXPERIMENT.mechanics.d0_mm)
     sticks = find_stick_slip(force)
-    fits = fit_models(sticks)
+    fits = fit_models(force, sticks)
     clock = make_clock(EXPERIMENT)
     motion = horizontal_deformation(video.tracks, sticks, clock, pixel_size_um=PIXEL_UM)
     return Found(

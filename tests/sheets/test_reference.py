@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from vision.run.summary import warnings_that_matter
 
 from tests.scenes.combs import comb, ridges, strip
 from vision.errors import InputError
 from vision.sheets import track_sheets, wide_spacings
+from vision.summary import tracking_warnings
 
 
 def without_one(k: int):
@@ -22,9 +22,7 @@ def test_an_overlooked_sheet_is_pointed_out_where_it_is():
     truth, picture = without_one(4)
     tracks = track_sheets(picture)
     assert tracks.sizes["sheet"] == 15
-    said = [
-        line for line in warnings_that_matter(picture, tracks) if line.startswith("sheets may be missing")
-    ]
+    said = [line for line in tracking_warnings(tracks) if line.startswith("sheets may be missing")]
     assert float(said[0].split("x = ")[1].split(" px")[0]) == pytest.approx(truth[:, 4].mean(), abs=4)
 
 

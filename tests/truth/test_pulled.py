@@ -61,7 +61,7 @@ def test_a_wrong_clock_gives_wrong_ratios(minute):
 def test_forces_give_back_the_models(minute):
     """A failure means that μ, A, N̂ or Y_eff of a publication would be wrong."""
     _, force, _ = minute
-    fits = vision.fit_models(vision.find_stick_slip(force))
+    fits = vision.fit_models(force, vision.find_stick_slip(force))
     assert fits.mu.value == pytest.approx(0.89, abs=4 * fits.mu.error + 0.005)
     assert fits.amplitude.value == pytest.approx(0.34, rel=0.05)
     assert fits.n_hat_N.value == pytest.approx(0.57, abs=4 * fits.n_hat_N.error + 0.03)

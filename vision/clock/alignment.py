@@ -16,9 +16,8 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 
 from vision.clock.settings import ClockSettings
-from vision.numeric import Bools, Floats, Ints
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints
 
-_MAD_TO_SIGMA = 1.4826
 _CORRELATIONS = (0.3, 0.5, 0.7, 0.9)  # between the sizes that the two instruments measure; equally likely
 _ERROR_SCALES = (1.0, 1.4, 2.0)  # by which stated errors of slips may be too small
 
@@ -52,7 +51,7 @@ class SlipSizes:
         if known.sum() < 5:  # no scatter to compare with
             return cls(score, 0.0)
         off = off_trend(np.log(size[known]), settings)
-        scatter = _MAD_TO_SIGMA * float(np.median(np.abs(off)))
+        scatter = float(np.median(np.abs(off))) / NORMAL_MEDIAN
         noise = float(np.median(np.broadcast_to(error, size.shape)[known] / size[known]))
         if not scatter > max(noise, 1e-9):
             return cls(score, 0.0)

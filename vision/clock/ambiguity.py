@@ -19,9 +19,7 @@ from vision.clock.alignment import (
     off_trend,
 )
 from vision.clock.settings import ClockSettings
-from vision.numeric import Floats, Ints
-
-_MAD_TO_SIGMA = 1.4826
+from vision.numeric import NORMAL_MEDIAN, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -81,13 +79,13 @@ def align(trains: SlipTrains, settings: ClockSettings = ClockSettings()) -> Alig
 
     - it pairs enough slips to be no coincidence of unrelated recordings;
     - its log-likelihood exceeds the next one's by `least_margin` (twice that where it is not itself far above
-      that of unrelated slips or the sizes speak against it, and more where errors had to be widened);
+      that of unrelated slips or the sizes disagree, and more where errors had to be widened);
     - its lead over shifts of similar overlap exceeds what slips missed at random on both sides give an even
       train: with shares :math:`p` and :math:`q` of the :math:`n` force slips and of the camera's slips
       paired, the number of pairs of a wrong shift scatters by :math:`\sqrt{n p (1 - p) (1 - q)}`;
     - intervals or sizes are uneven enough to exclude a shift by one slip;
-    - residuals are as the slips' errors allow, and neighbouring ones are not alike: unrelated even trains
-      drift through each other smoothly;
+    - neighbouring residuals are not alike: unrelated even trains drift through each other smoothly, and lost
+      frames shift all later ones;
     - it exceeds the best alignments of random permutations of the intervals.
     """
     clocks, fits = find_alignments(trains, settings)
@@ -106,9 +104,8 @@ def _ambiguity(trains: SlipTrains, fits: ClockFits, margin: float, settings: Clo
     least = settings.least_likelihood if scale == 1 else settings.clear_likelihood * widened
     if fits.matched[0] < settings.least_matched or likelihood < least:
         return f"the {fits.matched[0]} slips in common are too few, or fit too loosely, to exclude chance"
-    clear = likelihood >= settings.clear_likelihood
     sizes_agree = fits.size_evidence[0] > -0.5
-    strict = widened * (1 if clear and sizes_agree and not _has_outliers(trains, fits) else 2)
+    strict = widened * (1 if likelihood >= settings.clear_likelihood and sizes_agree else 2)
     needed = settings.least_margin * strict
     if margin <= needed:
         return f"the next alignment fits nearly as well (margin {margin:.1f}, {needed:.3g} needed)"
@@ -121,8 +118,6 @@ def _ambiguity(trains: SlipTrains, fits: ClockFits, margin: float, settings: Clo
     least_evidence = settings.least_margin + np.log(len(trains.video_s) + len(trains.force_s))
     if evidence <= max(least_evidence, chance):
         return "times and sizes of the slips are too regular to exclude a shift by one slip"
-    if scale > 1.5:
-        return "the slips of the two recordings lie further apart than their errors allow"
     if _wander(fits, trains) > settings.largest_wander:
         return "neighbouring residuals are alike: the clocks do not differ by an offset and a rate alone"
     lead = settings.permutation_lead * strict
@@ -158,17 +153,10 @@ def _interval_evidence(trains: SlipTrains, fits: ClockFits, settings: ClockSetti
     if not len(change):
         return 0.0
     # Errors of the force's slips look uneven, too: three of them, the middle one twice, make a change.
-    uneven2 = (_MAD_TO_SIGMA * float(np.median(change))) ** 2 / 2 - 3 * trains.force_error_s**2
+    uneven2 = (float(np.median(change)) / NORMAL_MEDIAN) ** 2 / 2 - 3 * trains.force_error_s**2
     error = trains.typical_error_s * fits.error_scale[0]
     most = np.median(trains.pair_gain(settings))
     return float(len(interval) * min(0.5 * max(uneven2, 0.0) / error**2, 0.5 * most))
-
-
-def _has_outliers(trains: SlipTrains, fits: ClockFits) -> bool:
-    """Whether over 5 % of the residuals exceed 2.3 errors; those of a slip between two frames end at √3."""
-    paired = fits.partner[0] >= 0
-    away = np.abs(fits.residual_s[0] / trains.error_s)[paired] / fits.error_scale[0]
-    return bool(np.mean(away > 2.3) > 0.05)
 
 
 def _wander(fits: ClockFits, trains: SlipTrains) -> float:

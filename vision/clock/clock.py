@@ -19,12 +19,11 @@ from vision.clock.video_slips import video_slips
 from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata
 from vision.errors import InputError
 from vision.force.recording import good_samples
-from vision.numeric import Floats, nan_median
+from vision.numeric import NORMAL_MEDIAN, Floats, nan_median
 
 Status = Literal["ok", "ambiguous", "given"]
 How = Literal["given", "video time column", "events"]
 
-_MAD_TO_SIGMA = 1.4826
 _SLIP_DURATION_S = 0.001
 _CANDIDATES_LISTED = 5
 
@@ -359,7 +358,7 @@ def _robust_line(x: Floats, y: Floats) -> tuple[float, float]:
     intercept = float(np.median(y - slope * x))
     for _ in range(10):
         away = np.abs(y - intercept - slope * x)
-        near = away <= 5 * max(_MAD_TO_SIGMA * float(np.median(away)), 1e-6)
+        near = away <= 5 * max(float(np.median(away)) / NORMAL_MEDIAN, 1e-6)
         if not np.ptp(x[near]) > 0:
             break
         slope, intercept = (float(c) for c in np.polyfit(x[near], y[near], 1))

@@ -11,9 +11,7 @@ import xarray as xr
 from vision.clock.settings import ClockSettings
 from vision.data import StripMetadata
 from vision.errors import InputError
-from vision.numeric import Floats, Ints, nan_median
-
-_MAD_TO_SIGMA = 1.4826
+from vision.numeric import NORMAL_MEDIAN, Floats, Ints, nan_median
 
 
 @dataclass(frozen=True)
@@ -111,7 +109,7 @@ def _first_pattern(n: Floats) -> Floats:
 def _noise(moved_px: Floats) -> Floats:
     """Standard error of one movement of each sheet, (sheet,); slips are too few to matter to a median."""
     away = moved_px - nan_median(moved_px)
-    noise = _MAD_TO_SIGMA * nan_median(np.abs(away))
+    noise = nan_median(np.abs(away)) / NORMAL_MEDIAN
     usual = noise[np.isfinite(noise)]
     floor = max(0.1 * float(np.median(usual)), 1e-6) if usual.size else 1.0
     return np.asarray(np.maximum(np.where(np.isfinite(noise), noise, np.inf), floor))
@@ -150,7 +148,7 @@ def _shortest_half(values: Floats) -> tuple[float, float]:
     half = len(ordered) // 2
     length = ordered[half:] - ordered[: len(ordered) - half]
     k = int(np.argmin(length))
-    return float(ordered[k : k + half + 1].mean()), _MAD_TO_SIGMA / 2 * float(length[k])
+    return float(ordered[k : k + half + 1].mean()), float(length[k]) / (2 * NORMAL_MEDIAN)
 
 
 def _find_steps(above: Floats, error: Floats, creep: float, settings: ClockSettings) -> tuple[Ints, Ints]:

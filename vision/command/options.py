@@ -208,12 +208,20 @@ def merged(*groups: Any, config: Path | None = None) -> dict[str, Parameter]:
     merged: dict[str, Parameter] = {}
     for name, value in typed.items():
         if value is not None:
-            merged[name] = Parameter(value, "given")
+            merged[name] = Parameter(_plain(name, value), "given")
         elif filed.get(name) is not None:
-            merged[name] = Parameter(filed[name], "config")
+            merged[name] = Parameter(_plain(name, filed[name]), "config")
         else:
             merged[name] = Parameter(DEFAULTS.get(name), "default")
+    if size := merged.get("pixel_size"):
+        merged["pixel_size"] = Parameter(parse_pixel_size(size.value), size.how)
     return merged
+
+
+def _plain(name: str, value: Any) -> Any:
+    """A number where an option that may also carry an error, or be a word, is no more than one."""
+    number = _float(value) if name in ("d0", "force_lowpass") and isinstance(value, str) else math.nan
+    return number if math.isfinite(number) else value
 
 
 def read_config(path: Path) -> dict[str, Any]:
@@ -283,7 +291,7 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
         "axis_px": number(value.get("axis"), "--axis", least=-1e6),
         "fit": value.get("fit"),
         "window_px": parse_window(value.get("window")),
-        "pixel_size_um": parse_pixel_size(value.get("pixel_size")),
+        "pixel_size_um": value.get("pixel_size"),
         "speed_mm_min": number(value.get("speed"), "--speed", least=1e-9),
         **dict(zip(("d0_mm", "d0_err_mm"), parse_with_error(value.get("d0"), "--d0"), strict=True)),
         "force_columns": parse_columns(columns) if columns else None,

@@ -1,7 +1,7 @@
-"""Camera movement: what all sheets do together, told from their own creep.
+"""Camera movement: what all sheets do together, separated from their own creep.
 
 Vibration is what they do together in each frame beyond their creep.  Drift, steady movement during a stick,
-is told by pairs of sheets left and right that creep in opposite directions, or, where one side only is in
+is found from pairs of sheets left and right that creep in opposite directions, or, where one side only is in
 view, by what each sheet does in other sticks.
 """
 
@@ -93,7 +93,7 @@ def drift_model(
     vibration_px: Floats,
     settings: DeformationSettings,
 ) -> BothSides | OneSide:
-    """The way in which drift can be told from creep with the sheets in view.
+    """The way in which drift can be separated from creep with the sheets in view.
 
     Parameters
     ----------
@@ -256,7 +256,7 @@ class OneSide:
     unknown_px
         Error of a slope from which nothing can be taken off, (stick,).
     settings
-        When drift can be told.
+        When drift can be separated from creep.
     """
 
     profile_px: Floats

@@ -97,7 +97,7 @@ def horizontal_deformation(
     for few it has less bias, since it keeps the sign.
 
     Camera movement is what all sheets do together beyond their creep in each frame, and what moved during the
-    stick, told from left and right or, with one side in view, from the sheets' creep in other sticks;
+    stick, found from left and right or, with one side in view, from the sheets' creep in other sticks;
     ``attrs["camera_movement"]`` says which.  A sheet that slips late or early creeps for that much less.
 
     Errors rest on the residuals of each sheet with their autocorrelation.  For positions measured in a

@@ -14,7 +14,7 @@ from vision.numeric import Bools, Floats, Ints, nan_median
 
 _LEAST_DOF = 30  # residual degrees of freedom below which no correlation is looked for
 _LEAST_SHEETS = 8  # from which it is estimated
-_GAIN = 5.0  # in -2 log-likelihood that one more parameter must bring: chance does so in one case of 40
+_GAIN = 9.0  # in -2 log-likelihood that one more parameter must bring: 3 standard errors
 _LEAST_VARIANCE_PX2 = 1e-12  # of positions without noise, whose residuals are rounding
 
 # --- size and autocorrelation -------------------------------------------------------------------------------

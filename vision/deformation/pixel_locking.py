@@ -57,7 +57,7 @@ def correct_pixel_locking(
     slope
         Of `pixel_locking_slope`, (sheet,).
     frames, terms, settings
-        Of the creep by which the brightest pixel is told: of the two candidates, the one nearer to the
+        Of the creep that decides which pixel was the brightest: of the two candidates, the one nearer to the
         sheet's creep and the camera's vibration is taken.
 
     Returns

@@ -53,23 +53,23 @@ class DeformationSettings:
 
     predicted_dof: float = 5.0
     """Weight of the predicted noise of a sheet against its residuals, as degrees of freedom.  It steadies
-    sheets seen in few frames; larger hides sheets noisier than predicted (test_motion: a noisy sheet)."""
+    sheets seen in few frames; larger hides sheets noisier than predicted (test_noise: a noisy sheet)."""
 
     uneven_probability: float = 1e-6
     """Chance below which residuals are too large for the sheet's noise.  Larger flags quiet sticks "uneven";
-    smaller lets jumps within a stick pass for noise (test_motion: a sheet that slips by itself)."""
+    smaller lets jumps within a stick pass for noise (test_noise: a sheet that slips by itself)."""
 
     least_sheets: int = 5
-    """Sheets from which common-mode motion is told from their own noise, and drift with one side in view.
-    Fewer put too much of their noise into it (test_common_mode)."""
+    """Sheets from which common-mode motion is separated from their own noise, and drift with one side in
+    view. Fewer put too much of their noise into it (test_common_mode)."""
 
     least_pairs: int = 3
-    """Pairs left and right from which drift is told from creep (test_common_mode)."""
+    """Pairs left and right from which drift is separated from creep (test_common_mode)."""
 
     neighbouring_sticks: int = 8
     """Sticks before and after that tell how much each sheet creeps, with one side in view.  More average
-    over a changing profile; fewer leave more noise (test_motion: one side in view)."""
+    over a changing profile; fewer leave more noise (test_common_mode: one side in view)."""
 
     one_side_contrast: float = 25.0
     """Variance of the creep over the sheets, in units of its noise, from which one side tells drift from
-    creep. Smaller invents drift where sheets creep alike (test_motion: one side that creeps alike)."""
+    creep. Smaller invents drift where sheets creep alike (test_common_mode: one side that creeps alike)."""

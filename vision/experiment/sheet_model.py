@@ -230,40 +230,56 @@ class _Run:
             return np.asarray(np.broadcast_to(equation_normal_N(self.pull, d), load.shape))
         return normal_of_loads_N(self.pull, load, d)
 
-    def _levels(self, normal: Floats) -> tuple[Floats, Floats, Bools]:
-        """(T_s, T_d, whether the sheet slides rather than sticks)."""
-        top, half = _threshold(self.pull, normal), self.pull.amplitude * normal
-        return self.factor * top, self.factor * (top - half), 2 * half < self.shortest_N
+    def _levels(self, normal: Floats) -> tuple[Floats, Floats]:
+        """(T_s, T_d)."""
+        top = _threshold(self.pull, normal)
+        return self.factor * top, self.factor * (top - self.pull.amplitude * normal)
+
+    def _slides(self, load: Floats, normal: Floats, d: float) -> Bools:
+        """Whether a sheet slides rather than sticks: a stick would be too short at the N it has at T_d.
+
+        That N depends on the sheets outside alone, so a sheet's own load cannot make it one or the other.
+        """
+        if self.pull.normal_force == "loads":
+            transfer = _transfer(self.pull, d)
+            outside = normal - transfer * load
+            normal = outside + transfer * self._settled(outside, self.factor, transfer)
+        return np.asarray(2 * self.pull.amplitude * normal < self.shortest_N)
+
+    def _settled(self, outside: Any, factor: Any, transfer: Any) -> Any:
+        """T = T_d(N) where N = outside + transfer · T."""
+        slope, adhesion = _friction(self.pull)
+        kinetic = slope - self.pull.amplitude
+        return factor * (kinetic * outside + adhesion) / (1 - factor * kinetic * transfer)
 
     def _loaded(self, step: float) -> Floats:
         """Loads after a step: sticking sheets gain k·step, sliding ones no more than T_d."""
         d, load = self.d + step, self.load + self.k * step
         if self.pull.normal_force == "equation":
-            _, level, slides = self._levels(self._normal(load, d))
-            return np.where(slides, np.minimum(load, level), load)
+            normal = self._normal(load, d)
+            return np.where(self._slides(load, normal, d), np.minimum(load, self._levels(normal)[1]), load)
         for side in range(2):
             self._settle(load[side], self.factor[side], _transfer(self.pull, d))
         return load
 
     def _settle(self, load: Floats, factor: Floats, transfer: Floats) -> None:
-        """Take the sliding sheets of one side, which are its outermost, down to T_d; in place."""
-        slope, adhesion = _friction(self.pull)
-        kinetic, drop = slope - self.pull.amplitude, 2 * self.pull.amplitude
+        """Take the sliding sheets of one side down to T_d, from the outermost inwards; in place."""
+        drop, values = 2 * self.pull.amplitude, []
         outer_load = outer_normal = 0.0
-        for n in range(load.size - 1, -1, -1):  # N grows inwards
-            c, own, f = float(transfer[n]), float(load[n]), float(factor[n])
+        columns = zip(*(part[::-1].tolist() for part in (transfer, load, factor)), strict=True)
+        for c, trial, f in columns:
             outside = outer_normal + c * outer_load
-            if drop * (outside + c * own) >= self.shortest_N:
-                break
-            # T = T_d(N) where N = outside + c T.
-            own = min(own, f * (kinetic * outside + adhesion) / (1 - f * kinetic * c))
-            load[n] = own
+            settled = self._settled(outside, f, c)
+            own = min(trial, settled) if drop * (outside + c * settled) < self.shortest_N else trial
+            values.append(own)
             outer_load, outer_normal = own, outside + c * own
+        load[:] = values[::-1]
 
     def _margin(self, load: Floats, d: float) -> Floats:
         """(T_s − T)/T_s of sheets that stick; infinite for those that slide."""
-        top, _, slides = self._levels(self._normal(load, d))
-        return np.where(slides, np.inf, (top - load) / top)
+        normal = self._normal(load, d)
+        top, _ = self._levels(normal)
+        return np.where(self._slides(load, normal, d), np.inf, (top - load) / top)
 
     def _advance(self, longest: float) -> None:
         """To the next slip, at most by one step."""
@@ -288,6 +304,8 @@ class _Run:
                 high, at_high = step, margin
             else:
                 low, at_low = step, margin
+        else:
+            raise RuntimeError(f"no time found for the slip after d = {self.d:.9g} mm")
         mean = 0.5 * (self.load + load)
         self.work += float(mean.sum()) * step
         self.dissipated += float(np.sum(mean * (step - (load - self.load) / self.k)))
@@ -301,7 +319,7 @@ class _Run:
             over = self._margin(self.load, self.d) <= _CLOSE
             if not over.any():
                 break
-            _, level, _ = self._levels(self._normal(self.load, self.d))
+            _, level = self._levels(self._normal(self.load, self.d))
             self.load = np.where(over, np.maximum(2 * level - self.load, 0.0), self.load)
             self.load = self._loaded(0.0)
             slipped |= over
@@ -340,7 +358,7 @@ class _Run:
         )
 
 
-_MOST = 10_000  # iterations of what converges in a few
+_MOST = 1000  # iterations of what converges in a few
 
 
 def _left_to_right(values: NDArray[Any]) -> NDArray[Any]:

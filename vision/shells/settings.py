@@ -8,7 +8,7 @@ from dataclasses import dataclass
 @dataclass(frozen=True, kw_only=True)
 class ShellSettings:
     """Everything in the statistics of shells that can be tuned; measured on the scenes of
-    `test_shells.py`."""
+    `tests/shells/test_sizes.py`."""
 
     sheet_scatters: tuple[float, ...] = (0.03, 0.08, 0.15, 0.25)
     """Relative scatter of the sheets about a smooth profile, of which the likeliest is taken. One value of

@@ -100,7 +100,7 @@ class Video:
 
     @property
     def expected(self) -> int | None:
-        """Frames within `first:stop` by the file's headers; None where they do not say."""
+        """Frames from `first` to before `stop` by the file's headers; None where they do not say."""
         return self._kept(self.facts.declared_frames)
 
     @property
