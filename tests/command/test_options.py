@@ -8,9 +8,12 @@ from vision.command.options import (
     VideoOptions,
     merged,
     parse_length,
+    parse_lowpass,
+    parse_mm_range,
     parse_scale,
     parse_seconds,
     parse_sheets,
+    parse_with_error,
 )
 from vision.errors import InputError
 
@@ -133,3 +136,38 @@ def test_a_file_of_options_gives_what_it_says(tmp_path):
         "6:14",
         25,
     ]
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("13", (13.0, None)),
+        ("13.0±0.1", (13.0, 0.1)),
+        ("13.0+-0.1", (13.0, 0.1)),
+        ("13.0 +/- 0.1", (13.0, 0.1)),
+        ("0", (0.0, None)),
+        (None, (None, None)),
+    ],
+)
+def test_a_value_may_carry_its_error(text, meant):
+    """A failure means the error of d0 is lost, or read as part of d0."""
+    assert parse_with_error(text, "--d0") == meant
+
+
+@pytest.mark.parametrize("text", ["x", "13±", "-1", "13±-0.1", "nan", "inf", "13±0.1±0.1"])
+def test_a_value_with_a_senseless_error_is_refused(text):
+    """A failure means a typing error becomes a separation."""
+    with pytest.raises(InputError, match="--d0"):
+        parse_with_error(text, "--d0")
+
+
+def test_low_pass_and_range_of_the_fit():
+    """A failure means auto or a range is misread."""
+    assert (parse_lowpass("auto"), parse_lowpass("0"), parse_lowpass("0.003")) == ("auto", 0.0, 0.003)
+    assert parse_mm_range("13.2:17", "--fit-range") == (13.2, 17.0)
+    for wrong in ("17:13", "13", "a:b", ":17"):
+        with pytest.raises(InputError, match="--fit-range"):
+            parse_mm_range(wrong, "--fit-range")
+    for wrong in ("fast", "-1", "nan"):
+        with pytest.raises(InputError, match="--force-lowpass"):
+            parse_lowpass(wrong)

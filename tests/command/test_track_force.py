@@ -53,7 +53,9 @@ def file(test: Test, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_events_of_a_recording_give_back_the_models(test: Test) -> None:
     """A failure means detection and measurement bend the physics that the fits then find."""
-    fits = fit_models(test.force, find_stick_slip(test.force))
+    recorded = fit_models(test.force, find_stick_slip(test.force)).amplitude
+    assert abs(recorded.value - 0.34) < 0.03 * 0.34 + recorded.systematic_error
+    fits = fit_models(test.force, find_stick_slip(test.force, lowpass_s="auto"))
     assert fits.mu.value == pytest.approx(0.89, abs=0.003)
     assert fits.t0_N.value == pytest.approx(0, abs=0.6)
     assert fits.amplitude.value == pytest.approx(0.34, rel=0.03)

@@ -131,9 +131,10 @@ def test_a_recording_without_separation_says_so(pulled, tmp_path):
     blind = pulled.sticks.assign(d_v_mm=np.nan, d_p_mm=np.nan, K_N_per_mm=np.nan)
     force = pulled.force.assign(d_mm=pulled.force["d_mm"] * np.nan)
     figure = force_overview_figure(force, blind)
-    assert [panel.empty for panel in figure.panels] == [False, False, True, True]
+    assert [panel.empty for panel in figure.panels] == [False, False, False, True]
     axes = figure.plot().figure.axes
-    assert "d is not known" in [text.get_text() for text in axes[2].texts]
+    assert "d is not known" in [text.get_text() for text in axes[3].texts]
+    assert axes[2].get_xlabel().startswith("t")
     figure.save(tmp_path / "force.png")
 
 

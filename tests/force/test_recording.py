@@ -91,3 +91,30 @@ def test_spikes_are_found_and_corners_are_not() -> None:
     np.testing.assert_array_equal(np.flatnonzero(found), hit)
     assert np.abs(clean - saw).max() < 5
     assert not find_spikes(saw, 0.2)[0].any()
+
+
+def crosshead_file(folder: Path, crosshead: np.ndarray) -> Path:
+    """A recording of 200 samples with this crosshead."""
+    time = np.arange(crosshead.size) * 0.1
+    rows = "\n".join(f"{t:.2f},{x:.5f},{10 + t:.3f}" for t, x in zip(time, crosshead, strict=True))
+    path = folder / "pull.csv"
+    path.write_text(f"Time (s),Crosshead (mm),Load (N)\n{rows}\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("start", "said"), [(0.0, False), (5.0, True)])
+def test_d0_is_added_to_the_crossheads_change(tmp_path: Path, start: float, said: bool) -> None:
+    """A failure means a crosshead that starts at +5 mm gives d = 18 to 23 mm and a wrong μ, silently."""
+    path = crosshead_file(tmp_path, start + np.linspace(0, 5, 200))
+    force = read_force(path, d0_mm=13.0)
+    np.testing.assert_allclose(force["d_mm"][[0, -1]], [13, 18], atol=1e-6)
+    assert any("starts at 5 mm" in line for line in force.attrs["warnings"]) == said
+    np.testing.assert_allclose(read_force(path, d0_mm=0.0)["d_mm"][[0, -1]], [start, start + 5], atol=1e-6)
+    assert not any("starts at" in line for line in read_force(path, d0_mm=0.0).attrs["warnings"])
+
+
+def test_the_error_of_d0_travels_with_the_recording(tmp_path: Path) -> None:
+    """A failure means the fits do not know how well d0 is known."""
+    path = crosshead_file(tmp_path, np.linspace(0, 5, 200))
+    assert read_force(path, d0_mm=13.0, d0_err_mm=0.1).attrs["d0_err_mm"] == 0.1
+    assert np.isnan(read_force(path, d0_mm=13.0).attrs["d0_err_mm"])

@@ -205,3 +205,114 @@ def test_strange_events_are_fitted_or_refused(columns: dict[str, list[float]], f
     else:
         json.dumps(fits.to_json(), allow_nan=False)
         assert np.isfinite([fits.mu.error, fits.n_hat_N.error, fits.modulus_GPa.error]).all()
+
+
+def built_up(seed: int, length_mm: float, *, count: int = 200) -> pd.DataFrame:
+    """Events of a pull whose force builds up over a length."""
+    made = events(seed=seed, count=count)
+    share = 1 - np.exp(-(made["d_p_mm"] - 13) / length_mm)
+    drop = 1 - np.exp(-(made["d_v_mm"] - 13) / length_mm)
+    return made.assign(F_p_N=made["F_p_N"] * share, dF_N=made["dF_N"] * drop)
+
+
+def test_the_build_up_is_left_out_and_counted() -> None:
+    """A failure means the first millimetre, which Eq. 1 does not describe, bends every parameter."""
+    made = built_up(0, 0.1)
+    found = fit(made)
+    assert found.mu.value == pytest.approx(0.89, abs=0.001)
+    assert found.amplitude.value == pytest.approx(0.34, rel=0.02)
+    assert found.left_out["build_up"] > 2
+    assert any("build-up" in note for note in found.notes)
+    content = found.to_json()
+    assert content["fit_range_mm"][0] > 13.1
+    assert content["events_used"] + sum(found.left_out.values()) == len(made)
+    whole = fit_models(MADE, made, fit_range_mm=(13.0, 18.1))
+    assert abs(whole.mu.value - 0.89) > 0.004
+    assert whole.goodness["peaks"].chi2_dof > 3
+    assert any("does not follow the peaks" in line for line in whole.warnings)
+
+
+@pytest.mark.parametrize("length_mm", [0.1, 0.4])
+def test_errors_hold_with_a_build_up(length_mm: float) -> None:
+    """A failure means what is left of the build-up is larger than the stated error."""
+    truth = {**TRUTH, "scale_mm": 19.094}
+    pulls = []
+    for seed in range(20):
+        found = fit(built_up(seed, length_mm))
+        parts = {name: getattr(found, name) for name in truth}
+        pulls.append([(parts[name].value - true) / parts[name].error for name, true in truth.items()])
+    assert 0.6 < np.mean(np.abs(pulls) < 1) < 0.8
+
+
+def test_the_scale_does_not_depend_on_friction() -> None:
+    """A failure means the error of μ enters Λ̂, in which it cancels, and makes it twice too large."""
+    made = events(scatter=0, jitter=0, k_error=1e-9)
+    scales = [fit_models(MADE, made, mu=mu).scale_mm.value for mu in (0.85, 0.89, 0.95)]
+    np.testing.assert_allclose(scales, 19.094, atol=0.001)
+    assert np.ptp(scales) < 1e-5
+    found = fit_models(MADE, made, mu=0.85)
+    assert found.mu.value == 0.85
+    assert found.held == ("mu",)
+    assert found.n_hat_N.value != pytest.approx(0.57, rel=0.05)
+
+
+def test_given_modulus_and_range_are_used() -> None:
+    """A failure means an option of the fit is ignored."""
+    found = fit_models(MADE, events(), modulus_GPa=4.0, fit_range_mm=(13.2, 17.0))
+    assert (found.modulus_GPa.value, found.modulus_GPa.error) == (4.0, 0.0)
+    assert 13.2 <= found.d_mm[0] < 13.3
+    assert 16.9 < found.d_mm[1] <= 17.0
+    assert found.left_out["outside"] > 20
+    with pytest.raises(InputError, match="`fit_range_mm`"):
+        fit_models(MADE, events(), fit_range_mm=(20.0, 21.0))
+    with pytest.raises(InputError, match="`mu`"):
+        fit_models(MADE, events(), mu=-1.0)
+
+
+def test_another_sample() -> None:
+    """A failure means the geometry is not that of the sample, as with 20 sheets of 0.15 mm."""
+    sample = Sample(sheets_per_block=20, thickness_mm=0.15)
+    d = np.linspace(13.05, 18, 150)
+    rng = np.random.default_rng(4)
+    k = equations.assembly_stiffness(d, mu=0.89, n_hat_N=0.57, modulus_GPa=3.8, sample=sample)
+    made = pd.DataFrame(
+        {
+            "d_v_mm": d,
+            "d_p_mm": d + 0.01,
+            "F_p_N": equations.traction(d + 0.01, mu=0.89, sample=sample)
+            * (1 + 0.01 * rng.standard_normal(150)),
+            "dF_N": 0.34 * equations.total_normal_force(d, mu=0.89, sample=sample),
+            "K_N_per_mm": k,
+            "K_err_N_per_mm": 0.01 * k,
+        }
+    )
+    found = fit(made, sample)
+    assert found.mu.value == pytest.approx(0.89, abs=4 * found.mu.error)
+    assert found.modulus_GPa.value == pytest.approx(3.8, rel=0.01)
+    wrong = fit(made)
+    assert abs(wrong.mu.value - 0.89) > 0.03
+    assert abs(wrong.modulus_GPa.value - 3.8) > 0.5
+
+
+def test_what_limits_the_result_is_said() -> None:
+    """A failure means an impossible offset, or a model outside its range of V, is printed as a finding."""
+    made = events()
+    assert not fit(made).warnings
+    high = fit(made.assign(F_p_N=made["F_p_N"] + 20))
+    assert any("𝒯0 = 2" in line for line in high.warnings)
+    fast = fit_models(MADE.assign_attrs(speed_mm_min=10.0), made)
+    assert any("V ≤ 1 mm/min" in note for note in fast.notes)
+    assert not any("V ≤ 1 mm/min" in note for note in fit(made).notes)
+
+
+def test_the_error_of_d0_is_systematic() -> None:
+    """A failure means ±0.1 mm in d0, which moves μ by far more than its error, is not in the result."""
+    made = events()
+    found = fit_models(MADE.assign_attrs(d0_err_mm=0.1), made, geometry_err={"thickness_mm": 0.002})
+    moved = fit_models(MADE, made.assign(d_v_mm=made["d_v_mm"] + 0.1, d_p_mm=made["d_p_mm"] + 0.1))
+    part = found.budget["d0"]["mu"]
+    assert part == pytest.approx(abs(moved.mu.value - fit(made).mu.value), rel=0.1)
+    assert part > 10 * found.mu.error
+    assert found.mu.systematic_error >= np.hypot(part, found.budget["thickness_mm"]["mu"])
+    assert found.budget["thickness_mm"]["mu"] == pytest.approx(0.89 * 0.02, rel=0.1)
+    assert set(found.to_json()["budget"]) == {"d0", "load_drift", "thickness_mm"}

@@ -240,9 +240,9 @@ def merged(*groups: Any, config: Path | None = None) -> dict[str, Parameter]:
     merged: dict[str, Parameter] = {}
     for name, value in typed.items():
         if value is not None:
-            merged[name] = Parameter(value, "given")
+            merged[name] = Parameter(_plain(name, value), "given")
         elif filed.get(name) is not None:
-            merged[name] = Parameter(filed[name], "config")
+            merged[name] = Parameter(_plain(name, filed[name]), "config")
         else:
             merged[name] = Parameter(DEFAULTS.get(name), "default")
     if "pixel_size" in merged:
@@ -273,6 +273,12 @@ def _pixel_size(options: Mapping[str, Parameter]) -> dict[str, Parameter]:
         raise InputError(" and ".join(given), "one of --pixel-size, --scale and --pitch", f"{len(given)}")
     size = parse_pixel_size(chosen["pixel_size"].value) or parse_scale(chosen["scale"].value)
     return chosen | {"pixel_size": Parameter(size, how if size else "default")}
+
+
+def _plain(name: str, value: Any) -> Any:
+    """A number where an option that may also carry an error, or be a word, is no more than one."""
+    number = _float(value) if name in ("d0", "force_lowpass") and isinstance(value, str) else math.nan
+    return number if math.isfinite(number) else value
 
 
 def read_config(path: Path) -> dict[str, Any]:

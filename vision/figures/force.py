@@ -28,6 +28,7 @@ FIRST_STICKS = 10  # that the page shows of the clocks at first
 ZOOMED_EVENTS = 6  # of the overview's second panel
 CURVE_POINTS = 300
 SAME_SLIP = 0.25  # of the time from slip to slip: farther apart, two slips are not the same one
+SHOWN_FLAGS = frozenset({"ok", "slow", "negative", "oscillation", "cycles"})  # measured whole
 SAMPLES_AFTER_SLIP = 2  # of the next stick, so that the slip is shown to its end
 
 
@@ -290,12 +291,13 @@ def _stick_sizes(chosen: pd.DataFrame) -> tuple[Arrow, ...]:
 
 
 def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: str = "N") -> Figure:
-    """Stick-slip amplitude ΔF(d_v) with A times the total normal force.
+    """Stick-slip amplitude ΔF(d_v) with A times the total normal force; ΔF(t_v) where d is not known.
 
     unit: of the load, "1" for a force over a weight.
     """
-    series, model = [_points(sticks, "d_v_mm", "dF_N", "ΔF", DATA)], ""
-    if fits is not None:
+    known = bool(sticks["d_v_mm"].notna().any())
+    series, model = [_points(sticks, "d_v_mm" if known else "t_v_s", "dF_N", "ΔF", DATA)], ""
+    if fits is not None and known:
         d = np.linspace(*fits.d_mm, CURVE_POINTS)
         drop = equations.stick_slip_amplitude(
             d,
@@ -310,16 +312,17 @@ def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, un
         )
     panel = Panel(
         title="Stick-slip amplitude",
-        x_label="d_v (mm)",
+        x_label="d_v (mm)" if known else "t_v (s, force clock)",
         y_label=load_label("ΔF", unit),
         y_range=_from_zero(sticks["dF_N"]),
         series=tuple(series),
-        placeholder="d is not known",
+        placeholder="no events",
     )
     return Figure(
         name="force_drop",
         title=panel.title,
-        caption=f"ΔF = F_p − F_v of every event against the separation at its valley.{model}",
+        caption=f"ΔF = F_p − F_v of every event against the {'separation' if known else 'time'} at its "
+        f"valley.{model}",
         panels=(panel,),
     )
 
@@ -414,8 +417,11 @@ def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFi
     unit = load_unit(force)
     whole = force_figure(force, sticks, fits).panel
     drops, stiffness = (make(sticks, fits, unit=unit) for make in (force_drop_figure, stiffness_figure))
-    threshold = StickMetadata.of(sticks).threshold_N
-    found = f"{len(sticks)} events, drops above {threshold:.3g} {'of the weight' if unit == '1' else unit}"
+    facts = StickMetadata.of(sticks)
+    threshold, kind = facts.threshold_N, "" if facts.regime == "stick-slip" else f" ({facts.regime})"
+    found = (
+        f"{len(sticks)} events{kind}, drops above {threshold:.3g} {'of the weight' if unit == '1' else unit}"
+    )
     panels = (replace(whole, title=found), _zoom(force, sticks), drops.panel, stiffness.panel)
     return Figure(
         name="force_overview",
@@ -472,13 +478,20 @@ def measurable(force: xr.Dataset) -> xr.Dataset:
 def _points(
     sticks: pd.DataFrame, x: str, y: str, label: str, ink: Ink, *, error: str | None = None
 ) -> Series:
-    """The events without a flag, in order of x."""
-    usable = sticks[(sticks["flag"] == "ok") & sticks[x].notna() & sticks[y].notna()].sort_values(x)
+    """The events that were measured whole, in order of x."""
+    usable = _whole(sticks)
+    usable = usable[usable[x].notna() & usable[y].notna()].sort_values(x)
     place, value = usable[x].to_numpy(float), usable[y].to_numpy(float)
     spread = None if error is None else usable[error].to_numpy(float)
     low, high = (None, None) if spread is None else (value - spread, value + spread)
     hollow = label == "valleys"
     return Series(label=label, x=place, y=value, ink=ink, look="points", low=low, high=high, hollow=hollow)
+
+
+def _whole(sticks: pd.DataFrame) -> pd.DataFrame:
+    """Events without a flag, or with one that only says how or what they are."""
+    known = [set(str(flag).split("+")) <= SHOWN_FLAGS for flag in sticks["flag"]]
+    return sticks[np.asarray(known, dtype=bool)]
 
 
 def _curve(label: str, x: Floats, y: Floats, ink: Ink) -> Series:
@@ -487,7 +500,8 @@ def _curve(label: str, x: Floats, y: Floats, ink: Ink) -> Series:
 
 def _spread(sticks: pd.DataFrame) -> pd.DataFrame:
     """A few events without a flag from the first to the last."""
-    usable = sticks[(sticks["flag"] == "ok") & sticks["d_v_mm"].notna()]
+    usable = _whole(sticks)
+    usable = usable[usable["d_v_mm"].notna()]
     if usable.empty:
         return usable
     d = np.maximum.accumulate(usable["d_v_mm"].to_numpy(float))

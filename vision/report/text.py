@@ -273,14 +273,15 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
         f"The traction force was recorded while the blocks were pulled apart{pulled}. Slips are drops of "
         f"more than {s.threshold_N:.3g} {unit} ({source}; the noise is {s.noise_N:.2g}), located "
         f"at the steepest fall; {len(sticks)} stick phases were found. Peak and valley forces F_p and F_v "
-        "are those of the line through the central 80 % of each stick, extended to its ends; the "
+        "are those of the line through the central 80 % of each stick, extended to its ends within what was "
+        "recorded there, and recorded extremes beside slow slips; the "
         f"stiffness K is the slope of the central {100 * s.central_part:.0f} %.{_lowpass(s)}"
     )
 
 
 def _lowpass(sticks: StickMetadata) -> str:
     if not sticks.lowpass_s:
-        return ""
+        return " All forces are as recorded."
     source = "found from the transients after slips" if sticks.lowpass_how == "found" else "as given"
     return (
         f" All of these were corrected for the load cell's response, a first-order low-pass of "

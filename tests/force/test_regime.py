@@ -1,0 +1,117 @@
+"""Stick-slip, slow slips, oscillations and cycles are told apart, and measured as recorded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from tests.scenes.sawtooth import recording
+from vision.errors import InputError
+from vision.force import ForceSettings, find_stick_slip, read_force
+
+REAL = Path(__file__).parents[2] / "../shared/data"
+STICK_S, DROP_N, RATE_HZ = 0.03, 8.0, 10_000.0
+
+
+def half_cosine(slip_s: float, *, noise: float = 0.01, speed: float = 10.0) -> xr.Dataset:
+    """Straight sticks of 30 ms and slips of half a cosine, 8 N each."""
+    time = np.arange(0, 80 * (STICK_S + slip_s), 1 / RATE_HZ)
+    phase = time % (STICK_S + slip_s)
+    falling = DROP_N * (1 + np.cos(np.pi * (phase - STICK_S) / slip_s)) / 2
+    load = 20 + np.where(phase < STICK_S, DROP_N * phase / STICK_S, falling)
+    load = load + noise * np.random.default_rng(0).standard_normal(time.size)
+    return recording(time, load, 13 + speed / 60 * time, speed)
+
+
+@pytest.mark.parametrize("slip_s", [0.01, 0.02, 0.03])
+def test_slow_slips_are_measured_at_recorded_extremes(slip_s: float) -> None:
+    """A failure means slow slips are read larger than the recording swings, or too short."""
+    events = find_stick_slip(half_cosine(slip_s))
+    assert events["dF_N"].median() == pytest.approx(DROP_N, rel=0.01)
+    assert events["slip_length_um"].median() == pytest.approx(1e3 * 10 / 60 * slip_s, rel=0.15)
+    assert events["flag"].str.contains("slow").mean() > 0.95
+    assert events.attrs["regime"] == "stick-slip"
+
+
+def test_extrapolation_through_slow_slips_fails() -> None:
+    """A failure means the test above would pass with stick lines extended through slow slips."""
+    lines = find_stick_slip(half_cosine(0.03), settings=ForceSettings(slow_slip=100, between_samples=1.0))
+    assert lines["flag"].eq("ok").all()
+    extremes = find_stick_slip(half_cosine(0.03))
+    assert lines["slip_length_um"].median() < 0.85 * extremes["slip_length_um"].median()
+
+
+def test_a_sinusoid_is_an_oscillation() -> None:
+    """A failure means 130 events "without a flag" in a recording without a single stick."""
+    time = np.arange(0, 3, 5e-4)
+    noise = 0.003 * np.random.default_rng(1).standard_normal(time.size)
+    load = 0.3 + 0.08 * np.sin(2 * np.pi * 35 * time) + noise
+    events = find_stick_slip(recording(time, load, 13 + 4 * time, 240.0))
+    assert events.attrs["regime"] == "oscillation"
+    assert any("oscillation" in line for line in events.attrs["warnings"])
+    assert events["flag"].str.contains("oscillation").all()
+    assert events["dF_N"].median() == pytest.approx(0.16, rel=0.06)
+
+
+def test_the_real_oscillation_is_one() -> None:
+    """A failure means forces off the recorded curve, or negative friction, from a model nobody asked for."""
+    path = REAL / "paper_on_paper_k1002Nm_v4300.mat"
+    if not path.is_file():
+        pytest.skip("the recording is not here")
+    force = read_force(path)
+    for lowpass_s in (0.0, "auto"):
+        events = find_stick_slip(force, lowpass_s=lowpass_s)
+        assert events.attrs["regime"] == "oscillation"
+        assert "swings by 0.19" in " ".join(events.attrs["warnings"]).replace("0.189", "0.19")
+        assert (events["F_v_N"] > 0.15).all()
+        assert (events["F_p_N"] <= events["F_p_raw_N"] + 1e-9).all()
+        assert (events["F_v_N"] >= events["F_v_raw_N"] - 1e-9).all()
+        assert 0.12 < events["dF_N"].median() < 0.2
+        assert not events["flag"].eq("ok").any()
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_purely_elastic_triangle_is_no_stick_slip(known: bool) -> None:
+    """A failure means loading and unloading of one sheet pass as stick and slip."""
+    time = np.arange(0, 50, 0.01)
+    swing = 5 - np.abs(time % 10 - 5)
+    load = 20 * swing + 0.05 * np.random.default_rng(2).standard_normal(time.size)
+    force = recording(time, load, 13 + swing / 100 if known else np.full(time.size, np.nan), 1.0)
+    if known:
+        with pytest.raises(InputError, match=r"stick-slip.*push–pull cycles"):
+            find_stick_slip(force)
+    else:
+        events = find_stick_slip(force)
+        assert events.attrs["regime"] == "cycles"
+        assert events["flag"].str.contains("cycles").all()
+
+
+def test_negative_friction_is_flagged() -> None:
+    """A failure means friction that pushes is reported without a word."""
+    force = half_cosine(0.001)
+    events = find_stick_slip(force.assign(load_N=force["load_N"] - 23))
+    assert events["flag"].str.contains("negative").all()
+    assert not find_stick_slip(force)["flag"].str.contains("negative").any()
+
+
+@pytest.mark.parametrize("speed", [4.9975, 5.0])
+def test_knees_are_seen_in_the_sticks_not_in_the_speed(speed: float) -> None:
+    """A failure means ΔF jumps by 8 % between two speeds that nobody can tell apart."""
+    rng = np.random.default_rng(3)
+    time = np.arange(0, 60, 1e-3)
+    phase = time % 0.3 / 0.3
+    rise = np.where(phase < 0.4, 1.4 * phase, 0.56 + 0.44 * (phase - 0.4) / 0.6)
+    load = 20 + 10 * rise + 0.02 * rng.standard_normal(time.size)
+    events = find_stick_slip(recording(time, load, 13 + speed / 60 * time, speed))
+    assert events.attrs["two_slopes"]
+    assert events["dF_N"].median() == pytest.approx(10, rel=0.02)
+    ratio = (events["K1_N_per_mm"] / events["K2_N_per_mm"]).median()
+    assert ratio == pytest.approx(1.4 / (0.44 / 0.6), rel=0.05)
+    straight = find_stick_slip(
+        recording(time, 20 + 10 * phase + 0.02 * rng.standard_normal(time.size), 13 + time / 12, speed)
+    )
+    assert not straight.attrs["two_slopes"]
+    assert straight["K1_N_per_mm"].isna().all()
