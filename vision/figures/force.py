@@ -160,7 +160,7 @@ def clock_residuals_figure(
         x_label="t (s, force clock)",
         y_label="video − force (ms)",
         series=(
-            Series(label="", x=at[[0, -1]], y=np.zeros(2), ink=QUIET, width=0.8),
+            Series(label="", x=at, y=np.zeros(at.size), ink=QUIET, width=0.8),
             Series(
                 label="slips",
                 x=at,
@@ -382,7 +382,7 @@ def stiffness_residuals_figure(sticks: pd.DataFrame, fits: ModelFits, *, unit: s
         low=measured.low - model,
         high=measured.high - model,
     )
-    line = Series(label="", x=measured.x[[0, -1]], y=np.zeros(2), ink=MODEL, dashed=True)
+    line = Series(label="", x=measured.x, y=np.zeros(measured.x.size), ink=MODEL, dashed=True)
     reach = 1.3 * float(np.nanquantile(np.abs(points.y), 0.98)) or 1.0
     panel = Panel(
         x_label="d_v (mm)",
