@@ -24,8 +24,8 @@ TRUSTED = (
 # Share of the displacements within one error, at least: what there is today, where it is not as wanted.
 UNDERSTATED = {
     "frozen frames": 0.25,
-    "soft lens": 0.55,
-    "defocus": 0.55,
+    "soft lens": 0.5,
+    "defocus": 0.5,
     "8-bit clipping": 0.54,
     "H.264 crf 12": 0.50,
     "H.264 crf 23": 0.20,
