@@ -28,7 +28,6 @@ LAYERS = (
     "report",
     "run",
     "certify",
-    "review",
     "command",
 )
 # The command defers its heavy imports, so that `track --help` answers at once.

@@ -16,7 +16,7 @@ class Sample:
     Parameters
     ----------
     sheets_per_block
-        M, sheets in one block: M sheets lie on each side of the symmetry axis.
+        M, sheets of one block on each side of the symmetry axis; the block has 2M.
     thickness_mm
         ε, of one sheet.
     width_mm

@@ -81,11 +81,14 @@ def statements(certificate: Certificate) -> list[tuple[str, str]]:
             f"{_length(float(c.sheets['error_px'].min()), c)} to "
             f"{_length(float(c.sheets['error_px'].max()), c)}",
         ),
-        ("Stated errors", f"hold {100 * c.within_error:.0f} % of the truths (68 % were they normal)"),
+        (
+            "Stated errors",
+            f"hold {100 * c.within_error:.0f} % of the truths (68 % if normal)",
+        ),
         (
             "Smallest sweep",
             f"{_length(c.smallest_sweep_px, c)} in a stick of {c.stick_frames:.0f} frames, "
-            "three errors from none"
+            "which differs from zero by three standard errors"
             if math.isfinite(c.smallest_sweep_px)
             else "not known: no two slips far enough apart",
         ),

@@ -1,4 +1,4 @@
-"""`track` and its subcommands: arguments in, calls of the rooms above, files out."""
+"""`track` and its subcommands: arguments in, calls of the packages above, files out."""
 
 from vision.command.main import main
 

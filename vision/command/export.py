@@ -24,7 +24,7 @@ def export(
     structs for MATLAB. trackpy: x, y, frame, particle. napari: track_id, t, y, x. The unit is the last part
     of a column's name; trackpy and napari have px.
 
-    Positions whose flag is not ok are empty in csv, xlsx and parquet, NaN in mat, and left out for trackpy
+    Positions that were not measured are empty in csv, xlsx and parquet, NaN in mat, and left out for trackpy
     and napari.
 
     Examples:

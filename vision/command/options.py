@@ -164,7 +164,7 @@ class SampleOptions:
     """The sample; the publication's if not given."""
 
     sheets_per_block: Whole | None = None
-    """M, sheets in one block."""
+    """M, sheets of one block on each side of the axis."""
     thickness: float | None = None
     """ε of one sheet, mm."""
     width: float | None = None

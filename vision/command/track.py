@@ -149,8 +149,11 @@ def finish(
         say(lines)
     ambiguous = analysis.clock is not None and analysis.clock.status == "ambiguous"
     refused = [] if ambiguous else [name for name in REFUSED if name in analysis.reasons]
-    for name in {*refused, *analysis.failures}:
-        complain(f"{about}{analysis.reasons[name]} (what was measured before is kept in {target})")
-    if analysis.failures:
+    for name in refused:
+        if name not in analysis.failures:
+            complain(f"{about}{analysis.reasons[name]} (what was measured before is kept in {target})")
+    if (target / "failures.txt").exists():
+        details = target / "failures.txt"
+        complain(f"{about}a failure that nobody foresaw; the rest is kept; please report it with {details}")
         return 3
     return 2 if refused else 1 if analysis.warnings else 0

@@ -11,6 +11,7 @@ from scipy.special import chdtri, gammaincinv, spherical_jn
 from vision.deformation.creep import WHITE, AR1Noise, Creep, StickFrames, fit_creep
 from vision.deformation.settings import DeformationSettings
 from vision.numeric import Bools, Floats, Ints, nan_median
+from vision.sheets import TrackingSettings
 
 _LEAST_DOF = 30  # residual degrees of freedom below which no correlation is looked for
 _LEAST_SHEETS = 8  # from which it is estimated
@@ -147,7 +148,8 @@ def _variance(square: Floats, dof: Ints, predicted_px: Floats, settings: Deforma
 # --- fixed-pattern error ------------------------------------------------------------------------------------
 
 _WAVES_PER_PX = np.arange(0.01, 0.5, 0.01)
-_WINDOW_PX = np.arange(5)  # half of the standard fit window, which weighs pixels by their distance
+# Half of the standard fit window, which weighs pixels by their distance from its centre
+_WINDOW_PX = np.arange(TrackingSettings().standard_window_px // 2 + 1)
 _POWER = (np.sin(2 * np.pi * _WAVES_PER_PX[:, None] * _WINDOW_PX) @ _WINDOW_PX) ** 2
 
 

@@ -323,8 +323,8 @@ def _models(fits: ModelFits) -> str:
     return (
         "Peak forces were fitted with Eq. 1 of the publication and a constant offset, stick-slip "
         "amplitudes with A times the total normal force, and K with M_eff K_eff, for "
-        f"{sample.sheets_per_block} sheets per block, {sample.thickness_mm:g} mm thick and "
-        f"{sample.width_mm:g} mm wide, {sample.length_mm:g} mm from clamp to end, and "
+        f"{sample.sheets_per_block} sheets of each block on either side of the axis, "
+        f"{sample.thickness_mm:g} mm thick and {sample.width_mm:g} mm wide, {sample.length_mm:g} mm from clamp to end, and "
         f"T* = {1000 * fits.t_star_N.value:.3g} mN: μ = {plus_minus(fits.mu)}, "
         f"A = {plus_minus(fits.amplitude)}, N̂ = {plus_minus(fits.n_hat_N)} N, "
         f"Y_eff = {plus_minus(fits.modulus_GPa)} GPa (standard errors)."

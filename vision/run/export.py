@@ -46,7 +46,7 @@ class Exported:
 def export_run(run: RunFolder, to: Format, *, out: Path | None = None, overwrite: bool = False) -> Exported:
     """Write a run's tables for another program; csv and parquet become a folder, the rest one file.
 
-    Positions whose flag is not "ok" are empty in csv, xlsx and parquet, NaN in mat, and left out for
+    Positions that were not measured are empty in csv, xlsx and parquet, NaN in mat, and left out for
     trackpy and napari.
 
     Args: out, file or folder; by default the run's name with the format's ending in the working directory.
@@ -115,7 +115,7 @@ def all_tables(run: RunFolder) -> dict[str, pd.DataFrame]:
     tracks: one row per frame and sheet, every one. positions: x with one row per frame and one column per
     sheet, as side_n_unit. sheets, events, deformation, shells: as in the run folder. settings: what
     run.json, clock.json and models.json say. The unit is the last part of a column's name. Positions that
-    are not "ok" are NaN, their flag says why.
+    were not measured are NaN, their flag says why.
     """
     tables: dict[str, pd.DataFrame] = {}
     if run.tracks is not None:
@@ -150,7 +150,7 @@ def trackpy_table(run: RunFolder) -> pd.DataFrame:
     """What trackpy's functions take: x, y, frame, particle and ep, px, with time_s, side and n beside.
 
     particle is the sheet's index from the left, ep the standard error of x. y is the middle of the strip,
-    the same for all. Positions that are not "ok" are left out, as trackpy allows no NaN.
+    the same for all. Positions that were not measured are left out, as trackpy allows no NaN.
     """
     tracks = tracks_of(run)
     table = tracks_table(tracks)
@@ -165,7 +165,7 @@ def trackpy_table(run: RunFolder) -> pd.DataFrame:
 def napari_table(run: RunFolder) -> pd.DataFrame:
     """What napari's tracks layer takes: track_id, t (frame number), y, x, in px, track after track.
 
-    y is the middle of the strip. Positions that are not "ok" are left out.
+    y is the middle of the strip. Positions that were not measured are left out.
     """
     table = trackpy_table(run).rename(columns={"particle": "track_id", "frame": "t"})
     return table[["track_id", "t", "y", "x"]].sort_values(["track_id", "t"], ignore_index=True)
@@ -291,8 +291,8 @@ def _column(column: pd.Series[Any]) -> pd.Series[Any]:
 def write_mat(run: RunFolder, path: Path) -> None:
     """A MATLAB 5 file: x_px, x_err_px, x_um and flag (frames × sheets), and what belongs to them.
 
-    frame and time_s are columns, index, side and n rows. Positions that are not "ok" are NaN; flag counts
-    from 1 into flag_names. sheets, events, deformation, shells and settings are structs with a column per
+    frame and time_s are columns, index, side and n rows. Positions that were not measured are NaN; flag
+    counts from 1 into flag_names. sheets, events, deformation, shells and settings are structs with a column per
     field. x_um is all NaN where the pixel size is not known.
     """
     from scipy.io import savemat

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -29,6 +30,7 @@ from vision.sheets import doubtful_stretches
 from vision.shells import deformation_table
 from vision.summary import findings, flag_counts, noise_figures
 
+FAILURES = "failures.txt"
 COUNTS = ("expected", "read", "lost", "blank", "corrupt")
 
 
@@ -101,15 +103,38 @@ def write_run(
         content = {**run_facts(analysis, origin), **(facts or {})}
         seconds["fingerprints"] = time.perf_counter() - started - seconds["tables"]
         drawn = time.perf_counter()
-        figures = figures_of(analysis)
-        _write_pictures(analysis, folder, figures)
-        if report and analysis.tracks is not None:
-            write_report(folder / "report.html", analysis, content, figures=figures, options=origin.options)
+        failures = dict(analysis.failures)
+        _shown(analysis, folder, content, failures, origin, report=report)
+        if failures:
+            text = "\n\n".join(f"{name}\n{details}" for name, details in failures.items())
+            (folder / FAILURES).write_text(text, encoding="utf-8", errors="replace")
+            content["failures"] = list(failures)
         seconds["pictures and report"] = time.perf_counter() - drawn
         seconds["total"] = sum(analysis.seconds.values()) + time.perf_counter() - started
         content["seconds"] = seconds
         write_json(content, folder / "run.json")
     return content
+
+
+def _shown(
+    analysis: Analysis,
+    folder: Path,
+    content: dict[str, Any],
+    failures: dict[str, str],
+    origin: Origin,
+    *,
+    report: bool,
+) -> None:
+    """Pictures and page; an error in them that nobody foresaw is added to `failures` and costs no table."""
+    try:
+        figures = figures_of(analysis)
+        _write_pictures(analysis, folder, figures)
+        if report and analysis.tracks is not None:
+            write_report(folder / "report.html", analysis, content, figures=figures, options=origin.options)
+    except OSError:  # a full disk is the run's own failure
+        raise
+    except Exception:
+        failures["pictures and report"] = traceback.format_exc()
 
 
 def run_facts(analysis: Analysis, origin: Origin) -> dict[str, Any]:

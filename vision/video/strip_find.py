@@ -175,13 +175,13 @@ def _described(
     if smear > settings.max_smear * ridge:
         warnings.append(
             f"ridges lean by {tilt_deg:+.2f} deg, {smear:.1f} px over the {height} rows of the strip, and "
-            f"are about {ridge:.0f} px wide: turn the camera or give fewer `rows`"
+            f"are about {ridge:.0f} px wide: turn the camera, or choose fewer rows (`rows`)"
         )
     if errors.error_px > settings.strip_warning_px:
         warnings.append(
             f"positions depend on the rows averaged: {errors.error_px:.2f} px with a fifth of them left out, "
             f"{errors.halves_px:.2f} px between the strip's upper and lower half, {errors.bow_px:.2f} px "
-            "between its outer and inner half; bowed ridges or a shadow: look at the frame, give fewer `rows`"
+            "between its outer and inner half; bowed ridges or a shadow: look at the frame, choose fewer rows (`rows`)"
         )
     return Strip(strip.rows, strip.how, tilt_deg, clarity, tuple(warnings), errors)
 

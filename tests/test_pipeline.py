@@ -1,0 +1,95 @@
+"""analyse(): every stage once, in order, and nothing lost where one of them fails."""
+
+import json
+from pathlib import Path
+
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import vision
+from vision import pipeline
+from vision.command.main import run
+from vision.errors import InputError
+from vision.pipeline import Settings
+from vision.run import writing
+
+DEEP = Path(__file__).parents[1] / "fixtures" / "deep"
+ARGUMENTS = (
+    *(str(DEEP / "video.tif"), "--timestamps", str(DEEP / "timestamps.txt")),
+    *("--force", str(DEEP / "force.txt"), "--d0", "13", "--quiet", "--out"),
+)
+
+
+@pytest.fixture(scope="module")
+def whole():
+    settings = Settings(d0_mm=13, pixel_size_um=10, timestamps=DEEP / "timestamps.txt")
+    return vision.analyse(DEEP / "video.tif", DEEP / "force.txt", settings)
+
+
+def test_every_stage_is_there_or_has_its_reason(whole):
+    """A failure means that a part of the analysis is missing without a word."""
+    for name in ("strip", "tracks", "frame", "force", "sticks", "fits"):
+        assert getattr(whole, name) is not None, name
+    for name in ("clock", "motion", "shells"):
+        assert (getattr(whole, name) is not None) or whole.reasons or whole.clock.status == "ambiguous"
+    assert {"reading", "tracking", "sticks"} <= set(whole.seconds)
+    assert whole.failures == {}
+
+
+def test_each_operation_is_recorded_with_its_parameters(whole):
+    """A failure means that a dataset does not say how it was made."""
+    done = [step["operation"] for step in whole.tracks.attrs["operations"]]
+    assert done == ["strip_profile", "track_sheets"]
+    assert "fit" in whole.tracks.attrs["operations"][-1]["parameters"]
+
+
+def test_a_force_recording_alone_is_an_analysis_too(whole):
+    """A failure means that the force alone takes another way than with a video."""
+    alone = vision.analyse(None, DEEP / "force.txt", Settings(d0_mm=13))
+    assert alone.tracks is None
+    assert alone.fits.mu == whole.fits.mu
+
+
+def test_an_analysis_shows_itself(whole):
+    """A failure means that a notebook shows a wall of text, or that a figure takes no axes."""
+    assert whole._repr_html_().count("<img") == 1
+    ax = Figure().add_subplot()
+    assert whole.plot.tracks(ax) is ax
+    assert isinstance(whole.plot.noise(), Axes)
+    assert {"tracks", "force", "deformation"} <= set(dir(whole.plot))
+    with pytest.raises(AttributeError, match="no figure"):
+        _ = whole.plot.nonsense
+
+
+def test_a_figure_without_its_data_is_refused_with_the_reason():
+    """A failure means an empty picture for what was not measured."""
+    alone = vision.analyse(None, DEEP / "force.txt")
+    with pytest.raises(InputError, match="deformation"):
+        alone.plot.deformation()
+
+
+def broken(*arguments, **options):
+    raise ZeroDivisionError("nobody foresaw this")
+
+
+def test_an_unforeseen_error_in_a_late_stage_costs_only_that_stage(monkeypatch, tmp_path, capsys):
+    """A failure means that hours of tracking are lost to a defect of the fits."""
+    monkeypatch.setattr(pipeline, "fit_models", broken)
+    out = tmp_path / "run"
+    assert run([*ARGUMENTS, str(out)]) == 3
+    assert "failures.txt" in capsys.readouterr().err
+    assert "nobody foresaw this" in (out / "failures.txt").read_text()
+    assert json.loads((out / "run.json").read_text())["failures"] == ["fits"]
+    assert (out / "tracks.csv").stat().st_size > 1000
+    assert (out / "events.csv").exists()
+
+
+def test_an_unforeseen_error_in_the_report_costs_no_table(monkeypatch, tmp_path, capsys):
+    """A failure means that a picture that cannot be drawn takes the positions with it."""
+    monkeypatch.setattr(writing, "write_report", broken)
+    out = tmp_path / "run"
+    assert run([*ARGUMENTS, str(out)]) == 3
+    assert capsys.readouterr().err.count("\n") >= 1
+    assert (out / "tracks.csv").stat().st_size > 1000
+    assert json.loads((out / "run.json").read_text())["failures"] == ["pictures and report"]
