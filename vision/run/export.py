@@ -292,8 +292,8 @@ def write_mat(run: RunFolder, path: Path) -> None:
     """A MATLAB 5 file: x_px, x_err_px, x_um and flag (frames × sheets), and what belongs to them.
 
     frame and time_s are columns, index, side and n rows. Positions that were not measured are NaN; flag
-    counts from 1 into flag_names. sheets, events, deformation, shells and settings are structs with a column per
-    field. x_um is all NaN where the pixel size is not known.
+    counts from 1 into flag_names. sheets, events, deformation, shells and settings are structs with a column
+    per field. x_um is all NaN where the pixel size is not known.
     """
     from scipy.io import savemat
 
