@@ -197,7 +197,11 @@ class Analysis:
 
     def summary(self) -> list[str]:
         """What was found, in about ten lines."""
-        return summary_lines(self)
+        lines, sample = summary_lines(self), self.settings.sample
+        if self.fits is not None and sample == PUBLISHED:
+            size = f"{sample.thickness_mm:g} x {sample.width_mm:g} x {sample.length_mm:g} mm"
+            lines.append(f"sample     assumed: the publication's, M = {sample.sheets_per_block} of {size}")
+        return lines
 
     def _repr_html_(self) -> str:
         found = {name: rest.strip() for name, _, rest in (line.partition(" ") for line in self.summary())}

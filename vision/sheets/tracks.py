@@ -82,9 +82,9 @@ def track_sheets(
     xarray.Dataset
         x_px, x_err_px and flag (frame, sheet); side, n, x_mean_px, found, fwhm_px, snr, x_noise_px (sheet);
         time_s (frame); see `vision.data.TRACKS`. x_px is NaN wherever flag is neither "ok" nor "blurred":
-        "missing" (no ridge there), "merged" (two sheets in one ridge), "edge" (outside the picture or too near
-        its edge), "doubtful" (identity not certain), "unfit" (the fit has no answer), or the frame's own "frozen",
-        "blank", "corrupt", "lost". What was found automatically is in `vision.data.TrackMetadata`.
+        "missing" (no ridge there), "merged" (two sheets in one ridge), "edge" (outside the picture or too
+        near its edge), "doubtful" (identity not certain), "unfit" (the fit has no answer), or the frame's own
+        "frozen", "blank", "corrupt", "lost". What was found automatically is in `vision.data.TrackMetadata`.
 
     Raises
     ------

@@ -181,8 +181,8 @@ def _described(
         warnings.append(
             f"positions depend on the rows averaged: {errors.error_px:.2f} px with a fifth of them left out, "
             f"{errors.halves_px:.2f} px between the strip's upper and lower half, {errors.bow_px:.2f} px "
-            "between its outer and inner half; bowed ridges or a shadow: look at the frame, choose fewer rows "
-            "(`rows`)"
+            "between its outer and inner half; bowed ridges or a shadow: look at the frame, or choose fewer "
+            "rows (`rows`)"
         )
     return Strip(strip.rows, strip.how, tilt_deg, clarity, tuple(warnings), errors)
 
