@@ -15,8 +15,8 @@ from vision.data import ForceMetadata, MotionMetadata, StickMetadata, StripMetad
 from vision.figures import Results, percent, plus_minus, signed
 from vision.figures.labels import load_unit
 from vision.models import ModelFits
-from vision.numeric import Floats
 from vision.sheets.tracks import LOSSY
+from vision.summary import noise_figures
 
 PAPER = (
     "A. Plati, F. Restagno, C. Poulard, Stick-slip dynamics in an interleaved system with self-amplified "
@@ -119,23 +119,22 @@ def _friction(results: Results) -> Answer | None:
 def _noise(results: Results) -> Answer | None:
     if results.tracks is None:
         return None
-    measured = _median(results.tracks["x_noise_px"].values)
-    predicted = _median(results.tracks["x_err_px"].values)
+    noise = noise_figures(results.tracks, results.pixel_size_um)
+    measured, predicted = noise["measured_px"], noise["predicted_px"]
     what = "noise of a position"
     if not np.isfinite(measured):
         return Answer(what, "not known", "too few consecutive positions to measure it", doubt=True)
-    size = results.pixel_size_um
+    size, codec = results.pixel_size_um, StripMetadata.of(results.tracks).codec
+    hidden = codec in LOSSY  # then what the pixels predict is no check of what was measured
+    check = (
+        f"{codec} hides the noise of pixels" if hidden else f"{predicted:.2g} px predicted from the pixels"
+    )
     return Answer(
         what,
         f"{measured:.2g} px" + ("" if size is None else f" = {measured * size:.2g} µm"),
-        f"median of the sheets, as measured; {predicted:.2g} px expected from the noise of the profile",
-        doubt=bool(measured > 3 * predicted),
+        f"median of the sheets, from frame to frame; {check}",
+        doubt=bool(not hidden and measured > 3 * predicted),
     )
-
-
-def _median(values: Floats) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else math.nan
 
 
 def _frames(results: Results) -> Answer | None:
