@@ -414,7 +414,7 @@ class StickMetadata(Metadata):
         "stick-slip", "oscillation" or "cycles"; median duration of falls over that of rises; share of the
         variance near the frequency of the slips.
     warnings
-        What speaks against stick-slip.
+        Why this may not be stick-slip.
     first_slip_s, first_slip_N, last_slip_s
         Times (force clock) of the first and last slip; load before the first one.
     machine_stiffness_N_per_mm
@@ -501,7 +501,7 @@ class MotionMetadata(Metadata):
     noise_share, noise_rho
         Noise that is correlated from frame to frame: its share of the variance, and its AR(1) coefficient.
     camera_movement
-        How movement of the camera was told from the sheets' creep.
+        How movement of the camera was separated from the sheets' creep.
     """
 
     source: str = "the video"

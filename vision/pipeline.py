@@ -254,7 +254,7 @@ def analyse(
     settings
         What is not to be found from the data.
     progress
-        Called with (frames done, frames in all or None) while the video is read.
+        Called with (frames done, total frames or None) while the video is read.
 
     Returns
     -------

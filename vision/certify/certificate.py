@@ -185,7 +185,7 @@ def certify(
     settings
         Tunable constants.
     progress
-        Called with (films tracked, films in all).
+        Called with (films tracked, total films).
 
     Returns
     -------

@@ -71,7 +71,7 @@ def _print(lines: Iterable[str], stream: TextIO | None) -> OSError | None:
 
 @contextmanager
 def frame_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[[int, int | None], None] | None]:
-    """A function to call with (frames done, frames in all or None); None where nobody watches."""
+    """A function to call with (frames done, total frames or None); None where nobody watches."""
     if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield None
         return

@@ -39,7 +39,7 @@ class Comparison:
     table
         One row a run: the content of tests.csv.
     modulus, modulus_from
-        Y_eff that was held fixed, GPa, and the runs it comes from ("given" where it was told).
+        Y_eff that was held fixed, GPa, and the runs it comes from ("given" where the user gave it).
     joint
         One μ for each sample with several tests, and one for all where there are several samples.
     collapse

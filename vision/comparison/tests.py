@@ -209,7 +209,7 @@ def _rows_of_runs(
     failures: list[str],
     warnings: list[str],
 ) -> dict[Path, Mapping[str, Any]]:
-    """The table's row of each run. Runs without a row, and rows without a run, are said."""
+    """The table's row of each run. Runs without a row, and rows without a run, are warned about."""
     if rows is None:
         return {}
     if "run" not in rows:
@@ -229,7 +229,7 @@ def _rows_of_runs(
         elif not same and not at.exists():
             failures.append(f"{name}: expected a finished run, as the table names it; found no such folder")
         elif same and same[0] in known:
-            warnings.append(f"run {name} stands in the table more than once; its first row is used")
+            warnings.append(f"run {name} is in the table more than once; its first row is used")
         elif same:
             known[same[0]] = row
     if missing := [

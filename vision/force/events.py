@@ -555,7 +555,7 @@ def _with_doubts(
 
 
 def _warnings(events: pd.DataFrame, regime: Regime, signal: _Signal) -> list[str]:
-    """What speaks against stick-slip in the whole recording."""
+    """Why the whole recording may not be stick-slip."""
     lines = []
     if regime.name == "oscillation":
         low, high = np.percentile(signal.clean, [1, 99])

@@ -14,7 +14,7 @@ from vision.errors import InputError
 from vision.force.columns import Column, Role, Table, find_columns
 from vision.force.files import read_tables
 from vision.force.settings import DEFAULTS, ForceSettings
-from vision.numeric import Bools, Floats, Strings
+from vision.numeric import Bools, Floats, Strings, mad_sigma
 
 _LEAST_SAMPLES = 10
 _STARTS_NEAR_ZERO = 0.05  # of the whole travel: a machine's zero is set by hand
@@ -314,10 +314,10 @@ def noise_sigma(y: Floats) -> float:
     -----
     The median absolute second difference sees neither the rises nor the few drops:
 
-    .. math:: \\sigma = \\max(1.4826\\,\\mathrm{MAD}(\\Delta^2 y) / \\sqrt 6,\\; q / \\sqrt{12})
+    .. math:: \\sigma = \\max(\\mathrm{MAD}(\\Delta^2 y) / (0.674\\,\\sqrt 6),\\; q / \\sqrt{12})
     """
     second = np.diff(y, 2)
-    spread = 1.4826 * float(np.median(np.abs(second - np.median(second)))) / np.sqrt(6.0)
+    spread = float(mad_sigma(second)) / np.sqrt(6.0)
     range_ = float(np.ptp(y))
     steps = np.diff(np.unique(y))
     steps = steps[steps > 1e-6 * range_]  # smaller ones are rounding errors

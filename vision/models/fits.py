@@ -18,7 +18,7 @@ from vision.data import FORCE, ForceMetadata, html_table
 from vision.errors import InputError
 from vision.models import equations
 from vision.models.single_sheet import bending_length_mm
-from vision.numeric import Bools, Floats
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats
 from vision.sample import PUBLISHED, Sample
 
 _LEAST_EVENTS = 6
@@ -85,7 +85,7 @@ class ModelFits:
     notes
         What limits the result.
     warnings
-        What speaks against it.
+        Why it may be wrong.
     held
         Names of parameters that were given, not fitted.
     left_out
@@ -368,7 +368,7 @@ def _maximum(peaks: Floats) -> int:
     """Where the peaks, smoothed over seven, are largest; 0 where scatter alone may have put it there."""
     smooth = median_filter(peaks, size=min(7, peaks.size), mode="reflect")
     top = int(np.argmax(smooth))
-    scatter = 1.4826 * float(np.median(np.abs(np.diff(peaks)))) / np.sqrt(2)
+    scatter = float(np.median(np.abs(np.diff(peaks)))) / (NORMAL_MEDIAN * np.sqrt(2))
     risen = smooth[top] - np.median(peaks[: max(min(3, top), 1)])
     return top if risen > 3 * scatter and peaks.size - top >= _LEAST_EVENTS else 0
 

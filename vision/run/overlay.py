@@ -106,7 +106,7 @@ def write_overlay(
     frames
         Half-open range of frame numbers; all of the run's by default.
     progress
-        Called with (frames done, frames in all or None).
+        Called with (frames done, total frames or None).
 
     Raises
     ------

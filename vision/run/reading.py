@@ -37,7 +37,7 @@ class RunFolder:
 
     @property
     def pixel_size_um(self) -> float | None:
-        """µm per pixel as the run was told; None where it was not."""
+        """µm per pixel as recorded in run.json; None where it was not given."""
         value = self._parameter("pixel_size")
         return None if value is None else float(value)
 

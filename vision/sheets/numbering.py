@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from vision.numeric import Floats, Ints, nan_median
+from vision.numeric import NORMAL_MEDIAN, Floats, Ints, nan_median
 from vision.sheets.settings import DEFAULT, TrackingSettings
-from vision.sheets.subpixel import NORMAL_MEDIAN, position_noise
+from vision.sheets.subpixel import position_noise
 
 AxisHow = Literal["given", "motion", "geometry"]
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from vision.errors import InputError
-from vision.numeric import Bools, Floats, Ints, nan_median
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, mad_sigma, nan_median
 from vision.sheets.alignment import Candidates, ExpectedSheets, align
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
@@ -305,7 +305,7 @@ def _unevenness(x_px: Floats, local: Floats, settings: TrackingSettings) -> floa
     if len(x_px) < 6:
         return 1.0
     off = np.abs(np.log(np.maximum(np.diff(x_px), 1e-3) / local[:-1]))
-    return max(1.0, float(np.median(off)) / 0.6745 / settings.even_spread)
+    return max(1.0, float(np.median(off)) / NORMAL_MEDIAN / settings.even_spread)
 
 
 def _uneven_cost(x_px: Floats, local: Floats, settings: TrackingSettings) -> Floats:
@@ -418,6 +418,6 @@ def wide_spacings(x_px: Floats, *, settings: TrackingSettings = DEFAULT) -> tupl
         return np.empty(0), np.empty(0)
     size = spacing / median_filter(spacing, size=9, mode="nearest")
     log = np.log(size)
-    scatter = float(np.median(np.abs(log - np.median(log)))) / 0.6745
+    scatter = float(mad_sigma(log))
     wide = log > max(np.log(settings.wide_pitches), 3.0 * scatter)  # an uneven comb has wide spacings anyway
     return (x_px[:-1] + 0.5 * spacing)[wide], size[wide]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
 from vision.errors import InputError
-from vision.numeric import Bools, Floats, Floats32, Ints
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 Polarity = Literal["bright", "dark"]
@@ -143,7 +143,7 @@ def profile_noise(profile: Floats32) -> float:
     """
     kernel = np.array([1, -6, 15, -20, 15, -6, 1], np.float64)[None, :]
     spread = cv2.filter2D(np.ascontiguousarray(profile, np.float32), cv2.CV_32F, kernel)[:, 3:-3]
-    return float(np.median(np.abs(spread)) / 0.6745 / np.sqrt(924.0))
+    return float(np.median(np.abs(spread)) / (NORMAL_MEDIAN * np.sqrt(924.0)))
 
 
 def _smoothed(profile: Floats32, sigma_px: float) -> Floats32:

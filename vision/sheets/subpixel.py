@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_lsq_spline
 
 from vision.errors import InputError
-from vision.numeric import Bools, Floats, Floats32, Ints, nan_median
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
@@ -27,7 +27,6 @@ FitChoice = Literal["auto", "sliding", "paper", "template"]
 FRAMES_PER_BLOCK = 512
 TRIPLES = 400  # groups of three consecutive frames from which noise is measured, spread over the recording
 LEAST_TRIPLES = 8
-NORMAL_MEDIAN = 0.6745  # median of the absolute value of a standard normal variable
 
 
 class FittedPositions(NamedTuple):

@@ -45,7 +45,7 @@ def strip_profile(
         Half-open, px, after rotation. Without `rows` the strip is found (`find_strip`); without `columns` all
         are taken.
     progress
-        Called with (frames done, frames in all or None) after every block.
+        Called with (frames done, total frames or None) after every block.
     settings
         See `VideoSettings`.
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import Floats, Ints
+from vision.numeric import NORMAL_MEDIAN, Floats, Ints
 from vision.video.settings import VideoSettings
 
 
@@ -192,7 +192,7 @@ def _beside_parabola(shifts: RowShifts) -> Floats:
         for _ in range(10):
             fit = np.linalg.lstsq(basis * weight[:, None], d * weight, rcond=None)[0]
             apart[:, segment] = off = d - basis @ fit
-            usual = max(float(np.median(np.abs(off))) / 0.6745, 1e-9)
+            usual = max(float(np.median(np.abs(off))) / NORMAL_MEDIAN, 1e-9)
             weight = np.clip(1 - (off / (4 * usual)) ** 2, 0.0, None)  # Tukey's biweight
     return apart
 
