@@ -182,3 +182,17 @@ def test_pixels_without_a_value_do_not_hide_the_strip(tmp_path):
     assert strip.rows.start >= 20
     tifffile.imwrite(tmp_path / "b.tif", np.full_like(frames, np.nan))
     assert find_strip(open_video(tmp_path / "b.tif")).how == "all rows"
+
+
+def test_frames_that_cannot_be_decoded_are_no_strip(tmp_path):
+    """A failure means a traceback for a file whose pixels are damaged throughout."""
+    path = tmp_path / "damaged.tif"
+    tifffile.imwrite(path, comb(count=1)[0], compression="jpeg")
+    with tifffile.TiffFile(path) as file:
+        page = file.pages[0]
+        start, count = page.dataoffsets[0], page.databytecounts[0]
+    content = bytearray(path.read_bytes())
+    content[start : start + count] = bytes(count)
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"damaged\.tif"):
+        find_strip(open_video(path))

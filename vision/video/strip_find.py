@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from vision.errors import InputError
 from vision.numeric import Bools, Floats32, Ints, Pixels
 from vision.video.settings import DEFAULTS, VideoSettings
 from vision.video.strip_rows import NO_ERRORS, StripErrors, best_rows, row_shifts, strip_errors
@@ -214,6 +215,9 @@ def _measure_slopes(
     """Slopes of the bands in sampled frames; in the first frames of a file that cannot be sampled."""
     count = settings.sample_frames
     frames = list(video.sample(count)) or list(itertools.islice(video.frames(), count))
+    if not frames:
+        found = "none: they cannot be decoded"
+        raise InputError(video.path, "at least one frame that shows something", found, "copy the file again")
     odd_even = np.stack([_odd_even(frame[rows, columns], band_rows) for frame in frames])
     slope = np.empty_like(odd_even)
     gaussian_filter1d(odd_even, settings.slope_sigma_px, axis=-1, order=1, mode="nearest", output=slope)
