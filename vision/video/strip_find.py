@@ -17,6 +17,8 @@ from vision.video.settings import DEFAULTS, VideoSettings
 from vision.video.strip_rows import NO_ERRORS, StripErrors, best_rows, row_shifts, strip_errors
 from vision.video.video import Video, cut
 
+_LARGEST = 1e15  # grey levels: beyond it single precision has no room for squares and their sums
+
 
 @dataclass(frozen=True)
 class Strip:
@@ -231,7 +233,7 @@ def _odd_even(frame: Pixels, band_rows: int) -> Floats32:
     bands = frame.shape[0] // band_rows
     pixels = np.asarray(frame[: bands * band_rows], np.float32).reshape(bands, band_rows, -1)
     if frame.dtype.kind == "f":  # a pixel without a value shows no ridge; as NaN it would hide all others
-        pixels = np.nan_to_num(pixels, nan=0.0, posinf=0.0, neginf=0.0)
+        pixels = np.where(np.abs(pixels) < _LARGEST, pixels, np.float32(0))
     return np.stack([pixels[:, 0::2].mean(axis=1), pixels[:, 1::2].mean(axis=1)])
 
 
