@@ -12,7 +12,7 @@ from vision import pipeline
 from vision.command.main import run
 from vision.errors import InputError
 from vision.pipeline import Settings
-from vision.run import writing
+from vision.run import provenance, writing
 
 DEEP = Path(__file__).parents[1] / "fixtures" / "deep"
 ARGUMENTS = (
@@ -93,3 +93,13 @@ def test_an_unforeseen_error_in_the_report_costs_no_table(monkeypatch, tmp_path,
     assert capsys.readouterr().err.count("\n") >= 1
     assert (out / "tracks.csv").stat().st_size > 1000
     assert json.loads((out / "run.json").read_text())["failures"] == ["pictures and report"]
+
+
+def test_a_large_film_has_its_report_too(monkeypatch, tmp_path):
+    """A failure means that films too large for a whole checksum end without their page."""
+    monkeypatch.setattr(provenance, "PARTS", 2)
+    film = Path(__file__).parents[1] / "fixtures" / "paper" / "video.avi"
+    out = tmp_path / "run"
+    assert run([str(film), "--quiet", "--out", str(out)]) == 0
+    digest = json.loads((out / "run.json").read_text())["inputs"][0]["fingerprint"]
+    assert digest in (out / "report.html").read_text()

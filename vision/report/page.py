@@ -329,7 +329,9 @@ def _parameters(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
 
 def _inputs(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
     for item in facts.get("inputs", ()):
-        yield str(item["path"]), str(item["size_bytes"]), str(item["sha256"])
+        whole = item.get("sha256")
+        digest = str(whole) if whole else f"{item['fingerprint']} (of its size and 64 MiB of it)"
+        yield str(item["path"]), str(item["size_bytes"]), digest
 
 
 def _flat(values: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, ...]]:
