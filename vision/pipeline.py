@@ -98,6 +98,8 @@ class Settings:
         Force clock at video time 0.
     threshold
         σ_x/Λ_st below which a sheet is stiff.
+    common_mode
+        Whether motion that all sheets share, the camera's, is taken off.
     sample
         Geometry and adhesion of the sample.
     t_star_fitted
@@ -132,6 +134,7 @@ class Settings:
     machine_stiffness_N_per_mm: float | None = None
     offset_s: float | None = None
     threshold: float = 0.1
+    common_mode: bool = True
     sample: Sample = PUBLISHED
     t_star_fitted: bool = False
     tuning: Tuning = field(default_factory=Tuning)
@@ -436,7 +439,12 @@ def _motion(tracks: xr.Dataset, sticks: pd.DataFrame, clock: Clock, chosen: Sett
             "check `offset_s`, or whether the two files belong together",
         )
     return horizontal_deformation(
-        tracks, sticks, clock, pixel_size_um=chosen.pixel_size_um, settings=chosen.tuning.deformation
+        tracks,
+        sticks,
+        clock,
+        pixel_size_um=chosen.pixel_size_um,
+        common_mode=chosen.common_mode,
+        settings=chosen.tuning.deformation,
     )
 
 

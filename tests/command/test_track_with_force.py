@@ -78,6 +78,17 @@ def test_a_clock_at_which_no_slip_coincides_gives_no_shells(truth, capsys):
     assert "nan" not in said.out
 
 
+def test_common_motion_is_taken_off_unless_told_otherwise(truth):
+    """A failure means that --common-mode does nothing, or that run.json does not say it was off."""
+    offset = ("--offset", str(truth.attrs["offset_s"]), "--overwrite")
+    ratios = []
+    for mode in ("on", "off"):
+        assert run([*VIDEO, *FORCE, *offset, "--common-mode", mode]) in (0, 1)
+        ratios.append(pd.read_csv("run/deformation.csv")["ratio"].to_numpy())
+    assert json.loads(Path("run/run.json").read_text())["parameters"]["common_mode"]["value"] == "off"
+    assert np.nanmax(np.abs(ratios[0] - ratios[1])) > 1e-6
+
+
 def test_a_recording_that_does_not_fit_keeps_the_tracks(capsys):
     """A failure means that an hour of tracking is thrown away for a wrong offset."""
     assert run([*VIDEO, *FORCE, "--offset", "100000"]) == 2

@@ -70,6 +70,7 @@ _OPTION_OF = {
     "machine_stiffness_N_per_mm": "--machine-stiffness",
     "offset_s": "--offset",
     "threshold": "--threshold",
+    "common_mode": "--common-mode",
     "sheets_per_block": "--sheets-per-block",
     "thickness_mm": "--thickness",
     "width_mm": "--width",
@@ -186,6 +187,8 @@ class TestOptions:
     """Force clock at video time 0, s, if known (0 with a common hardware trigger)."""
     threshold: float | None = None
     """σ_x/Λ_st below which a sheet is stiff; 0.1 if not given."""
+    common_mode: Literal["on", "off"] | None = None
+    """Whether motion that all sheets share (the camera's) is taken off; on if not given."""
 
 
 @Option(name="*")
@@ -215,6 +218,7 @@ DEFAULTS: Mapping[str, Any] = {
     "fit": "auto",
     "rotate": 0,
     "threshold": 0.1,
+    "common_mode": "on",
     "sheets_per_block": 25,
     "thickness": 0.1,
     "width": 45.0,
@@ -370,6 +374,7 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
         ),
         "offset_s": number(value.get("offset"), "--offset", least=-1e12),
         "threshold": number(value.get("threshold"), "--threshold", least=1e-6),
+        "common_mode": value.get("common_mode") != "off",
         "sample": Sample(
             sheets_per_block=value.get("sheets_per_block", 25),
             thickness_mm=value.get("thickness", 0.1),
