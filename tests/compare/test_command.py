@@ -97,7 +97,7 @@ def test_figures_of_a_comparison(six, tmp_path, capsys):
         (lambda t: t.assign(n_test=["x", *t["n_test"][1:].astype(str)]), "1e+06; found 'x'"),
         (lambda t: t.assign(run=["gone", *t["run"][1:]]), "gone: expected a finished run"),
         (lambda t: t.iloc[1:], "not in the table, so left out of the trends: test00"),
-        (lambda t: pd.concat([t, t.iloc[:1]]), "run test00 stands in the table more than once"),
+        (lambda t: pd.concat([t, t.iloc[:1]]), "run test00 is in the table more than once"),
         (lambda t: t.assign(V_mm_min=60.0), "the table has V = 60 mm/min, its recording"),
     ],
 )  # fmt: skip
