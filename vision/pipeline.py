@@ -276,7 +276,7 @@ def analyse(
     stage = _Stages()
     # A force file that is not understood is refused before the long work of reading a video.
     machine = None if force is None else stage.must("reading force", lambda: _recording(force, chosen))
-    recording = None if video is None else _video(video, chosen)
+    recording = None if video is None else open_recording(video, chosen)
     strip = frame = tracks = None
     if recording is not None:
         strip = stage.must("reading", lambda: _strip(recording, chosen, progress))
@@ -352,7 +352,8 @@ class _Stages:
         return None
 
 
-def _video(video: Video | str | Path, chosen: Settings) -> Video:
+def open_recording(video: Video | str | Path, chosen: Settings) -> Video:
+    """The video as the settings want it turned, cut and timed; one that is open already, as it is."""
     if isinstance(video, Video):
         return video
     return open_video(

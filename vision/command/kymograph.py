@@ -188,8 +188,8 @@ def _cut(strip: xr.DataArray, columns: slice, folder: Path) -> xr.DataArray:
 def _from_video(path: Path, settings: Settings, *, track: bool, quiet: bool) -> Source:
     """A video's strip, and its sheets where windows around them are wanted."""
     from vision.data import warnings_of
-    from vision.pipeline import analyse
-    from vision.video import open_video, strip_profile
+    from vision.pipeline import analyse, open_recording
+    from vision.video import strip_profile
 
     with frame_progress("reading", quiet=quiet) as progress:
         if track or settings.pitch_um is not None:
@@ -197,13 +197,7 @@ def _from_video(path: Path, settings: Settings, *, track: bool, quiet: bool) -> 
             strip, tracks, warnings = analysis.strip, analysis.tracks, analysis.warnings
             settings = analysis.settings
         else:
-            video = open_video(
-                path,
-                rotate=settings.rotate,
-                frames=settings.frames,
-                fps=settings.fps,
-                timestamps=settings.timestamps,
-            )
+            video = open_recording(path, settings)
             strip = strip_profile(video, settings.rows, columns=settings.columns, progress=progress)
             tracks, warnings = None, tuple(warnings_of(strip))
     given = () if settings.timestamps is None else (settings.timestamps,)

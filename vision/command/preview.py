@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -116,12 +116,13 @@ def look(path: Path, settings: Settings) -> Preview:
     """
     import numpy as np
 
+    from vision.pipeline import open_recording
     from vision.sheets import track_sheets
     from vision.sheets.ridges import describe_ridges, find_ridges
     from vision.video import find_strip, measure_strip, reference_frame, strip_profile
     from vision.video.strip import row_means
 
-    film = _open(path, settings, settings.frames)
+    film = open_recording(path, settings)
     strip_settings = settings.tuning.video
     if settings.rows is None:
         rows = find_strip(film, columns=settings.columns, settings=strip_settings).rows
@@ -130,7 +131,7 @@ def look(path: Path, settings: Settings) -> Preview:
     stop = (
         film.first + CONSECUTIVE if film.estimated is None else film.first + min(CONSECUTIVE, film.estimated)
     )
-    few = _open(path, settings, slice(film.first, stop))
+    few = open_recording(path, replace(settings, frames=slice(film.first, stop)))
     strip = strip_profile(few, rows, columns=settings.columns, settings=strip_settings)
     tracks = track_sheets(
         strip,
@@ -195,11 +196,3 @@ def _warnings(found: Preview) -> list[str]:
 
     kept = [line for line in warnings_of(found.tracks) if "missing" not in line]
     return list(dict.fromkeys([*found.video.warnings, *kept, *tracking_warnings(found.tracks)]))
-
-
-def _open(path: Path, settings: Settings, frames: slice | None) -> Video:
-    from vision.video import open_video
-
-    return open_video(
-        path, rotate=settings.rotate, frames=frames, fps=settings.fps, timestamps=settings.timestamps
-    )

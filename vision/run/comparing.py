@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from vision.comparison import Comparison
-from vision.errors import with_options
 from vision.figures import save_figures
 from vision.report.compare import write_compare_report
 from vision.run.folder import run_folder
@@ -48,17 +47,13 @@ def write_comparison(
         Where the folder exists (without ``overwrite``) or cannot be written; nothing is left then.
     """
     started = time.perf_counter()
-    lines = [
-        with_options(line, origin.options) if origin.options else line
-        for line in (*found.failures, *found.warnings)
-    ]
     facts: dict[str, Any] = {
         "command": origin.command,
         "versions": versions(),
         "parameters": dict(origin.parameters),
         "inputs": [describe_input(path) for path in origin.inputs],
         MARK: {"runs": [str(test.folder) for test in found.tests], "failures": list(found.failures)},
-        "warnings": lines,
+        "warnings": origin.named((*found.failures, *found.warnings)),
     }
     with run_folder(target, overwrite=overwrite) as folder:
         write_table(found.table, folder / "tests.csv")

@@ -58,6 +58,10 @@ class Origin:
     checksum: bool = False
     options: Mapping[str, str] = field(default_factory=dict)
 
+    def named(self, lines: Iterable[str]) -> list[str]:
+        """Messages with the command's options in place of Python's arguments, where a command writes."""
+        return [with_options(line, self.options) if self.options else line for line in lines]
+
 
 def write_run(
     analysis: Analysis,
@@ -159,13 +163,8 @@ def run_facts(analysis: Analysis, origin: Origin) -> dict[str, Any]:
     done = [part.attrs.get("operations", ()) for part in _parts(analysis)]
     longest = max(done, key=len, default=())
     facts["operations"] = [*longest, *(step for steps in done for step in steps if step not in longest)]
-    reasons = dict(zip(analysis.reasons, _named(analysis.reasons.values(), origin), strict=True))
-    return facts | {"warnings": _named(analysis.warnings, origin), "not_measured": reasons}
-
-
-def _named(lines: Iterable[str], origin: Origin) -> list[str]:
-    """Messages with the command's options in place of Python's arguments, where a command writes the run."""
-    return [with_options(line, origin.options) if origin.options else line for line in lines]
+    reasons = dict(zip(analysis.reasons, origin.named(analysis.reasons.values()), strict=True))
+    return facts | {"warnings": origin.named(analysis.warnings), "not_measured": reasons}
 
 
 def _parts(analysis: Analysis) -> list[Any]:
@@ -203,10 +202,10 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
     if analysis.fits is not None:
         write_json(analysis.fits.to_json(), folder / "models.json")
     elif "fits" in analysis.reasons:
-        write_json({"reason": _named([analysis.reasons["fits"]], origin)[0]}, folder / "models.json")
+        write_json({"reason": origin.named([analysis.reasons["fits"]])[0]}, folder / "models.json")
     if analysis.clock is not None:
         write_json(
-            asdict(analysis.clock) | {"warnings": _named(analysis.clock.warnings, origin)},
+            asdict(analysis.clock) | {"warnings": origin.named(analysis.clock.warnings)},
             folder / "clock.json",
         )
     if analysis.motion is not None:
