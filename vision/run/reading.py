@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from vision.files import check_regular, reading, shortened
 from vision.isolation import try_out
 from vision.numeric import Floats, Floats32
 from vision.run.folder import MARK
+from vision.run.provenance import describe_input
 from vision.run.tables import attrs_of_netcdf
 from vision.video.tiff_index import check_tiff
 
@@ -94,7 +96,12 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def read_table(run: RunFolder, name: str) -> pd.DataFrame | None:
     """One of the run's CSV tables; None where the run has none.  Raises: InputError for a damaged one."""
-    path = run.folder / f"{name}.csv"
+    return read_table_of(run.folder, name)
+
+
+def read_table_of(folder: Path, name: str) -> pd.DataFrame | None:
+    """`read_table` for a folder whose tracks need not be read."""
+    path = folder / f"{name}.csv"
     if not path.exists():
         return None
     with reading(path, "a table as track writes it", AGAIN):
@@ -109,7 +116,7 @@ def read_strip(run: RunFolder) -> xr.DataArray:
     Raises: InputError where the file is missing, damaged, or does not fit the tracks.
     """
     tracks, path = tracks_of(run), run.folder / "kymograph.tif"
-    values = _map_tif(path)
+    values = map_kymograph(path)
     frames = tracks.sizes["frame"]
     if values.ndim != 2 or len(values) != frames:
         raise InputError(path, f"{frames} rows, one per frame of tracks.nc", f"shape {values.shape}", AGAIN)
@@ -127,6 +134,44 @@ def read_strip(run: RunFolder) -> xr.DataArray:
         name="intensity",
         attrs=tracks.attrs | {"units": "grey level", "long_name": "mean intensity of the strip"},
     )
+
+
+def input_of(folder: Path, known: Mapping[str, Any], moved: Path | None = None) -> Path:
+    """A file that the run was made from.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    known
+        Its entry among run.json's inputs.
+    moved
+        Where it lies now, if not where it was.
+
+    Raises
+    ------
+    InputError
+        Where it is gone, or another file has its name: size and fingerprint are those in run.json.
+    """
+    named = Path(str(known["path"]))
+    places = [named, folder.absolute().parent / named] if moved is None else [moved]
+    path = next((place for place in places if _there(place)), None)
+    if path is None:
+        found, advice = "no such file", "say where it lies now (`film`)"
+        raise InputError(places[0], f"an input of {folder}", found, advice)
+    whole = "sha256" in known
+    now = describe_input(path, whole=whole)
+    if now["size_bytes"] != known["size_bytes"]:
+        found = f"one of {now['size_bytes']} bytes"
+        raise InputError(path, f"an input of {folder}, {known['size_bytes']} bytes", found)
+    kind = "sha256" if whole else "fingerprint"
+    if now.get(kind) != known.get(kind):
+        raise InputError(path, f"an input of {folder}", "another of the same size", "track it again")
+    return path
+
+
+def _there(place: Path) -> bool:
+    return place.exists() or bool(glob.glob(str(place)))  # noqa: PTH207  # may be absolute
 
 
 def slip_times_s(run: RunFolder) -> Floats | None:
@@ -176,8 +221,8 @@ def _check_numbers(tracks: xr.Dataset, path: Path, wanted: str) -> None:
         raise InputError(path, wanted, f"no numbers in {', '.join(odd)}", AGAIN)
 
 
-def _map_tif(path: Path) -> Floats32:
-    """The one page of a space-time diagram, on disk."""
+def map_kymograph(path: Path) -> Floats32:
+    """The one page of a space-time diagram, (frame, x), on disk.  Raises: InputError for a damaged file."""
     wanted = "a space-time diagram as track writes it"
     check_regular(path, wanted)
     check_tiff(path)
