@@ -44,7 +44,7 @@ export class Decisions {
 
   /** Which decisions make sense for this run. */
   offer() {
-    const { state } = this.page, without = { clock: !state.clock, strip: !state.has_film };
+    const { state } = this.page, without = { clock: !state.clock, strip: state.rows == null };
     for (const { kind } of KINDS) document.getElementById(`decide-${kind}`).disabled = Boolean(without[kind]) || !state.sheets.length;
   }
 

@@ -35,7 +35,7 @@ export class Film {
 
   draw(s, c) {
     const { view, page } = this, at = this.places();
-    const picture = page.state.has_film ? this.pictures.get(view.frame) : null;
+    const picture = page.state.rows != null ? this.pictures.get(view.frame) : null;
     if (picture) this.shown = picture;
     s.clipped(() => {
       c.fillStyle = "#3a3d41"; c.fillRect(s.left, s.top, s.plotWidth, s.plotHeight);
@@ -43,7 +43,7 @@ export class Film {
         const x0 = at.x(-0.5), y0 = at.y(0); // pixel centres are at integers, rows count edges
         c.imageSmoothingEnabled = at.perColumn < 2;
         c.drawImage(this.shown, x0, y0, this.shown.width * at.perColumn, this.shown.height * at.perRow);
-      } else this.notice(s, c, page.state.has_film ? "reading the film …" : "The film is not where the run found it.");
+      } else this.notice(s, c, page.state.rows != null ? "reading the film …" : "The film is not where the run found it.");
       this.strip(s, c, at);
       this.sheets(s, c, at);
     });
