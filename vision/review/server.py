@@ -169,6 +169,8 @@ class Api:
             "/api/frame/{frame:int}.png": self.frame,
             "/api/kymograph/{level:int}/{x:int}/{y:int}.png": self.tile,
             "/api/tracks": self.tracks,
+            "/api/times": self.times,
+            "/api/slips": self.slips,
             "/api/force": self.force,
             "/api/stick/{event:int}": self.stick,
             "/api/ridges/{frame:int}": self.ridges,
@@ -236,6 +238,14 @@ class Api:
         what = request.query_params.get("what", "x")
         return _floats(self.session.curves(first, stop, points, what))
 
+    def times(self, request: Request) -> Response:
+        """Seconds of the camera's clock as float64, one per frame."""
+        return _floats(self.session.positions.time_s[:, None])
+
+    def slips(self, request: Request) -> Response:
+        """Frames after the sheets' own steps, whatever the clock."""
+        return _json({"film": self.session.film_slips()})
+
     def force(self, request: Request) -> Response:
         """Time by the force clock, load and separation as float64, row after row."""
         points = max(2, min(_number(request, "points", 2000), MOST_POINTS))
@@ -283,7 +293,8 @@ class Api:
 
     def clock(self, request: Request, body: Mapping[str, Any]) -> Response:
         """Sticks and slips by another clock, which is not kept."""
-        return _json(self.session.clock_preview(body.get("offset_s"), body.get("drift_ppm", 0.0)))
+        offset_s, drift_ppm = body.get("offset_s"), body.get("drift_ppm", 0.0)
+        return _json(self.session.clock_preview(offset_s, drift_ppm, body.get("frame")))
 
     def save(self, request: Request, body: Mapping[str, Any]) -> Response:
         """Begin to re-run what follows from the decisions."""

@@ -17,6 +17,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Candidate, Clock, video_slips
+from vision.data import StripMetadata
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, minmax_decimate
@@ -212,6 +213,13 @@ class Session:
                     raise
             return self._film
 
+    def _film_facts(self) -> dict[str, Any]:
+        """Rows of the film's picture, or why there is none."""
+        try:
+            return {"rows": self.film().shape[0], "film_error": ""}
+        except InputError as error:
+            return {"rows": None, "film_error": str(error)}
+
     def _open_film(self) -> Video:
         path = input_of(self.folder, self._input(0), self._film_moved)
         chosen = self.settings
@@ -364,7 +372,7 @@ class Session:
                 "first_column": self.found.first_column,
                 "pixel_size_um": self.found.facts.get("parameters", {}).get("pixel_size", {}).get("value"),
                 "threshold": self.settings.threshold,
-                "strip": [strip.strip_z0, strip.strip_z1],
+                "strip": self._rows(strip),
                 "axis_px": facts.axis_px,
                 "axis_range_px": [facts.axis_low_px, facts.axis_high_px],
                 "pitch_px": facts.pitch_px,
@@ -374,6 +382,7 @@ class Session:
                 "warnings": self.found.facts.get("warnings", []),
             }
             lists = {
+                "has_force": self.found.events is not None,
                 "sheets": self.sheets(),
                 "doubts": self.doubts(),
                 "sticks": self.sticks(),
@@ -386,7 +395,12 @@ class Session:
                     "factor": self.tiles.settings.factor,
                 },
             }
-            return dict(plain(shape | lists | self.state()))
+            return dict(plain(shape | self._film_facts() | lists | self.state()))
+
+    def _rows(self, strip: StripMetadata) -> tuple[int, int]:
+        """Rows of the strip, as decided on."""
+        decided = last_of(self.pending, "strip")
+        return (strip.strip_z0, strip.strip_z1) if decided is None or decided.rows is None else decided.rows
 
     def state(self) -> dict[str, Any]:
         """What changes with each decision."""
@@ -469,6 +483,11 @@ class Session:
         else:
             at = self._video_slips_s()
         return sorted({int(frame) for frame in self._frames_at(at)})
+
+    def film_slips(self) -> list[int]:
+        """First frames after the sheets' own steps, whatever the clock."""
+        with self.lock:
+            return sorted({int(frame) for frame in self._frames_at(self._video_slips_s())})
 
     def _video_slips_s(self) -> Floats:
         if not hasattr(self, "_seen_slips_s"):
@@ -606,33 +625,46 @@ class Session:
             a = min(a, int(np.searchsorted(numbers, first)))
         return slice(a, b), at
 
-    def _event_at(self, row: int) -> int | None:
+    def _event_at(self, row: int, clock: Clock | None = None) -> int | None:
         """The stick in which a frame lies, where the clock is sure."""
-        clock, events = self.clock, self.found.events
+        clock, events = clock or self.clock, self.found.events
         if clock is None or events is None or clock.status not in READY:
             return None
         time_s = float(clock.to_force_s(self.positions.time_s[row]))
         inside = (events["t_v_s"] <= time_s) & (events["t_p_s"] >= time_s)
         return int(events["event"].to_numpy()[inside.to_numpy()][0]) if inside.any() else None
 
-    def _ratios(self, positions: Positions, event: int | None) -> list[dict[str, Any]]:
+    def _ratios(
+        self, positions: Positions, event: int | None, clock: Clock | None = None
+    ) -> list[dict[str, Any]]:
         """σ_x/Λ_st of one stick; nothing where it cannot be measured."""
         if event is None:
             return []
         try:
-            return _of_event(self._motion(positions, [event]), event)
+            return _of_event(self._motion(positions, [event], clock), event)
         except InputError:
             return []
 
-    def clock_preview(self, offset_s: Any, drift_ppm: Any = 0.0) -> dict[str, Any]:
-        """Sticks and slips by another clock.  Raises: InputError without a force recording."""
+    def clock_preview(self, offset_s: Any, drift_ppm: Any = 0.0, frame: Any = None) -> dict[str, Any]:
+        """Sticks and slips by another clock, and σ_x/Λ_st of the stick at a frame.
+
+        Raises
+        ------
+        InputError
+            Without a force recording.
+        """
         request = {"kind": "clock", "offset_s": offset_s, "drift_ppm": drift_ppm}
         decision = self.decision_of(request)
         if self.found.events is None:
             raise InputError("the clock", "a run with a force recording", "none")
         with self.lock:
             clock = _given(self.found.clock, decision)
-            return dict(plain({"sticks": self.sticks(clock), "slips": self.slips(clock)}))
+            by_it = {"sticks": self.sticks(clock), "slips": self.slips(clock)}
+            if not isinstance(frame, int):
+                return dict(plain(by_it))
+            event = self._event_at(self.positions.row_of(frame), clock)
+            after = self._ratios(self.positions, event, clock)
+            return dict(plain(by_it | {"event": event, "stick_after": after}))
 
     def strip_preview(self, rows: Any, frame: Any) -> dict[str, Any]:
         """Ridges of one frame in other rows, and the noise of positions in the frames about it.
@@ -708,7 +740,7 @@ class Session:
         motion = self._motion(positions, [event])
         return {"event": event, "preview": True, "shells": [], "sheets": _of_event(motion, event)}
 
-    def _motion(self, positions: Positions, wanted: list[int]) -> xr.Dataset:
+    def _motion(self, positions: Positions, wanted: list[int], clock: Clock | None = None) -> xr.Dataset:
         """Deformation in these sticks, with those around them for noise and camera movement.
 
         Raises
@@ -716,7 +748,7 @@ class Session:
         InputError
             Where clock, events or pixel size are missing, or the sticks lie outside the film.
         """
-        clock, events = self.clock, self.found.events
+        clock, events = clock or self.clock, self.found.events
         if clock is None or events is None:
             raise InputError("the run", "a force recording and its clock", "none", "give `force` to track")
         if clock.status not in READY:
