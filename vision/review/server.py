@@ -253,8 +253,12 @@ class Api:
         return _floats(self.session.force_curve(*span, points))
 
     def stick(self, request: Request) -> Response:
-        """σ_x/Λ_st of one stick."""
-        return _json(self.session.stick(request.path_params["event"]))
+        """σ_x/Λ_st of one stick, or why there is none: a page asks for each stick that the cursor passes."""
+        event = request.path_params["event"]
+        try:
+            return _json(self.session.stick(event))
+        except InputError as error:
+            return _json({"event": event, "sheets": [], "shells": [], "reason": with_options(str(error), {})})
 
     def ridges(self, request: Request) -> Response:
         """Candidates of one frame."""

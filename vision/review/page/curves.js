@@ -168,7 +168,7 @@ export class Force {
   /** Where the film shows slips: the force must drop there. */
   slips(s, c, x, colour) {
     c.strokeStyle = colour.right; c.lineWidth = 1; c.setLineDash([3, 3]);
-    for (const frame of this.page.state.film_slips) {
+    for (const frame of this.page.filmSlips ?? []) {
       const at = Math.round(x(frame)) + 0.5;
       line(c, at, s.top, at, s.top + s.plotHeight);
     }
@@ -204,9 +204,9 @@ export class Stick {
     const { page, view } = this, before = page.stick(view.frame), threshold = page.state.threshold;
     const after = before && view.effect?.stick?.event === before.event ? view.effect.stick : null;
     const x = this.place(s);
-    if (!before) {
+    if (!before?.sheets.length) {
       c.fillStyle = colour.soft; c.textAlign = "center"; c.textBaseline = "middle";
-      wrapped(c, page.noStick(), s.left, s.plotWidth, s.top + s.plotHeight / 2, s.size * 1.3); return;
+      wrapped(c, before?.reason ?? page.noStick(), s.left, s.plotWidth, s.top + s.plotHeight / 2, s.size * 1.3); return;
     }
     const values = [before, after].flatMap((stick) => stick?.sheets ?? []).map((one) => one.ratio).filter(Number.isFinite);
     const high = Math.max(2.2 * threshold, 1.12 * Math.max(0, ...values));

@@ -12,6 +12,7 @@ import { View } from "./view.js";
 
 const WATCH_MS = 2000;
 const RETRY_MS = 1000;
+const SLIP_FRAMES = 3; // in a slip the stick after it is shown
 const by = (id) => document.getElementById(id);
 
 const HELP = [
@@ -33,6 +34,7 @@ class Page {
     this.ridgeStore = new Store((key) => getJson(`api/ridges/${key.split("/")[1]}`), () => { this.drawAll(); if (this.decisions.open) this.decisions.offerRidges(); }, 200);
     this.stickStore = new Store((key) => getJson(`api/stick/${key.split("/")[1]}`), () => this.drawAll(), 100);
     this.view.measure({ begin, end: begin + frames, left: left - 0.5, right: left + columns - 0.5, sheets: this.columns(), times });
+    this.filmSlips = null; // asked for once the force is slid along the film
     this.doubt = null; // what the list shows as chosen
     this.views = {
       film: new Film(by("film"), this.view, this),
@@ -115,8 +117,8 @@ class Page {
   stick(frame) {
     const { sticks, revision, clock } = this.state;
     if (!clock || clock.status === "ambiguous") return null;
-    const phase = sticks.find((one) => frame >= one.first && frame < one.stop);
-    return phase ? this.stickStore.get(`${revision}/${phase.event}`) : null;
+    const phase = sticks.find((one) => frame < one.stop);
+    return phase && frame >= phase.first - SLIP_FRAMES ? this.stickStore.get(`${revision}/${phase.event}`) : null;
   }
 
   noStick() {
@@ -162,7 +164,7 @@ class Page {
     const [kind, text] = this.ended ? ["lost", "The review has ended"]
       : this.lost ? ["lost", "The program does not answer – trying again …"]
         : this.saving ? ["open", "Saving …"]
-          : state.changed ? ["open", waiting ? `${waiting} not in the tables yet` : "Tables are not up to date"]
+          : state.changed ? ["open", waiting ? `${waiting === 1 ? "1 decision" : `${waiting} decisions`} not in the tables yet` : "The tables hold what was undone"]
             : ["saved", this.savedAt ? `Saved at ${this.savedAt}` : "Tables are up to date"];
     const box = by("connection");
     if (box.textContent !== text) box.textContent = text;
@@ -171,6 +173,7 @@ class Page {
 
   listDoubts() {
     const list = by("doubts"), { doubts } = this.state;
+    by("doubts-view").classList.toggle("empty", !doubts.length);
     by("doubts-count").textContent = doubts.length ? `${doubts.length}, worst first` : "none left";
     list.replaceChildren();
     for (const doubt of doubts) {
@@ -221,7 +224,7 @@ class Page {
     }
     if (!entries.length) list.append(element("li", { class: "none" }, "Nothing decided yet."));
     by("history-count").textContent = decisions.length ? `${decisions.length} in force` : "";
-    list.children[Math.max(0, decisions.length - 1)]?.scrollIntoView({ block: "nearest" });
+    list.scrollTop = Math.max(0, (list.children[Math.max(0, decisions.length - 1)]?.offsetTop ?? 0) - list.offsetTop - 30);
   }
 
   /* ---- what is decided ---- */
@@ -235,8 +238,9 @@ class Page {
       return effectOfStrip(this.present.ridges, await post("api/strip", { rows: decision.rows, frame }));
     }
     if (decision.kind === "clock") {
+      this.filmSlips ??= (await getJson("api/slips")).film;
       const answer = await post("api/clock", { offset_s: decision.offset_s, drift_ppm: decision.drift_ppm, frame });
-      return effectOfClock(answer, state.film_slips, (at) => view.seconds(at), view.seconds(view.begin + 1) - view.seconds(view.begin), this.stick(frame));
+      return effectOfClock(answer, this.filmSlips, (at) => view.seconds(at), view.seconds(view.begin + 1) - view.seconds(view.begin), this.stick(frame));
     }
     return effectOn(await post("api/preview", { decision, frame }), decision, name);
   }
