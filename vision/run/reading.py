@@ -225,6 +225,6 @@ def map_kymograph(path: Path) -> Floats32:
     """The one page of a space-time diagram, (frame, x), on disk.  Raises: InputError for a damaged file."""
     wanted = "a space-time diagram as track writes it"
     check_regular(path, wanted)
-    check_tiff(path)
+    check_tiff(path, mapped=True)
     with reading(path, wanted, AGAIN):
         return np.asarray(tifffile.memmap(path, mode="r"))
