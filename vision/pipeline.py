@@ -11,7 +11,7 @@ import base64
 import math
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -36,6 +36,7 @@ from vision.sheets import (
     pixel_size_from_pitch,
     track_sheets,
 )
+from vision.sheets.corrections import OF_SHEETS, last_of, ordered
 from vision.shells import ShellSettings, classify_shells
 from vision.summary import consistency_warnings, summary_lines, tracking_warnings
 from vision.video import Video, VideoSettings, open_video, reference_frame, strip_profile
@@ -80,7 +81,8 @@ class Settings:
     fit, window_px
         Subpixel method ("auto", "sliding", "paper" or "template") and its window: odd, or "auto".
     corrections
-        Decisions by hand about identities, from `vision.sheets.read_corrections`.
+        Decisions by hand, from `vision.sheets.read_corrections`. Those about the strip, the axis and the
+        clock go before `rows`, `axis_px` and `offset_s`.
     pixel_size_um
         µm per pixel; without it there are no lengths in µm and no deformation.
     pitch_um
@@ -244,6 +246,7 @@ def analyse(
     force: xr.Dataset | str | Path | None = None,
     settings: Settings | None = None,
     *,
+    earlier: Analysis | None = None,
     progress: Progress | None = None,
 ) -> Analysis:
     """Every stage of one test, in order.
@@ -256,6 +259,10 @@ def analyse(
         A testing machine's file, or a recording from `read_force`; None for a video alone.
     settings
         What is not to be found from the data.
+    earlier
+        An analysis of the same video with settings that differ in their corrections alone. Its strip, tracks
+        and clock are taken over as far as no decision changes them; without a change of the strip the video
+        is not read, and need not be given.
     progress
         Called with (frames done, total frames or None) while the video is read.
 
@@ -277,16 +284,23 @@ def analyse(
     # A force file that is not understood is refused before the long work of reading a video.
     machine = None if force is None else stage.must("reading force", lambda: _recording(force, chosen))
     recording = None if video is None else open_recording(video, chosen)
-    strip = frame = tracks = None
+    kept = _kept(earlier, chosen)
+    strip, tracks, clock, frame = kept.strip, kept.tracks, kept.clock, None
     if recording is not None:
-        strip = stage.must("reading", lambda: _strip(recording, chosen, progress))
+        if strip is None:
+            strip = stage.must("reading", lambda: _strip(recording, chosen, progress))
         frame = stage.must("first frame", lambda: reference_frame(recording))
-        tracks = stage.must("tracking", lambda: _tracks(strip, chosen))
+    elif earlier is not None and strip is None:
+        raise InputError("the strip", "the film, to be read again", "none", "say where it lies (`film`)")
+    if strip is not None:
+        if tracks is None:
+            tracks = stage.must("tracking", lambda: _tracks(strip, chosen))
         if chosen.pitch_um is not None:
             chosen = replace(chosen, pixel_size_um=pixel_size_from_pitch(tracks, chosen.pitch_um))
-    sticks = stage.may("sticks", _sticks, machine, settings=chosen, needed=recording is None)
+    sticks = stage.may("sticks", _sticks, machine, settings=chosen, needed=strip is None)
     fits = stage.may("fits", _fits, machine, sticks, settings=chosen)
-    clock = stage.may("clock", _clock, tracks, machine, sticks, settings=chosen)
+    if clock is None:
+        clock = stage.may("clock", _clock, tracks, machine, sticks, settings=chosen)
     motion = stage.may("motion", _motion, tracks, sticks, clock, settings=chosen)
     shells = stage.may(
         "shells", lambda moved, settings: _shells(moved, fits, settings), motion, settings=chosen
@@ -308,6 +322,28 @@ def analyse(
         seconds=stage.seconds,
     )
     return replace(analysis, warnings=_warnings(analysis))
+
+
+def _kept(earlier: Analysis | None, chosen: Settings) -> Analysis:
+    """Strip, tracks and clock of an earlier analysis, as far as no decision about them, or about what they
+    follow from, is another one now."""
+    if earlier is None:
+        return Analysis(settings=chosen)
+
+    def decided(kinds: Sequence[str]) -> list[list[Any]]:
+        parts = (earlier.settings.corrections, chosen.corrections)
+        return [[one.what for one in ordered(part) if one.kind in kinds] for part in parts]
+
+    def same(kind: str) -> bool:
+        before, now = decided((kind,))
+        return before[-1:] == now[-1:]
+
+    of_sheets = decided(OF_SHEETS)
+    strip = earlier.strip if same("strip") else None
+    as_tracked = strip is not None and same("axis") and of_sheets[0] == of_sheets[1]
+    tracks = earlier.tracks if as_tracked else None
+    clock = earlier.clock if tracks is not None and same("clock") else None
+    return Analysis(settings=chosen, strip=strip, tracks=tracks, clock=clock)
 
 
 class _Stages:
@@ -363,9 +399,9 @@ def open_recording(video: Video | str | Path, chosen: Settings) -> Video:
 
 def _strip(video: Video, chosen: Settings, progress: Progress | None) -> xr.DataArray:
     _check_lengths(chosen, video.shape[1])
-    return strip_profile(
-        video, chosen.rows, columns=chosen.columns, progress=progress, settings=chosen.tuning.video
-    )
+    decided = last_of(chosen.corrections, "strip")
+    rows = chosen.rows if decided is None or decided.rows is None else slice(*decided.rows)
+    return strip_profile(video, rows, columns=chosen.columns, progress=progress, settings=chosen.tuning.video)
 
 
 def _check_lengths(chosen: Settings, width_px: int) -> None:
@@ -427,7 +463,11 @@ def _fits(force: xr.Dataset, sticks: pd.DataFrame, chosen: Settings) -> ModelFit
 
 
 def _clock(tracks: xr.Dataset, force: xr.Dataset, sticks: pd.DataFrame, chosen: Settings) -> Clock:
-    return synchronise(tracks, force, sticks, offset_s=chosen.offset_s, settings=chosen.tuning.clock)
+    decided = last_of(chosen.corrections, "clock")
+    offset_s, drift_ppm = (chosen.offset_s, 0.0) if decided is None else (decided.offset_s, decided.drift_ppm)
+    return synchronise(
+        tracks, force, sticks, offset_s=offset_s, drift_ppm=drift_ppm, settings=chosen.tuning.clock
+    )
 
 
 def _motion(tracks: xr.Dataset, sticks: pd.DataFrame, clock: Clock, chosen: Settings) -> xr.Dataset:

@@ -14,6 +14,7 @@ from vision.command.options import (
     SampleOptions,
     TestOptions,
     VideoOptions,
+    option_names,
     settings_of,
 )
 from vision.command.track import run_name, track
@@ -94,7 +95,7 @@ def review(
         raise InputError(
             folder, "a run without further options", "some", "give the video, or run track again"
         )
-    session = Session(folder, settings_of_run(folder), film=film)
+    session = Session(folder, settings_of_run(folder), film=film, options=option_names())
 
     def opened(address: str) -> None:
         say([f"review     {address}", "           Ctrl-C ends it"])

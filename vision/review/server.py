@@ -166,6 +166,7 @@ class Api:
             "/page/{name}": self.file,
             "/api/run": self.run,
             "/api/state": self.state,
+            "/api/film": self.film,
             "/api/frame/{frame:int}.png": self.frame,
             "/api/kymograph/{level:int}/{x:int}/{y:int}.png": self.tile,
             "/api/tracks": self.tracks,
@@ -221,6 +222,14 @@ class Api:
 
     def _company(self, request: Request) -> dict[str, Any]:
         return {"other_windows": self._windows.others(request.headers.get("x-window", ""))}
+
+    def film(self, request: Request) -> Response:
+        """The film's picture, or why it cannot be shown."""
+        try:
+            rows, columns = self.session.film().shape
+        except InputError as error:
+            return _json({"rows": None, "columns": None, "error": with_options(str(error), {})})
+        return _json({"rows": rows, "columns": columns, "error": ""})
 
     def frame(self, request: Request) -> Response:
         """One frame of the film."""

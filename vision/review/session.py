@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import os
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from threading import RLock
 from typing import Any, Self
@@ -24,13 +24,15 @@ from vision.figures.decimate import grey_levels, minmax_decimate
 from vision.force import read_force
 from vision.numeric import Floats, Floats32, Ints, Pixels
 from vision.pipeline import Settings
-from vision.review.editing import Diagram, Undo, apply, comb_of, usual_places
+from vision.review.editing import Before, Diagram, apply, comb_of, take_back, usual_places
 from vision.review.film import Film
 from vision.review.positions import FLAGS, WHYS, Positions, read_positions
+from vision.review.saving import Job, Saver, pack, unpack
 from vision.review.tiles import Tiles, encode_png
 from vision.run.folder import MARK
 from vision.run.provenance import plain
 from vision.run.reading import input_of, map_kymograph, read_json, read_table_of
+from vision.run.writing import CORRECTIONS
 from vision.sheets.corrections import (
     KEYS,
     OF_STRETCHES,
@@ -50,7 +52,7 @@ from vision.shells import classify_sheets
 from vision.video import Video, open_video
 from vision.video.strip import row_means
 
-CORRECTIONS = "corrections.toml"
+REPLACED = "corrections.npz"  # what saved decisions replaced, so that they can be taken back
 STICKS_AROUND = 3  # on each side of a stick, from which noise and camera movement are measured anew
 SHOWN_ROWS = 400  # of a preview
 MOST_ROWS = 2000  # on which a preview works
@@ -141,6 +143,10 @@ class Session:
         The run folder.
     settings
         As the run was made with; its corrections are not used, those of the folder are.
+    film
+        Where the film lies now, if not where it was when it was tracked.
+    options
+        Names of arguments and the command's options that a report shows in their place.
 
     Notes
     -----
@@ -148,8 +154,16 @@ class Session:
     follow when it is saved.
     """
 
-    def __init__(self, folder: Path, settings: Settings, *, film: Path | None = None) -> None:
-        self.folder, self.settings = folder, settings
+    def __init__(
+        self,
+        folder: Path,
+        settings: Settings,
+        *,
+        film: Path | None = None,
+        options: Mapping[str, str] | None = None,
+    ) -> None:
+        self.folder, self.settings, self.options = folder, settings, dict(options or {})
+        self.saver = Saver(self._saved)
         self._film_moved = film
         self._film: Film | None = None
         self._film_reason = ""
@@ -175,22 +189,43 @@ class Session:
         self.applied = self.found.applied
         path = self.folder / CORRECTIONS
         decided = read_decisions(path) if path.exists() else Decisions(corrections=tuple(self.applied))
-        self.decisions: list[Correction] = []
         self.undone = list(decided.undone)
-        self._undo: list[Undo | None] = []
-        self.unsettled: list[str] = []  # what is shown as saved although it was undone
-        for decision in decided.corrections:
-            if len(self.decisions) < len(self.applied) and _same(decision, self.applied[len(self.decisions)]):
-                self.decisions.append(decision)
-                self._undo.append(None)
-            else:
-                self._apply(decision)
+        self.decisions: list[Correction] = []
+        self._before: list[Before | None] = []  # what each replaced, None where it is not known
+        self.unseen: list[Correction] = []  # taken back, but shown as if it were not until the run is saved
+        as_saved = list(decided.corrections[: len(self.applied)])
+        if [one.what for one in as_saved] == [one.what for one in self.applied]:
+            kept = unpack(self.folder / REPLACED)
+            self.decisions += as_saved
+            self._before += (kept + [None] * len(as_saved))[: len(as_saved)]
+        else:
+            self._take_back_saved(decided)
+        for decision in decided.corrections[len(self.decisions) :]:
+            self._apply(decision)
+
+    def _take_back_saved(self, decided: Decisions) -> None:
+        """From the decisions that the run follows to those that were still held when it was left."""
+        kept = unpack(self.folder / REPLACED)
+        same = _common(self.applied, decided.corrections)
+        self.decisions = list(self.applied)
+        self._before = (kept + [None] * len(self.applied))[: len(self.applied)]
+        while len(self.decisions) > same:
+            self._step_back()
 
     def _apply(self, decision: Correction) -> None:
-        self.positions, undo = apply(self.positions, decision, self.diagram)
+        self.positions, before = apply(self.positions, decision, self.diagram)
         self.decisions.append(decision)
-        self._undo.append(undo)
+        self._before.append(before)
         self.revision += 1
+
+    def _step_back(self) -> Correction:
+        decision, before = self.decisions.pop(), self._before.pop()
+        if before is None:
+            self.unseen.append(decision)
+        else:
+            self.positions = take_back(self.positions, before)
+        self.revision += 1
+        return decision
 
     def __enter__(self) -> Self:
         return self
@@ -275,18 +310,42 @@ class Session:
     # --- saving ---------------------------------------------------------------------------------------------
 
     def save(self) -> None:
-        """Begin to re-run what follows from the decisions."""
-        raise InputError("save", "a run that can be saved", "none")
+        """Begin to re-run what follows from the decisions.  Raises: InputError while that is being done."""
+        with self.lock:
+            self.saver.start(
+                Job(
+                    folder=self.folder,
+                    settings=self.settings,
+                    applied=tuple(self.applied),
+                    decisions=self._held(),
+                    clock=self.found.clock,
+                    film=self._film_moved,
+                    beside={REPLACED: pack(self._before)} if self._before else {},
+                    options=self.options,
+                )
+            )
 
     def saving(self) -> dict[str, Any]:
         """How far saving is."""
-        return {"running": False, "stage": "", "error": "", "changed": self.changed}
+        saver = self.saver
+        return {"running": saver.running, "stage": saver.stage, "error": saver.error, "changed": self.changed}
+
+    def _saved(self) -> None:
+        with self.lock:
+            self._load()
+            self.revision += 1
+
+    def _check_free(self) -> None:
+        """Decisions wait while the run is made again.  Raises: InputError."""
+        if self.saver.running:
+            raise InputError("the run", "a run that is not being saved", "one that is", "wait for its end")
 
     # --- decisions ------------------------------------------------------------------------------------------
 
     def decide(self, request: Mapping[str, Any]) -> None:
         """Keep a decision.  Raises: InputError where it does not fit; nothing is kept then."""
         with self.lock:
+            self._check_free()
             self._apply(self.decision_of(request, dated=True))
             self.undone.clear()
             self._write()
@@ -294,25 +353,23 @@ class Session:
     def undo(self) -> None:
         """Take the last decision back.  Raises: InputError without one."""
         with self.lock:
+            self._check_free()
             if not self.decisions:
                 raise InputError("undo", "a decision to take back", "none")
-            self.undone.append(self.decisions.pop())
-            step = self._undo.pop()
-            if step is not None:
-                self.positions = step(self.positions)
-            self.revision += 1
+            self.undone.append(self._step_back())
             self._write()
 
     def redo(self) -> None:
         """Make the last decision that was taken back again.  Raises: InputError without one."""
         with self.lock:
+            self._check_free()
             if not self.undone:
                 raise InputError("redo", "a decision that was taken back", "none")
             again = self.undone[-1]
-            place = len(self.decisions)
-            if place < len(self.applied) and _same(again, self.applied[place]) and not self.pending:
+            if self.unseen and self.unseen[-1].what == again.what:
+                self.unseen.pop()
                 self.decisions.append(again)
-                self._undo.append(None)
+                self._before.append(None)
                 self.revision += 1
             else:
                 self._apply(again)
@@ -322,12 +379,7 @@ class Session:
     @property
     def pending(self) -> list[Correction]:
         """Decisions that the run's tables do not follow yet."""
-        same = 0
-        for one, other in zip(self.decisions, self.applied, strict=False):
-            if not _same(one, other):
-                break
-            same += 1
-        return self.decisions[same:]
+        return self.decisions[_common(self.applied, self.decisions) :]
 
     @property
     def changed(self) -> bool:
@@ -342,15 +394,26 @@ class Session:
         allowed = (*KEYS[kind], *OPTIONAL.get(kind, ()))
         entry = {name: value for name, value in request.items() if name in allowed}
         if dated:
-            entry["date"] = datetime.now(UTC).isoformat(timespec="milliseconds")
+            entry["date"] = self._now()
         return correction_of(kind, entry, "the decision")
+
+    def _now(self) -> str:
+        """The time, later than the last decision's whatever the machine's clock says: dates are the order."""
+        last = max((one.date for one in self.decisions if one.date), default="")
+        now = datetime.now(UTC)
+        if last:
+            earliest = datetime.fromisoformat(last) + timedelta(milliseconds=1)
+            now = max(now, earliest.astimezone(UTC))
+        return now.isoformat(timespec="milliseconds")
 
     def _write(self) -> None:
         """corrections.toml, whole and on the disk when this returns."""
-        decisions = Decisions(
+        write_durably(self.folder / CORRECTIONS, corrections_text(self._held()))
+
+    def _held(self) -> Decisions:
+        return Decisions(
             corrections=tuple(self.decisions), undone=tuple(self.undone), film=self.found.film_checksum
         )
-        write_durably(self.folder / CORRECTIONS, corrections_text(decisions))
 
     # --- what is shown --------------------------------------------------------------------------------------
 
@@ -379,6 +442,7 @@ class Session:
                 "ridge_fwhm_px": facts.ridge_fwhm_px,
                 "ridges": facts.ridges,
                 "flags": FLAGS,
+                "has_force": self.found.events is not None,
                 "warnings": self.found.facts.get("warnings", []),
             }
             lists = {
@@ -421,6 +485,8 @@ class Session:
             "can_undo": bool(self.decisions),
             "can_redo": bool(self.undone),
             "changed": self.changed,
+            "unseen": [one.text() for one in self.unseen],
+            "saving": self.saving(),
         }
 
     def sheets(self) -> list[dict[str, Any]]:
@@ -840,8 +906,10 @@ def _listed(one: Correction) -> dict[str, Any]:
     return {"kind": one.kind, "text": one.text(), "date": one.date, "entry": one.entry()}
 
 
-def _same(one: Correction, other: Correction) -> bool:
-    return one.kind == other.kind and one.entry() == other.entry()
+def _common(one: Sequence[Correction], other: Sequence[Correction]) -> int:
+    """How many decisions from the first on say the same in both."""
+    pairs = enumerate(zip(one, other, strict=False))
+    return next((k for k, (a, b) in pairs if a.what != b.what), min(len(one), len(other)))
 
 
 def _owners(x: Floats, positions: Floats | Floats32) -> Ints:

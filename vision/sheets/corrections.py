@@ -80,6 +80,7 @@ KEYS: Mapping[str, tuple[str, ...]] = {
 """Kinds of corrections, and what an entry of each must hold."""
 OPTIONAL: Mapping[str, tuple[str, ...]] = {"clock": ("drift_ppm",)}
 """What else an entry may hold, beside its date."""
+ROWS_AT_ONCE = 256  # in which a ridge is looked for together; the result does not depend on it
 OF_STRETCHES = ("accept", "leave_out", "swap", "assign")
 OF_SHEETS = (*OF_STRETCHES, "add", "delete")
 """Kinds that change which ridge is which sheet; the others change one number of the run."""
@@ -145,6 +146,11 @@ class Correction:
             case _:
                 drift = f", drift {self.drift_ppm:.1f} ppm" if self.drift_ppm else ""
                 return f"force clock at {self.offset_s:.4f} s at video time 0{drift}"
+
+    @property
+    def what(self) -> tuple[str, dict[str, Any]]:
+        """What it says, whenever and wherever it was said."""
+        return self.kind, replace(self, date="").entry()
 
     def entry(self) -> dict[str, Any]:
         """As it stands in a file, without its kind."""
@@ -471,14 +477,11 @@ def _apply_to_stretch(
         _put(arrays, doubted, sheet, arrays["withheld_px"][doubted, sheet], ridges, "missing")
     else:
         others = np.delete(arrays["start_px"], sheet, axis=1)
-        x, taken = _followed(correction, rows, others, ridges, comb, origin_px, settings)
-        if taken is not None:
-            raise InputError(
-                correction.name,
-                "a ridge that is no other sheet's",
-                f"sheet {taken[1] + (taken[1] >= sheet)}'s in frame {correction.first + taken[0]}",
-                "swap the two, or leave the other one out",
-            )
+        x = follow_ridge(correction, rows, others, ridges, comb, origin_px=origin_px, settings=settings)
+        shared = np.argwhere(others[rows] == x[:, None])
+        if len(shared):
+            row, other = (int(place) for place in shared[0])
+            raise not_taken(correction, correction.first + row, other + (other >= sheet))
         _put(arrays, rows, sheet, x, ridges, "missing")
 
 
@@ -496,11 +499,11 @@ def _added(
     frames = len(others)
     x = np.full(frames, np.nan)
     for rows in (np.arange(row, frames), np.arange(row, -1, -1)):
-        x[rows], taken = _followed(correction, rows, others, ridges, comb, origin_px, settings)
-        if taken is not None and taken[0] == 0:
-            found = f"sheet {taken[1]}'s in frame {correction.first}"
-            raise InputError(correction.name, "a ridge that is no sheet's", found)
-    x[(others == x[:, None]).any(axis=1)] = np.nan
+        x[rows] = follow_ridge(correction, rows, others, ridges, comb, origin_px=origin_px, settings=settings)
+    shared = others == x[:, None]
+    if shared[row].any():
+        raise not_taken(correction, correction.first, int(shared[row].argmax()))
+    x[shared.any(axis=1)] = np.nan
     usual = np.where(np.isfinite(others[row]), others[row], nan_median(others, axis=0))
     place = int((usual < x[row]).sum())
     empty = {"flag": "missing", "why": ""}
@@ -550,34 +553,87 @@ def _put(arrays: dict[str, Any], rows: Ints, sheet: int, x: Floats, ridges: Ridg
     arrays["withheld_px"][rows, sheet] = np.nan
 
 
-def _followed(
+def follow_ridge(
     correction: Correction,
     rows: Ints,
     others: Floats,
     ridges: Ridges,
     comb: RidgeComb,
-    origin_px: float,
-    settings: TrackingSettings,
-) -> tuple[Floats, tuple[int, int] | None]:
-    """The ridge nearest to the column in the first row, then in each row the one nearest to where the other
-    sheets' motion takes it; NaN where none is near.
+    *,
+    origin_px: float = 0.0,
+    settings: TrackingSettings = DEFAULT,
+) -> Floats:
+    """The ridge nearest to a column in the first row, then in each row the one nearest to where the other
+    sheets' motion takes it.
 
-    Also where it first is another sheet's: place among the rows, and place among the others.
+    Parameters
+    ----------
+    correction
+        Its x_px is the column, as in the picture.
+    rows
+        Of the next two, in the order in which the ridge is followed.
+    others
+        Whole pixels of the other sheets, (frame, sheet).
+    ridges
+        Candidates of every frame.
+    comb
+        Pitch of the ridges.
+    origin_px
+        Column of the profile's first pixel in the picture.
+    settings
+        How near a ridge must be to be the one that is meant.
+
+    Returns
+    -------
+    Whole pixels, one per row; NaN where none is near.
+
+    Raises
+    ------
+    InputError
+        Where none is near the column in the first row.
     """
     moved = np.nan_to_num(nan_median(np.diff(others[rows], axis=0), axis=1))
     reach = settings.faint_reach * comb.pitch_px
+    travelled = np.concatenate([[0.0], np.cumsum(moved)])
+    still = ridges.x_px[rows] - travelled[:, None]  # as seen by one who moves with the other sheets
     x = np.full(len(rows), np.nan)
     at = float(correction.x_px or 0.0) - origin_px
-    for i, row in enumerate(rows):
-        at += float(moved[i - 1]) if i else 0.0
-        distance = np.nan_to_num(np.abs(ridges.x_px[row] - at), nan=np.inf)
-        nearest = int(np.argmin(distance))
-        if distance[nearest] > reach:
-            if i == 0:
-                seen = ridges.x_px[row][np.isfinite(ridges.x_px[row])] + origin_px
-                found = ", ".join(f"{place:.0f}" for place in seen) or "none"
-                raise InputError(correction.name, f"a ridge near x_px = {correction.x_px:g}", found)
-            continue
-        x[i] = at = float(ridges.x_px[row, nearest])
-    shared = np.argwhere(others[rows] == x[:, None])
-    return x, (int(shared[0, 0]), int(shared[0, 1])) if len(shared) else None
+    begin = 0
+    while begin < len(rows):
+        block = still[begin : begin + ROWS_AT_ONCE]
+        guess, near = _nearest_to(block, np.full(len(block), at), reach)
+        if begin == 0 and not near[0]:
+            seen = ridges.x_px[rows[0]][np.isfinite(ridges.x_px[rows[0]])] + origin_px
+            found = ", ".join(f"{place:.0f}" for place in seen) or "none"
+            raise InputError(correction.name, f"a ridge near x_px = {correction.x_px:g}", found)
+        before = _last_before(np.where(near, block[np.arange(len(block)), guess], np.nan), at)
+        best, close = _nearest_to(block, before, reach)  # from where it was last, row by row
+        wrong = np.flatnonzero((best != guess) | (close != near))
+        done = slice(0, int(wrong[0]) + 1 if len(wrong) else len(block))  # up to there `before` is right
+        taken = np.flatnonzero(close[done])
+        x[begin + taken] = ridges.x_px[rows[begin + taken], best[taken]]
+        if len(taken):
+            at = float(block[taken[-1], best[taken[-1]]])
+        begin += done.stop
+    return x
+
+
+def _nearest_to(candidates: Floats, places: Floats, reach: float) -> tuple[Ints, Bools]:
+    """Which candidate of each row is nearest to the row's place, and whether it is within reach."""
+    distance = np.abs(candidates - places[:, None])
+    distance = np.where(np.isfinite(distance), distance, np.inf)
+    best = distance.argmin(axis=1)
+    return best, distance[np.arange(len(best)), best] <= reach
+
+
+def _last_before(values: Floats, first: float) -> Floats:
+    """The last known value before each; `first` before the first."""
+    earlier = np.concatenate([[first], values[:-1]])
+    number = np.maximum.accumulate(np.where(np.isfinite(earlier), np.arange(len(earlier)), 0))
+    return np.asarray(earlier[number], np.float64)
+
+
+def not_taken(correction: Correction, frame: int, sheet: int) -> InputError:
+    """The refusal of a ridge that is another sheet's."""
+    found, advice = f"sheet {sheet}'s in frame {frame}", "swap the two, or leave the other one out"
+    return InputError(correction.name, "a ridge that is no other sheet's", found, advice)
