@@ -162,7 +162,7 @@ def _accepted(
 ) -> tuple[Floats, NDArray[Any]]:
     """Positions and flags of these rows, with the doubted ridges measured."""
     sheet = decision.sheets[0]
-    x, flag = positions.x_px[part, sheet].copy(), positions.flag[part, sheet].copy()
+    x, flag = positions.x_px[part, sheet].astype(np.float64), positions.flag[part, sheet].copy()
     doubted = np.flatnonzero(flag == DOUBTFUL)
     if not len(doubted):
         raise InputError(decision.name, "a doubtful stretch to accept", "none in these frames")

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from threading import RLock
-from typing import Any, Self
+from typing import IO, Any, Self
 
 import numpy as np
 import pandas as pd
@@ -52,6 +52,11 @@ from vision.sheets.subpixel import fit_sheets, position_noise
 from vision.shells import classify_sheets
 from vision.video import Video, open_video
 from vision.video.strip import row_means
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 REPLACED = "corrections.npz"  # what saved decisions replaced, so that they can be taken back
 STICKS_AROUND = 3  # on each side of a stick, from which noise and camera movement are measured anew
@@ -163,6 +168,7 @@ class Session:
         self._film_reason = ""
         self.lock = RLock()
         self.revision = 0
+        self._claim = claim(folder)
         self._around: tuple[int, list[Pixels], int] = (-1, [], 0)
         self._measured: tuple[int | None, int, list[dict[str, Any]]] = (None, -1, [])
         self._grey: tuple[float, float] | None = None
@@ -171,6 +177,8 @@ class Session:
 
     def _load(self) -> None:
         """Read the folder, then take up the decisions that its tables do not follow yet."""
+        if hasattr(self, "diagram"):
+            self.diagram.close()
         self.found = Found.of(self.folder)
         columns = self.settings.columns
         first = 0 if columns is None else columns.start or 0
@@ -229,7 +237,9 @@ class Session:
         return self
 
     def __exit__(self, *error: object) -> None:
-        return None
+        self.saver.wait()
+        self.diagram.close()
+        self._claim.close()
 
     # --- film and force -------------------------------------------------------------------------------------
 
@@ -923,6 +933,34 @@ def _worst(frame: Floats, codes: Any, points: int) -> tuple[Floats, Any]:
         return frame, codes
     starts = np.arange(0, len(frame), -(-len(frame) // points))
     return frame[starts], np.maximum.reduceat(codes, starts, axis=0)
+
+
+def claim(folder: Path) -> IO[str]:
+    """An open file beside the run folder that keeps others from reviewing it; they may once it is closed.
+
+    Beside it, as saving puts another folder in the run's place. The claim ends with the process, however that
+    ends. Where the system has no such locks (Windows) nothing is claimed.
+
+    Raises
+    ------
+    InputError
+        Where another process reviews the run, or the place cannot be written.
+    """
+    path = folder.resolve()
+    path = path.with_name(f".{path.name}.review")
+    try:
+        file = path.open("w", encoding="utf-8")
+    except OSError as error:
+        found = (error.strerror or str(error)).lower()
+        raise InputError(path, "a place that can be written", found, "copy the run folder") from error
+    if fcntl is not None:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            file.close()
+            found, advice = "a review of it that is open", "go to its window, or end it there"
+            raise InputError(folder, "a run that nobody reviews now", found, advice) from None
+    return file
 
 
 def write_durably(path: Path, text: str) -> None:
