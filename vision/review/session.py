@@ -177,8 +177,6 @@ class Session:
 
     def _load(self) -> None:
         """Read the folder, then take up the decisions that its tables do not follow yet."""
-        if hasattr(self, "diagram"):
-            self.diagram.close()
         self.found = Found.of(self.folder)
         columns = self.settings.columns
         first = 0 if columns is None else columns.start or 0
@@ -340,7 +338,9 @@ class Session:
 
     def _saved(self) -> None:
         with self.lock:
+            earlier = self.diagram
             self._load()
+            earlier.close()
             self.revision += 1
 
     def _check_free(self) -> None:

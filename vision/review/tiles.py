@@ -104,7 +104,7 @@ class Tiles:
         return out
 
     def _grey(self, values: Floats32) -> Grey:
-        """8 bits; frames that are not there are mid-grey. In parts, as it takes more memory than the result."""
+        """8 bits; frames that are not there are mid-grey. In parts, as this takes more than the result."""
         starts = range(0, len(values), self.settings.rows)
         parts = [grey_levels(values[k : k + self.settings.rows], self.low, self.high) for k in starts]
         return np.concatenate(parts)
