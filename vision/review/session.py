@@ -450,7 +450,6 @@ class Session:
                 "sheets": self.sheets(),
                 "doubts": self.doubts(),
                 "sticks": self.sticks(),
-                "slips": self.slips(),
                 "clock": None if self.clock is None else self.clock.to_json(),
                 "tiles": {
                     "levels": self.tiles.levels,
