@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.numeric import Floats, Floats32, Ints, nan_median
+from vision.numeric import Floats, Ints, nan_median
+from vision.review.diagram import Diagram
 from vision.review.positions import CELLS, DOUBTFUL, FLAGS, Positions
 from vision.sheets.corrections import OF_SHEETS, Correction, check_there, follow_ridge, not_taken
 from vision.sheets.numbering import number_sheets
-from vision.sheets.ridges import Polarity, RidgeComb, Ridges, find_ridges
-from vision.sheets.settings import TrackingSettings
+from vision.sheets.ridges import Ridges
 from vision.sheets.subpixel import FitName, fit_sheets
 
 BLOCK = 2048  # frames in which a ridge is followed at a time, so that candidates take little memory
@@ -24,30 +24,6 @@ SAME_RIDGE_PX = 2.0
 """Distance within which a position and a candidate's whole pixel are one ridge: fits end that near to where
 they start. More would join neighbours that are 4 px apart."""
 _EMPTY: Mapping[str, Any] = {"flag": FLAGS.index("missing"), "why": 0}
-
-
-@dataclass(frozen=True)
-class Diagram:
-    """I(x, t) with what is needed to find its ridges again.
-
-    Parameters
-    ----------
-    values
-        (frame, x), grey levels; may be memory-mapped.
-    first_column
-        Of the picture, at which it begins.
-    settings
-        Of the tracking.
-    """
-
-    values: Floats32
-    first_column: int
-    settings: TrackingSettings
-
-    def ridges(self, positions: Positions, rows: slice | Ints) -> Ridges:
-        """Candidates in these frames, as the tracking saw them; columns counted from the diagram's first."""
-        profile = np.asarray(self.values[rows], np.float32)
-        return find_ridges(profile, comb_of(positions), settings=self.settings)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,17 +53,9 @@ class Before:
     axis_how: str = ""
 
 
-def comb_of(positions: Positions) -> RidgeComb:
-    """What the ridges look like, as the tracking measured it."""
-    facts = positions.track_facts
-    polarity: Polarity = "bright" if facts.ridges == "bright" else "dark"
-    sizes = facts.ridge_fwhm_px, facts.pitch_px, facts.contrast, facts.profile_noise
-    return RidgeComb(polarity, *sizes, float(facts.sheets), 0.0)
-
-
 def usual_places(positions: Positions) -> Floats:
     """Median position of every sheet, from frames spread over the run."""
-    return nan_median(positions.x_px[:: max(1, len(positions.x_px) // MEDIAN_ROWS)])
+    return nan_median(positions.x_px[:: max(1, len(positions.x_px) // MEDIAN_ROWS)].astype(np.float64))
 
 
 def usual_errors(positions: Positions) -> Floats:
@@ -194,7 +162,7 @@ def _accepted(
 ) -> tuple[Floats, NDArray[Any]]:
     """Positions and flags of these rows, with the doubted ridges measured."""
     sheet = decision.sheets[0]
-    x, flag = positions.x_px[part, sheet].copy(), positions.flag[part, sheet].copy()
+    x, flag = positions.x_px[part, sheet].astype(np.float64), positions.flag[part, sheet].copy()
     doubted = np.flatnonzero(flag == DOUBTFUL)
     if not len(doubted):
         raise InputError(decision.name, "a doubtful stretch to accept", "none in these frames")
@@ -256,7 +224,7 @@ def _followed(
 
     In blocks; each goes on from where the ridge was seen last.
     """
-    comb, origin = comb_of(positions), float(diagram.first_column)
+    comb, origin = positions.comb, float(diagram.first_column)
     start, other = np.full(len(positions.frame), np.nan), np.full(len(positions.frame), -1)
     at, wanted = (part.stop - 1 if back else part.start), decision
     while True:
@@ -264,7 +232,7 @@ def _followed(
             slice(max(part.start, at + 1 - BLOCK), at + 1) if back else slice(at, min(at + BLOCK, part.stop))
         )
         ridges = diagram.ridges(positions, rows)
-        owned = _whole_pixels(positions.x_px[rows] - origin, ridges)
+        owned = _whole_pixels(positions.x_px[rows] - np.float64(origin), ridges)
         if without is not None:
             owned[:, without] = np.nan
         order = np.arange(rows.stop - rows.start)[:: -1 if back else 1]
@@ -297,12 +265,13 @@ def _whole_pixels(x_px: Floats, ridges: Ridges) -> Floats:
 
 def _fitted(positions: Positions, start_px: Floats, rows: Ints, diagram: Diagram) -> Floats:
     """Subpixel positions, as columns of the picture, from whole pixels of the diagram in these rows."""
-    comb, facts = comb_of(positions), positions.track_facts
+    comb, facts = positions.comb, positions.track_facts
     fit: FitName = "paper" if facts.fit == "paper" else "sliding"
     x = np.full(len(rows), np.nan)
     for begin in range(0, len(rows), BLOCK):
         part = slice(begin, begin + BLOCK)
-        profile = np.asarray(diagram.values[rows[part]], np.float32)
+        first, last = int(rows[part][0]), int(rows[part][-1]) + 1
+        profile = diagram.rows(first, last)[rows[part] - first]
         bright = profile if comb.sign > 0 else -profile
         x[part] = fit_sheets(bright, start_px[part, None], fit=fit, window_px=facts.window_px, comb=comb)[0][
             :, 0

@@ -1,4 +1,4 @@
-"""x(n, t) held leanly: a test of 100 000 frames and 50 sheets in 110 MB, flags as codes in place of words."""
+"""x(n, t) held leanly: a test of 100 000 frames and 50 sheets in 70 MB, flags as codes in place of words."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ from vision.isolation import try_out
 from vision.numeric import Bools, Floats, Floats32, Ints
 from vision.run.reading import AGAIN
 from vision.run.tables import attrs_of_netcdf
+from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.recovery import DOUBTS
+from vision.sheets.ridges import Polarity, RidgeComb
 
 Codes = NDArray[np.uint8]
 
@@ -41,8 +43,9 @@ FLAGS = (
 WHYS = ("", *DOUBTS)
 POSITIONED = (FLAGS.index("ok"), FLAGS.index("blurred"))
 DOUBTFUL = FLAGS.index("doubtful")
-CELLS = ("x_px", "err_px", "withheld_px", "expected_px", "flag", "why")
+CELLS = ("x_px", "err_px", "withheld_px", "flag", "why")
 """Arrays of (frame, sheet)."""
+USUAL_ROWS = 300  # from which it is learned how sheets move with their neighbours
 BLOCK = 8192  # frames read at a time
 _WANTED = "tracks as track writes them"
 
@@ -56,9 +59,10 @@ class Positions:
     frame, time_s
         Numbers in the film, and seconds of the camera's clock, (frame,).
     x_px, err_px
-        Position and standard error, (frame, sheet); NaN where there is none.
-    withheld_px, expected_px
-        The doubted ridge, and where the neighbours say that the sheet must be, (frame, sheet).
+        Position and standard error, (frame, sheet); NaN where there is none. In single precision, 1e-4 px,
+        which is enough to look at; saving does not use them.
+    withheld_px
+        The doubted ridge, (frame, sheet).
     flag, why
         Places in `FLAGS` and `WHYS`, (frame, sheet).
     side, n
@@ -69,10 +73,9 @@ class Positions:
 
     frame: Ints
     time_s: Floats
-    x_px: Floats
+    x_px: Floats32
     err_px: Floats32
     withheld_px: Floats32
-    expected_px: Floats32
     flag: Codes
     why: Codes
     side: Ints
@@ -95,6 +98,20 @@ class Positions:
         return StripMetadata.of(xr.Dataset(attrs=self.attrs))
 
     @property
+    def comb(self) -> RidgeComb:
+        """What the ridges look like, as the tracking measured it."""
+        facts = self.track_facts
+        polarity: Polarity = "bright" if facts.ridges == "bright" else "dark"
+        sizes = facts.ridge_fwhm_px, facts.pitch_px, facts.contrast, facts.profile_noise
+        return RidgeComb(polarity, *sizes, float(facts.sheets), 0.0)
+
+    def expected_px(self, rows: Ints) -> Floats:
+        """Where the sheets around say that each sheet must be, in these rows."""
+        usual = np.arange(0, len(self.x_px), max(1, len(self.x_px) // USUAL_ROWS))
+        said = said_by_neighbours(self.x_px[np.concatenate([usual, rows])].astype(np.float64))
+        return said[len(usual) :]
+
+    @property
     def doubtful(self) -> Bools:
         """Where an identity is in doubt, (frame, sheet)."""
         return np.asarray(self.flag == DOUBTFUL, bool)
@@ -103,7 +120,7 @@ class Positions:
         """These rows as `track_sheets` returns them, without the words, which neither clock nor deformation
         needs."""
         values: dict[str, Any] = {
-            "x_px": self.x_px[rows],
+            "x_px": self.x_px[rows].astype(np.float64),
             "x_err_px": self.err_px[rows].astype(np.float64),
         }
         variables = {name: (TRACKS[name].dims, data, TRACKS[name].attrs) for name, data in values.items()}
@@ -149,14 +166,13 @@ def _read(file: h5netcdf.File, path: Path) -> Positions:
     if absent or len(shape) != 2:
         raise InputError(path, _WANTED, f"no {', '.join(absent) or 'x(n, t)'}", AGAIN)
     arrays: dict[str, Any] = {
-        "x_px": np.empty(shape),
+        "x_px": np.empty(shape, np.float32),
         "err_px": np.empty(shape, np.float32),
         "withheld_px": np.full(shape, np.nan, np.float32),
-        "expected_px": np.full(shape, np.nan, np.float32),
         "flag": np.zeros(shape, np.uint8),
         "why": np.zeros(shape, np.uint8),
     }
-    names = {"x_err_px": "err_px", "x_withheld_px": "withheld_px", "x_expected_px": "expected_px"}
+    names = {"x_err_px": "err_px", "x_withheld_px": "withheld_px"}
     for rows in _blocks(shape[0]):
         for name in ("x_px", *names):
             if name in file:

@@ -6,11 +6,12 @@ import math
 import os
 import secrets
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from threading import RLock
-from typing import Any, Self
+from typing import IO, Any, Self
 
 import numpy as np
 import pandas as pd
@@ -24,14 +25,14 @@ from vision.figures.decimate import grey_levels, minmax_decimate
 from vision.force import read_force
 from vision.numeric import Floats, Floats32, Ints, Pixels
 from vision.pipeline import Settings
-from vision.review.editing import Before, Diagram, apply, comb_of, take_back, usual_places
+from vision.review.diagram import Diagram
+from vision.review.editing import Before, apply, take_back, usual_places
 from vision.review.film import Film
 from vision.review.positions import FLAGS, WHYS, Positions, read_positions
 from vision.review.saving import Job, Saver, pack, unpack
 from vision.review.tiles import Tiles, encode_png
 from vision.run.folder import MARK
-from vision.run.provenance import plain
-from vision.run.reading import input_of, map_kymograph, read_json, read_table_of
+from vision.run.reading import input_of, read_json, read_table_of
 from vision.run.writing import CORRECTIONS
 from vision.sheets.corrections import (
     KEYS,
@@ -52,6 +53,11 @@ from vision.shells import classify_sheets
 from vision.video import Video, open_video
 from vision.video.strip import row_means
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 REPLACED = "corrections.npz"  # what saved decisions replaced, so that they can be taken back
 STICKS_AROUND = 3  # on each side of a stick, from which noise and camera movement are measured anew
 SHOWN_ROWS = 400  # of a preview
@@ -71,32 +77,25 @@ class Found:
         The run folder.
     facts
         run.json.
-    values, first_column
-        I(x, t), memory-mapped, and the picture's column at which it begins.
     clock, events, deformation, shells
         As far as the run has them.
     """
 
     folder: Path
     facts: Mapping[str, Any]
-    values: Floats32
-    first_column: int
     clock: Clock | None = None
     events: pd.DataFrame | None = None
     deformation: pd.DataFrame | None = None
     shells: pd.DataFrame | None = None
 
     @classmethod
-    def of(cls, folder: Path, settings: Settings) -> Found:
+    def of(cls, folder: Path) -> Found:
         """Raises: InputError for a folder that is no run of a video, or a damaged one."""
         facts = read_json(folder / MARK)
         clock = folder / "clock.json"
-        columns = settings.columns
         return cls(
             folder=folder,
             facts=facts,
-            values=map_kymograph(folder / "kymograph.tif"),
-            first_column=0 if columns is None else columns.start or 0,
             clock=clock_of(read_json(clock)) if clock.exists() else None,
             events=read_table_of(folder, "events"),
             deformation=read_table_of(folder, "deformation"),
@@ -169,23 +168,28 @@ class Session:
         self._film_reason = ""
         self.lock = RLock()
         self.revision = 0
+        self._claim = claim(folder)
         self._around: tuple[int, list[Pixels], int] = (-1, [], 0)
+        self._measured: tuple[int | None, int, list[dict[str, Any]]] = (None, -1, [])
         self._grey: tuple[float, float] | None = None
         self._force: xr.Dataset | None = None
         self._load()
 
     def _load(self) -> None:
         """Read the folder, then take up the decisions that its tables do not follow yet."""
-        self.found = Found.of(self.folder, self.settings)
-        self.positions = read_positions(self.folder / "tracks.nc")
-        if len(self.positions.frame) != len(self.found.values):
+        self.found = Found.of(self.folder)
+        columns = self.settings.columns
+        first = 0 if columns is None else columns.start or 0
+        self.diagram = Diagram(self.folder / "kymograph.tif", first, self.settings.tuning.tracking)
+        ridges = self.found.facts.get("found", {}).get("ridges", {}).get("polarity", "bright")
+        self.tiles = Tiles(self.diagram, bright=ridges == "bright")
+        with ThreadPoolExecutor(1) as pool:  # while the tracks are tried out and read
+            built = pool.submit(self.tiles.build)
+            self.positions = read_positions(self.folder / "tracks.nc")
+            built.result()
+        if len(self.positions.frame) != self.diagram.frames:
             frames = f"{len(self.positions.frame)} rows, one per frame of tracks.nc"
-            raise InputError(
-                self.folder / "kymograph.tif", frames, f"{len(self.found.values)}", "run track again"
-            )
-        facts = self.positions.track_facts
-        self.tiles = Tiles(self.found.values, bright=facts.ridges == "bright")
-        self.diagram = Diagram(self.found.values, int(self.found.first_column), self.settings.tuning.tracking)
+            raise InputError(self.diagram.path, frames, f"{self.diagram.frames}", "run track again")
         self.applied = self.found.applied
         path = self.folder / CORRECTIONS
         decided = read_decisions(path) if path.exists() else Decisions(corrections=tuple(self.applied))
@@ -231,7 +235,9 @@ class Session:
         return self
 
     def __exit__(self, *error: object) -> None:
-        return None
+        self.saver.wait()
+        self.diagram.close()
+        self._claim.close()
 
     # --- film and force -------------------------------------------------------------------------------------
 
@@ -332,7 +338,9 @@ class Session:
 
     def _saved(self) -> None:
         with self.lock:
+            earlier = self.diagram
             self._load()
+            earlier.close()
             self.revision += 1
 
     def _check_free(self) -> None:
@@ -421,7 +429,7 @@ class Session:
         """Everything a page needs at first, of any length of the film."""
         with self.lock:
             positions, facts, strip = self.positions, self.positions.track_facts, self.positions.strip_facts
-            frames, columns = self.found.values.shape
+            frames, columns = self.diagram.frames, self.diagram.columns
             shape = {
                 "name": self.folder.resolve().name,
                 "source": strip.source,
@@ -432,7 +440,7 @@ class Session:
                 "fps": strip.fps,
                 "clock_kind": strip.clock_kind,
                 "columns": columns,
-                "first_column": self.found.first_column,
+                "first_column": self.diagram.first_column,
                 "pixel_size_um": self.found.facts.get("parameters", {}).get("pixel_size", {}).get("value"),
                 "threshold": self.settings.threshold,
                 "strip": self._rows(strip),
@@ -458,7 +466,7 @@ class Session:
                     "factor": self.tiles.settings.factor,
                 },
             }
-            return dict(plain(shape | self._film_facts() | lists | self.state()))
+            return shape | self._film_facts() | lists | self.state()
 
     def _rows(self, strip: StripMetadata) -> tuple[int, int]:
         """Rows of the strip, as decided on."""
@@ -501,6 +509,7 @@ class Session:
         positions = self.positions
         sheet, first, stop = stretches(positions.doubtful)
         worst = np.argsort(first - stop, kind="stable")[:MOST_DOUBTS]
+        expected = positions.expected_px(first[worst])
         return [
             {
                 "sheet": int(sheet[k]),
@@ -511,9 +520,9 @@ class Session:
                 "frames": int(stop[k] - first[k]),
                 "why": DOUBTS.get(WHYS[positions.why[first[k], sheet[k]]], "identity not certain"),
                 "x_withheld_px": float(positions.withheld_px[first[k], sheet[k]]),
-                "x_expected_px": float(positions.expected_px[first[k], sheet[k]]),
+                "x_expected_px": float(expected[place, sheet[k]]),
             }
-            for k in worst
+            for place, k in enumerate(worst)
         ]
 
     @property
@@ -533,11 +542,8 @@ class Session:
         inside = (stop > np.nanmin(time_s)) & (start < np.nanmax(time_s))
         names = ("event", "d_v_mm", "dF_N", "F_p_N", "stick_length_um", "K_N_per_mm", "flag")
         known = [name for name in names if name in events]
-        return [
-            {"first": int(first[k]), "stop": int(last[k]) + 1, "start_s": start[k], "end_s": stop[k]}
-            | {name: events[name].iloc[k] for name in known}
-            for k in np.flatnonzero(inside)
-        ]
+        table = events[known].assign(first=first, stop=last + 1, start_s=start, end_s=stop)
+        return [{str(name): value for name, value in row.items()} for row in table[inside].to_dict("records")]
 
     def slips(self, clock: Clock | None = None) -> list[int]:
         """First frames after the slips: of the force where its clock is sure, else of the sheets' steps."""
@@ -582,7 +588,7 @@ class Session:
         points
             Rows wanted at most.
         what
-            "x" (px), "err" (px), "withheld" (px), "expected" (px), or "flag": place in `FLAGS`, the worst
+            "x" (px), "err" (px), "withheld" (px), or "flag": place in `FLAGS`, the worst
             of each interval.
 
         Raises
@@ -590,7 +596,7 @@ class Session:
         InputError
             For another name.
         """
-        names = {"x": "x_px", "err": "err_px", "withheld": "withheld_px", "expected": "expected_px"}
+        names = {"x": "x_px", "err": "err_px", "withheld": "withheld_px"}
         if what not in (*names, "flag"):
             raise InputError("what", f"{', '.join(names)} or flag", repr(what))
         with self.lock:
@@ -611,7 +617,7 @@ class Session:
             row = positions.row_of(frame)
             seen = self.diagram.ridges(positions, slice(row, row + 1))
             known = np.isfinite(seen.x_px[0])
-            x = seen.x_px[0][known].astype(float) + self.found.first_column
+            x = seen.x_px[0][known].astype(float) + self.diagram.first_column
             owner = _owners(x, positions.x_px[row])
             doubted = _owners(x, positions.withheld_px[row])
             candidates = [
@@ -624,14 +630,16 @@ class Session:
                 }
                 for k in range(len(x))
             ]
-            names = ("x_px", "err_px", "withheld_px", "expected_px")
+            expected = positions.expected_px(np.array([row]))[0]
+            names = ("x_px", "err_px", "withheld_px")
             sheets = [
                 {"index": k, "flag": FLAGS[positions.flag[row, k]]}
                 | {"why": DOUBTS.get(WHYS[positions.why[row, k]], "")}
                 | {name: getattr(positions, name)[row, k] for name in names}
+                | {"expected_px": expected[k]}
                 for k in range(positions.sheets)
             ]
-        return dict(plain({"frame": frame, "candidates": candidates, "sheets": sheets}))
+        return {"frame": frame, "candidates": candidates, "sheets": sheets}
 
     # --- effects that are not kept --------------------------------------------------------------------------
 
@@ -660,19 +668,15 @@ class Session:
             after, _ = apply(self.positions.copied(rows), clipped, self.diagram)
             near = slice(max(0, at - rows.start - SHOWN_ROWS // 2), at - rows.start + SHOWN_ROWS // 2)
             event = self._event_at(at)
-            return dict(
-                plain(
-                    {
-                        "text": decision.text(),
-                        "frames": before.frame[near],
-                        "before": _shown(before, near),
-                        "after": _shown(after, near),
-                        "event": event,
-                        "stick_before": self._ratios(before, event),
-                        "stick_after": self._ratios(after, event),
-                    }
-                )
-            )
+            return {
+                "text": decision.text(),
+                "frames": before.frame[near],
+                "before": _shown(before, near),
+                "after": _shown(after, near),
+                "event": event,
+                "stick_before": self._ratios_now(event),
+                "stick_after": self._ratios(after, event),
+            }
 
     def _window(self, decision: Correction, frame: Any) -> tuple[slice, int]:
         """Rows that a preview works on, and the one in their middle: those around the frame looked at, with
@@ -710,6 +714,12 @@ class Session:
         except InputError:
             return []
 
+    def _ratios_now(self, event: int | None) -> list[dict[str, Any]]:
+        """`_ratios` of the positions as they are, kept until they change."""
+        if self._measured[:2] != (event, self.revision):
+            self._measured = event, self.revision, self._ratios(self.positions, event)
+        return self._measured[2]
+
     def clock_preview(self, offset_s: Any, drift_ppm: Any = 0.0, frame: Any = None) -> dict[str, Any]:
         """Sticks and slips by another clock, and σ_x/Λ_st of the stick at a frame.
 
@@ -726,10 +736,10 @@ class Session:
             clock = _given(self.found.clock, decision)
             by_it = {"sticks": self.sticks(clock), "slips": self.slips(clock)}
             if not isinstance(frame, int):
-                return dict(plain(by_it))
+                return by_it
             event = self._event_at(self.positions.row_of(frame), clock)
             after = self._ratios(self.positions, event, clock)
-            return dict(plain(by_it | {"event": event, "stick_after": after}))
+            return by_it | {"event": event, "stick_after": after}
 
     def strip_preview(self, rows: Any, frame: Any) -> dict[str, Any]:
         """Ridges of one frame in other rows, and the noise of positions in the frames about it.
@@ -745,31 +755,27 @@ class Session:
             raise InputError("the strip", f"rows within 0:{self.film().shape[0]}", f"{rows}")
         at = self.positions.row_of(frame if isinstance(frame, int) else int(self.positions.frame[0]))
         pictures, here = self._pictures(at)
-        first = self.found.first_column
-        across = slice(first, first + self.found.values.shape[1])
+        first = self.diagram.first_column
+        across = slice(first, first + self.diagram.columns)
         profile = np.stack([row_means(one[None, top:bottom, across])[0] for one in pictures])
-        comb = describe_ridges(profile, polarity=comb_of(self.positions).polarity, source="the strip")
+        comb = describe_ridges(profile, polarity=self.positions.comb.polarity, source="the strip")
         seen = find_ridges(profile, comb, settings=self.settings.tuning.tracking)
         window = self.positions.track_facts.window_px
         bright = profile if comb.sign > 0 else -profile
         start = _nearest(seen.x_px, usual_places(self.positions) - first, 0.5 * comb.pitch_px)
         x, _ = fit_sheets(bright, start, fit="sliding", window_px=window, comb=comb)
         known = np.isfinite(seen.x_px[here])
-        return dict(
-            plain(
-                {
-                    "rows": [top, bottom],
-                    "frame": int(self.positions.frame[at]),
-                    "profile": profile[here],
-                    "ridges": seen.x_px[here][known].astype(float) + first,
-                    "contrast": comb.contrast,
-                    "fwhm_px": comb.fwhm_px,
-                    "profile_noise": comb.noise,
-                    "noise_px": float(np.nanmedian(position_noise(x))) if len(x) >= 3 else math.nan,
-                    "sheets_seen": int(np.isfinite(x[here]).sum()),
-                }
-            )
-        )
+        return {
+            "rows": [top, bottom],
+            "frame": int(self.positions.frame[at]),
+            "profile": profile[here],
+            "ridges": seen.x_px[here][known].astype(float) + first,
+            "contrast": comb.contrast,
+            "fwhm_px": comb.fwhm_px,
+            "profile_noise": comb.noise,
+            "noise_px": float(np.nanmedian(position_noise(x))) if len(x) >= 3 else math.nan,
+            "sheets_seen": int(np.isfinite(x[here]).sum()),
+        }
 
     def _pictures(self, row: int) -> tuple[list[Pixels], int]:
         """Frames about one, kept while the page stays at it, and its place among them."""
@@ -799,7 +805,7 @@ class Session:
         names = ("index", "side", "n", "ratio", "ratio_err", "p_stiff", "shell", "flag")
         sheets = part[list(names)].to_dict("records")
         sides = [] if shells is None else shells[shells["event"] == event].to_dict("records")
-        return dict(plain({"event": event, "preview": False, "sheets": sheets, "shells": sides}))
+        return {"event": event, "preview": False, "sheets": sheets, "shells": sides}
 
     def _stick_now(self, positions: Positions, event: int) -> dict[str, Any]:
         motion = self._motion(positions, [event])
@@ -873,7 +879,7 @@ def _clipped(decision: Correction, part: Positions) -> Correction:
 def _shown(positions: Positions, rows: slice) -> dict[str, Any]:
     """What a preview draws: positions of every sheet, and their numbering."""
     return {
-        "x_px": np.round(positions.x_px[rows], 3),
+        "x_px": np.round(positions.x_px[rows].astype(np.float64), 3),
         "side": positions.side,
         "n": positions.n,
         "axis_px": positions.track_facts.axis_px,
@@ -898,7 +904,7 @@ def _of_event(motion: xr.Dataset, event: int) -> list[dict[str, Any]]:
         name: one[name] for name in names
     }
     table = pd.DataFrame({name: values.values for name, values in columns.items()})
-    return [dict(plain(row)) for row in table.to_dict("records")]
+    return [{str(name): value for name, value in row.items()} for row in table.to_dict("records")]
 
 
 def _listed(one: Correction) -> dict[str, Any]:
@@ -926,6 +932,34 @@ def _worst(frame: Floats, codes: Any, points: int) -> tuple[Floats, Any]:
         return frame, codes
     starts = np.arange(0, len(frame), -(-len(frame) // points))
     return frame[starts], np.maximum.reduceat(codes, starts, axis=0)
+
+
+def claim(folder: Path) -> IO[str]:
+    """An open file beside the run folder that keeps others from reviewing it; they may once it is closed.
+
+    Beside it, as saving puts another folder in the run's place. The claim ends with the process, however that
+    ends. Where the system has no such locks (Windows) nothing is claimed.
+
+    Raises
+    ------
+    InputError
+        Where another process reviews the run, or the place cannot be written.
+    """
+    path = folder.resolve()
+    path = path.with_name(f".{path.name}.review")
+    try:
+        file = path.open("w", encoding="utf-8")
+    except OSError as error:
+        found = (error.strerror or str(error)).lower()
+        raise InputError(path, "a place that can be written", found, "copy the run folder") from error
+    if fcntl is not None:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            file.close()
+            found, advice = "a review of it that is open", "go to its window, or end it there"
+            raise InputError(folder, "a run that nobody reviews now", found, advice) from None
+    return file
 
 
 def write_durably(path: Path, text: str) -> None:

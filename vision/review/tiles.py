@@ -14,7 +14,10 @@ from numpy.typing import NDArray
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels
 from vision.numeric import Floats32
+from vision.review.diagram import Diagram
 
+TILES_KEPT = 256  # as PNG, some 60 kB each
+PART_VALUES = 1 << 20  # read at a time while levels are made: 4 MB
 Grey = NDArray[np.uint8]
 
 
@@ -45,8 +48,8 @@ class Tiles:
 
     Parameters
     ----------
-    values
-        I(x, t), (frame, x), NaN in frames that are not there; may be memory-mapped.
+    diagram
+        I(x, t), on disk.
     bright
         Whether ridges are bright. A coarse row shows each column's largest value in its frames (the smallest
         where ridges are dark), so that a ridge that was somewhere for one frame is still seen.
@@ -59,18 +62,18 @@ class Tiles:
     """
 
     def __init__(
-        self, values: Floats32, *, bright: bool = True, settings: TileSettings = TileSettings()
+        self, diagram: Diagram, *, bright: bool = True, settings: TileSettings = TileSettings()
     ) -> None:
-        self.values, self.bright, self.settings = values, bright, settings
-        self.low, self.high = _limits(values, settings.sampled_rows)
-        self._kept: list[Floats32] = []  # levels from `first_kept` on
+        self.diagram, self.bright, self.settings = diagram, bright, settings
+        self.low, self.high = _limits(diagram.sample(settings.sampled_rows))
+        self._kept: list[Grey] = []  # levels from `first_kept` on
         self._building = Lock()
-        self.png = lru_cache(maxsize=512)(self._png)
+        self.png = lru_cache(maxsize=TILES_KEPT)(self._png)
 
     @property
     def levels(self) -> int:
         """Number of levels; the last one fits into one tile's rows."""
-        frames, levels = len(self.values), 1
+        frames, levels = self.diagram.frames, 1
         while frames > self.settings.rows:
             frames, levels = -(-frames // self.settings.factor), levels + 1
         return levels
@@ -81,27 +84,33 @@ class Tiles:
             step = self.settings.factor**self.settings.first_kept
             if self._kept or self.levels <= self.settings.first_kept:
                 return
-            made = [self._coarse(self.values, step)]
+            made = [self._first_level(step)]
             while len(made) < self.levels - self.settings.first_kept:
-                made.append(self._coarse(made[-1], self.settings.factor))
-            self._kept = made
+                made.append(_extremes(made[-1], self.settings.factor, bright=self.bright))
+            self._kept = [self._grey(level) for level in made]
 
-    def _coarse(self, values: Floats32, step: int) -> Floats32:
-        """Extremes of every `step` rows, in two threads; NaN for rows without any value."""
-        rows = -(-len(values) // step)
-        out = np.empty((rows, values.shape[1]), np.float32)
-        block = max(1, (1 << 22) // max(1, step * values.shape[1]))
+    def _first_level(self, step: int) -> Floats32:
+        """Extremes of every `step` frames, read in parts by two threads."""
+        frames, columns = self.diagram.frames, self.diagram.columns
+        out = np.empty((-(-frames // step), columns), np.float32)
+        block = max(1, PART_VALUES // (step * columns))
 
-        def work(start: int) -> None:
-            part = values[start * step : (start + block) * step]
-            out[start : start + block] = _extremes(part, step, bright=self.bright)
+        def work(row: int) -> None:
+            part = self.diagram.rows(row * step, (row + block) * step)
+            out[row : row + block] = _extremes(part, step, bright=self.bright)
 
         with ThreadPoolExecutor(2) as pool:
-            list(pool.map(work, range(0, rows, block)))
+            list(pool.map(work, range(0, len(out), block)))
         return out
 
-    def part(self, level: int, x: int, y: int) -> Floats32:
-        """Grey levels of one tile; those at the right and lower edge are smaller.
+    def _grey(self, values: Floats32) -> Grey:
+        """8 bits; frames that are not there are mid-grey. In parts, as this takes more than the result."""
+        starts = range(0, len(values), self.settings.rows)
+        parts = [grey_levels(values[k : k + self.settings.rows], self.low, self.high) for k in starts]
+        return np.concatenate(parts)
+
+    def part(self, level: int, x: int, y: int) -> Grey:
+        """One tile in 8 bits; those at the right and lower edge are smaller.
 
         Raises
         ------
@@ -110,19 +119,19 @@ class Tiles:
         """
         rows, columns = self.settings.rows, self.settings.columns
         step = self.settings.factor**level if 0 <= level < self.levels else 0
-        height = -(-len(self.values) // step) if step else 0
-        if not (0 <= y * rows < height and 0 <= x * columns < self.values.shape[1]):
+        height = -(-self.diagram.frames // step) if step else 0
+        if not (0 <= y * rows < height and 0 <= x * columns < self.diagram.columns):
             raise InputError("the tile", f"one of {self.levels} levels", f"{level}/{x}/{y}")
         across = slice(x * columns, (x + 1) * columns)
         if level >= self.settings.first_kept:
             self.build()
             return self._kept[level - self.settings.first_kept][y * rows : (y + 1) * rows, across]
-        part = self.values[y * rows * step : (y + 1) * rows * step, across]
-        return part if level == 0 else _extremes(part, step, bright=self.bright)
+        part = self.diagram.shared_rows(y * rows * step, (y + 1) * rows * step)[:, across]
+        return self._grey(part if level == 0 else _extremes(part, step, bright=self.bright))
 
     def _png(self, level: int, x: int, y: int) -> bytes:
-        """One tile as an 8-bit PNG; frames that are not there are mid-grey."""
-        return encode_png(grey_levels(self.part(level, x, y), self.low, self.high))
+        """One tile as an 8-bit PNG."""
+        return encode_png(self.part(level, x, y))
 
 
 def encode_png(pixels: Grey) -> bytes:
@@ -142,9 +151,8 @@ def _extremes(values: Floats32, step: int, *, bright: bool) -> Floats32:
     return np.asarray(out, np.float32)
 
 
-def _limits(values: Floats32, rows: int) -> tuple[float, float]:
+def _limits(sample: Floats32) -> tuple[float, float]:
     """Black and white: all but the outermost grey values."""
-    sample = values[:: max(1, len(values) // rows)]
     known = sample[np.isfinite(sample)]
     if not known.size:
         return 0.0, 1.0

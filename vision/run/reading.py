@@ -223,8 +223,19 @@ def _check_numbers(tracks: xr.Dataset, path: Path, wanted: str) -> None:
 
 def map_kymograph(path: Path) -> Floats32:
     """The one page of a space-time diagram, (frame, x), on disk.  Raises: InputError for a damaged file."""
+    return np.asarray(_mapped(path))
+
+
+def stored_kymograph(path: Path) -> tuple[int, np.dtype[Any], tuple[int, ...]]:
+    """Where in the file the values of `map_kymograph` begin, their type and shape, for whoever reads a part
+    at a time.  Raises: InputError for a damaged file."""
+    mapped = _mapped(path)
+    return int(mapped.offset), mapped.dtype, mapped.shape
+
+
+def _mapped(path: Path) -> Any:
     wanted = "a space-time diagram as track writes it"
     check_regular(path, wanted)
     check_tiff(path, mapped=True)
     with reading(path, wanted, AGAIN):
-        return np.asarray(tifffile.memmap(path, mode="r"))
+        return tifffile.memmap(path, mode="r")
