@@ -4,7 +4,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -89,15 +88,47 @@ class Visit:
     def history(self):
         """What counts, and what was undone."""
         entries = self.page.locator("#history li .what")
-        done = [self.page.locator("#history li:not(.undone) .what").nth(k).inner_text() for k in range(entries.count() - self.undone())]
+        done = [
+            self.page.locator("#history li:not(.undone) .what").nth(k).inner_text()
+            for k in range(entries.count() - self.undone())
+        ]
         return done
 
     def undone(self):
         return self.page.locator("#history li.undone").count()
 
     def reads(self, name, text):
-        """Waits until an element says this."""
+        """What an element says once it says this."""
         self.page.locator(f"#{name}", has_text=text).wait_for()
+        return self.text(name)
+
+    def place(self, view, frame, column):
+        """Where a frame and a column are on the screen, in one of the pictures."""
+        box = self.page.locator(f"#{view}").bounding_box()
+        x, y = self.page.evaluate(
+            """([view, frame, column]) => {
+              const { surface: s } = review.views[view], v = review.view;
+              const across = (value, low, high) => s.left + (s.plotWidth * (value - low)) / (high - low);
+              const middle = s.top + s.plotHeight / 2;
+              if (view === "film") return [across(column, v.low, v.high), middle];
+              const x = across(frame + 0.5, v.first, v.last);
+              if (column == null) return [x, middle];
+              return [x, s.top + s.plotHeight * (1 - (column - v.low) / (v.high - v.low))];
+            }""",
+            [view, frame, column],
+        )
+        return box["x"] + x, box["y"] + y
+
+    def point(self, view, frame, column=None):
+        """A click on a frame and column of a picture."""
+        self.page.mouse.click(*self.place(view, frame, column))
+
+    def drag(self, view, begin, end):
+        """From one column to another."""
+        self.page.mouse.move(*self.place(view, None, begin))
+        self.page.mouse.down()
+        self.page.mouse.move(*self.place(view, None, end), steps=5)
+        self.page.mouse.up()
 
     def effect(self):
         """What is said about the open decision, once it is known."""
@@ -203,4 +234,67 @@ def test_by_the_keyboard_alone(browser, run):
         visit.shot("saved")
         assert_true(run)
         assert visit.complaints == []
+        visit.context.close()
+
+
+def test_by_the_mouse_alone(browser, run):
+    """A failure means that somebody who knows no key cannot put a run right."""
+    truth = planted.true_positions()
+    with Served(run) as served:
+        visit = Visit(browser, served)
+        page = visit.page
+        page.click("#doubts button")
+        page.click("#decide-accept")
+        assert "0 → 31 of 31 positions" in visit.effect()
+        page.click("#keep")
+        visit.kept(3)
+
+        page.click("#whole")
+        visit.point("diagram", planted.SWAPPED_FROM, truth[planted.SWAPPED_FROM, 3])  # there it is called 2
+        assert "frame 40 " in visit.reads("where", "frame 40 ")
+        page.click("#decide-swap")
+        assert "moved by 100" in visit.effect()
+        page.click("#keep")
+        visit.kept(4)
+
+        first, stop = planted.GAP
+        visit.point("diagram", first - 5, truth[first - 5, planted.LEFT_OUT])
+        visit.point("tracks", first)
+        page.click("#decide-assign")
+        visit.point("film", None, truth[first, planted.LEFT_OUT])
+        visit.point("tracks", stop - 1)
+        page.click("[aria-label='to frame: take the cursor\\'s']")
+        visit.reads("effect", "0 → 21 of 21 positions")
+        visit.effect()
+        visit.shot("assign")
+        page.click("#keep")
+        visit.kept(5)
+
+        page.click("#decide-axis")
+        visit.drag("film", planted.WRONG_AXIS_PX, planted.AXIS_PX)
+        visit.reads("effect", "left 6, right 6")
+        visit.effect()
+        visit.shot("axis")
+        page.click("#keep")
+        visit.kept(6)
+
+        for left in range(5, 1, -1):
+            page.click("#undo")
+            visit.kept(left)
+        assert visit.undone() == 4
+        for done in range(3, 7):
+            page.click("#redo")
+            visit.kept(done)
+        page.click("#save")
+        visit.saved()
+        assert_true(run)
+        page.reload()
+        page.wait_for_selector("#history li .what")
+        assert len(visit.history()) == 6
+        assert "up to date" in visit.text("connection")
+        assert visit.complaints == []
+        assert visit.foreign() == []
+        page.click("#close")
+        visit.reads("notice", "The review has ended")
+        assert served.process.wait(timeout=30) == 0
         visit.context.close()

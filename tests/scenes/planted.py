@@ -41,7 +41,16 @@ def planted_run(folder: Path) -> Path:
     film, faults, out = folder / "film.tif", folder / "faults.toml", folder / "planted"
     tifffile.imwrite(film, np.repeat(profile[:, None], ROWS, axis=1), photometric="minisblack")
     faults.write_text(FAULTS, encoding="utf-8")
-    options = ["--sheets", f"{SHEETS}", "--fps", "25", "--axis", f"{WRONG_AXIS_PX}", "--corrections", f"{faults}"]
+    options = [
+        "--sheets",
+        f"{SHEETS}",
+        "--fps",
+        "25",
+        "--axis",
+        f"{WRONG_AXIS_PX}",
+        "--corrections",
+        f"{faults}",
+    ]
     status = run([f"{film}", *options, "--no-report", "--quiet", "--out", f"{out}"])
     assert status in (0, 1)  # 1: a doubt is left, as it should be
     return out

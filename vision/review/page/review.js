@@ -34,6 +34,7 @@ class Page {
     this.ridgeStore = new Store((key) => getJson(`api/ridges/${key.split("/")[1]}`), () => { this.drawAll(); if (this.decisions.open) this.decisions.offerRidges(); }, 200);
     this.stickStore = new Store((key) => getJson(`api/stick/${key.split("/")[1]}`), () => this.drawAll(), 100);
     this.view.measure({ begin, end: begin + frames, left: left - 0.5, right: left + columns - 0.5, sheets: this.columns(), times });
+    this.film = { rows: null, error: "" }; // rows of its picture, or why there is none
     this.filmSlips = []; // frames after the sheets' own steps
     this.doubt = null; // what the list shows as chosen
     this.views = {
@@ -51,6 +52,7 @@ class Page {
     by("title").textContent = state.name; document.title = `${state.name} – review`;
     this.take(state);
     this.watch();
+    getJson("api/film").then((film) => { this.film = film; this.decisions.offer(); this.drawAll(); }, (error) => this.failed(error));
     setTimeout(() => this.slipsNow(), 500); // a second's work for the program, after the pictures
   }
 
