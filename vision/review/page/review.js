@@ -45,6 +45,7 @@ class Page {
     };
     if (state.clock) this.views.force = new Force(by("force"), this.view, this);
     by("force-view").hidden = !state.clock;
+    by("stick-view").classList.toggle("none", !state.clock);
     this.decisions = new Decisions(this, by("decision"), by("kinds"));
     this.view.addEventListener("change", () => this.drawAll());
     this.listen();

@@ -149,14 +149,14 @@ export function curveThrough(c, from, to, at, width) {
   }
   c.fillStyle = c.strokeStyle;
   let column = NaN, low = Infinity, high = -Infinity, end = NaN;
-  const bar = () => { if (low <= high) c.fillRect(column, low - width / 2, Math.max(1, width), high - low + width); };
+  const bar = (next) => { if (low <= high) c.fillRect(column, low - width / 2, Math.max(1, Math.min(next - column, 4)), high - low + width); };
   for (let k = from; k < to; k++) {
     const [x, y] = at(k), here = Math.round(x);
-    if (here !== column) { bar(); column = here; low = high = end; if (Number.isNaN(end)) { low = Infinity; high = -Infinity; } }
+    if (here !== column) { bar(here); column = here; low = high = end; if (Number.isNaN(end)) { low = Infinity; high = -Infinity; } }
     if (!Number.isNaN(y)) { if (y < low) low = y; if (y > high) high = y; }
     end = y;
   }
-  bar();
+  bar(column + 1);
 }
 
 /** Text with an edge, readable on a picture. */
