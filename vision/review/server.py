@@ -252,8 +252,8 @@ class Api:
         return _floats(self.session.positions.time_s[:, None])
 
     def slips(self, request: Request) -> Response:
-        """Frames after the sheets' own steps, whatever the clock."""
-        return _json({"film": self.session.film_slips()})
+        """Frames after the slips, and after the sheets' own steps, whatever the clock; a second's work."""
+        return _json({"slips": self.session.slips(), "film": self.session.film_slips()})
 
     def force(self, request: Request) -> Response:
         """Time by the force clock, load and separation as float64, row after row."""

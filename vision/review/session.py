@@ -258,13 +258,6 @@ class Session:
                     raise
             return self._film
 
-    def _film_facts(self) -> dict[str, Any]:
-        """Rows of the film's picture, or why there is none."""
-        try:
-            return {"rows": self.film().shape[0], "film_error": ""}
-        except InputError as error:
-            return {"rows": None, "film_error": str(error)}
-
     def _open_film(self) -> Video:
         path = input_of(self.folder, self._input(0), self._film_moved)
         chosen = self.settings
@@ -473,7 +466,6 @@ class Session:
                 "sheets": self.sheets(),
                 "doubts": self.doubts(),
                 "sticks": self.sticks(),
-                "slips": self.slips(),
                 "clock": None if self.clock is None else self.clock.to_json(),
                 "tiles": {
                     "levels": self.tiles.levels,
@@ -482,7 +474,7 @@ class Session:
                     "factor": self.tiles.settings.factor,
                 },
             }
-            return shape | self._film_facts() | lists | self.state()
+            return shape | lists | self.state()
 
     def _rows(self, strip: StripMetadata) -> tuple[int, int]:
         """Rows of the strip, as decided on."""

@@ -524,7 +524,7 @@ def _check_unique(corrections: Sequence[Correction]) -> None:
         for other in corrections[:i]:
             shared = set(one.sheets) & set(other.sheets)
             apart = one.first >= (other.stop or np.inf) or other.first >= (one.stop or np.inf)
-            if shared and not apart and not (one.date and other.date):
+            if shared and not apart and not (one.date or other.date):
                 found = f"sheet {min(shared)} in the same frames as in {other.name.rpartition(', ')[2]}"
                 raise InputError(one.name, "one decision per sheet and frame", found)
 

@@ -1,7 +1,6 @@
 /* Curves on the diagram's time axis, the displacement of the chosen sheets and the force, and the deformation in one stick. */
 
-import { curve } from "./diagram.js";
-import { colours, line, steps, Surface, timeAxis, timeCursor } from "./surface.js";
+import { colours, curveThrough, line, steps, Surface, timeAxis, timeCursor } from "./surface.js";
 
 const CASES = { one: 0, near: 2 }; // sheets on either side of the chosen one
 
@@ -26,18 +25,14 @@ export class Displacement {
     const blocks = tiles.tracks(tiles.level((view.last - view.first) / s.plotWidth), view.first, view.last);
     const [low, high] = this.range(blocks, sheets);
     const y = s.yAxis(low, high, { label: "δx (px)" }), x = timeAxis(s, view, false);
-    const perFrame = s.plotWidth / (view.last - view.first), perPixel = s.plotHeight / (high - low);
     s.clipped(() => {
-      c.lineJoin = "bevel";
       const order = [...sheets].sort((a, b) => (a.index === view.sheet) - (b.index === view.sheet));
-      for (const sheet of order) {
-        const path = curve(blocks, sheet.index, (block) => new DOMMatrix([perFrame, 0, 0, -perPixel, x(block.from), y(-sheet.x_px)]));
-        const chosen = sheet.index === view.sheet;
-        c.lineWidth = chosen ? 2.6 : 1.1; c.strokeStyle = chosen ? colour.text : sheet.side < 0 ? colour.left : colour.right;
-        c.setLineDash(chosen || sheet.side < 0 ? [] : [7, 2]);
-        c.stroke(path);
+      const rows = joined(blocks, view);
+      for (const { index, side, x_px: mean } of order) {
+        const chosen = index === view.sheet;
+        c.strokeStyle = chosen ? colour.text : side < 0 ? colour.left : colour.right;
+        curveThrough(c, 0, rows.length, (k) => [x(rows[k].frame), y(rows[k].block.column(rows[k].row, index) - mean)], chosen ? 2.4 : 1.1);
       }
-      c.setLineDash([]);
       this.effect(c, x, y, colour);
     });
     s.frame();
@@ -86,6 +81,16 @@ export class Displacement {
     }
     s.font();
   }
+}
+
+/** Rows of several blocks about the range shown, one after the other. */
+function joined(blocks, view) {
+  const rows = [];
+  for (const block of blocks) {
+    const [from, to] = block.between(view.first, view.last);
+    for (let row = from; row < to; row++) rows.push({ block, row, frame: block.frame(row) + 0.5 });
+  }
+  return rows;
 }
 
 /** Wheel, drag and click of a picture that has time along x. */
@@ -148,16 +153,12 @@ export class Force {
     s.clipped(() => {
       if (view.tool?.slide) this.slips(s, c, x, colour);
       if (force) {
-        c.strokeStyle = colour.accent; c.lineWidth = 1.3; c.lineJoin = "bevel"; c.beginPath();
-        let pen = false;
-        for (let k = 0; k < force.count; k++) {
-          const px = x(view.frameAt((force.time(k) - clock.offset_s) / rate)), py = y(force.load(k));
-          if (px < s.left - 50 || Number.isNaN(py)) { pen = false; continue; }
-          c[pen ? "lineTo" : "moveTo"](px, py);
-          pen = true;
-          if (px > s.left + s.plotWidth + 50) break;
-        }
-        c.stroke();
+        c.strokeStyle = colour.accent;
+        const place = (time) => x(view.frameAt((time - clock.offset_s) / rate));
+        let begin = 0, end = force.count;
+        while (begin < end && force.time(begin + 1) < from) begin++;
+        while (end > begin + 1 && force.time(end - 2) > to) end--;
+        curveThrough(c, begin, end, (k) => [place(force.time(k)), y(force.load(k))], 1.3);
       }
       if (!force) { c.fillStyle = colour.soft; c.textAlign = "center"; c.textBaseline = "middle"; c.fillText("reading …", s.left + s.plotWidth / 2, s.top + s.plotHeight / 2); }
     });
@@ -168,7 +169,7 @@ export class Force {
   /** Where the film shows slips: the force must drop there. */
   slips(s, c, x, colour) {
     c.strokeStyle = colour.right; c.lineWidth = 1; c.setLineDash([3, 3]);
-    for (const frame of this.page.filmSlips ?? []) {
+    for (const frame of this.page.filmSlips) {
       const at = Math.round(x(frame)) + 0.5;
       line(c, at, s.top, at, s.top + s.plotHeight);
     }

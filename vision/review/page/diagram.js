@@ -31,6 +31,14 @@ class Block {
     return (this.paths[sheet] = path);
   }
 
+  /** Rows between two frames, [from, to). */
+  between(first, last) {
+    let from = 0, to = this.rows;
+    while (from < to && this.frame(from + 1) < first) from++;
+    while (to > from + 1 && this.frame(to - 2) > last) to--;
+    return [from, to];
+  }
+
   /** Joins the sheet's curve to that of the block before. */
   join(path, sheet, before) {
     if (before?.to !== this.from || !before.rows || !this.rows) return;
@@ -41,7 +49,7 @@ class Block {
 }
 
 /** The sheet's curve through several blocks; `matrix` of a block gives frames and columns their place. */
-export function curve(blocks, sheet, matrix) {
+function curve(blocks, sheet, matrix) {
   const path = new Path2D();
   blocks.forEach((block, i) => {
     const m = matrix(block), joint = new Path2D();
@@ -142,7 +150,7 @@ export class Diagram {
     s.clipped(() => {
       c.fillStyle = colour.grid; c.fillRect(s.left, s.top, s.plotWidth, s.plotHeight);
       this.pictures(c, at, level);
-      if (this.tracksShown) this.tracks(c, at, tiles.level(1 / at.perFrame));
+      if (this.tracksShown) this.tracks(c, at, tiles.level((view.settled ? 1 : tiles.factor) / at.perFrame));
       this.marks(c, at);
     });
     s.yAxis(view.low, view.high, { grid: false, label: "x (px)" });
@@ -184,7 +192,7 @@ export class Diagram {
     }
     const apart = at.perColumn * page.state.pitch_px, thin = apart < 12 ? 0.8 : apart < 40 ? 1.2 : 2;
     c.lineJoin = "bevel";
-    if (apart > 24) {
+    if (apart > 24 && view.settled) {
       c.strokeStyle = ON_GREY.casing; c.lineWidth = thin + 1.6;
       c.stroke(groups.left); c.stroke(groups.right);
     }

@@ -10,23 +10,23 @@ export function effectOn(answer, decision, name) {
   const { before, after, frames } = answer, lines = [], curves = [];
   const sheets = decision.sheets ?? (decision.sheet == null ? [] : [decision.sheet]);
   if (["accept", "leave_out", "swap", "assign"].includes(decision.kind)) {
+    const [first, stop] = decision.frames.split(":").map((text) => (text === "" ? Infinity : Number(text)));
+    const rows = frames.map((_, i) => i).filter((i) => frames[i] >= first && frames[i] < stop), shown = rows.map((i) => frames[i]);
     for (const sheet of sheets) {
-      const was = before.x_px.map((row) => row[sheet]), will = after.x_px.map((row) => row[sheet]);
-      const changed = frames.map((_, i) => was[i] !== will[i]);
-      const moved = will.map((x, i) => (x != null && was[i] != null && changed[i] ? x - was[i] : NaN)).filter(Number.isFinite).sort((a, b) => a - b);
-      curves.push({ sheet, frames: frames.filter((_, i) => changed[i]), x_px: will.filter((_, i) => changed[i]) });
-      lines.push(`${name(sheet)}: ${count(was)} → ${count(will)} positions in frames ${frames[0]}–${frames.at(-1)}`
-        + (moved.length ? `, ${moved.length} of them moved by ${number(moved[moved.length >> 1], 1)} px` : ""));
+      const was = rows.map((i) => before.x_px[i][sheet]), will = rows.map((i) => after.x_px[i][sheet]);
+      const moved = will.map((x, i) => (x != null && was[i] != null && x !== was[i] ? x - was[i] : NaN)).filter(Number.isFinite).sort((a, b) => a - b);
+      curves.push({ sheet, frames: shown, x_px: will });
+      lines.push(`${name(sheet)}, ${span(shown)}: ${count(was)} → ${count(will)} of ${rows.length} positions${moved.length ? `, moved by ${number(moved[moved.length >> 1], 1)} px` : ""}`);
     }
   } else if (decision.kind === "add") {
     const place = after.x_px[0].length > before.x_px[0].length ? newColumn(before, after) : -1;
     if (place >= 0) {
       const will = after.x_px.map((row) => row[place]);
       curves.push({ sheet: null, frames, x_px: will });
-      lines.push(`${count(will)} positions in frames ${frames[0]}–${frames.at(-1)}; it becomes ${sideOf(after.side[place])} ${after.n[place]}`);
+      lines.push(`${count(will)} of ${frames.length} positions in ${span(frames)}; it becomes ${sideOf(after.side[place])} ${after.n[place]}`);
     }
   } else if (decision.kind === "delete") {
-    lines.push(`${name(decision.sheet)}: ${count(before.x_px.map((row) => row[decision.sheet]))} → 0 positions in frames ${frames[0]}–${frames.at(-1)}`);
+    lines.push(`${name(decision.sheet)}: ${count(before.x_px.map((row) => row[decision.sheet]))} → 0 positions in ${span(frames)}`);
   }
   const [was, will] = [before, after].map(({ side }) => SIDES.map(([word, sign]) => `${word} ${side.filter((s) => s === sign).length}`).join(", "));
   if (was !== will) lines.push(`sheets: ${was} → ${will}`);
@@ -36,7 +36,7 @@ export function effectOn(answer, decision, name) {
 }
 
 function deformation(event, before, after) {
-  if (!after.length) return ["σx/Λst: no stick phase with sure clocks at the cursor"];
+  if (!after.length) return event == null ? ["σx/Λst: no stick phase at the cursor, or clocks that are not sure"] : [`σx/Λst in stick ${event} cannot be measured`];
   const key = (one) => `${sideOf(one.side)} ${one.n}`, was = new Map(before.map((one) => [key(one), one]));
   const changed = after.filter((one) => !close(one.ratio, was.get(key(one))?.ratio)).map((one) => {
     const old = was.get(key(one)), shell = old?.shell && old.shell !== one.shell ? ` (${old.shell} → ${one.shell})` : "";
@@ -78,6 +78,7 @@ export function effectOfClock(answer, filmSlips, seconds, frameSeconds, before) 
 }
 
 const sideOf = (side) => (side < 0 ? "left" : "right");
+const span = (frames) => (frames.length ? `frames ${frames[0]}–${frames.at(-1)}` : "no frame in view");
 const count = (values) => values.filter((x) => x != null).length;
 const ratio = (one) => (one?.ratio == null ? "none" : number(one.ratio, 3));
 const close = (a, b) => (a == null && b == null) || Math.abs(a - b) < 5e-4;

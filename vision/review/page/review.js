@@ -34,7 +34,8 @@ class Page {
     this.ridgeStore = new Store((key) => getJson(`api/ridges/${key.split("/")[1]}`), () => { this.drawAll(); if (this.decisions.open) this.decisions.offerRidges(); }, 200);
     this.stickStore = new Store((key) => getJson(`api/stick/${key.split("/")[1]}`), () => this.drawAll(), 100);
     this.view.measure({ begin, end: begin + frames, left: left - 0.5, right: left + columns - 0.5, sheets: this.columns(), times });
-    this.filmSlips = null; // asked for once the force is slid along the film
+    this.film = { rows: null, error: "" }; // rows of its picture, or why there is none
+    this.filmSlips = []; // frames after the sheets' own steps
     this.doubt = null; // what the list shows as chosen
     this.views = {
       film: new Film(by("film"), this.view, this),
@@ -44,6 +45,7 @@ class Page {
     };
     if (state.clock) this.views.force = new Force(by("force"), this.view, this);
     by("force-view").hidden = !state.clock;
+    by("stick-view").classList.toggle("none", !state.clock);
     this.decisions = new Decisions(this, by("decision"), by("kinds"));
     this.view.addEventListener("change", () => this.drawAll());
     this.listen();
@@ -51,6 +53,19 @@ class Page {
     by("title").textContent = state.name; document.title = `${state.name} – review`;
     this.take(state);
     this.watch();
+    getJson("api/film").then((film) => { this.film = film; this.decisions.offer(); this.drawAll(); }, (error) => this.failed(error));
+    setTimeout(() => this.slipsNow(), 500); // a second's work for the program, after the pictures
+  }
+
+  /** Frames after slips: `slips` by the clock in force, `film` by the sheets' own steps. */
+  slipsNow() {
+    const { revision } = this.state;
+    if (this.slipsOf !== revision) {
+      this.slipsOf = revision;
+      this.slips = getJson("api/slips");
+      this.slips.then(({ film }) => { this.filmSlips = film; this.drawAll(); }, () => { this.slipsOf = null; });
+    }
+    return this.slips;
   }
 
   /* ---- what is shown ---- */
@@ -238,9 +253,8 @@ class Page {
       return effectOfStrip(this.present.ridges, await post("api/strip", { rows: decision.rows, frame }));
     }
     if (decision.kind === "clock") {
-      this.filmSlips ??= (await getJson("api/slips")).film;
       const answer = await post("api/clock", { offset_s: decision.offset_s, drift_ppm: decision.drift_ppm, frame });
-      return effectOfClock(answer, this.filmSlips, (at) => view.seconds(at), view.seconds(view.begin + 1) - view.seconds(view.begin), this.stick(frame));
+      return effectOfClock(answer, (await this.slipsNow()).film, (at) => view.seconds(at), view.seconds(view.begin + 1) - view.seconds(view.begin), this.stick(frame));
     }
     return effectOn(await post("api/preview", { decision, frame }), decision, name);
   }
@@ -347,12 +361,15 @@ class Page {
 
   /* ---- keys and buttons ---- */
 
-  slip(way) {
-    const { view, state } = this, { slips } = state;
-    const next = way > 0 ? slips.find((frame) => frame > view.frame) : slips.findLast((frame) => frame < view.frame);
-    if (next == null) { this.tell(way > 0 ? "No slip after this." : "No slip before this."); return; }
-    view.goTo(next);
-    this.tell(`Slip at ${number(view.seconds(next), 3)} s`);
+  async slip(way) {
+    const { view } = this;
+    try {
+      const { slips } = await this.slipsNow();
+      const next = way > 0 ? slips.find((frame) => frame > view.frame) : slips.findLast((frame) => frame < view.frame);
+      if (next == null) { this.tell(way > 0 ? "No slip after this." : "No slip before this."); return; }
+      view.goTo(next);
+      this.tell(`Slip at ${number(view.seconds(next), 3)} s`);
+    } catch (error) { this.failed(error); }
   }
 
   step(sheets) {

@@ -131,6 +131,34 @@ export function timeCursor(surface, place, view, colour, casing = null) {
 
 export function line(c, x0, y0, x1, y1) { c.beginPath(); c.moveTo(x0, y0); c.lineTo(x1, y1); c.stroke(); }
 
+/** A curve through many points: a line where they lie apart, else what they span in every pixel column; `at(k)` gives [x, y], y NaN in a gap. */
+export function curveThrough(c, from, to, at, width) {
+  if (to <= from) return;
+  const [first] = at(from), [last] = at(to - 1);
+  if (to - from < 0.5 * Math.abs(last - first)) {
+    c.lineWidth = width; c.lineJoin = "bevel"; c.beginPath();
+    let pen = false;
+    for (let k = from; k < to; k++) {
+      const [x, y] = at(k);
+      if (Number.isNaN(y)) { pen = false; continue; }
+      if (!pen) c.moveTo(x - 0.5, y);
+      c.lineTo(x, y); pen = true;
+    }
+    c.stroke();
+    return;
+  }
+  c.fillStyle = c.strokeStyle;
+  let column = NaN, low = Infinity, high = -Infinity, end = NaN;
+  const bar = (next) => { if (low <= high) c.fillRect(column, low - width / 2, Math.max(1, Math.min(next - column, 4)), high - low + width); };
+  for (let k = from; k < to; k++) {
+    const [x, y] = at(k), here = Math.round(x);
+    if (here !== column) { bar(here); column = here; low = high = end; if (Number.isNaN(end)) { low = Infinity; high = -Infinity; } }
+    if (!Number.isNaN(y)) { if (y < low) low = y; if (y > high) high = y; }
+    end = y;
+  }
+  bar(column + 1);
+}
+
 /** Text with an edge, readable on a picture. */
 export function edged(c, text, x, y, colour) {
   c.lineJoin = "round"; c.lineWidth = 3.5; c.strokeStyle = "rgba(0,0,0,0.85)"; c.strokeText(text, x, y);

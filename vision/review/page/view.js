@@ -1,5 +1,7 @@
 /* What is looked at: one cursor, one range of time, one range of columns and one chosen sheet for all views. */
 
+const REST_MS = 120;
+
 export class View extends EventTarget {
   constructor() {
     super();
@@ -17,7 +19,8 @@ export class View extends EventTarget {
     this.times = new Float64Array(0); // of every frame, s
     this.tool = null; // what a click or a drag in a picture means: the open decision
     this.effect = null; // preview of the open decision
-    this.moving = 0;
+    this.settled = true; // false while it is being zoomed or moved
+    this.resting = 0;
   }
 
   /** Frames and columns there are; everything is shown. */
@@ -28,6 +31,14 @@ export class View extends EventTarget {
   }
 
   changed() { this.dispatchEvent(new Event("change")); }
+
+  /** The range changes, perhaps many times a second: pictures may be drawn plainly until it rests. */
+  moved() {
+    this.settled = false;
+    clearTimeout(this.resting);
+    this.resting = setTimeout(() => { this.settled = true; this.changed(); }, REST_MS);
+    this.changed();
+  }
 
   /** Moves the cursor; the range follows it. */
   goTo(frame, { centre = false } = {}) {
@@ -45,7 +56,7 @@ export class View extends EventTarget {
     const middle = (first + last) / 2;
     this.first = Math.max(this.begin, Math.min(this.end - width, middle - width / 2));
     this.last = this.first + width;
-    this.changed();
+    this.moved();
   }
 
   setColumns(low, high) {
@@ -54,7 +65,7 @@ export class View extends EventTarget {
     const middle = (low + high) / 2;
     this.low = Math.max(this.left, Math.min(this.right - width, middle - width / 2));
     this.high = this.low + width;
-    this.changed();
+    this.moved();
   }
 
   /** Zooms by a factor; `at` is what stays in place. */
