@@ -30,7 +30,7 @@ from vision.files import MOST_PIXELS
 
 HELP = """Follow every sheet of a stick-slip video to a hundredth of a pixel.
 
-The results go to a new folder, test_tracks in the working directory: overview.png to look at first, then
+The results go to a new folder, test_tracks in the working directory: overview.png to look at first, then \
 tracks.csv, tracks.nc, sheets.csv, kymograph.tif and run.json. Try:
 
     track test.avi --pixel-size 10 --fps 60
@@ -40,7 +40,7 @@ tracks.csv, tracks.nc, sheets.csv, kymograph.tif and run.json. Try:
     track 'frames/*.tiff' --fps 60
     track *.avi --out series
 
-Exit status: 0 done, 1 finished with a warning that matters, 2 input that cannot be used, 3 a failure that
+Exit status: 0 done, 1 finished with a warning that matters, 2 input that cannot be used, 3 a failure that \
 nobody foresaw (what was measured before it is kept).
 """
 
@@ -53,13 +53,13 @@ def make_app() -> App:
         name="track",
         help=HELP,
         version=f"sheetvision {__version__}",
-        help_format="markdown",
+        help_format="plaintext",
         suppress_keyboard_interrupt=False,
     )
     app.default(track)
     others = (preview, overlay, force, simulate, kymograph, export, figures, certify, compare)
     for command in (*others, friction, modulus):
-        app.command(command)
+        app.command(command, help_format="markdown")
     return app
 
 

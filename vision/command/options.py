@@ -110,8 +110,7 @@ class VideoOptions:
     axis: float | None = None
     """Symmetry axis in px; found from the motion if not given."""
     fit: Literal["auto", "sliding", "paper", "template"] | None = None
-    """auto (default: template where it is learned well, else sliding), sliding, paper (the publication's,
-    exactly) or template."""
+    """auto (template where it is learned well, else sliding), sliding, paper (as published) or template."""
     window: str | None = None
     """Fit window in px, odd, or auto to follow the ridges' width; 9 where they are 6 to 14 px wide."""
     corrections: Path | None = None
@@ -140,15 +139,13 @@ class ForceOptions:
     speed: float | None = None
     """Pulling speed V in mm/min, where no displacement is recorded."""
     d0: str | None = None
-    """Initial separation in mm, also with its error (13.0±0.1), added to the crosshead's change since the
-    recording began; 0 if the column is the separation itself."""
+    """Initial separation, mm, or 13.0±0.1, added to the crosshead's change; 0: column is separation."""
     force_columns: str | None = None
     """Columns by name or number, as in time=Time,load=Load:kN,displacement=3."""
     force_threshold: float | None = None
     """Smallest drop that is a slip, N; found from the noise if not given."""
     force_lowpass: str | None = None
-    """Time constant of the load cell's low-pass, s, that is corrected for; 0 (default): forces as recorded;
-    auto: found from the slips, and corrected for where it is proven."""
+    """Time constant of the load cell that is undone, s: 0 as recorded; auto where the slips prove it."""
     machine_stiffness: float | None = None
     """The machine's own stiffness in N/mm, to correct d; no correction if not given."""
     fit_range: str | None = None
