@@ -38,7 +38,7 @@ from vision.sheets import (
 )
 from vision.shells import ShellSettings, classify_shells
 from vision.summary import consistency_warnings, summary_lines, tracking_warnings
-from vision.video import Video, VideoSettings, open_video, reference_frame, strip_profile
+from vision.video import ReadingLog, Video, VideoSettings, open_video, reference_frame, strip_profile
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -245,6 +245,7 @@ def analyse(
     settings: Settings | None = None,
     *,
     progress: Progress | None = None,
+    log: ReadingLog | None = None,
 ) -> Analysis:
     """Every stage of one test, in order.
 
@@ -258,6 +259,8 @@ def analyse(
         What is not to be found from the data.
     progress
         Called with (frames done, total frames or None) while the video is read.
+    log
+        Keeps what is read, for a run that takes up an interrupted one (`vision.run.Checkpoint`).
 
     Returns
     -------
@@ -279,7 +282,7 @@ def analyse(
     recording = None if video is None else open_recording(video, chosen)
     strip = frame = tracks = None
     if recording is not None:
-        strip = stage.must("reading", lambda: _strip(recording, chosen, progress))
+        strip = stage.must("reading", lambda: _strip(recording, chosen, progress, log))
         frame = stage.must("first frame", lambda: reference_frame(recording))
         tracks = stage.must("tracking", lambda: _tracks(strip, chosen))
         if chosen.pitch_um is not None:
@@ -361,10 +364,15 @@ def open_recording(video: Video | str | Path, chosen: Settings) -> Video:
     )
 
 
-def _strip(video: Video, chosen: Settings, progress: Progress | None) -> xr.DataArray:
+def _strip(video: Video, chosen: Settings, progress: Progress | None, log: ReadingLog | None) -> xr.DataArray:
     _check_lengths(chosen, video.shape[1])
     return strip_profile(
-        video, chosen.rows, columns=chosen.columns, progress=progress, settings=chosen.tuning.video
+        video,
+        chosen.rows,
+        columns=chosen.columns,
+        progress=progress,
+        settings=chosen.tuning.video,
+        log=log,
     )
 
 

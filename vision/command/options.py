@@ -86,6 +86,7 @@ _OPTION_OF = {
     "main_sample": "--main-sample",
     "out": "--out",
     "overwrite": "--overwrite",
+    "resume": "--resume",
 }
 
 
@@ -200,6 +201,8 @@ class RunOptions:
     """Run folder; NAME_tracks in the working directory if not given."""
     overwrite: Flag = False
     """Replace an earlier run folder."""
+    resume: Flag = False
+    """Go on where an interrupted run of the same film ended."""
     report: Annotated[bool, Option(show_default=False)] = True
     """Write report.html."""
     checksum: Flag = False

@@ -2,7 +2,8 @@
 
 from vision.video.reader import Block, Facts, Reader
 from vision.video.settings import VideoSettings
-from vision.video.strip import reference_frame, strip_profile
+from vision.video.store import FramesRead, FrameStore
+from vision.video.strip import ReadingLog, reference_frame, strip_profile
 from vision.video.strip_find import Strip, find_strip, measure_strip
 from vision.video.video import FrameClock, Video, open_video, read_timestamps, video_files
 
@@ -10,7 +11,10 @@ __all__ = [
     "Block",
     "Facts",
     "FrameClock",
+    "FrameStore",
+    "FramesRead",
     "Reader",
+    "ReadingLog",
     "Strip",
     "Video",
     "VideoSettings",

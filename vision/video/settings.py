@@ -100,6 +100,11 @@ class VideoSettings:
     """Steps between the last frame and the end that the file states before its end is called missing. Files
     that are whole differ by up to two (test_cut_matroska_is_reported)."""
 
+    # interrupted runs
+    resume_after_s: float = 10.0
+    """Seconds of reading after which what was read is kept for `--resume`. Smaller writes for films that are
+    read again as fast, larger loses more to a kill (tests/run/test_checkpoint.py)."""
+
     # memory
     spill_bytes: int = 1 << 30
     """I(x, t) beyond this size lives in a temporary file. 1 GiB is 140 000 frames of 1920 columns; smaller
