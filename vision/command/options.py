@@ -87,6 +87,7 @@ _OPTION_OF = {
     "out": "--out",
     "overwrite": "--overwrite",
     "resume": "--resume",
+    "follow": "--follow",
 }
 
 
@@ -203,6 +204,8 @@ class RunOptions:
     """Replace an earlier run folder."""
     resume: Flag = False
     """Go on where an interrupted run of the same film ended."""
+    follow: Flag = False
+    """Track a film or folder that a camera still writes, until it is closed or Ctrl-C is pressed."""
     report: Annotated[bool, Option(show_default=False)] = True
     """Write report.html."""
     checksum: Flag = False

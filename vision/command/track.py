@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vision.command.console import complain, frame_progress, say
+from vision.command.follow import following
 from vision.command.options import (
     ForceOptions,
     RunOptions,
@@ -20,6 +21,7 @@ from vision.command.options import (
     option_names,
     settings_of,
 )
+from vision.errors import InputError
 
 if TYPE_CHECKING:
     from vision.pipeline import Analysis
@@ -67,6 +69,8 @@ def track(
         return _track_one(videos[0], target, parameters, run)[0]
     from vision.command.several import targets_of, track_several
 
+    if run.follow:
+        raise InputError("`follow`", "one video", f"{len(videos)}", "follow each in a terminal of its own")
     targets = targets_of(videos, run.out, parameters)
     settings_of(parameters)  # what fits no film is said once
     return track_several(
@@ -92,11 +96,17 @@ def _track_one(
     from vision.run import Checkpoint, Origin, Parameter, check_target, write_run
     from vision.video import video_files
 
+    if run.follow and run.resume:
+        raise InputError("`follow` and `resume`", "one of the two", "both")
     check_target(target, overwrite=run.overwrite)
     settings, force = settings_of(parameters), parameters["force"].value
     with Checkpoint(target, resume=run.resume) as checkpoint, resumable(checkpoint):
-        with frame_progress("reading", quiet=run.quiet) as progress:
-            analysis = analyse(video, force, settings, progress=progress, log=checkpoint)
+        if run.follow:
+            with following(settings, quiet=run.quiet) as follow:
+                analysis = analyse(video, force, settings, follow=follow)
+        else:
+            with frame_progress("reading", quiet=run.quiet) as progress:
+                analysis = analyse(video, force, settings, progress=progress, log=checkpoint)
         inputs = (*video_files(video), *(() if force is None else (force,)))
         if settings.pitch_um is not None:
             parameters = {**parameters, "pixel_size": Parameter(analysis.pixel_size_um, "found")}

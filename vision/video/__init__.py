@@ -1,5 +1,6 @@
 """A file becomes frames becomes I(x, t)."""
 
+from vision.video.follow import Follow, await_video
 from vision.video.reader import Block, Facts, Reader
 from vision.video.settings import VideoSettings
 from vision.video.store import FramesRead, FrameStore
@@ -10,6 +11,7 @@ from vision.video.video import FrameClock, Video, open_video, read_timestamps, v
 __all__ = [
     "Block",
     "Facts",
+    "Follow",
     "FrameClock",
     "FrameStore",
     "FramesRead",
@@ -18,6 +20,7 @@ __all__ = [
     "Strip",
     "Video",
     "VideoSettings",
+    "await_video",
     "find_strip",
     "measure_strip",
     "open_video",

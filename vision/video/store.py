@@ -59,6 +59,11 @@ class FrameStore:
         marks = self._marks[start:stop]
         return FramesRead(self._rows.rows()[start:stop], marks["status"], marks["time_s"])
 
+    def copy(self, start: int, stop: int) -> FramesRead:
+        """The same, as a copy."""
+        part = self.part(start, stop)
+        return FramesRead(part.intensity.copy(), part.status.copy(), part.times_s.copy())
+
     def all(self) -> FramesRead:
         """All frames; the intensity is not copied."""
         marks = self._marks[: self.count]

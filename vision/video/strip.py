@@ -6,8 +6,9 @@ import contextlib
 import math
 import queue
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -17,6 +18,7 @@ import xarray as xr
 from vision.data import STRIP, StripMetadata, record
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints, Pixels, Strings
+from vision.video.follow import Follow, growth, held_back, part_of
 from vision.video.reader import Block
 from vision.video.settings import DEFAULTS, VideoSettings
 from vision.video.store import STATUS_TYPE, FramesRead, FrameStore
@@ -53,6 +55,7 @@ def strip_profile(
     progress: Progress | None = None,
     settings: VideoSettings = DEFAULTS,
     log: ReadingLog | None = None,
+    follow: Follow | None = None,
 ) -> xr.DataArray:
     r"""I(x, t): the mean over the strip's rows, for every frame of the recording.
 
@@ -69,6 +72,8 @@ def strip_profile(
         See `VideoSettings`.
     log
         Keeps what is read, and has what an interrupted run read before.
+    follow
+        Read on as the recording grows, until it is closed. The strip is found in its first frames.
 
     Returns
     -------
@@ -96,27 +101,73 @@ def strip_profile(
         strip = find_strip(video, columns=x, settings=settings)
     else:
         strip = measure_strip(video, rows, columns=x, settings=settings)
-    read = _read_means(video, strip.rows, x, progress, settings, log)
+    spans = {name: span and [span.start, span.stop] for name, span in (("rows", rows), ("columns", columns))}
+    assemble = partial(_assembled, strip=strip, columns=x, spans=spans, settings=settings)
+    store = FrameStore(
+        x.stop - x.start,
+        expected=video.estimated,
+        spill_bytes=settings.spill_bytes,
+        folder=None if log is None else log.folder,
+    )
+    for part in () if log is None else log.begin(video, strip.rows, x):
+        store.append(part)
+    for latest, block in _blocks(video, strip.rows, x, store, settings, follow):
+        video = latest
+        store.append(_reduced(video, block))
+        if log is not None:
+            log.add(store)
+        if progress is not None:
+            progress(store.count, video.estimated)
+        if follow is not None and follow.seen is not None:
+            recent = partial(_recent, assemble, video, store)
+            follow.seen(recent, None if video.estimated is None else video.estimated - store.count)
+    if follow is not None:  # more is known of the strip by now than its first frames tell
+        now = measure_strip(video, strip.rows, columns=x, settings=settings)
+        assemble = partial(assemble, strip=replace(now, how=strip.how))
+        if not follow.closed.is_set():
+            last = video.first + store.count - 1
+            line = f"{video.path.name}: followed up to frame {last}; later ones are not read"
+            video = replace(video, warnings=(*video.warnings, line))
+    return assemble(video, store.all())
+
+
+def _assembled(
+    video: Video,
+    read: FramesRead,
+    *,
+    strip: Strip,
+    columns: slice,
+    spans: Mapping[str, list[int] | None],
+    settings: VideoSettings,
+    first: int = 0,
+) -> xr.DataArray:
+    """I(x, t) of frames from `first`, counted from where reading began, with all that `vision.data` wants.
+
+    Raises
+    ------
+    InputError
+        When no frame can be used.
+    """
     intensity, status, times_s = read.intensity, read.status, read.times_s
-    numbers = np.arange(video.first, video.first + status.size, dtype=np.int64)
+    start = video.first + first
     blank = is_blank(intensity, status == "ok", saturation_level=video.saturation_level, settings=settings)
     status[blank] = "blank"
     intensity[status != "ok"] = np.nan
     if not (status == "ok").any():
         raise _nothing_to_see(video, status)
+    numbers = np.arange(start, start + status.size, dtype=np.int64)
     profile = xr.DataArray(
         intensity,
         dims=("frame", "x"),
         coords={
             "frame": ("frame", numbers, STRIP["frame"].attrs),
-            "x": ("x", np.arange(x.start, x.stop, dtype=np.int64), STRIP["x"].attrs),
+            "x": ("x", np.arange(columns.start, columns.stop, dtype=np.int64), STRIP["x"].attrs),
             "time_s": ("frame", times_s, STRIP["time_s"].attrs),
             "status": ("frame", status, STRIP["status"].attrs),
         },
         name="intensity",
         attrs=STRIP["intensity"].attrs | _metadata(video, strip, status, times_s, settings).attrs(),
     )
-    spans = {name: span and [span.start, span.stop] for name, span in (("rows", rows), ("columns", columns))}
     return record(profile, "strip_profile", **spans, settings=asdict(settings))
 
 
@@ -134,31 +185,65 @@ def reference_frame(video: Video) -> Pixels:
     raise InputError(video.path, "at least one frame that shows something", "none")
 
 
-def _read_means(
+def _recent(
+    assemble: Callable[..., xr.DataArray], video: Video, store: FrameStore, count: int
+) -> xr.DataArray:
+    """I(x, t) of the last `count` frames in the store."""
+    first = max(0, store.count - count)
+    return assemble(video, store.copy(first, store.count), first=first)
+
+
+def _blocks(
     video: Video,
     rows: slice,
     columns: slice,
-    progress: Progress | None,
+    store: FrameStore,
     settings: VideoSettings,
-    log: ReadingLog | None,
-) -> FramesRead:
-    """One pass over what no earlier run has read."""
-    store = FrameStore(
-        columns.stop - columns.start,
-        expected=video.estimated,
-        spill_bytes=settings.spill_bytes,
-        folder=None if log is None else log.folder,
-    )
-    for part in () if log is None else log.begin(video, rows, columns):
-        store.append(part)
-    rest = replace(video, first=video.first + store.count)
-    for block in prefetch(rest.blocks(rows, columns)):
-        store.append(_reduced(video, block))
-        if log is not None:
-            log.add(store)
-        if progress is not None:
-            progress(store.count, video.estimated)
-    return store.all()
+    follow: Follow | None,
+) -> Iterator[tuple[Video, Block]]:
+    """Blocks behind the frames in the store, with the recording they are from.
+
+    A growing recording is opened again and again; its last frames wait until it is closed.
+    """
+    if follow is None:
+        rest = replace(video, first=video.first + store.count)
+        yield from ((video, block) for block in prefetch(rest.blocks(rows, columns)))
+        return
+    wanted = math.inf if video.stop is None else video.stop - video.first
+    for now, whole in growth(video, follow, settings):
+        again = min(store.count, 1)  # the last frame is read once more, and must be the same
+        margin = 0 if whole else settings.follow_margin
+        stop = None if now.stop is None else now.stop + margin
+        rest = replace(now, first=video.first + store.count - again, stop=stop)
+        blocks = held_back(prefetch(rest.blocks(rows, columns)), margin)
+        for block in _continued(now, blocks, store.copy(store.count - again, store.count)):
+            yield now, block
+            if follow.stop.is_set():
+                return
+        if whole or store.count == wanted:
+            follow.closed.set()
+            return
+
+
+def _continued(video: Video, blocks: Iterator[Block], known: FramesRead) -> Iterator[Block]:
+    """The blocks without the frames that are known already.
+
+    Raises
+    ------
+    InputError
+        Where those are others now.
+    """
+    count = known.status.size
+    for block in blocks:
+        if count:
+            same = _reduced(video, part_of(block, 0, count)).intensity
+            if not np.array_equal(same, known.intensity, equal_nan=True):
+                wanted, found = "a recording that only grows while it is followed", "other frames than before"
+                raise InputError(video.path, wanted, found, "run again when it is complete")
+        stop = len(block.status) if video.stop is None else min(len(block.status), video.stop - block.start)
+        if stop > count:
+            yield part_of(block, count, stop)
+        count = 0
 
 
 def _reduced(video: Video, block: Block) -> FramesRead:
