@@ -12,7 +12,9 @@ import math
 import time
 import traceback
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -38,7 +40,16 @@ from vision.sheets import (
 )
 from vision.shells import ShellSettings, classify_shells
 from vision.summary import consistency_warnings, summary_lines, tracking_warnings
-from vision.video import Video, VideoSettings, open_video, reference_frame, strip_profile
+from vision.video import (
+    Follow,
+    ReadingLog,
+    Video,
+    VideoSettings,
+    await_video,
+    open_video,
+    reference_frame,
+    strip_profile,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -245,6 +256,8 @@ def analyse(
     settings: Settings | None = None,
     *,
     progress: Progress | None = None,
+    log: ReadingLog | None = None,
+    follow: Follow | None = None,
 ) -> Analysis:
     """Every stage of one test, in order.
 
@@ -258,6 +271,10 @@ def analyse(
         What is not to be found from the data.
     progress
         Called with (frames done, total frames or None) while the video is read.
+    log
+        Keeps what is read, for a run that takes up an interrupted one (`vision.run.Checkpoint`).
+    follow
+        Reads on as the recording grows, until it is closed (`vision.video.Follow`).
 
     Returns
     -------
@@ -276,11 +293,14 @@ def analyse(
     stage = _Stages()
     # A force file that is not understood is refused before the long work of reading a video.
     machine = None if force is None else stage.must("reading force", lambda: _recording(force, chosen))
-    recording = None if video is None else open_recording(video, chosen)
+    recording = None if video is None else open_recording(video, chosen, follow)
     strip = frame = tracks = None
-    if recording is not None:
-        strip = stage.must("reading", lambda: _strip(recording, chosen, progress))
-        frame = stage.must("first frame", lambda: reference_frame(recording))
+    if (film := recording) is not None:
+        strip = stage.must("reading", lambda: _strip(film, chosen, progress, log, follow))
+        if follow is not None:
+            with suppress(InputError):
+                recording = open_recording(film.path, chosen)  # it has grown
+        frame = stage.must("first frame", lambda: reference_frame(film))
         tracks = stage.must("tracking", lambda: _tracks(strip, chosen))
         if chosen.pitch_um is not None:
             chosen = replace(chosen, pixel_size_um=pixel_size_from_pitch(tracks, chosen.pitch_um))
@@ -352,19 +372,44 @@ class _Stages:
         return None
 
 
-def open_recording(video: Video | str | Path, chosen: Settings) -> Video:
-    """The video as the settings want it turned, cut and timed; one that is open already, as it is."""
+def open_recording(video: Video | str | Path, chosen: Settings, follow: Follow | None = None) -> Video:
+    """The video as the settings want it turned, cut and timed; one that is open already, as it is.
+
+    One that is followed is waited for.
+    """
     if isinstance(video, Video):
         return video
-    return open_video(
-        video, rotate=chosen.rotate, frames=chosen.frames, fps=chosen.fps, timestamps=chosen.timestamps
+    opened = partial(
+        open_video,
+        video,
+        rotate=chosen.rotate,
+        frames=chosen.frames,
+        fps=chosen.fps,
+        timestamps=chosen.timestamps,
     )
+    if follow is None:
+        return opened()
+    if chosen.timestamps is not None:
+        raise InputError("`follow` and `timestamps`", "one of the two", "both", "give `fps`")
+    return await_video(video, opened, follow, chosen.tuning.video)
 
 
-def _strip(video: Video, chosen: Settings, progress: Progress | None) -> xr.DataArray:
+def _strip(
+    video: Video,
+    chosen: Settings,
+    progress: Progress | None,
+    log: ReadingLog | None,
+    follow: Follow | None,
+) -> xr.DataArray:
     _check_lengths(chosen, video.shape[1])
     return strip_profile(
-        video, chosen.rows, columns=chosen.columns, progress=progress, settings=chosen.tuning.video
+        video,
+        chosen.rows,
+        columns=chosen.columns,
+        progress=progress,
+        settings=chosen.tuning.video,
+        log=log,
+        follow=follow,
     )
 
 

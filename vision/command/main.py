@@ -117,8 +117,8 @@ def run(arguments: Sequence[str]) -> int:
                 result_action="return_value",
             )
         )
-    except KeyboardInterrupt:
-        return _stopped()
+    except KeyboardInterrupt as stop:
+        return _stopped(str(stop))
     if _interrupted:  # it became another exception on its way
         return _stopped()
     if why:
@@ -126,6 +126,6 @@ def run(arguments: Sequence[str]) -> int:
     return status
 
 
-def _stopped() -> int:
-    complain("interrupted; no half-written run folder is left")
+def _stopped(kept: str = "") -> int:
+    complain(f"interrupted; {kept or 'no half-written run folder is left'}")
     return 130

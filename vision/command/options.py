@@ -86,6 +86,8 @@ _OPTION_OF = {
     "main_sample": "--main-sample",
     "out": "--out",
     "overwrite": "--overwrite",
+    "resume": "--resume",
+    "follow": "--follow",
 }
 
 
@@ -197,6 +199,10 @@ class RunOptions:
     """Run folder; NAME_tracks in the working directory if not given."""
     overwrite: Flag = False
     """Replace an earlier run folder."""
+    resume: Flag = False
+    """Go on where an interrupted run of the same film ended."""
+    follow: Flag = False
+    """Track a film or folder that a camera still writes, until it is closed or Ctrl-C is pressed."""
     report: Annotated[bool, Option(show_default=False)] = True
     """Write report.html."""
     checksum: Flag = False
