@@ -44,6 +44,7 @@ UM_PER = {"mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Gre
 _OPTION_OF = {
     "rows": "--strip",
     "columns": "--columns",
+    "strips": "--strips",
     "sheets": "--sheets",
     "ridges": "--ridges",
     "axis_px": "--axis",
@@ -105,6 +106,8 @@ class VideoOptions:
     """Rows averaged, Z0:Z1, half-open, from the top; auto finds where ridges are straight and clear."""
     columns: str | None = None
     """Columns looked at, X0:X1."""
+    strips: Whole | None = None
+    """Measure in so many parts of the strip as well, one above the other: x(n,z,t) in tracks.nc."""
     sheets: Whole | None = None
     """Number of ridges in view; found if not given."""
     ridges: Literal["bright", "dark", "auto"] | None = None
@@ -358,6 +361,7 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
         "timestamps": value.get("timestamps"),
         "ridges": value.get("ridges"),
         "sheets": number(value.get("sheets"), "--sheets", least=1, whole=True),
+        "strips": number(value.get("strips"), "--strips", least=2, whole=True),
         "axis_px": number(value.get("axis"), "--axis", least=-1e6),
         "fit": value.get("fit"),
         "window_px": parse_window(value.get("window")),
