@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from tests.scenes import planted
 from tests.scenes.browser import chromium
+from vision.command.main import run as command
 from vision.run.reading import read_run
 
 PROJECT = Path(__file__).parents[2]
@@ -293,3 +295,153 @@ def test_by_the_mouse_alone(browser, run):
         visit.reads("notice", "The review has ended")
         assert served.process.wait(timeout=30) == 0
         visit.context.close()
+
+
+@pytest.fixture(scope="module")
+def pulled(tmp_path_factory):
+    """A run with a force recording, too few slips to be sure of the clocks."""
+    out = tmp_path_factory.mktemp("pulled") / "paper"
+    film = PROJECT / "fixtures" / "paper"
+    times = ["--timestamps", f"{film / 'timestamps.txt'}", "--force", f"{film / 'force.txt'}", "--d0", "13"]
+    known = ["--pixel-size", "10", *times]
+    assert command([f"{film / 'video.avi'}", *known, "--no-report", "--quiet", "--out", f"{out}"]) == 1
+    return out
+
+
+@pytest.fixture(scope="module")
+def pulled_page(browser, pulled):
+    with Served(pulled) as served:
+        yield served
+
+
+def test_a_clock_is_accepted_by_sliding_the_force(browser, pulled_page):
+    """A failure means that ambiguous clocks cannot be settled, or that σ_x/Λ_st does not follow."""
+    visit = Visit(browser, pulled_page)
+    page = visit.page
+    assert "ambiguous" in visit.text("force-facts")
+    page.click("#decide-clock")
+    visit.effect()
+    best = float(page.input_value("#field-offset"))
+    box = page.locator("#force").bounding_box()
+    page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.56 * box["width"], box["y"] + 0.5 * box["height"], steps=4)
+    page.mouse.up()
+    visit.reads("effect", "0 of the film's 5 slips meet a drop")
+    assert float(page.input_value("#field-offset")) < best - 0.2
+    page.select_option("#field-candidate", "0")
+    visit.reads("effect", "5 of the film's 5 slips meet a drop")
+    visit.shot("clock")
+    visit.effect()
+    page.click("#keep")
+    visit.kept(1)
+    visit.reads("force-facts", "clocks given")
+    page.click("#slip-after")
+    visit.reads("message", "Slip at")
+    visit.press(*["Shift+ArrowRight"] * 2)
+    visit.reads("stick-facts", "stick")
+    visit.shot("deformation")
+    label = page.locator("#stick").get_attribute("aria-label")
+    assert re.search(r"left 25: 0\.(4[5-9]|5[0-5])", label), label  # the publication's outermost sheet
+    visit.press("l")  # one position less changes the fit of that sheet, and nothing else much
+    assert "σx/Λst in stick" in visit.effect()
+    visit.press("Escape", "u")
+    visit.kept(0)
+    assert visit.complaints == []
+    visit.context.close()
+
+
+def test_dragging_the_strip_shows_its_noise_at_once(browser, pulled_page):
+    """A failure means that rows are chosen blindly."""
+    visit = Visit(browser, pulled_page)
+    page = visit.page
+    visit.reads("film-facts", "rows 0:40")
+    page.wait_for_selector("#decide-strip:not([disabled])")
+    page.click("#decide-strip")
+    assert "noise from frame to frame" in visit.effect()
+    box = page.locator("#film").bounding_box()
+    s = page.evaluate("(() => { const s = review.views.film.surface; return [s.top, s.plotHeight]; })()")
+    x, bottom = box["x"] + 0.5 * box["width"], box["y"] + s[0] + s[1]
+    started = time.perf_counter()
+    page.mouse.move(x, bottom - 2)
+    page.mouse.down()
+    page.mouse.move(x, bottom - 0.7 * s[1], steps=4)
+    page.mouse.up()
+    visit.reads("film-facts", "rows 0:12")
+    visit.effect()
+    assert time.perf_counter() - started < 5  # a second on a machine that does nothing else
+    before, after = re.search(r"frame to frame: ([0-9.]+) → ([0-9.]+) px", visit.text("effect")).groups()
+    assert float(after) > 1.3 * float(before)  # fewer rows, more noise: about the root of 40/12
+    visit.shot("strip")
+    visit.press("Escape")
+    assert "rows 0:40" in visit.text("film-facts")
+    assert visit.complaints == []
+    visit.context.close()
+
+
+@pytest.mark.parametrize(("width", "height", "scheme"), [(1280, 800, "light"), (1920, 1080, "dark")])
+def test_the_page_fits_its_window(browser, pulled_page, width, height, scheme):
+    """A failure means that a projector or a small screen shows a page cut off, or in the wrong colours."""
+    visit = Visit(browser, pulled_page, viewport={"width": width, "height": height}, color_scheme=scheme)
+    page = visit.page
+    size = page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
+    assert size == [width, height]
+    assert page.evaluate("document.documentElement.dataset.theme") == scheme
+    visit.shot(f"{width}_{scheme}")
+    visit.press("g")
+    visit.effect()
+    for name in ("keep", "history", "doubts", "stick"):
+        box = page.locator(f"#{name}").bounding_box()
+        assert box["y"] + box["height"] <= height
+        assert box["height"] > 12
+    visit.shot(f"{width}_{scheme}_decision")
+    visit.press("Escape")
+    page.click("#theme")
+    assert page.evaluate("document.documentElement.dataset.theme") != scheme
+    assert visit.complaints == []
+    visit.context.close()
+
+
+def test_every_control_and_picture_has_a_name(browser, pulled_page):
+    """A failure means that a screen reader says "button", or nothing."""
+    visit = Visit(browser, pulled_page)
+    nameless = visit.page.evaluate(
+        """() => [...document.querySelectorAll("button, input, select, canvas, progress, dialog, section")]
+          .filter((one) => !(one.textContent.trim() || one.ariaLabel || one.getAttribute("aria-labelledby")
+            || one.labels?.length)).map((one) => one.outerHTML)"""
+    )
+    assert nameless == []
+    visit.press("?")
+    assert visit.page.locator("#keys").is_visible()
+    visit.press("Escape")
+    visit.press("Tab")
+    ring = visit.page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
+    assert ring == "solid"
+    visit.context.close()
+
+
+def test_a_second_window_is_told_of_the_first(browser, pulled_page):
+    """A failure means that two people undo each other's decisions without knowing."""
+    first, second = Visit(browser, pulled_page), Visit(browser, pulled_page)
+    second.reads("notice", "open in another window")
+    first.reads("notice", "open in another window")
+    second.page.click("#decide-axis")
+    second.effect()
+    second.press("Enter")
+    second.kept(1)
+    first.kept(1)  # it learns of it by itself
+    first.press("u")
+    first.kept(0)
+    second.kept(0)
+    for visit in (first, second):
+        assert visit.complaints == []
+        visit.context.close()
+
+
+def test_the_page_could_not_ask_the_network_if_it_tried(browser, pulled_page):
+    """A failure means that a script that strayed into the page could send the data away."""
+    visit = Visit(browser, pulled_page)
+    refused = visit.page.evaluate("fetch('http://127.0.0.1:9/').then(() => 'sent', (error) => error.name)")
+    assert refused == "TypeError"
+    assert any("Content Security Policy" in line for line in visit.complaints)
+    visit.context.close()
