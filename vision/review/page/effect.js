@@ -78,7 +78,7 @@ export function effectOfClock(answer, filmSlips, seconds, frameSeconds, before) 
 }
 
 const sideOf = (side) => (side < 0 ? "left" : "right");
-const span = (frames) => (frames.length ? `frames ${frames[0]}–${frames.at(-1)}` : "no frame in view");
+const span = (frames) => (frames.length > 1 ? `frames ${frames[0]}–${frames.at(-1)}` : frames.length ? `frame ${frames[0]}` : "no frame in view");
 const count = (values) => values.filter((x) => x != null).length;
 const ratio = (one) => (one?.ratio == null ? "none" : number(one.ratio, 3));
 const close = (a, b) => (a == null && b == null) || Math.abs(a - b) < 5e-4;
