@@ -101,7 +101,7 @@ class Page {
 
   shellText(stick) {
     const of = (side) => stick.shells?.find((one) => one.side === side)?.stiff_sheets ?? "–";
-    return stick.shells?.length ? ` · stiff: left ${of(-1)}, right ${of(1)}` : "";
+    return stick.shells?.length ? `, stiff: left ${of(-1)}, right ${of(1)}` : "";
   }
 
   /** Columns between which the sheets stand, with some room. */
