@@ -48,6 +48,7 @@ def start(words, said):
     """`track` in a process and a group of its own; what it says goes to a file."""
     child = os.fork()
     if child:
+        os.setpgid(child, child)  # here too: the signal may come before the child does it
         return child
     try:
         os.setpgid(0, 0)

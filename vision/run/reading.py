@@ -20,9 +20,12 @@ from vision.isolation import try_out
 from vision.numeric import Floats, Floats32
 from vision.run.folder import MARK
 from vision.run.tables import attrs_of_netcdf
+from vision.video.store import ProfileStore
 from vision.video.tiff_index import check_tiff
+from vision.video.uncompressed import read_fully
 
 AGAIN = "run track again"
+ROWS = 4096  # read at a time
 
 
 @dataclass(frozen=True)
@@ -104,15 +107,12 @@ def read_table(run: RunFolder, name: str) -> pd.DataFrame | None:
 def read_strip(run: RunFolder) -> xr.DataArray:
     """I(x, t) from kymograph.tif, with the coordinates and attributes `strip_profile` gave it.
 
-    The values stay on disk and are read where they are used. A frame's status is "ok" wherever its row has
-    values, else the flag of its sheets.
+    The values are a copy, beyond 1 GiB in a temporary file: a mapped file that becomes shorter kills the
+    process. A frame's status is "ok" wherever its row has values, else the flag of its sheets.
     Raises: InputError where the file is missing, damaged, or does not fit the tracks.
     """
     tracks, path = tracks_of(run), run.folder / "kymograph.tif"
-    values = _map_tif(path)
-    frames = tracks.sizes["frame"]
-    if values.ndim != 2 or len(values) != frames:
-        raise InputError(path, f"{frames} rows, one per frame of tracks.nc", f"shape {values.shape}", AGAIN)
+    values = _read_tif(path, tracks.sizes["frame"])
     first = run.first_column
     flags = tracks["flag"].values[:, 0]
     return xr.DataArray(
@@ -176,10 +176,27 @@ def _check_numbers(tracks: xr.Dataset, path: Path, wanted: str) -> None:
         raise InputError(path, wanted, f"no numbers in {', '.join(odd)}", AGAIN)
 
 
-def _map_tif(path: Path) -> Floats32:
-    """The one page of a space-time diagram, on disk."""
+def _read_tif(path: Path, frames: int) -> Floats32:
+    """The one page of a space-time diagram.  Raises: InputError."""
     wanted = "a space-time diagram as track writes it"
     check_regular(path, wanted)
-    check_tiff(path)
+    check_tiff(path, frames=False)
     with reading(path, wanted, AGAIN):
-        return np.asarray(tifffile.memmap(path, mode="r"))
+        with tifffile.TiffFile(path) as tif:
+            page = tif.pages.first
+            shape, dtype, start = page.shape, page.dtype, page.dataoffsets[0]
+            plain = page.is_contiguous and dtype is not None and dtype.newbyteorder("=") == np.float32
+            order = tif.byteorder
+        if len(shape) != 2 or shape[0] != frames:
+            raise InputError(path, f"{frames} rows, one per frame of tracks.nc", f"shape {shape}", AGAIN)
+        if not plain:
+            raise InputError(path, wanted, f"{dtype} in pieces", AGAIN)
+        stored = np.dtype(np.float32).newbyteorder(order)
+        rows = ProfileStore(shape[1], expected=frames)
+        with path.open("rb", buffering=0) as file:
+            file.seek(start)
+            for first in range(0, frames, ROWS):
+                part = np.empty((min(ROWS, frames - first), shape[1]), stored)
+                read_fully(file, part.data.cast("B"), path)
+                rows.append(part.astype(np.float32, copy=False))
+        return rows.rows()
