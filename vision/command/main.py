@@ -87,6 +87,7 @@ def _plain_surroundings() -> None:
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
     warnings.simplefilter("ignore")  # what a user should know is a warning line of the run
+    sys.unraisablehook = lambda _: None  # what libraries leave half-closed after the error that is told
 
 
 _interrupted: list[int] = []  # signals that told to stop
