@@ -37,6 +37,7 @@ from vision.sheets import (
     TrackingSettings,
     pixel_size_from_pitch,
     track_sheets,
+    with_heights,
 )
 from vision.shells import ShellSettings, classify_shells
 from vision.summary import consistency_warnings, summary_lines, tracking_warnings
@@ -49,6 +50,7 @@ from vision.video import (
     open_video,
     reference_frame,
     strip_profile,
+    strip_profiles,
 )
 
 if TYPE_CHECKING:
@@ -80,6 +82,8 @@ class Settings:
     ----------
     rows, columns
         Of the strip, half-open, px, after rotation.
+    strips
+        Number of parts of the strip, one above the other, that are measured as well; 1 for none.
     rotate
         Degrees clockwise by which each frame is turned first: 0, 90, 180 or 270.
     frames
@@ -121,6 +125,7 @@ class Settings:
 
     rows: slice | None = None
     columns: slice | None = None
+    strips: int = 1
     rotate: int = 0
     frames: slice | None = None
     fps: float | None = None
@@ -288,6 +293,8 @@ def analyse(
         For a video or force recording that cannot be read, or a video without ridges.
     """
     chosen = settings or Settings()
+    if chosen.strips != 1 and follow is not None:
+        raise InputError("`strips` and `follow`", "one of the two", "both", "track again when it is complete")
     if chosen.pitch_um is not None and chosen.pixel_size_um is not None:
         raise InputError("`pitch_um` and `pixel_size_um`", "one of the two", "both")
     stage = _Stages()
@@ -296,12 +303,15 @@ def analyse(
     recording = None if video is None else open_recording(video, chosen, follow)
     strip = frame = tracks = None
     if (film := recording) is not None:
-        strip = stage.must("reading", lambda: _strip(film, chosen, progress, log, follow))
+        if chosen.strips == 1:
+            strip, parts = stage.must("reading", lambda: _strip(film, chosen, progress, log, follow)), None
+        else:
+            strip, parts = stage.must("reading", lambda: _strips(film, chosen, progress))
         if follow is not None:
             with suppress(InputError):
                 recording = open_recording(film.path, chosen)  # it has grown
         frame = stage.must("first frame", lambda: reference_frame(film))
-        tracks = stage.must("tracking", lambda: _tracks(strip, chosen))
+        tracks = stage.must("tracking", lambda: _tracks(strip, parts, chosen))
         if chosen.pitch_um is not None:
             chosen = replace(chosen, pixel_size_um=pixel_size_from_pitch(tracks, chosen.pitch_um))
     sticks = stage.may("sticks", _sticks, machine, settings=chosen, needed=recording is None)
@@ -423,8 +433,20 @@ def _check_lengths(chosen: Settings, width_px: int) -> None:
         raise InputError("`window_px`", f"at most the picture's {width_px} columns", str(window), "try auto")
 
 
-def _tracks(strip: xr.DataArray, chosen: Settings) -> xr.Dataset:
-    return track_sheets(
+def _strips(video: Video, chosen: Settings, progress: Progress | None) -> tuple[xr.DataArray, xr.DataArray]:
+    _check_lengths(chosen, video.shape[1])
+    return strip_profiles(
+        video,
+        chosen.strips,
+        chosen.rows,
+        columns=chosen.columns,
+        progress=progress,
+        settings=chosen.tuning.video,
+    )
+
+
+def _tracks(strip: xr.DataArray, parts: xr.DataArray | None, chosen: Settings) -> xr.Dataset:
+    tracks = track_sheets(
         strip,
         ridges=chosen.ridges,
         sheets=chosen.sheets,
@@ -434,6 +456,7 @@ def _tracks(strip: xr.DataArray, chosen: Settings) -> xr.Dataset:
         corrections=chosen.corrections,
         settings=chosen.tuning.tracking,
     )
+    return tracks if parts is None else with_heights(tracks, parts, settings=chosen.tuning.tracking)
 
 
 def _recording(force: xr.Dataset | str | Path, chosen: Settings) -> xr.Dataset:

@@ -100,6 +100,8 @@ def _track_one(
         raise InputError("`follow` and `resume`", "one of the two", "both")
     check_target(target, overwrite=run.overwrite)
     settings, force = settings_of(parameters), parameters["force"].value
+    if run.resume and settings.strips != 1:
+        raise InputError("`resume` and `strips`", "one of the two", "both", "leave `resume` out")
     with Checkpoint(target, resume=run.resume) as checkpoint, resumable(checkpoint):
         if run.follow:
             with following(settings, quiet=run.quiet) as follow:

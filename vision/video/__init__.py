@@ -4,7 +4,7 @@ from vision.video.follow import Follow, await_video
 from vision.video.reader import Block, Facts, Reader
 from vision.video.settings import VideoSettings
 from vision.video.store import FramesRead, FrameStore
-from vision.video.strip import ReadingLog, reference_frame, strip_profile
+from vision.video.strip import ReadingLog, reference_frame, strip_profile, strip_profiles
 from vision.video.strip_find import Strip, find_strip, measure_strip
 from vision.video.video import FrameClock, Video, open_video, read_timestamps, video_files
 
@@ -27,5 +27,6 @@ __all__ = [
     "read_timestamps",
     "reference_frame",
     "strip_profile",
+    "strip_profiles",
     "video_files",
 ]

@@ -9,13 +9,14 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Protocol, TypeVar
 
 import numpy as np
 import xarray as xr
 
-from vision.data import STRIP, StripMetadata, record
+from vision.data import STRIP, STRIP_PARTS, StripMetadata, record
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints, Pixels, Strings
 from vision.video.follow import Follow, growth, held_back, part_of
@@ -129,6 +130,76 @@ def strip_profile(
             line = f"{video.path.name}: followed up to frame {last}; later ones are not read"
             video = replace(video, warnings=(*video.warnings, line))
     return assemble(video, store.all())
+
+
+def strip_profiles(
+    video: Video,
+    strips: int,
+    rows: slice | None = None,
+    *,
+    columns: slice | None = None,
+    progress: Progress | None = None,
+    settings: VideoSettings = DEFAULTS,
+) -> tuple[xr.DataArray, xr.DataArray]:
+    r"""I(x, t) of the strip, and I(x, z, t) of parts of it one above the other, from one pass over the film.
+
+    Parameters
+    ----------
+    video, rows, columns, progress, settings
+        As for `strip_profile`.
+    strips
+        Number of parts, 2 or more, of equal height to a row.
+
+    Returns
+    -------
+    xarray.DataArray, xarray.DataArray
+        The strip as `strip_profile` gives it, and its parts, "intensity" (z, frame, x), as
+        `vision.data.STRIP_PARTS` declares them; z is the middle of a part's rows, px.
+
+    Raises
+    ------
+    InputError
+        As `strip_profile`, and for parts of less than two rows.
+    """
+    x = cut(columns, video.shape[1], what=f"{video.path}: `columns`")
+    if rows is None:
+        strip = find_strip(video, columns=x, settings=settings)
+    else:
+        strip = measure_strip(video, rows, columns=x, settings=settings)
+    height, width = strip.rows.stop - strip.rows.start, x.stop - x.start
+    if not 2 <= strips <= height // 2:
+        wanted = f"2 to {height // 2} parts of the strip's {height} rows" if height >= 4 else "4 rows or more"
+        raise InputError("`strips`", wanted, f"{strips} of {height} rows")
+    edges = np.linspace(0, height, strips + 1).round().astype(int)
+    parts = [slice(None), *(slice(*pair) for pair in pairwise(edges))]
+    store = FrameStore((1 + strips) * width, expected=video.estimated, spill_bytes=settings.spill_bytes)
+    for block in prefetch(video.blocks(strip.rows, x)):
+        each = [_reduced(video, replace(block, pixels=block.pixels[:, part])) for part in parts]
+        store.append(replace(each[0], intensity=np.concatenate([part.intensity for part in each], axis=1)))
+        if progress is not None:
+            progress(store.count, video.estimated)
+    read = store.all()
+    spans = {name: span and [span.start, span.stop] for name, span in (("rows", rows), ("columns", columns))}
+    whole = _assembled(
+        video,
+        replace(read, intensity=read.intensity[:, :width]),
+        strip=strip,
+        columns=x,
+        spans=spans,
+        settings=settings,
+    )
+    intensity = read.intensity[:, width:].reshape(-1, strips, width).swapaxes(0, 1)
+    intensity[:, whole["status"].values != "ok"] = np.nan
+    z = strip.rows.start + (edges[:-1] + edges[1:] - 1) / 2
+    shared = {name: whole[name] for name in ("frame", "x")}
+    heights = xr.DataArray(
+        intensity,
+        dims=("z", "frame", "x"),
+        coords={"z": ("z", z, STRIP_PARTS["z"].attrs), **shared},
+        name="intensity",
+        attrs=STRIP_PARTS["intensity"].attrs,
+    )
+    return whole, record(heights, "strip_profiles", strips=strips)
 
 
 def _assembled(
