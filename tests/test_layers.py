@@ -28,6 +28,7 @@ LAYERS = (
     "report",
     "run",
     "certify",
+    "review",
     "command",
 )
 # The command defers its heavy imports, so that `track --help` answers at once.

@@ -25,6 +25,7 @@ from vision.command.kymograph import kymograph
 from vision.command.modulus import modulus
 from vision.command.overlay import overlay
 from vision.command.preview import preview
+from vision.command.review import review
 from vision.command.simulate import simulate
 from vision.command.track import track
 from vision.files import MOST_PIXELS
@@ -62,7 +63,7 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
     )
     app.default(track)
-    others = (preview, overlay, force, simulate, kymograph, export, figures, certify, compare)
+    others = (preview, overlay, force, simulate, kymograph, export, figures, certify, compare, review)
     for command in (*others, friction, modulus):
         app.command(command, help_format="markdown")
     return app
