@@ -28,6 +28,7 @@ LAYERS = (
     "report",
     "run",
     "certify",
+    "campaign",
     "command",
 )
 # The command defers its heavy imports, so that `track --help` answers at once.

@@ -12,6 +12,7 @@ from typing import Any
 
 from cyclopts import App
 
+from vision.command.campaign import campaign, campaign_job, campaign_pool
 from vision.command.certify import certify
 from vision.command.compare import compare
 from vision.command.console import complain, hold_streams, silence_libraries
@@ -57,9 +58,11 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
     )
     app.default(track)
-    others = (preview, overlay, force, simulate, kymograph, export, figures, certify, compare)
+    others = (preview, overlay, force, simulate, kymograph, export, figures, certify, compare, campaign)
     for command in (*others, friction, modulus):
         app.command(command)
+    app.command(campaign_job, show=False)  # for the Snakefile
+    app.command(campaign_pool, show=False)
     return app
 
 
