@@ -64,7 +64,7 @@ def open_tables(out: str | Path, table: str) -> ds.Dataset:
     with reading(folder, "tables as track campaign writes them", "run track campaign again"):
         schema = pa.unify_schemas([pq.read_schema(files[0]), *_other_schemas(folder)])
         film = pa.field("film", pa.string())
-        partitioning = ds.partitioning(pa.schema([film]), flavor="hive", segment_encoding="uri")
+        partitioning = ds.HivePartitioning(pa.schema([film]), segment_encoding="uri")
         return ds.dataset(
             [str(file) for file in files],
             format="parquet",
