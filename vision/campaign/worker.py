@@ -42,12 +42,15 @@ class Outcome:
         Its exit status, as of `track`.
     reason
         One line where that is 2 or 3.
+    warnings
+        Of the analysis, one line each.
     analysis
         What was found; None where nothing was.
     """
 
     status: int
     reason: str = ""
+    warnings: tuple[str, ...] = ()
     analysis: Analysis | None = None
 
 
@@ -123,7 +126,20 @@ def _in_child(work: Callable[[], None]) -> int:
 
 
 def _with_parent(work: Callable[[], None]) -> None:
-    """Work that ends when the parent does, however that ends."""
+    """Work that ends when the parent does, however that ends, and is interrupted once.
+
+    A second signal (to all processes of a terminal or a batch system, then from the parent) would come in the
+    middle of clearing up.
+    """
+    told = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+    def once(number: int, frame: object) -> None:
+        for each in told:
+            signal.signal(each, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    for each in told:
+        signal.signal(each, once)
     if sys.platform.startswith("linux"):
         ctypes.CDLL(None).prctl(1, signal.SIGTERM)
     try:
@@ -177,7 +193,7 @@ def _one(plan: Plan, film: Film, work: Work, copies: dict[str, Path], tuning: Ca
         return state
     write_partitions(plan.out, film.name, outcome.analysis)
     _thumbnail(target / "overview.png", plan.out / "thumbnails" / f"{film.name}.png", tuning.thumbnail_px)
-    warnings = tuple(outcome.analysis.warnings)
+    warnings = outcome.warnings
     reason = outcome.reason or (shortened(warnings[0], 300) if warnings else "")
     more = f" (and {len(warnings) - 1} more)" if outcome.status == 1 and len(warnings) > 1 else ""
     return replace(

@@ -25,7 +25,7 @@ from vision.command.options import (
     settings_of,
 )
 from vision.command.track import REFUSED, command_line, run_name, track_one
-from vision.errors import InputError
+from vision.errors import InputError, with_options
 
 if TYPE_CHECKING:
     from vision.campaign.plan import Film, Plan
@@ -434,6 +434,9 @@ def _work(plan: Plan) -> Callable[[Film, Path, Path], Outcome]:
                 analysis.reasons[name] for name in (*REFUSED, *analysis.failures) if name in analysis.reasons
             ]
             why = reasons[0] if reasons else f"a failure that nobody foresaw: {target / 'failures.txt'}"
-        return Outcome(status=status, reason=why, analysis=analysis)
+        lines = [
+            with_options(line, option_names()) for line in (why, *(analysis.warnings if analysis else ()))
+        ]
+        return Outcome(status=status, reason=lines[0], warnings=tuple(lines[1:]), analysis=analysis)
 
     return work
