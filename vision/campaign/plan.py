@@ -41,7 +41,7 @@ class Film:
         As in the table (`vision.campaign.table.Row`).
     key
         Of what is in its files and how it is analysed; another key, another run.
-    frames, columns, size_bytes
+    frames, rows, columns, size_bytes
         What its header says; 0 where it cannot be read.
     seconds, memory_mb
         Estimates.
@@ -55,6 +55,7 @@ class Film:
     facts: Mapping[str, Any]
     key: str
     frames: int = 0
+    rows: int = 0
     columns: int = 0
     size_bytes: int = 0
     seconds: float = 0.0
@@ -251,7 +252,7 @@ def _film(row: Row, known: dict[str, Any], tuning: CampaignSettings) -> Film:
     seconds = (
         tuning.base_seconds
         + megasamples * tuning.seconds_per_megasample
-        + facts.get("size_bytes", 0) / tuning.bytes_per_second
+        + megasamples * facts.get("rows", 0) / 1000 * tuning.seconds_per_gigapixel
     )
     memory = tuning.base_memory_mb + megasamples * tuning.memory_mb_per_megasample
     return Film(
@@ -279,10 +280,11 @@ def _header(row: Row) -> dict[str, Any]:
     try:
         size = sum(path.stat().st_size for path in video_files(Path(row.film)) if path.is_file())
         video = open_video(row.film, rotate=int(row.values.get("rotate") or 0))
-        frames, columns = video.estimated or 0, video.shape[1]
+        frames, (rows, columns) = video.estimated or 0, video.shape
     except (InputError, OSError) as error:
         return {"doubt": shortened(str(error))}
-    return {"frames": int(frames), "columns": int(columns), "size_bytes": int(size)}
+    numbers = {"frames": frames, "rows": rows, "columns": columns, "size_bytes": size}
+    return {name: int(number) for name, number in numbers.items()}
 
 
 def _fingerprint(path: Path, known: dict[str, Any]) -> str:

@@ -12,15 +12,15 @@ class CampaignSettings:
     # how long a film takes and what it needs, before anything of it was measured
     base_seconds: float = 1.0
     """Time for a film's tables, pictures and report, however short it is."""
-    seconds_per_megasample: float = 0.55
+    seconds_per_megasample: float = 0.7
     """Time for a million values of I(x,t), frames times columns: averaging, fits, identities, tables. It
     decides which films share a job and what a batch system is asked for; earlier films of the same campaign
     correct it."""
-    bytes_per_second: float = 200e6
-    """How fast a film is read. Slower makes estimates of long films longer."""
+    seconds_per_gigapixel: float = 3.0
+    """Time for reading and decoding: 1 to 4 s by the codec. It leads where frames are high."""
     base_memory_mb: float = 600.0
     """Libraries, figures and report."""
-    memory_mb_per_megasample: float = 60.0
+    memory_mb_per_megasample: float = 40.0
     """Memory for a million values of I(x,t), with the fits' blocks and the tables. Too small a value and a
     batch system ends the job, which then gets twice as much."""
     margin: float = 3.0
