@@ -29,6 +29,7 @@ LAYERS = (
     "run",
     "certify",
     "review",
+    "campaign",
     "command",
 )
 # The command defers its heavy imports, so that `track --help` answers at once.

@@ -88,11 +88,10 @@ class Visit:
     def history(self):
         """What counts, and what was undone."""
         entries = self.page.locator("#history li .what")
-        done = [
+        return [
             self.page.locator("#history li:not(.undone) .what").nth(k).inner_text()
             for k in range(entries.count() - self.undone())
         ]
-        return done
 
     def undone(self):
         return self.page.locator("#history li.undone").count()
