@@ -22,6 +22,7 @@ LAYERS = (
     "shells",
     "experiment",
     "figures",
+    "systematics",
     "summary",
     "pipeline",
     "comparison",
