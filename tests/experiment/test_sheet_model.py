@@ -208,7 +208,7 @@ def test_sheets_that_hold_each_other_give_eq_1_and_the_drops() -> None:
     normal = equation_normal_N(pull, first[0])
     np.testing.assert_allclose(share, 1 - normal / normal[0], atol=0.02)
     alone = pull_sheets(replace(pull, slips="alone"))
-    assert np.max(alone["force_N"] / equations.traction(alone["d_mm"], mu=0.89)) < 0.9
+    assert np.max(alone["force_N"] / equations.traction(alone["d_mm"], mu=0.89)) < 0.95
 
 
 def test_inner_sheets_stick_and_outer_ones_slide() -> None:
