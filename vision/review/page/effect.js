@@ -45,10 +45,11 @@ function deformation(event, before, after) {
   const lines = changed.slice(0, MOST_LINES).map((one) => one.text);
   if (changed.length > MOST_LINES) lines.push(`… and of ${changed.length - MOST_LINES} more sheets`);
   if (!changed.length) lines.push(`σx/Λst in stick ${event}: no change`);
-  for (const [word, sign] of SIDES) {
+  const stiff = SIDES.map(([word, sign]) => {
     const [a, b] = [before, after].map((all) => all.filter((one) => one.side === sign && one.shell === "stiff").length);
-    lines.push(a === b ? `stiff sheets, ${word}: ${b}, no change` : `stiff sheets, ${word}: ${a} → ${b}`);
-  }
+    return a === b ? `${word} ${b}` : `${word} ${a} → ${b}`;
+  });
+  lines.push(`called stiff in it: ${stiff.join(", ")} sheets`);
   return lines;
 }
 
