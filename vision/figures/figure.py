@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
@@ -18,7 +19,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from vision.data import harmless_table
 from vision.errors import InputError
+from vision.files import reading
 from vision.numeric import Bools, Floats
 
 if TYPE_CHECKING:
@@ -323,7 +326,7 @@ class Figure:
         path = Path(path)
         kind = path.suffix.lower()
         if kind == ".csv":
-            self.table().to_csv(path, index=False, float_format="%.8g", lineterminator="\n")
+            harmless_table(self.table()).to_csv(path, index=False, float_format="%.8g", lineterminator="\n")
         elif kind in (".png", ".pdf", ".svg"):
             from vision.figures import drawing
 
@@ -355,7 +358,7 @@ def _long(table: pd.DataFrame, panel: Panel) -> pd.DataFrame:
 def write_captions(path: Path, figures: Iterable[Figure]) -> None:
     """Names, titles and captions as text."""
     text = "\n\n".join(f"{f.name}\n{' '.join([f'{f.title}. {f.caption}', *f.notes])}" for f in figures)
-    path.write_text(text + "\n", encoding="utf-8")
+    path.write_text(text + "\n", encoding="utf-8", errors="replace")
 
 
 # --- figures in a file --------------------------------------------------------------------------------------
@@ -452,17 +455,17 @@ def load_figures(path: str | Path) -> list[Figure]:
     ------
     InputError
         For a file that does not hold figures, or those of an incompatible version.
-    OSError
-        For a file that cannot be read.
     """
-    try:
+    with reading(Path(path), "figures that a run has saved", "run track again"):
         with np.load(path, allow_pickle=False) as arrays:
             stored = {name: arrays[name] for name in arrays.files}
         listed = json.loads(stored["figures"].tobytes().decode())
         cut: dict[tuple[int, int], Floats] = {}
-        return [_decode(item, stored, cut) for item in listed]
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(path, "figures that a run has saved", f"{type(error).__name__}: {error}") from error
+        figures = [_decode(item, stored, cut) for item in listed]
+        for figure in figures:  # it becomes the name of a file
+            if not re.fullmatch(r"\w{1,60}", figure.name):
+                raise ValueError(f"a figure of the name {figure.name!r}")
+        return figures
 
 
 def _decode(value: Any, stored: dict[str, NDArray[Any]], cut: dict[tuple[int, int], Floats]) -> Any:
