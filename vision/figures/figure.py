@@ -13,7 +13,8 @@ import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from types import UnionType
+from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pandas as pd
@@ -480,4 +481,29 @@ def _decode(value: Any, stored: dict[str, NDArray[Any]], cut: dict[tuple[int, in
             return stored[at]
         return cut.setdefault((at[0], at[1]), stored["curves"][at[0] : at[1]])
     made = _CLASSES[value["class"]]
-    return made(**{name: _decode(item, stored, cut) for name, item in value.items() if name != "class"})
+    parts = {name: _decode(item, stored, cut) for name, item in value.items() if name != "class"}
+    hints = get_type_hints(made)
+    if wrong := [name for name, part in parts.items() if not _fits(part, hints[name])]:
+        raise TypeError(f"{value['class']}.{wrong[0]} is no {hints[wrong[0]]}")
+    figure = made(**parts)
+    if isinstance(figure, Series):
+        held = [part for part in (figure.y, figure.low, figure.high, figure.text or None) if part is not None]
+        if figure.x.ndim != 1 or any(len(part) != len(figure.x) for part in held):
+            raise ValueError(f"a series of {figure.x.shape} points with values of another number")
+    return figure
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    """Whether a value read from a file is of the declared type; the types are those of this module."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is Literal:
+        return value in inner
+    if origin in (Union, UnionType):
+        return any(_fits(value, one) for one in inner)
+    if origin is tuple and isinstance(value, tuple):
+        if inner[-1] is Ellipsis:
+            return all(_fits(item, inner[0]) for item in value)
+        return len(value) == len(inner) and all(map(_fits, value, inner))
+    if kind is float:
+        return isinstance(value, (int, float)) and not isinstance(value, bool)
+    return isinstance(value, origin or kind)
