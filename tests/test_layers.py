@@ -22,12 +22,15 @@ LAYERS = (
     "shells",
     "experiment",
     "figures",
+    "systematics",
     "summary",
     "pipeline",
     "comparison",
     "report",
     "run",
     "certify",
+    "review",
+    "campaign",
     "command",
 )
 # The command defers its heavy imports, so that `track --help` answers at once.
