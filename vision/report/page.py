@@ -122,7 +122,7 @@ def render_page(
         **content,
     )
     path = Path(path)
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text, encoding="utf-8", errors="replace")
     return path
 
 
