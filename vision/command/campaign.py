@@ -409,25 +409,29 @@ def _work(plan: Plan) -> Callable[[Film, Path, Path], Outcome]:
     """What a job does with each film: the same as `track`."""
     from vision.campaign.worker import Outcome
 
-    options = RunOptions(overwrite=True, report=plan.report, quiet=True)
-
     def parameters(film: Film) -> dict[str, Parameter]:
         values = {name: parse_option(plan.out, name, text) for name, text in film.options.items()}
         return merged(*_groups(values), config=plan.config)
 
     def work(film: Film, source: Path, target: Path) -> Outcome:
         found: list[Any] = []
+        local = "://" not in film.film
+        video = Path(film.film) if local else source
+        chosen = parameters(film)
+        # a job that was killed goes on where it ended, but not from a copy that is gone
+        again = local and source == video and plan.state(film).attempts > 1 and not chosen["strips"].value
 
-        def analyse() -> int:
-            local = "://" not in film.film
-            video = Path(film.film) if local else source
+        def analyse(*, resume: bool) -> int:
+            options = RunOptions(overwrite=True, report=plan.report, quiet=True, resume=resume)
             status, analysis = track_one(
-                video, target, parameters(film), options, one_of_many=True, copy=source if local else None
+                video, target, chosen, options, one_of_many=True, copy=source if local else None
             )
             found.append(analysis)
             return status
 
-        status, why = outcome(analyse)
+        status, why = outcome(partial(analyse, resume=again))
+        if again and not found and status == 2:  # what was kept is of another reading
+            status, why = outcome(partial(analyse, resume=False))
         analysis = found[0] if found else None
         if analysis is not None and not why and status >= 2:
             reasons = [
