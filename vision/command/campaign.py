@@ -117,7 +117,7 @@ def campaign(
     check = _checker(config)
     rows = [] if table is None else _read(table, check, watch)
     if not (dry_run or plan):
-        engine.check_engine(executor)
+        engine.check_engine(executor, [row.film for row in rows])
     make = _planner(target, config=config, stage=stage, report=report, cores=cores, executor=executor)
     if dry_run:
         return _dry_run(make(rows, keep=False), cores)
@@ -294,9 +294,7 @@ def _conductor(
         write_page(plan, live=bool(plan.jobs))
         started = time.perf_counter()
         try:
-            if plan.jobs:
-                run(plan, "films", watch=_progress(plan, quiet=quiet))
-                engine.close_states(plan)
+            plan = engine.run_films(plan, lambda left: run(left, "films", watch=_progress(left, quiet=quiet)))
             if needs_pool(plan):
                 write_page(plan, live=True)
                 run(plan, "pool")
