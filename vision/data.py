@@ -251,6 +251,17 @@ STRIP = Schema(
     StripMetadata,
 )
 
+STRIP_PARTS = Schema(
+    "parts of the strip",
+    "vision.video.strip_profiles",
+    {
+        "intensity": Variable(("z", "frame", "x"), "grey level", "mean intensity of a part of the strip"),
+        "z": Variable(("z",), "px", "middle of the part's rows, counted from the top"),
+        "frame": Variable(("frame",), "", "frame number in the file"),
+        "x": Variable(("x",), "px", "column"),
+    },
+)
+
 # --- x(n, t) ------------------------------------------------------------------------------------------------
 
 
@@ -326,6 +337,10 @@ TRACKS = Schema(
             _SHEET, "px", "measured scatter of the position between neighbouring sheets", required=False
         ),
         "x_predicted_px": Variable(_SHEET, "px", "error predicted from the noise of pixels", required=False),
+        "x_z_px": Variable(("frame", "sheet", "z"), "px", "position in a part of the strip", required=False),
+        "x_z_err_px": Variable(
+            ("frame", "sheet", "z"), "px", "standard error of the position in a part", required=False
+        ),
         "time_s": Variable(("frame",), "s", "time of the frame"),
         "side": Variable(_SHEET, "", "-1 left, +1 right of the axis"),
         "n": Variable(_SHEET, "", "sheet number, counted from the centre outwards"),

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -101,18 +102,32 @@ def shortened(text: str, most: int = 160) -> str:
 
 @dataclass(frozen=True)
 class Stamp:
-    """What tells whether a file is still the same: its size, time and identity; None for one that is gone."""
+    """What tells whether a file is still the same: its size, time and identity; None for one that is gone.
+
+    Of a folder or a pattern: the size of all its files and the time of the latest.
+    """
 
     facts: tuple[int, int, int, int] | None = None
 
     @classmethod
     def of(cls, path: Path) -> Stamp:
-        """The stamp of a file or folder."""
+        """The stamp of a file, a folder or a pattern."""
         try:
+            if path.is_dir():
+                with os.scandir(path) as entries:
+                    return cls._of_all([entry.stat() for entry in entries if entry.is_file()])
+            if not path.exists() and glob.has_magic(str(path)):
+                names = glob.glob(str(path))  # noqa: PTH207  # may be absolute
+                return cls._of_all([os.stat(name) for name in names])  # noqa: PTH116
             found = path.stat()
         except (OSError, ValueError):
             return cls(None)
         return cls((found.st_size, found.st_mtime_ns, found.st_ino, found.st_dev))
+
+    @classmethod
+    def _of_all(cls, found: Sequence[os.stat_result]) -> Stamp:
+        latest = max((one.st_mtime_ns for one in found), default=0)
+        return cls((sum(one.st_size for one in found), latest, 0, 0)) if found else cls(None)
 
     def change(self, path: Path) -> str:
         """What happened to the file since; "" for nothing."""

@@ -12,7 +12,9 @@ import math
 import time
 import traceback
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -35,10 +37,21 @@ from vision.sheets import (
     TrackingSettings,
     pixel_size_from_pitch,
     track_sheets,
+    with_heights,
 )
 from vision.shells import ShellSettings, classify_shells
 from vision.summary import consistency_warnings, summary_lines, tracking_warnings
-from vision.video import Video, VideoSettings, open_video, reference_frame, strip_profile
+from vision.video import (
+    Follow,
+    ReadingLog,
+    Video,
+    VideoSettings,
+    await_video,
+    open_video,
+    reference_frame,
+    strip_profile,
+    strip_profiles,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,6 +82,8 @@ class Settings:
     ----------
     rows, columns
         Of the strip, half-open, px, after rotation.
+    strips
+        Number of parts of the strip, one above the other, that are measured as well; 1 for none.
     rotate
         Degrees clockwise by which each frame is turned first: 0, 90, 180 or 270.
     frames
@@ -110,6 +125,7 @@ class Settings:
 
     rows: slice | None = None
     columns: slice | None = None
+    strips: int = 1
     rotate: int = 0
     frames: slice | None = None
     fps: float | None = None
@@ -245,6 +261,8 @@ def analyse(
     settings: Settings | None = None,
     *,
     progress: Progress | None = None,
+    log: ReadingLog | None = None,
+    follow: Follow | None = None,
 ) -> Analysis:
     """Every stage of one test, in order.
 
@@ -258,6 +276,10 @@ def analyse(
         What is not to be found from the data.
     progress
         Called with (frames done, total frames or None) while the video is read.
+    log
+        Keeps what is read, for a run that takes up an interrupted one (`vision.run.Checkpoint`).
+    follow
+        Reads on as the recording grows, until it is closed (`vision.video.Follow`).
 
     Returns
     -------
@@ -271,17 +293,25 @@ def analyse(
         For a video or force recording that cannot be read, or a video without ridges.
     """
     chosen = settings or Settings()
+    if chosen.strips != 1 and follow is not None:
+        raise InputError("`strips` and `follow`", "one of the two", "both", "track again when it is complete")
     if chosen.pitch_um is not None and chosen.pixel_size_um is not None:
         raise InputError("`pitch_um` and `pixel_size_um`", "one of the two", "both")
     stage = _Stages()
     # A force file that is not understood is refused before the long work of reading a video.
     machine = None if force is None else stage.must("reading force", lambda: _recording(force, chosen))
-    recording = None if video is None else open_recording(video, chosen)
+    recording = None if video is None else open_recording(video, chosen, follow)
     strip = frame = tracks = None
-    if recording is not None:
-        strip = stage.must("reading", lambda: _strip(recording, chosen, progress))
-        frame = stage.must("first frame", lambda: reference_frame(recording))
-        tracks = stage.must("tracking", lambda: _tracks(strip, chosen))
+    if (film := recording) is not None:
+        if chosen.strips == 1:
+            strip, parts = stage.must("reading", lambda: _strip(film, chosen, progress, log, follow)), None
+        else:
+            strip, parts = stage.must("reading", lambda: _strips(film, chosen, progress))
+        if follow is not None:
+            with suppress(InputError):
+                recording = open_recording(film.path, chosen)  # it has grown
+        frame = stage.must("first frame", lambda: reference_frame(film))
+        tracks = stage.must("tracking", lambda: _tracks(strip, parts, chosen))
         if chosen.pitch_um is not None:
             chosen = replace(chosen, pixel_size_um=pixel_size_from_pitch(tracks, chosen.pitch_um))
     sticks = stage.may("sticks", _sticks, machine, settings=chosen, needed=recording is None)
@@ -352,19 +382,44 @@ class _Stages:
         return None
 
 
-def open_recording(video: Video | str | Path, chosen: Settings) -> Video:
-    """The video as the settings want it turned, cut and timed; one that is open already, as it is."""
+def open_recording(video: Video | str | Path, chosen: Settings, follow: Follow | None = None) -> Video:
+    """The video as the settings want it turned, cut and timed; one that is open already, as it is.
+
+    One that is followed is waited for.
+    """
     if isinstance(video, Video):
         return video
-    return open_video(
-        video, rotate=chosen.rotate, frames=chosen.frames, fps=chosen.fps, timestamps=chosen.timestamps
+    opened = partial(
+        open_video,
+        video,
+        rotate=chosen.rotate,
+        frames=chosen.frames,
+        fps=chosen.fps,
+        timestamps=chosen.timestamps,
     )
+    if follow is None:
+        return opened()
+    if chosen.timestamps is not None:
+        raise InputError("`follow` and `timestamps`", "one of the two", "both", "give `fps`")
+    return await_video(video, opened, follow, chosen.tuning.video)
 
 
-def _strip(video: Video, chosen: Settings, progress: Progress | None) -> xr.DataArray:
+def _strip(
+    video: Video,
+    chosen: Settings,
+    progress: Progress | None,
+    log: ReadingLog | None,
+    follow: Follow | None,
+) -> xr.DataArray:
     _check_lengths(chosen, video.shape[1])
     return strip_profile(
-        video, chosen.rows, columns=chosen.columns, progress=progress, settings=chosen.tuning.video
+        video,
+        chosen.rows,
+        columns=chosen.columns,
+        progress=progress,
+        settings=chosen.tuning.video,
+        log=log,
+        follow=follow,
     )
 
 
@@ -378,8 +433,20 @@ def _check_lengths(chosen: Settings, width_px: int) -> None:
         raise InputError("`window_px`", f"at most the picture's {width_px} columns", str(window), "try auto")
 
 
-def _tracks(strip: xr.DataArray, chosen: Settings) -> xr.Dataset:
-    return track_sheets(
+def _strips(video: Video, chosen: Settings, progress: Progress | None) -> tuple[xr.DataArray, xr.DataArray]:
+    _check_lengths(chosen, video.shape[1])
+    return strip_profiles(
+        video,
+        chosen.strips,
+        chosen.rows,
+        columns=chosen.columns,
+        progress=progress,
+        settings=chosen.tuning.video,
+    )
+
+
+def _tracks(strip: xr.DataArray, parts: xr.DataArray | None, chosen: Settings) -> xr.Dataset:
+    tracks = track_sheets(
         strip,
         ridges=chosen.ridges,
         sheets=chosen.sheets,
@@ -389,6 +456,7 @@ def _tracks(strip: xr.DataArray, chosen: Settings) -> xr.Dataset:
         corrections=chosen.corrections,
         settings=chosen.tuning.tracking,
     )
+    return tracks if parts is None else with_heights(tracks, parts, settings=chosen.tuning.tracking)
 
 
 def _recording(force: xr.Dataset | str | Path, chosen: Settings) -> xr.Dataset:

@@ -221,12 +221,26 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
         + predicted,
         *([f"doubt      {doubt}"] if (doubt := doubt_line(tracks)) else []),
         f"strip      rows {strip.strip_z0}:{strip.strip_z1} ({strip.strip_how}){tilt}",
+        *([heights_line(tracks)] if "x_z_px" in tracks else []),
         f"ridges     {found.ridge_fwhm_px:.1f} px wide, {found.pitch_px:.1f} px apart; {found.fit} fit over "
         f"{found.window_px} px",
         f"axis       {found.axis_px:.1f} px ({_axis(found)})",
         f"clock      {frame_times(strip)}",
         f"scale      {scale}",
     ]
+
+
+def heights_line(tracks: xr.Dataset) -> str:
+    """How many strips were measured beside the whole, and how far sheets lean from the first to the last."""
+    z = tracks["z"].values
+    over = tracks["x_z_px"].values
+    lean = nan_median((over[..., -1] - over[..., 0]).ravel())
+    missing = int((np.isfinite(tracks["x_px"].values)[..., None] & ~np.isfinite(over)).sum())
+    lost = f"; {missing} positions without a fit" if missing else ""
+    return (
+        f"heights    {len(z)} strips from row {z[0]:.1f} to {z[-1]:.1f}, x_z_px in tracks.nc; sheets lean by "
+        f"{lean:+.3f} px between them{lost}"
+    )
 
 
 def _axis(found: TrackMetadata) -> str:

@@ -8,15 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from vision.command.main import HELP, run
+from vision.command.main import HELP, make_app, run
 from vision.command.track import run_name
 
 ROOT = Path(__file__).parents[2]
 HEAVY = {"pandas", "xarray", "matplotlib", "scipy", "skimage", "cv2", "av", "tifffile", "h5py"}
+COMMANDS = [name for name in make_app() if not name.startswith("-")]
 EXAMPLES = [line.strip() for line in HELP.splitlines() if line.startswith("    track ")]
 
 
-@pytest.mark.parametrize("command", [[], ["force"], ["simulate"], ["kymograph"], ["export"], ["figures"]])
+@pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)])
 def test_help_fits_a_terminal_of_80_columns(command, capsys, monkeypatch):
     """A failure means that help wraps into a mess, or that a command is without words of its own."""
     monkeypatch.setenv("COLUMNS", "80")
@@ -26,6 +27,13 @@ def test_help_fits_a_terminal_of_80_columns(command, capsys, monkeypatch):
     assert len(lines[2].strip()) > 30
 
 
+def test_an_option_is_explained_without_line_breaks(capsys, monkeypatch):
+    """A failure means that a line break of the source cuts a sentence in two where the terminal is wide."""
+    monkeypatch.setenv("COLUMNS", "500")
+    assert run(["--help"]) == 0
+    assert not re.findall(r"^│ {4,}\S.*", capsys.readouterr().out, re.MULTILINE)
+
+
 def test_help_shows_examples_and_every_command(capsys):
     """A failure means that the examples are swallowed, or that a command is a bare name."""
     assert run(["--help"]) == 0
@@ -33,7 +41,7 @@ def test_help_shows_examples_and_every_command(capsys):
     assert len(EXAMPLES) >= 4
     for example in EXAMPLES:
         assert example in said
-    for command in ("export", "figures", "force", "kymograph", "simulate"):
+    for command in COMMANDS:
         assert re.search(rf"{command} +[A-Z]\w+", said), command
     assert "NAME_tracks" in said
 

@@ -44,6 +44,7 @@ UM_PER = {"mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Gre
 _OPTION_OF = {
     "rows": "--strip",
     "columns": "--columns",
+    "strips": "--strips",
     "sheets": "--sheets",
     "ridges": "--ridges",
     "axis_px": "--axis",
@@ -86,6 +87,8 @@ _OPTION_OF = {
     "main_sample": "--main-sample",
     "out": "--out",
     "overwrite": "--overwrite",
+    "resume": "--resume",
+    "follow": "--follow",
 }
 
 
@@ -103,6 +106,8 @@ class VideoOptions:
     """Rows averaged, Z0:Z1, half-open, from the top; auto finds where ridges are straight and clear."""
     columns: str | None = None
     """Columns looked at, X0:X1."""
+    strips: Whole | None = None
+    """Measure in so many parts of the strip as well, one above the other: x(n,z,t) in tracks.nc."""
     sheets: Whole | None = None
     """Number of ridges in view; found if not given."""
     ridges: Literal["bright", "dark", "auto"] | None = None
@@ -110,8 +115,7 @@ class VideoOptions:
     axis: float | None = None
     """Symmetry axis in px; found from the motion if not given."""
     fit: Literal["auto", "sliding", "paper", "template"] | None = None
-    """auto (default: template where it is learned well, else sliding), sliding, paper (the publication's,
-    exactly) or template."""
+    """auto (template where it is learned well, else sliding), sliding, paper (as published) or template."""
     window: str | None = None
     """Fit window in px, odd, or auto to follow the ridges' width; 9 where they are 6 to 14 px wide."""
     corrections: Path | None = None
@@ -140,15 +144,13 @@ class ForceOptions:
     speed: float | None = None
     """Pulling speed V in mm/min, where no displacement is recorded."""
     d0: str | None = None
-    """Initial separation in mm, also with its error (13.0±0.1), added to the crosshead's change since the
-    recording began; 0 if the column is the separation itself."""
+    """Initial separation, mm, or 13.0±0.1, added to the crosshead's change; 0: column is separation."""
     force_columns: str | None = None
     """Columns by name or number, as in time=Time,load=Load:kN,displacement=3."""
     force_threshold: float | None = None
     """Smallest drop that is a slip, N; found from the noise if not given."""
     force_lowpass: str | None = None
-    """Time constant of the load cell's low-pass, s, that is corrected for; 0 (default): forces as recorded;
-    auto: found from the slips, and corrected for where it is proven."""
+    """Time constant of the load cell that is undone, s: 0 as recorded; auto where the slips prove it."""
     machine_stiffness: float | None = None
     """The machine's own stiffness in N/mm, to correct d; no correction if not given."""
     fit_range: str | None = None
@@ -200,6 +202,10 @@ class RunOptions:
     """Run folder; NAME_tracks in the working directory if not given."""
     overwrite: Flag = False
     """Replace an earlier run folder."""
+    resume: Flag = False
+    """Go on where an interrupted run of the same film ended."""
+    follow: Flag = False
+    """Track a film or folder that a camera still writes, until it is closed or Ctrl-C is pressed."""
     report: Annotated[bool, Option(show_default=False)] = True
     """Write report.html."""
     checksum: Flag = False
@@ -355,6 +361,7 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
         "timestamps": value.get("timestamps"),
         "ridges": value.get("ridges"),
         "sheets": number(value.get("sheets"), "--sheets", least=1, whole=True),
+        "strips": number(value.get("strips"), "--strips", least=2, whole=True),
         "axis_px": number(value.get("axis"), "--axis", least=-1e6),
         "fit": value.get("fit"),
         "window_px": parse_window(value.get("window")),

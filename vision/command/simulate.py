@@ -122,8 +122,7 @@ def simulate(
     container
         raw (Y800 AVI), mjpeg, h264, ffv1, tiff or png.
     toml
-        Settings from a file, in tables [sample], [mechanics], [sheets], [optics], [camera], [clocks],
-        [load_cell].
+        Settings from a file: tables sample, mechanics, sheets, optics, camera, clocks, load_cell.
     set_
         Any setting by name, such as --set optics.tilt_deg=0.5; can be repeated.
     overwrite

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vision.command.console import complain, frame_progress, say
+from vision.command.follow import following
 from vision.command.options import (
     ForceOptions,
     RunOptions,
@@ -18,10 +21,11 @@ from vision.command.options import (
     option_names,
     settings_of,
 )
+from vision.errors import InputError
 
 if TYPE_CHECKING:
     from vision.pipeline import Analysis
-    from vision.run import Parameter
+    from vision.run import Checkpoint, Parameter
 
 REFUSED = ("sticks", "clock", "motion", "shells")  # stages whose input cannot be used: exit status 2
 
@@ -65,6 +69,8 @@ def track(
         return _track_one(videos[0], target, parameters, run)[0]
     from vision.command.several import targets_of, track_several
 
+    if run.follow:
+        raise InputError("`follow`", "one video", f"{len(videos)}", "follow each in a terminal of its own")
     targets = targets_of(videos, run.out, parameters)
     settings_of(parameters)  # what fits no film is said once
     return track_several(
@@ -87,24 +93,35 @@ def _track_one(
     Of many films each warning names its film, and the summary waits for the table unless all is asked for.
     """
     from vision.pipeline import analyse
-    from vision.run import Origin, Parameter, check_target, write_run
+    from vision.run import Checkpoint, Origin, Parameter, check_target, write_run
     from vision.video import video_files
 
+    if run.follow and run.resume:
+        raise InputError("`follow` and `resume`", "one of the two", "both")
     check_target(target, overwrite=run.overwrite)
     settings, force = settings_of(parameters), parameters["force"].value
-    with frame_progress("reading", quiet=run.quiet) as progress:
-        analysis = analyse(video, force, settings, progress=progress)
-    inputs = (*video_files(video), *(() if force is None else (force,)))
-    if settings.pitch_um is not None:
-        parameters = {**parameters, "pixel_size": Parameter(analysis.pixel_size_um, "found")}
-    origin = Origin(
-        command=command_line(),
-        inputs=inputs,
-        parameters=parameters,
-        checksum=run.checksum,
-        options=option_names(),
-    )
-    write_run(analysis, target, origin, overwrite=run.overwrite, report=run.report)
+    if run.resume and settings.strips != 1:
+        raise InputError("`resume` and `strips`", "one of the two", "both", "leave `resume` out")
+    with Checkpoint(target, resume=run.resume) as checkpoint, resumable(checkpoint):
+        if run.follow:
+            with following(settings, quiet=run.quiet) as follow:
+                analysis = analyse(video, force, settings, follow=follow)
+        else:
+            with frame_progress("reading", quiet=run.quiet) as progress:
+                analysis = analyse(video, force, settings, progress=progress, log=checkpoint)
+        inputs = (*video_files(video), *(() if force is None else (force,)))
+        if settings.pitch_um is not None:
+            parameters = {**parameters, "pixel_size": Parameter(analysis.pixel_size_um, "found")}
+        origin = Origin(
+            command=command_line(),
+            inputs=inputs,
+            parameters=parameters,
+            checksum=run.checksum,
+            options=option_names(),
+        )
+        facts = {"frames_resumed": checkpoint.resumed} if checkpoint.resumed else None
+        write_run(analysis, target, origin, overwrite=run.overwrite, report=run.report, facts=facts)
+        checkpoint.done()
     status = finish(
         analysis,
         target,
@@ -114,6 +131,16 @@ def _track_one(
         about=f"{video.name}: " if one_of_many else "",
     )
     return status, analysis
+
+
+@contextmanager
+def resumable(checkpoint: Checkpoint) -> Iterator[None]:
+    """An interrupted run says how it goes on, where what it read is kept."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        kept = checkpoint.kept
+        raise KeyboardInterrupt(f"{kept} frames are kept for --resume" if kept else "") from None
 
 
 def run_name(video: Path) -> str:

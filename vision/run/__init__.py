@@ -1,5 +1,6 @@
 """The run folder: written whole or not at all, read back, exported."""
 
+from vision.run.checkpoint import Checkpoint
 from vision.run.export import export_run
 from vision.run.folder import check_target, run_folder, whole_file
 from vision.run.provenance import Parameter, describe_input, plain, versions, write_json
@@ -7,6 +8,7 @@ from vision.run.reading import RunFolder, check_mark, is_run, read_run, read_str
 from vision.run.writing import Origin, run_facts, write_run
 
 __all__ = [
+    "Checkpoint",
     "Origin",
     "Parameter",
     "RunFolder",

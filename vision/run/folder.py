@@ -23,6 +23,7 @@ except ImportError:  # Windows
 
 MARK = "run.json"  # what makes a folder a run folder
 PART, OLD = ".part", ".old"  # endings of a run that is being written, and of one that was moved aside
+READING = ".reading"  # ending of what is kept while a long film is read
 RENAME_EXCHANGE = 2  # of Linux's renameat2
 
 
@@ -35,7 +36,7 @@ def check_target(target: Path, *, overwrite: bool) -> None:
     try:
         if target.exists():
             _check_earlier(target, overwrite=overwrite)
-        parent = _existing_parent(target)
+        parent = existing_parent(target)
     except OSError as error:
         raise _unwritable(target, error) from error
     if not os.access(parent, os.W_OK | os.X_OK):
@@ -77,7 +78,7 @@ def run_folder(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
     lock = None
     try:
         made.mkdir(parents=True)
-        lock = _lock(made)
+        lock = lock_folder(made)
         yield made
         _replace(made, target, overwrite=overwrite)
     except OSError as error:
@@ -88,11 +89,19 @@ def run_folder(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
             os.close(lock)
 
 
+def reading_folder(target: Path) -> Path:
+    """Where frames are kept while a long film is read for the run folder `target`."""
+    return target.parent / f".{target.name}{READING}"
+
+
 def clean_up(target: Path) -> None:
     """Remove or restore what processes that were killed left beside `target`."""
+    if (lock := lock_folder(reading_folder(target))) is not None:
+        shutil.rmtree(reading_folder(target), ignore_errors=True)
+        os.close(lock)
     hidden = f".{glob.escape(target.name)}.*"
     for old in target.parent.glob(hidden + OLD):
-        if (lock := _lock(old)) is not None:
+        if (lock := lock_folder(old)) is not None:
             with suppress(OSError):
                 if target.exists():
                     shutil.rmtree(old)
@@ -100,13 +109,13 @@ def clean_up(target: Path) -> None:
                     old.rename(target)
             os.close(lock)
     for part in target.parent.glob(hidden + PART):
-        if (lock := _lock(part)) is not None:
+        if (lock := lock_folder(part)) is not None:
             shutil.rmtree(part, ignore_errors=True)
             os.close(lock)
 
 
-def _lock(folder: Path) -> int | None:
-    """Claim a folder; None where a living process has it (or, off POSIX, always).
+def lock_folder(folder: Path) -> int | None:
+    """Claim a folder; None where a living process has it, where it is not there, or, off POSIX, always.
 
     The claim ends with the process, however that ends.
     """
@@ -179,7 +188,8 @@ def whole_file(target: Path) -> Iterator[Path]:
             shutil.rmtree(made, ignore_errors=True)
 
 
-def _existing_parent(path: Path) -> Path:
+def existing_parent(path: Path) -> Path:
+    """The nearest folder above a path that is there."""
     return next(parent for parent in path.absolute().parents if parent.exists())
 
 

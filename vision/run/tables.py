@@ -74,7 +74,7 @@ def write_tracks_nc(tracks: xr.Dataset, path: Path, *, pixel_size_um: float | No
         data = data.assign(x_um=(("frame", "sheet"), data["x_px"].values * pixel_size_um, about))
     data.attrs = {"Conventions": "CF-1.11", "title": "positions of sheets, x(n,t)"} | netcdf_attrs(data.attrs)
     packed: dict[str, dict[str, Any]] = {
-        str(name): {"zlib": True, "complevel": 1} for name in data.data_vars if data[name].ndim == 2
+        str(name): {"zlib": True, "complevel": 1} for name in data.data_vars if data[name].ndim >= 2
     }
     for name in ("flag", "why"):
         if name in packed:

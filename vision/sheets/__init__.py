@@ -1,6 +1,7 @@
 """I(x, t) becomes x(n, t): ridges, subpixel fits, identities, numbering."""
 
 from vision.sheets.corrections import Correction, doubtful_stretches, read_corrections
+from vision.sheets.heights import with_heights
 from vision.sheets.reference import wide_spacings
 from vision.sheets.scale import pixel_size_from_pitch
 from vision.sheets.settings import TrackingSettings
@@ -34,4 +35,5 @@ __all__ = [
     "template_shift",
     "track_sheets",
     "wide_spacings",
+    "with_heights",
 ]

@@ -1,24 +1,32 @@
 """A file becomes frames becomes I(x, t)."""
 
+from vision.video.follow import Follow, await_video
 from vision.video.reader import Block, Facts, Reader
 from vision.video.settings import VideoSettings
-from vision.video.strip import reference_frame, strip_profile
+from vision.video.store import FramesRead, FrameStore
+from vision.video.strip import ReadingLog, reference_frame, strip_profile, strip_profiles
 from vision.video.strip_find import Strip, find_strip, measure_strip
 from vision.video.video import FrameClock, Video, open_video, read_timestamps, video_files
 
 __all__ = [
     "Block",
     "Facts",
+    "Follow",
     "FrameClock",
+    "FrameStore",
+    "FramesRead",
     "Reader",
+    "ReadingLog",
     "Strip",
     "Video",
     "VideoSettings",
+    "await_video",
     "find_strip",
     "measure_strip",
     "open_video",
     "read_timestamps",
     "reference_frame",
     "strip_profile",
+    "strip_profiles",
     "video_files",
 ]

@@ -100,6 +100,25 @@ class VideoSettings:
     """Steps between the last frame and the end that the file states before its end is called missing. Files
     that are whole differ by up to two (test_cut_matroska_is_reported)."""
 
+    # interrupted runs
+    resume_after_s: float = 10.0
+    """Seconds of reading after which what was read is kept for `--resume`. Smaller writes for films that are
+    read again as fast, larger loses more to a kill (tests/run/test_checkpoint.py)."""
+
+    # recordings that are followed while they are written; all in tests/video/test_follow.py
+    follow_poll_s: float = 0.5
+    """Between two looks at the file. Shorter shows new frames sooner and asks the disk more often."""
+    follow_still_s: float = 10.0
+    """A recording whose size and time stand still this long is closed. Shorter ends at a camera's pause."""
+    follow_give_up_s: float = 60.0
+    """A file that stands still this long and cannot be opened is refused. Longer waits for a camera that
+    writes its index late, and for nothing where there is none."""
+    follow_first: int = 64
+    """Frames waited for before the strip is found. More place it better and start later."""
+    follow_margin: int = 32
+    """Frames at the end of a growing file that are left for later: they may not be whole, and decoders give
+    the last ones in another order. More lags behind the camera, fewer reads half-written frames."""
+
     # memory
     spill_bytes: int = 1 << 30
     """I(x, t) beyond this size lives in a temporary file. 1 GiB is 140 000 frames of 1920 columns; smaller

@@ -4,27 +4,48 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import queue
-import tempfile
 import threading
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
-from typing import TypeVar
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Protocol, TypeVar
 
 import numpy as np
 import xarray as xr
 
-from vision.data import STRIP, StripMetadata, record
+from vision.data import STRIP, STRIP_PARTS, StripMetadata, record
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints, Pixels, Strings
+from vision.video.follow import Follow, growth, held_back, part_of
+from vision.video.reader import Block
 from vision.video.settings import DEFAULTS, VideoSettings
+from vision.video.store import STATUS_TYPE, FramesRead, FrameStore
 from vision.video.strip_find import Strip, find_strip, measure_strip
 from vision.video.video import Video, cut
 
 Progress = Callable[[int, int | None], None]
 Item = TypeVar("Item")
-_STATUS = "<U7"  # ok, blank, corrupt, lost
+
+
+class ReadingLog(Protocol):
+    """Keeps what is read of a long film, and gives back what an interrupted run had kept of it.
+
+    `begin` is called once, before anything is read; `add` after every block; folder is where I(x, t) may
+    spill.
+    """
+
+    folder: Path
+
+    def begin(self, video: Video, rows: slice, columns: slice) -> Iterator[FramesRead]:
+        """Frames from the first on that need not be read again."""
+        ...
+
+    def add(self, frames: FrameStore) -> None:
+        """Keep what is new."""
+        ...
 
 
 def strip_profile(
@@ -34,6 +55,8 @@ def strip_profile(
     columns: slice | None = None,
     progress: Progress | None = None,
     settings: VideoSettings = DEFAULTS,
+    log: ReadingLog | None = None,
+    follow: Follow | None = None,
 ) -> xr.DataArray:
     r"""I(x, t): the mean over the strip's rows, for every frame of the recording.
 
@@ -48,6 +71,10 @@ def strip_profile(
         Called with (frames done, total frames or None) after every block.
     settings
         See `VideoSettings`.
+    log
+        Keeps what is read, and has what an interrupted run read before.
+    follow
+        Read on as the recording grows, until it is closed. The strip is found in its first frames.
 
     Returns
     -------
@@ -75,25 +102,143 @@ def strip_profile(
         strip = find_strip(video, columns=x, settings=settings)
     else:
         strip = measure_strip(video, rows, columns=x, settings=settings)
-    intensity, numbers, status, times_s = _read_means(video, strip.rows, x, progress, settings)
+    spans = {name: span and [span.start, span.stop] for name, span in (("rows", rows), ("columns", columns))}
+    assemble = partial(_assembled, strip=strip, columns=x, spans=spans, settings=settings)
+    store = FrameStore(
+        x.stop - x.start,
+        expected=video.estimated,
+        spill_bytes=settings.spill_bytes,
+        folder=None if log is None else log.folder,
+    )
+    for part in () if log is None else log.begin(video, strip.rows, x):
+        store.append(part)
+    for latest, block in _blocks(video, strip.rows, x, store, settings, follow):
+        video = latest
+        store.append(_reduced(video, block))
+        if log is not None:
+            log.add(store)
+        if progress is not None:
+            progress(store.count, video.estimated)
+        if follow is not None and follow.seen is not None:
+            recent = partial(_recent, assemble, video, store)
+            follow.seen(recent, None if video.estimated is None else video.estimated - store.count)
+    if follow is not None:  # more is known of the strip by now than its first frames tell
+        now = measure_strip(video, strip.rows, columns=x, settings=settings)
+        assemble = partial(assemble, strip=replace(now, how=strip.how))
+        if not follow.closed.is_set():
+            last = video.first + store.count - 1
+            line = f"{video.path.name}: followed up to frame {last}; later ones are not read"
+            video = replace(video, warnings=(*video.warnings, line))
+    return assemble(video, store.all())
+
+
+def strip_profiles(
+    video: Video,
+    strips: int,
+    rows: slice | None = None,
+    *,
+    columns: slice | None = None,
+    progress: Progress | None = None,
+    settings: VideoSettings = DEFAULTS,
+) -> tuple[xr.DataArray, xr.DataArray]:
+    r"""I(x, t) of the strip, and I(x, z, t) of parts of it one above the other, from one pass over the film.
+
+    Parameters
+    ----------
+    video, rows, columns, progress, settings
+        As for `strip_profile`.
+    strips
+        Number of parts, 2 or more, of equal height to a row.
+
+    Returns
+    -------
+    xarray.DataArray, xarray.DataArray
+        The strip as `strip_profile` gives it, and its parts, "intensity" (z, frame, x), as
+        `vision.data.STRIP_PARTS` declares them; z is the middle of a part's rows, px.
+
+    Raises
+    ------
+    InputError
+        As `strip_profile`, and for parts of less than two rows.
+    """
+    x = cut(columns, video.shape[1], what=f"{video.path}: `columns`")
+    if rows is None:
+        strip = find_strip(video, columns=x, settings=settings)
+    else:
+        strip = measure_strip(video, rows, columns=x, settings=settings)
+    height, width = strip.rows.stop - strip.rows.start, x.stop - x.start
+    if not 2 <= strips <= height // 2:
+        wanted = f"2 to {height // 2} parts of the strip's {height} rows" if height >= 4 else "4 rows or more"
+        raise InputError("`strips`", wanted, f"{strips} of {height} rows")
+    edges = np.linspace(0, height, strips + 1).round().astype(int)
+    parts = [slice(None), *(slice(*pair) for pair in pairwise(edges))]
+    store = FrameStore((1 + strips) * width, expected=video.estimated, spill_bytes=settings.spill_bytes)
+    for block in prefetch(video.blocks(strip.rows, x)):
+        each = [_reduced(video, replace(block, pixels=block.pixels[:, part])) for part in parts]
+        store.append(replace(each[0], intensity=np.concatenate([part.intensity for part in each], axis=1)))
+        if progress is not None:
+            progress(store.count, video.estimated)
+    read = store.all()
+    spans = {name: span and [span.start, span.stop] for name, span in (("rows", rows), ("columns", columns))}
+    whole = _assembled(
+        video,
+        replace(read, intensity=read.intensity[:, :width]),
+        strip=strip,
+        columns=x,
+        spans=spans,
+        settings=settings,
+    )
+    intensity = read.intensity[:, width:].reshape(-1, strips, width).swapaxes(0, 1)
+    intensity[:, whole["status"].values != "ok"] = np.nan
+    z = strip.rows.start + (edges[:-1] + edges[1:] - 1) / 2
+    shared = {name: whole[name] for name in ("frame", "x")}
+    heights = xr.DataArray(
+        intensity,
+        dims=("z", "frame", "x"),
+        coords={"z": ("z", z, STRIP_PARTS["z"].attrs), **shared},
+        name="intensity",
+        attrs=STRIP_PARTS["intensity"].attrs,
+    )
+    return whole, record(heights, "strip_profiles", strips=strips)
+
+
+def _assembled(
+    video: Video,
+    read: FramesRead,
+    *,
+    strip: Strip,
+    columns: slice,
+    spans: Mapping[str, list[int] | None],
+    settings: VideoSettings,
+    first: int = 0,
+) -> xr.DataArray:
+    """I(x, t) of frames from `first`, counted from where reading began, with all that `vision.data` wants.
+
+    Raises
+    ------
+    InputError
+        When no frame can be used.
+    """
+    intensity, status, times_s = read.intensity, read.status, read.times_s
+    start = video.first + first
     blank = is_blank(intensity, status == "ok", saturation_level=video.saturation_level, settings=settings)
     status[blank] = "blank"
     intensity[status != "ok"] = np.nan
     if not (status == "ok").any():
         raise _nothing_to_see(video, status)
+    numbers = np.arange(start, start + status.size, dtype=np.int64)
     profile = xr.DataArray(
         intensity,
         dims=("frame", "x"),
         coords={
             "frame": ("frame", numbers, STRIP["frame"].attrs),
-            "x": ("x", np.arange(x.start, x.stop, dtype=np.int64), STRIP["x"].attrs),
+            "x": ("x", np.arange(columns.start, columns.stop, dtype=np.int64), STRIP["x"].attrs),
             "time_s": ("frame", times_s, STRIP["time_s"].attrs),
             "status": ("frame", status, STRIP["status"].attrs),
         },
         name="intensity",
         attrs=STRIP["intensity"].attrs | _metadata(video, strip, status, times_s, settings).attrs(),
     )
-    spans = {name: span and [span.start, span.stop] for name, span in (("rows", rows), ("columns", columns))}
     return record(profile, "strip_profile", **spans, settings=asdict(settings))
 
 
@@ -111,31 +256,75 @@ def reference_frame(video: Video) -> Pixels:
     raise InputError(video.path, "at least one frame that shows something", "none")
 
 
-def _read_means(
-    video: Video, rows: slice, columns: slice, progress: Progress | None, settings: VideoSettings
-) -> tuple[Floats32, Ints, Strings, Floats]:
-    """One pass: row means, frame numbers, status, times."""
-    store = ProfileStore(
-        columns.stop - columns.start, expected=video.estimated, spill_bytes=settings.spill_bytes
-    )
-    numbers: list[Ints] = [np.empty(0, np.int64)]
-    status: list[Strings] = [np.empty(0, _STATUS)]
-    times: list[Floats] = [np.empty(0)]
-    done = 0
-    for block in prefetch(video.blocks(rows, columns)):
-        means = row_means(block.pixels)
-        state = np.array(block.status, _STATUS)
-        odd = ~np.isfinite(means).all(axis=1)
-        means[odd] = np.nan  # infinities would spread into sums over frames
-        state[(state == "ok") & odd] = "corrupt"
-        store.append(means)
-        status.append(state)
-        numbers.append(np.arange(block.start, block.start + state.size, dtype=np.int64))
-        times.append(video.times(numbers[-1]) if block.times_s is None else block.times_s)
-        done += state.size
-        if progress is not None:
-            progress(done, video.estimated)
-    return store.rows(), np.concatenate(numbers), np.concatenate(status), np.concatenate(times)
+def _recent(
+    assemble: Callable[..., xr.DataArray], video: Video, store: FrameStore, count: int
+) -> xr.DataArray:
+    """I(x, t) of the last `count` frames in the store."""
+    first = max(0, store.count - count)
+    return assemble(video, store.copy(first, store.count), first=first)
+
+
+def _blocks(
+    video: Video,
+    rows: slice,
+    columns: slice,
+    store: FrameStore,
+    settings: VideoSettings,
+    follow: Follow | None,
+) -> Iterator[tuple[Video, Block]]:
+    """Blocks behind the frames in the store, with the recording they are from.
+
+    A growing recording is opened again and again; its last frames wait until it is closed.
+    """
+    if follow is None:
+        rest = replace(video, first=video.first + store.count)
+        yield from ((video, block) for block in prefetch(rest.blocks(rows, columns)))
+        return
+    wanted = math.inf if video.stop is None else video.stop - video.first
+    for now, whole in growth(video, follow, settings):
+        again = min(store.count, 1)  # the last frame is read once more, and must be the same
+        margin = 0 if whole else settings.follow_margin
+        stop = None if now.stop is None else now.stop + margin
+        rest = replace(now, first=video.first + store.count - again, stop=stop)
+        blocks = held_back(prefetch(rest.blocks(rows, columns)), margin)
+        for block in _continued(now, blocks, store.copy(store.count - again, store.count)):
+            yield now, block
+            if follow.stop.is_set():
+                return
+        if whole or store.count == wanted:
+            follow.closed.set()
+            return
+
+
+def _continued(video: Video, blocks: Iterator[Block], known: FramesRead) -> Iterator[Block]:
+    """The blocks without the frames that are known already.
+
+    Raises
+    ------
+    InputError
+        Where those are others now.
+    """
+    count = known.status.size
+    for block in blocks:
+        if count:
+            same = _reduced(video, part_of(block, 0, count)).intensity
+            if not np.array_equal(same, known.intensity, equal_nan=True):
+                wanted, found = "a recording that only grows while it is followed", "other frames than before"
+                raise InputError(video.path, wanted, found, "run again when it is complete")
+        stop = len(block.status) if video.stop is None else min(len(block.status), video.stop - block.start)
+        if stop > count:
+            yield part_of(block, count, stop)
+        count = 0
+
+
+def _reduced(video: Video, block: Block) -> FramesRead:
+    """Row means, status and times of one block."""
+    means, status = row_means(block.pixels), np.array(block.status, STATUS_TYPE)
+    odd = ~np.isfinite(means).all(axis=1)
+    means[odd] = np.nan  # infinities would spread into sums over frames
+    status[(status == "ok") & odd] = "corrupt"
+    numbers = np.arange(block.start, block.start + status.size, dtype=np.int64)
+    return FramesRead(means, status, video.times(numbers) if block.times_s is None else block.times_s)
 
 
 def row_means(pixels: Pixels) -> Floats32:
@@ -376,7 +565,7 @@ def _uneven(times_s: Floats) -> bool:
     return bool(steps.size and np.ptp(steps) > 1e-6 * abs(float(steps.max())))
 
 
-# --- reading ahead, and keeping I(x, t) ---------------------------------------------------------------------
+# --- reading ahead ------------------------------------------------------------------------------------------
 
 
 def prefetch(items: Iterator[Item]) -> Iterator[Item]:
@@ -418,62 +607,3 @@ def prefetch(items: Iterator[Item]) -> Iterator[Item]:
     finally:
         abandoned.set()
         worker.join()
-
-
-class ProfileStore:
-    """I(x, t) as it grows: rows of float32, in memory or in a temporary file.
-
-    Parameters
-    ----------
-    columns
-        Values in a row.
-    expected
-        A guess at the number of rows; more or fewer are fine.
-    spill_bytes
-        Above this size the rows live in a temporary file.
-
-    Raises
-    ------
-    InputError
-        Where the disk is full.
-    """
-
-    def __init__(
-        self, columns: int, *, expected: int | None, spill_bytes: int = VideoSettings.spill_bytes
-    ) -> None:
-        self._columns = columns
-        self._spill_bytes = spill_bytes
-        self._used = 0
-        most = max(1, 2 * spill_bytes // (4 * columns))  # a damaged header may announce any number
-        self._rows = self._allocate(max(1, min(expected or 1024, most)))
-
-    def append(self, rows: Floats32) -> None:
-        """Add `rows` (k, columns) at the end."""
-        needed = self._used + rows.shape[0]
-        if needed > self._rows.shape[0]:
-            old = self.rows()
-            self._rows = self._allocate(max(needed, 2 * self._rows.shape[0]))
-            self._rows[: self._used] = old
-        self._rows[self._used : needed] = rows
-        self._used = needed
-
-    def rows(self) -> Floats32:
-        """All rows so far, (n, columns), not copied."""
-        return self._rows[: self._used]
-
-    def _allocate(self, capacity: int) -> Floats32:
-        size = capacity * self._columns * 4
-        if size <= self._spill_bytes:
-            return np.empty((capacity, self._columns), np.float32)
-        with tempfile.TemporaryFile(prefix="sheetvision-") as file:  # the mapping keeps it
-            try:  # the whole length at once: a mapping that finds the disk full kills the process
-                if hasattr(os, "posix_fallocate"):
-                    os.posix_fallocate(file.fileno(), 0, size)
-                else:
-                    os.truncate(file.fileno(), size)
-            except OSError as error:
-                wanted = f"{size / (1 << 30):.1f} GiB for I(x, t)"
-                found = (error.strerror or str(error)).lower()
-                advice = "set TMPDIR, or give `columns`"
-                raise InputError(tempfile.gettempdir(), wanted, found, advice) from error
-            return np.memmap(file, np.float32, "r+", shape=(capacity, self._columns))

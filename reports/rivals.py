@@ -1,0 +1,68 @@
+"""What `reports/speed.py` measures against, each in a process of its own.
+
+Run: python reports/rivals.py NAME FILM COLUMNS ROWS. The last line printed is the seconds of the work itself,
+without imports.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pandas as pd
+from scipy.signal import find_peaks
+
+STRIP_ROWS = 84  # in the middle of the frame
+BLOCK = 64  # frames averaged at once
+
+
+def strip_of(rows: int) -> slice:
+    """The strip's rows in a frame of so many."""
+    first = max(0, (rows - STRIP_ROWS) // 2)
+    return slice(first, min(rows, first + STRIP_ROWS))
+
+
+def loop(film: Path, columns: int, rows: int) -> None:
+    """What a laboratory writes itself: frame by frame, local maxima and parabolas through nine pixels."""
+    capture, offsets, found, number = cv2.VideoCapture(str(film)), np.arange(-4, 5), [], 0
+    while (read := capture.read())[0]:
+        profile = cv2.cvtColor(read[1], cv2.COLOR_BGR2GRAY)[strip_of(rows)].mean(axis=0)
+        for peak in find_peaks(profile[4:-4], prominence=10, distance=8)[0] + 4:
+            c2, c1, _ = np.polyfit(offsets, profile[peak - 4 : peak + 5], 2)
+            found.append((number, peak - c1 / (2 * c2)))
+        number += 1
+    pd.DataFrame(found, columns=["frame", "x"]).to_csv(film.with_suffix(".csv"), index=False)
+
+
+def opencv(film: Path, columns: int, rows: int) -> None:
+    """OpenCV's frames and the mean of the strip, nothing else."""
+    capture = cv2.VideoCapture(str(film))
+    while (read := capture.read())[0]:
+        cv2.cvtColor(read[1], cv2.COLOR_BGR2GRAY)[strip_of(rows)].mean(axis=0)
+
+
+def mean(film: Path, columns: int, rows: int) -> None:
+    """The strip's share of a raw film, memory-mapped and averaged; headers count as pixels."""
+    data = np.memmap(film, np.uint8, "r")
+    frames = data[: data.size // (rows * columns) * rows * columns].reshape(-1, rows, columns)
+    for start in range(0, len(frames), BLOCK):
+        np.add.reduce(frames[start : start + BLOCK, strip_of(rows)], axis=1, dtype=np.uint16)
+
+
+def decode(film: Path, columns: int, rows: int) -> None:
+    """FFmpeg's decoder on all cores; no pixel is looked at."""
+    with av.open(str(film)) as container:
+        container.streams.video[0].thread_type = "AUTO"
+        for _ in container.decode(video=0):
+            pass
+
+
+if __name__ == "__main__":
+    work = {"loop": loop, "opencv": opencv, "mean": mean, "decode": decode}[sys.argv[1]]
+    started = time.perf_counter()
+    work(Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]))
+    print(time.perf_counter() - started)

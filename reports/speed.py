@@ -1,0 +1,320 @@
+"""Speed of the whole command, beside the loop it replaces and what the machine can do at best.
+
+Run from the checkout on a quiet machine: python -m reports.speed [--runs 5] [--folder /tmp/films]
+Takes a quarter of an hour and 20 GB of disk. Writes reports/speed.md and reports/speed.png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import importlib.metadata
+import itertools
+import json
+import os
+import platform
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure as Page
+
+from reports.rivals import strip_of
+from vision.experiment import Experiment, with_settings
+from vision.experiment.images import frame_blocks
+from vision.experiment.mechanics import frame_times
+from vision.experiment.scene import make_scene
+from vision.experiment.video_files import write_video
+from vision.numeric import Pixels
+
+HERE = Path(__file__).parent
+PYTHON = [sys.executable, "-P"]
+RENDERED = 48  # frames drawn for a film; it shows them forwards and backwards until it is long enough
+FIXED = "import numpy, scipy.signal, scipy.optimize, pandas, xarray"
+
+
+@dataclass(frozen=True)
+class Film:
+    """A film to measure with; raw unless its container says otherwise."""
+
+    frames: int
+    columns: int = 1920
+    rows: int = 100
+    sheets: int = 50
+    container: str = "raw"
+
+    @property
+    def name(self) -> str:
+        """Of its folder."""
+        return f"{self.container}_{self.frames}_{self.columns}x{self.rows}_{self.sheets}"
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Of one process: seconds on the clock and of computing, and what it printed."""
+
+    wall_s: float
+    cpu_s: float
+    said: str = ""
+
+
+def made(film: Film, folder: Path) -> Path:
+    """The film's file, rendered once."""
+    target = folder / film.name
+    found = next(iter(target.glob("video.*")), None) if target.is_dir() else None
+    if found is not None:
+        return found
+    settings = {
+        "camera.width": film.columns,
+        "camera.height": film.rows,
+        "camera.strip_rows": min(84, film.rows),
+        "camera.duration_s": RENDERED / 60,
+        "sheets.count": film.sheets,
+        "sheets.pitch_px": 0.9 * film.columns / film.sheets,
+    }
+    experiment = with_settings(Experiment(), settings)
+    rendered = np.concatenate(list(frame_blocks(make_scene(experiment))))
+    times = frame_times(with_settings(experiment, {"camera.duration_s": (film.frames + 0.5) / 60}))
+    partial = Path(tempfile.mkdtemp(dir=folder))
+    write_video(
+        partial, _there_and_back(rendered, film.frames), experiment.camera, times, container=film.container
+    )
+    partial.rename(target)
+    return next(target.glob("video.*"))
+
+
+def _there_and_back(rendered: Pixels, frames: int) -> Iterator[Pixels]:
+    order = itertools.cycle([*range(len(rendered)), *range(len(rendered) - 2, 0, -1)])
+    for number in itertools.islice(order, frames):
+        yield rendered[number : number + 1]
+
+
+def process(arguments: Sequence[str]) -> Cost:
+    """Run a command to its end."""
+    with tempfile.TemporaryFile("w+") as said:
+        started = time.perf_counter()
+        child = subprocess.Popen(
+            arguments, stdout=said, stderr=subprocess.DEVNULL, cwd=HERE.parent, env=_surroundings()
+        )
+        _, status, used = os.wait4(child.pid, 0)
+        wall_s = time.perf_counter() - started
+        if os.waitstatus_to_exitcode(status) not in (0, 1):
+            raise SystemExit(f"{' '.join(arguments)} ended with status {status}")
+        said.seek(0)
+        return Cost(wall_s, used.ru_utime + used.ru_stime, said.read())
+
+
+def _surroundings() -> dict[str, str]:
+    return os.environ | {"PYTHONPATH": str(HERE.parent)}
+
+
+def in_turn(commands: Mapping[str, Sequence[str]], runs: int) -> dict[str, list[Cost]]:
+    """Every command once to warm up, then all of them one after the other, so often."""
+    for command in commands.values():
+        process(command)
+    costs: dict[str, list[Cost]] = {name: [] for name in commands}
+    for _ in range(runs):
+        for name, command in commands.items():
+            costs[name].append(process(command))
+    return costs
+
+
+def ours(film: Film, path: Path, *options: str) -> list[str]:
+    """`track FILM` with the strip that the others take too."""
+    rows = strip_of(film.rows)
+    out = str(path.parent / "run")
+    return [
+        *(*PYTHON, str(HERE.parent / "cli.py"), str(path), "--strip", f"{rows.start}:{rows.stop}"),
+        *("--fps", "60", "--out", out, "--overwrite", "--quiet", *options),
+    ]
+
+
+def rival(name: str, film: Film, path: Path) -> list[str]:
+    """One of `reports/rivals.py`."""
+    return [*PYTHON, str(HERE / "rivals.py"), name, str(path), str(film.columns), str(film.rows)]
+
+
+def stages(path: Path) -> dict[str, float]:
+    """Seconds of each stage of the run that was just made."""
+    record = json.loads((path.parent / "run" / "run.json").read_text(encoding="utf-8"))
+    return {str(name): float(seconds) for name, seconds in record["seconds"].items()}
+
+
+def middle(costs: Sequence[Cost]) -> float:
+    """Median of the seconds on the clock."""
+    return statistics.median(cost.wall_s for cost in costs)
+
+
+def row(name: str, costs: Sequence[Cost], unit_s: float | None = None) -> str:
+    """A line of a table: seconds, computing, memory, and the ratio to something."""
+    walls = sorted(cost.wall_s for cost in costs)
+    ratio = "" if unit_s is None else f"{middle(costs) / unit_s:.2f}"
+    return (
+        f"| {name} | {middle(costs):.2f} | {walls[0]:.2f}–{walls[-1]:.2f} "
+        f"| {statistics.median(c.cpu_s for c in costs):.2f} "
+        f"| {ratio} |"
+    )
+
+
+HEAD = ["| what | s, median | s, range | CPU s | ratio |", "|---|---|---|---|---|"]
+
+
+def starting(runs: int) -> list[str]:
+    """Help, imports, and what the libraries alone take."""
+    costs = in_turn(
+        {
+            "`python -c pass`": [*PYTHON, "-c", "pass"],
+            "`import vision`": [*PYTHON, "-c", "import vision"],
+            "`track --help`": [*PYTHON, str(HERE.parent / "cli.py"), "--help"],
+            "the libraries alone": [*PYTHON, "-c", FIXED],
+        },
+        runs,
+    )
+    return ["## Starting", "", *HEAD, *(row(name, cost) for name, cost in costs.items()), ""]
+
+
+def raw_films(folder: Path, runs: int) -> list[str]:
+    """A short and a long raw film: whole runs, the loop, the bare mean; from both the cost of a frame."""
+    short, long = Film(1200, rows=1200), Film(6000, rows=1200)
+    lines = ["## A raw film of 1920 × 1200 pixels, strip of 84 rows", ""]
+    seconds: dict[str, list[float]] = {}
+    for film, rivals in ((short, ("loop", "mean")), (long, ("mean",))):
+        path = made(film, folder)
+        commands = {"`track`": ours(film, path)}
+        commands |= {"without the report": ours(film, path, "--no-report")}
+        commands |= {name: rival(name, film, path) for name in rivals}
+        costs = in_turn(commands, runs)
+        unit = middle(costs["loop"]) if "loop" in costs else None
+        lines += [f"{film.frames} frames (ratio to the loop):", "", *HEAD]
+        lines += [*(row(name, cost, unit) for name, cost in costs.items()), ""]
+        for name, cost in costs.items():
+            seconds.setdefault(name, []).append(middle(cost))
+    frames = long.frames - short.frames
+    slope = {name: (both[1] - both[0]) / frames for name, both in seconds.items() if len(both) == 2}
+    loop_s = seconds["loop"][0] / short.frames
+    fixed_s = seconds["`track`"][0] - slope["`track`"] * short.frames
+    at_20000 = loop_s * 20_000 / (fixed_s + slope["`track`"] * 20_000)
+    lines += [
+        f"From both lengths: {fixed_s:.2f} s before the first frame and after the last, "
+        f"{1e3 * slope['`track`']:.3f} ms a frame; the loop {1e3 * loop_s:.2f} ms a frame "
+        f"({loop_s / slope['`track`']:.0f} ×), the bare mean {1e3 * slope['mean']:.3f} ms "
+        f"(ours is {slope['`track`'] / slope['mean']:.2f} × that). "
+        f"20 000 frames are {at_20000:.0f} × as fast as the loop.",
+        "",
+    ]
+    return lines
+
+
+def codecs(folder: Path, runs: int) -> list[str]:
+    """Reading compressed film: the stage "reading" of `track` against OpenCV and the decoder alone."""
+    lines = [
+        "## Compressed film, 400 frames of 1920 × 1200",
+        "",
+        "Seconds of reading alone, without imports.",
+        "",
+        "| codec | `track` | OpenCV and the mean | decoder alone | OpenCV / `track` | `track` / decoder |",
+        "|---|---|---|---|---|---|",
+    ]
+    for container in ("mjpeg", "h264", "ffv1"):
+        film = Film(400, rows=1200, container=container)
+        path = made(film, folder)
+        commands = {"ours": ours(film, path, "--no-report")}
+        commands |= {name: rival(name, film, path) for name in ("opencv", "decode")}
+        read: dict[str, list[float]] = {name: [] for name in commands}
+        for _ in range(runs):
+            for name, command in commands.items():
+                said = process(command).said
+                read[name].append(stages(path)["reading"] if name == "ours" else float(said.split()[-1]))
+        mine, cv, bare = (statistics.median(read[name]) for name in ("ours", "opencv", "decode"))
+        lines.append(
+            f"| {container} | {mine:.2f} | {cv:.2f} | {bare:.2f} | {cv / mine:.2f} | {mine / bare:.2f} |"
+        )
+    return [*lines, ""]
+
+
+SERIES = {
+    "frames": [Film(n) for n in (600, 2400, 9600, 38_400)],
+    "columns": [Film(2400, columns=n, sheets=20) for n in (480, 960, 1920, 3840)],
+    "rows": [Film(1200, rows=n) for n in (100, 300, 600, 1200)],
+    "sheets": [Film(2400, sheets=n) for n in (10, 25, 50, 90)],
+}
+SHOWN = ("reading", "tracking", "tables", "pictures and report")
+
+
+def scaling(folder: Path) -> list[str]:
+    """Seconds of each stage against the size of the film, as tables and one figure."""
+    lines = ["## Cost against the film's size", "", "Raw film; seconds of each stage, one run each.", ""]
+    page = Page(figsize=(9.6, 2.9), layout="constrained")
+    for ax, (what, films) in zip(page.subplots(1, 4), SERIES.items(), strict=True):
+        sizes, seconds = [], []
+        lines += [f"| {what} | {' | '.join(SHOWN)} | whole command |", "|---" * 6 + "|"]
+        for film in films:
+            path = made(film, folder)
+            cost = process(ours(film, path))
+            parts = stages(path)
+            sizes.append(getattr(film, what))
+            seconds.append([*(parts[name] for name in SHOWN), cost.wall_s])
+            cells = " | ".join(f"{value:.2f}" for value in seconds[-1])
+            lines.append(f"| {sizes[-1]:,} | {cells} |".replace(",", " "))
+        lines.append("")
+        for label, values, mark in zip(
+            (*SHOWN, "whole command"), zip(*seconds, strict=True), "osv^D", strict=True
+        ):
+            ax.plot(sizes, values, marker=mark, markersize=4, label=label)
+        ax.set(xscale="log", yscale="log", xlabel=what, ylabel="s" if what == "frames" else "")
+        ax.set_xticks(sizes, [f"{size}" for size in sizes], minor=False)
+        ax.minorticks_off()
+    page.legend(*ax.get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False)
+    page.savefig(HERE / "speed.png", dpi=130)
+    return [*lines, "![Seconds of each stage against frames, columns, rows and sheets](speed.png)", ""]
+
+
+def machine() -> list[str]:
+    """Where and with what it was measured."""
+    names = ("numpy", "scipy", "pandas", "xarray", "matplotlib", "opencv-python-headless", "av")
+    found = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in names)
+    load = ", ".join(f"{value:.2f}" for value in os.getloadavg())
+    return [
+        f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}, {os.cpu_count()} cores ({platform.machine()}), "
+        f"load {load} at the start, films in the page cache; Python {platform.python_version()}, {found}. "
+        "Commands take turns; medians. The loop is `reports/rivals.py`: OpenCV, `find_peaks`, `polyfit`.",
+        "",
+    ]
+
+
+LIMITS = """## What limits what
+
+Raw film and TIFF stacks: the strip's rows are read and nothing else, so the disk, or memory once a film is in
+the cache; more cores do not help, a faster disk does. MJPEG: libjpeg-turbo, on all cores.
+H.264 and FFV1: FFmpeg's decoding on all cores; every pixel of every frame must be decoded whatever the strip.
+Short films: loading the libraries and drawing, which neither disk nor cores shorten.
+"""
+
+
+def main() -> None:
+    """Measure all of it and write the report."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--folder", type=Path, help="where films are kept for the next time")
+    chosen = parser.parse_args()
+    folder = Path(chosen.folder or tempfile.mkdtemp())
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        lines = ["# Speed", "", *machine(), *starting(chosen.runs), *raw_films(folder, chosen.runs)]
+        lines += [*codecs(folder, chosen.runs), *scaling(folder), LIMITS]
+        lines += ["Made by `python -m reports.speed`."]
+        (HERE / "speed.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    finally:
+        if chosen.folder is None:
+            shutil.rmtree(folder)
+
+
+if __name__ == "__main__":
+    main()

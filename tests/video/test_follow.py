@@ -1,0 +1,186 @@
+"""A recording is followed while it grows: the result is that of the whole one."""
+
+import os
+import shutil
+import threading
+import time
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from tests.scenes.films import comb, write_avi, write_encoded
+from vision.data import StripMetadata
+from vision.errors import InputError
+from vision.video import Follow, VideoSettings, await_video, open_video, strip_profile
+from vision.video.follow import held_back
+from vision.video.reader import Block
+
+ROWS = slice(2, 10)
+QUICK = VideoSettings(
+    follow_poll_s=0.02, follow_still_s=0.4, follow_give_up_s=1.0, follow_first=20, follow_margin=8
+)
+COUNT = 200
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return comb(count=COUNT)
+
+
+def film(codec, pix_fmt):
+    return lambda path, frames: write_encoded(
+        path, frames[:, :, :48], codec=codec, pix_fmt=pix_fmt, source="gray"
+    )
+
+
+def stack(path, frames, **how):
+    tifffile.imwrite(path, frames, photometric="minisblack", **how)
+    return path
+
+
+def photron(path, frames):
+    path.write_bytes(frames.tobytes())
+    rows, columns = frames.shape[1:]
+    fields = {"Total Frame": len(frames), "Image Width": columns, "Image Height": rows, "Color Bit": 8}
+    text = "".join(f"{name} : {value}\n" for name, value in fields.items())
+    path.with_suffix(".cih").write_text(f"Record Rate(fps) : 100\n{text}")
+    return path
+
+
+GROWING = {
+    "raw.avi": write_avi,
+    "mjpeg.avi": film("mjpeg", "yuvj420p"),
+    "h264.mkv": film("libx264", "yuv420p"),
+    "ffv1.mkv": film("ffv1", "gray"),
+    "pages.tif": stack,
+    "lzw.tif": lambda path, frames: stack(path, frames, compression="lzw"),
+    "a.mraw": photron,
+}
+
+
+def copy_slowly(source, target, *, pieces=12, pause_s=0.04):
+    """As a camera writes: pieces that end anywhere inside a frame."""
+    data = source.read_bytes()
+    with target.open("wb", buffering=0) as out:
+        for part in np.array_split(np.frombuffer(data, np.uint8), pieces):
+            out.write(part.tobytes())
+            time.sleep(pause_s)
+
+
+def write_images(frames, folder):
+    for n in np.random.default_rng(0).permuted(np.arange(COUNT).reshape(-1, 4), axis=1).ravel():
+        cv2.imwrite(str(folder / f"a_{n:05d}.png"), frames[n])
+        time.sleep(0.002)
+
+
+def followed(path, write, *arguments, follow=None, **how):
+    """The strip of a recording that another thread writes meanwhile."""
+    follow = follow or Follow()
+    writer = threading.Thread(target=write, args=arguments)
+    writer.start()
+    try:
+        video = await_video(path, lambda: open_video(path, **how), follow, QUICK)
+        return strip_profile(video, ROWS, settings=QUICK, follow=follow)
+    finally:
+        writer.join()
+
+
+def same(strip, whole):
+    assert strip.sizes["frame"] == whole.sizes["frame"]
+    assert strip.values.tobytes() == whole.values.tobytes()
+    assert strip["time_s"].identical(whole["time_s"])
+    assert strip["status"].identical(whole["status"])
+    assert repr(StripMetadata.of(strip)) == repr(StripMetadata.of(whole))  # NaN is not itself
+
+
+@pytest.mark.parametrize("name", GROWING)
+def test_a_growing_film_gives_what_the_whole_one_gives(name, tmp_path, frames):
+    """A failure means that frames are lost, doubled or half-written where the file was opened again."""
+    (tmp_path / "whole").mkdir()
+    whole = GROWING[name](tmp_path / "whole" / name, frames)
+    target = tmp_path / name
+    if whole.with_suffix(".cih").exists():
+        shutil.copy(whole.with_suffix(".cih"), tmp_path)
+    strip = followed(target, copy_slowly, whole, target)
+    shutil.copy(whole, target)
+    same(strip, strip_profile(open_video(target), ROWS))
+    assert strip.sizes["frame"] == COUNT
+
+
+def test_a_growing_folder_gives_what_the_whole_one_gives(tmp_path, frames):
+    """A failure means that images which came out of order count as lost."""
+    strip = followed(tmp_path, write_images, frames, tmp_path)
+    same(strip, strip_profile(open_video(tmp_path), ROWS))
+    assert (strip["status"] == "ok").all()
+
+
+def test_it_ends_when_told_with_what_there_is_and_says_so(tmp_path, frames):
+    """A failure means that Ctrl-C loses the run, or that a part of a film passes for all of it."""
+    whole = write_avi(tmp_path / "whole.avi", frames)
+    follow = Follow(seen=lambda last, behind: follow.stop.set())
+    strip = followed(tmp_path / "a.avi", copy_slowly, whole, tmp_path / "a.avi", follow=follow)
+    assert 0 < strip.sizes["frame"] < COUNT
+    last = strip.sizes["frame"] - 1
+    assert any(f"followed up to frame {last};" in line for line in StripMetadata.of(strip).warnings)
+
+
+def test_the_last_frames_can_be_looked_at_meanwhile(tmp_path, frames):
+    """A failure means that the live state shows other frames than the last."""
+    whole, seen = write_avi(tmp_path / "whole.avi", frames), []
+
+    def look(last, behind):
+        seen.append(last(10))
+
+    strip = followed(tmp_path / "a.avi", copy_slowly, whole, tmp_path / "a.avi", follow=Follow(seen=look))
+    assert len(seen) >= 2
+    assert seen[-1].values.tobytes() == strip.values[-10:].tobytes()
+    for one in seen:
+        at = one["frame"].values
+        assert one.values.tobytes() == strip.values[at].tobytes()
+
+
+def test_a_part_of_a_film_is_followed_to_its_end(tmp_path, frames):
+    """A failure means that `frames` is forgotten, or waits for the camera to end."""
+    whole = write_avi(tmp_path / "whole.avi", frames)
+    how = {"frames": slice(10, 60)}
+    strip = followed(tmp_path / "a.avi", copy_slowly, whole, tmp_path / "a.avi", **how)
+    assert (strip["frame"].values[0], strip["frame"].values[-1]) == (10, 59)
+
+
+def test_a_film_that_is_rewritten_is_one_line(tmp_path, frames):
+    """A failure means that frames of two recordings are joined."""
+    path = write_avi(tmp_path / "a.avi", frames[:100])
+
+    def rewrite():
+        time.sleep(0.3)
+        other = write_avi(tmp_path / "b.avi", frames[::-1])
+        path.write_bytes(other.read_bytes())  # the same file with other frames
+
+    with pytest.raises(InputError, match="only grows while it is followed"):
+        followed(path, rewrite)
+
+
+@pytest.mark.parametrize("text", [None, b"no film"])
+def test_what_never_becomes_a_film_is_refused(text, tmp_path):
+    """A failure means that a wrong name waits for ever."""
+    path = tmp_path / "a.avi"
+    if text is not None:
+        path.write_bytes(text)
+        os.utime(path, (0, 0))
+    began = time.monotonic()
+    with pytest.raises(InputError):
+        await_video(path, lambda: open_video(path), Follow(), QUICK)
+    assert time.monotonic() - began < (3 if text is None else 0.5)
+
+
+@pytest.mark.parametrize("sizes", [[3], [8], [9], [5, 5, 5], [1] * 20, [30, 2, 2], [2, 30]])
+def test_the_last_frames_are_held_back(sizes):
+    """A failure means that a half-written frame is taken, or that whole ones are left out."""
+    starts = np.cumsum([0, *sizes])
+    blocks = [
+        Block(np.full((n, 1, 1), 0), int(start), ("ok",) * n) for n, start in zip(sizes, starts, strict=False)
+    ]
+    kept = [block.start + n for block in held_back(iter(blocks), 8) for n in range(len(block.status))]
+    assert kept == list(range(max(0, sum(sizes) - 8)))
