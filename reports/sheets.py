@@ -1,4 +1,4 @@
-"""Does imaging's shell follow the force's M_eff where sheets decide by themselves? The preset `sheets`, measured.
+"""Whether imaging's shell follows the force's M_eff where sheets decide by themselves: the preset `sheets`.
 
 Run from the checkout: python -m reports.sheets
 Writes reports/sheets.md.
@@ -36,8 +36,8 @@ COUPLINGS: tuple[tuple[str, dict[str, object]], ...] = (
 
 TEXT = """# The shell where sheets decide by themselves
 
-The preset `sheets`: 2M springs of εWY/L = 300 N/mm, thresholds from Eq. 2 (μ = 0.89, T* = 3 mN) that differ by
-2 % from sheet to sheet, A = 0.34. No M_eff, N̂, Λ̂ or shell stands in it.
+The preset `sheets`: 2M springs of εWY/L = 300 N/mm, thresholds from Eq. 2 (μ = 0.89, T* = 3 mN) that
+differ by 2 % from sheet to sheet, A = 0.34. No M_eff, N̂, Λ̂ or shell stands in it.
 
 ## How sheets must slip to give the published force
 
@@ -47,35 +47,37 @@ Force over Eq. 1 between d = 13.1 and 13.3 mm, and the largest number of the 50 
 |---|---|---|---|
 {couplings}
 
-Sheets that slip alone are never at their thresholds at once: 1 − A/2μ = {average:.2f} of Eq. 1 on average. The
-machine's spring makes larger slips of it but no larger force. With N from the actual loads e^α amplifies what
-is missing: Eq. 1 at μ − A/2 is {lower:.2f} of Eq. 1 at μ. So the low force is physics, not an error of the sums:
-with all sheets at their thresholds they are Eq. 1. Peaks at Eq. 1, drops of A𝒩 and sticks of 2AN(1)/k come out
-where a sheet at its threshold creeps, held by its neighbours, until none sticks. The preset does that.
+Sheets that slip alone are never at their thresholds at once: 1 − A/2μ = {average:.2f} of Eq. 1 on
+average. The machine's spring makes larger slips of it but no larger force. With N from the actual loads
+e^α amplifies what is missing: Eq. 1 at μ − A/2 is {lower:.2f} of Eq. 1 at μ. So the low force is
+physics, not an error of the sums: with all sheets at their thresholds they are Eq. 1. Peaks at Eq. 1,
+drops of A𝒩 and sticks of 2AN(1)/k come out where a sheet at its threshold creeps, held by its
+neighbours, until none sticks. The preset does that.
 
 ## Imaging against force
 
-Films of the preset through the whole pipeline (clocks given: equal slips leave them ambiguous). Shell: sheets
-per side with σ_x/Λ_st below 0.1. K over 2k: how many sheets of one side the central slope of the force stands
-for. Published: M√(1 − d/19.09 mm).
+Films of the preset through the whole pipeline (clocks given: equal slips leave them ambiguous). Shell:
+sheets per side with σ_x/Λ_st below 0.1. K over 2k: how many sheets of one side the central slope of the
+force stands for. Published: M√(1 − d/19.09 mm).
 
 | d (mm) | sticks | shell, true | measured | ratio, bias | 90 % within | within 1 error \
 | K/2k, true | measured | published M_eff |
 |---|---|---|---|---|---|---|---|---|---|
 {windows}
 
-The force gives back what the springs have: μ = {mu}, A = {amplitude} (the load cell's low-pass takes from the
-short sticks' drops).
+The force gives back what the springs have: μ = {mu}, A = {amplitude} (the load cell's low-pass takes
+from the short sticks' drops).
 
-**Does imaging's shell follow the force's M_eff?** It follows the stiffness: both count sheets that stick, and the
-true ones grow by a tenth with d, as M/√α, since a sheet sticks for N(n)/N(1) of a stick whatever the force;
-imaging, which counts whole sheets, sees 5 throughout. Neither falls as M√(1 − d̂): K(d) rises, and Λ̂, N̂ and
-M_eff are not determined by it, which the fit says. Thresholds μN alone know no force scale, and a shell that
-shrinks from 14 to 3 needs one: N̂, which the publication explains by bending. So its agreement of shell and
-M_eff is a finding about how sheets bend, not a consequence of friction and Eq. 2.
+**Does imaging's shell follow the force's M_eff?** It follows the stiffness: both count sheets that
+stick, and the true ones grow by a tenth with d, as M/√α, since a sheet sticks for N(n)/N(1) of a stick
+whatever the force; imaging, which counts whole sheets, sees 5 throughout. Neither falls as M√(1 − d̂):
+K(d) rises, and Λ̂, N̂ and M_eff are not determined by it, which the fit says. Thresholds μN alone know
+no force scale, and a shell that shrinks from 14 to 3 needs one: N̂, which the publication explains by
+bending. So its agreement of shell and M_eff is a finding about how sheets bend, not a consequence of
+friction and Eq. 2.
 
-The ratio is low by up to 0.05 for sheets in between, which begin to creep within a stick: the parabola that is
-fitted cannot follow, and the stated errors grow accordingly.
+The ratio is low by up to 0.05 for sheets in between, which begin to creep within a stick: the parabola
+that is fitted cannot follow, and the stated errors grow accordingly.
 
 Made by `python -m reports.sheets`.
 """

@@ -423,8 +423,9 @@ def _build_up_over(events: pd.DataFrame, sample: Sample, held: Mapping[str, floa
     long = max(float(d[start] - d[first]) / 4, span / 1000)
     fit = _fit(model, peak[first:], None, [*after.value[:2], np.log(long), np.log(-np.log(lacking))])
     rest, force = lacks(fit.value), steady(*fit.value[:2])
-    slopes = [(steady(fit.value[0] * 1.001, fit.value[1]) - force) / (0.001 * fit.value[0]), np.ones_like(d)]
-    slopes = np.array(slopes[1:] if "mu" in held else slopes).T / force[:, np.newaxis]
+    by_mu = (steady(fit.value[0] * 1.001, fit.value[1]) - force) / (0.001 * fit.value[0])
+    by_t0 = np.ones_like(d)
+    slopes = np.array([by_t0] if "mu" in held else [by_mu, by_t0]).T / force[:, np.newaxis]
     for begin in range(start, d.size):
         inverse = np.linalg.pinv(slopes[begin:])
         error = fit.goodness.scatter * np.sqrt(np.sum(inverse**2, axis=1))
