@@ -22,6 +22,7 @@ LAYERS = (
     "shells",
     "experiment",
     "figures",
+    "systematics",
     "summary",
     "pipeline",
     "comparison",
@@ -29,6 +30,7 @@ LAYERS = (
     "run",
     "certify",
     "review",
+    "campaign",
     "command",
 )
 # The command defers its heavy imports, so that `track --help` answers at once.

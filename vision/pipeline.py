@@ -300,20 +300,23 @@ def analyse(
         For a video or force recording that cannot be read, or a video without ridges.
     """
     chosen = settings or Settings()
-    if chosen.strips != 1 and follow is not None:
-        raise InputError("`strips` and `follow`", "one of the two", "both", "track again when it is complete")
-    if chosen.pitch_um is not None and chosen.pixel_size_um is not None:
-        raise InputError("`pitch_um` and `pixel_size_um`", "one of the two", "both")
+    _check_choices(chosen, follow)
     stage = _Stages()
     # A force file that is not understood is refused before the long work of reading a video.
     machine = None if force is None else stage.must("reading force", lambda: _recording(force, chosen))
     recording = None if video is None else open_recording(video, chosen, follow)
-    seen = _seen(recording, _kept(earlier, chosen), chosen, stage, progress, log, follow)
-    strip, tracks, clock = seen.strip, seen.tracks, seen.clock
-    if earlier is not None and strip is None:
-        raise InputError("the strip", "the film, to be read again", "none", "say where it lies (`film`)")
-    if tracks is not None and chosen.pitch_um is not None:
-        chosen = replace(chosen, pixel_size_um=pixel_size_from_pitch(tracks, chosen.pitch_um))
+    kept = _kept(earlier, chosen, film=recording is not None)
+    strip, tracks, clock, frame, parts = kept.strip, kept.tracks, kept.clock, None, None
+    if (film := recording) is not None:
+        if strip is None:
+            strip, parts = stage.must("reading", lambda: _strip(film, chosen, progress, log, follow))
+        recording = _grown(film, chosen, follow)
+        frame = stage.must("first frame", lambda: reference_frame(film))
+    if strip is not None:
+        if tracks is None:
+            tracks = stage.must("tracking", lambda: _tracks(strip, parts, chosen))
+        if chosen.pitch_um is not None:
+            chosen = replace(chosen, pixel_size_um=pixel_size_from_pitch(tracks, chosen.pitch_um))
     sticks = stage.may("sticks", _sticks, machine, settings=chosen, needed=strip is None)
     fits = stage.may("fits", _fits, machine, sticks, settings=chosen)
     if clock is None:
@@ -324,8 +327,8 @@ def analyse(
     )
     analysis = Analysis(
         settings=chosen,
-        video=seen.video,
-        frame=seen.frame,
+        video=recording,
+        frame=frame,
         strip=strip,
         tracks=tracks,
         force=machine,
@@ -341,9 +344,23 @@ def analyse(
     return replace(analysis, warnings=_warnings(analysis))
 
 
-def _kept(earlier: Analysis | None, chosen: Settings) -> Analysis:
+def _check_choices(chosen: Settings, follow: Follow | None) -> None:
+    """InputError for choices that exclude each other."""
+    if chosen.strips != 1 and follow is not None:
+        raise InputError("`strips` and `follow`", "one of the two", "both", "track again when it is complete")
+    if chosen.pitch_um is not None and chosen.pixel_size_um is not None:
+        raise InputError("`pitch_um` and `pixel_size_um`", "one of the two", "both")
+
+
+def _kept(earlier: Analysis | None, chosen: Settings, *, film: bool) -> Analysis:
     """Strip, tracks and clock of an earlier analysis, as far as no decision about them, or about what they
-    follow from, is another one now."""
+    follow from, is another one now.
+
+    Raises
+    ------
+    InputError
+        Where the strip must be read again, and the film is not given.
+    """
     if earlier is None:
         return Analysis(settings=chosen)
 
@@ -360,34 +377,11 @@ def _kept(earlier: Analysis | None, chosen: Settings) -> Analysis:
     as_tracked = strip is not None and same("axis") and of_sheets[0] == of_sheets[1]
     tracks = earlier.tracks if as_tracked else None
     if tracks is None and chosen.strips != 1:
-        strip = None  # strips above one another are not kept: the film is read again
+        strip = None  # positions at several heights need the film again
+    if strip is None and not film:
+        raise InputError("the strip", "the film, to be read again", "none", "say where it lies (`film`)")
     clock = earlier.clock if tracks is not None and same("clock") else None
     return Analysis(settings=chosen, strip=strip, tracks=tracks, clock=clock)
-
-
-def _seen(
-    recording: Video | None,
-    kept: Analysis,
-    chosen: Settings,
-    stage: _Stages,
-    progress: Progress | None,
-    log: ReadingLog | None,
-    follow: Follow | None,
-) -> Analysis:
-    """What is kept, and of the video what is not: its first frame, strip and tracks."""
-    strip, tracks, frame, parts = kept.strip, kept.tracks, None, None
-    if (film := recording) is not None:
-        if strip is None and chosen.strips == 1:
-            strip = stage.must("reading", lambda: _strip(film, chosen, progress, log, follow))
-        elif strip is None:
-            strip, parts = stage.must("reading", lambda: _strips(film, chosen, progress))
-        if follow is not None:
-            with suppress(InputError):
-                recording = open_recording(film.path, chosen)  # it has grown
-        frame = stage.must("first frame", lambda: reference_frame(film))
-    if strip is not None and tracks is None:
-        tracks = stage.must("tracking", lambda: _tracks(strip, parts, chosen))
-    return replace(kept, video=recording, frame=frame, strip=strip, tracks=tracks)
 
 
 class _Stages:
@@ -454,27 +448,42 @@ def open_recording(video: Video | str | Path, chosen: Settings, follow: Follow |
     return await_video(video, opened, follow, chosen.tuning.video)
 
 
+def _grown(film: Video, chosen: Settings, follow: Follow | None) -> Video:
+    """The recording as it is now: one that was followed has grown."""
+    if follow is not None:
+        with suppress(InputError):
+            return open_recording(film.path, chosen)
+    return film
+
+
 def _strip(
     video: Video,
     chosen: Settings,
     progress: Progress | None,
     log: ReadingLog | None,
     follow: Follow | None,
-) -> xr.DataArray:
+) -> tuple[xr.DataArray, xr.DataArray | None]:
+    """I(x, t) of the strip, and of its parts where they are asked for."""
     _check_lengths(chosen, video.shape[1])
-    return strip_profile(
+    rows, settings = _rows(chosen), chosen.tuning.video
+    if chosen.strips != 1:
+        return strip_profiles(
+            video, chosen.strips, rows, columns=chosen.columns, progress=progress, settings=settings
+        )
+    whole = strip_profile(
         video,
-        _rows(chosen),
+        rows,
         columns=chosen.columns,
         progress=progress,
-        settings=chosen.tuning.video,
+        settings=settings,
         log=log,
         follow=follow,
     )
+    return whole, None
 
 
 def _rows(chosen: Settings) -> slice | None:
-    """Of the strip, as decided by hand or else as given."""
+    """The strip's rows as decided by hand, else as asked for."""
     decided = last_of(chosen.corrections, "strip")
     return chosen.rows if decided is None or decided.rows is None else slice(*decided.rows)
 
@@ -487,18 +496,6 @@ def _check_lengths(chosen: Settings, width_px: int) -> None:
         raise InputError("`axis_px`", f"a column within or near the picture's {width_px}", found, advice)
     if isinstance(window, int) and window > width_px:
         raise InputError("`window_px`", f"at most the picture's {width_px} columns", str(window), "try auto")
-
-
-def _strips(video: Video, chosen: Settings, progress: Progress | None) -> tuple[xr.DataArray, xr.DataArray]:
-    _check_lengths(chosen, video.shape[1])
-    return strip_profiles(
-        video,
-        chosen.strips,
-        _rows(chosen),
-        columns=chosen.columns,
-        progress=progress,
-        settings=chosen.tuning.video,
-    )
 
 
 def _tracks(strip: xr.DataArray, parts: xr.DataArray | None, chosen: Settings) -> xr.Dataset:

@@ -11,11 +11,12 @@ import pandas as pd
 import xarray as xr
 
 from vision.data import StickMetadata, StripMetadata, TrackMetadata
-from vision.figures.labels import plus_minus
+from vision.figures.labels import both_errors
 from vision.numeric import nan_median
 from vision.sample import PUBLISHED, Sample
 from vision.sheets import doubtful_stretches
 from vision.sheets.tracks import LOSSY
+from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
 
 if TYPE_CHECKING:
     from vision.clock import Clock
@@ -47,7 +48,24 @@ def summary_lines(results: Results) -> list[str]:
         lines.append(f"clocks     {_clocks(results.clock)}")
     if results.shells is not None and results.motion is not None:
         lines.append(f"shells     {_shells(results.motion, results.shells)}")
+    if systematic := _systematic(systematic_budget(results)):
+        lines.append(f"systematic {systematic}")
     return lines
+
+
+def _systematic(budget: Budget) -> str:
+    """Systematic errors of what the lines above do not give with both errors, and what is not known."""
+    parts = []
+    for quantity in ("x_px", "Lambda_hat_mm", "K_N_per_mm", "ratio"):
+        name, unit = QUANTITIES[quantity]
+        total = budget.total(quantity)
+        if quantity in budget.values and math.isfinite(total) and total > 0:
+            beside = budget.statistical[quantity]
+            parts.append(f"{name} ± {total:.2g} {unit} (statistical {beside:.2g})".replace("  ", " "))
+        lacking = [SOURCES.get(source, source) for source in budget.unknown(quantity)]
+        if lacking and quantity != "x_px":
+            parts.append(f"{name} without that of {', '.join(lacking)}")
+    return "; ".join(parts)
 
 
 def tracking_warnings(tracks: xr.Dataset) -> list[str]:
@@ -129,14 +147,16 @@ def flag_counts(tracks: xr.Dataset) -> dict[str, int]:
 
 
 def noise_figures(tracks: xr.Dataset, pixel_size_um: float | None) -> dict[str, float]:
-    """Median over the sheets of the predicted and of the measured noise of a position."""
+    """Median over the sheets of the noise of a position: measured, predicted from the pixels, and stated."""
     measured = float(nan_median(tracks["x_noise_px"].values.ravel()))
-    predicted = float(nan_median(tracks["x_err_px"].values.ravel()))
-    figures = {"measured_px": measured, "predicted_px": predicted}
+    stated = float(nan_median(tracks["x_err_px"].values.ravel()))
+    known = "x_predicted_px" in tracks
+    predicted = float(nan_median(tracks["x_predicted_px"].values.ravel())) if known else stated
+    figures = {"measured_px": measured, "predicted_px": predicted, "stated_px": stated}
     if "x_scatter_px" in tracks and np.isfinite(tracks["x_scatter_px"].values).any():
         figures["scatter_px"] = float(nan_median(tracks["x_scatter_px"].values.ravel()))
     if pixel_size_um is not None:
-        figures |= {"measured_um": measured * pixel_size_um, "predicted_um": predicted * pixel_size_um}
+        figures |= {f"{name[:-3]}_um": px * pixel_size_um for name, px in list(figures.items())}
     return figures
 
 
@@ -206,7 +226,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
     scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
     # compression hides the noise of pixels: what they predict is then no check of what was measured
     predicted = (
-        f"; {noise['predicted_px']:.4f} px stated ({strip.codec} hides the noise of pixels)"
+        f"; {noise['stated_px']:.4f} px stated ({strip.codec} hides the noise of pixels)"
         if strip.codec in LOSSY
         else f", {noise['predicted_px']:.4f} px predicted from the pixels"
     )
@@ -266,7 +286,7 @@ def frame_times(strip: StripMetadata) -> str:
 
 
 def _models(fits: ModelFits) -> str:
-    return f"μ {plus_minus(fits.mu)}, A {plus_minus(fits.amplitude)}, N̂ {plus_minus(fits.n_hat_N)} N"
+    return f"μ {both_errors(fits.mu)}, A {both_errors(fits.amplitude)}, N̂ {both_errors(fits.n_hat_N)} N"
 
 
 def _clocks(clock: Clock) -> str:

@@ -7,7 +7,7 @@ import xarray as xr
 
 from vision.errors import InputError
 from vision.run import tiff
-from vision.run.reading import map_kymograph
+from vision.run.reading import stored_kymograph
 from vision.run.tiff import frame_step_s, unevenness_s, write_kymograph_tif, write_space_time_tif
 
 
@@ -135,4 +135,4 @@ def test_a_diagram_of_a_whole_test_is_read_back(tmp_path):
     may have."""
     path = tmp_path / "kymograph.tif"
     tifffile.memmap(path, shape=(60_000, 1_800), dtype=np.float32, photometric="minisblack").flush()
-    assert map_kymograph(path).shape == (60_000, 1_800)
+    assert stored_kymograph(path)[2] == (60_000, 1_800)

@@ -89,6 +89,9 @@ _OPTION_OF = {
     "overwrite": "--overwrite",
     "resume": "--resume",
     "follow": "--follow",
+    "executor": "--executor",
+    "profile": "--profile",
+    "watch": "--watch",
 }
 
 
@@ -305,7 +308,7 @@ def read_config(path: Path) -> dict[str, Any]:
             raise
         advice = "write lines like: strip = '60:144'"
         raise InputError(path, "a TOML file of options", shortened(str(error)), advice) from error
-    known = [field.name for group in GROUPS for field in fields(group)]
+    known = option_fields()
     found: dict[str, Any] = {}
     for key, value in table.items():
         parts = value.items() if isinstance(value, dict) and key == "sample" else [(key, value)]
@@ -331,6 +334,16 @@ def _parsed(path: Path, key: str, value: Any, known: Sequence[str]) -> dict[str,
         found = shortened(repr(value))
         raise InputError(path, f"a value for '{key}' as on the command line", found) from error
     return {name: getattr(parsed, name)}
+
+
+def parse_option(source: Path, name: str, text: str) -> Any:
+    """One option's value as if typed; `source` is where it stands.  Raises: InputError."""
+    return _parsed(source, name, text, option_fields())[name]
+
+
+def option_fields() -> list[str]:
+    """The options that a file may give, by their names there."""
+    return [field.name for group in GROUPS for field in fields(group)]
 
 
 def _collect(group: Any) -> Any:

@@ -66,7 +66,7 @@ def track(
     parameters = merged(*groups, sample or SampleOptions(), config=config)
     if len(videos) == 1:
         target = run.out or Path(f"{run_name(videos[0])}_tracks")
-        return _track_one(videos[0], target, parameters, run)[0]
+        return track_one(videos[0], target, parameters, run)[0]
     from vision.command.several import targets_of, track_several
 
     if run.follow:
@@ -75,22 +75,24 @@ def track(
     settings_of(parameters)  # what fits no film is said once
     return track_several(
         targets,
-        lambda film, target: _track_one(film, target, parameters, run, one_of_many=True),
+        lambda film, target: track_one(film, target, parameters, run, one_of_many=True),
         quiet=run.quiet,
     )
 
 
-def _track_one(
+def track_one(
     video: Path,
     target: Path,
     parameters: dict[str, Parameter],
     run: RunOptions,
     *,
     one_of_many: bool = False,
+    copy: Path | None = None,
 ) -> tuple[int, Analysis]:
     """One film to one run folder: the exit status and what was found.
 
     Of many films each warning names its film, and the summary waits for the table unless all is asked for.
+    A copy of the film is read in its place where there is one.
     """
     from vision.pipeline import analyse
     from vision.run import Checkpoint, Origin, Parameter, check_target, write_run
@@ -105,10 +107,10 @@ def _track_one(
     with Checkpoint(target, resume=run.resume) as checkpoint, resumable(checkpoint):
         if run.follow:
             with following(settings, quiet=run.quiet) as follow:
-                analysis = analyse(video, force, settings, follow=follow)
+                analysis = analyse(copy or video, force, settings, follow=follow)
         else:
             with frame_progress("reading", quiet=run.quiet) as progress:
-                analysis = analyse(video, force, settings, progress=progress, log=checkpoint)
+                analysis = analyse(copy or video, force, settings, progress=progress, log=checkpoint)
         inputs = (*video_files(video), *(() if force is None else (force,)))
         if settings.pitch_um is not None:
             parameters = {**parameters, "pixel_size": Parameter(analysis.pixel_size_um, "found")}

@@ -24,9 +24,12 @@ from vision.figures.labels import to_html, to_unicode
 from vision.figures.style import MISSING, rgb
 from vision.numeric import Floats
 from vision.report.text import answers, citation, methods, subtitle
+from vision.sheets import doubtful_stretches
+from vision.systematics import QUANTITIES, SOURCES, systematic_budget
 
 IMAGE_BYTES = 450_000  # at most, for one image before base64
 PLAIN = 400  # values up to which an array is written as numbers
+DOUBTS_SHOWN = 100  # stretches, the longest first
 _STEPS = 32767
 _GAP = -32768
 _QUALITIES = (85, 70, 50, 30, 15)  # of JPEG, tried in turn
@@ -69,8 +72,9 @@ def write_report(
     Long records are decimated for display to the minimum and maximum of short intervals.
     """
     figures = figures_of(results) if figures is None else figures
-    warnings = dict.fromkeys([*map(str, facts.get("warnings", ())), *results.warnings])
     named = dict(options or {})
+    lines = [*map(str, facts.get("warnings", ())), *results.warnings]
+    warnings = dict.fromkeys(with_options(line, named) for line in lines)
     return render_page(
         path,
         sections_of(figures),
@@ -79,10 +83,11 @@ def write_report(
         kind="sheet positions",
         subtitle=subtitle(results),
         answers=answers(results),
-        warnings=[with_options(line, named) for line in warnings],
+        warnings=list(warnings),
         missing=[with_options(line, named) for line in missing_parts(results)],
         methods=methods(results),
         citation=citation(),
+        tables=[table for table in (budget_table(results), doubt_table(results)) if table.rows],
     )
 
 
@@ -103,7 +108,8 @@ def render_page(
     facts
         The content of run.json.
     content
-        ``title``, ``kind``, ``subtitle``, ``answers``, ``warnings``, ``missing``, ``methods``, ``citation``.
+        ``title``, ``kind``, ``subtitle``, ``answers``, ``warnings``, ``missing``, ``methods``, ``citation``,
+        ``tables``.
 
     Returns
     -------
@@ -117,7 +123,7 @@ def render_page(
         **content,
     )
     path = Path(path)
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text, encoding="utf-8", errors="replace")
     return path
 
 
@@ -305,6 +311,59 @@ class FactsTable:
     title: str
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+
+def budget_table(results: Results) -> FactsTable:
+    """What contributes how much to the systematic error of each result, beside the statistical one."""
+    budget = systematic_budget(results)
+    quantities = [name for name in QUANTITIES if name in budget.values]
+    heads = ("", *(" in ".join(filter(None, QUANTITIES[name])) for name in quantities))
+    rows = [("value", *(_digits(budget.values[name]) for name in quantities))]
+    rows.append(("statistical error", *(_digits(budget.statistical[name]) for name in quantities)))
+    for source, parts in budget.sources.items():
+        cells = ("" if name not in parts else _digits(parts[name], "not known") for name in quantities)
+        rows.append((SOURCES.get(source, source), *cells))
+    rows.append(("systematic error", *(_digits(budget.total(name)) for name in quantities)))
+    note = (
+        "The last row is the root of the sum of squares of what is known. Statistical errors of a place, of "
+        "K and of σ_x/Λ_st are medians of those of single positions, events and sheets. What moves a sheet's "
+        "place alike in all frames does not move its displacements. Empty: no part in it."
+    )
+    return FactsTable("Systematic errors", heads, tuple(rows) if quantities else (), note)
+
+
+def doubt_table(results: Results) -> FactsTable:
+    """Where the identity of a sheet is in doubt."""
+    heads = ("sheet", "side", "n", "frames", "why", "ridge withheld (px)", "neighbours say (px)")
+    if results.tracks is None:
+        return FactsTable("Doubtful stretches", heads, ())
+    table = doubtful_stretches(results.tracks)
+    rows = tuple(
+        (
+            str(row["sheet"]),
+            {-1: "left", 1: "right"}[row["side"]],
+            str(row["n"]),
+            f"{row['first_frame']}–{row['last_frame']}",
+            str(row["why"]),
+            _digits(row["x_withheld_px"], places=1),
+            _digits(row["x_expected_px"], places=1),
+        )
+        for row in table.head(DOUBTS_SHOWN).to_dict("records")
+    )
+    more = len(table) - len(rows)
+    note = (
+        "No position is given there; a file of corrections settles them by hand, and this list says of what."
+    )
+    return FactsTable(
+        "Doubtful stretches", heads, rows, note + f" {more} shorter ones: run.json." * (more > 0)
+    )
+
+
+def _digits(value: float | None, unknown: str = "—", *, places: int | None = None) -> str:
+    if value is None or not np.isfinite(value):
+        return unknown
+    return (f"{value:.4g}" if places is None else f"{value:.{places}f}").replace("-", "−")
 
 
 def provenance(facts: Mapping[str, Any]) -> list[FactsTable]:

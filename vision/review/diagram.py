@@ -39,10 +39,7 @@ class Diagram:
 
     def __init__(self, path: Path, first_column: int, settings: TrackingSettings) -> None:
         self.path, self.first_column, self.settings = path, first_column, settings
-        self._offset, self._dtype, shape = stored_kymograph(path)
-        if len(shape) != 2:
-            raise InputError(path, "frames and columns", f"shape {shape}", AGAIN)
-        self.frames, self.columns = shape
+        self._offset, self._dtype, (self.frames, self.columns) = stored_kymograph(path)
         self._file = path.open("rb")  # kept open: saving puts another file in its place
         self._lock = Lock()
         self.shared_rows = lru_cache(PARTS_KEPT)(self.rows)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,9 +23,12 @@ from vision.numeric import Floats, Floats32
 from vision.run.folder import MARK
 from vision.run.provenance import describe_input
 from vision.run.tables import attrs_of_netcdf
+from vision.video.store import ProfileStore
 from vision.video.tiff_index import check_tiff
+from vision.video.uncompressed import read_fully
 
 AGAIN = "run track again"
+ROWS = 4096  # read at a time
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,10 @@ class RunFolder:
     def pixel_size_um(self) -> float | None:
         """µm per pixel as recorded in run.json; None where it was not given."""
         value = self._parameter("pixel_size")
-        return None if value is None else float(value)
+        with reading(self.folder / MARK, "a pixel size in µm", AGAIN):
+            if value is None or 0 < float(value) < math.inf:
+                return None if value is None else float(value)
+            raise ValueError(value)
 
     @property
     def first_column(self) -> int:
@@ -50,7 +57,8 @@ class RunFolder:
         return int(first) if first.isdigit() else 0
 
     def _parameter(self, name: str) -> Any:
-        return self.facts.get("parameters", {}).get(name, {}).get("value")
+        with reading(self.folder / MARK, "parameters as track writes them", AGAIN):
+            return self.facts.get("parameters", {}).get(name, {}).get("value")
 
 
 def is_run(folder: Path) -> bool:
@@ -111,15 +119,12 @@ def read_table_of(folder: Path, name: str) -> pd.DataFrame | None:
 def read_strip(run: RunFolder) -> xr.DataArray:
     """I(x, t) from kymograph.tif, with the coordinates and attributes `strip_profile` gave it.
 
-    The values stay on disk and are read where they are used. A frame's status is "ok" wherever its row has
-    values, else the flag of its sheets.
+    The values are a copy, beyond 1 GiB in a temporary file: a mapped file that becomes shorter kills the
+    process. A frame's status is "ok" wherever its row has values, else the flag of its sheets.
     Raises: InputError where the file is missing, damaged, or does not fit the tracks.
     """
     tracks, path = tracks_of(run), run.folder / "kymograph.tif"
-    values = map_kymograph(path)
-    frames = tracks.sizes["frame"]
-    if values.ndim != 2 or len(values) != frames:
-        raise InputError(path, f"{frames} rows, one per frame of tracks.nc", f"shape {values.shape}", AGAIN)
+    values = _read_tif(path, tracks.sizes["frame"])
     first = run.first_column
     flags = tracks["flag"].values[:, 0]
     return xr.DataArray(
@@ -221,21 +226,40 @@ def _check_numbers(tracks: xr.Dataset, path: Path, wanted: str) -> None:
         raise InputError(path, wanted, f"no numbers in {', '.join(odd)}", AGAIN)
 
 
-def map_kymograph(path: Path) -> Floats32:
-    """The one page of a space-time diagram, (frame, x), on disk.  Raises: InputError for a damaged file."""
-    return np.asarray(_mapped(path))
+def stored_kymograph(path: Path) -> tuple[int, np.dtype[Any], tuple[int, int]]:
+    """Where in the file of a space-time diagram its values begin, their type and shape (frame, x).
 
-
-def stored_kymograph(path: Path) -> tuple[int, np.dtype[Any], tuple[int, ...]]:
-    """Where in the file the values of `map_kymograph` begin, their type and shape, for whoever reads a part
-    at a time.  Raises: InputError for a damaged file."""
-    mapped = _mapped(path)
-    return int(mapped.offset), mapped.dtype, mapped.shape
-
-
-def _mapped(path: Path) -> Any:
+    For whoever reads a part at a time: it is never mapped, as a mapping of a file that shrinks ends the
+    process.
+    Raises: InputError for a damaged file.
+    """
     wanted = "a space-time diagram as track writes it"
     check_regular(path, wanted)
-    check_tiff(path, mapped=True)
+    check_tiff(path, frames=False)
     with reading(path, wanted, AGAIN):
-        return tifffile.memmap(path, mode="r")
+        with tifffile.TiffFile(path) as tif:
+            page = tif.pages.first
+            shape, dtype, start = page.shape, page.dtype, page.dataoffsets[0]
+            plain = page.is_contiguous and dtype is not None and dtype.newbyteorder("=") == np.float32
+            order = tif.byteorder
+        if len(shape) != 2 or not plain:
+            raise InputError(path, wanted, f"{dtype} of shape {shape}", AGAIN)
+        return start, np.dtype(np.float32).newbyteorder(order), (shape[0], shape[1])
+
+
+def _read_tif(path: Path, frames: int) -> Floats32:
+    """The one page of a space-time diagram.  Raises: InputError."""
+    start, stored, shape = stored_kymograph(path)
+    if shape[0] != frames:
+        raise InputError(path, f"{frames} rows, one per frame of tracks.nc", f"shape {shape}", AGAIN)
+    rows = ProfileStore(shape[1], expected=frames)
+    with (
+        reading(path, "a space-time diagram as track writes it", AGAIN),
+        path.open("rb", buffering=0) as file,
+    ):
+        file.seek(start)
+        for first in range(0, frames, ROWS):
+            part = np.empty((min(ROWS, frames - first), shape[1]), stored)
+            read_fully(file, part.data.cast("B"), path)
+            rows.append(part.astype(np.float32, copy=False))
+    return rows.rows()

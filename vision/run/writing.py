@@ -30,6 +30,7 @@ from vision.sheets import doubtful_stretches
 from vision.sheets.corrections import Decisions, corrections_text, ordered
 from vision.shells import deformation_table
 from vision.summary import findings, flag_counts, noise_figures
+from vision.systematics import systematic_budget
 
 FAILURES = "failures.txt"
 CORRECTIONS = "corrections.toml"
@@ -182,6 +183,7 @@ def run_facts(analysis: Analysis, origin: Origin) -> dict[str, Any]:
         facts["events"] = {"found": len(analysis.sticks), "without_flag": whole, **sticks}
     if analysis.clock is not None:
         facts["clock"] = analysis.clock
+    facts["systematic_errors"] = systematic_budget(analysis).to_json()
     done = [part.attrs.get("operations", ()) for part in _parts(analysis)]
     longest = max(done, key=len, default=())
     facts["operations"] = [*longest, *(step for steps in done for step in steps if step not in longest)]

@@ -6,7 +6,7 @@ import { Diagram, Tiles } from "./diagram.js";
 import { effectOfClock, effectOfStrip, effectOn } from "./effect.js";
 import { Film } from "./film.js";
 import { ForceRecording } from "./force.js";
-import { getBytes, getJson, Gone, post, Store } from "./server.js";
+import { getBytes, getJson, Gone, leave, post, Store } from "./server.js";
 import { number, themeChanged } from "./surface.js";
 import { View } from "./view.js";
 
@@ -101,7 +101,7 @@ class Page {
 
   shellText(stick) {
     const of = (side) => stick.shells?.find((one) => one.side === side)?.stiff_sheets ?? "–";
-    return stick.shells?.length ? ` · stiff: left ${of(-1)}, right ${of(1)}` : "";
+    return stick.shells?.length ? `, stiff: left ${of(-1)}, right ${of(1)}` : "";
   }
 
   /** Columns between which the sheets stand, with some room. */
@@ -163,6 +163,7 @@ class Page {
     if (other && this.decisions.open) this.decisions.cancel(true);
     this.listDoubts(); this.listHistory(); this.buttons(); this.decisions.offer();
     this.windows(state.other_windows);
+    this.unseen(state.unseen ?? []);
     this.view.changed();
   }
 
@@ -331,7 +332,13 @@ class Page {
   windows(others) {
     if (others === this.others) return;
     this.others = others;
-    this.notice(others ? `This run is open in ${others === 1 ? "another window" : `${others} other windows`}: they show the same decisions. Decide in one of them only.` : "");
+    this.notice(others ? `This run is open in ${others === 1 ? "another window, too" : `${others} other windows, too`}; all show the same decisions. Decide in one of them only.` : "");
+  }
+
+  /** What was taken back, but is shown as before until the run is saved. */
+  unseen(texts) {
+    if (texts.length) this.notice(`Undone, but still shown until you save: ${texts.join("; ")}.`);
+    else if (by("notice").textContent.startsWith("Undone, but")) this.notice("");
   }
 
   notice(text) { by("notice").textContent = text; by("notice").hidden = !text; }
@@ -394,6 +401,7 @@ class Page {
     on("whole", () => view.whole());
     on("tracks-shown", () => this.toggleTracks()); on("film-whole", () => this.toggleFilm());
     by("chosen").addEventListener("change", (event) => { this.views.tracks.which = event.target.value; this.drawAll(); });
+    addEventListener("pagehide", leave);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (!this.ownTheme) this.paint(); });
     this.paint();
     for (const [press, what] of HELP) {

@@ -82,7 +82,7 @@ export class Surface {
   yAxis(low, high, { grid = true, label = "", format = null } = {}) {
     const c = this.context, colour = colours();
     const place = (value) => this.top + this.plotHeight * (1 - (value - low) / (high - low || 1));
-    const [ticks, digits] = steps(low, high, Math.max(2, Math.floor(this.plotHeight / 26)));
+    const [ticks, digits] = steps(low, high, Math.max(3, Math.floor(this.plotHeight / 26)));
     c.textAlign = "right"; c.textBaseline = "middle"; c.lineWidth = 1;
     for (const value of ticks) {
       const y = Math.round(place(value)) + 0.5;
