@@ -6,7 +6,7 @@ import { Diagram, Tiles } from "./diagram.js";
 import { effectOfClock, effectOfStrip, effectOn } from "./effect.js";
 import { Film } from "./film.js";
 import { ForceRecording } from "./force.js";
-import { getBytes, getJson, Gone, leave, post, Store } from "./server.js";
+import { getBytes, getJson, Gone, leave, post, Store, tryOut } from "./server.js";
 import { number, themeChanged } from "./surface.js";
 import { View } from "./view.js";
 
@@ -250,14 +250,14 @@ class Page {
     const { view, state } = this, { frame } = view, name = (sheet) => this.name(state.sheets[sheet]);
     if (decision.kind === "strip") {
       const rows = state.strip.join(":");
-      if (this.present?.key !== `${rows} ${frame}`) this.present = { key: `${rows} ${frame}`, ridges: await post("api/strip", { rows, frame }) };
-      return effectOfStrip(this.present.ridges, await post("api/strip", { rows: decision.rows, frame }));
+      if (this.present?.key !== `${rows} ${frame}`) this.present = { key: `${rows} ${frame}`, ridges: await tryOut("api/strip", { rows, frame }) };
+      return effectOfStrip(this.present.ridges, await tryOut("api/strip", { rows: decision.rows, frame }));
     }
     if (decision.kind === "clock") {
-      const answer = await post("api/clock", { offset_s: decision.offset_s, drift_ppm: decision.drift_ppm, frame });
+      const answer = await tryOut("api/clock", { offset_s: decision.offset_s, drift_ppm: decision.drift_ppm, frame });
       return effectOfClock(answer, (await this.slipsNow()).film, (at) => view.seconds(at), view.seconds(view.begin + 1) - view.seconds(view.begin), this.stick(frame));
     }
-    return effectOn(await post("api/preview", { decision, frame }), decision, name);
+    return effectOn(await tryOut("api/preview", { decision, frame }), decision, name);
   }
 
   async decide(decision) { return this.ask("api/decisions", { decision }, () => `Kept: ${this.state.decisions.at(-1)?.text}`); }
