@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.scenes.reviewed import SETTINGS, write_planted
+from tests.scenes.reviewed import SETTINGS, VIDEO, write_planted
 from vision.command.main import run
 from vision.command.review import settings_of_run
 from vision.review.session import Session
@@ -45,7 +45,7 @@ def test_without_the_extra_it_says_what_to_install(folder, monkeypatch, capsys):
     ("arguments", "says"),
     [
         (["nowhere.avi"], "nowhere.avi"),
-        (["RUN", "--pixel-size", "3"], "no options of tracking"),
+        (["RUN", "--pixel-size", "3"], "without further options"),
     ],
 )
 def test_what_cannot_be_reviewed_is_one_line(folder, arguments, says, capsys, monkeypatch, tmp_path):
@@ -54,6 +54,18 @@ def test_what_cannot_be_reviewed_is_one_line(folder, arguments, says, capsys, mo
     said = capsys.readouterr().err
     assert says in said
     assert said.count("\n") == 1
+
+
+def test_decisions_of_another_film_are_a_warning(folder, tmp_path, capsys, monkeypatch):
+    """The run's own corrections.toml is taken without a word; one that names another film is not."""
+    monkeypatch.chdir(tmp_path)
+    own = (folder / "corrections.toml").read_text()
+    video = [str(VIDEO), "--fps", "60", "--no-report", "--quiet"]
+    for name, text in (("own.toml", own), ("other.toml", own.replace('film = "', 'film = "0'))):
+        Path(name).write_text(text)
+        run([*video, "--corrections", name, "--out", name.removesuffix(".toml")])
+        assert ("another film" in capsys.readouterr().err) == (name == "other.toml")
+    assert (tmp_path / "own" / "corrections.toml").exists()
 
 
 def test_a_second_review_is_refused(folder, capsys):
