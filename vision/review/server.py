@@ -336,7 +336,7 @@ class Api:
 
 
 def _tried(work: Callable[[], Mapping[str, Any]]) -> Response:
-    """What was tried out, or why it does not fit: half-typed numbers are no errors, so it is said in a 200."""
+    """What was tried out, or why it does not fit: half-typed numbers are no errors, so a 200 says it."""
     try:
         return _json(work())
     except InputError as error:
