@@ -12,6 +12,7 @@ import pytest
 
 from vision.errors import InputError
 from vision.run.provenance import MIB, PARTS, Parameter, describe_input, write_json
+from vision.run.tables import attrs_of_netcdf, netcdf_attrs
 
 
 def test_the_checksum_of_a_small_input_is_that_of_all_of_it(tmp_path):
@@ -86,3 +87,10 @@ def test_json_is_strict_and_null_where_there_is_no_number(tmp_path):
         "given": {"value": "slice(1, 2, None)", "how": "given"},
         "3": [4, True, None, "a"],
     }
+
+
+def test_attributes_come_back_from_netcdf_as_they_were():
+    """A failure means that a film called [1].avi makes a run that cannot be read."""
+    attrs = {"source": "[1].avi", "note": '"quoted"', "list": [1, "a"], "plain": "x", "number": 2.0}
+    assert attrs_of_netcdf(netcdf_attrs(attrs)) == attrs
+    assert netcdf_attrs({"source": "a\udcff.avi"}) == {"source": "a?.avi"}

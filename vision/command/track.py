@@ -107,7 +107,7 @@ def track_one(
     with Checkpoint(target, resume=run.resume) as checkpoint, resumable(checkpoint):
         if run.follow:
             with following(settings, quiet=run.quiet) as follow:
-                analysis = analyse(video, force, settings, follow=follow)
+                analysis = analyse(copy or video, force, settings, follow=follow)
         else:
             with frame_progress("reading", quiet=run.quiet) as progress:
                 analysis = analyse(copy or video, force, settings, progress=progress, log=checkpoint)

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from vision.errors import InputError
+from vision.files import reading
 from vision.numeric import Floats
 from vision.sample import PUBLISHED, Sample
 
@@ -72,8 +73,8 @@ class TractionTest:
     modulus_err_GPa: float
 
     def column(self, name: str) -> Floats:
-        """One column of the events."""
-        return self.events[name].to_numpy(float)
+        """One column of the events; NaN for what is no number."""
+        return pd.to_numeric(self.events[name], errors="coerce").to_numpy(float)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -119,7 +120,8 @@ def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame
     tests: list[TractionTest] = []
     for folder in folders:
         try:
-            tests.append(_read_test(folder, names[folder], known.get(folder, {}), warnings))
+            with reading(folder, "a run as track writes it", "run track again"):
+                tests.append(_read_test(folder, names[folder], known.get(folder, {}), warnings))
         except InputError as error:
             failures.append(str(error))
     if not tests:
