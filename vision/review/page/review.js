@@ -87,7 +87,8 @@ class Page {
     const [z0, z1] = this.strip();
     by("film-facts").textContent = `rows ${z0}:${z1} · ${state.sheets.length} sheets · axis ${number(state.axis_px, 1)} px`;
     by("diagram-facts").textContent = `${number(view.seconds(view.first), 2)}–${number(view.seconds(view.last), 2)} s · ${number(Math.max(0, view.low), 0)}–${number(view.high, 0)} px`;
-    by("tracks-facts").textContent = name;
+    const others = this.views.tracks.sheets().filter((one) => one !== sheet);
+    by("tracks-facts").textContent = `${name} (bold)${others.length > 4 ? ` and ${others.length} others` : others.map((one) => `, ${this.name(one)}`).join("")}`;
     const clock = this.clock();
     if (clock) by("force-facts").textContent = `offset ${number(clock.offset_s, 3)} s, drift ${number(clock.drift_ppm, 0)} ppm · clocks ${clock.status}`;
     const stick = this.stick(view.frame), ratio = stick?.sheets.find((one) => one.index === view.sheet)?.ratio;
