@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -53,6 +54,29 @@ def test_what_cannot_be_reviewed_is_one_line(folder, arguments, says, capsys, mo
     assert run(["review", *(str(folder) if name == "RUN" else name for name in arguments)]) == 2
     said = capsys.readouterr().err
     assert says in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("run.json", b'{"parameters": {}, "corrections": [{"sheet": 3}]}'),
+        ("run.json", b'{"parameters": {"fps": 3}}'),
+        ("corrections.toml", b"[[swap"),
+        ("corrections.toml", b'[[swap]]\nsheets = [3, 99]\nframes = "0:"\ndate = "2027-01-01"'),
+        ("clock.json", b'{"offset": 3}'),
+        ("events.csv", b"a,b\n1,2,3\n"),
+        ("kymograph.tif", b"II*\0"),
+        ("tracks.nc", b"nothing"),
+    ],
+)
+def test_a_damaged_run_is_one_line(folder, tmp_path, name, content, capsys):
+    """A failure means a traceback, or a server that starts on half a run."""
+    copy = shutil.copytree(folder, tmp_path / "run")
+    (copy / name).write_bytes(content)
+    assert run(["review", str(copy), "--no-browser"]) == 2
+    said = capsys.readouterr().err
+    assert "Traceback" not in said
     assert said.count("\n") == 1
 
 

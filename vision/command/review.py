@@ -19,6 +19,7 @@ from vision.command.options import (
 )
 from vision.command.track import run_name, track
 from vision.errors import InputError
+from vision.files import reading as whole
 
 if TYPE_CHECKING:
     from vision.pipeline import Settings
@@ -95,7 +96,8 @@ def review(
         raise InputError(
             folder, "a run without further options", "some", "give the video, or run track again"
         )
-    session = Session(folder, settings_of_run(folder), film=film, options=option_names())
+    with whole(folder, "a run folder as track writes it", "run track again"):
+        session = Session(folder, settings_of_run(folder), film=film, options=option_names())
 
     def opened(address: str) -> None:
         say([f"review     {address}", "           Ctrl-C ends it"])

@@ -97,6 +97,14 @@ class Session:
         columns = self.settings.columns
         first = 0 if columns is None else columns.start or 0
         self.diagram = Diagram(self.folder / "kymograph.tif", first, self.settings.tuning.tracking)
+        try:
+            self._take_up()
+        except BaseException:
+            self.diagram.close()
+            raise
+
+    def _take_up(self) -> None:
+        """Positions, and the decisions about them."""
         ridges = self.found.facts.get("found", {}).get("ridges", {}).get("polarity", "bright")
         self.tiles = Tiles(self.diagram, bright=ridges == "bright")
         with ThreadPoolExecutor(1) as pool:  # while the tracks are tried out and read

@@ -15,13 +15,21 @@ import pandas as pd
 from vision.clock import Candidate, Clock
 from vision.errors import InputError
 from vision.run.folder import MARK
-from vision.run.reading import read_json, read_table_of
+from vision.run.reading import AGAIN, read_json, read_table_of
 from vision.sheets.corrections import Correction, correction_of
 
 try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
+
+
+COLUMNS = {
+    "events": ("event", "t_v_s", "t_p_s", "stick_length_um"),
+    "deformation": ("event", "index", "side", "n", "ratio", "ratio_err", "p_stiff", "shell", "flag"),
+    "shells": ("event", "side", "stiff_sheets"),
+}
+"""Tables of a run, and what a review needs of each."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,9 +62,7 @@ class Found:
             folder=folder,
             facts=facts,
             clock=clock_of(read_json(clock)) if clock.exists() else None,
-            events=read_table_of(folder, "events"),
-            deformation=read_table_of(folder, "deformation"),
-            shells=read_table_of(folder, "shells"),
+            **{name: _table(folder, name) for name in COLUMNS},
         )
 
     @property
@@ -71,6 +77,17 @@ class Found:
         return [
             correction_of(entry["kind"], _as_entry(entry)) for entry in self.facts.get("corrections") or []
         ]
+
+
+def _table(folder: Path, name: str) -> pd.DataFrame | None:
+    """One of the run's tables, with the columns that are needed; None where the run has none."""
+    table = read_table_of(folder, name)
+    absent = [] if table is None else [column for column in COLUMNS[name] if column not in table]
+    if absent:
+        raise InputError(
+            folder / f"{name}.csv", "a table as track writes it", f"no {', '.join(absent)}", AGAIN
+        )
+    return table
 
 
 def clock_of(facts: Mapping[str, Any]) -> Clock:
