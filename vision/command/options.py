@@ -122,7 +122,7 @@ class VideoOptions:
     window: str | None = None
     """Fit window in px, odd, or auto to follow the ridges' width; 9 where they are 6 to 14 px wide."""
     corrections: Path | None = None
-    """TOML file of decisions about identities: accept, leave_out, swap, assign."""
+    """TOML file of decisions by hand: accept, leave_out, swap, assign, add, delete, axis, strip, clock."""
     pixel_size: str | None = None
     """µm per pixel, also as 10um or 0.01mm; without it lengths are in px."""
     scale: str | None = None
