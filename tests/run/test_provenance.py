@@ -4,6 +4,7 @@ import errno
 import hashlib
 import json
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -94,3 +95,23 @@ def test_attributes_come_back_from_netcdf_as_they_were():
     attrs = {"source": "[1].avi", "note": '"quoted"', "list": [1, "a"], "plain": "x", "number": 2.0}
     assert attrs_of_netcdf(netcdf_attrs(attrs)) == attrs
     assert netcdf_attrs({"source": "a\udcff.avi"}) == {"source": "a?.avi"}
+
+
+def test_many_images_have_one_fingerprint_that_sees_the_first_the_last_and_their_sizes(tmp_path, monkeypatch):
+    """A failure means that a folder of 100 000 images is read twice, or that one that was changed passes."""
+    monkeypatch.setattr("vision.run.provenance.MIB", 100)
+    for n in range(40):
+        (tmp_path / f"{n:02d}.bin").write_bytes(bytes([n]) * 333)
+    plain = describe_input(tmp_path)
+    assert "sha256" not in plain
+    assert plain["size_bytes"] == 40 * 333
+    seen = {plain["fingerprint"]}
+    for n in (0, 39):
+        data = (tmp_path / f"{n:02d}.bin").read_bytes()
+        (tmp_path / f"{n:02d}.bin").write_bytes(b"x" + data[1:-1] + b"y")
+        seen.add(describe_input(tmp_path)["fingerprint"])
+    os.truncate(tmp_path / "17.bin", 332)
+    seen.add(describe_input(tmp_path)["fingerprint"])
+    assert len(seen) == 4
+    every = b"".join(file.read_bytes() for file in sorted(tmp_path.iterdir()))
+    assert describe_input(tmp_path, whole=True)["sha256"] == hashlib.sha256(every).hexdigest()

@@ -8,7 +8,7 @@ import importlib.metadata
 import json
 import math
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -48,39 +48,48 @@ def _version(name: str) -> str:
 def describe_input(path: Path, *, whole: bool = False) -> dict[str, Any]:
     """Path, size and fingerprint of an input; of a folder or a pattern, those of its files in order, as one.
 
-    The fingerprint is the SHA-256 of each file's size and of 64 evenly spaced MiB of it, the first and the
-    last among them; of the whole content where the file is shorter, or where ``whole`` asks for it.
+    The fingerprint is the SHA-256 of each file's size and of 64 evenly spaced MiB of all of them, the first
+    and the last among them; of the whole content where that is shorter, or where ``whole`` asks for it.
 
     Raises
     ------
     InputError
         For an input that is gone or cannot be read.
     """
-    digest, size, modified = hashlib.sha256(), 0, 0.0
-    covered = True
+    digest = hashlib.sha256()
     try:
-        for file in _files(path):
-            facts = file.stat()
-            size, modified = size + facts.st_size, max(modified, facts.st_mtime)
-            covered &= whole or facts.st_size <= PARTS * MIB
-            if not (whole or facts.st_size <= PARTS * MIB):
-                digest.update(str(facts.st_size).encode())
-            with file.open("rb") as stream:
-                for start in _starts(facts.st_size, whole=whole):
-                    stream.seek(start)
-                    digest.update(stream.read(MIB))
+        files = [(file, file.stat()) for file in _files(path)]
+        size = sum(facts.st_size for _, facts in files)
+        whole = whole or size <= PARTS * MIB
+        if not whole:
+            digest.update("".join(str(facts.st_size) for _, facts in files).encode())
+        for part in _parts([(file, facts.st_size) for file, facts in files], whole=whole):
+            digest.update(part)
     except OSError as error:
         why = (error.strerror or str(error)).lower()
         raise InputError(path, "an input that stays there until the end", why) from error
-    kind = "sha256" if covered else "fingerprint"
+    modified = max((facts.st_mtime for _, facts in files), default=0.0)
+    kind = "sha256" if whole else "fingerprint"
     return {"path": str(path), "size_bytes": size, "modified_s": modified, kind: digest.hexdigest()}
 
 
-def _starts(size: int, *, whole: bool) -> Iterable[int]:
-    """Where the MiB begin that are read."""
-    if whole or size <= PARTS * MIB:
-        return range(0, size, MIB)
-    return [round(part * (size - MIB) / (PARTS - 1)) for part in range(PARTS)]
+def _parts(files: Sequence[tuple[Path, int]], *, whole: bool) -> Iterator[bytes]:
+    """The MiB that are read of files taken as one; a part that begins in one may end in the next."""
+    size = sum(length for _, length in files)
+    spread = [round(part * (size - MIB) / (PARTS - 1)) for part in range(PARTS)]
+    wanted = [(0, size)] if whole else [(start, start + MIB) for start in spread]
+    begin = 0
+    for file, length in files:
+        spans = [(max(low, begin) - begin, min(high, begin + length) - begin) for low, high in wanted]
+        spans = [(low, high) for low, high in spans if low < high]
+        begin += length
+        if not spans:
+            continue
+        with file.open("rb") as stream:
+            for low, high in spans:
+                stream.seek(low)
+                for at in range(low, high, MIB):
+                    yield stream.read(min(MIB, high - at))
 
 
 def _files(path: Path) -> list[Path]:
