@@ -122,9 +122,9 @@ def scheduler(folder: Path) -> list[str]:
     each = (spent[210] - spent[10]) / 200
     start = spent[10] - 10 * each
     return [
-        f"Snakemake takes {start:.1f} s to start and {1000 * each:.0f} ms for each job; on a cluster each job "
-        "starts it twice more on the node (the batch job and its step), so that a job of one short film would "
-        f"cost {2 * start:.0f} s beside the film. Jobs there last a minute where there are films enough."
+        f"Snakemake takes {start:.1f} s to start and {1000 * each:.0f} ms for each job; on a cluster each "
+        "job starts it twice more on the node (the batch job and its step), so that a job of one short film "
+        f"would cost {2 * start:.0f} s beside the film. Jobs there last a minute where films are enough."
     ]
 
 

@@ -147,14 +147,16 @@ def flag_counts(tracks: xr.Dataset) -> dict[str, int]:
 
 
 def noise_figures(tracks: xr.Dataset, pixel_size_um: float | None) -> dict[str, float]:
-    """Median over the sheets of the predicted and of the measured noise of a position."""
+    """Median over the sheets of the noise of a position: measured, predicted from the pixels, and stated."""
     measured = float(nan_median(tracks["x_noise_px"].values.ravel()))
-    predicted = float(nan_median(tracks["x_err_px"].values.ravel()))
-    figures = {"measured_px": measured, "predicted_px": predicted}
+    stated = float(nan_median(tracks["x_err_px"].values.ravel()))
+    known = "x_predicted_px" in tracks
+    predicted = float(nan_median(tracks["x_predicted_px"].values.ravel())) if known else stated
+    figures = {"measured_px": measured, "predicted_px": predicted, "stated_px": stated}
     if "x_scatter_px" in tracks and np.isfinite(tracks["x_scatter_px"].values).any():
         figures["scatter_px"] = float(nan_median(tracks["x_scatter_px"].values.ravel()))
     if pixel_size_um is not None:
-        figures |= {"measured_um": measured * pixel_size_um, "predicted_um": predicted * pixel_size_um}
+        figures |= {f"{name[:-3]}_um": px * pixel_size_um for name, px in list(figures.items())}
     return figures
 
 
@@ -224,7 +226,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
     scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
     # compression hides the noise of pixels: what they predict is then no check of what was measured
     predicted = (
-        f"; {noise['predicted_px']:.4f} px stated ({strip.codec} hides the noise of pixels)"
+        f"; {noise['stated_px']:.4f} px stated ({strip.codec} hides the noise of pixels)"
         if strip.codec in LOSSY
         else f", {noise['predicted_px']:.4f} px predicted from the pixels"
     )

@@ -7,7 +7,10 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
@@ -141,6 +144,32 @@ def test_watching_takes_films_as_they_come(tmp_path):
     assert sorted(row["state"] for row in states(out).values()) == ["done", "done"]
     rates = [json.loads((out / "runs" / name / "run.json").read_text()) for name in ("t0", "t1")]
     assert [rate["parameters"]["fps"]["value"] for rate in rates] == [20.0, 25.0]
+
+
+@pytest.mark.slow
+def test_films_in_object_storage_are_fetched(tmp_path, capsys):
+    """One that is not there is named, and keeps no other from being done; so is a plugin that is missing."""
+    path = table(tmp_path / "t.csv", ["nowhere://bucket/a.tif"])
+    assert run(["campaign", str(path)]) == 2
+    assert "pip install snakemake-storage-plugin-nowhere" in capsys.readouterr().err
+    pytest.importorskip("snakemake_storage_plugin_http", reason="pip install snakemake-storage-plugin-http")
+    films(tmp_path / "served", 2)
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, *words):
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=tmp_path / "served")) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        base = f"http://127.0.0.1:{server.server_port}"
+        names = [f"{base}/t0.tif", f"{base}/gone.tif", "served/t1.tif"]
+        table(path, names, fps=20)
+        out = tmp_path / "out"
+        assert start([path, "--out", out, "--no-report"], tmp_path).wait(170) == 1
+        server.shutdown()
+    found = states(out)
+    assert [found[name]["state"] for name in ("t0", "gone", "t1")] == ["done", "failed", "done"]
+    assert found["gone"]["reason"] == f"{base}/gone.tif: expected a film in storage; found none"
 
 
 @pytest.mark.slow

@@ -7,9 +7,10 @@ import time
 import pytest
 
 from tests.campaign.scenes import films, planned, rows
-from vision.campaign.plan import Film, check_folder, make_plan, read_plan, share, write_plan
+from vision.campaign.plan import Film, check_folder, make_plan, read_plan, share, vanished_rows, write_plan
 from vision.campaign.settings import CampaignSettings
 from vision.campaign.states import State, read_state, write_state
+from vision.campaign.table import Checked
 from vision.command.main import run
 from vision.errors import InputError
 
@@ -47,6 +48,20 @@ def test_only_what_changed_runs_again(tmp_path):
 def _named(path, name, **values):
     row = rows([path], **values)[0]
     return [type(row)(row=9, film=row.film, name=name, values=values)]
+
+
+def test_films_that_were_done_and_moved_away_stay_in_the_pool(tmp_path):
+    """The camera's computer clears its folder; with --watch no table names them."""
+    paths, out = films(tmp_path / "camera", 3), tmp_path / "out"
+    plan = planned(out, paths)
+    finish(plan, "t0", "t2")
+    for path in paths[:2]:
+        path.unlink()
+    gone = vanished_rows(out, lambda options: Checked(values={}), tmp_path / "camera")
+    assert [row.name for row in gone] == ["t0"]  # t1 was never done, t2 is still there
+    after = make_plan([*gone, *rows(paths[2:])], out)
+    assert [film.key for film in after.films] == [plan.film(name).key for name in ("t0", "t2")]
+    assert after.jobs == {}
 
 
 def test_failed_and_vanished_runs_are_done_again(tmp_path):

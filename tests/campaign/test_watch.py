@@ -4,6 +4,7 @@ import pytest
 
 from tests.scenes.comb_video import frames_of, positions, write_video
 from vision.campaign.settings import CampaignSettings
+from vision.campaign.table import Row
 from vision.campaign.watch import FolderWatch
 from vision.errors import InputError
 
@@ -65,6 +66,29 @@ def test_two_files_of_one_recording_come_together(tmp_path, clock):
     (tmp_path / "p.mraw").write_bytes(bytes(100))
     clock.now = 700.0
     assert complete(watch) == []
+
+
+def test_rows_wait_for_all_their_files(tmp_path, clock):
+    """A failure means that a film is analysed without the force recording that its row names."""
+    watch = FolderWatch(tmp_path, TUNING, clock)
+    film = write_video(tmp_path / "t.tif", frames_of(positions(30)))
+    for name in ("t.tiff", "other.tif"):
+        (tmp_path / name).write_bytes(film.read_bytes())
+    row = Row(row=2, film=str(film), name="t", options={"force": str(tmp_path / "t.txt")})
+
+    def new(path):
+        return Row(row=0, film=str(path), name=path.stem)
+
+    def names():
+        return sorted(ready.name for ready in watch.rows([row], new))
+
+    assert names() == []
+    clock.now = 20.0
+    assert names() == ["other", "t.tiff"]  # "t" is the row's
+    (tmp_path / "t.txt").write_text("0 1\n")
+    assert names() == ["other", "t.tiff"]
+    clock.now = 40.0
+    assert names() == ["other", "t", "t.tiff"]
 
 
 def test_a_folder_that_is_none(tmp_path):

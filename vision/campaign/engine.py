@@ -8,14 +8,15 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from vision.campaign.plan import PLAN, Plan
+from vision.campaign.plan import PLAN, Plan, write_plan
 from vision.campaign.states import State, write_state
+from vision.campaign.table import is_remote
 from vision.errors import InputError
 from vision.files import shortened
 
@@ -28,6 +29,7 @@ HERE = Path(__file__).parent
 SNAKEFILE = HERE / "Snakefile"
 LOG = "snakemake.log"
 JOBS = ".jobs"
+PLUGINS = {"https": "http", "gs": "gcs", "az": "azure"}  # not called as their addresses begin
 GRACE_S = 20  # for jobs to end after an interrupt
 NO_ROOM = 1 << 20  # bytes: a disk with less is full
 
@@ -37,14 +39,26 @@ def profile_of(executor: str) -> Path:
     return HERE / "profiles" / executor
 
 
-def check_engine(executor: str) -> None:
-    """Refuse early where Snakemake or the cluster's commands are missing.  Raises: InputError."""
+def check_engine(executor: str, films: Iterable[str] = ()) -> None:
+    """Refuse early where Snakemake, a storage plugin or the cluster's commands are missing.
+
+    Raises
+    ------
+    InputError
+        In one line.
+    """
     if importlib.util.find_spec("snakemake") is None:
         raise InputError("track campaign", "Snakemake 9", "none", "pip install 'sheetvision[campaign]'")
     if executor == "slurm" and shutil.which("sbatch") is None:
         raise InputError(
             "`executor`", "SLURM's commands on this machine", "no sbatch", "run it on a login node"
         )
+    for film in films:
+        kind = film.partition("://")[0]
+        plugin = PLUGINS.get(kind, kind)
+        if is_remote(film) and importlib.util.find_spec(f"snakemake_storage_plugin_{plugin}") is None:
+            advice = f"pip install snakemake-storage-plugin-{plugin}"
+            raise InputError(film, f"Snakemake's storage plugin for {kind}://", "none", advice)
 
 
 @contextmanager
@@ -152,6 +166,34 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
             break
     with suppress(OSError):  # what outlived it
         os.killpg(process.pid, signal.SIGKILL)
+
+
+def run_films(plan: Plan, run: Callable[[Plan], int]) -> Plan:
+    """Run the films of a plan and give each its state.
+
+    Snakemake starts nothing at all if a film in object storage is not there. Such a film has failed, and the
+    others are run without it.
+
+    Returns
+    -------
+    The plan with the jobs that were run.
+    """
+    while plan.jobs:
+        log = plan.out / LOG
+        since = log.stat().st_size if log.exists() else 0
+        run(plan)
+        told = log.read_bytes()[since:].decode("utf-8", "replace")
+        lines = {line.strip().removesuffix(" (in storage)") for line in told.splitlines()}
+        absent = [job for job in plan.jobs if lines.intersection(plan.remote(job))]
+        if "MissingInputException" not in told or not absent:
+            break
+        for film in (plan.film(name) for job in absent for name in plan.jobs[job].films):
+            why = f"{film.film}: expected a film in storage; found none"
+            write_state(plan.out, replace(plan.state(film), state="failed", reason=why))
+        plan = replace(plan, jobs={name: job for name, job in plan.jobs.items() if name not in absent})
+        write_plan(plan)
+    close_states(plan)
+    return plan
 
 
 def close_states(plan: Plan) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 import vision
 from vision.campaign.settings import CampaignSettings
 from vision.campaign.states import FINISHED, State, read_state
-from vision.campaign.table import PATHS, Row, is_remote
+from vision.campaign.table import PATHS, Check, Row, is_remote
 from vision.errors import InputError
 from vision.files import Stamp, reading, shortened
 from vision.run import describe_input, plain, whole_file, write_json
@@ -91,6 +91,10 @@ class Plan:
         Whether films are copied to the node's own disk first.
     report
         Whether each run gets its page.
+    started_in
+        The working directory: files that the configuration names are relative to it.
+    version, layout
+        Of the program and of the folder; others are not touched.
     """
 
     out: Path
@@ -99,6 +103,7 @@ class Plan:
     config: Path | None = None
     stage: bool = False
     report: bool = True
+    started_in: Path = field(default_factory=Path.cwd)
     version: str = field(default_factory=lambda: vision.__version__)
     layout: int = LAYOUT
 
@@ -181,6 +186,42 @@ def make_plan(
     return Plan(**{**_shallow(plan), "jobs": jobs})
 
 
+def vanished_rows(out: Path, check: Check, folder: Path) -> list[Row]:
+    """Rows of films of an earlier plan that were done and have left the folder since.
+
+    Parameters
+    ----------
+    out
+        The campaign's folder.
+    check
+        Turns options into values, as for the table.
+    folder
+        Where they were.
+
+    Raises
+    ------
+    InputError
+        Where the earlier plan cannot be read.
+    """
+    if not (out / PLAN).is_file():
+        return []
+    plan = read_plan(out / PLAN)
+    return [
+        Row(
+            row=0,
+            film=film.film,
+            name=film.name,
+            options=film.options,
+            values=check(film.options).values,
+            facts=film.facts,
+        )
+        for film in plan.films
+        if Path(film.film).parent.resolve() == folder.resolve()
+        and not Path(film.film).exists()
+        and plan.finished(film) is not None
+    ]
+
+
 def _shallow(plan: Plan) -> dict[str, Any]:
     return {part.name: getattr(plan, part.name) for part in fields(plan)}
 
@@ -232,10 +273,8 @@ def read_plan(path: Path) -> Plan:
         jobs = {
             name: Job(**{**job, "films": tuple(job["films"])}) for name, job in content.pop("jobs").items()
         }
-        config = content.pop("config")
-        return Plan(
-            **{**content, "out": Path(content["out"])}, films=films, jobs=jobs, config=config and Path(config)
-        )
+        paths = {name: Path(content[name]) for name in ("out", "started_in", "config") if content[name]}
+        return Plan(**{**content, **paths}, films=films, jobs=jobs)
 
 
 # --- one film -----------------------------------------------------------------------------------------------
@@ -291,8 +330,8 @@ def _fingerprint(path: Path, known: dict[str, Any]) -> str:
     """What is in a file, read again only where its size or time has changed."""
     stamp = list(Stamp.of(path).facts or ())
     earlier = known.get(str(path))
-    if stamp and path.is_file() and earlier is not None and earlier[0] == stamp:
-        return str(earlier[1])
+    if earlier is not None and (not stamp or (path.is_file() and earlier[0] == stamp)):
+        return str(earlier[1])  # also of a film that was done and moved away
     try:
         facts = describe_input(path)
     except InputError:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from vision.campaign.settings import CampaignSettings
+from vision.campaign.table import PATHS, Row, safe_name
 from vision.errors import InputError
 from vision.files import Stamp
 from vision.video import open_video, video_files
@@ -68,9 +71,42 @@ class FolderWatch:
             whole = False
         return whole or min(ages) >= self._settings.abandoned_seconds
 
-    def still(self, file: Path) -> bool:
-        """Whether a file that belongs to a film stands still."""
-        return self._still(file) >= self._settings.still_seconds
+    def rows(self, table: Sequence[Row], new: Callable[[Path], Row]) -> list[Row]:
+        """What can be done now.
+
+        Parameters
+        ----------
+        table
+            Rows whose films may be still to come.
+        new
+            Makes a row for a film that no row names.
+
+        Returns
+        -------
+        The table's rows whose files are there and stand still, and complete films without a row. Two of one
+        name (a.avi, a.mp4) are told apart by their endings.
+        """
+        named = {Path(row.film).resolve() for row in table}
+        used = {row.name.casefold() for row in table}
+        ready = [row for row in table if self._ready(row)]
+        for film in self.films():
+            if film.resolve() not in named:
+                row = new(film)
+                row = replace(row, name=safe_name(film.name)) if row.name.casefold() in used else row
+                used.add(row.name.casefold())
+                ready += [row] if self.complete(film) else []
+        return ready
+
+    def _ready(self, row: Row) -> bool:
+        """Whether a row's files that lie in the folder stand still; those elsewhere were there before."""
+        given = (Path(row.options[name]) for name in PATHS if name in row.options)
+        ages = [self._still(file) for file in given if self._here(file)]
+        film = Path(row.film)
+        whole = not self._here(film) or self.complete(film)  # looked at also while others are awaited
+        return whole and min(ages, default=math.inf) >= self._settings.still_seconds
+
+    def _here(self, file: Path) -> bool:
+        return file.parent.resolve() == self.folder.resolve()
 
     def _still(self, file: Path) -> float:
         """For how long a file has not changed, s, as far as was seen; -1 for one that is not there."""

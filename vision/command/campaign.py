@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -117,7 +118,7 @@ def campaign(
     check = _checker(config)
     rows = [] if table is None else _read(table, check, watch)
     if not (dry_run or plan):
-        engine.check_engine(executor)
+        engine.check_engine(executor, [row.film for row in rows])
     make = _planner(target, config=config, stage=stage, report=report, cores=cores, executor=executor)
     if dry_run:
         return _dry_run(make(rows, keep=False), cores)
@@ -130,7 +131,17 @@ def campaign(
         conduct = _conductor(profile, executor, cores, quiet=quiet)
         if watch is None:
             return conduct(make(rows))
-        return _watch(watch, rows, check, lambda ready: conduct(make(ready)), idle)
+        from vision.campaign.plan import vanished_rows
+        from vision.campaign.table import Row, safe_name
+        from vision.campaign.watch import FolderWatch
+
+        def new(film: Path) -> Row:
+            name = safe_name(run_name(film))
+            return Row(row=0, film=str(film.absolute()), name=name, values=check({}).values)
+
+        # those that were done and moved away since stay in the pool
+        gone = vanished_rows(target, check, FolderWatch(watch).folder)
+        return _watch(FolderWatch(watch), rows, new, lambda ready: conduct(make([*gone, *ready])), idle)
 
 
 def campaign_job(plan: Path, job: str, /, *fetched: Path) -> int:
@@ -141,7 +152,10 @@ def campaign_job(plan: Path, job: str, /, *fetched: Path) -> int:
     content = read_plan(plan)
     if job not in content.jobs:
         raise InputError(plan, "a plan with this job", f"no '{job}'", "run track campaign again")
-    return run_job(content, job, _work(content), fetched=fetched)
+    copies = [path.absolute() for path in fetched]
+    if content.started_in.is_dir():  # files that the configuration names are relative to it
+        os.chdir(content.started_in)
+    return run_job(content, job, _work(content), fetched=copies)
 
 
 def campaign_pool(plan: Path, /) -> int:
@@ -227,8 +241,6 @@ def _problem_lines(problems: Sequence[Problem]) -> list[str]:
 def _planner(
     out: Path, *, config: Path | None, stage: bool, report: bool, cores: int | None, executor: str
 ) -> Callable[..., Plan]:
-    import os
-
     from vision.campaign.plan import make_plan
 
     at_a_time = cores or (
@@ -245,8 +257,6 @@ def _planner(
 
 
 def _dry_run(plan: Plan, cores: int | None) -> int:
-    import os
-
     from vision.campaign.page import duration
 
     waiting = {name for job in plan.jobs.values() for name in job.films}
@@ -292,29 +302,37 @@ def _conductor(
     def conduct(plan: Plan) -> int:
         write_plan(plan)
         write_page(plan, live=bool(plan.jobs))
-        started = time.perf_counter()
+        started, unwritten = time.perf_counter(), False
         try:
-            if plan.jobs:
-                run(plan, "films", watch=_progress(plan, quiet=quiet))
-                engine.close_states(plan)
+            plan = engine.run_films(plan, lambda left: run(left, "films", watch=_progress(left, quiet=quiet)))
             if needs_pool(plan):
-                write_page(plan, live=True)
                 run(plan, "pool")
         finally:
-            states = write_page(plan, live=False, remarks=read_remarks(plan))
-        pooled = not needs_pool(plan)
-        for state in states:
-            if state.state in ("failed", "partial"):
-                complain(f"{state.name}: {state.state}: {state.reason}")
-        for line in read_remarks(plan):
-            complain(line)
-        if not pooled:
-            complain(f"the tests could not be compared; see {plan.out / engine.LOG}")
+            try:
+                write_page(plan, live=False, remarks=read_remarks(plan))
+            except InputError as error:  # a full disk: what became of the films is said all the same
+                unwritten = True
+                complain(str(error))
+        states = [plan.state(film) for film in plan.films]
+        remarks = read_remarks(plan)
+        if needs_pool(plan):
+            remarks = (*remarks, f"the tests could not be compared; see {plan.out / engine.LOG}")
+        _complain_of(states, remarks)
         if not quiet:
             say(_summary(plan, states, time.perf_counter() - started))
-        return 0 if pooled and all(state.state == "done" for state in states) else 1
+        good = not needs_pool(plan) and all(state.state == "done" for state in states)
+        return 2 if unwritten else 0 if good else 1
 
     return conduct
+
+
+def _complain_of(states: Sequence[State], remarks: Sequence[str]) -> None:
+    """One line for each film that failed, and what was said of the pool."""
+    for state in states:
+        if state.state in ("failed", "partial"):
+            complain(f"{state.name}: {state.state}: {state.reason}")
+    for line in remarks:
+        complain(line)
 
 
 def _progress(plan: Plan, *, quiet: bool) -> Callable[[], None] | None:
@@ -354,21 +372,21 @@ def _summary(plan: Plan, states: Sequence[State], seconds: float) -> list[str]:
 
 
 def _watch(
-    folder: Path,
+    watcher: FolderWatch,
     rows: Sequence[Row],
-    check: Check,
+    new: Callable[[Path], Row],
     conduct: Callable[[Sequence[Row]], int],
     idle: float | None,
 ) -> int:
     """Take films as they are completed, until Ctrl-C or nothing came for so long; the exit status of all."""
-    from vision.campaign.watch import FolderWatch
-
-    watcher, status, taken, last = FolderWatch(folder), 0, 0, time.monotonic()
+    taken: dict[str, Row] = {}
+    status, last = 0, time.monotonic()
     try:
         while True:
-            ready = _ready(watcher, rows, check)
-            if len(ready) > taken:
-                taken, status = len(ready), conduct(ready)
+            ready = {row.name: row for row in watcher.rows(rows, new)}
+            if not ready.keys() <= taken.keys():
+                taken |= ready
+                status = conduct(list(taken.values()))
                 last = time.monotonic()
             elif idle is not None and time.monotonic() - last > idle:
                 return status
@@ -376,30 +394,8 @@ def _watch(
     except KeyboardInterrupt:
         if not taken:
             raise
-        complain(f"watching {folder} ended; run the same command to go on")
+        complain(f"watching {watcher.folder} ended; run the same command to go on")
         return status
-
-
-def _ready(watcher: FolderWatch, rows: Sequence[Row], check: Check) -> list[Row]:
-    """The table's rows whose files are there and stand still, and complete films that no row names."""
-    from vision.campaign.table import PATHS, Row, clashes, safe_name
-
-    here = watcher.folder.resolve()
-
-    def complete(row: Row) -> bool:
-        files = [Path(row.options[name]) for name in PATHS if name in row.options]
-        watched = [file for file in files if file.parent.resolve() == here]
-        still = [watcher.still(file) for file in watched]
-        return all(still) and (Path(row.film).parent.resolve() != here or watcher.complete(Path(row.film)))
-
-    named = {Path(row.film).resolve() for row in rows}
-    ready = [row for row in rows if complete(row)]
-    for film in watcher.films():
-        if film.resolve() not in named and watcher.complete(film):
-            values = check({}).values
-            ready.append(Row(row=0, film=str(film.absolute()), name=safe_name(run_name(film)), values=values))
-    bad = {problem.row for problem in clashes(ready)}
-    return [row for row in ready if row.row not in bad]
 
 
 # --- one film -----------------------------------------------------------------------------------------------
@@ -409,25 +405,29 @@ def _work(plan: Plan) -> Callable[[Film, Path, Path], Outcome]:
     """What a job does with each film: the same as `track`."""
     from vision.campaign.worker import Outcome
 
-    options = RunOptions(overwrite=True, report=plan.report, quiet=True)
-
     def parameters(film: Film) -> dict[str, Parameter]:
         values = {name: parse_option(plan.out, name, text) for name, text in film.options.items()}
         return merged(*_groups(values), config=plan.config)
 
     def work(film: Film, source: Path, target: Path) -> Outcome:
         found: list[Any] = []
+        local = "://" not in film.film
+        video = Path(film.film) if local else source
+        chosen = parameters(film)
+        # a job that was killed goes on where it ended, but not from a copy that is gone
+        again = local and source == video and plan.state(film).attempts > 1 and not chosen["strips"].value
 
-        def analyse() -> int:
-            local = "://" not in film.film
-            video = Path(film.film) if local else source
+        def analyse(*, resume: bool) -> int:
+            options = RunOptions(overwrite=True, report=plan.report, quiet=True, resume=resume)
             status, analysis = track_one(
-                video, target, parameters(film), options, one_of_many=True, copy=source if local else None
+                video, target, chosen, options, one_of_many=True, copy=source if local else None
             )
             found.append(analysis)
             return status
 
-        status, why = outcome(analyse)
+        status, why = outcome(partial(analyse, resume=again))
+        if again and not found and status == 2:  # what was kept is of another reading
+            status, why = outcome(partial(analyse, resume=False))
         analysis = found[0] if found else None
         if analysis is not None and not why and status >= 2:
             reasons = [

@@ -109,7 +109,7 @@ def track_one(
     with checkpoint, sums, resumable(checkpoint):
         if run.follow:
             with following(settings, quiet=run.quiet) as follow:
-                analysis = analyse(video, force, settings, follow=follow)
+                analysis = analyse(copy or video, force, settings, follow=follow)
         else:
             with frame_progress("reading", quiet=run.quiet) as progress:
                 show = sums.beside(progress)

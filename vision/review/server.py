@@ -149,6 +149,10 @@ class Windows:
             self._seen[window[:64]] = now
         return len(self._seen.keys() - {window[:64]})
 
+    def leave(self, window: str) -> None:
+        """This one was closed."""
+        self._seen.pop(window[:64], None)
+
 
 class Api:
     """Answers for one session."""
@@ -185,6 +189,7 @@ class Api:
             "/api/strip": self.strip,
             "/api/clock": self.clock,
             "/api/save": self.save,
+            "/api/leave": self.leave,
             "/api/quit": self.quit,
         }
         routes = [Route(path, _threaded(work), methods=["GET"]) for path, work in get.items()]
@@ -317,6 +322,11 @@ class Api:
     def saving(self, request: Request) -> Response:
         """How far saving is."""
         return _json(self.session.saving())
+
+    def leave(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """A window was closed, or is loaded anew."""
+        self._windows.leave(request.headers.get("x-window", ""))
+        return _json({})
 
     def quit(self, request: Request, body: Mapping[str, Any]) -> Response:
         """End the server once this is answered."""

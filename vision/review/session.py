@@ -173,7 +173,11 @@ class Session:
         self._measured: tuple[int | None, int, list[dict[str, Any]]] = (None, -1, [])
         self._grey: tuple[float, float] | None = None
         self._force: xr.Dataset | None = None
-        self._load()
+        try:
+            self._load()
+        except BaseException:
+            self._claim.close()
+            raise
 
     def _load(self) -> None:
         """Read the folder, then take up the decisions that its tables do not follow yet."""
@@ -254,13 +258,6 @@ class Session:
                     raise
             return self._film
 
-    def _film_facts(self) -> dict[str, Any]:
-        """Rows of the film's picture, or why there is none."""
-        try:
-            return {"rows": self.film().shape[0], "film_error": ""}
-        except InputError as error:
-            return {"rows": None, "film_error": str(error)}
-
     def _open_film(self) -> Video:
         path = input_of(self.folder, self._input(0), self._film_moved)
         chosen = self.settings
@@ -323,7 +320,7 @@ class Session:
                     folder=self.folder,
                     settings=self.settings,
                     applied=tuple(self.applied),
-                    decisions=self._held(),
+                    decisions=self._held(self.decisions, self.undone),
                     clock=self.found.clock,
                     film=self._film_moved,
                     beside={REPLACED: pack(self._before)} if self._before else {},
@@ -354,9 +351,10 @@ class Session:
         """Keep a decision.  Raises: InputError where it does not fit; nothing is kept then."""
         with self.lock:
             self._check_free()
-            self._apply(self.decision_of(request, dated=True))
-            self.undone.clear()
-            self._write()
+            if any(one.kind in ("add", "delete") for one in self.unseen):
+                found = "a number that waits to be saved"
+                raise InputError("the decision", "sheets that are numbered as shown", found, "save first")
+            self._keep(self.decision_of(request, dated=True), [])
 
     def undo(self) -> None:
         """Take the last decision back.  Raises: InputError without one."""
@@ -364,8 +362,8 @@ class Session:
             self._check_free()
             if not self.decisions:
                 raise InputError("undo", "a decision to take back", "none")
+            self._write(self.decisions[:-1], [*self.undone, self.decisions[-1]])
             self.undone.append(self._step_back())
-            self._write()
 
     def redo(self) -> None:
         """Make the last decision that was taken back again.  Raises: InputError without one."""
@@ -373,16 +371,26 @@ class Session:
             self._check_free()
             if not self.undone:
                 raise InputError("redo", "a decision that was taken back", "none")
-            again = self.undone[-1]
-            if self.unseen and self.unseen[-1].what == again.what:
-                self.unseen.pop()
-                self.decisions.append(again)
-                self._before.append(None)
-                self.revision += 1
-            else:
-                self._apply(again)
-            self.undone.pop()
-            self._write()
+            again, rest = self.undone[-1], self.undone[:-1]
+            if not (self.unseen and self.unseen[-1].what == again.what):
+                self._keep(again, rest)
+                return
+            self._write([*self.decisions, again], rest)
+            self.unseen.pop()
+            self.decisions.append(again)
+            self._before.append(None)
+            self.undone = rest
+            self.revision += 1
+
+    def _keep(self, decision: Correction, undone: list[Correction]) -> None:
+        """Apply and write; what cannot be written is not applied either."""
+        self._apply(decision)
+        try:
+            self._write(self.decisions, undone)
+        except InputError:
+            self._step_back()
+            raise
+        self.undone = undone
 
     @property
     def pending(self) -> list[Correction]:
@@ -414,14 +422,14 @@ class Session:
             now = max(now, earliest.astimezone(UTC))
         return now.isoformat(timespec="milliseconds")
 
-    def _write(self) -> None:
+    def _write(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> None:
         """corrections.toml, whole and on the disk when this returns."""
-        write_durably(self.folder / CORRECTIONS, corrections_text(self._held()))
+        held = self._held(decisions, undone)
+        write_durably(self.folder / CORRECTIONS, corrections_text(held))
 
-    def _held(self) -> Decisions:
-        return Decisions(
-            corrections=tuple(self.decisions), undone=tuple(self.undone), film=self.found.film_checksum
-        )
+    def _held(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> Decisions:
+        checksum = self.found.film_checksum
+        return Decisions(corrections=tuple(decisions), undone=tuple(undone), film=checksum)
 
     # --- what is shown --------------------------------------------------------------------------------------
 
@@ -466,7 +474,7 @@ class Session:
                     "factor": self.tiles.settings.factor,
                 },
             }
-            return shape | self._film_facts() | lists | self.state()
+            return shape | lists | self.state()
 
     def _rows(self, strip: StripMetadata) -> tuple[int, int]:
         """Rows of the strip, as decided on."""

@@ -75,7 +75,7 @@ export class Displacement {
     for (const sheet of sheets) {
       const chosen = sheet.index === this.view.sheet, text = this.page.name(sheet);
       s.font(1, chosen ? "bold" : "");
-      c.fillStyle = colour.card; c.globalAlpha = 0.8; c.fillRect(x - 2, s.top + 2, c.measureText(text).width + 4, s.size + 3); c.globalAlpha = 1;
+      c.fillStyle = colour.card; c.globalAlpha = 0.92; c.fillRect(x - 3, s.top + 1, c.measureText(text).width + 6, s.size + 5); c.globalAlpha = 1;
       c.fillStyle = chosen ? colour.text : sheet.side < 0 ? colour.left : colour.right;
       c.fillText(text, x, s.top + 3); x += c.measureText(text).width + 12;
     }
@@ -209,7 +209,8 @@ export class Stick {
       c.fillStyle = colour.soft; c.textAlign = "center"; c.textBaseline = "middle";
       wrapped(c, before?.reason ?? page.noStick(), s.left, s.plotWidth, s.top + s.plotHeight / 2, s.size * 1.3); return;
     }
-    const values = [before, after].flatMap((stick) => stick?.sheets ?? []).map((one) => one.ratio).filter(Number.isFinite);
+    // what was far off before must not flatten what would be right: it is marked at the edge
+    const values = (after ?? before).sheets.map((one) => one.ratio).filter(Number.isFinite);
     const high = Math.max(2.2 * threshold, 1.12 * Math.max(0, ...values));
     const y = s.yAxis(Math.min(-0.04 * high, 1.1 * Math.min(0, ...values)), high, { label: "σₓ/Λₛₜ" });
     this.nAxis(s, c, colour, x);
@@ -241,7 +242,8 @@ export class Stick {
     c.globalAlpha = alpha;
     for (const one of sheets) {
       if (!Number.isFinite(one.ratio)) continue;
-      const px = x(one), py = y(one.ratio), r = 2.8 * grow;
+      const px = x(one), py = y(one.ratio), r = 2.8 * grow, { top } = this.surface;
+      if (py < top) { c.fillStyle = ink(one); c.beginPath(); c.moveTo(px, top + 1); c.lineTo(px - 4, top + 9); c.lineTo(px + 4, top + 9); c.fill(); continue; }
       c.strokeStyle = c.fillStyle = ink(one); c.lineWidth = 1;
       if (Number.isFinite(one.ratio_err)) line(c, px, y(one.ratio - one.ratio_err), px, y(one.ratio + one.ratio_err));
       c.beginPath();

@@ -44,7 +44,7 @@ export class Decisions {
 
   /** Which decisions make sense for this run. */
   offer() {
-    const { state } = this.page, without = { clock: !state.clock, strip: state.rows == null };
+    const { state } = this.page, without = { clock: !state.clock, strip: this.page.film.rows == null };
     for (const { kind } of KINDS) document.getElementById(`decide-${kind}`).disabled = Boolean(without[kind]) || !state.sheets.length;
   }
 
@@ -299,7 +299,7 @@ export class Decisions {
   }
 
   stripTool() {
-    const own = this, high = this.page.state.rows;
+    const own = this, high = this.page.film.rows;
     let part = null;
     return {
       wholePicture: true,

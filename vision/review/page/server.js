@@ -69,3 +69,8 @@ export class Store {
 
   clear() { this.kept.clear(); }
 }
+
+/** Tells the program that this window is closed. */
+export function leave() {
+  fetch("api/leave", { method: "POST", keepalive: true, headers: { "Content-Type": "application/json", "X-Window": WINDOW }, body: "{}" }).catch(() => {});
+}

@@ -82,7 +82,7 @@ export class Surface {
   yAxis(low, high, { grid = true, label = "", format = null } = {}) {
     const c = this.context, colour = colours();
     const place = (value) => this.top + this.plotHeight * (1 - (value - low) / (high - low || 1));
-    const [ticks, digits] = steps(low, high, Math.max(2, Math.floor(this.plotHeight / 26)));
+    const [ticks, digits] = steps(low, high, Math.max(3, Math.floor(this.plotHeight / 26)));
     c.textAlign = "right"; c.textBaseline = "middle"; c.lineWidth = 1;
     for (const value of ticks) {
       const y = Math.round(place(value)) + 0.5;
@@ -149,14 +149,14 @@ export function curveThrough(c, from, to, at, width) {
   }
   c.fillStyle = c.strokeStyle;
   let column = NaN, low = Infinity, high = -Infinity, end = NaN;
-  const bar = () => { if (low <= high) c.fillRect(column, low - width / 2, Math.max(1, width), high - low + width); };
+  const bar = (next) => { if (low <= high) c.fillRect(column, low - width / 2, Math.max(1, Math.min(next - column, 4)), high - low + width); };
   for (let k = from; k < to; k++) {
     const [x, y] = at(k), here = Math.round(x);
-    if (here !== column) { bar(); column = here; low = high = end; if (Number.isNaN(end)) { low = Infinity; high = -Infinity; } }
+    if (here !== column) { bar(here); column = here; low = high = end; if (Number.isNaN(end)) { low = Infinity; high = -Infinity; } }
     if (!Number.isNaN(y)) { if (y < low) low = y; if (y > high) high = y; }
     end = y;
   }
-  bar();
+  bar(column + 1);
 }
 
 /** Text with an edge, readable on a picture. */
