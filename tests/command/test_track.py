@@ -1,5 +1,6 @@
 """`track VIDEO` as typed: files, exit status, messages."""
 
+import hashlib
 import json
 import os
 import subprocess
@@ -245,3 +246,10 @@ def test_the_checkout_s_cli_runs_as_a_process(video):
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert done.stdout.count("\n") == len(LINES)
+
+
+def test_a_checksum_covers_every_byte_of_the_film(video):
+    """A failure means that --checksum names another file, or is forgotten."""
+    assert run([str(video), "--quiet", "--no-report", "--checksum", "--overwrite"]) == 0
+    (film,) = json.loads(Path("comb_tracks/run.json").read_text())["inputs"]
+    assert film["sha256"] == hashlib.sha256(video.read_bytes()).hexdigest()

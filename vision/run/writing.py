@@ -53,6 +53,8 @@ class Origin:
         Whether the inputs' SHA-256 is that of every byte.
     options
         Names of arguments and the command's options that the report shows in their place.
+    described
+        Inputs that are described already (`vision.run.Checksums`).
     """
 
     command: str
@@ -60,6 +62,7 @@ class Origin:
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     checksum: bool = False
     options: Mapping[str, str] = field(default_factory=dict)
+    described: Mapping[Path, Mapping[str, Any]] = field(default_factory=dict)
 
     def named(self, lines: Iterable[str]) -> list[str]:
         """Messages with the command's options in place of Python's arguments, where a command writes."""
@@ -170,7 +173,10 @@ def run_facts(analysis: Analysis, origin: Origin) -> dict[str, Any]:
         "command": origin.command,
         "versions": versions(),
         "parameters": dict(origin.parameters),
-        "inputs": [describe_input(path, whole=origin.checksum) for path in origin.inputs],
+        "inputs": [
+            origin.described.get(path) or describe_input(path, whole=origin.checksum)
+            for path in origin.inputs
+        ],
     }
     if analysis.tracks is not None:
         facts |= _video_facts(analysis)
