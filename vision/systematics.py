@@ -159,8 +159,8 @@ def uneven_light_px(strip: xr.DataArray, tracks: xr.Dataset) -> float | None:
 
     Notes
     -----
-    A ridge of height C (negative where dark) over a level V, Gaussian with standard width :math:`\sigma`, in light L(x), has its
-    maximum at
+    A ridge of height C (negative where dark) over a level V, Gaussian with standard width :math:`\sigma`, in
+    light L(x), has its maximum at
 
     .. math:: x - x_n = \frac{L'}{L}\, \frac{V + C}{C}\, \left(\sigma^2 + \frac{w^2}{20}\right)
 

@@ -228,9 +228,9 @@ def _after_jumps(
 ) -> Bools:
     """Frames in which a comb without certain ends stands whole pitches from where it mostly does.
 
-    With neither end in view, or an outermost sheet that is often not found, only brightness distinguishes such
-    a jump from none: a margin that the costs of staying in place and of sheets crossing the edges can bring
-    by themselves is not enough.
+    With neither end in view, or an outermost sheet that is often not found, only brightness distinguishes
+    such a jump from none: a margin that the costs of staying in place and of sheets crossing the edges can
+    bring by themselves is not enough.
     """
     seen = np.flatnonzero(np.isfinite(x).any(axis=1))
     step = np.nan_to_num(nan_median(np.diff(x[seen], axis=0), axis=1)) / comb.pitch_px

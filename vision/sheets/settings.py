@@ -119,8 +119,8 @@ class TrackingSettings:
     stiff centre, smaller keeps dust."""
 
     faint_end: float = 0.35
-    """Contrast of the comb's first or last ridge, over the typical one's, below which one more sign shows that
-    it is none. Larger drops unequal sheets, smaller takes background beside a speck for a sheet
+    """Contrast of the comb's first or last ridge, over the typical one's, below which one more sign shows
+    that it is none. Larger drops unequal sheets, smaller takes background beside a speck for a sheet
     (test_degraded.py's dirt)."""
 
     slow_end: float = 0.6
