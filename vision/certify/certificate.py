@@ -89,6 +89,8 @@ class Certificate:
         At the stiffness threshold; None without stick phases or scale.
     warnings
         What the certificate does not cover.
+    encoding
+        How films were encoded again; "" where they got the recording's residuals.
     """
 
     source: str
@@ -110,6 +112,7 @@ class Certificate:
     identity_tried: float
     threshold: Threshold | None
     warnings: tuple[str, ...]
+    encoding: str = ""
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -273,6 +276,7 @@ def certify(
         identity_tried=tried,
         threshold=at_threshold,
         warnings=_warnings(like, facts, tracks, known, _rms(error), at_threshold is None),
+        encoding="" if like.encoder is None else like.encoder.described,
     )
 
 

@@ -62,6 +62,15 @@ class Encoder:
     noise_grey: float = 0.0
 
     @property
+    def described(self) -> str:
+        """In words, for the certificate."""
+        return (
+            f"{self.codec} at the recording's quantiser {self.quantiser}, with pixel noise of "
+            f"{self.noise_grey:g} grey levels, for which a film takes the recording's "
+            f"{self.bits_per_pixel:.2g} bits per pixel"
+        )
+
+    @property
     def width(self) -> int:
         """Columns of the strip: one less than the run's where that is odd at the picture's edge."""
         return self.columns[1] - self.columns[0]

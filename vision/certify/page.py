@@ -24,6 +24,18 @@ img { width: 100% } .warning { border-left: 4px solid #b34700; padding-left: 0.8
 """
 
 
+_RESIDUALS = (
+    "That rest, the residual, holds noise, unequal pixels and what the codec did; the films got the residuals "
+    "of other frames.",
+    "errors that last as long as a stick, which look like motion;",
+)
+_ENCODED = (
+    "The codec carries errors from frame to frame, so that no residual shows them all: the films were drawn "
+    "without the rest on one of the recording's frames and encoded again ({}).",
+    "motion so fast or small that the recording itself lost it;",
+)
+
+
 def write_certificate(certificate: Certificate, folder: Path) -> None:
     """Write certificate.html, certificate.json and certificate.csv."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -136,6 +148,8 @@ def _page(c: Certificate) -> str:
     notes = "".join(f'<p class="warning">{html.escape(line)}</p>' for line in c.warnings)
     picture = base64.b64encode(certificate_figure(c).png()).decode()
     source = html.escape(Path(c.source).name)
+    what_else, without = _ENCODED if c.encoding else _RESIDUALS
+    what_else = what_else.format(html.escape(c.encoding))
     return f"""<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>Certificate of {source}</title><style>{_STYLE}</style>
 <h1>What this recording can resolve</h1>
@@ -147,13 +161,13 @@ codec {html.escape(c.codec or "none")}.</p>
 <h2>How it was found</h2>
 <p>The recording was taken apart into its mean picture in the coordinate of the sheets (each ridge's own
 shape, the gaps, the light), the smooth motion of the sheets between slips with what they all do together, and
-everything else: the residual, which holds noise, unequal pixels and what the codec did. From these
-{c.films} films of the same length were put together whose positions are known exactly, with the residuals of
-other frames, and tracked as the recording was. For the pull towards whole pixels the sheets cross one pixel
-without residuals; for the identities the motion was enlarged; at the threshold every sheet creeps by √12
-times the threshold times Λ_st in each stick, and the whole analysis follows.</p>
-<p>Not in it: a constant error of each sheet's position, which displacements do not have; errors that last as
-long as a stick, which look like motion; frames in which a slip happens. certificate.csv holds the numbers of
+everything else. {what_else}
+{c.films} films of the same length, whose positions are known exactly, were tracked as the recording was.
+For the pull towards whole pixels the sheets cross one pixel without noise; for the identities the motion was
+enlarged; at the threshold every sheet creeps by √12 times the threshold times Λ_st in each stick, and the
+whole analysis follows.</p>
+<p>Not in it: a constant error of each sheet's position, which displacements do not have; {without}
+frames in which a slip happens. certificate.csv holds the numbers of
 every sheet, certificate.json the rest.</p>
 </html>
 """
