@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+import vision
 from vision.certify.certificate import Certificate
 from vision.figures import Figure, Panel, Series
+from vision.figures.labels import to_html
 from vision.figures.style import DATA, PEAK, VALLEY
 from vision.run import write_json
 
@@ -25,8 +27,8 @@ img { width: 100% } .warning { border-left: 4px solid #b34700; padding-left: 0.8
 
 
 _RESIDUALS = (
-    "That rest, the residual, holds noise, unequal pixels and what the codec did; the films got the residuals "
-    "of other frames.",
+    "That rest, the residual, holds noise, unequal pixels and what the codec did; the films got the "
+    "residuals of other frames.",
     "errors that last as long as a stick, which look like motion;",
 )
 _ENCODED = (
@@ -143,9 +145,9 @@ def _length(px: float, c: Certificate) -> str:
 
 def _page(c: Certificate) -> str:
     rows = "".join(
-        f"<tr><th>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>" for name, text in statements(c)
+        f"<tr><th>{to_html(name)}</th><td>{to_html(text)}</td></tr>" for name, text in statements(c)
     )
-    notes = "".join(f'<p class="warning">{html.escape(line)}</p>' for line in c.warnings)
+    notes = "".join(f'<p class="warning">{to_html(line)}</p>' for line in c.warnings)
     picture = base64.b64encode(certificate_figure(c).png()).decode()
     source = html.escape(Path(c.source).name)
     what_else, without = _ENCODED if c.encoding else _RESIDUALS
@@ -154,7 +156,7 @@ def _page(c: Certificate) -> str:
 <html lang="en"><meta charset="utf-8"><title>Certificate of {source}</title><style>{_STYLE}</style>
 <h1>What this recording can resolve</h1>
 <p>{source}: {c.frames} frames, {len(c.sheets)} sheets, fit {html.escape(c.fit)},
-codec {html.escape(c.codec or "none")}.</p>
+codec {html.escape(c.codec or "none")}; sheetvision {vision.__version__}.</p>
 <table>{rows}</table>
 {notes}
 <img alt="Errors of every sheet" src="data:image/png;base64,{picture}">
