@@ -30,7 +30,7 @@ def main() -> None:
         "",
         f"{TESTS} simulated tests: {len(SAMPLES)} samples, V = {', '.join(f'{v:g}' for v in SPEEDS)} mm/min,",
         f"build-ups of {', '.join(f'{b:g}' for b in BUILD_UPS_MM)} mm, peaks that scatter by 1.5 %, drops by",
-        "7 %, and the noise of the load cell; no exception. Share of the truths within the stated 68 % intervals",
+        "7 %, and the load cell's noise; no exception. Share of the truths within the stated 68 % intervals",
         "(±3 % by chance for all, ±7 % for one build-up), mean and deviation of (fitted − true)/error.",
         "",
         "| tests | " + " | ".join(NAMES[name] for name in PARAMETERS) + " |",
