@@ -329,6 +329,9 @@ TRACKS = Schema(
         "x_mean_px": Variable(_SHEET, "px", "median position", required=False),
         "found": Variable(_SHEET, "1", "fraction of the frames with a position", required=False),
         "fwhm_px": Variable(_SHEET, "px", "full width of the ridge at half maximum", required=False),
+        "distorted": Variable(
+            _SHEET, "1", "fraction of the positions pulled by dirt, a highlight or an edge", required=False
+        ),
         "snr": Variable(_SHEET, "1", "contrast over noise", required=False),
         "x_noise_px": Variable(
             _SHEET, "px", "measured scatter of the position from frame to frame", required=False

@@ -11,11 +11,12 @@ import pandas as pd
 import xarray as xr
 
 from vision.data import StickMetadata, StripMetadata, TrackMetadata
-from vision.figures.labels import plus_minus
+from vision.figures.labels import both_errors
 from vision.numeric import nan_median
 from vision.sample import PUBLISHED, Sample
 from vision.sheets import doubtful_stretches
 from vision.sheets.tracks import LOSSY
+from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
 
 if TYPE_CHECKING:
     from vision.clock import Clock
@@ -47,7 +48,24 @@ def summary_lines(results: Results) -> list[str]:
         lines.append(f"clocks     {_clocks(results.clock)}")
     if results.shells is not None and results.motion is not None:
         lines.append(f"shells     {_shells(results.motion, results.shells)}")
+    if systematic := _systematic(systematic_budget(results)):
+        lines.append(f"systematic {systematic}")
     return lines
+
+
+def _systematic(budget: Budget) -> str:
+    """Systematic errors of what the lines above do not give with both errors, and what is not known."""
+    parts = []
+    for quantity in ("x_px", "Lambda_hat_mm", "K_N_per_mm", "ratio"):
+        name, unit = QUANTITIES[quantity]
+        total = budget.total(quantity)
+        if quantity in budget.values and math.isfinite(total) and total > 0:
+            beside = budget.statistical[quantity]
+            parts.append(f"{name} ± {total:.2g} {unit} (statistical {beside:.2g})".replace("  ", " "))
+        lacking = [SOURCES.get(source, source) for source in budget.unknown(quantity)]
+        if lacking and quantity != "x_px":
+            parts.append(f"{name} without that of {', '.join(lacking)}")
+    return "; ".join(parts)
 
 
 def tracking_warnings(tracks: xr.Dataset) -> list[str]:
@@ -266,7 +284,7 @@ def frame_times(strip: StripMetadata) -> str:
 
 
 def _models(fits: ModelFits) -> str:
-    return f"μ {plus_minus(fits.mu)}, A {plus_minus(fits.amplitude)}, N̂ {plus_minus(fits.n_hat_N)} N"
+    return f"μ {both_errors(fits.mu)}, A {both_errors(fits.amplitude)}, N̂ {both_errors(fits.n_hat_N)} N"
 
 
 def _clocks(clock: Clock) -> str:

@@ -170,3 +170,25 @@ def test_methods_tell_what_this_run_lacks(pulled):
     assert "lean by 0.70°" in text
     assert "(4 lost)" in text
     assert "a frame rate that is not known" in text
+
+
+def test_systematic_errors_are_a_table_of_the_page(pulled, tmp_path):
+    """A failure means that a reader finds statistical errors only."""
+    page = page_of(pulled, tmp_path)
+    table = page.split("<h2>Systematic errors</h2>")[1].split("</section>")[0]
+    for row in ("statistical error", "initial separation d0", "drift of the load cell", "uneven light"):
+        assert f"<td>{row}</td>" in table
+    assert "<td>not known</td>" in table
+    assert "(stat.)" in page and "(syst.)" in page
+
+
+def test_doubtful_stretches_are_listed(video_only, tmp_path):
+    """A failure means that a reader learns how many positions are withheld, but not which and why."""
+    tracks = video_only.tracks.copy(deep=True)
+    assert "<h2>Doubtful stretches</h2>" not in page_of(video_only, tmp_path)
+    tracks["flag"].values[30:42, 7] = "doubtful"
+    tracks["why"].values[30:42, 7] = "hop"
+    page = page_of(replace(video_only, tracks=tracks), tmp_path)
+    table = page.split("<h2>Doubtful stretches</h2>")[1].split("</section>")[0]
+    assert "<td>7</td><td>left</td><td>18</td><td>30–41</td>" in table
+    assert "on another ridge" in table

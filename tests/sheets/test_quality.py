@@ -116,3 +116,58 @@ def test_auto_keeps_to_sliding_where_no_shape_can_be_learned(film):
     x = comb(40) + 0.0 if film == "few frames" else np.broadcast_to(comb(1), (300, 50))
     tracks = track_sheets(strip(ridges(x)))
     assert tracks.attrs["fit"] == "sliding"
+
+
+def beside_a_ridge(what):
+    """Sixteen creeping sheets; in frames 40 to 80 something stands beside the sixth: a highlight that is no
+    ridge itself, or a shadow on its flank. Truth, strip, and the frames."""
+    x, picture = creeping()
+    at = x[40:80, 5, None] + (12 if what == "highlight" else 5)
+    away = (np.arange(picture.shape[1]) - at) / (12 if what == "highlight" else 3)
+    light = np.exp(-(away**2) / 2)
+    if what == "highlight":
+        picture.values[40:80] += 90 * light
+    else:
+        picture.values[40:80] *= 1 - 0.5 * light
+    return x, picture, slice(40, 80)
+
+
+@pytest.mark.parametrize("what", ["highlight", "shadow"])
+def test_ridges_that_are_pulled_aside_have_the_error_of_it(what):
+    """A failure means that what stands beside a ridge moves it by tenths of a pixel, and its error says
+    hundredths."""
+    x, picture, beside = beside_a_ridge(what)
+    tracks = track_sheets(picture)
+    off, stated = np.abs(tracks.x_px.values - x), tracks.x_err_px.values
+    assert np.median(off[beside, 5]) > 0.2
+    assert (off[beside, 5] < 3 * stated[beside, 5]).mean() > 0.9
+    assert float(tracks.distorted[5]) == pytest.approx(1 / 3, abs=0.05)
+
+
+def test_ridges_that_nothing_pulls_keep_their_errors():
+    """The same film without it, and the film's other sheets: nothing is distorted, noisy or not."""
+    for snr in (10, 30, 100):
+        tracks = track_sheets(creeping(snr=snr)[1])
+        assert float(tracks.distorted.max()) < 0.01
+    _, picture, _ = beside_a_ridge("shadow")
+    assert float(track_sheets(picture).distorted.values[np.r_[:4, 8:16]].max()) < 0.01
+
+
+@pytest.mark.parametrize("lopsided", [0.0, 0.4])
+def test_ridges_lopsided_alike_are_not_distorted(lopsided):
+    """A shoulder that every sheet has is its shape: it moves no sheet against another."""
+    x, _ = creeping()
+    picture = strip(ridges(x, width=400) + lopsided * ridges(x + 5, width=400))
+    assert float(track_sheets(picture).distorted.max()) < 0.01
+
+
+def test_noise_alike_in_neighbouring_pixels_is_in_the_errors():
+    """A camera that sharpens or resamples makes noise alike in neighbouring pixels: the pixels predict too
+    small an error; what is stated must hold, and the prediction stay what it is."""
+    x, picture = creeping(240)
+    noise = np.random.default_rng(7).normal(0, 1, picture.shape)
+    picture.values[:] += (noise + np.roll(noise, 1, axis=1) + np.roll(noise, 2, axis=1)) / np.sqrt(3)
+    tracks = track_sheets(picture)
+    off = np.abs(tracks.x_px.values - x - np.median(tracks.x_px.values - x, axis=0))
+    assert 0.62 < (off < tracks.x_err_px.values).mean() < 0.74
+    assert (off < tracks.x_predicted_px.values).mean() < 0.6

@@ -1,35 +1,20 @@
 """Films that are not perfect: no sheet is taken for another, and how far the stated errors can be trusted.
 
-`reports/degraded.md` has the whole table, and what is not as it should be. The bounds here hold for one film
-of each kind; wanted are 62 to 74 % within one error, and no gross error that is called ok.
+`reports/degraded.md` has the whole table. The bounds here hold for one film of each kind; wanted are 62 to
+74 % of displacements within one error, and no gross error that is called ok.
 """
 
 import pytest
 
-from tests.scenes.degraded import DEGRADATIONS, SHEETS, Film, clean, compare, measured, passing_hand
+from tests.scenes.degraded import CODECS, DEGRADATIONS, SHEETS, Film, clean, compare, measured, passing_hand
 from vision.sheets import track_sheets
 from vision.video import open_video, strip_profile
 
-TRUSTED = (
-    "none",
-    "dropped frames",
-    "duplicated frames",
-    "autofocus hunting",
-    "auto-exposure steps",
-    "rolling shutter",
-    "interlaced",
-    "gamma 0.45",
-    "vibration",
+TRUSTED = tuple(
+    name for name in (*DEGRADATIONS, *CODECS) if name not in ("dirt", "glare", "passing hand", "FFV1")
 )
-# Share of the displacements within one error, at least: what there is today, where it is not as wanted.
-UNDERSTATED = {
-    "frozen frames": 0.25,
-    "soft lens": 0.5,
-    "defocus": 0.5,
-    "8-bit clipping": 0.54,
-    "H.264 crf 12": 0.50,
-    "H.264 crf 23": 0.20,
-}
+# The share of one film of H.264 depends on the film: reports/degraded.md has more of them.
+LOWEST = {"H.264 crf 12": 0.58, "H.264 crf 18": 0.6}
 
 
 def outcome(name, folder):
@@ -39,44 +24,35 @@ def outcome(name, folder):
     return measured(clean(1), folder, name)
 
 
-@pytest.mark.parametrize("name", [*TRUSTED, "MJPEG 98", "MJPEG 90", "MJPEG 75", "MJPEG 60"])
+@pytest.mark.parametrize("name", TRUSTED)
 def test_stated_errors_hold(name, tmp_path):
-    """A failure means that such recordings lose sheets, take one for another, or understate their errors.
+    """A failure means that such recordings lose sheets, take one for another, or misstate their errors.
 
-    Chance alone moves the share by ±2 %, since the film's few slips leave fixed-pattern error to each sheet.
+    62 to 74 in 100 displacements are to lie within one error. Chance alone moves the share of one film by
+    ±2 %, since the film's few slips leave fixed-pattern error to each sheet; H.264's moves by ±5 %.
     """
     found = outcome(name, tmp_path)
     assert (found.sheets, found.wrong) == (SHEETS, 0)
-    assert found.found > 0.9  # duplicated frames may be left out
-    assert found.gross == 0
-    assert 0.62 < found.coverage_moved < 0.85
-    assert found.rms_px < 0.035
+    assert found.found > 0.84  # frozen and duplicated frames are left out
+    assert found.gross < 1e-3
+    assert LOWEST.get(name, 0.61) < found.coverage_moved < 0.76
+    assert found.rms_px < (0.12 if name.startswith("H.264") else 0.04)
 
 
-@pytest.mark.parametrize("name", UNDERSTATED)
-def test_sheets_are_never_confused_where_errors_are_understated(name, tmp_path):
-    """A failure means that such a film has wrong identities, or that its errors hold less than before."""
-    found = outcome(name, tmp_path)
-    assert (found.sheets, found.wrong) == (SHEETS, 0)
-    assert found.coverage_moved > UNDERSTATED[name]
-    assert found.rms_px < 0.12
-
-
-@pytest.mark.parametrize("name", ["dirt", "glare", "passing hand"])
-def test_what_covers_sheets_confuses_none(name, tmp_path):
-    """A failure means that a covered sheet is reported at another's place and called ok."""
+@pytest.mark.parametrize(("name", "gross"), [("dirt", 0.06), ("glare", 0.005), ("passing hand", 1e-3)])
+def test_what_covers_sheets_confuses_none(name, gross, tmp_path):
+    """A failure means that a covered sheet is reported at another's place, or far off with a small error."""
     found = outcome(name, tmp_path)
     assert found.wrong == 0
     assert found.found > 0.85
-    assert found.coverage_moved > 0.5
+    assert found.gross < gross
+    assert 0.58 < found.coverage_moved < 0.78
 
 
-def test_positions_beside_a_hand_that_are_called_ok(tmp_path):
-    """Known today: the edge of what covers the picture is taken for a ridge in 9 of 3120 positions.
-
-    A failure means that there are more.
-    """
-    assert measured(passing_hand(3), tmp_path).wrong <= 9
+@pytest.mark.parametrize("seed", [3, 7])
+def test_a_hand_over_nine_sheets_leaves_those_beside_it_where_they_are(seed, tmp_path):
+    """Combs on both sides of a gap of nine sheets were read as shifted by six sheets against each other."""
+    assert measured(passing_hand(seed), tmp_path).wrong == 0
 
 
 def test_the_comparison_sees_wrong_sheets(tmp_path):

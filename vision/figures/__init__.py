@@ -30,7 +30,7 @@ from vision.figures.force import (
     sticks_figure,
     stiffness_figure,
 )
-from vision.figures.labels import percent, plus_minus, signed
+from vision.figures.labels import both_errors, percent, plus_minus, signed
 from vision.figures.preview import preview_figure
 from vision.figures.video import (
     frame_figure,
@@ -50,6 +50,7 @@ __all__ = [
     "Panel",
     "Results",
     "Series",
+    "both_errors",
     "clocks_figure",
     "deformation_figure",
     "figures_of",

@@ -62,6 +62,29 @@ def plus_minus(estimate: HasError) -> str:
     return f"{value:.{digits}f} ± {error:.{digits}f}".replace("-", "−")
 
 
+class HasBothErrors(HasError, Protocol):  # noqa: N818 (no exception)
+    """A value with its standard and its systematic error, NaN where there is none."""
+
+    @property
+    def systematic_error(self) -> float:
+        """Its systematic error."""
+        ...
+
+
+def both_errors(estimate: HasBothErrors) -> str:
+    """A value with its statistical and its systematic error; without the latter where it is not known."""
+    systematic = estimate.systematic_error
+    if not math.isfinite(systematic):
+        return plus_minus(estimate)
+    smallest = min([e for e in (estimate.error, systematic) if math.isfinite(e) and e > 0], default=math.nan)
+    if not math.isfinite(smallest):
+        return f"{plus_minus(estimate)} (stat.) ± {systematic:.2g} (syst.)"
+    digits = max(0, 1 - math.floor(math.log10(smallest)))
+    error = f"{estimate.error:.{digits}f}" if math.isfinite(estimate.error) else "?"
+    text = f"{estimate.value:.{digits}f} ± {error} (stat.) ± {systematic:.{digits}f} (syst.)"
+    return text.replace("-", "−")
+
+
 def percent(fraction: float) -> str:
     """A fraction as a percentage that does not round 99.96 up to 100."""
     return f"{math.floor(1000 * fraction) / 10:g} %"

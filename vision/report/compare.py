@@ -53,6 +53,7 @@ def write_compare_report(
         missing=_missing(found),
         methods=_methods(found),
         citation=citation(),
+        tables=(),
     )
 
 

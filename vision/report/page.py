@@ -24,9 +24,12 @@ from vision.figures.labels import to_html, to_unicode
 from vision.figures.style import MISSING, rgb
 from vision.numeric import Floats
 from vision.report.text import answers, citation, methods, subtitle
+from vision.sheets import doubtful_stretches
+from vision.systematics import QUANTITIES, SOURCES, systematic_budget
 
 IMAGE_BYTES = 450_000  # at most, for one image before base64
 PLAIN = 400  # values up to which an array is written as numbers
+DOUBTS_SHOWN = 100  # stretches, the longest first
 _STEPS = 32767
 _GAP = -32768
 _QUALITIES = (85, 70, 50, 30, 15)  # of JPEG, tried in turn
@@ -83,6 +86,7 @@ def write_report(
         missing=[with_options(line, named) for line in missing_parts(results)],
         methods=methods(results),
         citation=citation(),
+        tables=[table for table in (budget_table(results), doubt_table(results)) if table.rows],
     )
 
 
@@ -103,7 +107,8 @@ def render_page(
     facts
         The content of run.json.
     content
-        ``title``, ``kind``, ``subtitle``, ``answers``, ``warnings``, ``missing``, ``methods``, ``citation``.
+        ``title``, ``kind``, ``subtitle``, ``answers``, ``warnings``, ``missing``, ``methods``, ``citation``,
+        ``tables``.
 
     Returns
     -------
@@ -305,6 +310,59 @@ class FactsTable:
     title: str
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+
+def budget_table(results: Results) -> FactsTable:
+    """What contributes how much to the systematic error of each result, beside the statistical one."""
+    budget = systematic_budget(results)
+    quantities = [name for name in QUANTITIES if name in budget.values]
+    heads = ("", *(" in ".join(filter(None, QUANTITIES[name])) for name in quantities))
+    rows = [("value", *(_digits(budget.values[name]) for name in quantities))]
+    rows.append(("statistical error", *(_digits(budget.statistical[name]) for name in quantities)))
+    for source, parts in budget.sources.items():
+        cells = ("" if name not in parts else _digits(parts[name], "not known") for name in quantities)
+        rows.append((SOURCES.get(source, source), *cells))
+    rows.append(("systematic error", *(_digits(budget.total(name)) for name in quantities)))
+    note = (
+        "The last row is the root of the sum of squares of what is known. Statistical errors of a place, of "
+        "K and of σ_x/Λ_st are medians of those of single positions, events and sheets. What moves a sheet's "
+        "place alike in all frames does not move its displacements. Empty: no part in it."
+    )
+    return FactsTable("Systematic errors", heads, tuple(rows) if quantities else (), note)
+
+
+def doubt_table(results: Results) -> FactsTable:
+    """Where the identity of a sheet is in doubt."""
+    heads = ("sheet", "side", "n", "frames", "why", "ridge withheld (px)", "neighbours say (px)")
+    if results.tracks is None:
+        return FactsTable("Doubtful stretches", heads, ())
+    table = doubtful_stretches(results.tracks)
+    rows = tuple(
+        (
+            str(row["sheet"]),
+            {-1: "left", 1: "right"}[row["side"]],
+            str(row["n"]),
+            f"{row['first_frame']}–{row['last_frame']}",
+            str(row["why"]),
+            _digits(row["x_withheld_px"], places=1),
+            _digits(row["x_expected_px"], places=1),
+        )
+        for row in table.head(DOUBTS_SHOWN).to_dict("records")
+    )
+    more = len(table) - len(rows)
+    note = (
+        "No position is given there; a file of corrections settles them by hand, and this list says of what."
+    )
+    return FactsTable(
+        "Doubtful stretches", heads, rows, note + f" {more} shorter ones: run.json." * (more > 0)
+    )
+
+
+def _digits(value: float | None, unknown: str = "—", *, places: int | None = None) -> str:
+    if value is None or not np.isfinite(value):
+        return unknown
+    return (f"{value:.3g}" if places is None else f"{value:.{places}f}").replace("-", "−")
 
 
 def provenance(facts: Mapping[str, Any]) -> list[FactsTable]:
@@ -312,6 +370,7 @@ def provenance(facts: Mapping[str, Any]) -> list[FactsTable]:
     tables = [
         FactsTable("Parameters", ("parameter", "value", "given or found"), tuple(_parameters(facts))),
         FactsTable("What was found", ("quantity", "value"), tuple(_flat(facts.get("found", {})))),
+        FactsTable("Decisions by hand", ("decision", "date"), tuple(_decisions(facts))),
         FactsTable("Inputs", ("file", "bytes", "SHA-256"), tuple(_inputs(facts))),
         FactsTable("Versions", ("package", "version"), tuple(_flat(facts.get("versions", {})))),
         FactsTable("Command", ("command line",), ((str(facts["command"]),),) if "command" in facts else ()),
@@ -325,6 +384,11 @@ def _parameters(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
         value = parameter["value"] if plain else parameter.value
         how = parameter["how"] if plain else parameter.how
         yield name, "—" if value is None else str(value), str(how)
+
+
+def _decisions(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
+    for item in facts.get("corrections", ()):
+        yield str(item["text"]), str(item["date"])[:19].replace("T", " ") or "—"
 
 
 def _inputs(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:

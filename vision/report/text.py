@@ -12,7 +12,7 @@ import xarray as xr
 import vision
 from vision.clock import Clock
 from vision.data import ForceMetadata, MotionMetadata, StickMetadata, StripMetadata, TrackMetadata
-from vision.figures import Results, percent, plus_minus, signed
+from vision.figures import Results, both_errors, percent, signed
 from vision.figures.labels import load_unit
 from vision.models import ModelFits
 from vision.sheets.tracks import LOSSY
@@ -113,7 +113,7 @@ def _friction(results: Results) -> Answer | None:
         return None
     modulus = f"Y_eff = {fits.modulus_GPa.value:.3g} GPa"
     detail = f"N̂ = {fits.n_hat_N.value:.3g} N, A = {fits.amplitude.value:.3g}, {modulus}"
-    return Answer("friction coefficient", f"μ = {plus_minus(fits.mu)}", detail)
+    return Answer("friction coefficient", f"μ = {both_errors(fits.mu)}", detail)
 
 
 def _noise(results: Results) -> Answer | None:
@@ -240,8 +240,17 @@ def _tracking(tracks: xr.Dataset) -> str:
         f"The {t.sheets} sheets appear as {t.ridges} ridges {t.ridge_fwhm_px:.1f} px wide and "
         f"{t.pitch_px:.1f} px apart. Their positions x(n,t) were located {method}; identities were kept "
         "through slips from the order of the sheets, their spacing and their brightness, and n counts "
-        f"outwards from the symmetry axis{axis}.{scatter}{_withheld(tracks)}"
+        f"outwards from the symmetry axis{axis}.{scatter}{_withheld(tracks)}{_by_hand(tracks)}"
     )
+
+
+def _by_hand(tracks: xr.Dataset) -> str:
+    """That somebody decided, and where it is listed."""
+    count = TrackMetadata.of(tracks).corrections_applied
+    if not count:
+        return ""
+    made = "decisions were" if count > 1 else "decision was"
+    return f" {count} {made} made by hand; they are listed under “Decisions by hand”."
 
 
 def _withheld(tracks: xr.Dataset) -> str:
@@ -325,7 +334,7 @@ def _models(fits: ModelFits) -> str:
         f"{sample.sheets_per_block} sheets of each block on either side of the axis, "
         f"{sample.thickness_mm:g} mm thick and {sample.width_mm:g} mm wide, "
         f"{sample.length_mm:g} mm from clamp to end, and "
-        f"T* = {1000 * fits.t_star_N.value:.3g} mN: μ = {plus_minus(fits.mu)}, "
-        f"A = {plus_minus(fits.amplitude)}, N̂ = {plus_minus(fits.n_hat_N)} N, "
-        f"Y_eff = {plus_minus(fits.modulus_GPa)} GPa (standard errors)."
+        f"T* = {1000 * fits.t_star_N.value:.3g} mN: μ = {both_errors(fits.mu)}, "
+        f"A = {both_errors(fits.amplitude)}, N̂ = {both_errors(fits.n_hat_N)} N, "
+        f"Y_eff = {both_errors(fits.modulus_GPa)} GPa (statistical and systematic errors)."
     )

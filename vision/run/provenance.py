@@ -99,6 +99,8 @@ def write_json(content: Mapping[str, Any], path: Path) -> None:
 
 def plain(value: Any) -> Any:
     """What JSON can hold: NaN and infinity become None, dataclasses objects, arrays lists, the rest text."""
+    if type(value) is float:  # most values are, in long lists
+        return value if math.isfinite(value) else None
     if is_dataclass(value) and not isinstance(value, type):
         return plain(asdict(value))
     if isinstance(value, Mapping):

@@ -27,10 +27,13 @@ from vision.run.provenance import Parameter, describe_input, versions, write_jso
 from vision.run.tables import sheets_table, write_table, write_tracks_csv, write_tracks_nc
 from vision.run.tiff import write_kymograph_tif
 from vision.sheets import doubtful_stretches
+from vision.sheets.corrections import Decisions, corrections_text, ordered
 from vision.shells import deformation_table
 from vision.summary import findings, flag_counts, noise_figures
+from vision.systematics import systematic_budget
 
 FAILURES = "failures.txt"
+CORRECTIONS = "corrections.toml"
 COUNTS = ("expected", "read", "lost", "blank", "corrupt")
 
 
@@ -71,6 +74,8 @@ def write_run(
     overwrite: bool = False,
     report: bool = True,
     facts: Mapping[str, Any] | None = None,
+    decisions: Decisions | None = None,
+    beside: Mapping[str, bytes] | None = None,
 ) -> dict[str, Any]:
     """Write tables, pictures, report.html and run.json of a run.
 
@@ -88,6 +93,10 @@ def write_run(
         Whether report.html is written.
     facts
         More for run.json.
+    decisions
+        For corrections.toml, where more is known of them than ``analysis.settings.corrections``.
+    beside
+        More files: content by name.
 
     Returns
     -------
@@ -105,6 +114,9 @@ def write_run(
         _write_tables(analysis, folder, origin)
         seconds["tables"] = time.perf_counter() - started
         content = {**run_facts(analysis, origin), **(facts or {})}
+        _write_decisions(analysis, folder, content, decisions)
+        for name, data in (beside or {}).items():
+            (folder / name).write_bytes(data)
         seconds["fingerprints"] = time.perf_counter() - started - seconds["tables"]
         drawn = time.perf_counter()
         failures = dict(analysis.failures)
@@ -118,6 +130,17 @@ def write_run(
         content["seconds"] = seconds
         write_json(content, folder / "run.json")
     return content
+
+
+def _write_decisions(
+    analysis: Analysis, folder: Path, content: Mapping[str, Any], decisions: Decisions | None
+) -> None:
+    """corrections.toml, where there is a decision to be kept."""
+    film: Mapping[str, Any] = next(iter(content["inputs"]), {})
+    checksum = str(film.get("sha256") or film.get("fingerprint") or "")
+    kept = decisions or Decisions(corrections=ordered(analysis.settings.corrections), film=checksum)
+    if kept.corrections or kept.undone:
+        (folder / CORRECTIONS).write_text(corrections_text(kept), encoding="utf-8")
 
 
 def _shown(
@@ -160,6 +183,7 @@ def run_facts(analysis: Analysis, origin: Origin) -> dict[str, Any]:
         facts["events"] = {"found": len(analysis.sticks), "without_flag": whole, **sticks}
     if analysis.clock is not None:
         facts["clock"] = analysis.clock
+    facts["systematic_errors"] = systematic_budget(analysis).to_json()
     done = [part.attrs.get("operations", ()) for part in _parts(analysis)]
     longest = max(done, key=len, default=())
     facts["operations"] = [*longest, *(step for steps in done for step in steps if step not in longest)]
@@ -186,7 +210,10 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
         "positions": flag_counts(tracks),
         "noise": noise_figures(tracks, analysis.pixel_size_um),
         "doubtful_stretches": doubtful_stretches(tracks).astype(object).to_dict("records"),
-        "corrections": [asdict(correction) for correction in analysis.settings.corrections],
+        "corrections": [
+            asdict(correction) | {"text": correction.text()}
+            for correction in ordered(analysis.settings.corrections)
+        ],
     }
 
 

@@ -24,17 +24,19 @@ LISTS_PER_BATCH = 128
 BAND = 8  # missing sheets or false detections on one side of a pair that are considered
 BRIGHTNESS_LIMIT = 4.0  # nats: a sheet may change its looks at this cost
 MOST_CROSSING = 3  # sheets that cross an edge of the picture in one displacement
+MANY_MISSING = 8
 # Steps (sheets, candidates) from one pair to the next: to a neighbour, over missing sheets, over false
 # detections, over some of both.
 STEPS = (
     (1, 1),
-    *((a, 1) for a in range(2, 9)),
+    *((a, 1) for a in range(2, MANY_MISSING + 1)),
     *((1, b) for b in range(2, 5)),
     (2, 2),
     (2, 3),
     (3, 2),
     (3, 3),
 )
+LONGEST_STEP = 40  # sheets that something may cover side by side; the codes of all steps fit into int8
 
 
 @dataclass(frozen=True)
@@ -172,16 +174,27 @@ def _align_batch(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
     right = right[::-1, :, ::-1]
     spread = expected.settings.spacing_spread * expected.pitch_px
     limit = expected.settings.spacing_limit
-    forward, origin = _pass(pair, left, candidates.x_px, expected.x_px, spread, limit)
+    steps = _steps(candidates, expected)
+    forward, origin = _pass(pair, left, candidates.x_px, expected.x_px, spread, limit, steps)
     backward, _ = _pass(
-        pair[::-1, :, ::-1], right[::-1, :, ::-1], mirrored_x, -expected.x_px[:, ::-1], spread, limit
+        pair[::-1, :, ::-1], right[::-1, :, ::-1], mirrored_x, -expected.x_px[:, ::-1], spread, limit, steps
     )
     backward = backward[::-1, :, ::-1]
     real = np.isfinite(pair)
     # cost of the best alignment that has this pair
     through = np.where(real, forward + backward - np.where(real, pair, 0.0), np.inf)
-    match = _trace(forward + right, origin)
+    match = _trace(forward + right, origin, steps)
     return Pairing(match, _margins(through, match))
+
+
+def _steps(candidates: Candidates, expected: ExpectedSheets) -> tuple[tuple[int, int], ...]:
+    """STEPS, and longer ones where so many sheets are missing that something may cover them side by side.
+
+    Without these a comb seen on both sides of what covers it could only be read as two combs.
+    """
+    missing = expected.x_px.shape[1] - int(np.isfinite(candidates.x_px).sum(axis=1).min())
+    longest = min(missing + 3, LONGEST_STEP)
+    return STEPS + tuple((a, b) for a in range(MANY_MISSING + 1, longest) for b in (1, 2, 3))
 
 
 def _pair_costs(candidates: Candidates, expected: ExpectedSheets) -> tuple[Floats, Floats, Floats]:
@@ -233,7 +246,13 @@ def _flicker(candidates: Candidates, expected: ExpectedSheets) -> Floats:
 
 
 def _pass(
-    pair: Floats, first_pair: Floats, x: Floats, sheet_x: Floats, spread_px: float, limit: float
+    pair: Floats,
+    first_pair: Floats,
+    x: Floats,
+    sheet_x: Floats,
+    spread_px: float,
+    limit: float,
+    steps: tuple[tuple[int, int], ...],
 ) -> tuple[Floats, NDArray[np.int8]]:
     """Cost of the best alignment ending with each pair, (N, lists, K), and the step it came by (−1: its
     first); first_pair, cost of beginning with each."""
@@ -242,7 +261,7 @@ def _pass(
     for n, (low, high) in enumerate(_band(pair)):
         row = np.array(first_pair[n, :, low:high])
         step = np.full(row.shape, -1, np.int8)
-        for code, (a, b) in enumerate(STEPS):
+        for code, (a, b) in enumerate(steps):
             first = max(low, b)  # the pair before has a candidate, too
             if a > n or first >= high:
                 continue
@@ -277,20 +296,20 @@ def _spacing_cost(change: Floats, spread: float, limit: float) -> Floats:
     return np.fmin(cost, limit)
 
 
-def _trace(forward: Floats, origin: NDArray[np.int8]) -> Ints:
+def _trace(forward: Floats, origin: NDArray[np.int8], steps: tuple[tuple[int, int], ...]) -> Ints:
     """Candidate of each sheet in the best alignment of each list, −1 where missing, (lists, N)."""
     sheets, lists, count = forward.shape
     match = np.full((lists, sheets), -1, np.int64)
     flat = np.moveaxis(forward, 1, 0).reshape(lists, -1)
     n, k = np.divmod(np.argmin(flat, axis=1), count)
     alive = flat.min(axis=1) < 0
-    steps = np.array(STEPS)
+    step = np.array(steps)
     rows = np.arange(lists)
     for _ in range(sheets):
         match[rows[alive], n[alive]] = k[alive]
         code = origin[n, rows, k]
         alive &= code >= 0
-        n, k = np.where(alive, n - steps[code, 0], n), np.where(alive, k - steps[code, 1], k)
+        n, k = np.where(alive, n - step[code, 0], n), np.where(alive, k - step[code, 1], k)
     return match
 
 

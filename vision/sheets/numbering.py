@@ -76,14 +76,14 @@ def number_sheets(
     """
     place = nan_median(x_px, axis=0)
     sheets = len(place)
-    if axis_px is not None:
-        split = int(np.searchsorted(place, axis_px))
-        return Numbering(float(axis_px), "given", *_counted(split, sheets))
     split, how, between = _split_by_motion(x_px, settings)
     low = high = np.nan
     if between is not None:
         edge = np.r_[place[0], 0.5 * (place[1:] + place[:-1]), place[-1]]
         low, high = np.interp(between, np.arange(len(edge)), edge)
+    if axis_px is not None:
+        split = int(np.searchsorted(place, axis_px))
+        return Numbering(float(axis_px), "given", *_counted(split, sheets), float(low), float(high))
     return Numbering(_axis(place, split), how, *_counted(split, sheets), float(low), float(high))
 
 

@@ -1,8 +1,9 @@
-"""What the recording does to positions beyond the noise of its pixels: repeated frames, blur, compression.
+"""What the recording does to positions beyond the noise of its pixels: repeated frames, blur, dirt, codecs.
 
 `repeated_frames` finds frames that the codec or the recorder repeated; `motion_blur` the ridges that moved
-while the shutter was open, and what that may cost; `spatial_scatter` how unevenly neighbouring sheets stand
-in one frame, which shows errors that persist from frame to frame.
+while the shutter was open, and what that may cost; `distortion` those that something else pulls aside: dirt,
+a highlight, an edge; `spatial_scatter` how unevenly neighbouring sheets stand in one frame, which shows
+errors that persist from frame to frame.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
+from vision.sheets.subpixel import fit_sheets
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
@@ -113,6 +115,54 @@ def _excess(values: Floats, least: float) -> Floats:
     off = values - nan_median(values)
     spread = nan_median(np.abs(off)) / NORMAL_MEDIAN
     return np.nan_to_num(np.maximum(off - least, 0.0) / np.maximum(spread, 0.004))
+
+
+def distortion(
+    bright: Floats32,
+    x_px: Floats,
+    err_px: Floats,
+    comb: RidgeComb,
+    settings: TrackingSettings = DEFAULT,
+) -> Floats:
+    r"""What dirt, a highlight or an edge may shift each position by, px, (frame, N); 0 where nothing shows.
+
+    Parameters
+    ----------
+    bright
+        Profile with bright ridges (frame, x).
+    x_px, err_px
+        Positions and their errors from noise (frame, N), NaN where missing.
+    comb
+        Width and pitch of the ridges.
+    settings
+        `narrow_widths`, `wide_widths`, `distortion_sigmas`, `distortion_floor`, `distortion_error`.
+
+    Notes
+    -----
+    The slope s of something underneath shifts the vertex of a parabola of curvature c by :math:`s/c`, and c
+    falls with the window: a narrow and a wide window then disagree by about the shift itself. Where they
+    disagree more than they do for most sheets and frames, :math:`|\Delta|` times `distortion_error` is the
+    error. Where most ridges are lopsided by themselves, to one side or to either, nothing is said.
+    """
+    narrow = _odd(settings.narrow_widths * comb.fwhm_px)
+    wide = _odd(min(settings.wide_widths * comb.fwhm_px, 0.8 * comb.pitch_px))
+    if wide < narrow + 4:
+        return np.zeros_like(x_px)
+    start = np.rint(x_px)
+    few, many = (
+        fit_sheets(bright, start, fit="sliding", window_px=window, comb=comb)[0] for window in (narrow, wide)
+    )
+    apart = many - few
+    own = nan_median(apart)
+    between = nan_median(np.abs(own)) / NORMAL_MEDIAN  # how lopsided ridges are here, to either side
+    within = nan_median((np.abs(apart - own) / err_px).ravel()) / NORMAL_MEDIAN * err_px
+    least = np.fmax(settings.distortion_sigmas * np.hypot(between, within), settings.distortion_floor)
+    size = np.nan_to_num(np.abs(apart - nan_median(apart.ravel())))  # no vertex: nothing is said
+    return np.where(size > least, settings.distortion_error * size, 0.0)
+
+
+def _odd(px: float) -> int:
+    return max(5, 2 * round((px - 1) / 2) + 1)
 
 
 def spatial_scatter(x_px: Floats) -> Floats:

@@ -198,7 +198,7 @@ class TrackingSettings:
     """Two sheets nearer to each other than this, in ridge widths, are one ridge: the resolution of two
     Gaussians."""
 
-    # --- frames and blur (quality.py) ---
+    # --- frames, blur and distortion (quality.py) ---
 
     frozen_fraction: float = 0.3
     """Change from the frame before, as a fraction of the quietest frames', below which a frame repeats it.
@@ -217,6 +217,36 @@ class TrackingSettings:
     blur_error: float = 0.8
     """Error of a blurred position, in terms of lost height times motion; test_quality.py holds it to cover 62
     to 74 of 100 truths."""
+
+    narrow_widths: float = 0.9
+    """Narrow window, in ridge widths, that is compared with a wide one to find distorted ridges. Narrower is
+    noisier and finds less."""
+
+    wide_widths: float = 1.6
+    """The wide window. Wider takes in the neighbours, narrower differs too little from the narrow one."""
+
+    distortion_sigmas: float = 5.0
+    """Times the usual difference of both windows by which a ridge is distorted. Larger lets pulled ones pass
+    as ok, smaller flags noise; test_quality.py puts a highlight and a shadow beside a ridge."""
+
+    distortion_floor: float = 0.05
+    """Least such difference, px: where noise is small, less does not matter."""
+
+    distortion_error: float = 2.0
+    """Error of a distorted position over that difference: between 1 (a slope) and 3 (a speck on the flank)
+    in test_degraded.py."""
+
+    # --- stated errors (tracks.py) ---
+
+    codec_hidden: float = 0.45
+    """By how much more than the scatter between neighbouring sheets a codec shifts ridges where it wiped the
+    noise of pixels out: what it holds still in all sheets alike shows in no scatter. Times the square of the
+    share that was wiped out, since mild compression adds errors that the scatter shows whole.
+    test_degraded.py and test_identity_compressed.py hold 62 to 74 of 100 truths within one error."""
+
+    most_correlated: float = 2.0
+    """Noise alike in some pixels side by side shifts a ridge by the root of their number more than the pixels
+    predict. Positions that scatter by more than this factor move: larger takes motion for noise."""
 
     # --- symmetry axis (numbering.py) ---
 

@@ -12,11 +12,11 @@ import xarray as xr
 from vision.data import STRIP, TRACKS, StripMetadata, TrackMetadata, record
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Strings, nan_median
-from vision.sheets.corrections import Correction, apply_corrections
+from vision.sheets.corrections import Correction, apply_corrections, last_of
 from vision.sheets.identities import Identities, identify_sheets
 from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.numbering import Numbering, number_sheets
-from vision.sheets.quality import motion_blur, repeated_frames, spatial_scatter
+from vision.sheets.quality import distortion, motion_blur, repeated_frames, spatial_scatter
 from vision.sheets.recovery import Detections, assign_detections
 from vision.sheets.reference import wide_spacings
 from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges
@@ -32,12 +32,12 @@ from vision.sheets.subpixel import (
     position_noise,
 )
 
-LOSSY = frozenset({"h264", "hevc", "mjpeg", "mpeg1video", "mpeg2video", "mpeg4", "vp8", "vp9", "av1", "wmv3"})
+BETWEEN_FRAMES = frozenset(
+    {"h264", "hevc", "mpeg1video", "mpeg2video", "mpeg4", "vp8", "vp9", "av1", "wmv3", "msmpeg4v2"}
+)
+"""Codecs that carry a picture's content, and with it errors, from frame to frame."""
+LOSSY = BETWEEN_FRAMES | {"mjpeg"}
 LEAST_NOISE_GREY = 0.05  # noise of a profile drawn without any: whole grey levels, averaged over some rows
-CODEC_HIDDEN = 0.2
-"""By how much more than the measured scatter a codec shifts ridges where it wiped the noise out: artefacts
-that stay in place show neither in time nor between sheets. Films of known truth:
-test_identity_compressed.py."""
 LEAST_ERROR_PX = 1e-4
 
 
@@ -73,7 +73,8 @@ def track_sheets(
         Odd fit window; None is 9 where the ridges are 6–14 px wide, else, as with "auto", it follows their
         width.
     corrections
-        Decisions by hand about identities, from `vision.sheets.corrections.read_corrections`.
+        Decisions by hand, from `vision.sheets.corrections.read_corrections`: those about identities, and of
+        the axis, which goes before `axis_px`.
     settings
         Thresholds and costs.
 
@@ -94,15 +95,19 @@ def track_sheets(
 
     Notes
     -----
-    x_err_px is the noise of the profile times the fit's error per grey level; with ``fit="paper"`` also the
-    locking to whole pixels, and for lossy video no less than the scatter from frame to frame, since
-    compression hides the noise and adds artefacts of its own.
+    x_err_px is the noise of the profile times the fit's error per grey level, enlarged where positions
+    scatter by more both in time and between sheets, and where the ridge is pulled aside
+    (`vision.sheets.quality.distortion`); with ``fit="paper"`` also the locking to whole pixels. For lossy
+    video it is the scatter between sheets, since compression hides the noise and adds artefacts of its own.
+    What is the same in all frames (uneven light, the choice of rows) is no part of it.
     """
     STRIP.check(strip)
     facts = StripMetadata.of(strip)
     profile = np.asarray(strip.values, np.float32)
     _check(profile, facts.source)
     origin_px = float(strip["x"].values[0])
+    decided = last_of(corrections, "axis")
+    axis_px = axis_px if decided is None else decided.x_px
     _check_axis(axis_px, origin_px, float(strip["x"].values[-1]))
     comb = describe_ridges(profile, polarity=ridges, sheets=sheets, source=facts.source, settings=settings)
     window = choose_window(comb, window_px, settings=settings)
@@ -131,14 +136,16 @@ def track_sheets(
         )
         if learned.any():
             used, x, err = "template", matched, per_grey * noise
-    errors = _errors(x, err, noise, frozen, lossy=facts.codec in LOSSY)
+    errors = _errors(x, err, noise, frozen, facts.codec, settings)
     blur = motion_blur(
         np.where(frozen[:, None], np.nan, x), detections.contrast, detections.fwhm_px, comb, settings
     )
-    err = np.hypot(errors.err_px, blur.err_px)
+    pulled = distortion(profile if comb.sign > 0 else -profile, x, errors.err_px, comb, settings)
+    pulled[(blur.err_px > 0) | blur.blurred] = 0.0  # two ridges drawn over each other are lopsided anyway
+    err = np.hypot(np.hypot(errors.err_px, blur.err_px), pulled)
     axis = None if axis_px is None else axis_px - origin_px
     numbering = number_sheets(x, axis_px=axis, settings=settings)
-    quality = _Quality(frozen, blur.blurred, errors)
+    quality = _Quality(frozen, blur.blurred, pulled > 0, errors)
     found = _Found(comb, identities, detections, numbering, x, err, noise, origin_px, quality)
     metadata = found.metadata(used, window, settings, count_given=sheets is not None)
     metadata = replace(metadata, fit_asked=fit, corrections_applied=len(corrections))
@@ -165,10 +172,11 @@ class _Errors(NamedTuple):
 
 
 class _Quality(NamedTuple):
-    """Repeated frames (frame,), blurred ridges (frame, N), and errors."""
+    """Repeated frames (frame,), blurred and distorted ridges (frame, N), and errors."""
 
     frozen: Bools
     blurred: Bools
+    distorted: Bools
     errors: _Errors
 
 
@@ -191,7 +199,9 @@ class _Found:
     ) -> TrackMetadata:
         """What later stages need to know; columns counted as in the picture."""
         comb, numbering, reference = self.comb, self.numbering, self.identities.reference
-        gaps = [] if count_given else zip(*wide_spacings(reference.x_px, settings=settings), strict=True)
+        counted = len(reference.x_px) == self.x_px.shape[1]  # else sheets were added or deleted by hand
+        places = reference.x_px if counted else nan_median(self.x_px)
+        gaps = [] if count_given else zip(*wide_spacings(places, settings=settings), strict=True)
         least_margin = np.nanmin(self.identities.margin, initial=np.inf)
         return TrackMetadata(
             fit=fit,
@@ -244,11 +254,17 @@ def _positions(
     return x, err, noise
 
 
-def _errors(x: Floats, err: Floats, noise: Floats, frozen: Bools, *, lossy: bool) -> _Errors:
-    """Predicted from the pixels, measured in time and between sheets; the largest in compressed film.
+def _errors(
+    x: Floats, err: Floats, noise: Floats, frozen: Bools, codec: str, settings: TrackingSettings
+) -> _Errors:
+    """Predicted from the pixels, measured in time and between sheets, and what is stated.
 
-    Repeated frames would halve the scatter or make it zero, so they are left out. Never zero: a profile
-    without noise still holds whole grey levels.
+    What the pixels predict holds where their noise is independent. Noise that is alike in neighbouring pixels
+    (a soft lens behind which a camera sharpened or resampled, clipped tops) shifts ridges by more, in time
+    and between sheets alike: then the smaller of both counts, over all sheets, since motion of its own in
+    time or in n is no error. Compression hides the noise of pixels and shifts ridges in ways that may last
+    for frames: the scatter between sheets sees these. Repeated frames would halve the scatter or make it
+    zero, so they are left out. Never zero: a profile without noise still holds whole grey levels.
     """
     new = np.where(frozen[:, None], np.nan, x)
     noise_px, scatter_px = position_noise(x[~frozen]), spatial_scatter(new)
@@ -257,11 +273,17 @@ def _errors(x: Floats, err: Floats, noise: Floats, frozen: Bools, *, lossy: bool
     err = np.where(np.isfinite(err) & (err > 0), err, LEAST_NOISE_GREY * np.nan_to_num(per_grey, nan=1.0))
     err = np.maximum(err, LEAST_ERROR_PX)
     predicted = nan_median(np.where(np.isfinite(new), err, np.nan))
-    if lossy:
-        measured = np.fmax(np.fmax(noise_px, scatter_px), predicted)
-        hidden = 1.0 + CODEC_HIDDEN * (1.0 - predicted / measured)
-        err = err * np.nan_to_num(hidden * measured / predicted, nan=1.0)
-    return _Errors(err, noise_px, scatter_px, predicted)
+    measured = np.where(np.isfinite(scatter_px), scatter_px, np.fmax(noise_px, predicted))
+    if codec in BETWEEN_FRAMES:  # one quantiser for all sheets
+        measured = np.full_like(measured, np.sqrt(np.mean(measured[np.isfinite(measured)] ** 2)))
+    if codec in LOSSY:
+        wiped = 1.0 - predicted / np.fmax(measured, predicted)
+        measured = measured * (1.0 + settings.codec_hidden * wiped**2)
+    else:
+        more = nan_median(np.minimum(noise_px, scatter_px) / predicted)
+        measured = predicted * (np.fmax(more, 1.0) if more < settings.most_correlated else 1.0)
+    stated = err * np.nan_to_num(measured / predicted, nan=1.0)
+    return _Errors(np.maximum(stated, LEAST_ERROR_PX), noise_px, scatter_px, predicted)
 
 
 def _dataset(strip: xr.DataArray, found: _Found, metadata: TrackMetadata) -> xr.Dataset:
@@ -280,6 +302,7 @@ def _dataset(strip: xr.DataArray, found: _Found, metadata: TrackMetadata) -> xr.
         "found": ok.mean(axis=0),
         "fwhm_px": nan_median(np.where(ok, found.detections.fwhm_px, np.nan)),
         "snr": nan_median(contrast) / np.maximum(found.noise, 1e-12),
+        "distorted": (found.quality.distorted & ok).sum(axis=0) / np.maximum(ok.sum(axis=0), 1),
         "x_noise_px": found.quality.errors.noise_px,
         "x_scatter_px": found.quality.errors.scatter_px,
         "x_predicted_px": found.quality.errors.predicted_px,

@@ -1,0 +1,90 @@
+"""Findings that contradict each other are said, with what to do; findings that agree are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.scenes.analysed import with_force
+from tests.scenes.combs import comb, ridges, strip
+from vision.sample import PUBLISHED
+from vision.sheets import track_sheets
+from vision.summary import consistency_warnings, summary_lines
+
+PITCH, SHEETS, AXIS = 20.0, 50, 600.0
+
+
+def film(contrast=1.0, snr=100):
+    """Fifty creeping and slipping sheets around an axis at 600 px."""
+    return strip(ridges(comb(150), contrast=contrast), snr=snr)
+
+
+@pytest.fixture(scope="module")
+def picture():
+    return film()
+
+
+def test_a_film_that_agrees_with_itself_raises_nothing(picture):
+    """A failure means a warning on good films: nobody reads the next one."""
+    assert consistency_warnings(track_sheets(picture)) == []
+    assert consistency_warnings(track_sheets(picture, sheets=SHEETS, axis_px=AXIS)) == []
+
+
+@pytest.mark.parametrize("axis_px", [AXIS - 10 * PITCH, AXIS + 10 * PITCH])
+def test_an_axis_where_motion_excludes_it(picture, axis_px):
+    """Sheets move towards the axis: one ten sheets aside would have ten sheets move away from it."""
+    lines = consistency_warnings(track_sheets(picture, axis_px=axis_px))
+    assert len(lines) == 1
+    assert f"axis at {axis_px:.0f} px is not where motion allows" in lines[0]
+    assert "`axis_px`" in lines[0]
+
+
+def test_an_axis_that_motion_allows_is_not_doubted(picture):
+    """The innermost sheets hardly move, so that half a pitch aside is within what motion tells."""
+    assert consistency_warnings(track_sheets(picture, axis_px=AXIS + 0.4 * PITCH)) == []
+
+
+@pytest.mark.parametrize("told", [40, 44])
+def test_fewer_sheets_told_than_seen(picture, told):
+    """`sheets` 40 on a film of 50 renumbers all of them: the ten left out are like the others."""
+    lines = consistency_warnings(track_sheets(picture, sheets=told))
+    assert len(lines) == 1
+    assert f"{SHEETS - told} more ridges like the {told} sheets" in lines[0]
+    assert f"`sheets` as {SHEETS}" in lines[0]
+
+
+def test_sheets_in_black_background(picture):
+    """Reflections of a tenth of a ridge's height, in line with the comb, that make up a number of sheets
+    that is too large: they are no sheets."""
+    height = np.where(np.abs(np.arange(SHEETS) - 24.5) > 21.5, 0.095, 1.0)
+    lines = consistency_warnings(track_sheets(film(height, snr=1000), sheets=SHEETS))
+    assert len(lines) == 1
+    assert "6 of 50 sheets (index 0, 1, 2, 47, 48, 49) hardly stand out from the background" in lines[0]
+    assert "restrict `columns`" in lines[0]
+
+
+def test_unequal_sheets_are_sheets():
+    """A fifth of the height is a faint sheet, no background."""
+    uneven = np.where(np.arange(SHEETS) % 7 == 3, 0.2, 1.0)
+    assert consistency_warnings(track_sheets(film(uneven, snr=300), sheets=SHEETS)) == []
+
+
+def test_more_ridges_on_a_side_than_the_sample_has_sheets(picture):
+    """A block of 20 sheets cannot show 25 ridges; a sample that nobody gave contradicts nothing."""
+    tracks = track_sheets(picture)
+    given = replace(PUBLISHED, sheets_per_block=20)
+    lines = consistency_warnings(tracks, given)
+    assert len(lines) == 1
+    assert "25 ridges on one side, but 20 sheets in a block" in lines[0]
+    assert consistency_warnings(tracks, replace(PUBLISHED, sheets_per_block=25, width_mm=44.0)) == []
+    assert consistency_warnings(track_sheets(strip(ridges(comb(150, per_side=29))))) == []
+
+
+def test_both_errors_are_printed():
+    """A failure means that a statistical error is read as if it were all."""
+    lines = summary_lines(with_force())
+    models = next(line for line in lines if line.startswith("models"))
+    assert models.count("(stat.)") == models.count("(syst.)") == 3
+    systematic = next(line for line in lines if line.startswith("systematic"))
+    assert "K ±" in systematic and "N/mm" in systematic and "Λ̂ ±" in systematic
+    assert "σ_x/Λ_st without that of pixel size" in systematic

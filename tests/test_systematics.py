@@ -1,0 +1,70 @@
+"""The budget of systematic errors: each source with a known size, and none where it has no part."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.scenes.analysed import Found, video_only, with_force
+from tests.scenes.combs import comb, ridges, strip
+from vision.sheets import track_sheets
+from vision.systematics import Budget, systematic_budget, uneven_light_px
+
+
+def lit(gradient):
+    """Ridges in light that falls by this fraction over 1200 px; truth and strip."""
+    x = comb(60)
+    light = 1 + gradient * (np.arange(1200) / 1200 - 0.5)
+    picture = strip(ridges(x), snr=1000)
+    picture.values[:] *= light
+    return x, picture
+
+
+@pytest.mark.parametrize("gradient", [0.3, 0.8])
+def test_uneven_light_shifts_places_by_what_the_budget_says(gradient):
+    """A failure means that places are off by more than all of their errors, and nothing says so."""
+    x, picture = lit(gradient)
+    tracks = track_sheets(picture)
+    actual = np.sqrt(np.mean(np.mean(tracks.x_px.values - x, axis=0) ** 2))
+    assert uneven_light_px(picture, tracks) == pytest.approx(actual, rel=0.25)
+    assert actual > 5 * float(tracks.x_predicted_px.median()) / np.sqrt(len(x))
+
+
+def test_even_light_shifts_nothing():
+    _, picture = lit(0.0)
+    assert uneven_light_px(picture, track_sheets(picture)) < 0.003
+
+
+def test_the_choice_of_rows_is_in_the_budget_and_in_no_statistical_error():
+    """It is the same in all frames: an x_err_px that held it would not be the scatter of displacements."""
+    _, picture = lit(0.0)
+    plain, bowed = (track_sheets(picture.assign_attrs(strip_err_px=err)) for err in (0.0, 0.3))
+    assert np.array_equal(plain.x_err_px.values, bowed.x_err_px.values)
+    budget = systematic_budget(Found(strip=picture, tracks=bowed))
+    assert budget.sources["strip"] == {"x_px": 0.3}
+    assert budget.total("x_px") == pytest.approx(0.3, abs=1e-3)
+
+
+def test_the_budget_of_a_whole_run():
+    """What was not given is not known, which is not zero; the force's part is that of its fits."""
+    found = with_force()
+    budget = systematic_budget(found)
+    assert set(budget.values) == {
+        *("x_px", "mu", "T0_N", "A", "N_hat_N", "Y_eff_GPa", "Lambda_hat_mm", "K_N_per_mm", "ratio")
+    }
+    assert budget.total("mu") == pytest.approx(found.fits.mu.systematic_error)
+    assert budget.unknown("mu") == ["d0"]
+    assert budget.unknown("ratio") == ["pixel_size", "clock"]  # the scene's clock has no error
+    surer = replace(found, clock=replace(found.clock, error_ms=0.5))
+    assert systematic_budget(surer).unknown("ratio") == ["pixel_size"]
+    assert math.isnan(systematic_budget(video_only()).values["x_px"])
+    assert systematic_budget(Found()).values == {}
+
+
+def test_sources_add_in_squares():
+    parts = {"strip": {"x_px": 3.0}, "light": {"x_px": 4.0}, "clock": {"x_px": None}}
+    budget = Budget(values={"x_px": 1.0}, statistical={"x_px": 0.1}, sources=parts)
+    assert budget.total("x_px") == 5.0
+    assert budget.to_json()["x_px"]["systematic"] == 5.0
+    assert budget.to_json()["x_px"]["sources"]["clock"] is None

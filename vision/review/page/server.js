@@ -1,0 +1,71 @@
+/* Every request to the program that serves this page. Nothing else is ever asked. */
+
+/** The program is not there. */
+export class Gone extends Error {}
+
+const WINDOW = crypto.randomUUID(); // by which the program tells windows apart
+
+async function request(path, { headers = {}, ...options } = {}) {
+  let answer;
+  try {
+    answer = await fetch(path, { headers: { "X-Window": WINDOW, ...headers }, ...options });
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    throw new Gone("the program does not answer");
+  }
+  if (!answer.ok) {
+    const text = await answer.text();
+    let message = text;
+    try { message = JSON.parse(text).error ?? text; } catch { /* plain text it is */ }
+    throw new Error(message || `the program answered ${answer.status}`);
+  }
+  return answer;
+}
+
+export async function getJson(path, options) { return (await request(path, options)).json(); }
+export async function getBytes(path, options) { return (await request(path, options)).arrayBuffer(); }
+export async function getImage(path, options) { return createImageBitmap(await (await request(path, options)).blob()); }
+
+export async function post(path, body = {}, options = {}) {
+  const answer = await request(path, {
+    method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body), ...options,
+  });
+  return answer.json();
+}
+
+/** Things fetched once and kept, the least used forgotten first; `get` gives what is there, or asks for it. */
+export class Store {
+  constructor(load, arrived, most) {
+    this.load = load; this.arrived = arrived; this.most = most;
+    this.kept = new Map(); this.asked = new Map();
+  }
+
+  get(key) {
+    const found = this.kept.get(key);
+    if (found !== undefined) { this.kept.delete(key); this.kept.set(key, found); return found; }
+    if (!this.asked.has(key)) this.asked.set(key, this.fetch(key));
+    return null;
+  }
+
+  peek(key) { return this.kept.get(key) ?? null; }
+
+  async fetch(key) {
+    try {
+      const found = await this.load(key);
+      this.kept.set(key, found);
+      while (this.kept.size > this.most) {
+        const [oldest, value] = this.kept.entries().next().value;
+        value?.close?.();
+        this.kept.delete(oldest);
+      }
+      this.arrived(key);
+    } catch (error) {
+      if (!(error instanceof Gone)) console.warn(`${key}: ${error.message}`);
+    } finally {
+      // what failed is asked for again, but not at once
+      setTimeout(() => this.asked.delete(key), this.kept.has(key) ? 0 : 1000);
+    }
+  }
+
+  clear() { this.kept.clear(); }
+}
