@@ -87,11 +87,11 @@ _OPTION_OF = {
     "main_sample": "--main-sample",
     "out": "--out",
     "overwrite": "--overwrite",
-    "resume": "--resume",
-    "follow": "--follow",
     "executor": "--executor",
     "profile": "--profile",
     "watch": "--watch",
+    "resume": "--resume",
+    "follow": "--follow",
 }
 
 
