@@ -25,7 +25,7 @@ from vision.review.session import Session
 from vision.run.reading import read_run
 
 PROJECT = Path(__file__).parents[2]
-PATIENCE_MS = 30_000  # the machine may be busy
+PATIENCE_MS = 60_000  # the machine may be busy
 SHOTS = os.environ.get("SHEETVISION_SCREENSHOTS")
 
 
@@ -188,7 +188,10 @@ class Visit:
         )
 
     def saved(self):
-        self.page.wait_for_selector("#connection[data-state=saved]")
+        self.page.wait_for_selector(
+            "#connection[data-state=saved], #notice:not([hidden])", timeout=2 * PATIENCE_MS
+        )
+        assert self.text("notice") == ""
 
     def foreign(self):
         """Requests to anywhere but the program."""
