@@ -73,8 +73,8 @@ class TractionTest:
     modulus_err_GPa: float
 
     def column(self, name: str) -> Floats:
-        """One column of the events; NaN for what is no number."""
-        return pd.to_numeric(self.events[name], errors="coerce").to_numpy(float)
+        """One column of the events."""
+        return self.events[name].to_numpy(float)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -306,7 +306,9 @@ def _events(path: Path, sample: Sample) -> pd.DataFrame:
         raise InputError(path, "a table as track writes it", str(error), "run track again") from error
     if absent := [name for name in _NEEDED if name not in table]:
         raise InputError(path, f"columns {', '.join(_NEEDED)}", f"no {', '.join(absent)}")
-    values = table[list(_NEEDED)].apply(pd.to_numeric, errors="coerce").to_numpy(float)
+    odd = [str(name) for name in table if name != "flag" and table[name].dtype.kind not in "iufb"]
+    table = table.assign(**{name: pd.to_numeric(table[name], errors="coerce") for name in odd})
+    values = table[list(_NEEDED)].to_numpy(float)
     whole = np.isfinite(values).all(axis=1) & (values[:, 3:] > 0).all(axis=1)
     whole &= (values[:, 0] > 0) & (values[:, 1] < sample.length_mm)
     if "flag" in table:
