@@ -486,6 +486,21 @@ def test_a_second_window_is_told_of_the_first(browser, pulled_page):
         visit.context.close()
 
 
+def test_the_page_finds_the_program_again(browser, pulled_page):
+    """A failure means that a laptop that slept shows a page that is dead, or that seems alive and is not."""
+    visit = Visit(browser, pulled_page)
+    page = visit.page
+    page.route("**/api/**", lambda route: route.abort())
+    page.wait_for_selector("#connection[data-state=lost]")
+    assert "does not answer" in visit.text("notice")
+    assert page.locator("#undo").is_disabled()
+    page.unroute("**/api/**")
+    visit.reads("message", "answers again")
+    page.wait_for_selector("#connection:not([data-state=lost])")
+    assert not page.locator("#undo").is_disabled()
+    visit.context.close()
+
+
 def test_the_page_could_not_ask_the_network_if_it_tried(browser, pulled_page):
     """A failure means that a script that strayed into the page could send the data away."""
     visit = Visit(browser, pulled_page)

@@ -32,7 +32,7 @@ export function effectOn(answer, decision, name) {
   if (was !== will) lines.push(`sheets: ${was} → ${will}`);
   const stick = answer.stick_after?.length ? { event: answer.event, sheets: answer.stick_after } : null;
   lines.push(...deformation(answer.event, answer.stick_before ?? [], answer.stick_after ?? []));
-  return { lines, curves, stick };
+  return { lines, curves, stick, numbering: decision.kind === "axis" ? { side: after.side, n: after.n } : null };
 }
 
 function deformation(event, before, after) {

@@ -77,7 +77,9 @@ export class Film {
     c.setLineDash([]);
     for (const { x_px: x } of page.ridges(view.frame)?.candidates ?? []) this.ridge(c, at.x(x), y1);
     const numbers = [];
-    for (const sheet of page.state.sheets) {
+    const { side, n } = view.effect?.numbering ?? {}; // as it would be
+    for (const known of page.state.sheets) {
+      const sheet = side ? { ...known, side: side[known.index], n: n[known.index] } : known;
       const chosen = sheet.index === view.sheet, column = here ? here(sheet.index) : sheet.x_px;
       const x = at.x(column || sheet.x_px);
       if (x < s.left - 9 || x > s.left + s.plotWidth + 9) continue;

@@ -166,13 +166,17 @@ export function edged(c, text, x, y, colour) {
   c.fillStyle = colour; c.fillText(text, x, y);
 }
 
-/** Round values between two numbers, at most about `most`, and the digits they need. */
+/** Round values between two numbers, about `most` but no fewer than two, and the digits they need. */
 export function steps(low, high, most) {
   const rough = (high - low) / Math.max(1, most), power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].map((k) => k * power).find((s) => s >= rough * 0.999) || power;
-  const ticks = [];
-  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step && ticks.length < 200; k++) ticks.push(k * step);
-  return [ticks, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))];
+  let ticks = [], digits = 0;
+  for (const step of [10, 5, 2, 1].map((k) => k * power)) {
+    if (ticks.length > 1 && step < rough * 0.999) break;
+    ticks = [];
+    for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step && ticks.length < 200; k++) ticks.push(k * step);
+    digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+  }
+  return [ticks, digits];
 }
 
 /** A number with so many digits and a true minus. */
