@@ -19,6 +19,7 @@ from vision.command.options import (
 )
 from vision.command.track import run_name, track
 from vision.errors import InputError
+from vision.files import reading
 
 if TYPE_CHECKING:
     from vision.pipeline import Settings
@@ -126,4 +127,5 @@ def settings_of_run(folder: Path) -> Settings:
         raise InputError(folder / MARK, "the parameters of a run", "none", AGAIN)
     parameters = {name: Parameter(one.get("value"), one.get("how", "given")) for name, one in facts.items()}
     parameters["corrections"] = Parameter(None, "default")
-    return settings_of(parameters)
+    with reading(folder / MARK, "the parameters of a run", AGAIN):
+        return settings_of(parameters)
