@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import os
 import resource
-import statistics
 import subprocess
 import sys
 import tempfile
 import time
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 
 from tests.scenes.comb_video import frames_of, positions, write_video
@@ -24,6 +24,7 @@ TRACK = [*PYTHON, "vision.command"]
 CONTAINERS = ("raw", "mjpeg", "h264")
 FRAMES, FIRST, FPS, COLUMNS, ROWS = 300, 75, 60, 1920, 1200
 CORES = (10, 100, 1000)
+REPEATS = 3  # the least CPU time counts: other programs only add to it
 LINES = {"1 Gbit/s": 0.11e9, "10 Gbit/s": 1.1e9, "100 Gbit/s": 11e9}
 TEXT = """
 Beside the films each job writes about 25 small files a film (run folder, state, tables) and reads
@@ -82,7 +83,7 @@ def short_films(folder: Path, count: int) -> list[str]:
     for k, name in enumerate(names):
         write_video(folder / name, frames_of(positions(60), seed=k))
     (folder / "tests.csv").write_text("film,fps\n" + "".join(f"{name},20\n" for name in names))
-    single = statistics.median(
+    single = min(  # of several, as other programs only add to it
         cost([*TRACK, name, "--fps", "20", "--out", f"single/{name}"], folder).cpu_s for name in names[:5]
     )
     campaign = cost([*TRACK, "campaign", "tests.csv", "--out", "out"], folder)
@@ -146,10 +147,9 @@ def file_server(folder: Path) -> tuple[list[str], dict[str, float]]:
         cost([*TRACK, "simulate", str(where), *size, "--container", container], folder)
         video = next(where.glob("video.*"))
         few, all_ = (
-            cost(
-                [*TRACK, str(video), "--frames", f"0:{stop}", "--out", f"{container}{stop}"],
-                folder,
-                evict=video,
+            min(
+                (cost(_part(video, stop), folder, evict=video) for _ in range(REPEATS)),
+                key=attrgetter("cpu_s"),
             )
             for stop in (FIRST, FRAMES)
         )
@@ -174,6 +174,11 @@ def file_server(folder: Path) -> tuple[list[str], dict[str, float]]:
         "|---|---|---|---|---|---|---|---|",
     ]
     return [*head, *rows], rates
+
+
+def _part(video: Path, stop: int) -> list[str]:
+    """Tracks the first frames of a film."""
+    return [*TRACK, str(video), "--frames", f"0:{stop}", "--out", "run", "--overwrite"]
 
 
 def needs(rates: dict[str, float]) -> list[str]:

@@ -133,6 +133,31 @@ def test_films_that_are_still_to_come(tmp_path):
     assert len(read(path)[1]) == 4
 
 
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        ([], "a table of tests, or a folder to watch"),
+        (["t.csv", "--cores", "0"], "--cores: expected a number from 1"),
+        (["t.csv", "--idle", "nan", "--watch", "."], "--idle"),
+        (["t.csv", "--executor", "pbs"], "local"),
+        (["t.csv", "--profile", "gone"], "--profile: expected a folder with a Snakemake profile"),
+        (["t.csv", "--config", "gone.toml"], "gone.toml"),
+        (["t.csv", "--watch", "gone"], "a folder to watch"),
+        (["gone.csv"], "gone.csv: expected a CSV table with a column film"),
+        (["t.csv", "--out", "t.csv"], "found a file"),
+    ],
+)
+def test_bad_arguments_end_in_one_line(tmp_path, monkeypatch, capsys, arguments, word):
+    monkeypatch.chdir(tmp_path)
+    films(tmp_path, 1)
+    table(tmp_path / "t.csv", ["t0.tif"], fps=20)
+    assert run(["campaign", *arguments]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert word in said[0]
+    assert not list(tmp_path.glob("*_campaign"))
+
+
 def test_names_are_one_part_of_a_path_and_one_line():
     assert safe_name("a/b\\c\n<d>:e") == "a_b_c__d__e"
     assert safe_name("..") == "film"

@@ -317,9 +317,10 @@ def test_a_film_that_is_gone_costs_only_its_pictures(run, tmp_path):
             headers={"X-Token": TOKEN},
         )
         assert client.get("/api/frame/3.png").status_code == 422
-        facts = client.get("/api/run").json()
-        assert facts["rows"] is None
-        assert "bytes" in facts["film_error"]
+        assert client.get("/api/run").json()["frames"] == 240
+        told = client.get("/api/film").json()
+        assert told["rows"] is None
+        assert "bytes" in told["error"]
         assert client.get("/api/kymograph/0/0/0.png").status_code == 200
 
 

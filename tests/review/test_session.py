@@ -12,7 +12,7 @@ import pytest
 
 from tests.scenes.reviewed import PLANTED, SETTINGS, clean, remedies, truth
 from vision.errors import InputError
-from vision.review import session as module
+from vision.review import stored
 from vision.review.positions import CELLS, FLAGS
 from vision.review.saving import Job, save_run
 from vision.review.session import Session
@@ -117,7 +117,7 @@ def test_a_preview_is_what_the_decision_does(session, decision):
     """A failure means that a person agrees to something else than what is then kept."""
     first = session.revision
     before = held(session.positions)
-    seen = session.preview(decision, 60)
+    seen = session.effects.preview(decision, 60)
     assert_same(before, held(session.positions))
     assert session.revision == first
     session.decide(decision)
@@ -133,7 +133,7 @@ def test_the_effect_on_the_deformation_is_shown(session):
     """Sheets of the stiff centre and of the outside exchanged: their ratios must change, others' hardly."""
     session.decide(remedies()[-1])
     frame = 120
-    seen = session.preview({"kind": "swap", "sheets": [2, 30], "frames": "0:"}, frame)
+    seen = session.effects.preview({"kind": "swap", "sheets": [2, 30], "frames": "0:"}, frame)
     before, after = (
         {row["index"]: row["ratio"] for row in seen[name]} for name in ("stick_before", "stick_after")
     )
@@ -202,12 +202,12 @@ def test_saved_decisions_can_be_taken_back_in_a_later_review(run):
 
 def test_the_other_rows_show_their_ridges_and_noise(session):
     """Fewer rows, more noise."""
-    many = session.strip_preview("2:28", 100)
-    few = session.strip_preview("14:16", 100)
+    many = session.effects.strip_preview("2:28", 100)
+    few = session.effects.strip_preview("14:16", 100)
     assert len(many["ridges"]) >= 48
     assert few["profile_noise"] > 1.5 * many["profile_noise"]
     with pytest.raises(InputError, match="rows within"):
-        session.strip_preview("0:999", 100)
+        session.effects.strip_preview("0:999", 100)
 
 
 def test_a_second_review_of_the_same_run_is_refused(run):
@@ -224,7 +224,7 @@ def test_a_disk_that_fails_loses_nothing_that_was_kept(session, monkeypatch):
     def full(handle):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(module.os, "fsync", full)
+    monkeypatch.setattr(stored.os, "fsync", full)
     with pytest.raises(InputError, match="not kept"):
         session.decide(EVERY_KIND[1])
     assert (session.folder / "corrections.toml").read_text() == text

@@ -19,6 +19,7 @@ from vision.command.options import (
     Flag,
     RunOptions,
     merged,
+    number,
     option_fields,
     option_names,
     parse_option,
@@ -108,8 +109,12 @@ def campaign(
         raise InputError(
             "TABLE.csv", "a table of tests, or a folder to watch", "none", "track campaign --help"
         )
+    number(cores, "--cores", least=1)
+    number(idle, "--idle", least=0)
     from vision.campaign import engine
-    from vision.campaign.plan import check_folder
+    from vision.campaign.plan import check_folder, vanished_rows, write_plan
+    from vision.campaign.table import Row, safe_name
+    from vision.campaign.watch import FolderWatch
 
     named = table or watch
     assert named is not None
@@ -122,26 +127,22 @@ def campaign(
     make = _planner(target, config=config, stage=stage, report=report, cores=cores, executor=executor)
     if dry_run:
         return _dry_run(make(rows, keep=False), cores)
-    with engine.campaign_lock(target):
-        if plan:
-            from vision.campaign.plan import write_plan
-
+    if plan:
+        with engine.campaign_lock(target):
             write_plan(make(rows))
-            return 0
-        conduct = _conductor(profile, executor, cores, quiet=quiet)
-        if watch is None:
+        return 0
+    watcher = None if watch is None else FolderWatch(watch)
+    conduct = _conductor(profile, executor, cores, quiet=quiet)
+    with engine.campaign_lock(target):
+        if watcher is None:
             return conduct(make(rows))
-        from vision.campaign.plan import vanished_rows
-        from vision.campaign.table import Row, safe_name
-        from vision.campaign.watch import FolderWatch
 
         def new(film: Path) -> Row:
             name = safe_name(run_name(film))
             return Row(row=0, film=str(film.absolute()), name=name, values=check({}).values)
 
-        # those that were done and moved away since stay in the pool
-        gone = vanished_rows(target, check, FolderWatch(watch).folder)
-        return _watch(FolderWatch(watch), rows, new, lambda ready: conduct(make([*gone, *ready])), idle)
+        gone = vanished_rows(target, check, watcher.folder)  # done and moved away: they stay in the pool
+        return _watch(watcher, rows, new, lambda ready: conduct(make([*gone, *ready])), idle)
 
 
 def campaign_job(plan: Path, job: str, /, *fetched: Path) -> int:

@@ -6,6 +6,7 @@ import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -117,6 +118,7 @@ def track_one(
         inputs = (*video_files(video), *(() if force is None else (force,)))
         if settings.pitch_um is not None:
             parameters = {**parameters, "pixel_size": Parameter(analysis.pixel_size_um, "found")}
+        analysis = _held_against(analysis, parameters["corrections"].value, inputs[0])
         origin = Origin(
             command=command_line(),
             inputs=inputs,
@@ -137,6 +139,21 @@ def track_one(
         about=f"{video.name}: " if one_of_many else "",
     )
     return status, analysis
+
+
+def _held_against(analysis: Analysis, corrections: Path | None, film: Path) -> Analysis:
+    """With a warning where the file of corrections was made for another film."""
+    from vision.run import describe_input
+    from vision.sheets.corrections import read_decisions
+
+    about = "" if corrections is None else read_decisions(corrections).film
+    known = describe_input(film) if about else {}
+    if about in ("", known.get("sha256"), known.get("fingerprint")):
+        return analysis
+    if about == describe_input(film, whole=True).get("sha256"):  # the run was made with --checksum
+        return analysis
+    line = f"`corrections` were made for another film: {corrections} names one that is not {film.name}"
+    return replace(analysis, warnings=(*analysis.warnings, line))
 
 
 @contextmanager

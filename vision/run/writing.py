@@ -26,6 +26,7 @@ from vision.run.folder import run_folder
 from vision.run.provenance import Parameter, describe_input, versions, write_json
 from vision.run.tables import sheets_table, write_table, write_tracks_csv, write_tracks_nc
 from vision.run.tiff import write_kymograph_tif
+from vision.sample import PUBLISHED
 from vision.sheets import doubtful_stretches
 from vision.sheets.corrections import Decisions, corrections_text, ordered
 from vision.shells import deformation_table
@@ -182,7 +183,7 @@ def run_facts(analysis: Analysis, origin: Origin) -> dict[str, Any]:
         facts |= _video_facts(analysis)
     if analysis.force is not None:
         facts["force"] = ForceMetadata.of(analysis.force)
-        facts["sample"] = analysis.settings.sample
+        facts["sample"] = analysis.settings.sample or PUBLISHED
     if analysis.sticks is not None:
         whole = int((analysis.sticks["flag"] == "ok").sum())
         sticks = asdict(StickMetadata.of(analysis.sticks))

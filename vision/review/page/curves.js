@@ -37,7 +37,6 @@ export class Displacement {
     });
     s.frame();
     timeCursor(s, x, view, colour.cursor);
-    if (sheets.length && sheets.length <= 5) this.names(s, c, sheets, colour);
   }
 
   effect(c, x, y, colour) {
@@ -67,19 +66,6 @@ export class Displacement {
     if (!(low <= high)) return [-1, 1];
     const margin = Math.max(0.05, 0.06 * (high - low));
     return [low - margin, high + margin];
-  }
-
-  names(s, c, sheets, colour) {
-    let x = s.left + 6;
-    c.textAlign = "left"; c.textBaseline = "top";
-    for (const sheet of sheets) {
-      const chosen = sheet.index === this.view.sheet, text = this.page.name(sheet);
-      s.font(1, chosen ? "bold" : "");
-      c.fillStyle = colour.card; c.globalAlpha = 0.92; c.fillRect(x - 3, s.top + 1, c.measureText(text).width + 6, s.size + 5); c.globalAlpha = 1;
-      c.fillStyle = chosen ? colour.text : sheet.side < 0 ? colour.left : colour.right;
-      c.fillText(text, x, s.top + 3); x += c.measureText(text).width + 12;
-    }
-    s.font();
   }
 }
 
@@ -207,7 +193,7 @@ export class Stick {
     const x = this.place(s);
     if (!before?.sheets.length) {
       c.fillStyle = colour.soft; c.textAlign = "center"; c.textBaseline = "middle";
-      wrapped(c, before?.reason ?? page.noStick(), s.left, s.plotWidth, s.top + s.plotHeight / 2, s.size * 1.3); return;
+      wrapped(c, before?.reason ?? page.noStick(), 0, s.width, s.height / 2, s.size * 1.3); return;
     }
     // what was far off before must not flatten what would be right: it is marked at the edge
     const values = (after ?? before).sheets.map((one) => one.ratio).filter(Number.isFinite);

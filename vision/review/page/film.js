@@ -36,14 +36,15 @@ export class Film {
   draw(s, c) {
     const { view, page } = this, at = this.places();
     const picture = page.film.rows != null ? this.pictures.get(view.frame) : null;
-    if (picture) this.shown = picture;
+    const why = page.film.error || this.pictures.why(view.frame);
+    if (picture || why) this.shown = picture; // else the one before, until this one arrives
     s.clipped(() => {
       c.fillStyle = "#3a3d41"; c.fillRect(s.left, s.top, s.plotWidth, s.plotHeight);
-      if (this.shown) {
+      if (this.shown?.width) { // none is left of one that was closed
         const x0 = at.x(-0.5), y0 = at.y(0); // pixel centres are at integers, rows count edges
         c.imageSmoothingEnabled = at.perColumn < 2;
         c.drawImage(this.shown, x0, y0, this.shown.width * at.perColumn, this.shown.height * at.perRow);
-      } else this.notice(s, c, page.film.error ? `The film cannot be shown: ${page.film.error}` : "reading the film …");
+      } else this.notice(s, c, why ? `Not shown: ${why}` : "reading the film …");
       this.strip(s, c, at);
       this.sheets(s, c, at);
     });

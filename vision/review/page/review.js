@@ -6,7 +6,7 @@ import { Diagram, Tiles } from "./diagram.js";
 import { effectOfClock, effectOfStrip, effectOn } from "./effect.js";
 import { Film } from "./film.js";
 import { ForceRecording } from "./force.js";
-import { getBytes, getJson, Gone, leave, post, Store } from "./server.js";
+import { getBytes, getJson, Gone, leave, post, Store, tryOut } from "./server.js";
 import { number, themeChanged } from "./surface.js";
 import { View } from "./view.js";
 
@@ -87,7 +87,8 @@ class Page {
     const [z0, z1] = this.strip();
     by("film-facts").textContent = `rows ${z0}:${z1} · ${state.sheets.length} sheets · axis ${number(state.axis_px, 1)} px`;
     by("diagram-facts").textContent = `${number(view.seconds(view.first), 2)}–${number(view.seconds(view.last), 2)} s · ${number(Math.max(0, view.low), 0)}–${number(view.high, 0)} px`;
-    by("tracks-facts").textContent = name;
+    const others = this.views.tracks.sheets().filter((one) => one !== sheet);
+    by("tracks-facts").textContent = `${name} (bold)${others.length > 4 ? ` and ${others.length} others` : others.map((one) => `, ${this.name(one)}`).join("")}`;
     const clock = this.clock();
     if (clock) by("force-facts").textContent = `offset ${number(clock.offset_s, 3)} s, drift ${number(clock.drift_ppm, 0)} ppm · clocks ${clock.status}`;
     const stick = this.stick(view.frame), ratio = stick?.sheets.find((one) => one.index === view.sheet)?.ratio;
@@ -250,14 +251,14 @@ class Page {
     const { view, state } = this, { frame } = view, name = (sheet) => this.name(state.sheets[sheet]);
     if (decision.kind === "strip") {
       const rows = state.strip.join(":");
-      if (this.present?.key !== `${rows} ${frame}`) this.present = { key: `${rows} ${frame}`, ridges: await post("api/strip", { rows, frame }) };
-      return effectOfStrip(this.present.ridges, await post("api/strip", { rows: decision.rows, frame }));
+      if (this.present?.key !== `${rows} ${frame}`) this.present = { key: `${rows} ${frame}`, ridges: await tryOut("api/strip", { rows, frame }) };
+      return effectOfStrip(this.present.ridges, await tryOut("api/strip", { rows: decision.rows, frame }));
     }
     if (decision.kind === "clock") {
-      const answer = await post("api/clock", { offset_s: decision.offset_s, drift_ppm: decision.drift_ppm, frame });
+      const answer = await tryOut("api/clock", { offset_s: decision.offset_s, drift_ppm: decision.drift_ppm, frame });
       return effectOfClock(answer, (await this.slipsNow()).film, (at) => view.seconds(at), view.seconds(view.begin + 1) - view.seconds(view.begin), this.stick(frame));
     }
-    return effectOn(await post("api/preview", { decision, frame }), decision, name);
+    return effectOn(await tryOut("api/preview", { decision, frame }), decision, name);
   }
 
   async decide(decision) { return this.ask("api/decisions", { decision }, () => `Kept: ${this.state.decisions.at(-1)?.text}`); }
