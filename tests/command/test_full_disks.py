@@ -94,6 +94,29 @@ def test_every_command_on_a_full_disk_ends_in_one_line(disk, finished):
     assert all("full disk" in line or "no space" in line for line in said), said
 
 
+LARGE = """
+import sys
+from pathlib import Path
+import numpy as np
+import xarray as xr
+from vision.run.tiff import write_space_time_tif
+coords = {"frame": np.arange(9000), "x": np.arange(400), "time_s": ("frame", np.arange(9000) / 60)}
+diagram = xr.DataArray(np.ones((9000, 400), np.float32), dims=("frame", "x"), coords=coords)
+try:
+    write_space_time_tif(diagram, Path(sys.argv[1], "a.tif"), pixel_size_um=None)
+except OSError as error:
+    print(error.strerror)
+"""
+
+
+def test_a_diagram_larger_than_the_disk_does_not_kill_the_process(disk):
+    """A failure means SIGBUS: pages of a mapped file that the disk has no room for."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    child = [sys.executable, "-c", LARGE, str(disk)]
+    done = subprocess.run(child, capture_output=True, text=True, env=environment, check=False)
+    assert (done.returncode, done.stdout.strip()) == (0, "No space left on device"), done.stderr
+
+
 def test_a_disk_that_cannot_be_written_is_one_line(disk, finished, capsys):
     """A failure means a traceback, hours of work for nothing, or an earlier run that is gone."""
     shutil.copytree(finished[1], disk / "out")

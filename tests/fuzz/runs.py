@@ -15,8 +15,13 @@ import pandas as pd
 from tests.compare.scenes import events, write_run
 from tests.fuzz.cases import SECONDS, Failure, HangError, alarm
 from tests.fuzz.mutations import mutated
-from tests.scenes.comb_video import frames_of, positions, write_video
+from tests.scenes.comb_video import frames_of, write_video
+from tests.scenes.comb_video import positions as truth
+from vision.command.failures import outcome
 from vision.command.main import run as track
+from vision.command.review import settings_of_run
+from vision.review import positions
+from vision.review.session import Session
 from vision.run import reading
 
 COMMANDS = {
@@ -28,20 +33,15 @@ COMMANDS = {
     "figures": (["figures", "run", "--to", "csv"], 3),
     "kymograph": (["kymograph", "run", "--sheet", "right:2", "--width", "30px"], 2),
     "compare": (["compare", "run"], 3),
+    "review": (["review", "run"], 3),
 }
+TABLES = ("events.csv", "deformation.csv", "shells.csv")
 READ = {
-    "export": (
-        "run.json",
-        "tracks.nc",
-        "events.csv",
-        "deformation.csv",
-        "shells.csv",
-        "models.json",
-        "clock.json",
-    ),
+    "export": ("run.json", "tracks.nc", *TABLES, "models.json", "clock.json"),
     "figures": ("run.json", "tracks.nc", "figures.npz"),
     "kymograph": ("run.json", "tracks.nc", "kymograph.tif", "clock.json", "events.csv"),
     "compare": ("run.json", "events.csv", "models.json"),
+    "review": ("run.json", "tracks.nc", "kymograph.tif", *TABLES, "clock.json"),
 }
 KIND = {".json": "json", ".csv": "text", ".nc": "hdf5", ".tif": "tiff", ".npz": "npz"}
 PROCESS_SHARE = 0.02
@@ -68,7 +68,7 @@ VALUES = (
 
 def write_seed(place: Path) -> Path:
     """A run folder with every file that a run with a force recording has, quickly made."""
-    film = write_video(place / "film.tif", frames_of(positions(frames=40)))
+    film = write_video(place / "film.tif", frames_of(truth(frames=40)))
     words = [str(film), "--no-report", "--quiet", "--pixel-size", "10", "--fps", "25"]
     assert track([*words, "--out", str(place / "run")]) == 0
     forced = write_run(place / "force", events(step=0.1, d=(13.2, 15.0)))
@@ -79,6 +79,7 @@ def write_seed(place: Path) -> Path:
     for name in ("events.csv", "models.json"):
         shutil.copy(forced / name, place / "run" / name)
     clock = {"offset_s": -10.0, "drift_ppm": 0.0, "residual_ms": 1.0, "matched": 5, "status": "ok"}
+    clock |= {"unmatched_video": 0, "unmatched_force": 0, "margin": 40.0, "how": "events"}
     (place / "run" / "clock.json").write_text(json.dumps(clock))
     cells = [(event, sheet) for event in range(5) for sheet in range(8)]
     table = pd.DataFrame(cells, columns=["event", "index"])
@@ -111,23 +112,22 @@ def run_cases(cases: int, seed: int, place: Path) -> Iterator[tuple[int, str, Fa
             work = place / f"{seed}_{case}"
             folder = Path(shutil.copytree(whole, work / "run"))
             damage(folder / file, random)
-            reading.try_out = tried if file == "tracks.nc" else lambda *_, **__: None
+            for module in (reading, positions):
+                module.try_out = tried if file == "tracks.nc" else lambda *_, **__: None
             os.chdir(work)
-            outcome = one_case(COMMANDS[name][0])
+            ended = one_case(COMMANDS[name][0])
             os.chdir(place)
             escaped = {p.name for p in place.iterdir()} - {work.name, "run", "film.tif"}
             escaped -= {p.name for p in place.iterdir() if p.name.startswith(f"{seed}_")}
-            outcome = f"files outside: {escaped}" if escaped else outcome
-            failed = outcome not in ("status 0", "status 1", "status 2")
-            if not failed:
+            ended = f"files outside: {escaped}" if escaped else ended
+            failure = None
+            if ended in ("status 0", "status 1", "status 2"):
                 shutil.rmtree(work)
-            yield (
-                case,
-                f"{name} {outcome.splitlines()[-1]}",
-                Failure(case, folder / file, outcome) if failed else None,
-            )
+            else:
+                failure = Failure(case, folder / file, ended)
+            yield case, f"{name} {ended.splitlines()[-1]}", failure
     finally:
-        reading.try_out = tried
+        reading.try_out = positions.try_out = tried
         os.chdir(here)
 
 
@@ -136,7 +136,11 @@ def one_case(words: list[str]) -> str:
     said = io.StringIO()
     try:
         with alarm(SECONDS), contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
-            status = track(words)
+            if words[0] == "review":
+                status, why = outcome(lambda: opened(Path(words[1])))
+                said.write(f"{why}\n" * bool(why))
+            else:
+                status = track(words)
     except HangError:
         return f"hang: {traceback.format_exc()}\nhang"
     except BaseException:
@@ -144,6 +148,12 @@ def one_case(words: list[str]) -> str:
     if status == 2 and said.getvalue().count("\n") != 1:
         return f"not one line: {said.getvalue()}"
     return f"status {status}" if status in (0, 1, 2) else said.getvalue() or f"status {status}"
+
+
+def opened(folder: Path) -> None:
+    """The run as `track review` opens it, without the server."""
+    with Session(folder, settings_of_run(folder)):
+        pass
 
 
 def damage(file: Path, random: np.random.Generator) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from vision import files
 from vision.command.console import say
 from vision.command.options import (
     ForceOptions,
@@ -19,7 +20,6 @@ from vision.command.options import (
 )
 from vision.command.track import run_name, track
 from vision.errors import InputError
-from vision.files import reading as whole
 
 if TYPE_CHECKING:
     from vision.pipeline import Settings
@@ -96,7 +96,7 @@ def review(
         raise InputError(
             folder, "a run without further options", "some", "give the video, or run track again"
         )
-    with whole(folder, "a run folder as track writes it", "run track again"):
+    with files.reading(folder, "a run folder as track writes it", "run track again"):
         session = Session(folder, settings_of_run(folder), film=film, options=option_names())
 
     def opened(address: str) -> None:
@@ -128,4 +128,5 @@ def settings_of_run(folder: Path) -> Settings:
         raise InputError(folder / MARK, "the parameters of a run", "none", AGAIN)
     parameters = {name: Parameter(one.get("value"), one.get("how", "given")) for name, one in facts.items()}
     parameters["corrections"] = Parameter(None, "default")
-    return settings_of(parameters)
+    with files.reading(folder / MARK, "the parameters of a run", AGAIN):
+        return settings_of(parameters)

@@ -16,6 +16,7 @@ from vision.clock import Clock, video_slips
 from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, minmax_decimate
+from vision.files import reading
 from vision.force import read_force
 from vision.numeric import Floats, Floats32, Ints
 from vision.pipeline import Settings
@@ -86,7 +87,8 @@ class Session:
         self._grey: tuple[float, float] | None = None
         self._force: xr.Dataset | None = None
         try:
-            self._load()
+            with reading(folder, "a run folder as track writes it", "run track again"):
+                self._load()
         except BaseException:
             self._claim.close()
             raise
