@@ -29,6 +29,8 @@ LAYERS = (
     "report",
     "run",
     "certify",
+    "review",
+    "campaign",
     "command",
 )
 # The command defers its heavy imports, so that `track --help` answers at once.

@@ -11,7 +11,7 @@ import base64
 import math
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -39,8 +39,9 @@ from vision.sheets import (
     track_sheets,
     with_heights,
 )
+from vision.sheets.corrections import OF_SHEETS, last_of, ordered
 from vision.shells import ShellSettings, classify_shells
-from vision.summary import consistency_warnings, summary_lines, tracking_warnings
+from vision.summary import consistency_warnings, ridges_per_side, summary_lines, tracking_warnings
 from vision.video import (
     Follow,
     ReadingLog,
@@ -95,7 +96,8 @@ class Settings:
     fit, window_px
         Subpixel method ("auto", "sliding", "paper" or "template") and its window: odd, or "auto".
     corrections
-        Decisions by hand about identities, from `vision.sheets.read_corrections`.
+        Decisions by hand, from `vision.sheets.read_corrections`. Those about the strip, the axis and the
+        clock go before `rows`, `axis_px` and `offset_s`.
     pixel_size_um
         µm per pixel; without it there are no lengths in µm and no deformation.
     pitch_um
@@ -115,8 +117,9 @@ class Settings:
         σ_x/Λ_st below which a sheet is stiff.
     common_mode
         Whether motion that all sheets share, the camera's, is taken off.
-    sample
-        Geometry and adhesion of the sample.
+    sample, geometry_err
+        Geometry and adhesion of the sample (None: the publication's, and said to be assumed), and the errors
+        of its fields by name, for systematic errors.
     t_star_fitted
         Fit T* as well, which can hardly be told from μ.
     tuning
@@ -151,7 +154,8 @@ class Settings:
     offset_s: float | None = None
     threshold: float = 0.1
     common_mode: bool = True
-    sample: Sample = PUBLISHED
+    sample: Sample | None = None
+    geometry_err: Mapping[str, float] = field(default_factory=dict)
     t_star_fitted: bool = False
     tuning: Tuning = field(default_factory=Tuning)
 
@@ -216,10 +220,12 @@ class Analysis:
 
     def summary(self) -> list[str]:
         """What was found, in about ten lines."""
-        lines, sample = summary_lines(self), self.settings.sample
-        if self.fits is not None and sample == PUBLISHED:
+        lines, sample = summary_lines(self), PUBLISHED
+        if self.fits is not None and self.settings.sample is None:
             size = f"{sample.thickness_mm:g} x {sample.width_mm:g} x {sample.length_mm:g} mm"
-            lines.append(f"sample     assumed: the publication's, M = {sample.sheets_per_block} of {size}")
+            line = f"sample     assumed: the publication's, M = {sample.sheets_per_block} of {size}"
+            shown = ridges_per_side(self.tracks) if self.tracks is not None else sample.sheets_per_block
+            lines.append(line + f"; the video shows {shown} per side" * (shown != sample.sheets_per_block))
         return lines
 
     def _repr_html_(self) -> str:
@@ -260,6 +266,7 @@ def analyse(
     force: xr.Dataset | str | Path | None = None,
     settings: Settings | None = None,
     *,
+    earlier: Analysis | None = None,
     progress: Progress | None = None,
     log: ReadingLog | None = None,
     follow: Follow | None = None,
@@ -274,6 +281,10 @@ def analyse(
         A testing machine's file, or a recording from `read_force`; None for a video alone.
     settings
         What is not to be found from the data.
+    earlier
+        An analysis of the same video with settings that differ in their corrections alone. Its strip, tracks
+        and clock are taken over as far as no decision changes them; without a change of the strip the video
+        is not read, and need not be given.
     progress
         Called with (frames done, total frames or None) while the video is read.
     log
@@ -293,30 +304,27 @@ def analyse(
         For a video or force recording that cannot be read, or a video without ridges.
     """
     chosen = settings or Settings()
-    if chosen.strips != 1 and follow is not None:
-        raise InputError("`strips` and `follow`", "one of the two", "both", "track again when it is complete")
-    if chosen.pitch_um is not None and chosen.pixel_size_um is not None:
-        raise InputError("`pitch_um` and `pixel_size_um`", "one of the two", "both")
+    _check_choices(chosen, follow)
     stage = _Stages()
     # A force file that is not understood is refused before the long work of reading a video.
     machine = None if force is None else stage.must("reading force", lambda: _recording(force, chosen))
     recording = None if video is None else open_recording(video, chosen, follow)
-    strip = frame = tracks = None
+    kept = _kept(earlier, chosen, film=recording is not None)
+    strip, tracks, clock, frame, parts = kept.strip, kept.tracks, kept.clock, None, None
     if (film := recording) is not None:
-        if chosen.strips == 1:
-            strip, parts = stage.must("reading", lambda: _strip(film, chosen, progress, log, follow)), None
-        else:
-            strip, parts = stage.must("reading", lambda: _strips(film, chosen, progress))
-        if follow is not None:
-            with suppress(InputError):
-                recording = open_recording(film.path, chosen)  # it has grown
+        if strip is None:
+            strip, parts = stage.must("reading", lambda: _strip(film, chosen, progress, log, follow))
+        recording = _grown(film, chosen, follow)
         frame = stage.must("first frame", lambda: reference_frame(film))
-        tracks = stage.must("tracking", lambda: _tracks(strip, parts, chosen))
+    if strip is not None:
+        if tracks is None:
+            tracks = stage.must("tracking", lambda: _tracks(strip, parts, chosen))
         if chosen.pitch_um is not None:
             chosen = replace(chosen, pixel_size_um=pixel_size_from_pitch(tracks, chosen.pitch_um))
-    sticks = stage.may("sticks", _sticks, machine, settings=chosen, needed=recording is None)
+    sticks = stage.may("sticks", _sticks, machine, settings=chosen, needed=strip is None)
     fits = stage.may("fits", _fits, machine, sticks, settings=chosen)
-    clock = stage.may("clock", _clock, tracks, machine, sticks, settings=chosen)
+    if clock is None:
+        clock = stage.may("clock", _clock, tracks, machine, sticks, settings=chosen)
     motion = stage.may("motion", _motion, tracks, sticks, clock, settings=chosen)
     shells = stage.may(
         "shells", lambda moved, settings: _shells(moved, fits, settings), motion, settings=chosen
@@ -338,6 +346,46 @@ def analyse(
         seconds=stage.seconds,
     )
     return replace(analysis, warnings=_warnings(analysis))
+
+
+def _check_choices(chosen: Settings, follow: Follow | None) -> None:
+    """InputError for choices that exclude each other."""
+    if chosen.strips != 1 and follow is not None:
+        raise InputError("`strips` and `follow`", "one of the two", "both", "track again when it is complete")
+    if chosen.pitch_um is not None and chosen.pixel_size_um is not None:
+        raise InputError("`pitch_um` and `pixel_size_um`", "one of the two", "both")
+
+
+def _kept(earlier: Analysis | None, chosen: Settings, *, film: bool) -> Analysis:
+    """Strip, tracks and clock of an earlier analysis, as far as no decision about them, or about what they
+    follow from, is another one now.
+
+    Raises
+    ------
+    InputError
+        Where the strip must be read again, and the film is not given.
+    """
+    if earlier is None:
+        return Analysis(settings=chosen)
+
+    def decided(kinds: Sequence[str]) -> list[list[Any]]:
+        parts = (earlier.settings.corrections, chosen.corrections)
+        return [[one.what for one in ordered(part) if one.kind in kinds] for part in parts]
+
+    def same(kind: str) -> bool:
+        before, now = decided((kind,))
+        return before[-1:] == now[-1:]
+
+    of_sheets = decided(OF_SHEETS)
+    strip = earlier.strip if same("strip") else None
+    as_tracked = strip is not None and same("axis") and of_sheets[0] == of_sheets[1]
+    tracks = earlier.tracks if as_tracked else None
+    if tracks is None and chosen.strips != 1:
+        strip = None  # positions at several heights need the film again
+    if strip is None and not film:
+        raise InputError("the strip", "the film, to be read again", "none", "say where it lies (`film`)")
+    clock = earlier.clock if tracks is not None and same("clock") else None
+    return Analysis(settings=chosen, strip=strip, tracks=tracks, clock=clock)
 
 
 class _Stages:
@@ -404,23 +452,44 @@ def open_recording(video: Video | str | Path, chosen: Settings, follow: Follow |
     return await_video(video, opened, follow, chosen.tuning.video)
 
 
+def _grown(film: Video, chosen: Settings, follow: Follow | None) -> Video:
+    """The recording as it is now: one that was followed has grown."""
+    if follow is not None:
+        with suppress(InputError):
+            return open_recording(film.path, chosen)
+    return film
+
+
 def _strip(
     video: Video,
     chosen: Settings,
     progress: Progress | None,
     log: ReadingLog | None,
     follow: Follow | None,
-) -> xr.DataArray:
+) -> tuple[xr.DataArray, xr.DataArray | None]:
+    """I(x, t) of the strip, and of its parts where they are asked for."""
     _check_lengths(chosen, video.shape[1])
-    return strip_profile(
+    rows, settings = _rows(chosen), chosen.tuning.video
+    if chosen.strips != 1:
+        return strip_profiles(
+            video, chosen.strips, rows, columns=chosen.columns, progress=progress, settings=settings
+        )
+    whole = strip_profile(
         video,
-        chosen.rows,
+        rows,
         columns=chosen.columns,
         progress=progress,
-        settings=chosen.tuning.video,
+        settings=settings,
         log=log,
         follow=follow,
     )
+    return whole, None
+
+
+def _rows(chosen: Settings) -> slice | None:
+    """The strip's rows as decided by hand, else as asked for."""
+    decided = last_of(chosen.corrections, "strip")
+    return chosen.rows if decided is None or decided.rows is None else slice(*decided.rows)
 
 
 def _check_lengths(chosen: Settings, width_px: int) -> None:
@@ -431,18 +500,6 @@ def _check_lengths(chosen: Settings, width_px: int) -> None:
         raise InputError("`axis_px`", f"a column within or near the picture's {width_px}", found, advice)
     if isinstance(window, int) and window > width_px:
         raise InputError("`window_px`", f"at most the picture's {width_px} columns", str(window), "try auto")
-
-
-def _strips(video: Video, chosen: Settings, progress: Progress | None) -> tuple[xr.DataArray, xr.DataArray]:
-    _check_lengths(chosen, video.shape[1])
-    return strip_profiles(
-        video,
-        chosen.strips,
-        chosen.rows,
-        columns=chosen.columns,
-        progress=progress,
-        settings=chosen.tuning.video,
-    )
 
 
 def _tracks(strip: xr.DataArray, parts: xr.DataArray | None, chosen: Settings) -> xr.Dataset:
@@ -486,16 +543,21 @@ def _fits(force: xr.Dataset, sticks: pd.DataFrame, chosen: Settings) -> ModelFit
     return fit_models(
         force,
         sticks,
-        chosen.sample,
+        chosen.sample or PUBLISHED,
         free_t_star=chosen.t_star_fitted,
         mu=chosen.mu,
         modulus_GPa=chosen.modulus_GPa,
         fit_range_mm=chosen.fit_range_mm,
+        geometry_err=chosen.geometry_err,
     )
 
 
 def _clock(tracks: xr.Dataset, force: xr.Dataset, sticks: pd.DataFrame, chosen: Settings) -> Clock:
-    return synchronise(tracks, force, sticks, offset_s=chosen.offset_s, settings=chosen.tuning.clock)
+    decided = last_of(chosen.corrections, "clock")
+    offset_s, drift_ppm = (chosen.offset_s, 0.0) if decided is None else (decided.offset_s, decided.drift_ppm)
+    return synchronise(
+        tracks, force, sticks, offset_s=offset_s, drift_ppm=drift_ppm, settings=chosen.tuning.clock
+    )
 
 
 def _motion(tracks: xr.Dataset, sticks: pd.DataFrame, clock: Clock, chosen: Settings) -> xr.Dataset:
@@ -537,7 +599,9 @@ def _warnings(found: Analysis) -> tuple[str, ...]:
     if found.tracks is not None:
         lines += warnings_of(found.tracks)
         lines += tracking_warnings(found.tracks)
-        lines += consistency_warnings(found.tracks, found.settings.sample)
+        # An assumed sample matters where models are fitted with it.
+        assumed = PUBLISHED if found.fits is not None and found.settings.sample is None else None
+        lines += consistency_warnings(found.tracks, found.settings.sample, assumed=assumed)
     if found.force is not None:
         lines += warnings_of(found.force, found.sticks)
         lines += filter(None, [cycles_seen(found.force)])

@@ -13,7 +13,7 @@ import xarray as xr
 from vision.data import StickMetadata, StripMetadata, TrackMetadata
 from vision.figures.labels import both_errors
 from vision.numeric import nan_median
-from vision.sample import PUBLISHED, Sample
+from vision.sample import Sample
 from vision.sheets import doubtful_stretches
 from vision.sheets.tracks import LOSSY
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
@@ -88,7 +88,14 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     return lines
 
 
-def consistency_warnings(tracks: xr.Dataset, sample: Sample = PUBLISHED) -> list[str]:
+def ridges_per_side(tracks: xr.Dataset) -> int:
+    """Ridges on the side of the axis that shows more."""
+    return max((int((tracks["side"].values == side).sum()) for side in (-1, 1)), default=0)
+
+
+def consistency_warnings(
+    tracks: xr.Dataset, sample: Sample | None = None, *, assumed: Sample | None = None
+) -> list[str]:
     """What was found and does not fit together, each with what to do about it.
 
     Parameters
@@ -96,7 +103,9 @@ def consistency_warnings(tracks: xr.Dataset, sample: Sample = PUBLISHED) -> list
     tracks
         From `vision.track_sheets`.
     sample
-        The sheets of one block are compared with the ridges per side, unless the sample was only assumed.
+        As given: its sheets per block are compared with the ridges per side.
+    assumed
+        The sample that is used where none was given.
     """
     found, lines = TrackMetadata.of(tracks), []
     if found.ridges_beyond:
@@ -119,11 +128,13 @@ def consistency_warnings(tracks: xr.Dataset, sample: Sample = PUBLISHED) -> list
             f"the axis at {found.axis_px:.0f} px is not where motion allows it ({found.axis_low_px:.0f} to"
             f" {found.axis_high_px:.0f} px): check `axis_px`, or whether both sides are in view"
         )
-    most = max((int((tracks["side"].values == side).sum()) for side in (-1, 1)), default=0)
-    if sample != PUBLISHED and most > sample.sheets_per_block:
+    most = ridges_per_side(tracks)
+    used = sample or assumed
+    if used is not None and most > used.sheets_per_block:
+        how = "given" if sample is not None else "assumed"
         lines.append(
-            f"{most} ridges on one side, but {sample.sheets_per_block} sheets in a block: check `axis_px`,"
-            " `sheets` and `sheets_per_block`"
+            f"{used.sheets_per_block} sheets per block and side {how}, video shows {most}: check"
+            " `sheets_per_block`, `axis_px` and `sheets`"
         )
     return lines
 

@@ -53,6 +53,15 @@ def test_only_run_folders_are_ever_overwritten(tmp_path):
         pass
 
 
+def test_folders_made_for_a_run_that_failed_are_gone(tmp_path):
+    """A failure means that empty folders stay where nothing was written."""
+    with pytest.raises(ValueError, match="x"), run_folder(tmp_path / "a" / "b" / "out"):
+        raise ValueError("x")
+    with pytest.raises(ValueError, match="x"), folder.whole_file(tmp_path / "a" / "b.png"):
+        raise ValueError("x")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_place_that_cannot_be_written_is_said(tmp_path):
     """A failure means that hours of tracking end in a traceback."""
     (tmp_path / "file").write_text("")

@@ -7,6 +7,7 @@ import xarray as xr
 
 from vision.errors import InputError
 from vision.run import tiff
+from vision.run.reading import stored_kymograph
 from vision.run.tiff import frame_step_s, unevenness_s, write_kymograph_tif, write_space_time_tif
 
 
@@ -127,3 +128,11 @@ def test_times_that_an_even_axis_cannot_show_are_noticed():
     assert unevenness_s(np.round(even, 3)) == 0
     assert unevenness_s(np.r_[even[:300], even[300:] + 0.5]) == pytest.approx(0.5, rel=1e-3)
     assert unevenness_s(np.full(5, np.nan)) == 0
+
+
+def test_a_diagram_of_a_whole_test_is_read_back(tmp_path):
+    """A failure means that a long film's run cannot be reviewed: 60 000 frames are more pixels than a frame
+    may have."""
+    path = tmp_path / "kymograph.tif"
+    tifffile.memmap(path, shape=(60_000, 1_800), dtype=np.float32, photometric="minisblack").flush()
+    assert stored_kymograph(path)[2] == (60_000, 1_800)

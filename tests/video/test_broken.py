@@ -1,6 +1,7 @@
 """Films that are damaged, cut short, changed meanwhile, or no files at all."""
 
 import os
+import shutil
 import struct
 
 import cv2
@@ -171,3 +172,54 @@ def test_a_file_that_grows_is_said(tmp_path):
     with file.open("ab") as out:
         out.write(b"more")
     assert "grew" in video.changes[0]
+
+
+def test_a_packed_film_that_shrinks_is_one_line(tmp_path):
+    """A failure means that the process is killed (SIGBUS) by a film of 12 bits."""
+    file = tmp_path / "a.mraw"
+    rows, columns, count = 12, 500, 600
+    file.write_bytes(bytes(rows * columns * 3 // 2 * count))
+    text = f"Total Frame : {count}\nImage Width : {columns}\nImage Height : {rows}\nColor Bit : 12\n"
+    file.with_suffix(".cih").write_text(text)
+    with pytest.raises(InputError, match="shorter"):
+        list(reading_while(file, lambda: os.truncate(file, 100_000)))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    place = tmp_path / "images"
+    place.mkdir()
+    for n, frame in enumerate(comb(300, 12, 500)):
+        cv2.imwrite(str(place / f"a_{n:04d}.bmp"), frame)
+    return place
+
+
+@pytest.mark.parametrize("pattern", ["", "*.bmp"])
+def test_images_that_are_removed_are_one_line(pattern, folder):
+    """A failure means that images moved away meanwhile pass for damaged ones."""
+
+    def remove():
+        for n in range(250, 300):
+            (folder / f"a_{n:04d}.bmp").unlink()
+
+    with pytest.raises(InputError, match="stay there"):
+        list(reading_while(folder / pattern, remove))
+
+
+@pytest.mark.parametrize("pattern", ["", "*.bmp"])
+def test_images_that_come_or_change_meanwhile_are_said(pattern, folder):
+    """A failure means that a folder which a camera still fills passes for whole."""
+    video = open_video(folder / pattern)
+    assert video.changes == ()
+    shutil.copy(folder / "a_0000.bmp", folder / "a_0300.bmp")
+    assert "grew" in video.changes[0]
+    (folder / "a_0300.bmp").unlink()
+    assert video.changes == ()
+    os.utime(folder / "a_0007.bmp", (2e9, 2e9))
+    assert "was changed" in video.changes[0]
+
+
+def test_a_folder_that_is_removed_is_one_line(folder):
+    """A failure means that a drive pulled out gives a film of damaged frames."""
+    with pytest.raises(InputError, match="removed"):
+        list(reading_while(folder, lambda: shutil.rmtree(folder)))

@@ -43,7 +43,7 @@ def write_certificate(certificate: Certificate, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     certificate.sheets.to_csv(folder / "certificate.csv", index=False, lineterminator="\n")
     write_json(certificate.facts, folder / "certificate.json")
-    (folder / "certificate.html").write_text(_page(certificate), encoding="utf-8")
+    (folder / "certificate.html").write_text(_page(certificate), encoding="utf-8", errors="replace")
 
 
 def certificate_figure(certificate: Certificate) -> Figure:

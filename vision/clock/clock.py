@@ -145,11 +145,12 @@ def synchronise(
     sticks: pd.DataFrame,
     *,
     offset_s: float | None = None,
+    drift_ppm: float = 0.0,
     settings: ClockSettings = ClockSettings(),
 ) -> Clock:
     """Find the straight line from video time to the force clock.
 
-    A given offset decides (the drift is then 0), else a column of the camera's times in the force recording,
+    A given offset decides, else a column of the camera's times in the force recording,
     else the slips that both instruments saw. Slips that do not decide are still compared, and a contradiction
     is a warning.
 
@@ -163,6 +164,8 @@ def synchronise(
         From `find_stick_slip`.
     offset_s
         Force clock at video time 0, where it is known.
+    drift_ppm
+        By how much the force clock is then faster than the camera's.
     settings
         See `ClockSettings`.
 
@@ -183,8 +186,8 @@ def synchronise(
     STICKS.check(sticks)
     warnings = _playback_warning(tracks)
     if offset_s is not None:
-        _check_overlap(tracks, force, (offset_s, 0.0), "`offset_s`")
-        clock = _given(tracks, force, sticks, (offset_s, 0.0), "given", settings)
+        _check_overlap(tracks, force, (offset_s, drift_ppm), "`offset_s`")
+        clock = _given(tracks, force, sticks, (offset_s, drift_ppm), "given", settings)
     elif (column := clock_from_column(force)) is not None:
         _check_overlap(tracks, force, column, ForceMetadata.of(force).source)
         clock = _given(tracks, force, sticks, column, "video time column", settings)

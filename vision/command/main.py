@@ -13,6 +13,7 @@ from typing import Any
 
 from cyclopts import App
 
+from vision.command.campaign import campaign, campaign_job, campaign_pool
 from vision.command.certify import certify
 from vision.command.compare import compare
 from vision.command.console import complain, hold_streams, silence_libraries
@@ -25,6 +26,7 @@ from vision.command.kymograph import kymograph
 from vision.command.modulus import modulus
 from vision.command.overlay import overlay
 from vision.command.preview import preview
+from vision.command.review import review
 from vision.command.simulate import simulate
 from vision.command.track import track
 from vision.files import MOST_PIXELS
@@ -62,9 +64,23 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
     )
     app.default(track)
-    others = (preview, overlay, force, simulate, kymograph, export, figures, certify, compare)
+    others = (
+        preview,
+        overlay,
+        force,
+        simulate,
+        kymograph,
+        export,
+        figures,
+        certify,
+        compare,
+        review,
+        campaign,
+    )
     for command in (*others, friction, modulus):
         app.command(command, help_format="markdown")
+    app.command(campaign_job, show=False)  # for the Snakefile
+    app.command(campaign_pool, show=False)
     return app
 
 
@@ -93,6 +109,7 @@ def _plain_surroundings() -> None:
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
     warnings.simplefilter("ignore")  # what a user should know is a warning line of the run
+    sys.unraisablehook = lambda _: None  # what libraries leave half-closed after the error that is told
 
 
 _interrupted: list[int] = []  # signals that told to stop

@@ -118,7 +118,7 @@ def simulate(
     options
         The main settings.
     preset
-        paper, late, fast, fresh or hostile.
+        paper, late, fast, fresh, hostile or sheets.
     container
         raw (Y800 AVI), mjpeg, h264, ffv1, tiff or png.
     toml

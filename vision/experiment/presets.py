@@ -27,6 +27,7 @@ def preset(name: str, *, seed: int = 0) -> Experiment:
         - ``"fast"``: 10 mm/min, two slopes in every stick.
         - ``"fresh"``: a new sample with 600 N peaks, jumps over half a pitch.
         - ``"hostile"``: everything at its worst at once.
+        - ``"sheets"``: 2M springs decide by themselves which sheets stick, with the publication's numbers.
     seed
         Of all random numbers.
 
@@ -80,4 +81,5 @@ _PRESETS = {
         clocks=Clocks(offset_s=27.3, drift_ppm=-3000.0, dropped=0.01, stale=0.02, force_rate_Hz=100.0),
         load_cell=LoadCell(lowpass_s=0.01, noise_N=0.5, drift_N=2.0),
     ),
+    "sheets": Experiment(mechanics=Mechanics(model="sheets")),
 }

@@ -25,6 +25,7 @@ from vision.experiment.motion import (
     sheet_motion,
 )
 from vision.experiment.settings import Experiment, Optics, RidgeShape
+from vision.experiment.sheet_film import ResolvedMotion, resolved_test
 from vision.numeric import Floats, Floats32
 
 # --- ridges -------------------------------------------------------------------------------------------------
@@ -162,7 +163,7 @@ class Scene:
     experiment: Experiment
     pull: Pull
     comb: RestingComb
-    motion: Motion
+    motion: Motion | ResolvedMotion
     ridges: RidgeAppearance
     geometry: Geometry
     times: FrameTimes
@@ -320,13 +321,19 @@ def _dust(e: Experiment) -> Floats:
 
 def make_scene(experiment: Experiment) -> Scene:
     """Work out the pull, the sheets' motion, their appearance and the frame times of an experiment."""
-    pull = simulate_pull(experiment.mechanics, seed=experiment.seed, sample=experiment.sample)
     comb = comb_at_rest(experiment)
+    pull: Pull
+    motion: Motion | ResolvedMotion
+    if experiment.mechanics.model == "sheets":
+        pull, motion = resolved_test(experiment, comb)
+    else:
+        pull = simulate_pull(experiment.mechanics, seed=experiment.seed, sample=experiment.sample)
+        motion = sheet_motion(experiment, pull, comb)
     return Scene(
         experiment=experiment,
         pull=pull,
         comb=comb,
-        motion=sheet_motion(experiment, pull, comb),
+        motion=motion,
         ridges=_ridge_appearance(experiment),
         geometry=camera_geometry(experiment, comb),
         times=frame_times(experiment),

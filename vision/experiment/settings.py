@@ -36,6 +36,12 @@ RidgeShape = Literal["gaussian", "flat", "shouldered"]
 class Mechanics:
     """Friction, stiffness, the pull, and how regular the stick-slip events are."""
 
+    model: Literal["equations", "sheets"] = "equations"
+    """Events drawn from the publication's equations, or 2M springs whose thresholds decide which stick
+    (`sheet_model`): then `mu` is that of every face, `amplitude` 2(μ_s − μ_d), `modulus_GPa` that of a sheet,
+    and what describes events (from `n_hat_N` and `t0_N` to `buildup_mm`) is not used."""
+    threshold_scatter: Fraction = 0.02
+    """Relative spread of the sheets' thresholds (model sheets)."""
     speed_mm_min: Positive = 1.0
     """V, of the crosshead."""
     d0_mm: Positive = 13.0

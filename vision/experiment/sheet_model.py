@@ -10,6 +10,11 @@ with A = 2(μ_s − μ_d). The normal force N(n, d) is Eq. 2 and is computed aga
 its threshold the loads are T* exp(α(1 − (n/M)²)), and their sum over the 2M sheets is Eq. 1, of which the
 integral over n is the continuum limit.
 
+Sheets that slip one by one are rarely at their thresholds at once: the force stays about 1 − A/2μ of Eq. 1,
+and where N follows the loads (which e^α amplifies) about that of Eq. 1 at μ − A/2. The publication sees all
+sheets slip at once and Eq. 1 at the peaks. That comes out where a sheet at its threshold creeps, held by
+those that still stick, and the assembly slips when none does (``slips="together"``).
+
 Nothing in here knows M_eff, Λ_st or σ_x/Λ_st. Source: Plati, Restagno & Poulard, Eqs. 1 and 2 and section
 "Stick- slip in a simple spring-block model"; the normal force of actual loads: their outlook, "the normal
 load increases during the stick phase".
@@ -30,6 +35,12 @@ from vision.errors import InputError
 from vision.models.friction import StaticFriction
 from vision.numeric import Bools, Floats
 from vision.sample import PUBLISHED, Sample
+
+_CHOICES = {
+    "normal_force": ("equation", "loads"),
+    "positions": ("edges", "middles"),
+    "slips": ("alone", "together"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +65,11 @@ class SheetPull:
         threshold; a sheet that slips lowers the normal force on all inside of it.
     positions
         Where sheet n sits: "edges" at n, "middles" at n − ½ (whose sum is the continuum limit to 5e-6).
+    slips
+        "alone": each sheet slips at its threshold. "together": it creeps there until no sheet sticks, then
+        all slip (with Eq. 2 alone).
+    machine_N_per_mm
+        Of the machine, which springs back when sheets slip and loads the others; infinite by default.
     relaxed
         Start without loads; else with every sheet where a slip from its threshold would leave it.
     threshold_factor
@@ -74,6 +90,8 @@ class SheetPull:
     d_end_mm: float = 18.0
     normal_force: Literal["equation", "loads"] = "equation"
     positions: Literal["edges", "middles"] = "edges"
+    slips: Literal["alone", "together"] = "alone"
+    machine_N_per_mm: float = math.inf
     relaxed: bool = True
     threshold_factor: tuple[float, ...] | None = None
     shortest_stick_um: float = 0.5
@@ -85,14 +103,17 @@ class SheetPull:
             value = getattr(self, name)
             if not math.isfinite(value) or value <= 0:
                 raise InputError(f"`{name}`", "a positive number", f"{value!r}")
+        if not self.machine_N_per_mm > 0:
+            raise InputError("`machine_N_per_mm`", "a positive number", f"{self.machine_N_per_mm!r}")
         if not self.d0_mm < self.d_end_mm < math.inf:
             raise InputError("`d_end_mm`", f"more than {self.d0_mm:g} mm", f"{self.d_end_mm!r}")
         if not 0 <= self.amplitude <= 2 * self.mu:
             raise InputError("`amplitude`", f"0 to 2μ = {2 * self.mu:g}", f"{self.amplitude!r}")
-        if self.normal_force not in ("equation", "loads"):
-            raise InputError("`normal_force`", "equation or loads", f"{self.normal_force!r}")
-        if self.positions not in ("edges", "middles"):
-            raise InputError("`positions`", "edges or middles", f"{self.positions!r}")
+        for name, choices in _CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise InputError(f"`{name}`", " or ".join(choices), f"{getattr(self, name)!r}")
+        if self.slips == "together" and self.normal_force == "loads":
+            raise InputError("`slips`", "alone where N follows the loads", "together")
         count = 2 * int(self.sample.sheets_per_block)
         factor = self.threshold_factor
         if factor is not None and (len(factor) != count or not min(factor) > 0):
@@ -182,12 +203,13 @@ def pull_sheets(pull: SheetPull) -> xr.Dataset:
     Notes
     -----
     Slips take no time. Where the slip of one sheet brings others beyond their threshold (``normal_force``
-    "loads"), these slip in the same event, until none is.
+    "loads", or a machine that springs back), these slip in the same event, until none is.
     """
-    return _Run(pull).run()
+    return (_Together if pull.slips == "together" else _Run)(pull).run()
 
 
 _CLOSE = 1e-9  # share of the threshold to which the time of a slip is found
+_NARROW = 1e-13  # share of d to which it is found where margins jump
 
 
 class _Run:
@@ -218,12 +240,15 @@ class _Run:
         none = np.zeros(self.load.shape, bool)
         self._keep(none)
         while self.d < self.pull.d_end_mm * (1 - 1e-12):
-            self._advance(min(self.pull.longest_step_um / 1000, self.pull.d_end_mm - self.d))
+            self._advance(min(self._longest_mm(), self.pull.d_end_mm - self.d))
             self._keep(none)
             slipped = self._avalanche()
             if slipped.any():
                 self._keep(slipped)
         return self._dataset()
+
+    def _longest_mm(self) -> float:
+        return self.pull.longest_step_um / 1000
 
     def _normal(self, load: Floats, d: float) -> Floats:
         if self.pull.normal_force == "equation":
@@ -275,20 +300,23 @@ class _Run:
             outer_load, outer_normal = own, outside + c * own
         load[:] = values[::-1]
 
-    def _margin(self, load: Floats, d: float) -> Floats:
-        """(T_s − T)/T_s of sheets that stick; infinite for those that slide."""
+    def _margin(self, step: float) -> Floats:
+        """(T_s − T)/T_s after a step of sheets that stick; infinite for those that slide."""
+        load, d = self._loaded(step), self.d + step
         normal = self._normal(load, d)
         top, _ = self._levels(normal)
         return np.where(self._slides(load, normal, d), np.inf, (top - load) / top)
 
     def _advance(self, longest: float) -> None:
         """To the next slip, at most by one step."""
-        low, at_low = 0.0, np.maximum(self._margin(self.load, self.d), 0.0)
-        step, load = longest, self._loaded(longest)
-        margin = self._margin(load, self.d + step)
+        low, at_low = 0.0, np.maximum(self._margin(0.0), 0.0)
+        step, margin = longest, self._margin(longest)
         high, at_high = step, margin
         for _ in range(_MOST):
             if margin.min() >= -_CLOSE and (step == longest or margin.min() <= _CLOSE):
+                break
+            if high - low <= _NARROW * self.d:  # one that slid grips above its threshold
+                step = high
                 break
             # Loads and thresholds bend little within a step: the first crossing of straight lines.
             first = at_high < 0
@@ -298,32 +326,49 @@ class _Run:
                 known, np.where(known, before, 0.0) / (np.where(known, before, 1.0) - after), 0.5
             )
             step = low + (high - low) * float(share.min())
-            load = self._loaded(step)
-            margin = self._margin(load, self.d + step)
+            margin = self._margin(step)
             if margin.min() < 0:
                 high, at_high = step, margin
             else:
                 low, at_low = step, margin
         else:
             raise RuntimeError(f"no time found for the slip after d = {self.d:.9g} mm")
+        self._stretch(step)
+
+    def _stretch(self, step: float) -> None:
+        """Grow d by a step in which no sheet slips."""
+        load = self._loaded(step)
         mean = 0.5 * (self.load + load)
         self.work += float(mean.sum()) * step
         self.dissipated += float(np.sum(mean * (step - (load - self.load) / self.k)))
         self.load, self.d = load, self.d + step
 
+    def _slip(self, load: Floats) -> None:
+        """Take the loads down at one d, and let the machine spring back by what the force falls."""
+        before, force = self._elastic(), float(self.load.sum())
+        self.load = load
+        self.load = self._loaded(0.0)
+        self.dissipated += before - self._elastic()
+        machine = self.pull.machine_N_per_mm
+        if math.isfinite(machine):
+            back = 0.0
+            for _ in range(_MOST):  # sheets that slide gain no load: the machine moves further than with all
+                missing = force - float(self._loaded(back).sum()) - machine * back
+                back += missing / (machine + self.load.size * self.k)
+                if abs(missing) <= _CLOSE * force:
+                    break
+            self._stretch(back)
+
     def _avalanche(self) -> Bools:
         """Slips of every sheet that is at its threshold, and of those that these bring there."""
         slipped = np.zeros(self.load.shape, bool)
-        before = self._elastic()
         for _ in range(_MOST):
-            over = self._margin(self.load, self.d) <= _CLOSE
+            over = self._margin(0.0) <= _CLOSE
             if not over.any():
                 break
             _, level = self._levels(self._normal(self.load, self.d))
-            self.load = np.where(over, np.maximum(2 * level - self.load, 0.0), self.load)
-            self.load = self._loaded(0.0)
+            self._slip(np.where(over, np.maximum(2 * level - self.load, 0.0), self.load))
             slipped |= over
-        self.dissipated += before - self._elastic()
         return slipped
 
     def _elastic(self) -> float:
@@ -337,7 +382,8 @@ class _Run:
     def _dataset(self) -> xr.Dataset:
         d, work, elastic, dissipated = np.array(self.energies).T
         load, slipped = (_left_to_right(np.array(part)) for part in (self.loads, self.slips))
-        time = 60 * (d - self.pull.d0_mm) / self.pull.speed_mm_min
+        crosshead = d + load.sum(axis=1) / self.pull.machine_N_per_mm
+        time = 60 * np.maximum.accumulate(crosshead - crosshead[0]) / self.pull.speed_mm_min
         energy = {"units": "mJ"}
         return xr.Dataset(
             {
@@ -356,6 +402,31 @@ class _Run:
             },
             attrs={"stiffness_N_per_mm": self.k, "normal_force": self.pull.normal_force},
         )
+
+
+class _Together(_Run):
+    """Sheets that creep at their thresholds until none sticks."""
+
+    def _longest_mm(self) -> float:
+        # Fine enough for the sheets that come to their thresholds one after the other within a stick.
+        stick = 2 * self.pull.amplitude * float(self._normal(self.load, self.d).max()) / self.k
+        return min(super()._longest_mm(), stick / 20)
+
+    def _loaded(self, step: float) -> Floats:
+        top, _ = self._levels(self._normal(self.load, self.d + step))
+        return np.minimum(self.load + self.k * step, top)
+
+    def _margin(self, step: float) -> Floats:
+        """That of the sheet which sticks longest."""
+        top, _ = self._levels(self._normal(self.load, self.d + step))
+        return np.asarray([((top - self.load - self.k * step) / top).max()])
+
+    def _avalanche(self) -> Bools:
+        if self._margin(0.0)[0] > _CLOSE:
+            return np.zeros(self.load.shape, bool)
+        _, level = self._levels(self._normal(self.load, self.d))
+        self._slip(np.maximum(2 * level - self.load, 0.0))
+        return np.ones(self.load.shape, bool)
 
 
 _MOST = 1000  # iterations of what converges in a few
@@ -411,6 +482,7 @@ def slip_share(result: xr.Dataset, d_v_mm: ArrayLike, d_p_mm: ArrayLike) -> xr.D
     first, last = np.atleast_1d(np.asarray(d_v_mm, float)), np.atleast_1d(np.asarray(d_p_mm, float))
     if first.shape != last.shape or not (last > first).all():
         raise InputError("`d_p_mm`", "as many as `d_v_mm` and each larger", f"{last.size} for {first.size}")
-    gained = loads_at(result, last) - loads_at(result, first)
+    # A stretch begins after the slip at its first end and ends before the one at its last.
+    gained = loads_at(result, np.nextafter(last, first)) - loads_at(result, first)
     share = 1 - gained / (result.attrs["stiffness_N_per_mm"] * (last - first))[:, np.newaxis]
     return xr.DataArray(share, dims=("event", "sheet"), coords={"side": result["side"], "n": result["n"]})

@@ -96,7 +96,7 @@ def _of_events(scene: Scene) -> dict[str, Any]:
         "slip_s": ("slip", pull.slip_s),
         "slip_video_s": ("slip", camera_time(pull.slip_s, e)),
         "slip_delay_s": (("slip", "sheet"), scene.motion.delay_s[following]),
-        "sigma_x_um": (both, sweep / np.sqrt(12)),
+        "sigma_x_um": (both, ratio * events["stick_length_um"].to_numpy()[:, np.newaxis]),
         "sweep_um": (both, sweep),
         "ratio": (both, ratio),
         "shell": (both, (ratio < e.sheets.stiff_ratio).astype(np.int8)),

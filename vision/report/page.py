@@ -123,7 +123,7 @@ def render_page(
         **content,
     )
     path = Path(path)
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text, encoding="utf-8", errors="replace")
     return path
 
 
@@ -371,6 +371,7 @@ def provenance(facts: Mapping[str, Any]) -> list[FactsTable]:
     tables = [
         FactsTable("Parameters", ("parameter", "value", "given or found"), tuple(_parameters(facts))),
         FactsTable("What was found", ("quantity", "value"), tuple(_flat(facts.get("found", {})))),
+        FactsTable("Decisions by hand", ("decision", "date"), tuple(_decisions(facts))),
         FactsTable("Inputs", ("file", "bytes", "SHA-256"), tuple(_inputs(facts))),
         FactsTable("Versions", ("package", "version"), tuple(_flat(facts.get("versions", {})))),
         FactsTable("Command", ("command line",), ((str(facts["command"]),),) if "command" in facts else ()),
@@ -384,6 +385,11 @@ def _parameters(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
         value = parameter["value"] if plain else parameter.value
         how = parameter["how"] if plain else parameter.how
         yield name, "—" if value is None else str(value), str(how)
+
+
+def _decisions(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
+    for item in facts.get("corrections", ()):
+        yield str(item["text"]), str(item["date"])[:19].replace("T", " ") or "—"
 
 
 def _inputs(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:

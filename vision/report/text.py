@@ -240,8 +240,17 @@ def _tracking(tracks: xr.Dataset) -> str:
         f"The {t.sheets} sheets appear as {t.ridges} ridges {t.ridge_fwhm_px:.1f} px wide and "
         f"{t.pitch_px:.1f} px apart. Their positions x(n,t) were located {method}; identities were kept "
         "through slips from the order of the sheets, their spacing and their brightness, and n counts "
-        f"outwards from the symmetry axis{axis}.{scatter}{_withheld(tracks)}"
+        f"outwards from the symmetry axis{axis}.{scatter}{_withheld(tracks)}{_by_hand(tracks)}"
     )
+
+
+def _by_hand(tracks: xr.Dataset) -> str:
+    """That somebody decided, and where it is listed."""
+    count = TrackMetadata.of(tracks).corrections_applied
+    if not count:
+        return ""
+    made = "decisions were" if count > 1 else "decision was"
+    return f" {count} {made} made by hand; they are listed under “Decisions by hand”."
 
 
 def _withheld(tracks: xr.Dataset) -> str:

@@ -75,7 +75,7 @@ def run_folder(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
     made = (
         target.parent / f".{target.name}.{secrets.token_hex(4)}{PART}"
     )  # named first: an interrupt finds it
-    lock = None
+    lock, missing = None, _missing_parents(target)
     try:
         made.mkdir(parents=True)
         lock = lock_folder(made)
@@ -87,6 +87,7 @@ def run_folder(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
         shutil.rmtree(made, ignore_errors=True)
         if lock is not None:
             os.close(lock)
+        _remove_empty(missing)
 
 
 def reading_folder(target: Path) -> Path:
@@ -174,7 +175,7 @@ def _exchange(one: Path, other: Path) -> bool:
 @contextmanager
 def whole_file(target: Path) -> Iterator[Path]:
     """A path beside the target; what is written there takes the target's place when it is whole."""
-    made = None
+    made, missing = None, _missing_parents(target)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         made = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
@@ -186,6 +187,19 @@ def whole_file(target: Path) -> Iterator[Path]:
     finally:
         if made is not None:
             shutil.rmtree(made, ignore_errors=True)
+        _remove_empty(missing)
+
+
+def _missing_parents(path: Path) -> list[Path]:
+    """Folders above a path that must be made, the nearest first."""
+    return [parent for parent in path.absolute().parents if not parent.exists()]
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    """Folders that were made for something that failed."""
+    for folder in folders:
+        with suppress(OSError):  # not empty: it did not fail
+            folder.rmdir()
 
 
 def existing_parent(path: Path) -> Path:

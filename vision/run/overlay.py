@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
@@ -19,8 +18,7 @@ from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.figures.style import HIGHLIGHT, LEFT_ON_GREY, RIGHT_ON_GREY, rgb
 from vision.numeric import Floats, Ints, Pixels
-from vision.run.provenance import describe_input
-from vision.run.reading import RunFolder, tracks_of
+from vision.run.reading import RunFolder, input_of, tracks_of
 from vision.video import Video, open_video
 
 Progress = Callable[[int, int | None], None]
@@ -68,26 +66,7 @@ def film_of(run: RunFolder, moved: Path | None = None) -> Path:
     inputs = run.facts.get("inputs") or []
     if not inputs or run.tracks is None:
         raise InputError(run.folder, "a run of a video", "no film in its run.json", "give the run of a video")
-    known = inputs[0]
-    named = Path(str(known["path"]))
-    places = [named, run.folder.absolute().parent / named] if moved is None else [moved]
-    film = next((place for place in places if _there(place)), None)
-    if film is None:
-        found, advice = "no such file", "say where it lies now (`film`)"
-        raise InputError(places[0], f"the film of {run.folder}", found, advice)
-    whole = "sha256" in known
-    now = describe_input(film, whole=whole)
-    if now["size_bytes"] != known["size_bytes"]:
-        found = f"one of {now['size_bytes']} bytes"
-        raise InputError(film, f"the film of {run.folder}, {known['size_bytes']} bytes", found)
-    kind = "sha256" if whole else "fingerprint"
-    if now.get(kind) != known.get(kind):
-        raise InputError(film, f"the film of {run.folder}", "another of the same size", "track it again")
-    return film
-
-
-def _there(place: Path) -> bool:
-    return place.exists() or bool(glob.glob(str(place)))  # noqa: PTH207  # may be absolute
+    return input_of(run.folder, inputs[0], moved)
 
 
 def write_overlay(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import glob
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,10 +21,14 @@ from vision.files import check_regular, reading, shortened
 from vision.isolation import try_out
 from vision.numeric import Floats, Floats32
 from vision.run.folder import MARK
+from vision.run.provenance import describe_input
 from vision.run.tables import attrs_of_netcdf
+from vision.video.store import ProfileStore
 from vision.video.tiff_index import check_tiff
+from vision.video.uncompressed import read_fully
 
 AGAIN = "run track again"
+ROWS = 4096  # read at a time
 
 
 @dataclass(frozen=True)
@@ -39,7 +45,10 @@ class RunFolder:
     def pixel_size_um(self) -> float | None:
         """µm per pixel as recorded in run.json; None where it was not given."""
         value = self._parameter("pixel_size")
-        return None if value is None else float(value)
+        with reading(self.folder / MARK, "a pixel size in µm", AGAIN):
+            if value is None or 0 < float(value) < math.inf:
+                return None if value is None else float(value)
+            raise ValueError(value)
 
     @property
     def first_column(self) -> int:
@@ -48,7 +57,8 @@ class RunFolder:
         return int(first) if first.isdigit() else 0
 
     def _parameter(self, name: str) -> Any:
-        return self.facts.get("parameters", {}).get(name, {}).get("value")
+        with reading(self.folder / MARK, "parameters as track writes them", AGAIN):
+            return self.facts.get("parameters", {}).get(name, {}).get("value")
 
 
 def is_run(folder: Path) -> bool:
@@ -94,7 +104,12 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def read_table(run: RunFolder, name: str) -> pd.DataFrame | None:
     """One of the run's CSV tables; None where the run has none.  Raises: InputError for a damaged one."""
-    path = run.folder / f"{name}.csv"
+    return read_table_of(run.folder, name)
+
+
+def read_table_of(folder: Path, name: str) -> pd.DataFrame | None:
+    """`read_table` for a folder whose tracks need not be read."""
+    path = folder / f"{name}.csv"
     if not path.exists():
         return None
     with reading(path, "a table as track writes it", AGAIN):
@@ -104,15 +119,12 @@ def read_table(run: RunFolder, name: str) -> pd.DataFrame | None:
 def read_strip(run: RunFolder) -> xr.DataArray:
     """I(x, t) from kymograph.tif, with the coordinates and attributes `strip_profile` gave it.
 
-    The values stay on disk and are read where they are used. A frame's status is "ok" wherever its row has
-    values, else the flag of its sheets.
+    The values are a copy, beyond 1 GiB in a temporary file: a mapped file that becomes shorter kills the
+    process. A frame's status is "ok" wherever its row has values, else the flag of its sheets.
     Raises: InputError where the file is missing, damaged, or does not fit the tracks.
     """
     tracks, path = tracks_of(run), run.folder / "kymograph.tif"
-    values = _map_tif(path)
-    frames = tracks.sizes["frame"]
-    if values.ndim != 2 or len(values) != frames:
-        raise InputError(path, f"{frames} rows, one per frame of tracks.nc", f"shape {values.shape}", AGAIN)
+    values = _read_tif(path, tracks.sizes["frame"])
     first = run.first_column
     flags = tracks["flag"].values[:, 0]
     return xr.DataArray(
@@ -127,6 +139,44 @@ def read_strip(run: RunFolder) -> xr.DataArray:
         name="intensity",
         attrs=tracks.attrs | {"units": "grey level", "long_name": "mean intensity of the strip"},
     )
+
+
+def input_of(folder: Path, known: Mapping[str, Any], moved: Path | None = None) -> Path:
+    """A file that the run was made from.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    known
+        Its entry among run.json's inputs.
+    moved
+        Where it lies now, if not where it was.
+
+    Raises
+    ------
+    InputError
+        Where it is gone, or another file has its name: size and fingerprint are those in run.json.
+    """
+    named = Path(str(known["path"]))
+    places = [named, folder.absolute().parent / named] if moved is None else [moved]
+    path = next((place for place in places if _there(place)), None)
+    if path is None:
+        found, advice = "no such file", "say where it lies now (`film`)"
+        raise InputError(places[0], f"an input of {folder}", found, advice)
+    whole = "sha256" in known
+    now = describe_input(path, whole=whole)
+    if now["size_bytes"] != known["size_bytes"]:
+        found = f"one of {now['size_bytes']} bytes"
+        raise InputError(path, f"an input of {folder}, {known['size_bytes']} bytes", found)
+    kind = "sha256" if whole else "fingerprint"
+    if now.get(kind) != known.get(kind):
+        raise InputError(path, f"an input of {folder}", "another of the same size", "track it again")
+    return path
+
+
+def _there(place: Path) -> bool:
+    return place.exists() or bool(glob.glob(str(place)))  # noqa: PTH207  # may be absolute
 
 
 def slip_times_s(run: RunFolder) -> Floats | None:
@@ -176,10 +226,40 @@ def _check_numbers(tracks: xr.Dataset, path: Path, wanted: str) -> None:
         raise InputError(path, wanted, f"no numbers in {', '.join(odd)}", AGAIN)
 
 
-def _map_tif(path: Path) -> Floats32:
-    """The one page of a space-time diagram, on disk."""
+def stored_kymograph(path: Path) -> tuple[int, np.dtype[Any], tuple[int, int]]:
+    """Where in the file of a space-time diagram its values begin, their type and shape (frame, x).
+
+    For whoever reads a part at a time: it is never mapped, as a mapping of a file that shrinks ends the
+    process.
+    Raises: InputError for a damaged file.
+    """
     wanted = "a space-time diagram as track writes it"
     check_regular(path, wanted)
-    check_tiff(path)
+    check_tiff(path, frames=False)
     with reading(path, wanted, AGAIN):
-        return np.asarray(tifffile.memmap(path, mode="r"))
+        with tifffile.TiffFile(path) as tif:
+            page = tif.pages.first
+            shape, dtype, start = page.shape, page.dtype, page.dataoffsets[0]
+            plain = page.is_contiguous and dtype is not None and dtype.newbyteorder("=") == np.float32
+            order = tif.byteorder
+        if len(shape) != 2 or not plain:
+            raise InputError(path, wanted, f"{dtype} of shape {shape}", AGAIN)
+        return start, np.dtype(np.float32).newbyteorder(order), (shape[0], shape[1])
+
+
+def _read_tif(path: Path, frames: int) -> Floats32:
+    """The one page of a space-time diagram.  Raises: InputError."""
+    start, stored, shape = stored_kymograph(path)
+    if shape[0] != frames:
+        raise InputError(path, f"{frames} rows, one per frame of tracks.nc", f"shape {shape}", AGAIN)
+    rows = ProfileStore(shape[1], expected=frames)
+    with (
+        reading(path, "a space-time diagram as track writes it", AGAIN),
+        path.open("rb", buffering=0) as file,
+    ):
+        file.seek(start)
+        for first in range(0, frames, ROWS):
+            part = np.empty((min(ROWS, frames - first), shape[1]), stored)
+            read_fully(file, part.data.cast("B"), path)
+            rows.append(part.astype(np.float32, copy=False))
+    return rows.rows()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,9 @@ def write_space_time_tif(diagram: xr.DataArray, path: Path, *, pixel_size_um: fl
     facts["metadata"] |= {"cf": 0, "c0": low - step, "c1": step, "vunit": "grey level"}
     facts["metadata"] |= _display(diagram, low, step)
     pixels = tifffile.memmap(path, shape=diagram.shape, dtype=np.uint16, imagej=True, **facts)
+    if hasattr(os, "posix_fallocate"):  # a mapping that finds the disk full kills the process
+        with path.open("r+b") as file:
+            os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
     for start in range(0, len(diagram), ROWS):
         rows = np.asarray(diagram[start : start + ROWS].values, np.float64)
         grey = np.clip(np.rint((rows - low) / step) + 1, 1, TOP)

@@ -26,12 +26,15 @@ from vision.run.folder import run_folder
 from vision.run.provenance import Parameter, describe_input, versions, write_json
 from vision.run.tables import sheets_table, write_table, write_tracks_csv, write_tracks_nc
 from vision.run.tiff import write_kymograph_tif
+from vision.sample import PUBLISHED
 from vision.sheets import doubtful_stretches
+from vision.sheets.corrections import Decisions, corrections_text, ordered
 from vision.shells import deformation_table
 from vision.summary import findings, flag_counts, noise_figures
 from vision.systematics import systematic_budget
 
 FAILURES = "failures.txt"
+CORRECTIONS = "corrections.toml"
 COUNTS = ("expected", "read", "lost", "blank", "corrupt")
 
 
@@ -51,6 +54,8 @@ class Origin:
         Whether the inputs' SHA-256 is that of every byte.
     options
         Names of arguments and the command's options that the report shows in their place.
+    described
+        Inputs that are described already (`vision.run.Checksums`).
     """
 
     command: str
@@ -58,6 +63,7 @@ class Origin:
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     checksum: bool = False
     options: Mapping[str, str] = field(default_factory=dict)
+    described: Mapping[Path, Mapping[str, Any]] = field(default_factory=dict)
 
     def named(self, lines: Iterable[str]) -> list[str]:
         """Messages with the command's options in place of Python's arguments, where a command writes."""
@@ -72,6 +78,8 @@ def write_run(
     overwrite: bool = False,
     report: bool = True,
     facts: Mapping[str, Any] | None = None,
+    decisions: Decisions | None = None,
+    beside: Mapping[str, bytes] | None = None,
 ) -> dict[str, Any]:
     """Write tables, pictures, report.html and run.json of a run.
 
@@ -89,6 +97,10 @@ def write_run(
         Whether report.html is written.
     facts
         More for run.json.
+    decisions
+        For corrections.toml, where more is known of them than ``analysis.settings.corrections``.
+    beside
+        More files: content by name.
 
     Returns
     -------
@@ -106,6 +118,9 @@ def write_run(
         _write_tables(analysis, folder, origin)
         seconds["tables"] = time.perf_counter() - started
         content = {**run_facts(analysis, origin), **(facts or {})}
+        _write_decisions(analysis, folder, content, decisions)
+        for name, data in (beside or {}).items():
+            (folder / name).write_bytes(data)
         seconds["fingerprints"] = time.perf_counter() - started - seconds["tables"]
         drawn = time.perf_counter()
         failures = dict(analysis.failures)
@@ -119,6 +134,17 @@ def write_run(
         content["seconds"] = seconds
         write_json(content, folder / "run.json")
     return content
+
+
+def _write_decisions(
+    analysis: Analysis, folder: Path, content: Mapping[str, Any], decisions: Decisions | None
+) -> None:
+    """corrections.toml, where there is a decision to be kept."""
+    film: Mapping[str, Any] = next(iter(content["inputs"]), {})
+    checksum = str(film.get("sha256") or film.get("fingerprint") or "")
+    kept = decisions or Decisions(corrections=ordered(analysis.settings.corrections), film=checksum)
+    if kept.corrections or kept.undone:
+        (folder / CORRECTIONS).write_text(corrections_text(kept), encoding="utf-8")
 
 
 def _shown(
@@ -148,13 +174,16 @@ def run_facts(analysis: Analysis, origin: Origin) -> dict[str, Any]:
         "command": origin.command,
         "versions": versions(),
         "parameters": dict(origin.parameters),
-        "inputs": [describe_input(path, whole=origin.checksum) for path in origin.inputs],
+        "inputs": [
+            origin.described.get(path) or describe_input(path, whole=origin.checksum)
+            for path in origin.inputs
+        ],
     }
     if analysis.tracks is not None:
         facts |= _video_facts(analysis)
     if analysis.force is not None:
         facts["force"] = ForceMetadata.of(analysis.force)
-        facts["sample"] = analysis.settings.sample
+        facts["sample"] = analysis.settings.sample or PUBLISHED
     if analysis.sticks is not None:
         whole = int((analysis.sticks["flag"] == "ok").sum())
         sticks = asdict(StickMetadata.of(analysis.sticks))
@@ -188,7 +217,10 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
         "positions": flag_counts(tracks),
         "noise": noise_figures(tracks, analysis.pixel_size_um),
         "doubtful_stretches": doubtful_stretches(tracks).astype(object).to_dict("records"),
-        "corrections": [asdict(correction) for correction in analysis.settings.corrections],
+        "corrections": [
+            asdict(correction) | {"text": correction.text()}
+            for correction in ordered(analysis.settings.corrections)
+        ],
     }
 
 

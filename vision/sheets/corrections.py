@@ -1,12 +1,13 @@
 """Doubtful stretches, and the decisions that settle them by hand.
 
-`doubtful_stretches` lists where an identity was doubted, and why; a TOML file says what to do about them:
+`doubtful_stretches` lists where an identity was doubted, and why; a TOML file says what to do about them, and
+about the sheets as a whole:
 
 .. code-block:: toml
 
     [[accept]]            # the doubted ridge is this sheet
     sheet = 0
-    frames = "226:355"    # half-open, as in the film
+    frames = "226:355"    # half-open, as in the film; "226:" goes to the end
 
     [[leave_out]]         # no position here, whatever was found
     sheet = 3
@@ -21,14 +22,37 @@
     frames = "80:111"
     x_px = 687.0
 
-`sheet` is the index from the left, as in tracks.csv.
+    [[add]]               # this ridge is a sheet that was not counted, followed both ways
+    frame = 500
+    x_px = 312.0
+
+    [[delete]]            # this is no sheet
+    sheet = 12
+
+    [[axis]]              # the symmetry axis
+    x_px = 959.5
+
+    [[strip]]             # the rows that are averaged
+    rows = "60:144"
+
+    [[clock]]             # force clock at video time 0, and its drift if known
+    offset_s = 36.0024
+    drift_ppm = -181.4
+
+`sheet` is the index from the left, as in tracks.csv. Every entry may hold ``date``. Entries with a date are
+applied in its order, each to what those before it left: an index is the one seen at that date. Entries
+without go first, their indices those of the tracking. Of several axes, strips or clocks the last
+counts. ``[run]`` names the film that the decisions are about; entries under ``[[undone]]`` do nothing.
 """
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from datetime import date as day
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +61,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.errors import InputError
-from vision.numeric import Floats, Ints, nan_median
+from vision.numeric import Bools, Floats, Ints, nan_median
 from vision.sheets.recovery import DOUBTS, Detections
 from vision.sheets.ridges import RidgeComb, Ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
@@ -47,34 +71,137 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     "leave_out": ("sheet", "frames"),
     "swap": ("sheets", "frames"),
     "assign": ("sheet", "frames", "x_px"),
+    "add": ("frame", "x_px"),
+    "delete": ("sheet",),
+    "axis": ("x_px",),
+    "strip": ("rows",),
+    "clock": ("offset_s",),
 }
 """Kinds of corrections, and what an entry of each must hold."""
+OPTIONAL: Mapping[str, tuple[str, ...]] = {"clock": ("drift_ppm",)}
+"""What else an entry may hold, beside its date."""
+ROWS_AT_ONCE = 256  # in which a ridge is looked for together; the result does not depend on it
+OF_STRETCHES = ("accept", "leave_out", "swap", "assign")
+OF_SHEETS = (*OF_STRETCHES, "add", "delete")
+"""Kinds that change which ridge is which sheet; the others change one number of the run."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Correction:
-    """One decision about a sheet in a stretch of frames.
+    """One decision.
 
     Parameters
     ----------
     kind
-        "accept", "leave_out", "swap" or "assign".
+        One of `KEYS`.
     sheets
-        One index from the left, two for "swap".
+        One index from the left, two for "swap", none where it is about no sheet.
     first, stop
-        Frames, half-open, as numbered in the film.
+        Frames, half-open, as numbered in the film; stop None is the end. Of "add" the frame of x_px alone.
     x_px
-        Column of the ridge in the first frame, for "assign".
+        Column of the ridge in the first frame, for "assign" and "add"; of the axis.
+    rows
+        Of the strip, half-open.
+    offset_s, drift_ppm
+        Of the clock.
+    date
+        When it was made, ISO 8601; "" if not stated.
     name
         What a message calls it.
     """
 
     kind: str
-    sheets: tuple[int, ...]
-    first: int
-    stop: int
+    sheets: tuple[int, ...] = ()
+    first: int = 0
+    stop: int | None = None
     x_px: float | None = None
+    rows: tuple[int, int] | None = None
+    offset_s: float | None = None
+    drift_ppm: float = 0.0
+    date: str = ""
     name: str = "the correction"
+
+    def text(self) -> str:
+        """In words, for the report and the list of decisions."""
+        who = " and ".join(f"sheet {k}" for k in self.sheets)
+        when = f"frames {self.first}:{'' if self.stop is None else self.stop}"
+        match self.kind:
+            case "accept":
+                return f"doubted ridge accepted as {who}, {when}"
+            case "leave_out":
+                return f"{who} left out, {when}"
+            case "swap":
+                return f"{who} swapped, {when}"
+            case "assign":
+                return f"ridge at {self.x_px:.1f} px assigned to {who}, {when}"
+            case "add":
+                return f"ridge at {self.x_px:.1f} px of frame {self.first} added as a sheet"
+            case "delete":
+                return f"{who} deleted"
+            case "axis":
+                return f"axis at {self.x_px:.1f} px"
+            case "strip":
+                top, bottom = self.rows or (0, 0)
+                return f"strip at rows {top}:{bottom}"
+            case _:
+                drift = f", drift {self.drift_ppm:.1f} ppm" if self.drift_ppm else ""
+                return f"force clock at {self.offset_s:.4f} s at video time 0{drift}"
+
+    @property
+    def what(self) -> tuple[str, dict[str, Any]]:
+        """What it says, whenever and wherever it was said."""
+        return self.kind, replace(self, date="").entry()
+
+    def entry(self) -> dict[str, Any]:
+        """As it stands in a file, without its kind."""
+        stop = "" if self.stop is None else self.stop
+        values: dict[str, Any] = {
+            "sheet": self.sheets[0] if self.sheets else None,
+            "sheets": list(self.sheets),
+            "frames": f"{self.first}:{stop}",
+            "frame": self.first,
+            "x_px": self.x_px,
+            "rows": "" if self.rows is None else f"{self.rows[0]}:{self.rows[1]}",
+            "offset_s": self.offset_s,
+            "drift_ppm": self.drift_ppm,
+        }
+        keys = (*KEYS[self.kind], *OPTIONAL.get(self.kind, ()))
+        return {key: values[key] for key in keys} | ({"date": self.date} if self.date else {})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decisions:
+    """What a file of corrections holds.
+
+    Parameters
+    ----------
+    corrections
+        In the order in which they count.
+    undone
+        Taken back, the last one last; they do nothing.
+    film
+        SHA-256 or fingerprint of the film that they are about; "" if not stated.
+    """
+
+    corrections: tuple[Correction, ...] = ()
+    undone: tuple[Correction, ...] = ()
+    film: str = ""
+
+
+def last_of(corrections: Sequence[Correction], kind: str) -> Correction | None:
+    """The one of this kind that counts: the last; None without any."""
+    return next((one for one in reversed(ordered(corrections)) if one.kind == kind), None)
+
+
+def ordered(corrections: Sequence[Correction]) -> tuple[Correction, ...]:
+    """In the order of application: by date; without one first, those that change indices last among them."""
+    places = ("delete", "add")
+
+    def key(one: Correction) -> tuple[str, int, int]:
+        late = places.index(one.kind) + 1 if not one.date and one.kind in places else 0
+        return one.date, late, -one.sheets[0] if late and one.sheets else 0
+
+    return tuple(sorted(corrections, key=key))
 
 
 def doubtful_stretches(tracks: xr.Dataset) -> pd.DataFrame:
@@ -93,10 +220,7 @@ def doubtful_stretches(tracks: xr.Dataset) -> pd.DataFrame:
     """
     columns = ["sheet", "side", "n", "first_frame", "last_frame", "frames", "why"]
     columns += ["x_withheld_px", "x_expected_px"]
-    doubtful = np.asarray(tracks["flag"].values == "doubtful")
-    edge = np.diff(np.pad(doubtful.astype(np.int8), ((1, 1), (0, 0))), axis=0)
-    sheet, first = np.nonzero((edge == 1).T)
-    _, stop = np.nonzero((edge == -1).T)
+    sheet, first, stop = stretches(np.asarray(tracks["flag"].values == "doubtful"))
     number, side, n = tracks["frame"].values, tracks["side"].values, tracks["n"].values
 
     def of(name: str, row: Any, column: Any) -> Any:
@@ -120,8 +244,19 @@ def doubtful_stretches(tracks: xr.Dataset) -> pd.DataFrame:
     return table.sort_values("frames", ascending=False, kind="stable").reset_index(drop=True)
 
 
+def stretches(marked: Bools) -> tuple[Ints, Ints, Ints]:
+    """Unbroken stretches of True in each column of (frame, sheet): sheet, first row, row after the last."""
+    edge = np.diff(np.pad(marked.astype(np.int8), ((1, 1), (0, 0))), axis=0)
+    sheet, first = np.nonzero((edge == 1).T)
+    _, stop = np.nonzero((edge == -1).T)
+    return sheet, first, stop
+
+
+# --- the file -----------------------------------------------------------------------------------------------
+
+
 def read_corrections(path: str | Path) -> tuple[Correction, ...]:
-    """Decisions from a TOML file, in its order.
+    """Decisions from a TOML file, in the order in which they count.
 
     Parameters
     ----------
@@ -134,42 +269,138 @@ def read_corrections(path: str | Path) -> tuple[Correction, ...]:
         For a file that cannot be read, an unknown kind or key, or a value of the wrong kind; it names the
         entry.
     """
+    return read_decisions(path).corrections
+
+
+def read_decisions(path: str | Path) -> Decisions:
+    """All of the file: what `read_corrections` gives, what was undone, and which film they are about.
+
+    Raises
+    ------
+    InputError
+        As `read_corrections`.
+    """
     try:
         table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(path, "a TOML file of corrections", str(error)) from error
+    run, undone = table.pop("run", {}), table.pop("undone", [])
+    if not isinstance(run, dict) or not isinstance(undone, list):
+        raise InputError(path, "[run] and [[undone]] as tables", f"run = {run!r}")
     found = []
     for kind, entries in table.items():
         if kind not in KEYS:
             raise InputError(path, f"entries {', '.join(f'[[{name}]]' for name in KEYS)}", f"'{kind}'")
         if not isinstance(entries, list):
             raise InputError(path, f"[[{kind}]], in two brackets", f"{kind} = {entries!r}")
-        found += [_entry(path, kind, number, entry) for number, entry in enumerate(entries, 1)]
-    return tuple(found)
+        found += [
+            correction_of(kind, entry, f"{path}, [[{kind}]] {number}")
+            for number, entry in enumerate(entries, 1)
+        ]
+    return Decisions(
+        corrections=ordered(found),
+        undone=tuple(_undone(path, number, entry) for number, entry in enumerate(undone, 1)),
+        film=str(run.get("film", "")),
+    )
 
 
-def _entry(path: str | Path, kind: str, number: int, entry: Any) -> Correction:
-    name = f"{path}, [[{kind}]] {number}"
-    if not isinstance(entry, dict) or set(entry) != set(KEYS[kind]):
+def _undone(path: str | Path, number: int, entry: Any) -> Correction:
+    name = f"{path}, [[undone]] {number}"
+    if not isinstance(entry, dict) or entry.get("kind") not in KEYS:
+        raise InputError(name, f"a kind of {', '.join(KEYS)}", repr(entry))
+    return correction_of(entry["kind"], {key: entry[key] for key in entry if key != "kind"}, name)
+
+
+def corrections_text(decisions: Decisions) -> str:
+    """The file of these decisions, as `read_decisions` takes it; one entry a paragraph, so that two files
+    merge line by line."""
+    parts = [
+        "# Decisions by hand. `track VIDEO --corrections FILE` honours them; `track review` adds to them.\n"
+    ]
+    if decisions.film:
+        parts.append(_paragraph("[run]", {"film": decisions.film}))
+    parts += [_paragraph(f"[[{one.kind}]]", one.entry()) for one in decisions.corrections]
+    parts += [_paragraph("[[undone]]", {"kind": one.kind} | one.entry()) for one in decisions.undone]
+    return "\n".join(parts)
+
+
+def _paragraph(head: str, values: Mapping[str, Any]) -> str:
+    lines = (f"{name} = {json.dumps(value, ensure_ascii=False)}\n" for name, value in values.items())
+    return f"{head}\n{''.join(lines)}"
+
+
+def correction_of(kind: str, entry: Any, name: str = "the correction") -> Correction:
+    """One decision from what an entry holds.
+
+    Raises
+    ------
+    InputError
+        For a key that is missing or unknown, or a value of the wrong kind; it names the entry.
+    """
+    allowed = {*KEYS[kind], *OPTIONAL.get(kind, ()), "date"}
+    if not isinstance(entry, dict) or not set(KEYS[kind]) <= set(entry) <= allowed:
         found = ", ".join(entry) if isinstance(entry, dict) else repr(entry)
         raise InputError(name, " and ".join(KEYS[kind]), found or "nothing")
+    parts: dict[str, Any] = {}
+    if "sheet" in entry or "sheets" in entry:
+        parts["sheets"] = _sheets(kind, entry, name)
+    if "frames" in entry:
+        parts["first"], parts["stop"] = _range(entry["frames"], name, "frames", open_end=True)
+    if "frame" in entry:
+        parts["first"] = _whole(entry["frame"], name, "frame, a number from 0")
+        parts["stop"] = parts["first"] + 1
+    if "rows" in entry:
+        parts["rows"] = _range(entry["rows"], name, "rows")
+    for key, unit in (("x_px", "a column in px"), ("offset_s", "seconds"), ("drift_ppm", "a number")):
+        if key in entry:
+            parts[key] = _number(entry[key], name, f"{key}, {unit}")
+    return Correction(kind=kind, date=_date(entry.get("date", ""), name), name=name, **parts)
+
+
+def _sheets(kind: str, entry: Mapping[str, Any], name: str) -> tuple[int, ...]:
     sheets = entry["sheets"] if kind == "swap" else [entry["sheet"]]
     whole = isinstance(sheets, list) and all(type(sheet) is int and sheet >= 0 for sheet in sheets)
     if not whole or len(set(sheets)) != (2 if kind == "swap" else 1):
-        wanted = (
-            "sheets = [4, 5], two indices from the left" if kind == "swap" else "sheet = 4, from the left"
-        )
+        swap = "sheets = [4, 5], two indices from the left"
+        wanted = swap if kind == "swap" else "sheet = 4, from the left"
         raise InputError(name, wanted, repr(entry.get("sheets", entry.get("sheet"))))
-    first, colon, stop = str(entry["frames"]).partition(":")
-    if not (colon and first.strip().isdecimal() and stop.strip().isdecimal() and int(first) < int(stop)):
-        raise InputError(name, 'frames = "A:B" with A < B', repr(entry["frames"]))
-    x_px = entry.get("x_px")
-    if x_px is not None and (isinstance(x_px, bool) or not isinstance(x_px, int | float)):
-        raise InputError(name, "x_px, a column in px", repr(x_px))
-    place = None if x_px is None else float(x_px)
-    return Correction(
-        kind=kind, sheets=tuple(sheets), first=int(first), stop=int(stop), x_px=place, name=name
-    )
+    return tuple(sheets)
+
+
+def _range(text: Any, name: str, what: str, *, open_end: bool = False) -> tuple[int, int | None]:
+    first, colon, stop = (part.strip() for part in str(text).partition(":"))
+    digits = first.isdecimal() and (stop.isdecimal() or (open_end and not stop))
+    if not (colon and digits and len(first + stop) < 19 and (not stop or int(first) < int(stop))):
+        raise InputError(name, f'{what} = "A:B" with A < B', repr(text))
+    return int(first), int(stop) if stop else None
+
+
+def _whole(value: Any, name: str, wanted: str) -> int:
+    if type(value) is not int or not 0 <= value < 1 << 60:
+        raise InputError(name, wanted, repr(value))
+    return value
+
+
+def _number(value: Any, name: str, wanted: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e12:
+        raise InputError(name, wanted, repr(value))
+    return float(value)
+
+
+def _date(value: Any, name: str) -> str:
+    """As text that sorts by time: in UTC where it says its offset."""
+    if isinstance(value, day):  # a datetime is one too
+        value = value.isoformat()
+    try:
+        moment = datetime.fromisoformat(value) if value else None
+    except (TypeError, ValueError):
+        raise InputError(name, 'date = "2026-01-31T12:00:00Z"', repr(value)) from None
+    if moment is None or moment.tzinfo is None:
+        return str(value)
+    return moment.astimezone(UTC).isoformat(timespec="milliseconds")
+
+
+# --- what they change ---------------------------------------------------------------------------------------
 
 
 def apply_corrections(
@@ -207,27 +438,82 @@ def apply_corrections(
         For a sheet or frames that are not there, two entries about one sheet in one frame, nothing to
         accept, or a ridge that is not there or another sheet's; it names the entry.
     """
-    _check_unique(corrections)
+    wanted = ordered([one for one in corrections if one.kind in OF_SHEETS])
+    _check_unique(wanted)
     arrays = {name: np.array(getattr(detections, name)) for name in _TABLES}
-    for correction in corrections:
-        rows = np.flatnonzero((frames >= correction.first) & (frames < correction.stop))
-        _check_there(correction, rows, frames, arrays["start_px"].shape[1])
-        sheet = correction.sheets[0]
-        if correction.kind == "swap":
-            for values in arrays.values():
-                one, other = (values[rows, k].copy() for k in correction.sheets)
-                values[rows, correction.sheets[0]], values[rows, correction.sheets[1]] = other, one
-        elif correction.kind == "leave_out":
-            _put(arrays, rows, sheet, np.full(len(rows), np.nan), ridges, "left_out")
-        elif correction.kind == "accept":
-            doubted = rows[arrays["flag"][rows, sheet] == "doubtful"]
-            if not len(doubted):
-                raise InputError(correction.name, "a doubtful stretch to accept", "none in these frames")
-            _put(arrays, doubted, sheet, arrays["withheld_px"][doubted, sheet], ridges, "missing")
+    for correction in wanted:
+        rows = np.flatnonzero((frames >= correction.first) & (frames < (correction.stop or np.inf)))
+        check_there(correction, rows, frames, arrays["start_px"].shape[1])
+        if correction.kind in OF_STRETCHES:
+            _apply_to_stretch(correction, rows, arrays, ridges, comb, origin_px, settings)
+        elif correction.kind == "delete":
+            arrays = {
+                name: np.delete(values, correction.sheets[0], axis=1) for name, values in arrays.items()
+            }
         else:
-            x = _followed(correction, rows, arrays["start_px"], ridges, comb, origin_px, settings)
-            _put(arrays, rows, sheet, x, ridges, "missing")
+            arrays = _added(correction, int(rows[0]), arrays, ridges, comb, origin_px, settings)
     return replace(detections, **arrays)
+
+
+def _apply_to_stretch(
+    correction: Correction,
+    rows: Ints,
+    arrays: dict[str, Any],
+    ridges: Ridges,
+    comb: RidgeComb,
+    origin_px: float,
+    settings: TrackingSettings,
+) -> None:
+    """Change the arrays in place."""
+    sheet = correction.sheets[0]
+    if correction.kind == "swap":
+        for values in arrays.values():
+            one, other = (values[rows, k].copy() for k in correction.sheets)
+            values[rows, correction.sheets[0]], values[rows, correction.sheets[1]] = other, one
+    elif correction.kind == "leave_out":
+        _put(arrays, rows, sheet, np.full(len(rows), np.nan), ridges, "left_out")
+    elif correction.kind == "accept":
+        doubted = rows[arrays["flag"][rows, sheet] == "doubtful"]
+        if not len(doubted):
+            raise InputError(correction.name, "a doubtful stretch to accept", "none in these frames")
+        _put(arrays, doubted, sheet, arrays["withheld_px"][doubted, sheet], ridges, "missing")
+    else:
+        others = np.delete(arrays["start_px"], sheet, axis=1)
+        x = follow_ridge(correction, rows, others, ridges, comb, origin_px=origin_px, settings=settings)
+        shared = np.argwhere(others[rows] == x[:, None])
+        if len(shared):
+            row, other = (int(place) for place in shared[0])
+            raise not_taken(correction, correction.first + row, other + (other >= sheet))
+        _put(arrays, rows, sheet, x, ridges, "missing")
+
+
+def _added(
+    correction: Correction,
+    row: int,
+    arrays: dict[str, Any],
+    ridges: Ridges,
+    comb: RidgeComb,
+    origin_px: float,
+    settings: TrackingSettings,
+) -> dict[str, Any]:
+    """One more column, where the ridge stands among the sheets; "missing" where it is lost or another's."""
+    others = arrays["start_px"]
+    frames = len(others)
+    x = np.full(frames, np.nan)
+    for rows in (np.arange(row, frames), np.arange(row, -1, -1)):
+        x[rows] = follow_ridge(correction, rows, others, ridges, comb, origin_px=origin_px, settings=settings)
+    shared = others == x[:, None]
+    if shared[row].any():
+        raise not_taken(correction, correction.first, int(shared[row].argmax()))
+    x[shared.any(axis=1)] = np.nan
+    usual = np.where(np.isfinite(others[row]), others[row], nan_median(others, axis=0))
+    place = int((usual < x[row]).sum())
+    empty = {"flag": "missing", "why": ""}
+    wider = {
+        name: np.insert(values, place, empty.get(name, np.nan), axis=1) for name, values in arrays.items()
+    }
+    _put(wider, np.arange(frames), place, x, ridges, "missing")
+    return wider
 
 
 _TABLES = ("start_px", "contrast", "fwhm_px", "flag", "why", "withheld_px")
@@ -237,17 +523,23 @@ def _check_unique(corrections: Sequence[Correction]) -> None:
     for i, one in enumerate(corrections):
         for other in corrections[:i]:
             shared = set(one.sheets) & set(other.sheets)
-            if shared and one.first < other.stop and other.first < one.stop:
+            apart = one.first >= (other.stop or np.inf) or other.first >= (one.stop or np.inf)
+            if shared and not apart and not (one.date or other.date):
                 found = f"sheet {min(shared)} in the same frames as in {other.name.rpartition(', ')[2]}"
                 raise InputError(one.name, "one decision per sheet and frame", found)
 
 
-def _check_there(correction: Correction, rows: Ints, frames: Ints, sheets: int) -> None:
-    if max(correction.sheets) >= sheets:
+def check_there(correction: Correction, rows: Ints, frames: Ints, sheets: int) -> None:
+    """Refuse a sheet or frames that are not there: `rows` are the correction's among `frames`.
+
+    Raises: InputError.
+    """
+    if max(correction.sheets, default=0) >= sheets:
         raise InputError(correction.name, f"a sheet from 0 to {sheets - 1}", str(max(correction.sheets)))
-    if len(rows) < correction.stop - correction.first:
+    stop = int(frames[-1]) + 1 if correction.stop is None else correction.stop
+    if correction.kind != "delete" and len(rows) < max(1, stop - correction.first):
         there = f"frames within {frames[0]}:{frames[-1] + 1}"
-        raise InputError(correction.name, there, f"{correction.first}:{correction.stop}")
+        raise InputError(correction.name, there, f"{correction.first}:{stop}")
 
 
 def _put(arrays: dict[str, Any], rows: Ints, sheet: int, x: Floats, ridges: Ridges, otherwise: str) -> None:
@@ -263,39 +555,87 @@ def _put(arrays: dict[str, Any], rows: Ints, sheet: int, x: Floats, ridges: Ridg
     arrays["withheld_px"][rows, sheet] = np.nan
 
 
-def _followed(
+def follow_ridge(
     correction: Correction,
     rows: Ints,
-    start_px: Floats,
+    others: Floats,
     ridges: Ridges,
     comb: RidgeComb,
-    origin_px: float,
-    settings: TrackingSettings,
+    *,
+    origin_px: float = 0.0,
+    settings: TrackingSettings = DEFAULT,
 ) -> Floats:
-    """The ridge nearest to the column in the first row, then in each row the one nearest to where the other
-    sheets' motion takes it; NaN where none is near."""
-    others = np.delete(start_px, correction.sheets[0], axis=1)
+    """The ridge nearest to a column in the first row, then in each row the one nearest to where the other
+    sheets' motion takes it.
+
+    Parameters
+    ----------
+    correction
+        Its x_px is the column, as in the picture.
+    rows
+        Of the next two, in the order in which the ridge is followed.
+    others
+        Whole pixels of the other sheets, (frame, sheet).
+    ridges
+        Candidates of every frame.
+    comb
+        Pitch of the ridges.
+    origin_px
+        Column of the profile's first pixel in the picture.
+    settings
+        How near a ridge must be to be the one that is meant.
+
+    Returns
+    -------
+    Whole pixels, one per row; NaN where none is near.
+
+    Raises
+    ------
+    InputError
+        Where none is near the column in the first row.
+    """
     moved = np.nan_to_num(nan_median(np.diff(others[rows], axis=0), axis=1))
     reach = settings.faint_reach * comb.pitch_px
+    travelled = np.concatenate([[0.0], np.cumsum(moved)])
+    still = ridges.x_px[rows] - travelled[:, None]  # as seen by one who moves with the other sheets
     x = np.full(len(rows), np.nan)
     at = float(correction.x_px or 0.0) - origin_px
-    for i, row in enumerate(rows):
-        at += float(moved[i - 1]) if i else 0.0
-        distance = np.nan_to_num(np.abs(ridges.x_px[row] - at), nan=np.inf)
-        nearest = int(np.argmin(distance))
-        if distance[nearest] > reach:
-            if i == 0:
-                seen = ridges.x_px[row][np.isfinite(ridges.x_px[row])] + origin_px
-                found = ", ".join(f"{place:.0f}" for place in seen) or "none"
-                raise InputError(correction.name, f"a ridge near x_px = {correction.x_px:g}", found)
-            continue
-        x[i] = at = float(ridges.x_px[row, nearest])
-        if (others[row] == at).any():
-            taken = int(np.flatnonzero(start_px[row] == at)[0])
-            raise InputError(
-                correction.name,
-                "a ridge that is no other sheet's",
-                f"sheet {taken}'s in frame {correction.first + i}",
-                "swap the two, or leave the other one out",
-            )
+    begin = 0
+    while begin < len(rows):
+        block = still[begin : begin + ROWS_AT_ONCE]
+        guess, near = _nearest_to(block, np.full(len(block), at), reach)
+        if begin == 0 and not near[0]:
+            seen = ridges.x_px[rows[0]][np.isfinite(ridges.x_px[rows[0]])] + origin_px
+            found = ", ".join(f"{place:.0f}" for place in seen) or "none"
+            raise InputError(correction.name, f"a ridge near x_px = {correction.x_px:g}", found)
+        before = _last_before(np.where(near, block[np.arange(len(block)), guess], np.nan), at)
+        best, close = _nearest_to(block, before, reach)  # from where it was last, row by row
+        wrong = np.flatnonzero((best != guess) | (close != near))
+        done = slice(0, int(wrong[0]) + 1 if len(wrong) else len(block))  # up to there `before` is right
+        taken = np.flatnonzero(close[done])
+        x[begin + taken] = ridges.x_px[rows[begin + taken], best[taken]]
+        if len(taken):
+            at = float(block[taken[-1], best[taken[-1]]])
+        begin += done.stop
     return x
+
+
+def _nearest_to(candidates: Floats, places: Floats, reach: float) -> tuple[Ints, Bools]:
+    """Which candidate of each row is nearest to the row's place, and whether it is within reach."""
+    distance = np.abs(candidates - places[:, None])
+    distance = np.where(np.isfinite(distance), distance, np.inf)
+    best = distance.argmin(axis=1)
+    return best, distance[np.arange(len(best)), best] <= reach
+
+
+def _last_before(values: Floats, first: float) -> Floats:
+    """The last known value before each; `first` before the first."""
+    earlier = np.concatenate([[first], values[:-1]])
+    number = np.maximum.accumulate(np.where(np.isfinite(earlier), np.arange(len(earlier)), 0))
+    return np.asarray(earlier[number], np.float64)
+
+
+def not_taken(correction: Correction, frame: int, sheet: int) -> InputError:
+    """The refusal of a ridge that is another sheet's."""
+    found, advice = f"sheet {sheet}'s in frame {frame}", "swap the two, or leave the other one out"
+    return InputError(correction.name, "a ridge that is no other sheet's", found, advice)

@@ -12,7 +12,7 @@ import xarray as xr
 from vision.data import STRIP, TRACKS, StripMetadata, TrackMetadata, record
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Strings, nan_median
-from vision.sheets.corrections import Correction, apply_corrections
+from vision.sheets.corrections import Correction, apply_corrections, last_of
 from vision.sheets.identities import Identities, identify_sheets
 from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.numbering import Numbering, number_sheets
@@ -73,7 +73,8 @@ def track_sheets(
         Odd fit window; None is 9 where the ridges are 6–14 px wide, else, as with "auto", it follows their
         width.
     corrections
-        Decisions by hand about identities, from `vision.sheets.corrections.read_corrections`.
+        Decisions by hand, from `vision.sheets.corrections.read_corrections`: those about identities, and of
+        the axis, which goes before `axis_px`.
     settings
         Thresholds and costs.
 
@@ -105,6 +106,8 @@ def track_sheets(
     profile = np.asarray(strip.values, np.float32)
     _check(profile, facts.source)
     origin_px = float(strip["x"].values[0])
+    decided = last_of(corrections, "axis")
+    axis_px = axis_px if decided is None else decided.x_px
     _check_axis(axis_px, origin_px, float(strip["x"].values[-1]))
     comb = describe_ridges(profile, polarity=ridges, sheets=sheets, source=facts.source, settings=settings)
     window = choose_window(comb, window_px, settings=settings)
@@ -196,7 +199,9 @@ class _Found:
     ) -> TrackMetadata:
         """What later stages need to know; columns counted as in the picture."""
         comb, numbering, reference = self.comb, self.numbering, self.identities.reference
-        gaps = [] if count_given else zip(*wide_spacings(reference.x_px, settings=settings), strict=True)
+        counted = len(reference.x_px) == self.x_px.shape[1]  # else sheets were added or deleted by hand
+        places = reference.x_px if counted else np.sort(nan_median(self.x_px))  # they may be swapped
+        gaps = [] if count_given else zip(*wide_spacings(places, settings=settings), strict=True)
         least_margin = np.nanmin(self.identities.margin, initial=np.inf)
         return TrackMetadata(
             fit=fit,

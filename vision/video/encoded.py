@@ -6,6 +6,7 @@ import contextlib
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -83,6 +84,27 @@ class EncodedReader:
                 if frame is not None and frame.pts not in seen:
                     seen.add(frame.pts)
                     yield self._checked(grey_plane(frame))
+
+    def from_key_frame(self, time_s: float) -> Iterator[tuple[float, Pixels]]:
+        """Readable frames with their times by the container, from the key frame at or before `time_s` on.
+
+        Ends at once where the file cannot be entered there, or has no times in the order of display.
+        """
+        with _open_container(self._path) as container:
+            stream = _video_stream(container, self._path)
+            base = stream.time_base or Fraction(1)
+            first = stream.start_time or 0
+            try:
+                container.seek(
+                    int(time_s / base) + (0 if self.facts.times_in_blocks else first), stream=stream
+                )
+            except (av.error.FFmpegError, OSError):
+                return
+            for pts, frame in _decoded(container, stream):
+                if pts is None:
+                    return
+                if frame is not None and not frame.is_corrupt:
+                    yield float((pts - first) * base), self._checked(grey_plane(frame))
 
     def _frames(self, stop: int | None) -> Iterator[Frame]:
         """Every frame number once, in order, up to `stop`."""

@@ -15,7 +15,7 @@ from vision.errors import InputError
 from vision.files import Stamp
 from vision.video.reader import Block
 from vision.video.settings import VideoSettings
-from vision.video.video import Video, open_video
+from vision.video.video import Video, open_video, pixels_file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +57,7 @@ def await_video(
     InputError
         Where it cannot be opened and nothing has been written to it for `settings.follow_give_up_s`.
     """
-    watch = _Watch(Path(path))
+    watch = _Watch(pixels_file(Path(path)))
     while True:
         still_s = watch.still_s()
         try:
@@ -84,7 +84,7 @@ def growth(video: Video, follow: Follow, settings: VideoSettings) -> Iterator[tu
     InputError
         Where it was removed or replaced, or stands still and cannot be opened.
     """
-    watch = _Watch(video.path)
+    watch = _Watch(video.watched)
     while not follow.stop.is_set():
         began = time.monotonic()
         yield video, False
@@ -108,7 +108,7 @@ def growth(video: Video, follow: Follow, settings: VideoSettings) -> Iterator[tu
 
 def _again(video: Video) -> Video:
     """The same recording as it is now.  Raises: InputError."""
-    change = video.stamp.change(video.path)
+    change = video.stamp.change(video.watched)
     if change in ("was removed", "was replaced"):
         raise InputError(video.path, "a recording that only grows while it is followed", f"one that {change}")
     whole = video.first == 0 and video.stop is None

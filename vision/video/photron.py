@@ -24,7 +24,7 @@ from vision.video.reader import (
     full_scale,
     shape_text,
 )
-from vision.video.uncompressed import MappedReader
+from vision.video.uncompressed import MappedReader, read_fully
 
 PIXELS, HEADERS = ".mraw", (".cih", ".cihx")
 _DEPTHS = (8, 12, 16)
@@ -95,12 +95,16 @@ class Packed12Reader:
     def _unpacked(self, first: int, last: int, rows: slice) -> NDArray[np.uint16]:
         height, width = self.facts.shape
         frame_bytes = height * width * 3 // 2
-        raw = np.memmap(
-            self.path, np.uint8, "r", offset=first * frame_bytes, shape=(last - first, frame_bytes)
-        )
         begin, end = rows.start * width, rows.stop * width  # in pixels; a row may begin inside three bytes
         even = begin - begin % 2
-        triples = raw[:, even // 2 * 3 : (end + 1) // 2 * 3].reshape(last - first, -1, 3).astype(np.uint16)
+        raw = np.empty((last - first, (end + 1) // 2 * 3 - even // 2 * 3), np.uint8)
+        with self.path.open(
+            "rb", buffering=0
+        ) as file:  # a mapped file that becomes shorter kills the process
+            for n, frame in enumerate(raw, first):
+                file.seek(n * frame_bytes + even // 2 * 3)
+                read_fully(file, memoryview(frame), self.path)
+        triples = raw.reshape(last - first, -1, 3).astype(np.uint16)
         pixels = np.empty((last - first, 2 * triples.shape[1]), np.uint16)
         pixels[:, 0::2] = triples[..., 0] << 4 | triples[..., 1] >> 4
         pixels[:, 1::2] = (triples[..., 1] & 15) << 8 | triples[..., 2]

@@ -317,6 +317,9 @@ def _decode_image(file: Path | None, shape: tuple[int, int], dtype: np.dtype[np.
     if file is None:
         return Frame(None, "lost")
     pixels = _image(file)
+    if pixels is None and not file.exists():
+        wanted, advice = "images that stay there while they are read", "wait until nothing moves them"
+        raise InputError(file, wanted, "one that was removed", advice)
     if pixels is None:
         return Frame(None, "corrupt")
     if pixels.shape != shape or pixels.dtype != dtype:

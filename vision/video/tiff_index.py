@@ -40,7 +40,7 @@ def _form(head: bytes) -> tuple[_Form, int]:
     return _Form(struct.Struct(f"{order}H"), struct.Struct(f"{order}HHI4s"), struct.Struct(f"{order}I"), 4), 4
 
 
-def check_tiff(path: Path) -> None:
+def check_tiff(path: Path, *, frames: bool = True) -> None:
     """Refuse a TIFF whose index would lead a reader in circles, or whose pages are no pictures.
 
     A chain that leaves the file is fine: such a file was cut short.
@@ -49,6 +49,8 @@ def check_tiff(path: Path) -> None:
     ----------
     path
         The file.
+    frames
+        Whether its pages are frames, which have a largest size; space-time diagrams have none.
 
     Raises
     ------
@@ -70,14 +72,22 @@ def check_tiff(path: Path) -> None:
                 )
             seen.add(place)
             file.seek(place)
-            spent += _page_bytes(file, form, path, number=len(seen) - 1, order=form.tag.format[:1])
+            pointed, shape = _page_facts(file, form, path, number=len(seen) - 1, order=form.tag.format[:1])
+            spent += pointed
+            if frames and shape is not None:
+                check_pixels(path, *shape)
             if spent > size + MOST_TAG_BYTES:
                 raise InputError(path, "a TIFF stack", "tags that point to more than the file holds", _ADVICE)
             place = _unpacked(form.offset, file)
 
 
-def _page_bytes(file: BinaryIO, form: _Form, path: Path, *, number: int, order: str) -> int:
-    """Bytes the tags of the page at the file's place point to; the place is then behind them."""
+def _page_facts(
+    file: BinaryIO, form: _Form, path: Path, *, number: int, order: str
+) -> tuple[int, tuple[int, int] | None]:
+    """Bytes the tags of the page at the file's place point to, and its rows and values per row.
+
+    The place is then behind the tags.
+    """
     tags = _unpacked(form.count, file)
     if tags > MOST_TAGS:
         wanted = f"at most {MOST_TAGS} tags in page {number}"
@@ -95,8 +105,8 @@ def _page_bytes(file: BinaryIO, form: _Form, path: Path, *, number: int, order: 
         elif code in (_WIDTH, _LENGTH, _SAMPLES):
             shape[code] = _number(value, kind, order)
     if _WIDTH in shape and _LENGTH in shape:
-        check_pixels(path, shape[_LENGTH], shape[_WIDTH] * max(1, shape.get(_SAMPLES, 1)))
-    return spent
+        return spent, (shape[_LENGTH], shape[_WIDTH] * max(1, shape.get(_SAMPLES, 1)))
+    return spent, None
 
 
 def _number(value: bytes, kind: int, order: str) -> int:

@@ -118,7 +118,7 @@ class MappedReader:
         with self.path.open("rb", buffering=0) as file:
             for place, frame in zip(self.offsets[first:last].tolist(), raw, strict=True):
                 file.seek(place + top * self.row_bytes)
-                _fill(file, memoryview(frame)[:length], self.path)
+                read_fully(file, memoryview(frame)[:length], self.path)
         view: Pixels = np.ndarray(
             (last - first, stop - top, width, self.channels),
             self.dtype,
@@ -143,8 +143,23 @@ class MappedReader:
         return self.dtype.newbyteorder("=")
 
 
-def _fill(file: BinaryIO, buffer: memoryview, path: Path) -> None:
-    """Read until the buffer is full; InputError where the file ends before."""
+def read_fully(file: BinaryIO, buffer: memoryview, path: Path) -> None:
+    """Read until the buffer is full.
+
+    Parameters
+    ----------
+    file
+        An unbuffered file at its place.
+    buffer
+        Bytes to be filled.
+    path
+        For the message.
+
+    Raises
+    ------
+    InputError
+        Where the file ends before.
+    """
     done = 0
     while done < len(buffer):
         count = file.readinto(buffer[done:])  # type: ignore[attr-defined]  # raw files have it

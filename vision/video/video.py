@@ -66,6 +66,8 @@ class Video:
         What is wrong with the file as far as its headers tell.
     stamp
         The file's size and time when it was opened.
+    pixels
+        The file that holds the pixels, where it is another than `path`.
     """
 
     path: Path
@@ -77,6 +79,7 @@ class Video:
     given_times_s: Floats | None = None
     warnings: tuple[str, ...] = ()
     stamp: Stamp = field(default_factory=Stamp)
+    pixels: Path | None = None
 
     def __repr__(self) -> str:
         count = "an unknown number of" if self.expected is None else self.expected
@@ -100,6 +103,11 @@ class Video:
     def facts(self) -> Facts:
         """What the file's headers say, before rotation and cuts."""
         return self.reader.facts
+
+    @property
+    def watched(self) -> Path:
+        """The file or folder that holds the pixels."""
+        return self.pixels or self.path
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -184,7 +192,8 @@ class Video:
         """The next block; InputError for whatever a decoder raises, or a file that is another one now."""
         with reading(self.path, "a recording that can be read to its end"):
             block = next(blocks, None)
-        change = self.stamp.change(self.path) if self.path.is_file() or block is None else ""
+        watched = self.watched
+        change = self.stamp.change(watched) if watched.is_file() or block is None else ""
         if change not in ("", "grew", "was changed"):
             advice = "wait until nothing writes it, then run again"
             raise InputError(
@@ -195,7 +204,7 @@ class Video:
     @property
     def changes(self) -> tuple[str, ...]:
         """A warning if the file has been written to since it was opened."""
-        change = self.stamp.change(self.path)
+        change = self.stamp.change(self.watched)
         if not change:
             return ()
         return (f"{self.path.name}: the recording {change} while it was read: run again when it is complete",)
@@ -265,7 +274,8 @@ def open_video(
         raise InputError("`fps`", "a positive number of frames per second", str(fps))
     if fps is not None and timestamps is not None:
         raise InputError("`fps` and `timestamps`", "one of the two", "both")
-    stamp = Stamp.of(where)
+    pixels = pixels_file(where)
+    stamp = Stamp.of(pixels)
     with reading(where, "a recording"):
         reader = _open_reader(where)
     facts = reader.facts
@@ -292,12 +302,23 @@ def open_video(
         given_times_s=times_s,
         warnings=tuple(warnings),
         stamp=stamp,
+        pixels=pixels,
     )
 
 
 def video_files(path: Path) -> tuple[Path, ...]:
     """Every file that a recording consists of: one, or a Photron recording's pixels and their description."""
     return photron_files(path) if path.is_file() and is_photron(path) else (path,)
+
+
+def pixels_file(path: Path) -> Path:
+    """The file of a recording that holds its pixels, and grows while a camera writes."""
+    if not (path.is_file() and is_photron(path)):
+        return path
+    try:
+        return photron_files(path)[0]
+    except InputError:  # the other file is not there, which opening it says
+        return path
 
 
 def _open_reader(path: Path) -> Reader:

@@ -1,0 +1,183 @@
+"""The plan: what is done is known by content and settings; short films share jobs."""
+
+import json
+import os
+import time
+
+import pytest
+
+from tests.campaign.scenes import films, planned, rows
+from vision.campaign.plan import Film, check_folder, make_plan, read_plan, share, vanished_rows, write_plan
+from vision.campaign.settings import CampaignSettings
+from vision.campaign.states import State, read_state, write_state
+from vision.campaign.table import Checked
+from vision.command.main import run
+from vision.errors import InputError
+
+
+def finish(plan, *names):
+    """Runs as a job leaves them, as far as the plan looks."""
+    for name in names:
+        plan.run_of(name).mkdir(parents=True, exist_ok=True)
+        (plan.run_of(name) / "run.json").write_text("{}")
+        write_state(plan.out, State(name=name, key=plan.film(name).key, state="done", seconds=2.0))
+
+
+def waiting(plan):
+    return sorted(name for job in plan.jobs.values() for name in job.films)
+
+
+def test_only_what_changed_runs_again(tmp_path):
+    """A failure means that finished work is repeated, or that old results stand for a changed film."""
+    paths, out = films(tmp_path, 4), tmp_path / "out"
+    plan = planned(out, paths, fps=20.0)
+    assert waiting(plan) == ["t0", "t1", "t2", "t3"]
+    finish(plan, "t0", "t1", "t2", "t3")
+    os.utime(paths[1])  # as a copy does
+    assert planned(out, paths, fps=20.0).jobs == {}
+    content = paths[2].read_bytes()
+    middle = len(content) // 2
+    paths[2].write_bytes(content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :])  # one bit
+    assert waiting(planned(out, paths, fps=20.0)) == ["t2"]
+    assert waiting(planned(out, paths, fps=25.0)) == ["t0", "t1", "t2", "t3"]
+    paths[2].write_bytes(content)
+    moved = paths[3].rename(tmp_path / "moved.tif")
+    assert waiting(make_plan([*rows(paths[:3], fps=20.0), *_named(moved, "t3", fps=20.0)], out)) == []
+
+
+def _named(path, name, **values):
+    row = rows([path], **values)[0]
+    return [type(row)(row=9, film=row.film, name=name, values=values)]
+
+
+def test_films_that_were_done_and_moved_away_stay_in_the_pool(tmp_path):
+    """The camera's computer clears its folder; with --watch no table names them."""
+    paths, out = films(tmp_path / "camera", 3), tmp_path / "out"
+    plan = planned(out, paths)
+    finish(plan, "t0", "t2")
+    for path in paths[:2]:
+        path.unlink()
+    gone = vanished_rows(out, lambda options: Checked(values={}), tmp_path / "camera")
+    assert [row.name for row in gone] == ["t0"]  # t1 was never done, t2 is still there
+    after = make_plan([*gone, *rows(paths[2:])], out)
+    assert [film.key for film in after.films] == [plan.film(name).key for name in ("t0", "t2")]
+    assert after.jobs == {}
+
+
+def test_failed_and_vanished_runs_are_done_again(tmp_path):
+    paths, out = films(tmp_path, 2), tmp_path / "out"
+    plan = planned(out, paths)
+    finish(plan, "t0", "t1")
+    write_state(out, State(name="t0", key=plan.film("t0").key, state="failed"))
+    (plan.run_of("t1") / "run.json").unlink()
+    assert waiting(planned(out, paths)) == ["t0", "t1"]
+
+
+def test_facts_alone_make_a_new_pool_and_no_new_runs(tmp_path):
+    """A failure means that a corrected humidity costs a night of computing, or changes no trend."""
+    paths, out = films(tmp_path, 1), tmp_path / "out"
+    plan = planned(out, paths)
+    finish(plan, "t0")
+    row = rows(paths)[0]
+    other = make_plan([type(row)(row=2, film=row.film, name="t0", facts={"sample": "new"})], out)
+    assert other.jobs == {}
+    assert other.pool_key() != plan.pool_key()
+
+
+def film(name, seconds):
+    return Film(name=name, film=f"/{name}.avi", options={}, facts={}, key=name, seconds=seconds)
+
+
+def test_short_films_share_jobs_and_long_ones_do_not():
+    tuning = CampaignSettings()
+    jobs = share([film(f"s{k}", 1.0) for k in range(100)] + [film("long", 600.0)], 1.0, 2, tuning)
+    assert [f.name for f in jobs[0]] == ["long"]
+    sizes = [len(job) for job in jobs[1:]]
+    assert sizes == [25] * 8  # even, and enough of them that both cores end together
+    assert sum(sizes) == 200
+    assert len(share([film(f"s{k}", 1.0) for k in range(6)], 1.0, 2, tuning)) == 2
+    # what was measured counts: with films twenty times as slow each is a job
+    assert len(share([film(f"s{k}", 2.0) for k in range(6)], 20.0, 2, tuning)) == 6
+
+
+def test_a_plan_is_read_as_it_was_written(tmp_path):
+    plan = planned(tmp_path / "out", films(tmp_path, 3), fps=20.0)
+    assert read_plan(tmp_path / "out" / "plan.json") == plan
+
+
+def test_estimates_grow_with_frames_and_columns(tmp_path):
+    """What a batch system is asked for."""
+    short, long = films(tmp_path / "a", 1)[0], films(tmp_path / "b", 1, frames=300)[0]
+    few, many = (make_plan(rows([path]), tmp_path / "o").films[0] for path in (short, long))
+    assert (few.frames, many.frames, few.columns) == (30, 300, 180)
+    tuning = CampaignSettings()
+    more = 270 * 180 / 1e6 * (tuning.seconds_per_megasample + 12e-3 * tuning.seconds_per_gigapixel)
+    assert many.seconds - few.seconds == pytest.approx(more, abs=0.02)
+    assert not (tmp_path / "o" / "plan.json").exists()
+
+
+def test_a_film_that_cannot_be_opened_is_tried_all_the_same(tmp_path):
+    path = tmp_path / "bad.tif"
+    path.write_bytes(b"II*\0nothing")
+    plan = planned(tmp_path / "out", [path])
+    assert waiting(plan) == ["bad"]
+    assert "expected a TIFF" in plan.films[0].doubt
+
+
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [
+        ({"version": "0.1.0", "layout": 1}, "found one of 0.1.0"),
+        ({"layout": 99}, "layout 99"),
+        (None, "another folder"),
+    ],
+)
+def test_a_folder_that_is_not_this_version_s_campaign_is_left_alone(tmp_path, content, word):
+    """A failure means that results of another version are mixed with new ones, or overwritten."""
+    out = tmp_path / "out"
+    planned(out, films(tmp_path, 1))
+    if content is None:
+        (out / "plan.json").rename(out / "thesis.txt")
+    else:
+        (out / "plan.json").write_text(json.dumps(json.loads((out / "plan.json").read_text()) | content))
+    before = sorted(out.rglob("*"))
+    with pytest.raises(InputError, match=word):
+        check_folder(out)
+    (tmp_path / "t.csv").write_text("film\nt0.tif\n")
+    assert run(["campaign", str(tmp_path / "t.csv"), "--out", str(out)]) == 2
+    assert sorted(out.rglob("*")) == before
+
+
+def test_dry_run_says_what_would_run_and_writes_nothing(tmp_path, capsys):
+    paths, out = films(tmp_path, 3), tmp_path / "out"
+    finish(planned(out, paths, fps=20.0), "t0")
+    # the same settings through the command's own defaults are other settings: nothing counts as done
+    (tmp_path / "t.csv").write_text("film,fps\n" + "".join(f"{path.name},20\n" for path in paths))
+    before = sorted(out.rglob("*"))
+    assert run(["campaign", str(tmp_path / "t.csv"), "--out", str(out), "--dry-run"]) == 0
+    said = capsys.readouterr().out
+    assert "30 frames x 180 px" in said
+    assert "3 of 3 films would run" in said
+    assert "nothing was written" in said
+    assert sorted(out.rglob("*")) == before
+
+
+def test_a_state_that_cannot_be_read_is_none(tmp_path):
+    write_state(tmp_path, State(name="x", key="k", state="done"))
+    assert read_state(tmp_path, "x").state == "done"
+    (tmp_path / "states" / "x.json").write_text('{"name": "x", "st')
+    assert read_state(tmp_path, "x") == State(name="x")
+
+
+def test_planning_again_reads_no_film(tmp_path):
+    """Fingerprints are kept, by size and time of each file."""
+    path, out = films(tmp_path, 1)[0], tmp_path / "out"
+    copies = [tmp_path / f"c{k}.tif" for k in range(100)]
+    for copy in copies:
+        os.link(path, copy)
+    write_plan(make_plan(rows(copies), out))
+    kept = json.loads((out / "fingerprints.json").read_text())
+    assert len(kept) == 100
+    started = time.process_time()
+    make_plan(rows(copies), out)
+    assert time.process_time() - started < 2.0  # 0.3 s here

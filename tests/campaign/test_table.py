@@ -1,0 +1,163 @@
+"""TABLE.csv: every problem of every row, before anything starts."""
+
+import pytest
+
+from tests.campaign.scenes import films, table
+from vision.campaign.table import read_campaign, safe_name
+from vision.command.campaign import _checker
+from vision.command.main import run
+from vision.command.options import option_fields
+from vision.command.track import run_name
+from vision.errors import InputError
+
+
+def read(path, config=None, awaited=None):
+    return read_campaign(
+        path, options=option_fields(), check=_checker(config), name_of=run_name, awaited=awaited
+    )
+
+
+def problems(path):
+    return [(p.row, p.column, p.text) for p in read(path)[1]]
+
+
+def test_a_row_is_a_test_with_its_options_and_its_facts(tmp_path):
+    """A failure means that a test is analysed with settings that are not in its row."""
+    films(tmp_path, 2)
+    (tmp_path / "pull.txt").write_text("0 1\n")
+    path = table(
+        tmp_path / "tests.csv", ["t0.tif", "t1.tif"], fps=[20, 25], force=["pull.txt", ""], sample="old",
+        V_mm_min=[1, 10], RH_percent=["", 43.5], notes='"first, dry"', **{"pixel-size": "0.01mm"},
+    )  # fmt: skip
+    rows, wrong = read(path)
+    assert wrong == ()
+    assert [row.name for row in rows] == ["t0", "t1"]
+    assert [row.values["fps"] for row in rows] == [20, 25]
+    assert rows[0].values["pixel_size"] == 10.0
+    assert rows[0].options["force"] == str(tmp_path / "pull.txt")
+    assert rows[1].values["force"] is None
+    assert rows[1].facts == {"sample": "old", "V_mm_min": 10.0, "RH_percent": 43.5, "notes": "first, dry"}
+
+
+def test_every_problem_of_every_row_in_one_table(tmp_path, capsys, monkeypatch):
+    """A failure means that a table of a hundred rows is mended one error at a time."""
+    monkeypatch.chdir(tmp_path)
+    films(tmp_path, 3)
+    path = tmp_path / "tests.csv"
+    path.write_text(
+        "film,humdity,fit,window,RH_percent,force,strip\n"
+        "t0.tif,40,auto,9,40,,\n"
+        "gone.tif,40,gauss,8x,140,no.txt,60:20\n"
+        ",,,,,,\n"
+        "t1.tif,,,,,,5\n"
+        "t0.tif,,paper,11,40,,\n"
+        ",,paper,,,,\n"
+    )
+    assert run(["campaign", "tests.csv"]) == 2
+    said = capsys.readouterr().err.splitlines()
+    for row, column, word in [
+        (1, "humdity", "the nearest is RH_percent"),
+        (3, "film", "gone.tif"),
+        (3, "fit", "'gauss'"),
+        (3, "window", "'8x'"),
+        (3, "RH_percent", "from 0 to 100"),
+        (3, "force", "no.txt"),
+        (3, "strip", "A:B"),
+        (5, "strip", "A:B"),
+        (6, "film", "also in row 2, with another fit, window"),
+        (7, "film", "an empty cell"),
+    ]:
+        wanted = [line for line in said if line.split()[1:3] == [str(row), column]]
+        assert len(wanted) == 1, (row, column)
+        assert word in wanted[0], wanted
+    assert "10 problems in 5 rows, listed above; nothing was started" in said[-1]
+    assert len(said) == 12
+    assert not (tmp_path / "tests_campaign").exists()
+
+
+@pytest.mark.parametrize(
+    ("column", "nearest"),
+    [("video", "film"), ("velocity", "V_mm_min"), ("pixelsize", "pixel_size"), ("forse", "force"),
+     ("Temperature", "T_C"), ("sheets_per_blok", "sheets_per_block"), ("d_0", "d0")],
+)  # fmt: skip
+def test_the_nearest_name_of_an_unknown_column(tmp_path, column, nearest):
+    films(tmp_path, 1)
+    found = problems(table(tmp_path / "t.csv", ["t0.tif"], **{column: 1}))
+    assert [text.endswith(f"the nearest is {nearest}") for _, _, text in found] == [True]
+
+
+def test_values_are_checked_as_on_the_command_line(tmp_path):
+    """Combinations, too: the pixel size has one source."""
+    films(tmp_path, 2)
+    path = table(tmp_path / "t.csv", ["t0.tif", "t1.tif"], pitch=["0.2mm", ""], pixel_size=["10", "ten"])
+    found = problems(path)
+    assert [(row, column) for row, column, _ in found] == [(2, ""), (3, "pixel_size")]
+    assert "one of --pixel-size, --scale and --pitch" in found[0][2]
+
+
+def test_semicolons_and_decimal_commas(tmp_path):
+    """As a German spreadsheet saves it."""
+    films(tmp_path, 1)
+    (tmp_path / "t.csv").write_text("\ufefffilm;RH_percent;fps\nt0.tif;43,5;29,97\n", encoding="utf-8")
+    rows, wrong = read(tmp_path / "t.csv")
+    assert wrong == ()
+    assert rows[0].facts["RH_percent"] == 43.5
+    assert rows[0].values["fps"] == 29.97
+
+
+def test_films_of_one_name_need_names(tmp_path):
+    """A failure means that one film's run replaces another's."""
+    films(tmp_path / "a", 1), films(tmp_path / "b", 1)
+    path = table(tmp_path / "t.csv", ["a/t0.tif", "b/t0.tif"])
+    assert [(row, column) for row, column, _ in problems(path)] == [(3, "name")]
+    rows, wrong = read(table(tmp_path / "t.csv", ["a/t0.tif", "b/t0.tif"], name=["dry", "humid"]))
+    assert wrong == ()
+    assert [row.name for row in rows] == ["dry", "humid"]
+
+
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [(b"", "0 lines"), (b"film\n", "1 lines"), (b"\xff\xfe\x00", "utf-8"), (b'film\n"open', "end of data")],
+)
+def test_what_is_no_table(tmp_path, content, word):
+    (tmp_path / "t.csv").write_bytes(content)
+    with pytest.raises(InputError, match=word):
+        read(tmp_path / "t.csv")
+
+
+def test_films_that_are_still_to_come(tmp_path):
+    """While a folder is watched, its films need not be there; those elsewhere must."""
+    path = table(tmp_path / "t.csv", ["cam/t0.tif", "t1.tif"], force=["cam/f.txt", "f.txt"])
+    (tmp_path / "cam").mkdir()
+    assert [(p.row, p.column) for p in read(path, awaited=tmp_path / "cam")[1]] == [(3, "film"), (3, "force")]
+    assert len(read(path)[1]) == 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        ([], "a table of tests, or a folder to watch"),
+        (["t.csv", "--cores", "0"], "--cores: expected a number from 1"),
+        (["t.csv", "--idle", "nan", "--watch", "."], "--idle"),
+        (["t.csv", "--executor", "pbs"], "local"),
+        (["t.csv", "--profile", "gone"], "--profile: expected a folder with a Snakemake profile"),
+        (["t.csv", "--config", "gone.toml"], "gone.toml"),
+        (["t.csv", "--watch", "gone"], "a folder to watch"),
+        (["gone.csv"], "gone.csv: expected a CSV table with a column film"),
+        (["t.csv", "--out", "t.csv"], "found a file"),
+    ],
+)
+def test_bad_arguments_end_in_one_line(tmp_path, monkeypatch, capsys, arguments, word):
+    monkeypatch.chdir(tmp_path)
+    films(tmp_path, 1)
+    table(tmp_path / "t.csv", ["t0.tif"], fps=20)
+    assert run(["campaign", *arguments]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert word in said[0]
+    assert not list(tmp_path.glob("*_campaign"))
+
+
+def test_names_are_one_part_of_a_path_and_one_line():
+    assert safe_name("a/b\\c\n<d>:e") == "a_b_c__d__e"
+    assert safe_name("..") == "film"

@@ -1,0 +1,171 @@
+"""One job: each failure, however hard, is kept to its film."""
+
+import ctypes
+import faulthandler
+import os
+import signal
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import vision
+from tests.campaign.scenes import films, planned
+from vision.campaign.engine import close_states
+from vision.campaign.page import write_page
+from vision.campaign.tables import open_tables
+from vision.campaign.worker import Outcome, run_job
+from vision.errors import InputError
+from vision.run import run_folder
+from vision.sheets import track_sheets  # noqa: F401  # imported once, before the job forks
+
+
+@pytest.fixture(scope="module")
+def analysis(tmp_path_factory):
+    """What tracking a short film gives."""
+    path = films(tmp_path_factory.mktemp("film"), 1)[0]
+    return vision.analyse(path, settings=vision.pipeline.Settings(fps=20.0))
+
+
+def keep(analysis, target):
+    """A run folder of few files."""
+    target.mkdir(parents=True)
+    (target / "run.json").write_text('{"frames": {"read": 30, "lost": 0}}')
+    return Outcome(status=0, analysis=analysis)
+
+
+def states(plan):
+    return {film.name: plan.state(film).state for film in plan.films}
+
+
+def job_of(plan):
+    (job,) = plan.jobs
+    return job
+
+
+def test_a_crash_costs_its_film_and_no_other(tmp_path, analysis):
+    """A failure means that a decoder's segmentation fault, or one film's memory, ends the night."""
+    plan = planned(tmp_path / "out", films(tmp_path, 5))
+    parent = os.getpid()
+
+    def work(film, source, target):
+        assert os.getpid() != parent
+        if film.name == "t1":
+            faulthandler.disable()
+            ctypes.string_at(0)
+        if film.name == "t3":
+            os.kill(os.getpid(), signal.SIGKILL)
+        return keep(analysis, target)
+
+    assert run_job(plan, job_of(plan), work) == 1
+    assert states(plan) == {"t0": "done", "t1": "failed", "t2": "done", "t3": "failed", "t4": "done"}
+    reasons = [plan.state(plan.film(name)).reason for name in ("t1", "t3")]
+    assert "signal 11 (Segmentation fault)" in reasons[0]
+    assert "signal 9 (Killed)" in reasons[1]
+
+
+def test_a_second_attempt_takes_only_what_is_not_done(tmp_path, analysis):
+    """Snakemake repeats the job once: a passing fault is over then, and nothing is done twice."""
+    plan, tried = planned(tmp_path / "out", films(tmp_path, 3)), tmp_path / "tried"
+    tried.touch()
+
+    def work(film, source, target):
+        with tried.open("a") as file:
+            file.write(f"{film.name}\n")
+        if film.name == "t1" and tried.read_text().count("t1") == 1:
+            return Outcome(status=2, reason="the file server is away")
+        return keep(analysis, target)
+
+    assert run_job(plan, job_of(plan), work) == 1
+    assert plan.state(plan.film("t1")).reason == "the file server is away"
+    assert run_job(plan, job_of(plan), work) == 0
+    assert tried.read_text().split() == ["t0", "t1", "t2", "t1"]
+    assert plan.state(plan.film("t1")).attempts == 2
+
+
+@pytest.mark.parametrize(("status", "state"), [(0, "done"), (1, "warnings"), (2, "partial"), (3, "partial")])
+def test_states_follow_the_exit_status(tmp_path, analysis, status, state):
+    """A failure means that a refused force recording is not seen, or costs a second pass over 100 GB."""
+    plan = planned(tmp_path / "out", films(tmp_path, 1))
+
+    def work(film, source, target):
+        return replace(keep(analysis, target), status=status, reason="why" if status > 1 else "")
+
+    assert run_job(plan, job_of(plan), work) == 0
+    assert states(plan) == {"t0": state}
+    assert plan.state(plan.film("t0")).reason == ("why" if status > 1 else "")
+
+
+def test_staged_films_are_read_from_the_node_s_disk(tmp_path, analysis, monkeypatch):
+    disk = tmp_path / "scratch"
+    disk.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(disk))
+    paths = films(tmp_path, 1)
+    plan = replace(planned(tmp_path / "out", paths), stage=True)
+    seen = tmp_path / "seen"
+
+    def work(film, source, target):
+        assert source.read_bytes() == paths[0].read_bytes()
+        seen.write_text(str(source))
+        return keep(analysis, target)
+
+    assert run_job(plan, job_of(plan), work) == 0
+    assert disk in Path(seen.read_text()).parents
+    assert not any(disk.iterdir())
+
+    def full(path):
+        return os.statvfs_result((0,) * 10) if path is None else type("Usage", (), {"free": 1000})()
+
+    monkeypatch.setattr("shutil.disk_usage", full)
+    (plan.run_of("t0") / "run.json").unlink()
+    assert run_job(plan, job_of(plan), work) == 1
+    reason = plan.state(plan.film("t0")).reason
+    assert "expected room for" in reason
+    assert str(disk) in reason
+
+
+def small_disk(folder, size):
+    """A file system of its own, or a skip where there are no rights to mount one."""
+    folder.mkdir()
+    made = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", f"size={size}", "none", folder], capture_output=True, check=False
+    )
+    if made.returncode:
+        pytest.skip("no right to mount a small file system")
+
+
+def test_a_full_disk_in_the_middle(tmp_path, analysis, monkeypatch):
+    """One line for each film that found no room; what was finished before is kept and can be opened."""
+    paths = films(tmp_path, 4)
+    small_disk(tmp_path / "disk", "1500k")
+    try:
+        out = tmp_path / "disk" / "out"
+        plan = planned(out, paths)
+
+        def work(film, source, target):
+            try:
+                with run_folder(target) as folder:
+                    (folder / "run.json").write_text('{"frames": {}}')
+                    (folder / "kymograph.tif").write_bytes(bytes(400_000))
+            except InputError as error:
+                return Outcome(status=2, reason=str(error))
+            return Outcome(status=0, analysis=analysis)
+
+        assert run_job(plan, job_of(plan), work) == 1
+        close_states(plan)
+        found = [plan.state(film) for film in plan.films]
+        assert found[0].state == "done"
+        assert found[-1].state == "failed"
+        assert all("full" in state.reason for state in found if state.state == "failed")
+        done = [state.name for state in found if state.state == "done"]
+        assert open_tables(out, "positions").count_rows() >= 240 * len(done)
+        assert not list(out.rglob(".*.part"))
+        filler = out / "filler"
+        with pytest.raises(OSError, match="space"), filler.open("wb") as file:
+            while True:
+                file.write(bytes(4096))
+        with pytest.raises(InputError, match=r"index\.html: expected a place that can be written"):
+            write_page(plan, live=False)
+    finally:
+        subprocess.run(["umount", "-l", tmp_path / "disk"], check=True)

@@ -1,0 +1,391 @@
+"""The plan: which films there are, which are done, what the others take, and which share a job.
+
+A film is done when a finished run has its key: what is in its files and how it is to be analysed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import vision
+from vision.campaign.settings import CampaignSettings
+from vision.campaign.states import FINISHED, State, read_state
+from vision.campaign.table import PATHS, Check, Row, is_remote
+from vision.errors import InputError
+from vision.files import Stamp, reading, shortened
+from vision.run import describe_input, plain, whole_file, write_json
+from vision.run.reading import read_json
+from vision.video import open_video, video_files
+
+PLAN = "plan.json"
+LAYOUT = 1  # of the campaign's folder; another one is not touched
+FINGERPRINTS = "fingerprints.json"
+MEGA = 1e6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Film:
+    """One test of the plan.
+
+    Parameters
+    ----------
+    name, film, options, facts
+        As in the table (`vision.campaign.table.Row`).
+    key
+        Of what is in its files and how it is analysed; another key, another run.
+    frames, rows, columns, size_bytes
+        What its header says; 0 where it cannot be read.
+    seconds, memory_mb
+        Estimates.
+    doubt
+        Why the estimates are none; the film is tried all the same.
+    """
+
+    name: str
+    film: str
+    options: Mapping[str, str]
+    facts: Mapping[str, Any]
+    key: str
+    frames: int = 0
+    rows: int = 0
+    columns: int = 0
+    size_bytes: int = 0
+    seconds: float = 0.0
+    memory_mb: int = 0
+    doubt: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """Films that one process takes one after the other, and what a batch system is asked for."""
+
+    films: tuple[str, ...]
+    seconds: float
+    memory_mb: int
+    minutes: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What a campaign does.
+
+    Parameters
+    ----------
+    out
+        The campaign's folder.
+    films
+        All tests, in the table's order.
+    jobs
+        Those that are to be done, by the job's name.
+    config
+        The TOML file of options for all films; None without.
+    stage
+        Whether films are copied to the node's own disk first.
+    report
+        Whether each run gets its page.
+    started_in
+        The working directory: files that the configuration names are relative to it.
+    version, layout
+        Of the program and of the folder; others are not touched.
+    """
+
+    out: Path
+    films: tuple[Film, ...]
+    jobs: Mapping[str, Job]
+    config: Path | None = None
+    stage: bool = False
+    report: bool = True
+    started_in: Path = field(default_factory=Path.cwd)
+    version: str = field(default_factory=lambda: vision.__version__)
+    layout: int = LAYOUT
+
+    def film(self, name: str) -> Film:
+        """The film of that name."""
+        return next(film for film in self.films if film.name == name)
+
+    def remote(self, job: str) -> list[str]:
+        """Addresses that Snakemake fetches for a job."""
+        return [address for name in self.jobs[job].films if is_remote(address := self.film(name).film)]
+
+    def run_of(self, name: str) -> Path:
+        """The run folder of a film."""
+        return self.out / "runs" / name
+
+    def finished(self, film: Film) -> State | None:
+        """The state of a film that need not be done again; None for the others."""
+        state = read_state(self.out, film.name)
+        whole = (self.run_of(film.name) / "run.json").is_file()
+        return state if whole and state.key == film.key and state.state in FINISHED else None
+
+    def state(self, film: Film) -> State:
+        """What is known of a film now: that of an earlier key tells nothing."""
+        state = read_state(self.out, film.name)
+        return state if state.key == film.key else State(name=film.name, key=film.key)
+
+    def pool_key(self) -> str:
+        """Of the finished films and their facts; another key, another pool."""
+        done = [(film.name, film.key, dict(film.facts)) for film in self.films if self.finished(film)]
+        return _digest(done)
+
+
+def make_plan(
+    rows: Sequence[Row],
+    out: Path,
+    *,
+    config: Path | None = None,
+    stage: bool = False,
+    report: bool = True,
+    cores: int = 1,
+    settings: CampaignSettings | None = None,
+    keep: bool = True,
+) -> Plan:
+    """Fingerprints, estimates and jobs of all films that are not done.
+
+    Parameters
+    ----------
+    rows
+        Of the table.
+    out
+        The campaign's folder; need not be there.
+    config, stage, report
+        As in `Plan`.
+    cores
+        How many jobs run at a time.
+    settings
+        Tunable constants.
+    keep
+        Whether fingerprints are kept for the next time; False writes nothing.
+
+    Raises
+    ------
+    InputError
+        Where ``out`` is no campaign, or one of another version.
+    """
+    tuning = settings or CampaignSettings()
+    check_folder(out)
+    known = _read_fingerprints(out)
+    films = [_film(row, known, tuning) for row in rows]
+    if keep:
+        with whole_file(out / FINGERPRINTS) as path:
+            write_json(known, path)
+    plan = Plan(out=out.absolute(), films=tuple(films), jobs={}, config=config, stage=stage, report=report)
+    factor = _measured(plan)
+    waiting = [film for film in films if plan.finished(film) is None]
+    jobs = {
+        _digest([film.key for film in job])[:12]: _job(job, factor, tuning)
+        for job in share(waiting, factor, cores, tuning)
+    }
+    return Plan(**{**_shallow(plan), "jobs": jobs})
+
+
+def vanished_rows(out: Path, check: Check, folder: Path) -> list[Row]:
+    """Rows of films of an earlier plan that were done and have left the folder since.
+
+    Parameters
+    ----------
+    out
+        The campaign's folder.
+    check
+        Turns options into values, as for the table.
+    folder
+        Where they were.
+
+    Raises
+    ------
+    InputError
+        Where the earlier plan cannot be read.
+    """
+    if not (out / PLAN).is_file():
+        return []
+    plan = read_plan(out / PLAN)
+    return [
+        Row(
+            row=0,
+            film=film.film,
+            name=film.name,
+            options=film.options,
+            values=check(film.options).values,
+            facts=film.facts,
+        )
+        for film in plan.films
+        if Path(film.film).parent.resolve() == folder.resolve()
+        and not Path(film.film).exists()
+        and plan.finished(film) is not None
+    ]
+
+
+def _shallow(plan: Plan) -> dict[str, Any]:
+    return {part.name: getattr(plan, part.name) for part in fields(plan)}
+
+
+def check_folder(out: Path) -> None:
+    """Refuse a folder that is no campaign, or one of another version, before anything in it is touched.
+
+    Raises
+    ------
+    InputError
+        In one line.
+    """
+    try:
+        empty = not out.exists() or (out.is_dir() and not any(out.iterdir()))
+    except OSError as error:
+        raise InputError(out, "a folder of a campaign", (error.strerror or str(error)).lower()) from error
+    if empty:
+        return
+    if not (out / PLAN).is_file():
+        # what a first start left that ended before its plan was written is no one's work
+        if out.is_dir() and {path.name for path in out.iterdir()} <= {FINGERPRINTS, ".lock"}:
+            return
+        found = "another folder (no plan.json in it)" if out.is_dir() else "a file"
+        raise InputError(out, "a new folder or one of a campaign", found, "give another `out`")
+    content = read_json(out / PLAN)
+    version, layout = content.get("version"), content.get("layout")
+    if version != vision.__version__ or layout != LAYOUT:
+        wanted = f"a campaign of sheetvision {vision.__version__}"
+        found = f"one of {shortened(str(version), 20)}" + (
+            "" if layout == LAYOUT else f", layout {shortened(str(layout), 20)}"
+        )
+        raise InputError(
+            out, wanted, found, "its runs are kept; give another `out`, or go on with that version"
+        )
+
+
+def write_plan(plan: Plan) -> Path:
+    """Write plan.json, whole.  Raises: InputError."""
+    with whole_file(plan.out / PLAN) as path:
+        write_json(asdict(plan), path)
+    return plan.out / PLAN
+
+
+def read_plan(path: Path) -> Plan:
+    """The plan that `write_plan` wrote.  Raises: InputError."""
+    content = read_json(path)
+    with reading(path, "a plan as track campaign writes it", "run track campaign again"):
+        films = tuple(Film(**film) for film in content.pop("films"))
+        jobs = {
+            name: Job(**{**job, "films": tuple(job["films"])}) for name, job in content.pop("jobs").items()
+        }
+        paths = {name: Path(content[name]) for name in ("out", "started_in", "config") if content[name]}
+        return Plan(**{**content, **paths}, films=films, jobs=jobs)
+
+
+# --- one film -----------------------------------------------------------------------------------------------
+
+
+def _film(row: Row, known: dict[str, Any], tuning: CampaignSettings) -> Film:
+    values = {name: plain(value) for name, value in row.values.items() if name not in PATHS}
+    contents = (
+        [] if is_remote(row.film) else [_fingerprint(path, known) for path in inputs_of(row.film, row.values)]
+    )
+    key = _digest([LAYOUT, row.film if is_remote(row.film) else "", contents, values])
+    facts = _header(row)
+    megasamples = facts.get("frames", 0) * facts.get("columns", 0) / MEGA
+    seconds = (
+        tuning.base_seconds
+        + megasamples * tuning.seconds_per_megasample
+        + megasamples * facts.get("rows", 0) / 1000 * tuning.seconds_per_gigapixel
+    )
+    memory = tuning.base_memory_mb + megasamples * tuning.memory_mb_per_megasample
+    return Film(
+        name=row.name,
+        film=row.film,
+        options=dict(row.options),
+        facts=dict(row.facts),
+        key=key,
+        seconds=round(seconds, 2),
+        memory_mb=math.ceil(memory),
+        **facts,
+    )
+
+
+def inputs_of(film: str, values: Mapping[str, Any]) -> list[Path]:
+    """Every file that a film's analysis reads."""
+    given = [Path(str(values[name])) for name in PATHS if values.get(name) is not None]
+    return [*video_files(Path(film)), *given]
+
+
+def _header(row: Row) -> dict[str, Any]:
+    """Frames, columns and bytes by the header; where it cannot be read, the film is tried all the same."""
+    if is_remote(row.film):
+        return {"doubt": "in object storage; its size is not known before it is fetched"}
+    try:
+        size = sum(path.stat().st_size for path in video_files(Path(row.film)) if path.is_file())
+        video = open_video(row.film, rotate=int(row.values.get("rotate") or 0))
+        frames, (rows, columns) = video.estimated or 0, video.shape
+    except (InputError, OSError) as error:
+        return {"doubt": shortened(str(error))}
+    numbers = {"frames": frames, "rows": rows, "columns": columns, "size_bytes": size}
+    return {name: int(number) for name, number in numbers.items()}
+
+
+def _fingerprint(path: Path, known: dict[str, Any]) -> str:
+    """What is in a file, read again only where its size or time has changed."""
+    stamp = list(Stamp.of(path).facts or ())
+    earlier = known.get(str(path))
+    if earlier is not None and (not stamp or (path.is_file() and earlier[0] == stamp)):
+        return str(earlier[1])  # also of a film that was done and moved away
+    try:
+        facts = describe_input(path)
+    except InputError:
+        return "unreadable"  # named when its turn comes
+    digest = f"{facts['size_bytes']}:{facts.get('sha256') or facts.get('fingerprint')}"
+    if path.is_file():
+        known[str(path)] = [stamp, digest]
+    return digest
+
+
+def _read_fingerprints(out: Path) -> dict[str, Any]:
+    try:
+        content = json.loads((out / FINGERPRINTS).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}  # they are taken anew
+    return content if isinstance(content, dict) else {}
+
+
+def _digest(content: Any) -> str:
+    text = json.dumps(plain(content), sort_keys=True, ensure_ascii=False)
+    return hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()[:16]
+
+
+# --- jobs ---------------------------------------------------------------------------------------------------
+
+
+def _measured(plan: Plan) -> float:
+    """Measured over estimated time of this campaign's finished films; 1 where there are none."""
+    ratios = [
+        state.seconds / film.seconds for film in plan.films if (state := plan.finished(film)) and film.seconds
+    ]
+    return float(np.clip(np.median(ratios), 0.2, 20.0)) if len(ratios) > 2 else 1.0
+
+
+def share(films: Iterable[Film], factor: float, cores: int, tuning: CampaignSettings) -> list[list[Film]]:
+    """Films into jobs: long ones alone, short ones together, so that the start of a process does not dominate
+    and all cores end at about the same time.
+
+    Films in object storage are alone: Snakemake fetches a job's files before it starts.
+    """
+    ordered = sorted(films, key=lambda film: -film.seconds)
+    alone = [[f] for f in ordered if f.seconds * factor >= tuning.job_seconds / 2 or is_remote(f.film)]
+    short = [f for f in ordered if [f] not in alone]
+    total = factor * sum(film.seconds for film in short)
+    even = min(cores * tuning.jobs_per_core, max(cores, int(total / tuning.least_job_seconds)))
+    count = max(even, math.ceil(total / tuning.job_seconds))
+    return alone + [part for k in range(count) if (part := short[k::count])]
+
+
+def _job(films: Sequence[Film], factor: float, tuning: CampaignSettings) -> Job:
+    seconds = factor * sum(film.seconds for film in films)
+    return Job(
+        films=tuple(film.name for film in films),
+        seconds=round(seconds, 1),
+        memory_mb=max(film.memory_mb for film in films),
+        minutes=math.ceil(tuning.margin * seconds / 60) + tuning.spare_minutes,
+    )

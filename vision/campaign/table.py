@@ -1,0 +1,297 @@
+"""TABLE.csv: a row is a test. Read whole, with every problem of every row, before anything starts."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import glob
+import io
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from vision.comparison.tests import LIMITS
+from vision.errors import InputError
+from vision.files import check_regular, shortened
+
+FACTS = ("sample", "V_mm_min", "n_test", "RH_percent", "T_C", "notes")
+PATHS = ("force", "timestamps", "corrections")  # options that name a file, relative to the table
+MOST_BYTES = 1 << 24
+MOST_LETTERS = 150  # of a name: folders and files are called after it
+# What people call the columns; the nearest of these is shown for one that is not known.
+_ALIKE = {
+    "video": "film", "file": "film", "movie": "film", "path": "film", "recording": "force", "load": "force",
+    "specimen": "sample", "block": "sample", "velocity": "V_mm_min", "v": "V_mm_min", "rh": "RH_percent",
+    "humidity": "RH_percent", "temperature": "T_C", "temp": "T_C", "t": "T_C", "tests": "n_test",
+    "previous": "n_test", "age": "n_test", "comment": "notes", "remark": "notes", "run": "name",
+    "test": "name",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """Something in the table that keeps the campaign from starting.
+
+    Parameters
+    ----------
+    row
+        Line of the file, 1 for the heading.
+    column
+        "" where it is the row as a whole.
+    text
+        What was expected and what was found.
+    """
+
+    row: int
+    column: str
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One test.
+
+    Parameters
+    ----------
+    row
+        Line of the file; 0 for a film that no table names.
+    film
+        Path, quoted glob, or an address in object storage (``s3://…``).
+    name
+        What its folder is called.
+    options
+        As typed, by their names in a TOML file.
+    values
+        The same as the pipeline takes them, with those of the configuration file and the defaults.
+    facts
+        What describes the test: sample, V_mm_min, n_test, RH_percent, T_C, notes.
+    """
+
+    row: int
+    film: str
+    name: str
+    options: Mapping[str, str] = field(default_factory=dict)
+    values: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checked:
+    """One row's options after the command line's own validation, and (column, text) of what is wrong."""
+
+    values: Mapping[str, Any]
+    problems: Sequence[tuple[str, str]] = ()
+
+
+Check = Callable[[Mapping[str, str]], Checked]
+
+
+def is_remote(film: str) -> bool:
+    """Whether a film lies in object storage, to be fetched by Snakemake."""
+    return re.match(r"[a-z][a-z0-9+.-]*://", film) is not None
+
+
+def safe_name(text: str) -> str:
+    """A name that is one part of a path on every system and one line on every screen."""
+    return re.sub(r"[\x00-\x1f\x7f/\\:*?\"<>|]", "_", text).strip(". ") or "film"
+
+
+def read_campaign(
+    path: Path,
+    *,
+    options: Collection[str],
+    check: Check,
+    name_of: Callable[[Path], str],
+    awaited: Path | None = None,
+) -> tuple[tuple[Row, ...], tuple[Problem, ...]]:
+    """All rows of a table, and every problem that any of them has.
+
+    Parameters
+    ----------
+    path
+        CSV with commas, semicolons or tabs. ``film`` is needed; ``force``, ``name``, every option of `track`
+        and ``sample, V_mm_min, n_test, RH_percent, T_C, notes`` may follow. Files are relative to the table.
+    options
+        The options' names.
+    check
+        Turns one row's options into values, as the command line does.
+    name_of
+        A film's own name.
+    awaited
+        A folder into which films are still to come: those in it, and their files, need not be there yet.
+
+    Returns
+    -------
+    The rows without problems of their own, and the problems in order of the rows.
+
+    Raises
+    ------
+    InputError
+        Where the file is no table or has no rows.
+    """
+    header, lines = _lines(path)
+    known = ("film", "name", *FACTS, *options)
+    columns, problems = _columns(header, known)
+    rows: list[Row] = []
+    for number, cells in lines:
+        given = {
+            name: cell.strip() for name, cell in zip(columns, cells, strict=False) if name and cell.strip()
+        }
+        extra = [cell for cell in cells[len(columns) :] if cell.strip()]
+        found = [("", f"expected {len(columns)} cells; found {len(cells)}")] if extra else []
+        row, wrong = _row(number, given, path.absolute().parent, check, name_of, awaited)
+        found += wrong
+        problems += [Problem(row=number, column=column, text=text) for column, text in found]
+        rows.append(row)
+    problems += clashes(rows)
+    bad = {problem.row for problem in problems}
+    return tuple(row for row in rows if row.row not in bad), tuple(
+        sorted(problems, key=lambda p: (p.row, p.column))
+    )
+
+
+def _lines(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """The heading, and the rows that are not empty with their line numbers."""
+    wanted = "a CSV table with a column film"
+    if check_regular(path, wanted).st_size > MOST_BYTES:
+        raise InputError(path, wanted, "a far larger file", "check its name")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        first = text.lstrip().partition("\n")[0]
+        mark = max((",", ";", "\t"), key=first.count)
+        reader = csv.reader(io.StringIO(text), delimiter=mark, skipinitialspace=True, strict=True)
+        table = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
+    except (OSError, ValueError, csv.Error) as error:
+        found = shortened(str(getattr(error, "strerror", None) or error)).lower()
+        raise InputError(path, wanted, found, "save it as CSV, UTF-8") from error
+    if len(table) < 2:
+        raise InputError(path, "a heading and a row for each test", f"{len(table)} lines")
+    if mark != ",":  # then commas are decimal marks
+        decimal = re.compile(r"^\s*([-+]?[0-9]+),([0-9]+)\s*$")
+        table = [(number, [decimal.sub(r"\1.\2", cell) for cell in cells]) for number, cells in table]
+    return table[0][1], table[1:]
+
+
+def _columns(header: Sequence[str], known: Sequence[str]) -> tuple[list[str], list[Problem]]:
+    """Our name of each column, "" for one that is not known, and what is wrong with the heading."""
+    ours = {_plain(name): name for name in known}
+    columns, problems = [], []
+    for name in header:
+        column = ours.get(_plain(name), "")
+        if not name.strip():
+            columns.append("")
+            continue
+        if not column:
+            found = f"'{shortened(name, 60)}'; the nearest is {_nearest(name, ours)}"
+            text = f"expected a column of a campaign; found {found}"
+            problems.append(Problem(row=1, column=shortened(name, 30), text=text))
+        elif column in columns:
+            problems.append(Problem(row=1, column=column, text="expected each column once; found it twice"))
+        columns.append(column)
+    if "film" not in columns:
+        problems.append(Problem(row=1, column="film", text="expected a column film; found none"))
+    return columns, problems
+
+
+def _plain(name: str) -> str:
+    return name.strip().lstrip("-").replace("-", "_").replace(" ", "_").lower()
+
+
+def _nearest(name: str, ours: Mapping[str, str]) -> str:
+    alike = {**{_plain(word): column for word, column in _ALIKE.items()}, **ours}
+    return alike[difflib.get_close_matches(_plain(name), alike, n=1, cutoff=0.0)[0]]
+
+
+def _row(
+    number: int,
+    given: Mapping[str, str],
+    base: Path,
+    check: Check,
+    name_of: Callable[[Path], str],
+    awaited: Path | None,
+) -> tuple[Row, list[tuple[str, str]]]:
+    """One row with absolute paths, and (column, text) of what is wrong with it."""
+    film, problems = _film(given.get("film", ""), base)
+    if awaited is not None and Path(film).parent.resolve() == awaited.resolve():
+        problems = []
+    facts, wrong = _facts(given)
+    problems += wrong
+    options = {name: text for name, text in given.items() if name not in ("film", "name", *FACTS)}
+    for name in PATHS:
+        if name in options:
+            options[name] = str(base / options[name])
+            coming = awaited is not None and Path(options[name]).parent.resolve() == awaited.resolve()
+            if not Path(options[name]).is_file() and not coming:
+                problems.append((name, f"{options[name]}: expected a file; found none"))
+    checked = check({name: text for name, text in options.items() if name not in dict(problems)})
+    problems += checked.problems
+    name = safe_name(given.get("name", "") or name_of(Path(film)))
+    if len(name.encode()) > MOST_LETTERS:
+        problems.append(
+            ("name", f"expected a name of at most {MOST_LETTERS} letters; give one in a column name")
+        )
+    return Row(
+        row=number, film=film, name=name, options=options, values=checked.values, facts=facts
+    ), problems
+
+
+def _film(text: str, base: Path) -> tuple[str, list[tuple[str, str]]]:
+    if not text:
+        return "", [("film", "expected a film; found an empty cell")]
+    if is_remote(text):
+        return text, []
+    film = str(base / text)
+    if "\0" not in film and (Path(film).exists() or (glob.has_magic(film) and glob.glob(film))):  # noqa: PTH207
+        return film, []
+    return film, [("film", f"{shortened(film)}: expected a film; found no such file")]
+
+
+def _facts(given: Mapping[str, str]) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+    facts: dict[str, Any] = {name: given[name] for name in ("sample", "notes") if name in given}
+    problems = []
+    for name, (low, high) in LIMITS.items():
+        if name not in given:
+            continue
+        try:
+            value = float(given[name])
+        except ValueError:
+            value = float("nan")
+        if low <= value <= high:
+            facts[name] = value
+        else:
+            problems.append(
+                (name, f"expected a number from {low:g} to {high:g}; found '{shortened(given[name], 40)}'")
+            )
+    return facts, problems
+
+
+def clashes(rows: Iterable[Row]) -> list[Problem]:
+    """Rows of one film, and films whose folders would have one name."""
+    problems: list[Problem] = []
+    films: dict[str, Row] = {}
+    names: dict[str, Row] = {}
+    for row in rows:
+        same = films.setdefault(row.film, row)
+        if not row.film:
+            continue
+        if same is not row:
+            problems.append(Problem(row=row.row, column="film", text=_twice(row, same)))
+            continue
+        other = names.setdefault(row.name.casefold(), row)
+        if other is not row:
+            found = f"'{row.name}' also in row {other.row}; add a column name"
+            text = f"expected films of different names; found {found}"
+            problems.append(Problem(row=row.row, column="name", text=text))
+    return problems
+
+
+def _twice(row: Row, first: Row) -> str:
+    differ = [
+        name
+        for name in sorted({*row.options, *first.options})
+        if row.options.get(name) != first.options.get(name)
+    ]
+    how = f"with another {', '.join(differ)}" if differ else "with the same settings"
+    return f"expected each film once; found {Path(row.film).name} also in row {first.row}, {how}"

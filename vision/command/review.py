@@ -1,0 +1,129 @@
+"""`track review RUN`: the run in a browser."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from vision.command.console import say
+from vision.command.options import (
+    ForceOptions,
+    RunOptions,
+    SampleOptions,
+    TestOptions,
+    VideoOptions,
+    option_names,
+    settings_of,
+)
+from vision.command.track import run_name, track
+from vision.errors import InputError
+
+if TYPE_CHECKING:
+    from vision.pipeline import Settings
+
+NEEDED = ("starlette", "uvicorn")
+
+
+def review(
+    run_or_video: Path,
+    /,
+    reading: VideoOptions | None = None,
+    test: TestOptions | None = None,
+    machine: ForceOptions | None = None,
+    sample: SampleOptions | None = None,
+    run: RunOptions | None = None,
+    *,
+    config: Path | None = None,
+    film: Path | None = None,
+    browser: bool = True,
+    port: int = 0,
+) -> int:
+    """See a run and correct it in a browser; a video is tracked first.
+
+    The page is served to this machine alone, at an address with a token. Decisions are kept at once in
+    corrections.toml of the run folder; saving re-runs what follows from them. Ctrl-C or the page's button
+    ends it.
+
+    Examples:
+
+        track review test_tracks
+
+        track review test.avi --force test.txt --pixel-size 10
+
+    Parameters
+    ----------
+    run_or_video
+        Run folder, or a video as for track.
+    reading
+        How a video is read; of a run everything is known.
+    test
+        What joins video and force recording.
+    machine
+        How the force recording is read.
+    sample
+        Geometry of the sample.
+    run
+        Where the results of a video go.
+    config
+        TOML file with any of these options.
+    film
+        Where the film of a run lies now, if not where it was when it was tracked.
+    browser
+        Open the default browser; the address is printed in any case.
+    port
+        Of the address; a free one if not given.
+    """
+    missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
+    if missing:
+        found = f"no {' and no '.join(missing)}"
+        raise InputError("track review", "the extra 'review'", found, "pip install 'sheetvision[review]'")
+    from vision.review.server import serve
+    from vision.review.session import Session
+    from vision.run import is_run
+
+    folder = run_or_video
+    if not is_run(folder):
+        chosen = run or RunOptions()
+        folder = chosen.out or Path(f"{run_name(run_or_video)}_tracks")
+        groups: dict[str, Any] = {"reading": reading, "test": test, "machine": machine, "sample": sample}
+        status = track(run_or_video, **groups, run=replace(chosen, out=folder), config=config)
+        if status > 1:
+            return status
+    elif any(group is not None for group in (reading, test, machine, sample, run, config)):
+        raise InputError(
+            folder, "a run without further options", "some", "give the video, or run track again"
+        )
+    session = Session(folder, settings_of_run(folder), film=film, options=option_names())
+
+    def opened(address: str) -> None:
+        say([f"review     {address}", "           Ctrl-C ends it"])
+        if browser:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    with session:
+        serve(session, opened=opened, port=port)
+    return 0
+
+
+def settings_of_run(folder: Path) -> Settings:
+    """The settings that a run was made with; its corrections stand in the run folder.
+
+    Raises
+    ------
+    InputError
+        For a folder that is no run, or one whose run.json is damaged.
+    """
+    from vision.run.folder import MARK
+    from vision.run.provenance import Parameter
+    from vision.run.reading import AGAIN, read_json
+
+    facts = read_json(folder / MARK).get("parameters")
+    if not isinstance(facts, dict) or not all(isinstance(one, dict) for one in facts.values()):
+        raise InputError(folder / MARK, "the parameters of a run", "none", AGAIN)
+    parameters = {name: Parameter(one.get("value"), one.get("how", "given")) for name, one in facts.items()}
+    parameters["corrections"] = Parameter(None, "default")
+    return settings_of(parameters)

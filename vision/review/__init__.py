@@ -1,0 +1,5 @@
+"""The run in a browser: look at it, correct it, keep it."""
+
+from vision.review.session import Session
+
+__all__ = ["Session"]

@@ -1,0 +1,320 @@
+"""What a decision does to positions that are measured already, without tracking again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision.errors import InputError
+from vision.numeric import Floats, Ints, nan_median
+from vision.review.diagram import Diagram
+from vision.review.positions import CELLS, DOUBTFUL, FLAGS, Positions
+from vision.sheets.corrections import OF_SHEETS, Correction, check_there, follow_ridge, not_taken
+from vision.sheets.numbering import number_sheets
+from vision.sheets.ridges import Ridges
+from vision.sheets.subpixel import FitName, fit_sheets
+
+BLOCK = 2048  # frames in which a ridge is followed at a time, so that candidates take little memory
+MEDIAN_ROWS = 2000  # frames from which a sheet's usual place is taken
+SAME_RIDGE_PX = 2.0
+"""Distance within which a position and a candidate's whole pixel are one ridge: fits end that near to where
+they start. More would join neighbours that are 4 px apart."""
+_EMPTY: Mapping[str, Any] = {"flag": FLAGS.index("missing"), "why": 0}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Before:
+    """What a decision replaced: enough to take it back.
+
+    Parameters
+    ----------
+    how
+        "swap", "cells" (of one sheet), "deleted", "added", "numbering" or "nothing".
+    first, stop
+        Rows.
+    sheets
+        Columns.
+    arrays
+        Earlier values by their names.
+    axis_px, axis_how
+        Of the numbering.
+    """
+
+    how: str
+    first: int = 0
+    stop: int = 0
+    sheets: tuple[int, ...] = ()
+    arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    axis_px: float = np.nan
+    axis_how: str = ""
+
+
+def usual_places(positions: Positions) -> Floats:
+    """Median position of every sheet, from frames spread over the run."""
+    return nan_median(positions.x_px[:: max(1, len(positions.x_px) // MEDIAN_ROWS)].astype(np.float64))
+
+
+def usual_errors(positions: Positions) -> Floats:
+    """Median standard error of every sheet, likewise."""
+    return nan_median(positions.err_px[:: max(1, len(positions.err_px) // MEDIAN_ROWS)].astype(np.float64))
+
+
+def apply(positions: Positions, decision: Correction, diagram: Diagram) -> tuple[Positions, Before]:
+    """Positions after a decision, and what it replaced.
+
+    Arrays are changed in place where the number of sheets stays. New positions are those of the sliding
+    window with the sheet's usual error; saving measures them like all others. Decisions about strip and clock
+    change nothing here.
+
+    Parameters
+    ----------
+    positions
+        As they are.
+    decision
+        With an index as seen in them.
+    diagram
+        Where ridges are looked for.
+
+    Raises
+    ------
+    InputError
+        Where the decision does not fit the positions; nothing is changed then.
+    """
+    if decision.kind == "axis":
+        return _with_axis(positions, float(decision.x_px or 0.0))
+    if decision.kind not in OF_SHEETS:
+        return positions, Before(how="nothing")
+    stop = np.inf if decision.stop is None else decision.stop
+    rows = np.flatnonzero((positions.frame >= decision.first) & (positions.frame < stop))
+    check_there(decision, rows, positions.frame, positions.sheets)
+    first, last = int(rows[0]), int(rows[-1]) + 1
+    match decision.kind:
+        case "delete":
+            return _without(positions, decision.sheets[0])
+        case "add":
+            return _with_sheet(positions, decision, diagram)
+        case "swap":
+            _swap(positions, slice(first, last), decision.sheets)
+            return positions, Before(how="swap", first=first, stop=last, sheets=decision.sheets)
+    part, sheet = slice(first, last), decision.sheets[0]
+    if decision.kind == "leave_out":
+        x, flag = np.full(last - first, np.nan), np.full(last - first, FLAGS.index("left_out"))
+    elif decision.kind == "accept":
+        x, flag = _accepted(positions, decision, part, diagram)
+    else:
+        x, flag = _assigned(positions, decision, part, diagram)
+    before = {name: getattr(positions, name)[part, sheet].copy() for name in CELLS}
+    _put(positions, part, sheet, x, flag)
+    return positions, Before(how="cells", first=first, stop=last, sheets=(sheet,), arrays=before)
+
+
+def take_back(positions: Positions, before: Before) -> Positions:
+    """Positions as they were before the last decision."""
+    rows, arrays = slice(before.first, before.stop), before.arrays
+    match before.how:
+        case "swap":
+            _swap(positions, rows, before.sheets)
+            return positions
+        case "cells":
+            for name in CELLS:
+                getattr(positions, name)[rows, before.sheets[0]] = arrays[name]
+            return positions
+        case "deleted":
+            wider = _inserted(positions, before.sheets[0], arrays)
+            return replace(wider, side=arrays["side"], n=arrays["n"])
+        case "added":
+            fewer = _removed(positions, before.sheets[0])
+            return replace(fewer, side=arrays["side"], n=arrays["n"])
+        case "numbering":
+            attrs = dict(positions.attrs) | {"axis_px": before.axis_px, "axis_how": before.axis_how}
+            return replace(positions, side=arrays["side"], n=arrays["n"], attrs=attrs)
+    return positions
+
+
+def _swap(positions: Positions, rows: slice, sheets: tuple[int, ...]) -> None:
+    one, other = sheets
+    for name in CELLS:
+        values = getattr(positions, name)
+        values[rows, [one, other]] = values[rows, [other, one]]
+
+
+def _put(positions: Positions, rows: slice, sheet: int, x: Floats, flag: NDArray[Any]) -> None:
+    """New positions and flags of one sheet; its usual error, and no doubt where there is none any more."""
+    known = positions.err_px[:, sheet][np.isfinite(positions.err_px[:, sheet])]
+    error = np.median(known) if known.size else np.nanmedian(usual_errors(positions))
+    settled = flag != DOUBTFUL
+    positions.x_px[rows, sheet] = x
+    positions.err_px[rows, sheet] = np.where(np.isfinite(x), error, np.nan)
+    positions.flag[rows, sheet] = flag
+    positions.why[rows, sheet] = np.where(settled, 0, positions.why[rows, sheet])
+    positions.withheld_px[rows, sheet] = np.where(settled, np.nan, positions.withheld_px[rows, sheet])
+
+
+# --- ridges that become a sheet's ---------------------------------------------------------------------------
+
+
+def _accepted(
+    positions: Positions, decision: Correction, part: slice, diagram: Diagram
+) -> tuple[Floats, NDArray[Any]]:
+    """Positions and flags of these rows, with the doubted ridges measured."""
+    sheet = decision.sheets[0]
+    x, flag = positions.x_px[part, sheet].astype(np.float64), positions.flag[part, sheet].copy()
+    doubted = np.flatnonzero(flag == DOUBTFUL)
+    if not len(doubted):
+        raise InputError(decision.name, "a doubtful stretch to accept", "none in these frames")
+    withheld = positions.withheld_px[part, sheet][doubted] - np.float64(diagram.first_column)
+    x[doubted] = _fitted(positions, np.rint(withheld), part.start + doubted, diagram)
+    flag[doubted] = np.where(np.isfinite(x[doubted]), FLAGS.index("ok"), FLAGS.index("unfit"))
+    return x, flag
+
+
+def _assigned(
+    positions: Positions, decision: Correction, part: slice, diagram: Diagram
+) -> tuple[Floats, NDArray[Any]]:
+    """Positions and flags of these rows, with the ridge followed."""
+    sheet = decision.sheets[0]
+    start, other = _followed(positions, decision, part, diagram, without=sheet)
+    if (other >= 0).any():
+        row = int((other >= 0).argmax())
+        raise not_taken(decision, int(positions.frame[part.start + row]), int(other[row]))
+    x = _fitted(positions, start, np.arange(part.start, part.stop), diagram)
+    return x, _state(start, x)
+
+
+def _with_sheet(positions: Positions, decision: Correction, diagram: Diagram) -> tuple[Positions, Before]:
+    """One more sheet, followed both ways."""
+    row, frames = positions.row_of(decision.first), len(positions.frame)
+    start, other = np.full(frames, np.nan), np.full(frames, -1)
+    for part in (slice(row, frames), slice(0, row + 1)):
+        start[part], other[part] = _followed(positions, decision, part, diagram, back=part.start < row)
+    if other[row] >= 0:
+        raise not_taken(decision, decision.first, int(other[row]))
+    start[other >= 0] = np.nan
+    x = _fitted(positions, start, np.arange(frames), diagram)
+    here = positions.x_px[row]
+    usual = np.where(np.isfinite(here), here, usual_places(positions))
+    place = int((usual < start[row] + diagram.first_column).sum())
+    wider = _inserted(positions, place, _EMPTY)
+    more = replace(wider, side=np.insert(positions.side, place, 1), n=np.insert(positions.n, place, 1))
+    _put(more, slice(0, frames), place, x, _state(start, x))
+    before = Before(how="added", sheets=(place,), arrays={"side": positions.side, "n": positions.n})
+    return _renumbered(more, more.track_facts.axis_px), before
+
+
+def _state(start: Floats, x: Floats) -> NDArray[Any]:
+    """Flags of a sheet by whether it has a ridge, and whether that has a position."""
+    found = np.where(np.isfinite(x), FLAGS.index("ok"), FLAGS.index("unfit"))
+    return np.where(np.isfinite(start), found, FLAGS.index("missing"))
+
+
+def _followed(
+    positions: Positions,
+    decision: Correction,
+    part: slice,
+    diagram: Diagram,
+    *,
+    without: int | None = None,
+    back: bool = False,
+) -> tuple[Floats, Ints]:
+    """Whole pixels of the ridge in these rows, NaN where it is lost, and whose it is, -1 if nobody's.
+
+    In blocks; each goes on from where the ridge was seen last.
+    """
+    comb, origin = positions.comb, float(diagram.first_column)
+    start, other = np.full(len(positions.frame), np.nan), np.full(len(positions.frame), -1)
+    at, wanted = (part.stop - 1 if back else part.start), decision
+    while True:
+        rows = (
+            slice(max(part.start, at + 1 - BLOCK), at + 1) if back else slice(at, min(at + BLOCK, part.stop))
+        )
+        ridges = diagram.ridges(positions, rows)
+        owned = _whole_pixels(positions.x_px[rows] - np.float64(origin), ridges)
+        if without is not None:
+            owned[:, without] = np.nan
+        order = np.arange(rows.stop - rows.start)[:: -1 if back else 1]
+        found = np.empty(len(order))
+        found[order] = follow_ridge(
+            wanted, order, owned, ridges, comb, origin_px=origin, settings=diagram.settings
+        )
+        start[rows] = found
+        shared = owned == found[:, None]
+        other[rows] = np.where(shared.any(axis=1), shared.argmax(axis=1), -1)
+        if (rows.start == part.start) if back else (rows.stop == part.stop):
+            return start[part], other[part]
+        seen = np.flatnonzero(np.isfinite(found))
+        last = int(seen[0] if back else seen[-1])
+        if rows.start + last == at:  # not seen again in a whole block
+            return start[part], other[part]
+        at, wanted = rows.start + last, replace(decision, x_px=float(found[last]) + origin)
+
+
+def _whole_pixels(x_px: Floats, ridges: Ridges) -> Floats:
+    """Each position as the candidate from which it was fitted; rounded where there is none near."""
+    out, least = np.rint(x_px), np.full(x_px.shape, SAME_RIDGE_PX)
+    for k in range(ridges.x_px.shape[1]):  # a column at a time: memory of one (frame, sheet)
+        distance = np.abs(x_px - ridges.x_px[:, k : k + 1])
+        nearer = distance <= least
+        out[nearer] = np.broadcast_to(ridges.x_px[:, k : k + 1], out.shape)[nearer]
+        least = np.where(nearer, distance, least)
+    return out
+
+
+def _fitted(positions: Positions, start_px: Floats, rows: Ints, diagram: Diagram) -> Floats:
+    """Subpixel positions, as columns of the picture, from whole pixels of the diagram in these rows."""
+    comb, facts = positions.comb, positions.track_facts
+    fit: FitName = "paper" if facts.fit == "paper" else "sliding"
+    x = np.full(len(rows), np.nan)
+    for begin in range(0, len(rows), BLOCK):
+        part = slice(begin, begin + BLOCK)
+        first, last = int(rows[part][0]), int(rows[part][-1]) + 1
+        profile = diagram.rows(first, last)[rows[part] - first]
+        bright = profile if comb.sign > 0 else -profile
+        x[part] = fit_sheets(bright, start_px[part, None], fit=fit, window_px=facts.window_px, comb=comb)[0][
+            :, 0
+        ]
+    return x + diagram.first_column
+
+
+# --- sheets and axis ----------------------------------------------------------------------------------------
+
+
+def _renumbered(positions: Positions, axis_px: float) -> Positions:
+    numbering = number_sheets(usual_places(positions)[None], axis_px=axis_px)
+    return replace(positions, side=numbering.side, n=numbering.n)
+
+
+def _with_axis(positions: Positions, axis_px: float) -> tuple[Positions, Before]:
+    facts = positions.track_facts
+    before = Before(
+        how="numbering",
+        arrays={"side": positions.side, "n": positions.n},
+        axis_px=facts.axis_px,
+        axis_how=facts.axis_how,
+    )
+    about = dict(positions.attrs) | {"axis_px": axis_px, "axis_how": "given"}
+    return replace(_renumbered(positions, axis_px), attrs=about), before
+
+
+def _without(positions: Positions, sheet: int) -> tuple[Positions, Before]:
+    arrays = {name: getattr(positions, name)[:, sheet].copy() for name in CELLS}
+    arrays |= {"side": positions.side, "n": positions.n}
+    fewer = _removed(positions, sheet)
+    before = Before(how="deleted", sheets=(sheet,), arrays=arrays)
+    return _renumbered(fewer, fewer.track_facts.axis_px), before
+
+
+def _removed(positions: Positions, sheet: int) -> Positions:
+    cells = {name: np.delete(getattr(positions, name), sheet, axis=1) for name in CELLS}
+    return replace(positions, **cells, side=np.delete(positions.side, sheet), n=np.delete(positions.n, sheet))
+
+
+def _inserted(positions: Positions, sheet: int, values: Mapping[str, Any]) -> Positions:
+    """One more column of these values, NaN where there are none."""
+    cells = {
+        name: np.insert(getattr(positions, name), sheet, values.get(name, np.nan), axis=1) for name in CELLS
+    }
+    return replace(positions, **cells)

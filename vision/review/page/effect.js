@@ -1,0 +1,94 @@
+/* What the program answers to a decision that is not kept yet, as curves to draw and lines to read. */
+
+import { number } from "./surface.js";
+
+const MOST_LINES = 4; // of sheets whose deformation changes
+const SIDES = [["left", -1], ["right", 1]];
+
+/** What an effect on positions holds: `lines` in words, `curves` of sheets that change, `stick` at the cursor. */
+export function effectOn(answer, decision, name) {
+  const { before, after, frames } = answer, lines = [], curves = [];
+  const sheets = decision.sheets ?? (decision.sheet == null ? [] : [decision.sheet]);
+  if (["accept", "leave_out", "swap", "assign"].includes(decision.kind)) {
+    const [first, stop] = decision.frames.split(":").map((text) => (text === "" ? Infinity : Number(text)));
+    const rows = frames.map((_, i) => i).filter((i) => frames[i] >= first && frames[i] < stop), shown = rows.map((i) => frames[i]);
+    for (const sheet of sheets) {
+      const was = rows.map((i) => before.x_px[i][sheet]), will = rows.map((i) => after.x_px[i][sheet]);
+      const moved = will.map((x, i) => (x != null && was[i] != null && x !== was[i] ? x - was[i] : NaN)).filter(Number.isFinite).sort((a, b) => a - b);
+      curves.push({ sheet, frames: shown, x_px: will });
+      lines.push(`${name(sheet)}, ${span(shown)}: ${count(was)} → ${count(will)} of ${rows.length} positions${moved.length ? `, moved by ${number(moved[moved.length >> 1], 1)} px` : ""}`);
+    }
+  } else if (decision.kind === "add") {
+    const place = after.x_px[0].length > before.x_px[0].length ? newColumn(before, after) : -1;
+    if (place >= 0) {
+      const will = after.x_px.map((row) => row[place]);
+      curves.push({ sheet: null, frames, x_px: will });
+      lines.push(`${count(will)} of ${frames.length} positions in ${span(frames)}; it becomes ${sideOf(after.side[place])} ${after.n[place]}`);
+    }
+  } else if (decision.kind === "delete") {
+    lines.push(`${name(decision.sheet)}: ${count(before.x_px.map((row) => row[decision.sheet]))} → 0 positions in ${span(frames)}`);
+  }
+  const [was, will] = [before, after].map(({ side }) => SIDES.map(([word, sign]) => `${word} ${side.filter((s) => s === sign).length}`).join(", "));
+  if (was !== will) lines.push(`sheets: ${was} → ${will}`);
+  const stick = answer.stick_after?.length ? { event: answer.event, sheets: answer.stick_after } : null;
+  lines.push(...deformation(answer.event, answer.stick_before ?? [], answer.stick_after ?? []));
+  return { lines, curves, stick };
+}
+
+function deformation(event, before, after) {
+  if (!after.length) return event == null ? ["σx/Λst: no stick phase at the cursor, or clocks that are not sure"] : [`σx/Λst in stick ${event} cannot be measured`];
+  const key = (one) => `${sideOf(one.side)} ${one.n}`, was = new Map(before.map((one) => [key(one), one]));
+  const changed = after.filter((one) => !close(one.ratio, was.get(key(one))?.ratio)).map((one) => {
+    const old = was.get(key(one)), shell = old?.shell && old.shell !== one.shell ? ` (${old.shell} → ${one.shell})` : "";
+    return { by: Math.abs((one.ratio ?? 0) - (old?.ratio ?? 0)), text: `σx/Λst in stick ${event}, ${key(one)}: ${ratio(old)} → ${ratio(one)}${shell}` };
+  }).sort((a, b) => b.by - a.by);
+  const lines = changed.slice(0, MOST_LINES).map((one) => one.text);
+  if (changed.length > MOST_LINES) lines.push(`… and of ${changed.length - MOST_LINES} more sheets`);
+  if (!changed.length) lines.push(`σx/Λst in stick ${event}: no change`);
+  const stiff = SIDES.map(([word, sign]) => {
+    const [a, b] = [before, after].map((all) => all.filter((one) => one.side === sign && one.shell === "stiff").length);
+    return a === b ? `${word} ${b}` : `${word} ${a} → ${b}`;
+  });
+  lines.push(`called stiff in it: ${stiff.join(", ")} sheets`);
+  return lines;
+}
+
+/** Ridges and noise of another strip, against those of the present one. */
+export function effectOfStrip(now, then) {
+  const change = (name, digits, unit) => `${number(now[name], digits)} → ${number(then[name], digits)}${unit}`;
+  return {
+    curves: [], ridges_px: then.ridges,
+    lines: [
+      `ridges in frame ${then.frame}: ${now.ridges.length} → ${then.ridges.length}, of these sheets: ${now.sheets_seen} → ${then.sheets_seen}`,
+      `noise from frame to frame: ${change("noise_px", 4, " px")}`,
+      `contrast: ${change("contrast", 1, " grey levels")}; ridge width: ${change("fwhm_px", 2, " px")}`,
+      "The film is tracked again when you save; positions, σx/Λst and shells follow then.",
+    ],
+  };
+}
+
+/** How another clock fits: drops of the force against the film's own slips. */
+export function effectOfClock(answer, filmSlips, seconds, frameSeconds, before) {
+  const away = filmSlips.map((frame) => Math.min(...answer.slips.map((other) => Math.abs(seconds(other) - seconds(frame))), Infinity));
+  const met = away.filter((s) => s <= 2.5 * frameSeconds).sort((a, b) => a - b);
+  const lines = [`${met.length} of the film's ${filmSlips.length} slips meet a drop of the force${met.length ? `, to ${number(1000 * met[met.length >> 1], 0)} ms (median)` : ""}`,
+    `${answer.sticks.length} stick phases lie within the film`];
+  const stick = answer.stick_after?.length ? { event: answer.event, sheets: answer.stick_after } : null;
+  if (stick) lines.push(...deformation(answer.event, before?.event === answer.event ? before.sheets : [], answer.stick_after));
+  return { lines, curves: [], stick };
+}
+
+const sideOf = (side) => (side < 0 ? "left" : "right");
+const span = (frames) => (frames.length > 1 ? `frames ${frames[0]}–${frames.at(-1)}` : frames.length ? `frame ${frames[0]}` : "no frame in view");
+const count = (values) => values.filter((x) => x != null).length;
+const ratio = (one) => (one?.ratio == null ? "none" : number(one.ratio, 3));
+const close = (a, b) => (a == null && b == null) || Math.abs(a - b) < 5e-4;
+
+/** The column that is in `after` alone. */
+function newColumn(before, after) {
+  const row = after.x_px.findIndex((values) => values.some((x) => x != null));
+  if (row < 0) return -1;
+  const old = before.x_px[row], more = after.x_px[row];
+  for (let k = 0; k < more.length; k++) if (more[k] !== old[k]) return k;
+  return more.length - 1;
+}

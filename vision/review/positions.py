@@ -1,0 +1,205 @@
+"""x(n, t) held leanly: a test of 100 000 frames and 50 sheets in 70 MB, flags as codes in place of words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import h5netcdf
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from vision.data import TRACKS, StripMetadata, TrackMetadata
+from vision.errors import InputError
+from vision.files import check_regular, reading
+from vision.isolation import try_out
+from vision.numeric import Bools, Floats, Floats32, Ints
+from vision.run.reading import AGAIN
+from vision.run.tables import attrs_of_netcdf
+from vision.sheets.neighbours import said_by_neighbours
+from vision.sheets.recovery import DOUBTS
+from vision.sheets.ridges import Polarity, RidgeComb
+
+Codes = NDArray[np.uint8]
+
+FLAGS = (
+    "ok",
+    "blurred",
+    "edge",
+    "missing",
+    "merged",
+    "unfit",
+    "left_out",
+    "frozen",
+    "blank",
+    "corrupt",
+    "lost",
+    "doubtful",
+)
+"""Words of `flag`, the worse the later: of several frames that share a pixel the worst is shown."""
+WHYS = ("", *DOUBTS)
+POSITIONED = (FLAGS.index("ok"), FLAGS.index("blurred"))
+DOUBTFUL = FLAGS.index("doubtful")
+CELLS = ("x_px", "err_px", "withheld_px", "flag", "why")
+"""Arrays of (frame, sheet)."""
+USUAL_ROWS = 300  # from which it is learned how sheets move with their neighbours
+BLOCK = 8192  # frames read at a time
+_WANTED = "tracks as track writes them"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Positions:
+    """Every sheet in every frame.
+
+    Parameters
+    ----------
+    frame, time_s
+        Numbers in the film, and seconds of the camera's clock, (frame,).
+    x_px, err_px
+        Position and standard error, (frame, sheet); NaN where there is none. In single precision, 1e-4 px,
+        which is enough to look at; saving does not use them.
+    withheld_px
+        The doubted ridge, (frame, sheet).
+    flag, why
+        Places in `FLAGS` and `WHYS`, (frame, sheet).
+    side, n
+        As numbered from the axis, (sheet,).
+    attrs
+        Of the tracks: how they were found.
+    """
+
+    frame: Ints
+    time_s: Floats
+    x_px: Floats32
+    err_px: Floats32
+    withheld_px: Floats32
+    flag: Codes
+    why: Codes
+    side: Ints
+    n: Ints
+    attrs: Mapping[str, Any]
+
+    @property
+    def sheets(self) -> int:
+        """Number of sheets."""
+        return int(self.x_px.shape[1])
+
+    @property
+    def track_facts(self) -> TrackMetadata:
+        """How the sheets were found."""
+        return TrackMetadata.of(xr.Dataset(attrs=self.attrs))
+
+    @property
+    def strip_facts(self) -> StripMetadata:
+        """How the strip was read."""
+        return StripMetadata.of(xr.Dataset(attrs=self.attrs))
+
+    @property
+    def comb(self) -> RidgeComb:
+        """What the ridges look like, as the tracking measured it."""
+        facts = self.track_facts
+        polarity: Polarity = "bright" if facts.ridges == "bright" else "dark"
+        sizes = facts.ridge_fwhm_px, facts.pitch_px, facts.contrast, facts.profile_noise
+        return RidgeComb(polarity, *sizes, float(facts.sheets), 0.0)
+
+    def expected_px(self, rows: Ints) -> Floats:
+        """Where the sheets around say that each sheet must be, in these rows."""
+        usual = np.arange(0, len(self.x_px), max(1, len(self.x_px) // USUAL_ROWS))
+        said = said_by_neighbours(self.x_px[np.concatenate([usual, rows])].astype(np.float64))
+        return said[len(usual) :]
+
+    @property
+    def doubtful(self) -> Bools:
+        """Where an identity is in doubt, (frame, sheet)."""
+        return np.asarray(self.flag == DOUBTFUL, bool)
+
+    def tracks(self, rows: slice | Ints = slice(None)) -> xr.Dataset:
+        """These rows as `track_sheets` returns them, without the words, which neither clock nor deformation
+        needs."""
+        values: dict[str, Any] = {
+            "x_px": self.x_px[rows].astype(np.float64),
+            "x_err_px": self.err_px[rows].astype(np.float64),
+        }
+        variables = {name: (TRACKS[name].dims, data, TRACKS[name].attrs) for name, data in values.items()}
+        coords = {
+            "frame": self.frame[rows],
+            "sheet": np.arange(self.sheets),
+            "time_s": ("frame", self.time_s[rows], TRACKS["time_s"].attrs),
+            "side": ("sheet", self.side, TRACKS["side"].attrs),
+            "n": ("sheet", self.n, TRACKS["n"].attrs),
+        }
+        return xr.Dataset(variables, coords, dict(self.attrs))
+
+    def row_of(self, frame: int) -> int:
+        """Row of a frame number.  Raises: InputError for a frame that the run does not have."""
+        row = int(np.searchsorted(self.frame, frame))
+        if row >= len(self.frame) or self.frame[row] != frame:
+            raise InputError("the frame", f"one from {self.frame[0]} to {self.frame[-1]}", f"{frame}")
+        return row
+
+    def copied(self, rows: slice) -> Positions:
+        """A part that can be changed without changing this."""
+        arrays = {name: getattr(self, name)[rows].copy() for name in (*CELLS, "frame", "time_s")}
+        return replace(self, **arrays)
+
+
+def read_positions(path: Path) -> Positions:
+    """tracks.nc in parts, so that its words never lie in memory at once.
+
+    Raises
+    ------
+    InputError
+        For a file that is not there, damaged, or no tracks.
+    """
+    check_regular(path, _WANTED)
+    try_out(path, "HDF5", _WANTED)
+    with reading(path, _WANTED, AGAIN), h5netcdf.File(path, "r") as file:
+        return _read(file, path)
+
+
+def _read(file: h5netcdf.File, path: Path) -> Positions:
+    absent = [name for name in ("x_px", "x_err_px", "flag", "time_s", "side", "n") if name not in file]
+    shape = tuple(file["x_px"].shape) if "x_px" not in absent else ()
+    if absent or len(shape) != 2:
+        raise InputError(path, _WANTED, f"no {', '.join(absent) or 'x(n, t)'}", AGAIN)
+    arrays: dict[str, Any] = {
+        "x_px": np.empty(shape, np.float32),
+        "err_px": np.empty(shape, np.float32),
+        "withheld_px": np.full(shape, np.nan, np.float32),
+        "flag": np.zeros(shape, np.uint8),
+        "why": np.zeros(shape, np.uint8),
+    }
+    names = {"x_err_px": "err_px", "x_withheld_px": "withheld_px"}
+    for rows in _blocks(shape[0]):
+        for name in ("x_px", *names):
+            if name in file:
+                arrays[names.get(name, name)][rows] = file[name][rows]
+        for name, words in (("flag", FLAGS), ("why", WHYS)):
+            if name in file:
+                arrays[name][rows] = _codes(file[name][rows], words)
+    attrs = {name: value for name, value in file.attrs.items() if name not in ("Conventions", "title")}
+    one = {name: np.asarray(file[name][:]) for name in ("frame", "time_s", "side", "n")}
+    return Positions(**arrays, **one, attrs=attrs_of_netcdf({name: _plain(v) for name, v in attrs.items()}))
+
+
+def _blocks(frames: int) -> Iterator[slice]:
+    yield from (slice(start, min(start + BLOCK, frames)) for start in range(0, frames, BLOCK))
+
+
+def _codes(letters: NDArray[np.bytes_], words: Sequence[str]) -> Codes:
+    """Places in the list of words of words written letter by letter, (…, letters)."""
+    width = letters.shape[-1]
+    whole = np.ascontiguousarray(letters).view(f"S{width}")[..., 0]
+    codes = np.zeros(whole.shape, np.uint8)
+    for code, word in enumerate(words):
+        if code:
+            codes[whole == word.encode()] = code
+    return codes
+
+
+def _plain(value: Any) -> Any:
+    """A number of netCDF's attributes as Python's own."""
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,589 @@
+"""One run that is being looked at and put right: what is shown, and the decisions made about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from threading import RLock
+from typing import Any, Self
+
+import numpy as np
+import xarray as xr
+
+from vision.clock import Clock, video_slips
+from vision.data import StripMetadata
+from vision.errors import InputError
+from vision.figures.decimate import grey_levels, minmax_decimate
+from vision.force import read_force
+from vision.numeric import Floats, Floats32, Ints
+from vision.pipeline import Settings
+from vision.review.diagram import Diagram
+from vision.review.editing import Before, apply, take_back, usual_places
+from vision.review.effects import READY, Effects
+from vision.review.film import Film
+from vision.review.positions import FLAGS, WHYS, read_positions
+from vision.review.saving import Job, Saver, pack, unpack
+from vision.review.stored import Found, claim, decided_clock, write_durably
+from vision.review.tiles import Tiles, encode_png
+from vision.run.reading import input_of
+from vision.run.writing import CORRECTIONS
+from vision.sheets.corrections import (
+    KEYS,
+    OPTIONAL,
+    Correction,
+    Decisions,
+    correction_of,
+    corrections_text,
+    last_of,
+    read_decisions,
+    stretches,
+)
+from vision.sheets.recovery import DOUBTS
+from vision.video import Video, open_video
+
+REPLACED = "corrections.npz"  # what saved decisions replaced, so that they can be taken back
+MOST_DOUBTS = 500  # listed
+
+
+class Session:
+    """A run, its decisions, and the positions that follow from them.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    settings
+        As the run was made with; its corrections are not used, those of the folder are.
+    film
+        Where the film lies now, if not where it was when it was tracked.
+    options
+        Names of arguments and the command's options that a report shows in their place.
+
+    Notes
+    -----
+    Every decision is on disk, in corrections.toml, before the call that made it returns. The run's tables
+    follow when it is saved.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        settings: Settings,
+        *,
+        film: Path | None = None,
+        options: Mapping[str, str] | None = None,
+    ) -> None:
+        self.folder, self.settings, self.options = folder, settings, dict(options or {})
+        self.saver, self.effects = Saver(self._saved), Effects(self)
+        self._film_moved = film
+        self._film: Film | None = None
+        self._film_reason = ""
+        self.lock = RLock()
+        self.revision = 0
+        self._claim = claim(folder)
+        self._grey: tuple[float, float] | None = None
+        self._force: xr.Dataset | None = None
+        try:
+            self._load()
+        except BaseException:
+            self._claim.close()
+            raise
+
+    def _load(self) -> None:
+        """Read the folder, then take up the decisions that its tables do not follow yet."""
+        self.found = Found.of(self.folder)
+        columns = self.settings.columns
+        first = 0 if columns is None else columns.start or 0
+        self.diagram = Diagram(self.folder / "kymograph.tif", first, self.settings.tuning.tracking)
+        ridges = self.found.facts.get("found", {}).get("ridges", {}).get("polarity", "bright")
+        self.tiles = Tiles(self.diagram, bright=ridges == "bright")
+        with ThreadPoolExecutor(1) as pool:  # while the tracks are tried out and read
+            built = pool.submit(self.tiles.build)
+            self.positions = read_positions(self.folder / "tracks.nc")
+            built.result()
+        if len(self.positions.frame) != self.diagram.frames:
+            frames = f"{len(self.positions.frame)} rows, one per frame of tracks.nc"
+            raise InputError(self.diagram.path, frames, f"{self.diagram.frames}", "run track again")
+        self.applied = self.found.applied
+        path = self.folder / CORRECTIONS
+        decided = read_decisions(path) if path.exists() else Decisions(corrections=tuple(self.applied))
+        self.undone = list(decided.undone)
+        self.decisions: list[Correction] = []
+        self._before: list[Before | None] = []  # what each replaced, None where it is not known
+        self.unseen: list[Correction] = []  # taken back, but shown as if it were not until the run is saved
+        as_saved = list(decided.corrections[: len(self.applied)])
+        if [one.what for one in as_saved] == [one.what for one in self.applied]:
+            kept = unpack(self.folder / REPLACED)
+            self.decisions += as_saved
+            self._before += (kept + [None] * len(as_saved))[: len(as_saved)]
+        else:
+            self._take_back_saved(decided)
+        for decision in decided.corrections[len(self.decisions) :]:
+            self._apply(decision)
+
+    def _take_back_saved(self, decided: Decisions) -> None:
+        """From the decisions that the run follows to those that were still held when it was left."""
+        kept = unpack(self.folder / REPLACED)
+        same = _common(self.applied, decided.corrections)
+        self.decisions = list(self.applied)
+        self._before = (kept + [None] * len(self.applied))[: len(self.applied)]
+        while len(self.decisions) > same:
+            self._step_back()
+
+    def _apply(self, decision: Correction) -> None:
+        self.positions, before = apply(self.positions, decision, self.diagram)
+        self.decisions.append(decision)
+        self._before.append(before)
+        self.revision += 1
+
+    def _step_back(self) -> Correction:
+        decision, before = self.decisions.pop(), self._before.pop()
+        if before is None:
+            self.unseen.append(decision)
+        else:
+            self.positions = take_back(self.positions, before)
+        self.revision += 1
+        return decision
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.saver.wait()
+        self.diagram.close()
+        self._claim.close()
+
+    # --- film and force -------------------------------------------------------------------------------------
+
+    def film(self) -> Film:
+        """The film, opened at the first need.  Raises: InputError where it is gone or another one."""
+        with self.lock:
+            if self._film_reason:
+                raise InputError("the film", "the one that was tracked", self._film_reason)
+            if self._film is None:
+                try:
+                    self._film = Film(self._open_film())
+                except InputError as error:
+                    self._film_reason = str(error)
+                    raise
+            return self._film
+
+    def _open_film(self) -> Video:
+        path = input_of(self.folder, self._input(0), self._film_moved)
+        chosen = self.settings
+        return open_video(
+            path, rotate=chosen.rotate, frames=chosen.frames, fps=chosen.fps, timestamps=chosen.timestamps
+        )
+
+    def _input(self, place: int) -> Mapping[str, Any]:
+        """The film's entry among run.json's inputs (0), or the force recording's (-1)."""
+        inputs = self.found.facts.get("inputs") or []
+        named = self.found.facts.get("parameters", {}).get("force", {}).get("value")
+        if not inputs or (place and not named):
+            raise InputError(self.folder, "a film and a force recording", "none in its run.json")
+        return dict(inputs[place])
+
+    def frame_png(self, frame: int) -> bytes:
+        """One frame as an 8-bit PNG, by the same black and white throughout."""
+        film, row = self.film(), self.positions.row_of(frame)
+        pixels = film.picture(frame, float(self.positions.time_s[row]))
+        if pixels is None:
+            raise InputError("the frame", "one that can be read", f"{frame}, which cannot")
+        if self._grey is None:
+            known = np.asarray(pixels, np.float32)
+            low, high = np.percentile(known[np.isfinite(known)], (0.5, 99.8))
+            self._grey = float(low), float(max(high, low + 1e-6))
+        return encode_png(grey_levels(np.asarray(pixels, np.float32), *self._grey))
+
+    def force(self) -> xr.Dataset:
+        """The force recording, read at the first need.  Raises: InputError where there is none."""
+        with self.lock:
+            if self._force is None:
+                chosen = self.settings
+                self._force = read_force(
+                    input_of(self.folder, self._input(-1)),
+                    speed_mm_min=chosen.speed_mm_min,
+                    d0_mm=chosen.d0_mm,
+                    d0_err_mm=chosen.d0_err_mm,
+                    columns=chosen.force_columns,
+                    settings=chosen.tuning.force,
+                )
+            return self._force
+
+    def force_curve(self, first_s: float, stop_s: float, points: int) -> Floats:
+        """(rows, 3): seconds of the force clock, load, separation; extremes where there are more rows than
+        points."""
+        force = self.force()
+        time_s = force["time_s"].to_numpy()
+        a, b = np.searchsorted(time_s, [first_s, stop_s])
+        values = np.column_stack([force[name].to_numpy()[a:b] for name in ("load_N", "d_mm")])
+        at, low_high = minmax_decimate(time_s[a:b], values, most=points)
+        return np.column_stack([at, low_high])
+
+    # --- saving ---------------------------------------------------------------------------------------------
+
+    def save(self) -> None:
+        """Begin to re-run what follows from the decisions.  Raises: InputError while that is being done."""
+        with self.lock:
+            self.saver.start(
+                Job(
+                    folder=self.folder,
+                    settings=self.settings,
+                    applied=tuple(self.applied),
+                    decisions=self._held(self.decisions, self.undone),
+                    clock=self.found.clock,
+                    film=self._film_moved,
+                    beside={REPLACED: pack(self._before)} if self._before else {},
+                    options=self.options,
+                )
+            )
+
+    def saving(self) -> dict[str, Any]:
+        """How far saving is."""
+        saver = self.saver
+        return {"running": saver.running, "stage": saver.stage, "error": saver.error, "changed": self.changed}
+
+    def _saved(self) -> None:
+        with self.lock:
+            earlier = self.diagram
+            self._load()
+            earlier.close()
+            self.revision += 1
+
+    def _check_free(self) -> None:
+        """Decisions wait while the run is made again.  Raises: InputError."""
+        if self.saver.running:
+            raise InputError("the run", "a run that is not being saved", "one that is", "wait for its end")
+
+    # --- decisions ------------------------------------------------------------------------------------------
+
+    def decide(self, request: Mapping[str, Any]) -> None:
+        """Keep a decision.  Raises: InputError where it does not fit; nothing is kept then."""
+        with self.lock:
+            self._check_free()
+            if any(one.kind in ("add", "delete") for one in self.unseen):
+                found = "a number that waits to be saved"
+                raise InputError("the decision", "sheets that are numbered as shown", found, "save first")
+            self._keep(self.decision_of(request, dated=True), [])
+
+    def undo(self) -> None:
+        """Take the last decision back.  Raises: InputError without one."""
+        with self.lock:
+            self._check_free()
+            if not self.decisions:
+                raise InputError("undo", "a decision to take back", "none")
+            self._write(self.decisions[:-1], [*self.undone, self.decisions[-1]])
+            self.undone.append(self._step_back())
+
+    def redo(self) -> None:
+        """Make the last decision that was taken back again.  Raises: InputError without one."""
+        with self.lock:
+            self._check_free()
+            if not self.undone:
+                raise InputError("redo", "a decision that was taken back", "none")
+            again, rest = self.undone[-1], self.undone[:-1]
+            if not (self.unseen and self.unseen[-1].what == again.what):
+                self._keep(again, rest)
+                return
+            self._write([*self.decisions, again], rest)
+            self.unseen.pop()
+            self.decisions.append(again)
+            self._before.append(None)
+            self.undone = rest
+            self.revision += 1
+
+    def _keep(self, decision: Correction, undone: list[Correction]) -> None:
+        """Apply and write; what cannot be written is not applied either."""
+        self._apply(decision)
+        try:
+            self._write(self.decisions, undone)
+        except InputError:
+            self._step_back()
+            raise
+        self.undone = undone
+
+    @property
+    def pending(self) -> list[Correction]:
+        """Decisions that the run's tables do not follow yet."""
+        return self.decisions[_common(self.applied, self.decisions) :]
+
+    @property
+    def changed(self) -> bool:
+        """Whether saving would change the run."""
+        return len(self.decisions) != len(self.applied) or bool(self.pending)
+
+    def decision_of(self, request: Mapping[str, Any], *, dated: bool = False) -> Correction:
+        """What a page asks for.  Raises: InputError for an unknown kind or a value of the wrong kind."""
+        kind = str(request.get("kind"))
+        if kind not in KEYS:
+            raise InputError("the decision", f"a kind of {', '.join(KEYS)}", repr(kind))
+        allowed = (*KEYS[kind], *OPTIONAL.get(kind, ()))
+        entry = {name: value for name, value in request.items() if name in allowed}
+        if dated:
+            entry["date"] = self._now()
+        return correction_of(kind, entry, "the decision")
+
+    def _now(self) -> str:
+        """The time, later than the last decision's whatever the machine's clock says: dates are the order."""
+        last = max((one.date for one in self.decisions if one.date), default="")
+        now = datetime.now(UTC)
+        if last:
+            earliest = datetime.fromisoformat(last) + timedelta(milliseconds=1)
+            now = max(now, earliest.astimezone(UTC))
+        return now.isoformat(timespec="milliseconds")
+
+    def _write(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> None:
+        """corrections.toml, whole and on the disk when this returns."""
+        held = self._held(decisions, undone)
+        write_durably(self.folder / CORRECTIONS, corrections_text(held))
+
+    def _held(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> Decisions:
+        checksum = self.found.film_checksum
+        return Decisions(corrections=tuple(decisions), undone=tuple(undone), film=checksum)
+
+    # --- what is shown --------------------------------------------------------------------------------------
+
+    def summary(self) -> dict[str, Any]:
+        """Everything a page needs at first, of any length of the film."""
+        with self.lock:
+            positions, facts, strip = self.positions, self.positions.track_facts, self.positions.strip_facts
+            frames, columns = self.diagram.frames, self.diagram.columns
+            shape = {
+                "name": self.folder.resolve().name,
+                "source": strip.source,
+                "frames": frames,
+                "first_frame": int(positions.frame[0]),
+                "time_first_s": positions.time_s[0],
+                "time_last_s": positions.time_s[-1],
+                "fps": strip.fps,
+                "clock_kind": strip.clock_kind,
+                "columns": columns,
+                "first_column": self.diagram.first_column,
+                "pixel_size_um": self.found.facts.get("parameters", {}).get("pixel_size", {}).get("value"),
+                "threshold": self.settings.threshold,
+                "strip": self._rows(strip),
+                "axis_px": facts.axis_px,
+                "axis_range_px": [facts.axis_low_px, facts.axis_high_px],
+                "pitch_px": facts.pitch_px,
+                "ridge_fwhm_px": facts.ridge_fwhm_px,
+                "ridges": facts.ridges,
+                "flags": FLAGS,
+                "has_force": self.found.events is not None,
+                "warnings": self.found.facts.get("warnings", []),
+            }
+            lists = {
+                "has_force": self.found.events is not None,
+                "sheets": self.sheets(),
+                "doubts": self.doubts(),
+                "sticks": self.sticks(),
+                "clock": None if self.clock is None else self.clock.to_json(),
+                "tiles": {
+                    "levels": self.tiles.levels,
+                    "columns": self.tiles.settings.columns,
+                    "rows": self.tiles.settings.rows,
+                    "factor": self.tiles.settings.factor,
+                },
+            }
+            return shape | lists | self.state()
+
+    def _rows(self, strip: StripMetadata) -> tuple[int, int]:
+        """Rows of the strip, as decided on."""
+        decided = last_of(self.pending, "strip")
+        return (strip.strip_z0, strip.strip_z1) if decided is None or decided.rows is None else decided.rows
+
+    def state(self) -> dict[str, Any]:
+        """What changes with each decision."""
+        pending = len(self.pending)
+        return {
+            "revision": self.revision,
+            "decisions": [
+                {
+                    "kind": one.kind,
+                    "text": one.text(),
+                    "date": one.date,
+                    "saved": k < len(self.decisions) - pending,
+                }
+                | {"entry": one.entry()}
+                for k, one in enumerate(self.decisions)
+            ],
+            "undone": [_listed(one) for one in self.undone],
+            "can_undo": bool(self.decisions),
+            "can_redo": bool(self.undone),
+            "changed": self.changed,
+            "unseen": [one.text() for one in self.unseen],
+            "saving": self.saving(),
+        }
+
+    def sheets(self) -> list[dict[str, Any]]:
+        """One entry per sheet, from the left."""
+        positions, places = self.positions, usual_places(self.positions)
+        return [
+            {"index": k, "side": int(side), "n": int(n), "x_px": float(places[k])}
+            for k, (side, n) in enumerate(zip(positions.side, positions.n, strict=True))
+        ]
+
+    def doubts(self) -> list[dict[str, Any]]:
+        """Doubtful stretches, the longest first."""
+        positions = self.positions
+        sheet, first, stop = stretches(positions.doubtful)
+        worst = np.argsort(first - stop, kind="stable")[:MOST_DOUBTS]
+        expected = positions.expected_px(first[worst])
+        return [
+            {
+                "sheet": int(sheet[k]),
+                "side": int(positions.side[sheet[k]]),
+                "n": int(positions.n[sheet[k]]),
+                "first": int(positions.frame[first[k]]),
+                "stop": int(positions.frame[stop[k] - 1]) + 1,
+                "frames": int(stop[k] - first[k]),
+                "why": DOUBTS.get(WHYS[positions.why[first[k], sheet[k]]], "identity not certain"),
+                "x_withheld_px": float(positions.withheld_px[first[k], sheet[k]]),
+                "x_expected_px": float(expected[place, sheet[k]]),
+            }
+            for place, k in enumerate(worst)
+        ]
+
+    @property
+    def clock(self) -> Clock | None:
+        """The run's, or the one that was decided on since."""
+        decided, own = last_of(self.pending, "clock"), self.found.clock
+        return own if decided is None else decided_clock(own, decided)
+
+    def sticks(self, clock: Clock | None = None) -> list[dict[str, Any]]:
+        """Stick phases within the film, in frames of the film by the clock as it is."""
+        clock, events = clock or self.clock, self.found.events
+        if clock is None or events is None:
+            return []
+        start, stop = (clock.to_video_s(events[name].to_numpy(float)) for name in ("t_v_s", "t_p_s"))
+        first, last = self._frames_at(start), self._frames_at(stop)
+        time_s = self.positions.time_s
+        inside = (stop > np.nanmin(time_s)) & (start < np.nanmax(time_s))
+        names = ("event", "d_v_mm", "dF_N", "F_p_N", "stick_length_um", "K_N_per_mm", "flag")
+        known = [name for name in names if name in events]
+        table = events[known].assign(first=first, stop=last + 1, start_s=start, end_s=stop)
+        return [{str(name): value for name, value in row.items()} for row in table[inside].to_dict("records")]
+
+    def slips(self, clock: Clock | None = None) -> list[int]:
+        """First frames after the slips: of the force where its clock is sure, else of the sheets' steps."""
+        clock, time_s = clock or self.clock, self.positions.time_s
+        if clock is not None and self.found.events is not None and clock.status in READY:
+            at = clock.to_video_s(self.found.events["t_p_s"].to_numpy(float))
+            at = at[(at > np.nanmin(time_s)) & (at < np.nanmax(time_s))]
+        else:
+            at = self._video_slips_s()
+        return sorted({int(frame) for frame in self._frames_at(at)})
+
+    def film_slips(self) -> list[int]:
+        """First frames after the sheets' own steps, whatever the clock."""
+        with self.lock:
+            return sorted({int(frame) for frame in self._frames_at(self._video_slips_s())})
+
+    def _video_slips_s(self) -> Floats:
+        if not hasattr(self, "_seen_slips_s"):
+            try:
+                self._seen_slips_s = video_slips(self.positions.tracks())["time_s"].to_numpy(float)
+            except InputError:  # too few frames, or none with a time
+                self._seen_slips_s = np.empty(0)
+        return self._seen_slips_s
+
+    def _frames_at(self, seconds: Floats) -> Ints:
+        """Numbers of the frames next after these times of the camera's clock."""
+        time_s = self.positions.time_s
+        known = np.flatnonzero(np.isfinite(time_s))
+        if not known.size:
+            return np.zeros(len(seconds), np.int64)
+        row = np.searchsorted(time_s[known], np.nan_to_num(seconds, nan=-np.inf))
+        return np.asarray(self.positions.frame[known[np.minimum(row, known.size - 1)]], np.int64)
+
+    def curves(self, first: int, stop: int, points: int, what: str = "x") -> Floats32:
+        """(rows, 1 + sheets): frame number, then a value of each sheet; extremes of intervals where there
+        are more rows than points.
+
+        Parameters
+        ----------
+        first, stop
+            Frames, half-open.
+        points
+            Rows wanted at most.
+        what
+            "x" (px), "err" (px), "withheld" (px), or "flag": place in `FLAGS`, the worst
+            of each interval.
+
+        Raises
+        ------
+        InputError
+            For another name.
+        """
+        names = {"x": "x_px", "err": "err_px", "withheld": "withheld_px"}
+        if what not in (*names, "flag"):
+            raise InputError("what", f"{', '.join(names)} or flag", repr(what))
+        with self.lock:
+            positions = self.positions
+            a, b = np.searchsorted(positions.frame, [first, stop])
+            rows = slice(int(a), max(int(b), int(a)))
+            frame = positions.frame[rows].astype(np.float64)
+            if what == "flag":
+                at, values = _worst(frame, positions.flag[rows], points)
+            else:
+                at, values = minmax_decimate(frame, getattr(positions, names[what])[rows], most=points)
+        return np.column_stack([at, values]).astype(np.float32)
+
+    def ridges(self, frame: int) -> dict[str, Any]:
+        """Every candidate that the program saw in one frame, with the sheet it is taken for."""
+        with self.lock:
+            positions = self.positions
+            row = positions.row_of(frame)
+            seen = self.diagram.ridges(positions, slice(row, row + 1))
+            known = np.isfinite(seen.x_px[0])
+            x = seen.x_px[0][known].astype(float) + self.diagram.first_column
+            owner = _owners(x, positions.x_px[row])
+            doubted = _owners(x, positions.withheld_px[row])
+            candidates = [
+                {
+                    "x_px": x[k],
+                    "contrast": seen.contrast[0][known][k],
+                    "fwhm_px": seen.fwhm_px[0][known][k],
+                    "sheet": int(owner[k]) if owner[k] >= 0 else None,
+                    "doubted_sheet": int(doubted[k]) if doubted[k] >= 0 else None,
+                }
+                for k in range(len(x))
+            ]
+            expected = positions.expected_px(np.array([row]))[0]
+            names = ("x_px", "err_px", "withheld_px")
+            sheets = [
+                {"index": k, "flag": FLAGS[positions.flag[row, k]]}
+                | {"why": DOUBTS.get(WHYS[positions.why[row, k]], "")}
+                | {name: getattr(positions, name)[row, k] for name in names}
+                | {"expected_px": expected[k]}
+                for k in range(positions.sheets)
+            ]
+        return {"frame": frame, "candidates": candidates, "sheets": sheets}
+
+
+def _listed(one: Correction) -> dict[str, Any]:
+    return {"kind": one.kind, "text": one.text(), "date": one.date, "entry": one.entry()}
+
+
+def _common(one: Sequence[Correction], other: Sequence[Correction]) -> int:
+    """How many decisions from the first on say the same in both."""
+    pairs = enumerate(zip(one, other, strict=False))
+    return next((k for k, (a, b) in pairs if a.what != b.what), min(len(one), len(other)))
+
+
+def _owners(x: Floats, positions: Floats | Floats32) -> Ints:
+    """Index of the sheet whose position is this candidate's, -1 for none; within 2 px, the nearest."""
+    distance = np.abs(np.asarray(positions, float)[None, :] - x[:, None])
+    distance = np.where(np.isfinite(distance), distance, np.inf)
+    nearest = distance.argmin(axis=1)
+    near = distance[np.arange(len(x)), nearest] <= 2.0
+    return np.where(near, nearest, -1).astype(np.int64)
+
+
+def _worst(frame: Floats, codes: Any, points: int) -> tuple[Floats, Any]:
+    """The largest code of every interval."""
+    if len(frame) <= points:
+        return frame, codes
+    starts = np.arange(0, len(frame), -(-len(frame) // points))
+    return frame[starts], np.maximum.reduceat(codes, starts, axis=0)
