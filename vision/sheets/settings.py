@@ -172,11 +172,6 @@ class TrackingSettings:
     """Frames over which a sheet's rest position is taken. More smooth out slips and ringing, fewer follow
     drift."""
 
-    certain_end: float = 0.9
-    """Fraction of the frames in which an outermost sheet must be found to show that the comb ends there.
-    Larger doubts combs with a faint end, smaller lets an even comb of beating muscle jump by a pitch
-    (test_real_films.py)."""
-
     # --- detections (recovery.py) ---
 
     doubt: float = 3.0
