@@ -106,8 +106,8 @@ def short_films(folder: Path, count: int) -> list[str]:
         f"| start of a job's process, before its first film | {started.cpu_s:.1f} |",
         "",
         f"By the clock the campaign took {campaign.wall_s:.0f} s ({clock:.2f} of the single calls' CPU time "
-        f"over the cores), on a machine that others used too (load {os.getloadavg()[1]:.0f}). The start of Python and of the libraries is "
-        "most of a short film's time, so a job takes several films.",
+        f"over the cores) on a machine that others used too (load average {os.getloadavg()[1]:.0f}). The "
+        "start of Python and of the libraries is most of a short film's time, so a job takes several films.",
     ]
 
 
