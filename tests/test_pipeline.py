@@ -1,6 +1,7 @@
 """analyse(): every stage once, in order, and nothing lost where one of them fails."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from vision.command.main import run
 from vision.errors import InputError
 from vision.pipeline import Settings
 from vision.run import provenance, writing
+from vision.sheets.corrections import correction_of
 
 DEEP = Path(__file__).parents[1] / "fixtures" / "deep"
 ARGUMENTS = (
@@ -103,3 +105,40 @@ def test_a_large_film_has_its_report_too(monkeypatch, tmp_path):
     assert run([str(film), "--quiet", "--out", str(out)]) == 0
     digest = json.loads((out / "run.json").read_text())["inputs"][0]["fingerprint"]
     assert digest in (out / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("kind", "entry", "kept"),
+    [
+        ("clock", {"offset_s": 12.0}, ("strip", "tracks")),
+        ("axis", {"x_px": 300.0}, ("strip",)),
+        ("delete", {"sheet": 2}, ("strip",)),
+        ("strip", {"rows": "4:16"}, ()),
+    ],
+)
+def test_only_what_follows_from_a_decision_is_run_again(whole, kind, entry, kept):
+    """A failure means that a decision waits for hours of reading, or does not reach what it changes."""
+    settings = replace(whole.settings, corrections=(correction_of(kind, entry),))
+    again = vision.analyse(DEEP / "video.tif", whole.force, settings, earlier=whole)
+    assert [name for name in ("strip", "tracks") if getattr(again, name) is getattr(whole, name)] == list(
+        kept
+    )
+    assert ("reading" in again.seconds) == (kind == "strip")
+    if kind == "clock":
+        assert again.clock is None or (again.clock.status, again.clock.offset_s) == ("given", 12.0)
+        assert "clock" in again.reasons or again.clock is not None
+    if kind == "strip":
+        assert (again.strip.attrs["strip_z0"], again.strip.attrs["strip_z1"]) == (4, 16)
+        with pytest.raises(InputError, match="film"):
+            vision.analyse(None, whole.force, settings, earlier=whole)
+    if kind == "delete":
+        assert again.tracks.sizes["sheet"] == whole.tracks.sizes["sheet"] - 1
+    if kind == "axis":
+        assert again.tracks.attrs["axis_px"] == 300.0
+
+
+def test_without_a_change_nothing_is_run_again(whole):
+    """Nor is the film needed."""
+    again = vision.analyse(None, whole.force, whole.settings, earlier=whole)
+    assert again.tracks is whole.tracks
+    assert again.strip is whole.strip

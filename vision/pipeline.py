@@ -41,7 +41,7 @@ from vision.sheets import (
 )
 from vision.sheets.corrections import OF_SHEETS, last_of, ordered
 from vision.shells import ShellSettings, classify_shells
-from vision.summary import consistency_warnings, summary_lines, tracking_warnings
+from vision.summary import consistency_warnings, ridges_per_side, summary_lines, tracking_warnings
 from vision.video import (
     Follow,
     ReadingLog,
@@ -117,8 +117,9 @@ class Settings:
         σ_x/Λ_st below which a sheet is stiff.
     common_mode
         Whether motion that all sheets share, the camera's, is taken off.
-    sample
-        Geometry and adhesion of the sample.
+    sample, geometry_err
+        Geometry and adhesion of the sample (None: the publication's, and said to be assumed), and the errors
+        of its fields by name, for systematic errors.
     t_star_fitted
         Fit T* as well, which can hardly be told from μ.
     tuning
@@ -153,7 +154,8 @@ class Settings:
     offset_s: float | None = None
     threshold: float = 0.1
     common_mode: bool = True
-    sample: Sample = PUBLISHED
+    sample: Sample | None = None
+    geometry_err: Mapping[str, float] = field(default_factory=dict)
     t_star_fitted: bool = False
     tuning: Tuning = field(default_factory=Tuning)
 
@@ -218,10 +220,12 @@ class Analysis:
 
     def summary(self) -> list[str]:
         """What was found, in about ten lines."""
-        lines, sample = summary_lines(self), self.settings.sample
-        if self.fits is not None and sample == PUBLISHED:
+        lines, sample = summary_lines(self), PUBLISHED
+        if self.fits is not None and self.settings.sample is None:
             size = f"{sample.thickness_mm:g} x {sample.width_mm:g} x {sample.length_mm:g} mm"
-            lines.append(f"sample     assumed: the publication's, M = {sample.sheets_per_block} of {size}")
+            line = f"sample     assumed: the publication's, M = {sample.sheets_per_block} of {size}"
+            shown = ridges_per_side(self.tracks) if self.tracks is not None else sample.sheets_per_block
+            lines.append(line + f"; the video shows {shown} per side" * (shown != sample.sheets_per_block))
         return lines
 
     def _repr_html_(self) -> str:
@@ -539,11 +543,12 @@ def _fits(force: xr.Dataset, sticks: pd.DataFrame, chosen: Settings) -> ModelFit
     return fit_models(
         force,
         sticks,
-        chosen.sample,
+        chosen.sample or PUBLISHED,
         free_t_star=chosen.t_star_fitted,
         mu=chosen.mu,
         modulus_GPa=chosen.modulus_GPa,
         fit_range_mm=chosen.fit_range_mm,
+        geometry_err=chosen.geometry_err,
     )
 
 
@@ -594,7 +599,9 @@ def _warnings(found: Analysis) -> tuple[str, ...]:
     if found.tracks is not None:
         lines += warnings_of(found.tracks)
         lines += tracking_warnings(found.tracks)
-        lines += consistency_warnings(found.tracks, found.settings.sample)
+        # An assumed sample matters where models are fitted with it.
+        assumed = PUBLISHED if found.fits is not None and found.settings.sample is None else None
+        lines += consistency_warnings(found.tracks, found.settings.sample, assumed=assumed)
     if found.force is not None:
         lines += warnings_of(found.force, found.sticks)
         lines += filter(None, [cycles_seen(found.force)])

@@ -13,7 +13,7 @@ import xarray as xr
 from vision.data import StickMetadata, StripMetadata, TrackMetadata
 from vision.figures.labels import both_errors
 from vision.numeric import nan_median
-from vision.sample import PUBLISHED, Sample
+from vision.sample import Sample
 from vision.sheets import doubtful_stretches
 from vision.sheets.tracks import LOSSY
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
@@ -88,7 +88,14 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     return lines
 
 
-def consistency_warnings(tracks: xr.Dataset, sample: Sample = PUBLISHED) -> list[str]:
+def ridges_per_side(tracks: xr.Dataset) -> int:
+    """Ridges on the side of the axis that shows more."""
+    return max((int((tracks["side"].values == side).sum()) for side in (-1, 1)), default=0)
+
+
+def consistency_warnings(
+    tracks: xr.Dataset, sample: Sample | None = None, *, assumed: Sample | None = None
+) -> list[str]:
     """What was found and does not fit together, each with what to do about it.
 
     Parameters
@@ -96,7 +103,9 @@ def consistency_warnings(tracks: xr.Dataset, sample: Sample = PUBLISHED) -> list
     tracks
         From `vision.track_sheets`.
     sample
-        The sheets of one block are compared with the ridges per side, unless the sample was only assumed.
+        As given: its sheets per block are compared with the ridges per side.
+    assumed
+        The sample that is used where none was given.
     """
     found, lines = TrackMetadata.of(tracks), []
     if found.ridges_beyond:
@@ -119,11 +128,13 @@ def consistency_warnings(tracks: xr.Dataset, sample: Sample = PUBLISHED) -> list
             f"the axis at {found.axis_px:.0f} px is not where motion allows it ({found.axis_low_px:.0f} to"
             f" {found.axis_high_px:.0f} px): check `axis_px`, or whether both sides are in view"
         )
-    most = max((int((tracks["side"].values == side).sum()) for side in (-1, 1)), default=0)
-    if sample != PUBLISHED and most > sample.sheets_per_block:
+    most = ridges_per_side(tracks)
+    used = sample or assumed
+    if used is not None and most > used.sheets_per_block:
+        how = "given" if sample is not None else "assumed"
         lines.append(
-            f"{most} ridges on one side, but {sample.sheets_per_block} sheets in a block: check `axis_px`,"
-            " `sheets` and `sheets_per_block`"
+            f"{used.sheets_per_block} sheets per block and side {how}, video shows {most}: check"
+            " `sheets_per_block`, `axis_px` and `sheets`"
         )
     return lines
 
@@ -147,14 +158,16 @@ def flag_counts(tracks: xr.Dataset) -> dict[str, int]:
 
 
 def noise_figures(tracks: xr.Dataset, pixel_size_um: float | None) -> dict[str, float]:
-    """Median over the sheets of the predicted and of the measured noise of a position."""
+    """Median over the sheets of the noise of a position: measured, predicted from the pixels, and stated."""
     measured = float(nan_median(tracks["x_noise_px"].values.ravel()))
-    predicted = float(nan_median(tracks["x_err_px"].values.ravel()))
-    figures = {"measured_px": measured, "predicted_px": predicted}
+    stated = float(nan_median(tracks["x_err_px"].values.ravel()))
+    known = "x_predicted_px" in tracks
+    predicted = float(nan_median(tracks["x_predicted_px"].values.ravel())) if known else stated
+    figures = {"measured_px": measured, "predicted_px": predicted, "stated_px": stated}
     if "x_scatter_px" in tracks and np.isfinite(tracks["x_scatter_px"].values).any():
         figures["scatter_px"] = float(nan_median(tracks["x_scatter_px"].values.ravel()))
     if pixel_size_um is not None:
-        figures |= {"measured_um": measured * pixel_size_um, "predicted_um": predicted * pixel_size_um}
+        figures |= {f"{name[:-3]}_um": px * pixel_size_um for name, px in list(figures.items())}
     return figures
 
 
@@ -224,7 +237,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
     scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
     # compression hides the noise of pixels: what they predict is then no check of what was measured
     predicted = (
-        f"; {noise['predicted_px']:.4f} px stated ({strip.codec} hides the noise of pixels)"
+        f"; {noise['stated_px']:.4f} px stated ({strip.codec} hides the noise of pixels)"
         if strip.codec in LOSSY
         else f", {noise['predicted_px']:.4f} px predicted from the pixels"
     )

@@ -159,8 +159,8 @@ def uneven_light_px(strip: xr.DataArray, tracks: xr.Dataset) -> float | None:
 
     Notes
     -----
-    A ridge of height C over a level V, Gaussian with standard width :math:`\sigma`, in light L(x), has its
-    maximum at
+    A ridge of height C (negative where dark) over a level V, Gaussian with standard width :math:`\sigma`, in
+    light L(x), has its maximum at
 
     .. math:: x - x_n = \frac{L'}{L}\, \frac{V + C}{C}\, \left(\sigma^2 + \frac{w^2}{20}\right)
 
@@ -180,9 +180,10 @@ def uneven_light_px(strip: xr.DataArray, tracks: xr.Dataset) -> float | None:
     gaps = np.interp(np.r_[place[:-1] + np.diff(place) / 2], column, mean)
     level = (gaps[1:] + gaps[:-1]) / 2
     slope = np.diff(gaps) / ((place[2:] - place[:-2]) / 2)
-    height = np.abs(np.interp(place[1:-1], column, mean) - level)
+    top = np.interp(place[1:-1], column, mean)
+    height = np.abs(top - level)
     width = (found.ridge_fwhm_px / FWHM) ** 2 + found.window_px**2 / 20
     with np.errstate(divide="ignore", invalid="ignore"):
-        shift = slope / level * (level + height) / height * width
+        shift = slope / level * top / height * width
     shift = shift[np.isfinite(shift)]
     return float(np.sqrt(np.mean(shift**2))) if shift.size else None

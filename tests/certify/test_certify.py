@@ -9,6 +9,7 @@ import pytest
 
 from tests.scenes.degraded import CODECS, FRAMES, SCENE, clean
 from vision.certify import CertifySettings, certify, write_certificate
+from vision.certify.encoder import read_encoder
 from vision.certify.likeness import find_slips, learn
 from vision.errors import InputError
 from vision.experiment import preset, profiles, with_settings
@@ -139,3 +140,47 @@ def test_too_few_frames():
     strip, tracks, _ = drawn("as usual")
     with pytest.raises(InputError, match="30 frames"):
         certify(strip.isel(frame=slice(0, 10)), tracks.isel(frame=slice(0, 10)))
+
+
+def encoded_film(crf, folder, seed=41):
+    """A film through H.264: the path, strip, tracks, and errors of displacements."""
+    film = clean(seed)
+    path = CODECS[f"H.264 crf {crf}"](folder, film.pixels)
+    strip = strip_profile(open_video(path))
+    tracks = track_sheets(strip)
+    return path, strip, tracks, moved(tracks.x_px.values - film.truth_px)
+
+
+@pytest.mark.parametrize("crf", [12, 23, 28])
+def test_films_encoded_again_have_the_errors_of_the_recording(crf, tmp_path):
+    """Within 15 %, where residuals put in again fail: H.264 holds sheets still while they creep."""
+    path, strip, tracks, error = encoded_film(crf, tmp_path)
+    columns = (0, strip.sizes["x"])
+    encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), columns)
+    assert encoder.quantiser == crf
+    found = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
+    assert 0.85 < found.error_px / rms(error) < 1.15
+    assert "quantiser" in found.encoding and not any("carries content" in line for line in found.warnings)
+    if crf > 12:
+        residuals = certify(strip, tracks, settings=ONE_FILM)
+        assert residuals.error_px / rms(error) < 0.85
+        assert residuals.encoding == "" and any("carries content" in line for line in residuals.warnings)
+
+
+def test_a_film_that_is_gone_or_of_another_codec_is_not_encoded_again(tmp_path):
+    """A failure means a certificate from a codec that the recording did not have."""
+    assert read_encoder(tmp_path / "gone.mp4", (0, 30), (0, 600)) is None
+    path = CODECS["MJPEG 90"](tmp_path, clean(41).pixels)
+    assert read_encoder(path, (0, 30), (0, 600)) is None
+
+
+def test_noise_is_found_from_the_bits(tmp_path):
+    """Twice the noise takes more bits at the same quantiser: what is found must follow."""
+    found = []
+    for seed, noise in ((41, 0.0), (41, 3.0)):
+        pixels = clean(seed).pixels + np.random.default_rng(1).normal(0, noise, clean(seed).pixels.shape)
+        path = CODECS["H.264 crf 12"](tmp_path, np.clip(np.rint(pixels), 0, 255).astype(np.uint8))
+        encoder = read_encoder(path, (0, 30), (0, 600))
+        profile = np.asarray(strip_profile(open_video(path)).values)
+        found.append(encoder.with_noise(profile).noise_grey)
+    assert 0.5 < found[0] < 2.5 < found[1] < 5

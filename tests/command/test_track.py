@@ -1,5 +1,6 @@
 """`track VIDEO` as typed: files, exit status, messages."""
 
+import hashlib
 import json
 import os
 import subprocess
@@ -28,6 +29,8 @@ FILES = {
     "figures.npz",
     "run.json",
 }
+LINES = ["sheets", "frames", "positions", "noise", "strip", "ridges", "axis", "clock", "scale"]
+LINES += ["systematic", "results"]
 
 
 @pytest.fixture
@@ -72,7 +75,7 @@ def test_the_run_folder_holds_the_truth_in_the_contract_s_columns(video, capsys)
         "x_noise_px",
     ]
     summary = capsys.readouterr().out.splitlines()
-    assert len(summary) == 10
+    assert [line[:11].strip() for line in summary] == LINES
     assert summary[0].startswith("sheets     8 bright ridges (4 left, 4 right)")
 
 
@@ -242,4 +245,11 @@ def test_the_checkout_s_cli_runs_as_a_process(video):
     )
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
-    assert done.stdout.count("\n") == 10
+    assert done.stdout.count("\n") == len(LINES)
+
+
+def test_a_checksum_covers_every_byte_of_the_film(video):
+    """A failure means that --checksum names another file, or is forgotten."""
+    assert run([str(video), "--quiet", "--no-report", "--checksum", "--overwrite"]) == 0
+    (film,) = json.loads(Path("comb_tracks/run.json").read_text())["inputs"]
+    assert film["sha256"] == hashlib.sha256(video.read_bytes()).hexdigest()

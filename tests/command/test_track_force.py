@@ -124,3 +124,35 @@ def test_nothing_is_written_for_bad_input(
     assert force(Path("ramp.csv")) == 2
     assert "ramp.csv: expected at least two slips" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ramp.csv"]
+
+
+def test_errors_of_the_geometry_enter_the_systematic_errors(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """μ goes as 1/ε, Y_eff as 1/(εW): a failure means ± is read and forgotten, or of the wrong size."""
+    options = ["--thickness", "0.1±0.002", "--width", "45+-0.9", "--length", "57", "--t-star", "0.003±0.0003"]
+    assert force(file, "--d0", "13.0±0", *options, "--out", "with") == 0
+    found = json.loads(Path("with/models.json").read_text())
+    budget = found["budget"]
+    assert set(budget) == {"d0", "load_drift", "low_pass", "thickness_mm", "width_mm", "t_star_N"}
+    assert budget["thickness_mm"]["mu"] == pytest.approx(0.02 * found["mu"]["value"], rel=0.1)
+    assert budget["width_mm"]["Y_eff_GPa"] == pytest.approx(0.02 * found["Y_eff_GPa"]["value"], rel=0.1)
+    assert budget["width_mm"]["mu"] == pytest.approx(0, abs=1e-6)
+    assert found["mu"]["systematic_error"] >= budget["thickness_mm"]["mu"]
+    Path("run.toml").write_text(
+        "d0 = '13.0±0'\n[sample]\nthickness = '0.1±0.002'\nwidth = 45.0\n", encoding="utf-8"
+    )
+    assert force(file, "--config", "run.toml", "--out", "filed") == 0
+    filed = json.loads(Path("filed/models.json").read_text())
+    assert filed["budget"]["thickness_mm"] == pytest.approx(budget["thickness_mm"])
+    assert "width_mm" not in filed["budget"]
+    assert "assumed" not in capsys.readouterr().out
+
+
+def test_a_thickness_that_is_none_is_one_line(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A failure means a typing error in the geometry becomes a modulus, or a traceback."""
+    for option, text in (("--thickness", "0.1±x"), ("--t-star", "0±0.1"), ("--width", "wide")):
+        assert force(file, "--d0", "13", option, text) == 2
+        line = capsys.readouterr().err
+        assert line.count("\n") == 1
+        assert option in line

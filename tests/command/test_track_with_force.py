@@ -103,3 +103,18 @@ def test_a_recording_that_cannot_be_read_is_said_before_the_work(capsys):
     assert run([*VIDEO, "--force", str(PAPER / "truth.nc")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not Path("run").exists()
+
+
+def test_a_video_with_more_ridges_than_sheets_says_so(truth, capsys):
+    """A failure means that a sample of 30 sheets is fitted as one of 20, or as the assumed 25, in silence."""
+    options = ("--offset", str(truth.attrs["offset_s"]), "--overwrite")
+    assert run([*VIDEO, *FORCE, *options, "--sheets-per-block", "20"]) == 1
+    assert (
+        "20 sheets per block and side given, video shows 25: check --sheets-per-block"
+        in capsys.readouterr().err
+    )
+    assert run([*VIDEO, *FORCE, *options, "--axis", "800"]) == 1
+    said = capsys.readouterr()
+    assert "25 sheets per block and side assumed, video shows 33" in said.err
+    assert "assumed: the publication's, M = 25" in said.out
+    assert "the video shows 33 per side" in said.out

@@ -80,3 +80,9 @@ def test_one_repeated_time_does_not_cost_the_clock():
     times_s[11] = times_s[10]
     assert time_axis(timed(times_s))[1] == "t (s)"
     assert time_axis(timed(np.zeros(40)))[1] == "frame"
+
+
+def test_dollars_in_names_are_no_mathematics():
+    """A failure means that a sample called $x$ is drawn as a formula, or ends the drawing."""
+    assert to_mathtext(r"$\frac{$") == r"\$\frac{\$"
+    assert to_mathtext("5 $ of σ_eff") == r"5 \$ of $σ_{\mathrm{eff}}$"

@@ -10,6 +10,7 @@ import warnings
 from collections import Counter
 from pathlib import Path
 
+from tests.fuzz import runs
 from tests.fuzz.cases import peak_bytes, run_cases
 
 
@@ -18,6 +19,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
     parser.add_argument("--cases", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--runs", action="store_true", help="damaged run folders in place of films")
     parser.add_argument("--keep", type=Path, help="folder for the files that failed")
     given = parser.parse_args()
     faulthandler.enable()
@@ -25,7 +27,8 @@ def main() -> int:
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)
     folder = given.keep or Path(tempfile.mkdtemp(prefix="fuzz-"))
     started, outcomes, failures = time.monotonic(), Counter(), 0
-    for _, outcome, failure in run_cases(given.cases, given.seed, folder):
+    cases = runs.run_cases if given.runs else run_cases
+    for _, outcome, failure in cases(given.cases, given.seed, folder):
         outcomes[outcome if failure is None else "failed"] += 1
         if failure is not None:
             failures += 1

@@ -6,10 +6,12 @@ import warnings
 import numpy as np
 import pytest
 
+from tests.fuzz import runs
 from tests.fuzz.cases import MEMORY_BYTES, one_case, peak_bytes, read, run_cases
 from tests.fuzz.mutations import mutated, places
 from tests.fuzz.seeds import write_seeds
 
+RUNS = 40
 PARTS, CASES = 4, 500  # so that they share the cores
 
 
@@ -27,6 +29,17 @@ def test_a_damaged_file_is_read_or_refused(seed, tmp_path):
     failures = [failure for _, _, failure in run_cases(CASES, seed, tmp_path) if failure]
     assert not failures, "\n".join(f"{f.file}: {f.what}" for f in failures[:3])
     assert peak_bytes() < MEMORY_BYTES
+
+
+def test_a_damaged_run_folder_is_read_or_refused(tmp_path):
+    """A failure means that a run folder from elsewhere ends a command in a traceback, or writes outside."""
+    outcomes, failures = [], []
+    for _, outcome, failure in runs.run_cases(RUNS, 1, tmp_path / "runs"):
+        outcomes.append(outcome)
+        failures += [failure] if failure else []
+    assert not failures, "\n".join(f"{f.file}: {f.what}" for f in failures[:3])
+    assert len({outcome for outcome in outcomes if "status 0" in outcome}) > 5  # damage that is read
+    assert len({outcome for outcome in outcomes if "status 2" in outcome}) > 3
 
 
 def test_the_files_it_starts_from_are_whole(tmp_path):

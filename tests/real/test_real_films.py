@@ -118,3 +118,17 @@ def test_no_part_of_the_sarcomeres_jumps_by_a_pitch_for_one_frame(tmp_path):
     away = np.abs(np.diff(x, axis=0)) > 9  # discs 13 px apart
     back = away[:-1] & away[1:]
     assert back.sum(axis=1).max() <= 1
+
+
+def test_two_bands_of_a_high_speed_camera(tmp_path):
+    """Photron's .mraw with its .cih: size, depth and frame rate stand there; two bright bands vibrate along y
+    together. A failure means that such recordings are misread, or the camera's rate is not taken."""
+    status, x, flags, facts = tracked(tmp_path, "two_bands.cih", "--rotate", "90")
+    assert status == 1  # every hundredth frame may have been saved
+    assert "save step is 100" in " ".join(facts["warnings"])
+    assert x.shape == (75, 2) and (flags == "ok").all()
+    assert facts["recording"]["depth_bits"] == 8
+    assert facts["found"]["clock"] == {"kind": "file", "fps": 15000.0}
+    assert facts["found"]["ridges"]["polarity"] == "bright"
+    assert 14 < np.diff(np.median(x, axis=0))[0] < 18
+    assert np.corrcoef(x.T)[0, 1] > 0.99

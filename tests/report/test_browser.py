@@ -4,7 +4,6 @@ import csv
 import io
 import os
 import re
-import shutil
 from xml.etree import ElementTree
 
 import numpy as np
@@ -12,22 +11,16 @@ import pytest
 from PIL import Image
 
 from tests.scenes.analysed import FACTS
+from tests.scenes.browser import chromium
 from vision.figures import figures_of
 from vision.figures.labels import to_unicode
 from vision.report import write_report
 
-playwright = pytest.importorskip("playwright.sync_api")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")
-
 
 @pytest.fixture(scope="module")
 def browser():
-    with playwright.sync_playwright() as driver:
-        options = ["--no-sandbox", "--disable-background-networking"]
-        opened = driver.chromium.launch(executable_path=CHROMIUM, args=options)
+    with chromium() as opened:
         yield opened
-        opened.close()
 
 
 @pytest.fixture(scope="module")

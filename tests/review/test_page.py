@@ -1,20 +1,31 @@
 """The page of the review in a real browser: a run with planted faults is put right, kept and found again."""
 
+import json
 import os
 import re
+import shutil
 import subprocess
 import sys
+import time
+import urllib.request
 from pathlib import Path
+from queue import Queue
+from threading import Thread
 
 import numpy as np
 import pytest
 
-from tests.scenes import planted
+from tests.scenes import doubted as scene
 from tests.scenes.browser import chromium
+from tests.scenes.doubted import doubted_run
+from tests.scenes.reviewed import SETTINGS, clean
+from vision.command.review import settings_of_run
+from vision.review.server import serve
+from vision.review.session import Session
 from vision.run.reading import read_run
 
 PROJECT = Path(__file__).parents[2]
-PATIENCE_MS = 30_000  # the machine may be busy
+PATIENCE_MS = 60_000  # the machine may be busy
 SHOTS = os.environ.get("SHEETVISION_SCREENSHOTS")
 
 
@@ -25,18 +36,15 @@ def browser():
 
 
 @pytest.fixture(scope="module")
-def planted_run(tmp_path_factory):
-    return planted.planted_run(tmp_path_factory.mktemp("planted"))
+def doubted(tmp_path_factory):
+    """Not to be changed: see `run`."""
+    return doubted_run(tmp_path_factory.mktemp("doubted"))
 
 
 @pytest.fixture
-def run(planted_run, tmp_path):
-    """A copy of its own for each test."""
-    copy = tmp_path / "planted"
-    copy.mkdir()
-    for file in planted_run.iterdir():
-        (copy / file.name).write_bytes(file.read_bytes())
-    return copy
+def run(doubted, tmp_path):
+    """A run folder of one's own."""
+    return shutil.copytree(doubted, tmp_path / "doubted")
 
 
 class Served:
@@ -63,6 +71,32 @@ class Served:
         self.process.stdout.close()
 
 
+class ServedHere:
+    """The same within this process, which begins sooner."""
+
+    def __init__(self, run, settings):
+        ready = Queue()
+
+        def work():
+            with Session(run, settings) as session:
+                serve(session, opened=ready.put)
+
+        self.thread = Thread(target=work, daemon=True)
+        self.thread.start()
+        self.address = ready.get(timeout=PATIENCE_MS / 1000)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        if self.thread.is_alive():
+            home, _, token = self.address.partition("?token=")
+            asked = urllib.request.Request(f"{home}api/quit", b"{}", {"X-Token": token})
+            urllib.request.urlopen(asked).close()
+        self.thread.join(timeout=PATIENCE_MS / 1000)
+        assert not self.thread.is_alive()
+
+
 class Visit:
     """An open page, with everything it complained about or asked for."""
 
@@ -86,19 +120,61 @@ class Visit:
         return self.page.locator(f"#{name}").inner_text()
 
     def history(self):
-        """What counts, and what was undone."""
-        entries = self.page.locator("#history li .what")
-        return [
-            self.page.locator("#history li:not(.undone) .what").nth(k).inner_text()
-            for k in range(entries.count() - self.undone())
-        ]
+        """What counts, in words."""
+        return self.page.locator("#history li:not(.undone) .what").all_inner_texts()
 
     def undone(self):
         return self.page.locator("#history li.undone").count()
 
     def reads(self, name, text):
-        """Waits until an element says this."""
+        """What an element says once it says this."""
         self.page.locator(f"#{name}", has_text=text).wait_for()
+        return self.text(name)
+
+    def place(self, view, frame, column=None):
+        """Where a frame and a column are on the screen, in one of the pictures."""
+        box = self.page.locator(f"#{view}").bounding_box()
+        x, y = self.page.evaluate(
+            """([view, frame, column]) => {
+              const { surface: s } = review.views[view], v = review.view;
+              const across = (value, low, high) => s.left + (s.plotWidth * (value - low)) / (high - low);
+              const middle = s.top + s.plotHeight / 2;
+              if (view === "film") return [across(column, v.low, v.high), middle];
+              const x = across(frame + 0.5, v.first, v.last);
+              if (column == null) return [x, middle];
+              return [x, s.top + s.plotHeight * (1 - (column - v.low) / (v.high - v.low))];
+            }""",
+            [view, frame, column],
+        )
+        return box["x"] + x, box["y"] + y
+
+    def point(self, view, frame, column=None):
+        """A click on a frame and column of a picture."""
+        self.page.mouse.click(*self.place(view, frame, column))
+
+    def drag(self, view, begin, end):
+        """From one column to another."""
+        self.page.mouse.move(*self.place(view, None, begin))
+        self.page.mouse.down()
+        self.page.mouse.move(*self.place(view, None, end), steps=5)
+        self.page.mouse.up()
+
+    def slide(self, film_s, by_s):
+        """Moves the force along the film, by a time."""
+        x, y = self.place("force", 120)
+        width = self.page.evaluate("review.views.force.surface.plotWidth")
+        self.page.mouse.move(x, y)
+        self.page.mouse.down()
+        self.page.mouse.move(x + by_s * width / film_s, y, steps=4)
+        self.page.mouse.up()
+
+    def rows(self):
+        """Upper and lower edge of the film's picture on the screen."""
+        box = self.page.locator("#film").bounding_box()
+        top, high = self.page.evaluate(
+            "(() => { const s = review.views.film.surface; return [s.top, s.plotHeight]; })()"
+        )
+        return box["y"] + top, box["y"] + top + high
 
     def effect(self):
         """What is said about the open decision, once it is known."""
@@ -112,7 +188,10 @@ class Visit:
         )
 
     def saved(self):
-        self.page.wait_for_selector("#connection[data-state=saved]")
+        self.page.wait_for_selector(
+            "#connection[data-state=saved], #notice:not([hidden])", timeout=2 * PATIENCE_MS
+        )
+        assert self.text("notice") == ""
 
     def foreign(self):
         """Requests to anywhere but the program."""
@@ -127,21 +206,21 @@ class Visit:
 
 def assert_true(run):
     """The run folder holds the truth of the scene, every position."""
-    tracks, truth = read_run(run).tracks, planted.true_positions()
+    tracks, truth = read_run(run).tracks, scene.true_positions()
     assert np.abs(tracks["x_px"].values - truth).max() < 0.5  # NaN would fail, too
     assert set(np.unique(tracks["flag"].values)) <= {"ok", "blurred"}
-    half = planted.SHEETS // 2
+    half = scene.SHEETS // 2
     np.testing.assert_array_equal(tracks["side"].values, [-1] * half + [1] * half)
     np.testing.assert_array_equal(tracks["n"].values, [*range(half, 0, -1), *range(1, half + 1)])
 
 
-def test_the_planted_faults_are_there(planted_run):
+def test_the_planted_faults_are_there(doubted):
     """A failure means that the tests below put right what was never wrong."""
-    tracks, truth = read_run(planted_run).tracks, planted.true_positions()
+    tracks, truth = read_run(doubted).tracks, scene.true_positions()
     away = np.abs(tracks["x_px"].values - truth)
-    assert (away[planted.SWAPPED_FROM :, list(planted.SWAPPED)] > 90).all()
-    assert (tracks["flag"].values[slice(*planted.GAP), planted.LEFT_OUT] == "left_out").all()
-    assert (tracks["flag"].values[slice(*planted.DOUBT), planted.DOUBTED] == "doubtful").all()
+    assert (away[scene.SWAPPED_FROM :, list(scene.SWAPPED)] > 90).all()
+    assert (tracks["flag"].values[slice(*scene.GAP), scene.LEFT_OUT] == "left_out").all()
+    assert (tracks["flag"].values[slice(*scene.DOUBT), scene.DOUBTED] == "doubtful").all()
     assert int((tracks["side"].values < 0).sum()) == 5
 
 
@@ -152,7 +231,7 @@ def test_by_the_keyboard_alone(browser, run):
         page = visit.page
         visit.shot("start")
         visit.press("d")
-        assert f"frames {planted.DOUBT[0]} to {planted.DOUBT[1] - 1}" in visit.text("message")
+        assert f"frames {scene.DOUBT[0]} to {scene.DOUBT[1] - 1}" in visit.text("message")
         visit.press("a")
         assert "0 → 31 of 31 positions" in visit.effect()
         visit.shot("accept")
@@ -167,13 +246,13 @@ def test_by_the_keyboard_alone(browser, run):
 
         visit.press(*["ArrowUp"] * 6, *["Shift+ArrowRight"] * 11, "g")  # sheet 8, frame 150
         visit.press("Tab", "Tab", "Tab", "Control+A")
-        page.keyboard.type(f"{planted.GAP[1]}")
+        page.keyboard.type(f"{scene.GAP[1]}")
         visit.reads("effect", "→ 21 of 21 positions")
         visit.press("Enter")
         visit.kept(5)
 
         visit.press("m", "Control+A")
-        page.keyboard.type(f"{planted.AXIS_PX}")
+        page.keyboard.type(f"{scene.AXIS_PX}")
         visit.reads("effect", "left 6, right 6")
         visit.press("Enter")
         visit.kept(6)
@@ -194,7 +273,7 @@ def test_by_the_keyboard_alone(browser, run):
         visit.shot("gone")
         assert visit.foreign() == []
         visit.context.close()
-    with Served(run) as served:
+    with ServedHere(run, settings_of_run(run)) as served:
         visit = Visit(browser, served)
         assert visit.history() == history
         visit.press("Control+S")
@@ -205,3 +284,212 @@ def test_by_the_keyboard_alone(browser, run):
         assert_true(run)
         assert visit.complaints == []
         visit.context.close()
+
+
+def test_by_the_mouse_alone(browser, run):
+    """A failure means that somebody who knows no key cannot put a run right."""
+    truth = scene.true_positions()
+    with ServedHere(run, settings_of_run(run)) as served:
+        visit = Visit(browser, served)
+        page = visit.page
+        page.click("#doubts button")
+        page.click("#decide-accept")
+        assert "0 → 31 of 31 positions" in visit.effect()
+        page.click("#keep")
+        visit.kept(3)
+
+        page.click("#whole")
+        visit.point("diagram", scene.SWAPPED_FROM, truth[scene.SWAPPED_FROM, 3])  # there it is called 2
+        assert "frame 40 " in visit.reads("where", "frame 40 ")
+        page.click("#decide-swap")
+        assert "moved by 100" in visit.effect()
+        page.click("#keep")
+        visit.kept(4)
+
+        first, stop = scene.GAP
+        visit.point("diagram", first - 5, truth[first - 5, scene.LEFT_OUT])
+        visit.point("tracks", first)
+        page.click("#decide-assign")
+        visit.point("film", None, truth[first, scene.LEFT_OUT])
+        visit.point("tracks", stop - 1)
+        page.click("[aria-label='to frame: take the cursor\\'s']")
+        visit.reads("effect", "0 → 21 of 21 positions")
+        visit.effect()
+        visit.shot("assign")
+        page.click("#keep")
+        visit.kept(5)
+
+        page.click("#decide-axis")
+        visit.drag("film", scene.WRONG_AXIS_PX, scene.AXIS_PX)
+        visit.reads("effect", "left 6, right 6")
+        visit.effect()
+        visit.shot("axis")
+        page.click("#keep")
+        visit.kept(6)
+
+        for left in range(5, 1, -1):
+            page.click("#undo")
+            visit.kept(left)
+        assert visit.undone() == 4
+        for done in range(3, 7):
+            page.click("#redo")
+            visit.kept(done)
+        page.click("#save")
+        visit.saved()
+        assert_true(run)
+        page.reload()
+        page.wait_for_selector("#history li .what")
+        assert len(visit.history()) == 6
+        assert "up to date" in visit.text("connection")
+        assert visit.complaints == []
+        assert visit.foreign() == []
+        page.click("#close")
+        visit.reads("notice", "The review has ended")
+        served.thread.join(timeout=PATIENCE_MS / 1000)
+        assert not served.thread.is_alive()
+        visit.context.close()
+
+
+@pytest.fixture(scope="module")
+def pulled_page(planted, tmp_path_factory):
+    """A run with a force recording whose clock is ambiguous."""
+    run = shutil.copytree(planted, tmp_path_factory.mktemp("pulled") / "late")
+    clock = json.loads((run / "clock.json").read_text())
+    candidates = [
+        {"offset_s": at, "drift_ppm": 0.0, "log_likelihood": 9.0, "matched": 4} for at in (24.0, 24.7)
+    ]
+    clock |= {"status": "ambiguous", "how": "events", "candidates": candidates}
+    (run / "clock.json").write_text(json.dumps(clock))
+    with ServedHere(run, SETTINGS) as served:
+        yield served
+
+
+def test_a_clock_is_accepted_by_sliding_the_force(browser, pulled_page):
+    """A failure means that ambiguous clocks cannot be settled, or that σ_x/Λ_st does not follow."""
+    visit = Visit(browser, pulled_page)
+    page = visit.page
+    visit.reads("force-facts", "ambiguous")
+    page.click("#decide-clock")
+    missed = int(visit.effect().split(" of ")[0])  # at 23 s, a second off
+    visit.slide(page.evaluate("review.view.seconds(review.view.end) - review.view.seconds(0)"), -1.0)
+    met = int(visit.effect().split(" of ")[0])
+    assert met > missed
+    assert float(page.input_value("#field-offset")) == pytest.approx(24.0, abs=0.02)
+    page.select_option("#field-candidate", "0")
+    assert float(page.input_value("#field-offset")) == 24.0
+    visit.shot("clock")
+    visit.effect()
+    before = len(visit.history())
+    page.click("#keep")
+    visit.kept(before + 1)
+    visit.reads("force-facts", "clocks given")
+    page.click("#slip-after")
+    visit.reads("message", "Slip at")
+    visit.press(*["ArrowRight"] * 5)
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    label = page.locator("#stick[aria-label*='in stick']").get_attribute("aria-label")
+    visit.shot("deformation")
+    event, ratio = re.search(r"in stick (\d+);.*: ([0-9.]+); threshold", label).groups()
+    known = float(clean().motion["ratio"].sel(event=int(event)).values[0])
+    assert float(ratio) == pytest.approx(known, rel=0.1)
+    visit.press("l")
+    assert "σx/Λst in stick" in visit.effect()
+    visit.press("Escape", "u")
+    visit.kept(before)
+    assert visit.complaints == []
+    visit.context.close()
+
+
+def test_dragging_the_strip_shows_its_noise_at_once(browser, pulled_page):
+    """A failure means that rows are chosen blindly."""
+    visit = Visit(browser, pulled_page)
+    page = visit.page
+    page.wait_for_selector("#decide-strip:not([disabled])")
+    page.click("#decide-strip")
+    assert "noise from frame to frame" in visit.effect()
+    before = visit.text("film-facts")
+    top, bottom = visit.rows()
+    started = time.perf_counter()
+    page.mouse.move(600, bottom - 2)
+    page.mouse.down()
+    page.mouse.move(600, bottom - 0.7 * (bottom - top), steps=4)
+    page.mouse.up()
+    page.wait_for_function("(old) => document.getElementById('film-facts').textContent !== old", arg=before)
+    visit.effect()
+    assert time.perf_counter() - started < 5  # a second on a machine that does nothing else
+    was, will = re.search(r"frame to frame: ([0-9.]+) → ([0-9.]+) px", visit.text("effect")).groups()
+    assert float(will) > 1.3 * float(was)  # a third of the rows, more noise: about the root of three
+    visit.shot("strip")
+    visit.press("Escape")
+    visit.reads("film-facts", before)
+    assert visit.complaints == []
+    visit.context.close()
+
+
+@pytest.mark.parametrize(("width", "height", "scheme"), [(1280, 800, "light"), (1920, 1080, "dark")])
+def test_the_page_fits_its_window(browser, pulled_page, width, height, scheme):
+    """A failure means that a projector or a small screen shows a page cut off, or in the wrong colours."""
+    visit = Visit(browser, pulled_page, viewport={"width": width, "height": height}, color_scheme=scheme)
+    page = visit.page
+    size = page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
+    assert size == [width, height]
+    assert page.evaluate("document.documentElement.dataset.theme") == scheme
+    visit.shot(f"{width}_{scheme}")
+    visit.press("g")
+    visit.effect()
+    for name in ("keep", "history", "doubts", "stick"):
+        box = page.locator(f"#{name}").bounding_box()
+        assert box["y"] + box["height"] <= height
+        assert box["height"] > 12
+    visit.shot(f"{width}_{scheme}_decision")
+    visit.press("Escape")
+    page.click("#theme")
+    assert page.evaluate("document.documentElement.dataset.theme") != scheme
+    assert visit.complaints == []
+    visit.context.close()
+
+
+def test_every_control_and_picture_has_a_name(browser, pulled_page):
+    """A failure means that a screen reader says "button", or nothing."""
+    visit = Visit(browser, pulled_page)
+    nameless = visit.page.evaluate(
+        """() => [...document.querySelectorAll("button, input, select, canvas, progress, dialog, section")]
+          .filter((one) => !(one.textContent.trim() || one.ariaLabel || one.getAttribute("aria-labelledby")
+            || one.labels?.length)).map((one) => one.outerHTML)"""
+    )
+    assert nameless == []
+    visit.press("?")
+    assert visit.page.locator("#keys").is_visible()
+    visit.press("Escape")
+    visit.press("Tab")
+    ring = visit.page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
+    assert ring == "solid"
+    visit.context.close()
+
+
+def test_a_second_window_is_told_of_the_first(browser, pulled_page):
+    """A failure means that two people undo each other's decisions without knowing."""
+    first, second = Visit(browser, pulled_page), Visit(browser, pulled_page)
+    second.reads("notice", "open in another window")
+    first.reads("notice", "open in another window")
+    before = len(second.history())
+    second.page.click("#decide-axis")
+    second.effect()
+    second.press("Enter")
+    second.kept(before + 1)
+    first.kept(before + 1)  # it learns of it by itself
+    first.press("u")
+    first.kept(before)
+    second.kept(before)
+    for visit in (first, second):
+        assert visit.complaints == []
+        visit.context.close()
+
+
+def test_the_page_could_not_ask_the_network_if_it_tried(browser, pulled_page):
+    """A failure means that a script that strayed into the page could send the data away."""
+    visit = Visit(browser, pulled_page)
+    refused = visit.page.evaluate("fetch('http://127.0.0.1:9/').then(() => 'sent', (error) => error.name)")
+    assert refused == "TypeError"
+    assert any("Content Security Policy" in line for line in visit.complaints)
+    visit.context.close()

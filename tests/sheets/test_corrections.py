@@ -7,6 +7,7 @@ from tests.scenes.combs import ridges, strip
 from tests.sheets.test_neighbours import marked_comb
 from vision.errors import InputError
 from vision.sheets import doubtful_stretches, read_corrections, track_sheets
+from vision.sheets.corrections import corrections_text, last_of, read_decisions
 
 
 @pytest.fixture(scope="module")
@@ -107,3 +108,128 @@ def test_no_ridge_is_given_twice(film, tmp_path):
 def test_a_film_without_doubt_lists_nothing():
     x = np.broadcast_to(60 + 100.0 * np.arange(5), (20, 5))
     assert doubtful_stretches(track_sheets(strip(ridges(x, width=520)))).empty
+
+
+# --- sheets, axis, and the order of decisions ---------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def comb_film():
+    """Eleven sheets that move together, and a twelfth ridge beside them that stands out of the comb."""
+    frames = np.arange(120)[:, None]
+    x = 80 + 60.0 * np.arange(11) + 4 * np.sin(frames / 9)
+    return x, strip(ridges(x, width=760))
+
+
+def test_a_deleted_sheet_is_gone_and_the_others_keep_their_positions(comb_film, tmp_path):
+    x, picture = comb_film
+    fixed = track_sheets(picture, corrections=written(tmp_path, "[[delete]]\nsheet=4"))
+    assert fixed.sizes["sheet"] == 10
+    assert np.abs(fixed.x_px.values - np.delete(x, 4, axis=1)).max() < 0.5
+    assert fixed.attrs["sheets"] == 10
+    assert len(fixed.attrs["wide_spacings"]) == 1  # and the gap is said
+
+
+def test_a_sheet_that_was_not_counted_is_added_and_followed_both_ways(comb_film, tmp_path):
+    """A failure means that a sheet the program overlooked cannot be had."""
+    x, picture = comb_film
+    text = f"[[add]]\nframe=60\nx_px={x[60, 5] + 2:.1f}\n"
+    without = written(tmp_path, f'[[delete]]\nsheet=5\ndate="2026-01-01"\n{text}date="2026-01-02"')
+    fixed = track_sheets(picture, corrections=without)
+    assert fixed.sizes["sheet"] == 11
+    assert np.abs(fixed.x_px.values - x).max() < 0.5
+    wrong = f"[[add]]\nframe=60\nx_px={x[60, 5]:.1f}"
+    with pytest.raises(InputError, match="sheet 5"):
+        track_sheets(picture, corrections=written(tmp_path, wrong))
+
+
+def test_the_axis_is_where_it_is_put(comb_film, tmp_path):
+    _, picture = comb_film
+    fixed = track_sheets(picture, axis_px=300.0, corrections=written(tmp_path, "[[axis]]\nx_px=350.0"))
+    assert fixed.side.values.tolist() == [-1] * 5 + [1] * 6
+    assert fixed.attrs["axis_px"] == 350.0
+    assert fixed.attrs["axis_how"] == "given"
+
+
+def test_a_swap_from_a_frame_on_lasts_to_the_end(comb_film, tmp_path):
+    x, picture = comb_film
+    fixed = track_sheets(picture, corrections=written(tmp_path, '[[swap]]\nsheets=[2, 3]\nframes="50:"'))
+    assert np.abs(fixed.x_px.values[50:, 2] - x[50:, 3]).max() < 0.5
+    assert np.abs(fixed.x_px.values[:50, 2] - x[:50, 2]).max() < 0.5
+
+
+def test_dates_are_the_order(comb_film, tmp_path):
+    """Each decision speaks of the sheets that those before it left, however the file is sorted.
+
+    Applied in the order of the file, the second entry would exchange other sheets.
+    """
+    x, picture = comb_film
+    later = '[[swap]]\nsheets=[2, 3]\nframes="0:"\ndate=2026-05-02T10:00:00Z\n'
+    earlier = "[[delete]]\nsheet=0\ndate=2026-05-02T11:30:00+02:00\n"  # half an hour before
+    both = written(tmp_path, later + earlier)
+    assert [one.kind for one in both] == ["delete", "swap"]
+    fixed = track_sheets(picture, corrections=both)
+    assert np.abs(fixed.x_px.values[:, 2] - x[:, 4]).max() < 0.5
+
+
+def test_what_is_written_is_read_again(tmp_path):
+    """A failure means that a review loses or changes decisions when it is opened again."""
+    text = """
+[run]
+film = "abc"
+[[swap]]
+sheets = [2, 3]
+frames = "50:"
+date = "2026-01-03"
+[[accept]]
+sheet = 6
+frames = "80:111"
+date = "2026-01-01T00:00:00.000+00:00"
+[[assign]]
+sheet = 6
+frames = "80:111"
+x_px = 687.25
+date = "2026-01-02"
+[[clock]]
+offset_s = 36.00241
+drift_ppm = -181.4
+[[strip]]
+rows = "60:144"
+[[strip]]
+rows = "61:140"
+date = "2026-01-04"
+[[undone]]
+kind = "add"
+frame = 5
+x_px = 3.5
+"""
+    written(tmp_path, text)
+    first = read_decisions(tmp_path / "fix.toml")
+    assert last_of(first.corrections, "strip").rows == (61, 140)
+    assert last_of(first.corrections, "axis") is None
+    (tmp_path / "again.toml").write_text(corrections_text(first))
+    again = read_decisions(tmp_path / "again.toml")
+    assert [(one.what, one.date) for one in again.corrections] == [
+        (one.what, one.date) for one in first.corrections
+    ]
+    assert [one.what for one in again.undone] == [("add", {"frame": 5, "x_px": 3.5})]
+    assert again.film == "abc"
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("[[add]]\nframe=1.5\nx_px=3", "frame"),
+        ('[[delete]]\nsheet=1\nframes="1:2"', "[[delete]] 1"),
+        ("[[axis]]\nx_px=inf", "x_px"),
+        ('[[strip]]\nrows="60:"', "rows"),
+        ('[[clock]]\noffset_s="soon"', "offset_s"),
+        ('[[axis]]\nx_px=3\ndate="tomorrow"', "date"),
+        ('[[undone]]\nkind="axes"', "[[undone]] 1"),
+        ("run = 3", "[run]"),
+    ],
+)
+def test_decisions_that_cannot_be_read_are_named(tmp_path, text, names):
+    with pytest.raises(InputError) as error:
+        written(tmp_path, text)
+    assert names in str(error.value)

@@ -6,7 +6,17 @@
 
 import pytest
 
-from tests.scenes.degraded import CODECS, DEGRADATIONS, SHEETS, Film, clean, compare, measured, passing_hand
+from tests.scenes.degraded import (
+    CODECS,
+    DEGRADATIONS,
+    SHEETS,
+    Film,
+    clean,
+    compare,
+    dirty,
+    measured,
+    passing_hand,
+)
 from vision.sheets import track_sheets
 from vision.video import open_video, strip_profile
 
@@ -71,3 +81,10 @@ def test_the_comparison_sees_understated_errors(tmp_path):
     tracks = track_sheets(strip_profile(open_video(tmp_path / "film.mkv")))
     halved = compare(tracks.assign(x_err_px=tracks.x_err_px / 2), film.truth_px)
     assert halved.coverage_moved < 0.5 < from_film.coverage_moved
+
+
+@pytest.mark.parametrize("seed", [4, 12, 13])
+def test_bumps_beside_specks_are_no_sheets(seed, tmp_path):
+    """What dirt leaves of the background beyond the last sheet: faint, and still or of another width."""
+    found = measured(dirty(seed), tmp_path)
+    assert (found.sheets, found.wrong) == (SHEETS, 0)

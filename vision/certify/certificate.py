@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import Any
 
@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.certify.likeness import BETWEEN_FRAMES, Likeness, learn
+from vision.certify.encoder import Encoder, read_encoder
+from vision.certify.likeness import Likeness, learn
 from vision.certify.settings import DEFAULT, CertifySettings
 from vision.clock import Clock
 from vision.data import StripMetadata, TrackMetadata
@@ -20,8 +21,10 @@ from vision.deformation import horizontal_deformation
 from vision.errors import InputError
 from vision.numeric import Floats, Ints, nan_median
 from vision.run import RunFolder, read_strip, read_table
+from vision.run.overlay import film_of
 from vision.run.reading import read_json, tracks_of
 from vision.sheets import TrackingSettings, track_sheets
+from vision.sheets.tracks import BETWEEN_FRAMES
 
 Progress = Callable[[int, int | None], None]
 
@@ -86,6 +89,8 @@ class Certificate:
         At the stiffness threshold; None without stick phases or scale.
     warnings
         What the certificate does not cover.
+    encoding
+        How films were encoded again; "" where they got the recording's residuals.
     """
 
     source: str
@@ -107,6 +112,7 @@ class Certificate:
     identity_tried: float
     threshold: Threshold | None
     warnings: tuple[str, ...]
+    encoding: str = ""
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -138,16 +144,32 @@ def certify_run(
     sticks, path = read_table(run, "events"), run.folder / "clock.json"
     clock = _clock(read_json(path)) if path.exists() else None
     given = run.facts.get("parameters", {}).get("threshold", {}).get("value")
+    strip = read_strip(run)
     return certify(
-        read_strip(run),
+        strip,
         tracks_of(run),
         pixel_size_um=run.pixel_size_um,
         sticks=sticks,
         clock=clock,
         threshold=0.1 if given is None else float(given),
+        encoder=_encoder(run, strip),
         settings=settings,
         progress=progress,
     )
+
+
+def _encoder(run: RunFolder, strip: xr.DataArray) -> Encoder | None:
+    """How the run's film was encoded, where the film is still there and its codec chains frames."""
+    facts = StripMetadata.of(strip)
+    if facts.codec not in BETWEEN_FRAMES:
+        return None
+    try:
+        film = film_of(run)
+    except InputError:
+        return None
+    columns = (int(strip["x"].values[0]), int(strip["x"].values[-1]) + 1)
+    rows = (facts.strip_z0, facts.strip_z1)
+    return read_encoder(film, rows, columns, rotate=facts.rotate)
 
 
 def _clock(facts: dict[str, Any]) -> Clock | None:
@@ -169,6 +191,7 @@ def certify(
     sticks: pd.DataFrame | None = None,
     clock: Clock | None = None,
     threshold: float = 0.1,
+    encoder: Encoder | None = None,
     settings: CertifySettings = DEFAULT,
     progress: Progress | None = None,
 ) -> Certificate:
@@ -182,6 +205,9 @@ def certify(
         Scale, stick-slip events and clock, without which there is no statement about σ_x/Λ_st.
     threshold
         σ_x/Λ_st below which a sheet is stiff.
+    encoder
+        How the recording was encoded, from `vision.certify.encoder.read_encoder`: films are then encoded
+        again in place of getting the recording's residuals.
     settings
         Tunable constants.
     progress
@@ -206,6 +232,8 @@ def certify(
     frame make such.
     """
     like = learn(strip, tracks, settings)
+    if encoder is not None:
+        like = replace(like, encoder=encoder.with_noise(like.film(like.motion_px, number=None).values))
     again = _tracking(tracks)
     scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]
     work = settings.films + 1 + len(scales) + (settings.films if sticks is not None else 0)
@@ -248,6 +276,7 @@ def certify(
         identity_tried=tried,
         threshold=at_threshold,
         warnings=_warnings(like, facts, tracks, known, _rms(error), at_threshold is None),
+        encoding="" if like.encoder is None else like.encoder.described,
     )
 
 
@@ -460,7 +489,7 @@ def _warnings(
     like: Likeness, facts: StripMetadata, tracks: xr.Dataset, known: Any, error_px: float, no_threshold: bool
 ) -> tuple[str, ...]:
     lines = []
-    if facts.codec in BETWEEN_FRAMES:
+    if facts.codec in BETWEEN_FRAMES and like.encoder is None:
         lines.append(
             f"{facts.codec} carries content from frame to frame: errors that last as long as a stick look "
             "like motion and are not in this certificate; the true error is larger, up to twice in tests"

@@ -16,21 +16,19 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import map_coordinates, spline_filter1d, uniform_filter1d
 
+from vision.certify.encoder import Encoder
 from vision.certify.settings import CertifySettings
 from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints, mad_sigma, nan_median
 from vision.sheets.subpixel import position_noise
+from vision.sheets.tracks import BETWEEN_FRAMES
 
 LEAST_FRAMES = 30
 BEYOND = 3.5  # half widths of the outermost ridge from its middle, beyond which nothing moves with it
 FAR_PX = 1e4
 LEAST_SHARING = 5  # sheets from which what all do together is told from what each does
 
-BETWEEN_FRAMES = frozenset(
-    {"h264", "hevc", "mpeg1video", "mpeg2video", "mpeg4", "vp8", "vp9", "av1", "wmv3", "msmpeg4v2"}
-)
-"""Codecs that carry a picture's content from frame to frame."""
 LEAST_LEFT = 0.2  # of the noise, where pieces are too short for the smooth motion to leave any
 
 
@@ -64,6 +62,8 @@ class Likeness:
         Frames before which the sheets jump.
     strip
         The part of the recording that is imitated.
+    encoder
+        What films go through in place of getting residuals; None where those are put in.
     """
 
     picture: Floats
@@ -79,13 +79,15 @@ class Likeness:
     chained: bool
     slips: Ints
     strip: xr.DataArray
+    encoder: Encoder | None = None
 
     def film(self, motion_px: Floats, *, number: int | None) -> xr.DataArray:
         """A strip with these true positions (frame, sheet) and the residuals of other frames.
 
         They come in random order, another for each `number`, where frames are independent, from not too far
         away since light may change; where a codec carries content from frame to frame they keep their order
-        and begin elsewhere. None: no residuals.
+        and begin elsewhere. With an encoder the film is encoded anew instead, with another noise of pixels
+        for each number. None: neither.
         """
         frames = len(motion_px)
         columns = np.arange(self.strip.sizes["x"], dtype=float)
@@ -93,7 +95,9 @@ class Likeness:
         values = np.empty((frames, columns.size), np.float32)
         for t in range(frames):
             values[t] = gain[t] * self._shown(columns, motion_px[t])
-        if number is not None:
+        if number is not None and self.encoder is not None:
+            values[:, : self.encoder.width] = self.encoder.again(values[:, : self.encoder.width], seed=number)
+        elif number is not None:
             values += self.residual[np.resize(self._order(number), frames)]
             if motion_px is self.motion_px:
                 values += self.slow

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+import vision
 from vision.certify.certificate import Certificate
 from vision.figures import Figure, Panel, Series
+from vision.figures.labels import to_html
 from vision.figures.style import DATA, PEAK, VALLEY
 from vision.run import write_json
 
@@ -24,12 +26,24 @@ img { width: 100% } .warning { border-left: 4px solid #b34700; padding-left: 0.8
 """
 
 
+_RESIDUALS = (
+    "That rest, the residual, holds noise, unequal pixels and what the codec did; the films got the "
+    "residuals of other frames.",
+    "errors that last as long as a stick, which look like motion;",
+)
+_ENCODED = (
+    "The codec carries errors from frame to frame, so that no residual shows them all: the films were drawn "
+    "without the rest on one of the recording's frames and encoded again ({}).",
+    "motion so fast or small that the recording itself lost it;",
+)
+
+
 def write_certificate(certificate: Certificate, folder: Path) -> None:
     """Write certificate.html, certificate.json and certificate.csv."""
     folder.mkdir(parents=True, exist_ok=True)
     certificate.sheets.to_csv(folder / "certificate.csv", index=False, lineterminator="\n")
     write_json(certificate.facts, folder / "certificate.json")
-    (folder / "certificate.html").write_text(_page(certificate), encoding="utf-8")
+    (folder / "certificate.html").write_text(_page(certificate), encoding="utf-8", errors="replace")
 
 
 def certificate_figure(certificate: Certificate) -> Figure:
@@ -131,29 +145,31 @@ def _length(px: float, c: Certificate) -> str:
 
 def _page(c: Certificate) -> str:
     rows = "".join(
-        f"<tr><th>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>" for name, text in statements(c)
+        f"<tr><th>{to_html(name)}</th><td>{to_html(text)}</td></tr>" for name, text in statements(c)
     )
-    notes = "".join(f'<p class="warning">{html.escape(line)}</p>' for line in c.warnings)
+    notes = "".join(f'<p class="warning">{to_html(line)}</p>' for line in c.warnings)
     picture = base64.b64encode(certificate_figure(c).png()).decode()
     source = html.escape(Path(c.source).name)
+    what_else, without = _ENCODED if c.encoding else _RESIDUALS
+    what_else = what_else.format(html.escape(c.encoding))
     return f"""<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>Certificate of {source}</title><style>{_STYLE}</style>
 <h1>What this recording can resolve</h1>
 <p>{source}: {c.frames} frames, {len(c.sheets)} sheets, fit {html.escape(c.fit)},
-codec {html.escape(c.codec or "none")}.</p>
+codec {html.escape(c.codec or "none")}; sheetvision {vision.__version__}.</p>
 <table>{rows}</table>
 {notes}
 <img alt="Errors of every sheet" src="data:image/png;base64,{picture}">
 <h2>How it was found</h2>
 <p>The recording was taken apart into its mean picture in the coordinate of the sheets (each ridge's own
 shape, the gaps, the light), the smooth motion of the sheets between slips with what they all do together, and
-everything else: the residual, which holds noise, unequal pixels and what the codec did. From these
-{c.films} films of the same length were put together whose positions are known exactly, with the residuals of
-other frames, and tracked as the recording was. For the pull towards whole pixels the sheets cross one pixel
-without residuals; for the identities the motion was enlarged; at the threshold every sheet creeps by √12
-times the threshold times Λ_st in each stick, and the whole analysis follows.</p>
-<p>Not in it: a constant error of each sheet's position, which displacements do not have; errors that last as
-long as a stick, which look like motion; frames in which a slip happens. certificate.csv holds the numbers of
+everything else. {what_else}
+{c.films} films of the same length, whose positions are known exactly, were tracked as the recording was.
+For the pull towards whole pixels the sheets cross one pixel without noise; for the identities the motion was
+enlarged; at the threshold every sheet creeps by √12 times the threshold times Λ_st in each stick, and the
+whole analysis follows.</p>
+<p>Not in it: a constant error of each sheet's position, which displacements do not have; {without}
+frames in which a slip happens. certificate.csv holds the numbers of
 every sheet, certificate.json the rest.</p>
 </html>
 """

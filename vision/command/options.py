@@ -122,7 +122,7 @@ class VideoOptions:
     window: str | None = None
     """Fit window in px, odd, or auto to follow the ridges' width; 9 where they are 6 to 14 px wide."""
     corrections: Path | None = None
-    """TOML file of decisions about identities: accept, leave_out, swap, assign."""
+    """TOML file of decisions by hand: accept, leave_out, swap, assign, add, delete, axis, strip, clock."""
     pixel_size: str | None = None
     """µm per pixel, also as 10um or 0.01mm; without it lengths are in px."""
     scale: str | None = None
@@ -171,14 +171,14 @@ class SampleOptions:
 
     sheets_per_block: Whole | None = None
     """M, sheets of one block on each side of the axis."""
-    thickness: float | None = None
-    """ε of one sheet, mm."""
-    width: float | None = None
-    """W of the sheets, mm."""
-    length: float | None = None
-    """L from the clamp to the sheets' end, mm."""
-    t_star: float | None = None
-    """T*, friction force of the adhering sheets, N."""
+    thickness: str | None = None
+    """ε of one sheet, mm, or 0.1±0.002 with its error."""
+    width: str | None = None
+    """W of the sheets, mm, or with its error."""
+    length: str | None = None
+    """L from the clamp to the sheets' end, mm, or with its error."""
+    t_star: str | None = None
+    """T*, friction force of the adhering sheets, N, or with its error."""
 
 
 @Option(name="*")
@@ -290,7 +290,7 @@ def _pixel_size(options: Mapping[str, Parameter]) -> dict[str, Parameter]:
 
 def _plain(name: str, value: Any) -> Any:
     """A number where an option that may also carry an error, or be a word, is no more than one."""
-    number = _float(value) if name in ("d0", "force_lowpass") and isinstance(value, str) else math.nan
+    number = _float(value) if name in _WITH_ERROR and isinstance(value, str) else math.nan
     return number if math.isfinite(number) else value
 
 
@@ -330,6 +330,8 @@ def _parsed(path: Path, key: str, value: Any, known: Sequence[str]) -> dict[str,
     try:
         tokens = [f"--{name.replace('_', '-')}={str(value)[:MOST_LETTERS]}"]
         parsed = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+        if name in _GEOMETRY.values():
+            parse_with_error(getattr(parsed, name), name)
     except (CycloptsError, ValueError, OverflowError) as error:
         found = shortened(repr(value))
         raise InputError(path, f"a value for '{key}' as on the command line", found) from error
@@ -356,6 +358,11 @@ def _collect(group: Any) -> Any:
     return collect
 
 
+_GEOMETRY = {"thickness_mm": "thickness", "width_mm": "width", "length_mm": "length", "t_star_N": "t_star"}
+_SAMPLE = ("sheets_per_block", *_GEOMETRY.values())
+_WITH_ERROR = ("d0", "force_lowpass", *_GEOMETRY.values())
+
+
 def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
     """The pipeline's settings.  Raises: InputError for values that no recording could fit."""
     from vision.force import parse_columns
@@ -365,6 +372,9 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
 
     value = {name: parameter.value for name, parameter in parameters.items()}
     columns, corrections = value.get("force_columns"), value.get("corrections")
+    geometry = {
+        name: parse_with_error(value.get(option), _OPTION_OF[name]) for name, option in _GEOMETRY.items()
+    }
     parts = {
         "rows": parse_range(value.get("strip"), "--strip"),
         "columns": parse_range(value.get("columns"), "--columns"),
@@ -397,11 +407,11 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
         "common_mode": value.get("common_mode") != "off",
         "sample": Sample(
             sheets_per_block=value.get("sheets_per_block", 25),
-            thickness_mm=value.get("thickness", 0.1),
-            width_mm=value.get("width", 45.0),
-            length_mm=value.get("length", 57.0),
-            t_star_N=value.get("t_star", 0.003),
-        ),
+            **{name: size for name, (size, _) in geometry.items() if size is not None},
+        )
+        if any(parameters[name].how != "default" for name in _SAMPLE if name in parameters)
+        else None,
+        "geometry_err": {name: error for name, (_, error) in geometry.items() if error is not None},
     }
     return Settings(**{name: part for name, part in parts.items() if part is not None})
 
@@ -418,13 +428,17 @@ def parse_range(text: str | None, option: str) -> slice | None:
 
 
 def parse_with_error(text: str | float | None, option: str) -> tuple[float | None, float | None]:
-    """(value, error) of 13, 13.0±0.1 or 13.0+-0.1, the error None if not given.  Raises: InputError."""
+    """(value, error) of 13, 13.0±0.1, 13.0+-0.1 or 13.0+/-0.1, the error None if not given.
+
+    Raises: InputError.
+    """
     if text is None:
         return None, None
     value, sign, error = str(text).replace("+-", "±").replace("+/-", "±").partition("±")
     parts = _float(value), _float(error) if sign else 0.0
     if not all(0 <= part < math.inf for part in parts):
-        raise InputError(option, "a number from 0, or with its error", f"'{text}'", "write 13 or 13.0±0.1")
+        advice = "write it as 13 or 13.0±0.1"
+        raise InputError(option, "a number from 0, or with its error", f"'{text}'", advice)
     return parts[0], parts[1] if sign else None
 
 

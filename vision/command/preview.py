@@ -162,7 +162,7 @@ def lines(found: Preview, pixel_size_um: float | None) -> list[str]:
     count = "an unknown number of" if film.estimated is None else f"{film.estimated}"
     about = "" if film.expected is not None else "about " * (film.estimated is not None)
     noise = noise_figures(found.tracks, pixel_size_um)
-    length = "" if pixel_size_um is None else f" = {noise['predicted_um']:.3f} µm"
+    length = "" if pixel_size_um is None else f" = {noise['stated_um']:.3f} µm"
     lean = "no lean measured" if math.isnan(strip.tilt_deg) else f"lean {strip.tilt_deg:+.2f}°"
     flags = flag_counts(found.tracks)
     other = ", ".join(f"{n} {name}" for name, n in flags.items() if name != "ok") or "none missing"
@@ -183,7 +183,7 @@ def lines(found: Preview, pixel_size_um: float | None) -> list[str]:
         f"{comb.window_px} px",
         f"light      ridges {comb.contrast:.3g} grey levels high, profile noise {comb.profile_noise:.2g}",
         f"positions  {flags.get('ok', 0)} in the first {frames} frames; {other}",
-        f"noise      {noise['predicted_px']:.4f} px{length} stated; {noise['measured_px']:.4f} px scatter "
+        f"noise      {noise['stated_px']:.4f} px{length} stated; {noise['measured_px']:.4f} px scatter "
         f"between {frames} frames{hidden}",
         f"scale      {scale}",
     ]

@@ -6,6 +6,7 @@ import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -95,7 +96,7 @@ def track_one(
     A copy of the film is read in its place where there is one.
     """
     from vision.pipeline import analyse
-    from vision.run import Checkpoint, Origin, Parameter, check_target, write_run
+    from vision.run import Checkpoint, Checksums, Origin, Parameter, check_target, write_run
     from vision.video import video_files
 
     if run.follow and run.resume:
@@ -104,22 +105,27 @@ def track_one(
     settings, force = settings_of(parameters), parameters["force"].value
     if run.resume and settings.strips != 1:
         raise InputError("`resume` and `strips`", "one of the two", "both", "leave `resume` out")
-    with Checkpoint(target, resume=run.resume) as checkpoint, resumable(checkpoint):
+    along = run.checksum and not run.follow and copy is None and video.exists()
+    checkpoint, sums = Checkpoint(target, resume=run.resume), Checksums(video_files(video) if along else ())
+    with checkpoint, sums, resumable(checkpoint):
         if run.follow:
             with following(settings, quiet=run.quiet) as follow:
                 analysis = analyse(copy or video, force, settings, follow=follow)
         else:
             with frame_progress("reading", quiet=run.quiet) as progress:
-                analysis = analyse(copy or video, force, settings, progress=progress, log=checkpoint)
+                show = sums.beside(progress)
+                analysis = analyse(copy or video, force, settings, progress=show, log=checkpoint)
         inputs = (*video_files(video), *(() if force is None else (force,)))
         if settings.pitch_um is not None:
             parameters = {**parameters, "pixel_size": Parameter(analysis.pixel_size_um, "found")}
+        analysis = _held_against(analysis, parameters["corrections"].value, inputs[0])
         origin = Origin(
             command=command_line(),
             inputs=inputs,
             parameters=parameters,
             checksum=run.checksum,
             options=option_names(),
+            described=sums.found(),
         )
         facts = {"frames_resumed": checkpoint.resumed} if checkpoint.resumed else None
         write_run(analysis, target, origin, overwrite=run.overwrite, report=run.report, facts=facts)
@@ -133,6 +139,21 @@ def track_one(
         about=f"{video.name}: " if one_of_many else "",
     )
     return status, analysis
+
+
+def _held_against(analysis: Analysis, corrections: Path | None, film: Path) -> Analysis:
+    """With a warning where the file of corrections was made for another film."""
+    from vision.run import describe_input
+    from vision.sheets.corrections import read_decisions
+
+    about = "" if corrections is None else read_decisions(corrections).film
+    known = describe_input(film) if about else {}
+    if about in ("", known.get("sha256"), known.get("fingerprint")):
+        return analysis
+    if about == describe_input(film, whole=True).get("sha256"):  # the run was made with --checksum
+        return analysis
+    line = f"`corrections` were made for another film: {corrections} names one that is not {film.name}"
+    return replace(analysis, warnings=(*analysis.warnings, line))
 
 
 @contextmanager

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from vision.errors import InputError
+from vision.files import reading
 from vision.numeric import Floats
 from vision.sample import PUBLISHED, Sample
 
@@ -119,7 +120,8 @@ def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame
     tests: list[TractionTest] = []
     for folder in folders:
         try:
-            tests.append(_read_test(folder, names[folder], known.get(folder, {}), warnings))
+            with reading(folder, "a run as track writes it", "run track again"):
+                tests.append(_read_test(folder, names[folder], known.get(folder, {}), warnings))
         except InputError as error:
             failures.append(str(error))
     if not tests:
@@ -304,7 +306,9 @@ def _events(path: Path, sample: Sample) -> pd.DataFrame:
         raise InputError(path, "a table as track writes it", str(error), "run track again") from error
     if absent := [name for name in _NEEDED if name not in table]:
         raise InputError(path, f"columns {', '.join(_NEEDED)}", f"no {', '.join(absent)}")
-    values = table[list(_NEEDED)].apply(pd.to_numeric, errors="coerce").to_numpy(float)
+    odd = [str(name) for name in table if name != "flag" and table[name].dtype.kind not in "iufb"]
+    table = table.assign(**{name: pd.to_numeric(table[name], errors="coerce") for name in odd})
+    values = table[list(_NEEDED)].to_numpy(float)
     whole = np.isfinite(values).all(axis=1) & (values[:, 3:] > 0).all(axis=1)
     whole &= (values[:, 0] > 0) & (values[:, 1] < sample.length_mm)
     if "flag" in table:

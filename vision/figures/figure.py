@@ -8,17 +8,21 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from types import UnionType
+from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from vision.data import harmless_table
 from vision.errors import InputError
+from vision.files import reading
 from vision.numeric import Bools, Floats
 
 if TYPE_CHECKING:
@@ -323,7 +327,7 @@ class Figure:
         path = Path(path)
         kind = path.suffix.lower()
         if kind == ".csv":
-            self.table().to_csv(path, index=False, float_format="%.8g", lineterminator="\n")
+            harmless_table(self.table()).to_csv(path, index=False, float_format="%.8g", lineterminator="\n")
         elif kind in (".png", ".pdf", ".svg"):
             from vision.figures import drawing
 
@@ -355,7 +359,7 @@ def _long(table: pd.DataFrame, panel: Panel) -> pd.DataFrame:
 def write_captions(path: Path, figures: Iterable[Figure]) -> None:
     """Names, titles and captions as text."""
     text = "\n\n".join(f"{f.name}\n{' '.join([f'{f.title}. {f.caption}', *f.notes])}" for f in figures)
-    path.write_text(text + "\n", encoding="utf-8")
+    path.write_text(text + "\n", encoding="utf-8", errors="replace")
 
 
 # --- figures in a file --------------------------------------------------------------------------------------
@@ -452,17 +456,17 @@ def load_figures(path: str | Path) -> list[Figure]:
     ------
     InputError
         For a file that does not hold figures, or those of an incompatible version.
-    OSError
-        For a file that cannot be read.
     """
-    try:
+    with reading(Path(path), "figures that a run has saved", "run track again"):
         with np.load(path, allow_pickle=False) as arrays:
             stored = {name: arrays[name] for name in arrays.files}
         listed = json.loads(stored["figures"].tobytes().decode())
         cut: dict[tuple[int, int], Floats] = {}
-        return [_decode(item, stored, cut) for item in listed]
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(path, "figures that a run has saved", f"{type(error).__name__}: {error}") from error
+        figures = [_decode(item, stored, cut) for item in listed]
+        for figure in figures:  # it becomes the name of a file
+            if not re.fullmatch(r"\w{1,60}", figure.name):
+                raise ValueError(f"a figure of the name {figure.name!r}")
+        return figures
 
 
 def _decode(value: Any, stored: dict[str, NDArray[Any]], cut: dict[tuple[int, int], Floats]) -> Any:
@@ -477,4 +481,29 @@ def _decode(value: Any, stored: dict[str, NDArray[Any]], cut: dict[tuple[int, in
             return stored[at]
         return cut.setdefault((at[0], at[1]), stored["curves"][at[0] : at[1]])
     made = _CLASSES[value["class"]]
-    return made(**{name: _decode(item, stored, cut) for name, item in value.items() if name != "class"})
+    parts = {name: _decode(item, stored, cut) for name, item in value.items() if name != "class"}
+    hints = get_type_hints(made)
+    if wrong := [name for name, part in parts.items() if not _fits(part, hints[name])]:
+        raise TypeError(f"{value['class']}.{wrong[0]} is no {hints[wrong[0]]}")
+    figure = made(**parts)
+    if isinstance(figure, Series):
+        held = [part for part in (figure.y, figure.low, figure.high, figure.text or None) if part is not None]
+        if figure.x.ndim != 1 or any(len(part) != len(figure.x) for part in held):
+            raise ValueError(f"a series of {figure.x.shape} points with values of another number")
+    return figure
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    """Whether a value read from a file is of the declared type; the types are those of this module."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is Literal:
+        return value in inner
+    if origin in (Union, UnionType):
+        return any(_fits(value, one) for one in inner)
+    if origin is tuple and isinstance(value, tuple):
+        if inner[-1] is Ellipsis:
+            return all(_fits(item, inner[0]) for item in value)
+        return len(value) == len(inner) and all(map(_fits, value, inner))
+    if kind is float:
+        return isinstance(value, (int, float)) and not isinstance(value, bool)
+    return isinstance(value, origin or kind)

@@ -33,7 +33,7 @@ def to_unicode(text: str) -> str:
 
 def to_mathtext(text: str) -> str:
     """For matplotlib: Unicode subscripts, and mathtext, which is slower, for those that Unicode lacks."""
-    return _SYMBOL.sub(r"$\1_{\\mathrm{\2}}$", to_unicode(text))
+    return _SYMBOL.sub(r"$\1_{\\mathrm{\2}}$", to_unicode(text).replace("$", r"\$"))  # as of names
 
 
 # --- numbers ------------------------------------------------------------------------------------------------

@@ -25,6 +25,8 @@ _LEAST_EVENTS = 6
 _DEGENERATE = 0.98  # correlation from which two parameters are better read together
 _MEASURED = frozenset({"ok", "slow", "negative"})  # flags of events that are whole
 _SLOW_MM_MIN = 1.0  # up to which the publication states A, N-hat and Y_eff
+_LARGEST_SCALE = 20.0  # Λ̂ over d at which K no longer falls as M_eff does: a limit, not a result
+_BUILD_UP_BIAS = 0.1  # standard errors by which what is left of a build-up may move a parameter
 _LARGEST_OFFSET_N = 10.0  # limits of T0 in the publication: what a load cell's zero may be off by
 _GEOMETRY = ("thickness_mm", "width_mm", "length_mm", "t_star_N")
 
@@ -389,31 +391,47 @@ def _first_that_fits(events: pd.DataFrame, sample: Sample, held: Mapping[str, fl
         noise = np.sqrt(np.mean(np.diff(fit.residual) ** 2) / 2)
         begins = abs(float(first.mean())) < 2 * noise / np.sqrt(first.size)
         if begins and fit.goodness.chi2_dof < _usual_chi2(len(part)):
-            over = _build_up_over(events, sample, held) if start else 0
+            over = _build_up_over(events, sample, held, int(start)) if start else 0
             return int(max(start, min(over, len(events) - max(2 * _LEAST_EVENTS, len(events) // 4))))
     return top
 
 
-def _build_up_over(events: pd.DataFrame, sample: Sample, held: Mapping[str, float]) -> int:
-    """Where a build-up that decays exponentially no longer matters: below half a standard error of its own.
+def _build_up_over(events: pd.DataFrame, sample: Sample, held: Mapping[str, float], start: int) -> int:
+    """First event from which what an exponential build-up still lacks hardly moves μ and 𝒯0.
 
-    Noise hides the last part of a build-up that still bends the fit; its beginning shows how long it is.
+    Noise hides the last part of a build-up, which bends the fit all the same: its beginning shows how long it
+    is, and the fit's own weights how much its rest moves each parameter. At most `_BUILD_UP_BIAS` errors.
     """
     d, peak = events["d_p_mm"].to_numpy(float), events["F_p_N"].to_numpy(float)
-    start = _fit_peaks(events, sample, False, held)
+    after = _fit_peaks(events.iloc[start:], sample, False, held)
+
+    def steady(mu: float, t0: float) -> Floats:
+        return np.asarray(equations.traction(d, mu=max(mu, 1e-3), sample=sample) + t0)
+
+    expected = steady(*after.value[:2])
+    # Where little force is built up yet, its share of scatter is none of the peaks' scatter.
+    first = int(np.argmax(peak > 0.5 * expected))
+    span = max(float(np.ptp(d)), 1e-9)
+
+    def lacks(q: Floats) -> Floats:
+        return np.asarray(np.exp(-np.exp(q[3]) - (d - d[first]) / np.exp(q[2])))  # a share of 1 or less
 
     def model(q: Floats) -> Floats:
-        force = equations.traction(d, mu=max(float(q[0]), 1e-3), sample=sample) + q[1]
-        missing = np.exp(-np.exp(q[3]) - (d - d[0]) / np.exp(q[2]))  # a share of 1 or less at first
-        return np.asarray(force * (1 - missing))
+        return (steady(q[0], q[1]) * (1 - lacks(q)))[first:]
 
-    span = max(float(np.ptp(d)), 1e-9)
-    fit = _fit(model, peak, None, [*start.value[:2], float(np.log(span / 20)), -1.0])
-    length, share = float(np.exp(fit.value[2])), float(np.exp(-np.exp(fit.value[3])))
-    points = max(length * d.size / span / 2, 1.0)  # over which a build-up counts
-    limit = 0.5 * fit.goodness.scatter / np.sqrt(points)
-    over = d[0] + length * np.log(max(share / max(limit, 1e-12), 1.0))
-    return int(np.searchsorted(np.maximum.accumulate(d), over)) if np.isfinite(over) else 0
+    lacking = max(1 - float(peak[first] / expected[first]), 0.01)
+    long = max(float(d[start] - d[first]) / 4, span / 1000)
+    fit = _fit(model, peak[first:], None, [*after.value[:2], np.log(long), np.log(-np.log(lacking))])
+    rest, force = lacks(fit.value), steady(*fit.value[:2])
+    by_mu = (steady(fit.value[0] * 1.001, fit.value[1]) - force) / (0.001 * fit.value[0])
+    by_t0 = np.ones_like(d)
+    slopes = np.array([by_t0] if "mu" in held else [by_mu, by_t0]).T / force[:, np.newaxis]
+    for begin in range(start, d.size):
+        inverse = np.linalg.pinv(slopes[begin:])
+        error = fit.goodness.scatter * np.sqrt(np.sum(inverse**2, axis=1))
+        if (np.abs(inverse @ rest[begin:]) <= _BUILD_UP_BIAS * error).all():
+            return begin
+    return start
 
 
 def _usual_chi2(points: int) -> float:
@@ -548,7 +566,7 @@ def _fit_stiffness(events: pd.DataFrame, sample: Sample, held: Mapping[str, floa
     def model(q: Floats) -> Floats:
         return stiffness(float(np.exp(q[0])), float(q[1]) if given is None else given)
 
-    trials = np.geomspace(1.001 * d.min(), 20 * d.max(), 120)
+    trials = np.geomspace(1.001 * d.min(), _LARGEST_SCALE * d.max(), 120)
     shapes = [stiffness(float(scale), 1.0) for scale in trials]
     modulus = [
         given or float(np.sum(k * s / sigma**2) / max(float(np.sum((s / sigma) ** 2)), 1e-300))
@@ -560,6 +578,11 @@ def _fit_stiffness(events: pd.DataFrame, sample: Sample, held: Mapping[str, floa
     fit = _fit(model, k, sigma, start)
     if given is not None:
         fit = fit.with_held(1, given)
+    largest = _LARGEST_SCALE * float(d.max())
+    if fit.value[0] >= np.log(largest):
+        modulus_alone = _fit(lambda q: stiffness(largest, float(q[0])), k, sigma, [fit.value[1]])
+        fit = modulus_alone.with_held(0, float(np.log(largest)))
+        fit.covariance[0, 0] = 1.0  # of a logarithm: as large as Λ̂ itself
     # Fitted as log Λ̂, which keeps it positive; reported as Λ̂.
     scale = float(np.exp(fit.value[0]))
     turn = np.diag([scale, 1.0])
@@ -735,6 +758,8 @@ def _remarks(
             f"𝒯0 = {fits.t0_N.value:.3g} N lies beyond the ±{_LARGEST_OFFSET_N:g} N of a load cell's zero: "
             "check `d0_mm`, the sample's geometry and the zero"
         )
+    if fits.scale_mm.value > 0.999 * _LARGEST_SCALE * fits.d_mm[1]:
+        warnings.append("K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined")
     facts = ForceMetadata.of(force)
     if facts.speed_mm_min > _SLOW_MM_MIN * 1.05:
         notes.append(

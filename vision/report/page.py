@@ -72,8 +72,9 @@ def write_report(
     Long records are decimated for display to the minimum and maximum of short intervals.
     """
     figures = figures_of(results) if figures is None else figures
-    warnings = dict.fromkeys([*map(str, facts.get("warnings", ())), *results.warnings])
     named = dict(options or {})
+    lines = [*map(str, facts.get("warnings", ())), *results.warnings]
+    warnings = dict.fromkeys(with_options(line, named) for line in lines)
     return render_page(
         path,
         sections_of(figures),
@@ -82,7 +83,7 @@ def write_report(
         kind="sheet positions",
         subtitle=subtitle(results),
         answers=answers(results),
-        warnings=[with_options(line, named) for line in warnings],
+        warnings=list(warnings),
         missing=[with_options(line, named) for line in missing_parts(results)],
         methods=methods(results),
         citation=citation(),
@@ -122,7 +123,7 @@ def render_page(
         **content,
     )
     path = Path(path)
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text, encoding="utf-8", errors="replace")
     return path
 
 
@@ -362,7 +363,7 @@ def doubt_table(results: Results) -> FactsTable:
 def _digits(value: float | None, unknown: str = "—", *, places: int | None = None) -> str:
     if value is None or not np.isfinite(value):
         return unknown
-    return (f"{value:.3g}" if places is None else f"{value:.{places}f}").replace("-", "−")
+    return (f"{value:.4g}" if places is None else f"{value:.{places}f}").replace("-", "−")
 
 
 def provenance(facts: Mapping[str, Any]) -> list[FactsTable]:

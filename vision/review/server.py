@@ -149,6 +149,10 @@ class Windows:
             self._seen[window[:64]] = now
         return len(self._seen.keys() - {window[:64]})
 
+    def leave(self, window: str) -> None:
+        """This one was closed."""
+        self._seen.pop(window[:64], None)
+
 
 class Api:
     """Answers for one session."""
@@ -185,6 +189,7 @@ class Api:
             "/api/strip": self.strip,
             "/api/clock": self.clock,
             "/api/save": self.save,
+            "/api/leave": self.leave,
             "/api/quit": self.quit,
         }
         routes = [Route(path, _threaded(work), methods=["GET"]) for path, work in get.items()]
@@ -265,7 +270,7 @@ class Api:
         """σ_x/Λ_st of one stick, or why there is none: a page asks for each stick that the cursor passes."""
         event = request.path_params["event"]
         try:
-            return _json(self.session.stick(event))
+            return _json(self.session.effects.stick(event))
         except InputError as error:
             return _json({"event": event, "sheets": [], "shells": [], "reason": with_options(str(error), {})})
 
@@ -277,7 +282,8 @@ class Api:
 
     def preview(self, request: Request, body: Mapping[str, Any]) -> Response:
         """What a decision would change."""
-        return _json(self.session.preview(_table(body, "decision"), body.get("frame")))
+        decision = _table(body, "decision")
+        return _tried(lambda: self.session.effects.preview(decision, body.get("frame")))
 
     def decide(self, request: Request, body: Mapping[str, Any]) -> Response:
         """Keep a decision."""
@@ -302,12 +308,12 @@ class Api:
 
     def strip(self, request: Request, body: Mapping[str, Any]) -> Response:
         """Ridges and noise of other rows."""
-        return _json(self.session.strip_preview(body.get("rows"), body.get("frame")))
+        return _tried(lambda: self.session.effects.strip_preview(body.get("rows"), body.get("frame")))
 
     def clock(self, request: Request, body: Mapping[str, Any]) -> Response:
         """Sticks and slips by another clock, which is not kept."""
         offset_s, drift_ppm = body.get("offset_s"), body.get("drift_ppm", 0.0)
-        return _json(self.session.clock_preview(offset_s, drift_ppm, body.get("frame")))
+        return _tried(lambda: self.session.effects.clock_preview(offset_s, drift_ppm, body.get("frame")))
 
     def save(self, request: Request, body: Mapping[str, Any]) -> Response:
         """Begin to re-run what follows from the decisions."""
@@ -318,10 +324,23 @@ class Api:
         """How far saving is."""
         return _json(self.session.saving())
 
+    def leave(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """A window was closed, or is loaded anew."""
+        self._windows.leave(request.headers.get("x-window", ""))
+        return _json({})
+
     def quit(self, request: Request, body: Mapping[str, Any]) -> Response:
         """End the server once this is answered."""
         self._stop()
         return _json({"ended": True})
+
+
+def _tried(work: Callable[[], Mapping[str, Any]]) -> Response:
+    """What was tried out, or why it does not fit: half-typed numbers are no errors, so a 200 says it."""
+    try:
+        return _json(work())
+    except InputError as error:
+        return _json({"refused": with_options(str(error), {})})
 
 
 def _threaded(work: Callable[..., Response], *, body: bool = False) -> Callable[[Request], Any]:

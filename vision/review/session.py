@@ -2,41 +2,35 @@
 
 from __future__ import annotations
 
-import math
-import os
-import secrets
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from threading import RLock
-from typing import IO, Any, Self
+from typing import Any, Self
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 
-from vision.clock import Candidate, Clock, video_slips
+from vision.clock import Clock, video_slips
 from vision.data import StripMetadata
-from vision.deformation import horizontal_deformation
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, minmax_decimate
 from vision.force import read_force
-from vision.numeric import Floats, Floats32, Ints, Pixels
+from vision.numeric import Floats, Floats32, Ints
 from vision.pipeline import Settings
 from vision.review.diagram import Diagram
 from vision.review.editing import Before, apply, take_back, usual_places
+from vision.review.effects import READY, Effects
 from vision.review.film import Film
-from vision.review.positions import FLAGS, WHYS, Positions, read_positions
+from vision.review.positions import FLAGS, WHYS, read_positions
 from vision.review.saving import Job, Saver, pack, unpack
+from vision.review.stored import Found, claim, decided_clock, write_durably
 from vision.review.tiles import Tiles, encode_png
-from vision.run.folder import MARK
-from vision.run.reading import input_of, read_json, read_table_of
+from vision.run.reading import input_of
 from vision.run.writing import CORRECTIONS
 from vision.sheets.corrections import (
     KEYS,
-    OF_STRETCHES,
     OPTIONAL,
     Correction,
     Decisions,
@@ -47,90 +41,10 @@ from vision.sheets.corrections import (
     stretches,
 )
 from vision.sheets.recovery import DOUBTS
-from vision.sheets.ridges import describe_ridges, find_ridges
-from vision.sheets.subpixel import fit_sheets, position_noise
-from vision.shells import classify_sheets
 from vision.video import Video, open_video
-from vision.video.strip import row_means
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
 
 REPLACED = "corrections.npz"  # what saved decisions replaced, so that they can be taken back
-STICKS_AROUND = 3  # on each side of a stick, from which noise and camera movement are measured anew
-SHOWN_ROWS = 400  # of a preview
-MOST_ROWS = 2000  # on which a preview works
-NOISE_FRAMES = 16  # from which the noise in other rows is measured
 MOST_DOUBTS = 500  # listed
-READY = ("ok", "given")  # of a clock
-
-
-@dataclass(frozen=True, kw_only=True)
-class Found:
-    """What a run folder holds, read once.
-
-    Parameters
-    ----------
-    folder
-        The run folder.
-    facts
-        run.json.
-    clock, events, deformation, shells
-        As far as the run has them.
-    """
-
-    folder: Path
-    facts: Mapping[str, Any]
-    clock: Clock | None = None
-    events: pd.DataFrame | None = None
-    deformation: pd.DataFrame | None = None
-    shells: pd.DataFrame | None = None
-
-    @classmethod
-    def of(cls, folder: Path) -> Found:
-        """Raises: InputError for a folder that is no run of a video, or a damaged one."""
-        facts = read_json(folder / MARK)
-        clock = folder / "clock.json"
-        return cls(
-            folder=folder,
-            facts=facts,
-            clock=clock_of(read_json(clock)) if clock.exists() else None,
-            events=read_table_of(folder, "events"),
-            deformation=read_table_of(folder, "deformation"),
-            shells=read_table_of(folder, "shells"),
-        )
-
-    @property
-    def film_checksum(self) -> str:
-        """Of the film, as run.json has it."""
-        first: dict[str, Any] = next(iter(self.facts.get("inputs") or []), {})
-        return str(first.get("sha256") or first.get("fingerprint") or "")
-
-    @property
-    def applied(self) -> list[Correction]:
-        """Decisions that its tables already follow."""
-        return [
-            correction_of(entry["kind"], _as_entry(entry)) for entry in self.facts.get("corrections") or []
-        ]
-
-
-def clock_of(facts: Mapping[str, Any]) -> Clock:
-    """`Clock` from clock.json."""
-    values: dict[str, Any] = {name: math.nan if value is None else value for name, value in facts.items()}
-    values["candidates"] = tuple(Candidate(**one) for one in facts.get("candidates") or ())
-    values["warnings"] = tuple(facts.get("warnings") or ())
-    return Clock(**{name: values[name] for name in Clock.__dataclass_fields__ if name in values})
-
-
-def _as_entry(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """An entry of a corrections file from what run.json says about a correction."""
-    known = {name: value for name, value in facts.items() if name in Correction.__dataclass_fields__}
-    for name in ("sheets", "rows"):
-        if known.get(name) is not None:
-            known[name] = tuple(known[name])
-    return Correction(**known).entry()
 
 
 class Session:
@@ -162,18 +76,20 @@ class Session:
         options: Mapping[str, str] | None = None,
     ) -> None:
         self.folder, self.settings, self.options = folder, settings, dict(options or {})
-        self.saver = Saver(self._saved)
+        self.saver, self.effects = Saver(self._saved), Effects(self)
         self._film_moved = film
         self._film: Film | None = None
         self._film_reason = ""
         self.lock = RLock()
         self.revision = 0
         self._claim = claim(folder)
-        self._around: tuple[int, list[Pixels], int] = (-1, [], 0)
-        self._measured: tuple[int | None, int, list[dict[str, Any]]] = (None, -1, [])
         self._grey: tuple[float, float] | None = None
         self._force: xr.Dataset | None = None
-        self._load()
+        try:
+            self._load()
+        except BaseException:
+            self._claim.close()
+            raise
 
     def _load(self) -> None:
         """Read the folder, then take up the decisions that its tables do not follow yet."""
@@ -254,13 +170,6 @@ class Session:
                     raise
             return self._film
 
-    def _film_facts(self) -> dict[str, Any]:
-        """Rows of the film's picture, or why there is none."""
-        try:
-            return {"rows": self.film().shape[0], "film_error": ""}
-        except InputError as error:
-            return {"rows": None, "film_error": str(error)}
-
     def _open_film(self) -> Video:
         path = input_of(self.folder, self._input(0), self._film_moved)
         chosen = self.settings
@@ -323,7 +232,7 @@ class Session:
                     folder=self.folder,
                     settings=self.settings,
                     applied=tuple(self.applied),
-                    decisions=self._held(),
+                    decisions=self._held(self.decisions, self.undone),
                     clock=self.found.clock,
                     film=self._film_moved,
                     beside={REPLACED: pack(self._before)} if self._before else {},
@@ -354,9 +263,10 @@ class Session:
         """Keep a decision.  Raises: InputError where it does not fit; nothing is kept then."""
         with self.lock:
             self._check_free()
-            self._apply(self.decision_of(request, dated=True))
-            self.undone.clear()
-            self._write()
+            if any(one.kind in ("add", "delete") for one in self.unseen):
+                found = "a number that waits to be saved"
+                raise InputError("the decision", "sheets that are numbered as shown", found, "save first")
+            self._keep(self.decision_of(request, dated=True), [])
 
     def undo(self) -> None:
         """Take the last decision back.  Raises: InputError without one."""
@@ -364,8 +274,8 @@ class Session:
             self._check_free()
             if not self.decisions:
                 raise InputError("undo", "a decision to take back", "none")
+            self._write(self.decisions[:-1], [*self.undone, self.decisions[-1]])
             self.undone.append(self._step_back())
-            self._write()
 
     def redo(self) -> None:
         """Make the last decision that was taken back again.  Raises: InputError without one."""
@@ -373,16 +283,26 @@ class Session:
             self._check_free()
             if not self.undone:
                 raise InputError("redo", "a decision that was taken back", "none")
-            again = self.undone[-1]
-            if self.unseen and self.unseen[-1].what == again.what:
-                self.unseen.pop()
-                self.decisions.append(again)
-                self._before.append(None)
-                self.revision += 1
-            else:
-                self._apply(again)
-            self.undone.pop()
-            self._write()
+            again, rest = self.undone[-1], self.undone[:-1]
+            if not (self.unseen and self.unseen[-1].what == again.what):
+                self._keep(again, rest)
+                return
+            self._write([*self.decisions, again], rest)
+            self.unseen.pop()
+            self.decisions.append(again)
+            self._before.append(None)
+            self.undone = rest
+            self.revision += 1
+
+    def _keep(self, decision: Correction, undone: list[Correction]) -> None:
+        """Apply and write; what cannot be written is not applied either."""
+        self._apply(decision)
+        try:
+            self._write(self.decisions, undone)
+        except InputError:
+            self._step_back()
+            raise
+        self.undone = undone
 
     @property
     def pending(self) -> list[Correction]:
@@ -414,14 +334,14 @@ class Session:
             now = max(now, earliest.astimezone(UTC))
         return now.isoformat(timespec="milliseconds")
 
-    def _write(self) -> None:
+    def _write(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> None:
         """corrections.toml, whole and on the disk when this returns."""
-        write_durably(self.folder / CORRECTIONS, corrections_text(self._held()))
+        held = self._held(decisions, undone)
+        write_durably(self.folder / CORRECTIONS, corrections_text(held))
 
-    def _held(self) -> Decisions:
-        return Decisions(
-            corrections=tuple(self.decisions), undone=tuple(self.undone), film=self.found.film_checksum
-        )
+    def _held(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> Decisions:
+        checksum = self.found.film_checksum
+        return Decisions(corrections=tuple(decisions), undone=tuple(undone), film=checksum)
 
     # --- what is shown --------------------------------------------------------------------------------------
 
@@ -466,7 +386,7 @@ class Session:
                     "factor": self.tiles.settings.factor,
                 },
             }
-            return shape | self._film_facts() | lists | self.state()
+            return shape | lists | self.state()
 
     def _rows(self, strip: StripMetadata) -> tuple[int, int]:
         """Rows of the strip, as decided on."""
@@ -529,7 +449,7 @@ class Session:
     def clock(self) -> Clock | None:
         """The run's, or the one that was decided on since."""
         decided, own = last_of(self.pending, "clock"), self.found.clock
-        return own if decided is None else _given(own, decided)
+        return own if decided is None else decided_clock(own, decided)
 
     def sticks(self, clock: Clock | None = None) -> list[dict[str, Any]]:
         """Stick phases within the film, in frames of the film by the clock as it is."""
@@ -641,271 +561,6 @@ class Session:
             ]
         return {"frame": frame, "candidates": candidates, "sheets": sheets}
 
-    # --- effects that are not kept --------------------------------------------------------------------------
-
-    def preview(self, request: Mapping[str, Any], frame: Any = None) -> dict[str, Any]:
-        """What a decision would change: positions about a frame, numbering, and σ_x/Λ_st of the stick there.
-
-        Parameters
-        ----------
-        request
-            The decision.
-        frame
-            Where the page looks; the decision's first frame if it is not within its frames.
-
-        Raises
-        ------
-        InputError
-            Where the decision does not fit.
-        """
-        decision = self.decision_of(request)
-        with self.lock:
-            if decision.kind == "clock":
-                return {"text": decision.text(), **self.clock_preview(decision.offset_s, decision.drift_ppm)}
-            rows, at = self._window(decision, frame)
-            before = self.positions.copied(rows)
-            clipped = _clipped(decision, before)
-            after, _ = apply(self.positions.copied(rows), clipped, self.diagram)
-            near = slice(max(0, at - rows.start - SHOWN_ROWS // 2), at - rows.start + SHOWN_ROWS // 2)
-            event = self._event_at(at)
-            return {
-                "text": decision.text(),
-                "frames": before.frame[near],
-                "before": _shown(before, near),
-                "after": _shown(after, near),
-                "event": event,
-                "stick_before": self._ratios_now(event),
-                "stick_after": self._ratios(after, event),
-            }
-
-    def _window(self, decision: Correction, frame: Any) -> tuple[slice, int]:
-        """Rows that a preview works on, and the one in their middle: those around the frame looked at, with
-        the sticks there, from where a ridge is first followed."""
-        positions = self.positions
-        numbers = positions.frame
-        first = max(decision.first, int(numbers[0]))
-        last = int(numbers[-1]) if decision.stop is None else min(decision.stop - 1, int(numbers[-1]))
-        looked = frame if isinstance(frame, int) and first <= frame <= last else first
-        if decision.kind in ("assign", "add"):
-            looked = min(max(looked, first), first + MOST_ROWS // 2)
-        at = min(int(np.searchsorted(numbers, looked)), len(numbers) - 1)
-        a, b = max(0, at - MOST_ROWS // 2), min(len(numbers), at + MOST_ROWS // 2)
-        if decision.kind in ("assign", "add"):
-            a = min(a, int(np.searchsorted(numbers, first)))
-        return slice(a, b), at
-
-    def _event_at(self, row: int, clock: Clock | None = None) -> int | None:
-        """The stick in which a frame lies, where the clock is sure."""
-        clock, events = clock or self.clock, self.found.events
-        if clock is None or events is None or clock.status not in READY:
-            return None
-        time_s = float(clock.to_force_s(self.positions.time_s[row]))
-        inside = (events["t_v_s"] <= time_s) & (events["t_p_s"] >= time_s)
-        return int(events["event"].to_numpy()[inside.to_numpy()][0]) if inside.any() else None
-
-    def _ratios(
-        self, positions: Positions, event: int | None, clock: Clock | None = None
-    ) -> list[dict[str, Any]]:
-        """σ_x/Λ_st of one stick; nothing where it cannot be measured."""
-        if event is None:
-            return []
-        try:
-            return _of_event(self._motion(positions, [event], clock), event)
-        except InputError:
-            return []
-
-    def _ratios_now(self, event: int | None) -> list[dict[str, Any]]:
-        """`_ratios` of the positions as they are, kept until they change."""
-        if self._measured[:2] != (event, self.revision):
-            self._measured = event, self.revision, self._ratios(self.positions, event)
-        return self._measured[2]
-
-    def clock_preview(self, offset_s: Any, drift_ppm: Any = 0.0, frame: Any = None) -> dict[str, Any]:
-        """Sticks and slips by another clock, and σ_x/Λ_st of the stick at a frame.
-
-        Raises
-        ------
-        InputError
-            Without a force recording.
-        """
-        request = {"kind": "clock", "offset_s": offset_s, "drift_ppm": drift_ppm}
-        decision = self.decision_of(request)
-        if self.found.events is None:
-            raise InputError("the clock", "a run with a force recording", "none")
-        with self.lock:
-            clock = _given(self.found.clock, decision)
-            by_it = {"sticks": self.sticks(clock), "slips": self.slips(clock)}
-            if not isinstance(frame, int):
-                return by_it
-            event = self._event_at(self.positions.row_of(frame), clock)
-            after = self._ratios(self.positions, event, clock)
-            return by_it | {"event": event, "stick_after": after}
-
-    def strip_preview(self, rows: Any, frame: Any) -> dict[str, Any]:
-        """Ridges of one frame in other rows, and the noise of positions in the frames about it.
-
-        Raises
-        ------
-        InputError
-            For rows outside the picture, or without a ridge.
-        """
-        decision = self.decision_of({"kind": "strip", "rows": rows})
-        top, bottom = decision.rows or (0, 0)
-        if bottom > self.film().shape[0]:
-            raise InputError("the strip", f"rows within 0:{self.film().shape[0]}", f"{rows}")
-        at = self.positions.row_of(frame if isinstance(frame, int) else int(self.positions.frame[0]))
-        pictures, here = self._pictures(at)
-        first = self.diagram.first_column
-        across = slice(first, first + self.diagram.columns)
-        profile = np.stack([row_means(one[None, top:bottom, across])[0] for one in pictures])
-        comb = describe_ridges(profile, polarity=self.positions.comb.polarity, source="the strip")
-        seen = find_ridges(profile, comb, settings=self.settings.tuning.tracking)
-        window = self.positions.track_facts.window_px
-        bright = profile if comb.sign > 0 else -profile
-        start = _nearest(seen.x_px, usual_places(self.positions) - first, 0.5 * comb.pitch_px)
-        x, _ = fit_sheets(bright, start, fit="sliding", window_px=window, comb=comb)
-        known = np.isfinite(seen.x_px[here])
-        return {
-            "rows": [top, bottom],
-            "frame": int(self.positions.frame[at]),
-            "profile": profile[here],
-            "ridges": seen.x_px[here][known].astype(float) + first,
-            "contrast": comb.contrast,
-            "fwhm_px": comb.fwhm_px,
-            "profile_noise": comb.noise,
-            "noise_px": float(np.nanmedian(position_noise(x))) if len(x) >= 3 else math.nan,
-            "sheets_seen": int(np.isfinite(x[here]).sum()),
-        }
-
-    def _pictures(self, row: int) -> tuple[list[Pixels], int]:
-        """Frames about one, kept while the page stays at it, and its place among them."""
-        with self.lock:
-            if self._around[0] != row:
-                film, positions = self.film(), self.positions
-                first = max(0, min(row - NOISE_FRAMES // 2, len(positions.frame) - NOISE_FRAMES))
-                rows = range(first, min(first + NOISE_FRAMES, len(positions.frame)))
-                found = [(k, film.picture(int(positions.frame[k]), float(positions.time_s[k]))) for k in rows]
-                kept = [(k, one) for k, one in found if one is not None]
-                if row not in [k for k, _ in kept]:
-                    raise InputError("the frame", "one that can be read", f"{positions.frame[row]}")
-                self._around = row, [one for _, one in kept], [k for k, _ in kept].index(row)
-            return self._around[1], self._around[2]
-
-    # --- deformation ----------------------------------------------------------------------------------------
-
-    def stick(self, event: int) -> dict[str, Any]:
-        """σ_x/Λ_st of every sheet in one stick: as saved, or measured anew where decisions wait."""
-        table, shells = self.found.deformation, self.found.shells
-        if self.changed or table is None:
-            with self.lock:
-                return self._stick_now(self.positions, event)
-        part = table[table["event"] == event]
-        if not len(part):
-            raise InputError("the event", "one within the film", f"{event}")
-        names = ("index", "side", "n", "ratio", "ratio_err", "p_stiff", "shell", "flag")
-        sheets = part[list(names)].to_dict("records")
-        sides = [] if shells is None else shells[shells["event"] == event].to_dict("records")
-        return {"event": event, "preview": False, "sheets": sheets, "shells": sides}
-
-    def _stick_now(self, positions: Positions, event: int) -> dict[str, Any]:
-        motion = self._motion(positions, [event])
-        return {"event": event, "preview": True, "shells": [], "sheets": _of_event(motion, event)}
-
-    def _motion(self, positions: Positions, wanted: list[int], clock: Clock | None = None) -> xr.Dataset:
-        """Deformation in these sticks, with those around them for noise and camera movement.
-
-        Raises
-        ------
-        InputError
-            Where clock, events or pixel size are missing, or the sticks lie outside the film.
-        """
-        clock, events = clock or self.clock, self.found.events
-        if clock is None or events is None:
-            raise InputError("the run", "a force recording and its clock", "none", "give `force` to track")
-        if clock.status not in READY:
-            raise InputError("the clock", "one that is sure", "an ambiguous one", "accept a candidate")
-        places = [int(k) for k in np.flatnonzero(events["event"].isin(wanted).to_numpy())]
-        if not places:
-            raise InputError("the event", "one of events.csv", f"{wanted}")
-        near = slice(max(0, places[0] - STICKS_AROUND), places[-1] + STICKS_AROUND + 1)
-        some = events.iloc[near]
-        time = clock.to_force_s(positions.time_s)
-        step = float(np.nanmedian(np.diff(time[: min(len(time), 1000)])))
-        kept = (time >= some["t_v_s"].min() - 2 * step) & (time <= some["t_p_s"].max() + 2 * step)
-        motion = horizontal_deformation(
-            positions.tracks(np.flatnonzero(kept)),
-            some,
-            clock,
-            pixel_size_um=self.found.facts.get("parameters", {}).get("pixel_size", {}).get("value"),
-            common_mode=self.settings.common_mode,
-            settings=self.settings.tuning.deformation,
-        )
-        return classify_sheets(motion, threshold=self.settings.threshold)
-
-
-def _given(own: Clock | None, decided: Correction) -> Clock:
-    """The clock of a decision; slips are counted again when it is saved."""
-    known = own or Clock(
-        offset_s=0.0,
-        drift_ppm=0.0,
-        residual_ms=math.nan,
-        matched=0,
-        unmatched_video=0,
-        unmatched_force=0,
-        margin=math.nan,
-        status="given",
-        how="given",
-    )
-    return replace(
-        known,
-        offset_s=decided.offset_s or 0.0,
-        drift_ppm=decided.drift_ppm,
-        status="given",
-        how="given",
-        error_ms=math.nan,
-        drift_err_ppm=math.nan,
-    )
-
-
-def _clipped(decision: Correction, part: Positions) -> Correction:
-    """The decision within a part of the frames."""
-    if decision.kind not in OF_STRETCHES:
-        return decision
-    first, last = int(part.frame[0]), int(part.frame[-1])
-    stop = last + 1 if decision.stop is None else min(decision.stop, last + 1)
-    return replace(decision, first=max(decision.first, first), stop=stop)
-
-
-def _shown(positions: Positions, rows: slice) -> dict[str, Any]:
-    """What a preview draws: positions of every sheet, and their numbering."""
-    return {
-        "x_px": np.round(positions.x_px[rows].astype(np.float64), 3),
-        "side": positions.side,
-        "n": positions.n,
-        "axis_px": positions.track_facts.axis_px,
-    }
-
-
-def _nearest(x: Floats32, places: Floats, reach: float) -> Floats:
-    """The candidate of each frame nearest to each place, (frame, place); NaN without one in reach."""
-    distance = np.abs(x[:, :, None] - places[None, None, :])
-    distance = np.where(np.isfinite(distance), distance, np.inf)
-    best = distance.argmin(axis=1)
-    found = np.take_along_axis(x, best, axis=1).astype(float)
-    return np.where(distance.min(axis=1) <= reach, found, np.nan)
-
-
-def _of_event(motion: xr.Dataset, event: int) -> list[dict[str, Any]]:
-    if event not in motion["event"].values:
-        raise InputError("the event", "one within the film", f"{event}")
-    one = motion.sel(event=event)
-    names = ("ratio", "ratio_err", "p_stiff", "shell", "flag")
-    columns = {"index": one["sheet"], "side": one["side"], "n": one["n"]} | {
-        name: one[name] for name in names
-    }
-    table = pd.DataFrame({name: values.values for name, values in columns.items()})
-    return [{str(name): value for name, value in row.items()} for row in table.to_dict("records")]
-
 
 def _listed(one: Correction) -> dict[str, Any]:
     return {"kind": one.kind, "text": one.text(), "date": one.date, "entry": one.entry()}
@@ -932,58 +587,3 @@ def _worst(frame: Floats, codes: Any, points: int) -> tuple[Floats, Any]:
         return frame, codes
     starts = np.arange(0, len(frame), -(-len(frame) // points))
     return frame[starts], np.maximum.reduceat(codes, starts, axis=0)
-
-
-def claim(folder: Path) -> IO[str]:
-    """An open file beside the run folder that keeps others from reviewing it; they may once it is closed.
-
-    Beside it, as saving puts another folder in the run's place. The claim ends with the process, however that
-    ends. Where the system has no such locks (Windows) nothing is claimed.
-
-    Raises
-    ------
-    InputError
-        Where another process reviews the run, or the place cannot be written.
-    """
-    path = folder.resolve()
-    path = path.with_name(f".{path.name}.review")
-    try:
-        file = path.open("w", encoding="utf-8")
-    except OSError as error:
-        found = (error.strerror or str(error)).lower()
-        raise InputError(path, "a place that can be written", found, "copy the run folder") from error
-    if fcntl is not None:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            file.close()
-            found, advice = "a review of it that is open", "go to its window, or end it there"
-            raise InputError(folder, "a run that nobody reviews now", found, advice) from None
-    return file
-
-
-def write_durably(path: Path, text: str) -> None:
-    """Replace a text file in one step; on the disk when this returns.
-
-    Raises
-    ------
-    InputError
-        Where it cannot be written; the file is as it was then.
-    """
-    made = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    try:
-        with made.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        made.replace(path)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-    except OSError as error:
-        found = (error.strerror or str(error)).lower()
-        raise InputError(path, "a place that can be written", found, "the decision is not kept") from error
-    finally:
-        made.unlink(missing_ok=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import StripMetadata
+from vision.data import StripMetadata, harmless, harmless_table
 from vision.errors import InputError
 from vision.files import reading
 from vision.run.folder import check_target, run_folder, whole_file
@@ -31,8 +30,6 @@ MARK = "export"  # of run.json: tells a folder of exported tables from a run
 PER_EVENT = ("events", "deformation", "shells")
 EXCEL_ROWS = (1 << 20) - 1  # below the header
 ROWS_AT_ONCE = 50_000
-_FORMULA = tuple("=+-@")  # what a cell begins with that Excel and LibreOffice compute
-_NUMBER = re.compile(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?")
 
 
 @dataclass(frozen=True)
@@ -86,7 +83,7 @@ def _write_file(run: RunFolder, to: Format, path: Path) -> list[str]:
         write_mat(run, path)
     else:
         table = trackpy_table(run) if to == "trackpy" else napari_table(run)
-        _harmless(table).to_csv(path, index=False, lineterminator="\n")
+        harmless_table(table).to_csv(path, index=False, lineterminator="\n")
     return []
 
 
@@ -201,27 +198,7 @@ def _strip_middle_px(tracks: xr.Dataset) -> float:
 def write_csv(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
     """One file per table, as in the run folder: commas, points, empty where there is nothing."""
     for name, table in tables.items():
-        _harmless(table).to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
-
-
-def harmless(text: str) -> str:
-    """Text that no spreadsheet takes for a formula: one that begins as such gets an apostrophe before it.
-
-    Numbers in text stay as they are. Carriage returns become blanks, as some programs begin a row there.
-    """
-    text = text.replace("\r", " ")
-    bites = text.lstrip()[:1] in _FORMULA or text[:1] == "\t"
-    return f"'{text}" if text and bites and not _NUMBER.fullmatch(text) else text
-
-
-def _harmless(table: pd.DataFrame) -> pd.DataFrame:
-    """The table with `harmless` text and names of columns."""
-    safe = table.rename(columns=lambda name: harmless(str(name)))
-    for place, column in enumerate(safe.columns):
-        if safe.iloc[:, place].dtype.kind not in "iufb":
-            cells = safe.iloc[:, place].map(lambda cell: harmless(cell) if isinstance(cell, str) else cell)
-            safe = safe.assign(**{column: cells})
-    return safe
+        harmless_table(table).to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
 
 
 def write_parquet(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:

@@ -8,10 +8,11 @@ import importlib.metadata
 import json
 import math
 import platform
-from collections.abc import Iterable, Mapping
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import vision
 from vision.errors import InputError
@@ -21,6 +22,8 @@ MIB = 1 << 20
 PARTS = 64
 """MiB of a file that its fingerprint covers: the first, the last, and others evenly between. More would read
 more of a film of 100 GB than the strip needs; fewer could miss a film that was cut or replaced in part."""
+AHEAD_BYTES = 256 * MIB
+"""How far checksums run ahead of the film. Smaller makes them wait; more than memory holds reads twice."""
 
 
 @dataclass(frozen=True)
@@ -45,42 +48,130 @@ def _version(name: str) -> str:
         return "unknown"
 
 
-def describe_input(path: Path, *, whole: bool = False) -> dict[str, Any]:
+def describe_input(
+    path: Path, *, whole: bool = False, pace: Callable[[int, int], None] | None = None
+) -> dict[str, Any]:
     """Path, size and fingerprint of an input; of a folder or a pattern, those of its files in order, as one.
 
-    The fingerprint is the SHA-256 of each file's size and of 64 evenly spaced MiB of it, the first and the
-    last among them; of the whole content where the file is shorter, or where ``whole`` asks for it.
+    The fingerprint is the SHA-256 of each file's size and of 64 evenly spaced MiB of all of them, the first
+    and the last among them; of the whole content where that is shorter, or where ``whole`` asks for it.
+    ``pace`` is called after every part with the bytes read and their number.
 
     Raises
     ------
     InputError
         For an input that is gone or cannot be read.
     """
-    digest, size, modified = hashlib.sha256(), 0, 0.0
-    covered = True
+    digest = hashlib.sha256()
     try:
-        for file in _files(path):
-            facts = file.stat()
-            size, modified = size + facts.st_size, max(modified, facts.st_mtime)
-            covered &= whole or facts.st_size <= PARTS * MIB
-            if not (whole or facts.st_size <= PARTS * MIB):
-                digest.update(str(facts.st_size).encode())
-            with file.open("rb") as stream:
-                for start in _starts(facts.st_size, whole=whole):
-                    stream.seek(start)
-                    digest.update(stream.read(MIB))
+        files = [(file, file.stat()) for file in _files(path)]
+        size = sum(facts.st_size for _, facts in files)
+        whole = whole or size <= PARTS * MIB
+        if not whole:
+            digest.update("".join(str(facts.st_size) for _, facts in files).encode())
+        done = 0
+        for part in _parts([(file, facts.st_size) for file, facts in files], whole=whole):
+            digest.update(part)
+            done += len(part)
+            if pace is not None:
+                pace(done, size)
     except OSError as error:
         why = (error.strerror or str(error)).lower()
         raise InputError(path, "an input that stays there until the end", why) from error
-    kind = "sha256" if covered else "fingerprint"
+    modified = max((facts.st_mtime for _, facts in files), default=0.0)
+    kind = "sha256" if whole else "fingerprint"
     return {"path": str(path), "size_bytes": size, "modified_s": modified, kind: digest.hexdigest()}
 
 
-def _starts(size: int, *, whole: bool) -> Iterable[int]:
-    """Where the MiB begin that are read."""
-    if whole or size <= PARTS * MIB:
-        return range(0, size, MIB)
-    return [round(part * (size - MIB) / (PARTS - 1)) for part in range(PARTS)]
+class Checksums:
+    """Describes inputs by all of their bytes while the film is read, so that the disk gives each byte once.
+
+    A thread reads them in turn, not further ahead of the film than `AHEAD_BYTES`, so that the system's memory
+    still holds what one of the two has read when the other comes to it.
+
+    Parameters
+    ----------
+    paths
+        Inputs, the film first; none for nothing to do.
+    """
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self._paths = paths
+        self._share = 0.0
+        self._found: dict[Path, dict[str, Any]] = {}
+        self._error: InputError | None = None
+        self._moved = threading.Condition()
+        self._thread = threading.Thread(target=self._work, daemon=True)
+
+    def __enter__(self) -> Self:
+        if self._paths:
+            self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._move(math.inf)  # the thread ends with the part it is at
+
+    def beside(self, progress: Callable[[int, int | None], None] | None) -> Callable[[int, int | None], None]:
+        """The same progress function, which this object follows too."""
+
+        def both(done: int, total: int | None) -> None:
+            self._move(done / total if total else 1.0)
+            if progress is not None:
+                progress(done, total)
+
+        return both
+
+    def found(self) -> dict[Path, dict[str, Any]]:
+        """Every input as `describe_input` describes it.  Raises: InputError as that does."""
+        if self._paths:
+            self._move(1.0)
+            self._thread.join()
+        if self._error is not None:
+            raise self._error
+        return self._found
+
+    def _move(self, share: float) -> None:
+        with self._moved:
+            self._share = max(share, self._share)
+            self._moved.notify_all()
+
+    def _work(self) -> None:
+        try:
+            for path in self._paths:
+                self._found[path] = describe_input(path, whole=True, pace=self._wait)
+        except InputError as error:
+            self._error = error
+        except _LeftError:
+            pass
+
+    def _wait(self, done: int, size: int) -> None:
+        with self._moved:
+            self._moved.wait_for(lambda: self._share >= 1 or done - self._share * size <= AHEAD_BYTES)
+            if self._share == math.inf:
+                raise _LeftError
+
+
+class _LeftError(Exception):
+    """Nobody waits for the checksums any more."""
+
+
+def _parts(files: Sequence[tuple[Path, int]], *, whole: bool) -> Iterator[bytes]:
+    """The MiB that are read of files taken as one; a part that begins in one may end in the next."""
+    size = sum(length for _, length in files)
+    spread = [round(part * (size - MIB) / (PARTS - 1)) for part in range(PARTS)]
+    wanted = [(0, size)] if whole else [(start, start + MIB) for start in spread]
+    begin = 0
+    for file, length in files:
+        spans = [(max(low, begin) - begin, min(high, begin + length) - begin) for low, high in wanted]
+        spans = [(low, high) for low, high in spans if low < high]
+        begin += length
+        if not spans:
+            continue
+        with file.open("rb") as stream:
+            for low, high in spans:
+                stream.seek(low)
+                for at in range(low, high, MIB):
+                    yield stream.read(min(MIB, high - at))
 
 
 def _files(path: Path) -> list[Path]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,7 +45,10 @@ class RunFolder:
     def pixel_size_um(self) -> float | None:
         """µm per pixel as recorded in run.json; None where it was not given."""
         value = self._parameter("pixel_size")
-        return None if value is None else float(value)
+        with reading(self.folder / MARK, "a pixel size in µm", AGAIN):
+            if value is None or 0 < float(value) < math.inf:
+                return None if value is None else float(value)
+            raise ValueError(value)
 
     @property
     def first_column(self) -> int:
@@ -53,7 +57,8 @@ class RunFolder:
         return int(first) if first.isdigit() else 0
 
     def _parameter(self, name: str) -> Any:
-        return self.facts.get("parameters", {}).get(name, {}).get("value")
+        with reading(self.folder / MARK, "parameters as track writes them", AGAIN):
+            return self.facts.get("parameters", {}).get(name, {}).get("value")
 
 
 def is_run(folder: Path) -> bool:

@@ -13,6 +13,9 @@ import pyarrow as pa
 import xarray as xr
 from pyarrow import csv
 
+from vision.data import harmless_table
+
+_JSON = ("[", "{", '"')  # what text that is read back as JSON begins with
 ROWS_PER_CHUNK = 500_000  # of tracks.csv, so that memory does not grow with the recording
 
 
@@ -83,22 +86,30 @@ def write_tracks_nc(tracks: xr.Dataset, path: Path, *, pixel_size_um: float | No
 
 
 def write_table(table: pd.DataFrame, path: Path) -> None:
-    """CSV with nine digits."""
-    table.to_csv(path, index=False, float_format="%.9g", lineterminator="\n")
+    """CSV with nine digits; no text in it is a formula."""
+    harmless_table(table).to_csv(path, index=False, float_format="%.9g", lineterminator="\n")
 
 
 def netcdf_attrs(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """Attributes as netCDF holds them: lists and tables become JSON."""
+    """Attributes as netCDF holds them: lists and tables become JSON, and text that would pass for it.
+
+    Names of files that are not UTF-8 have "?" for what is none.
+    """
+    held = {name: _held(value) for name, value in attrs.items() if value is not None}
     return {
-        name: json.dumps(value, default=str) if isinstance(value, list | tuple | dict) else value
-        for name, value in attrs.items()
-        if value is not None
+        name: value.encode("utf-8", "replace").decode() if isinstance(value, str) else value
+        for name, value in held.items()
     }
+
+
+def _held(value: Any) -> Any:
+    is_text = isinstance(value, str) and value[:1] in _JSON
+    return json.dumps(value, default=str) if is_text or isinstance(value, list | tuple | dict) else value
 
 
 def attrs_of_netcdf(attrs: Mapping[str, Any]) -> dict[str, Any]:
     """The inverse of `netcdf_attrs`."""
     return {
-        name: json.loads(value) if isinstance(value, str) and value[:1] in ("[", "{") else value
+        name: json.loads(value) if isinstance(value, str) and value[:1] in _JSON else value
         for name, value in attrs.items()
     }

@@ -26,6 +26,7 @@ from vision.run.folder import run_folder
 from vision.run.provenance import Parameter, describe_input, versions, write_json
 from vision.run.tables import sheets_table, write_table, write_tracks_csv, write_tracks_nc
 from vision.run.tiff import write_kymograph_tif
+from vision.sample import PUBLISHED
 from vision.sheets import doubtful_stretches
 from vision.sheets.corrections import Decisions, corrections_text, ordered
 from vision.shells import deformation_table
@@ -53,6 +54,8 @@ class Origin:
         Whether the inputs' SHA-256 is that of every byte.
     options
         Names of arguments and the command's options that the report shows in their place.
+    described
+        Inputs that are described already (`vision.run.Checksums`).
     """
 
     command: str
@@ -60,6 +63,7 @@ class Origin:
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     checksum: bool = False
     options: Mapping[str, str] = field(default_factory=dict)
+    described: Mapping[Path, Mapping[str, Any]] = field(default_factory=dict)
 
     def named(self, lines: Iterable[str]) -> list[str]:
         """Messages with the command's options in place of Python's arguments, where a command writes."""
@@ -170,13 +174,16 @@ def run_facts(analysis: Analysis, origin: Origin) -> dict[str, Any]:
         "command": origin.command,
         "versions": versions(),
         "parameters": dict(origin.parameters),
-        "inputs": [describe_input(path, whole=origin.checksum) for path in origin.inputs],
+        "inputs": [
+            origin.described.get(path) or describe_input(path, whole=origin.checksum)
+            for path in origin.inputs
+        ],
     }
     if analysis.tracks is not None:
         facts |= _video_facts(analysis)
     if analysis.force is not None:
         facts["force"] = ForceMetadata.of(analysis.force)
-        facts["sample"] = analysis.settings.sample
+        facts["sample"] = analysis.settings.sample or PUBLISHED
     if analysis.sticks is not None:
         whole = int((analysis.sticks["flag"] == "ok").sum())
         sticks = asdict(StickMetadata.of(analysis.sticks))

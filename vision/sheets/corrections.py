@@ -51,8 +51,8 @@ import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from datetime import date as day
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -388,14 +388,16 @@ def _number(value: Any, name: str, wanted: str) -> float:
 
 
 def _date(value: Any, name: str) -> str:
-    """As text that sorts by time where all are in UTC, as `track review` writes them."""
+    """As text that sorts by time: in UTC where it says its offset."""
     if isinstance(value, day):  # a datetime is one too
-        return value.isoformat()
+        value = value.isoformat()
     try:
-        datetime.fromisoformat(value or "2020-01-01")
+        moment = datetime.fromisoformat(value) if value else None
     except (TypeError, ValueError):
         raise InputError(name, 'date = "2026-01-31T12:00:00Z"', repr(value)) from None
-    return str(value)
+    if moment is None or moment.tzinfo is None:
+        return str(value)
+    return moment.astimezone(UTC).isoformat(timespec="milliseconds")
 
 
 # --- what they change ---------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vision.numeric import Bools, Floats, Floats32, Ints, nan_median
 from vision.sheets.alignment import Candidates, Pairing, align
-from vision.sheets.reference import ReferenceComb, build_reference, static_ridges
+from vision.sheets.reference import ReferenceComb, build_reference, faint_ends, static_ridges
 from vision.sheets.ridges import RidgeComb, Ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
@@ -105,6 +105,7 @@ def identify_sheets(
         x = _positions(ridges, match)
         moved = x - _rest_positions(x, reference, settings)
         real = ~static_ridges(moved, reference.x_px, settings=settings)
+        real &= ~faint_ends(reference, moved, settings=settings)
         reference, match = reference.only(np.flatnonzero(real)), match[:, real]
     for _ in range(ALIGNMENTS):
         rest = _rest_positions(_positions(ridges, match), reference, settings)

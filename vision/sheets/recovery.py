@@ -226,10 +226,11 @@ def _outliers(moved: Floats, comb: RidgeComb, settings: TrackingSettings) -> Boo
 def _after_jumps(
     x: Floats, identities: Identities, comb: RidgeComb, width_px: int, settings: TrackingSettings
 ) -> Bools:
-    """Frames in which a comb that fills the picture stands whole pitches from where it mostly does.
+    """Frames in which a comb without certain ends stands whole pitches from where it mostly does.
 
-    With neither end in view, only brightness distinguishes such a jump from none: a margin that the costs of
-    staying in place and of sheets crossing the edges can bring by themselves is not enough.
+    With neither end in view, or an outermost sheet that is often not found, only brightness distinguishes
+    such a jump from none: a margin that the costs of staying in place and of sheets crossing the edges can
+    bring by themselves is not enough.
     """
     seen = np.flatnonzero(np.isfinite(x).any(axis=1))
     step = np.nan_to_num(nan_median(np.diff(x[seen], axis=0), axis=1)) / comb.pitch_px
@@ -240,7 +241,8 @@ def _after_jumps(
     usual = values[np.argmax(counts)] if len(values) else 0
     reach = settings.edge_pitches * comb.pitch_px
     rest = identities.rest_px
-    filled = (rest[:, 0] < reach) & (rest[:, -1] > width_px - 1 - reach)
+    rare = np.isfinite(x[seen][:, [0, -1]]).mean(axis=0) < settings.certain_end if len(seen) else (True, True)
+    filled = ((rest[:, 0] < reach) | rare[0]) & ((rest[:, -1] > width_px - 1 - reach) | rare[1])
     least = settings.stay_cost + 2 * settings.crossing_cost + 1.0
     return np.asarray((filled & (place != usual))[:, None] & (identities.margin < least), bool)
 

@@ -389,6 +389,35 @@ def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettin
     return np.asarray(certain & (own < settings.static_fraction**2 * power), bool)
 
 
+def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: TrackingSettings = DEFAULT) -> Bools:
+    """Which of the first and last entries are faint and show a second sign that they are no sheets, (N,).
+
+    The signs: found in few frames, a width unlike the others', or less motion than the entry beside it has,
+    although motion grows outwards. Specks on the lens leave such bumps of the background beside a comb. One
+    sign is not enough: faint sheets are sheets, and the end of a comb of which one side is in view is still.
+
+    Parameters
+    ----------
+    reference
+        The comb.
+    moved_px
+        Displacement from the rest position (frame, N), NaN where missing.
+    settings
+        `faint_end`, `slow_end`, `odd_width`.
+    """
+    none = np.zeros(reference.sheets, bool)
+    if reference.sheets < 5:
+        return none
+    contrast, width = (values - np.median(values) for values in (reference.log_contrast, reference.log_width))
+    power = np.nanmean(np.where(np.isfinite(moved_px), moved_px, 0.0) ** 2, axis=0)
+    for end, inner in ((0, 1), (-1, -2)):
+        seen = np.isfinite(moved_px[:, end]).mean()
+        slow = power[end] < settings.slow_end**2 * power[inner] and power[inner] > settings.moving_px**2 / 4
+        odd = abs(width[end]) > np.log(settings.odd_width)
+        none[end] = contrast[end] < np.log(settings.faint_end) and bool(seen < 0.5 or slow or odd)
+    return none
+
+
 def _beside(moved_px: Floats) -> Floats:
     """Mean motion of the two entries before each in its row, NaN where neither is seen."""
     padded = np.pad(moved_px, ((0, 0), (2, 0)), constant_values=np.nan)

@@ -118,6 +118,17 @@ class TrackingSettings:
     """A ridge that moves less than this fraction of its neighbours is a mark. Larger drops sheets of the
     stiff centre, smaller keeps dust."""
 
+    faint_end: float = 0.35
+    """Contrast of the comb's first or last ridge, over the typical one's, below which one more sign shows
+    that it is none. Larger drops unequal sheets, smaller takes background beside a speck for a sheet
+    (test_degraded.py's dirt)."""
+
+    slow_end: float = 0.6
+    """Fraction of its neighbour's motion below which such a ridge is none: motion grows outwards."""
+
+    odd_width: float = 1.4
+    """Factor by which its width differs from the others' for it to be none."""
+
     wide_pitches: float = 1.6
     """Spacing, in local pitches, in which a sheet may have been overlooked. Larger misses gaps, smaller
     raises false alarms on uneven combs; test_reference.py draws 40 combs with and without a gap."""
@@ -160,6 +171,11 @@ class TrackingSettings:
     frames_per_rest: int = 32
     """Frames over which a sheet's rest position is taken. More smooth out slips and ringing, fewer follow
     drift."""
+
+    certain_end: float = 0.9
+    """Fraction of the frames in which an outermost sheet must be found to show that the comb ends there.
+    Larger doubts combs with a faint end, smaller lets an even comb of beating muscle jump by a pitch
+    (test_real_films.py)."""
 
     # --- detections (recovery.py) ---
 

@@ -200,7 +200,7 @@ class _Found:
         """What later stages need to know; columns counted as in the picture."""
         comb, numbering, reference = self.comb, self.numbering, self.identities.reference
         counted = len(reference.x_px) == self.x_px.shape[1]  # else sheets were added or deleted by hand
-        places = reference.x_px if counted else nan_median(self.x_px)
+        places = reference.x_px if counted else np.sort(nan_median(self.x_px))  # they may be swapped
         gaps = [] if count_given else zip(*wide_spacings(places, settings=settings), strict=True)
         least_margin = np.nanmin(self.identities.margin, initial=np.inf)
         return TrackMetadata(

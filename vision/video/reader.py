@@ -131,15 +131,21 @@ def gather_blocks(
     shape = (rows.stop - rows.start, columns.stop - columns.start)
     size = frames_per_block(*shape, np.dtype(dtype).itemsize)
     source = iter(frames)
-    while batch := list(itertools.islice(source, size)):
-        pixels = np.zeros((len(batch), *shape), dtype)
-        for out, frame in zip(pixels, batch, strict=True):
+    while True:
+        pixels = np.zeros((size, *shape), dtype)
+        status: list[Status] = []
+        times: list[float] = []
+        for out, frame in zip(pixels, source, strict=False):  # whole frames are not kept
             if frame.pixels is not None:
                 out[:] = frame.pixels[rows, columns]
-        times = [np.nan if frame.time_s is None else frame.time_s for frame in batch]
-        known = any(frame.time_s is not None for frame in batch)
-        yield Block(pixels, start, tuple(f.status for f in batch), np.array(times) if known else None)
-        start += len(batch)
+            status.append(frame.status)
+            times.append(np.nan if frame.time_s is None else frame.time_s)
+        if not status:
+            return
+        times_s = np.array(times)
+        known = bool(np.isfinite(times_s).any())
+        yield Block(pixels[: len(status)], start, tuple(status), times_s if known else None)
+        start += len(status)
 
 
 def decode_in_threads(decode: Callable[[Item], Frame], items: Iterable[Item]) -> Iterator[Frame]:

@@ -37,7 +37,6 @@ export class Displacement {
     });
     s.frame();
     timeCursor(s, x, view, colour.cursor);
-    if (sheets.length && sheets.length <= 5) this.names(s, c, sheets, colour);
   }
 
   effect(c, x, y, colour) {
@@ -67,19 +66,6 @@ export class Displacement {
     if (!(low <= high)) return [-1, 1];
     const margin = Math.max(0.05, 0.06 * (high - low));
     return [low - margin, high + margin];
-  }
-
-  names(s, c, sheets, colour) {
-    let x = s.left + 6;
-    c.textAlign = "left"; c.textBaseline = "top";
-    for (const sheet of sheets) {
-      const chosen = sheet.index === this.view.sheet, text = this.page.name(sheet);
-      s.font(1, chosen ? "bold" : "");
-      c.fillStyle = colour.card; c.globalAlpha = 0.8; c.fillRect(x - 2, s.top + 2, c.measureText(text).width + 4, s.size + 3); c.globalAlpha = 1;
-      c.fillStyle = chosen ? colour.text : sheet.side < 0 ? colour.left : colour.right;
-      c.fillText(text, x, s.top + 3); x += c.measureText(text).width + 12;
-    }
-    s.font();
   }
 }
 
@@ -207,9 +193,10 @@ export class Stick {
     const x = this.place(s);
     if (!before?.sheets.length) {
       c.fillStyle = colour.soft; c.textAlign = "center"; c.textBaseline = "middle";
-      wrapped(c, before?.reason ?? page.noStick(), s.left, s.plotWidth, s.top + s.plotHeight / 2, s.size * 1.3); return;
+      wrapped(c, before?.reason ?? page.noStick(), 0, s.width, s.height / 2, s.size * 1.3); return;
     }
-    const values = [before, after].flatMap((stick) => stick?.sheets ?? []).map((one) => one.ratio).filter(Number.isFinite);
+    // what was far off before must not flatten what would be right: it is marked at the edge
+    const values = (after ?? before).sheets.map((one) => one.ratio).filter(Number.isFinite);
     const high = Math.max(2.2 * threshold, 1.12 * Math.max(0, ...values));
     const y = s.yAxis(Math.min(-0.04 * high, 1.1 * Math.min(0, ...values)), high, { label: "σₓ/Λₛₜ" });
     this.nAxis(s, c, colour, x);
@@ -241,7 +228,8 @@ export class Stick {
     c.globalAlpha = alpha;
     for (const one of sheets) {
       if (!Number.isFinite(one.ratio)) continue;
-      const px = x(one), py = y(one.ratio), r = 2.8 * grow;
+      const px = x(one), py = y(one.ratio), r = 2.8 * grow, { top } = this.surface;
+      if (py < top) { c.fillStyle = ink(one); c.beginPath(); c.moveTo(px, top + 1); c.lineTo(px - 4, top + 9); c.lineTo(px + 4, top + 9); c.fill(); continue; }
       c.strokeStyle = c.fillStyle = ink(one); c.lineWidth = 1;
       if (Number.isFinite(one.ratio_err)) line(c, px, y(one.ratio - one.ratio_err), px, y(one.ratio + one.ratio_err));
       c.beginPath();

@@ -44,7 +44,7 @@ export class Decisions {
 
   /** Which decisions make sense for this run. */
   offer() {
-    const { state } = this.page, without = { clock: !state.clock, strip: state.rows == null };
+    const { state } = this.page, without = { clock: !state.clock, strip: this.page.film.rows == null };
     for (const { kind } of KINDS) document.getElementById(`decide-${kind}`).disabled = Boolean(without[kind]) || !state.sheets.length;
   }
 
@@ -84,7 +84,7 @@ export class Decisions {
       sheet, other: sheets.length > sheet + 1 ? sheet + 1 : sheet - 1,
       first: within ? doubt.first : frame,
       stop: within ? doubt.stop : kind === "swap" ? view.end : frame + 1,
-      frame, ridge: this.guess(sheet, doubt),
+      frame, ridge: kind === "add" ? null : this.guess(sheet, doubt),
       axis: page.state.axis_px, z0, z1, candidate: "", offset: page.state.clock?.offset_s ?? 0, drift: page.state.clock?.drift_ppm ?? 0,
     };
   }
@@ -151,7 +151,9 @@ export class Decisions {
     const list = this.form.querySelector("#field-ridges");
     if (!list) return;
     const seen = this.page.ridges(this.frame())?.candidates;
-    const nearest = (seen ?? []).reduce((best, ridge, i) => (best < 0 || Math.abs(ridge.x_px - this.values.ridge) < Math.abs(seen[best].x_px - this.values.ridge) ? i : best), -1);
+    if (seen && this.values.ridge == null) this.values.ridge = this.unowned(seen);
+    const away = (ridge) => Math.abs(ridge.x_px - this.values.ridge);
+    const nearest = (seen ?? []).reduce((best, ridge, i) => (best < 0 || away(ridge) < away(seen[best]) ? i : best), -1);
     list.replaceChildren(element("option", { value: "" }, seen ? `${seen.length} seen` : "reading …"));
     (seen ?? []).forEach((ridge, i) => {
       const owner = ridge.sheet == null ? "no sheet" : this.page.name(this.page.state.sheets[ridge.sheet]);
@@ -159,6 +161,14 @@ export class Decisions {
       if (i === nearest && Math.abs(ridge.x_px - this.values.ridge) < 1) option.selected = true;
       list.append(option);
     });
+  }
+
+  /** A ridge that belongs to no sheet, the one nearest to the chosen sheet. */
+  unowned(seen) {
+    const place = this.page.state.sheets[this.view.sheet]?.x_px ?? 0, free = seen.filter((ridge) => ridge.sheet == null);
+    const best = free.sort((a, b) => Math.abs(a.x_px - place) - Math.abs(b.x_px - place))[0];
+    if (best) setTimeout(() => { this.show(); this.changed(); }, 0);
+    return best ? Math.round(best.x_px * 10) / 10 : null;
   }
 
   /** The frame in which a ridge is chosen. */
@@ -178,7 +188,7 @@ export class Decisions {
     this.values[name] = Number(target.value);
     if (name === "offset") { this.values.candidate = ""; this.show("offset"); }
     if (name === "sheet") { this.view.choose(this.values.sheet); if (this.open.kind === "swap" && this.values.other === this.values.sheet) this.set("other", this.values.sheet + (this.values.sheet ? -1 : 1)); }
-    if (name === "first" && this.open.kind === "assign") this.offerRidges();
+    if (name === "ridge" || (name === "first" && this.open.kind === "assign")) this.offerRidges();
     this.changed();
   }
 
@@ -194,7 +204,7 @@ export class Decisions {
       const name = field.dataset.field;
       if (name === but || name === "ridges") continue;
       const value = this.values[name], digits = { ridge: 1, axis: 1, offset: 4 }[name];
-      field.value = digits == null ? value : String(Number(Number(value).toFixed(digits)));
+      field.value = value == null ? "" : digits == null ? value : String(Number(Number(value).toFixed(digits)));
     }
   }
 
@@ -225,6 +235,7 @@ export class Decisions {
   }
 
   async preview() {
+    if (this.open?.fields.includes("ridge") && this.values.ridge == null) { this.refuse("Every ridge seen in this frame is a sheet's: click on a place, or give its column."); return; }
     const asked = (this.asked += 1), decision = this.decision();
     try {
       const effect = await this.page.preview(decision);
@@ -299,7 +310,7 @@ export class Decisions {
   }
 
   stripTool() {
-    const own = this, high = this.page.state.rows;
+    const own = this, high = this.page.film.rows;
     let part = null;
     return {
       wholePicture: true,

@@ -65,7 +65,7 @@ export class Tiles {
   constructor(run, arrived) {
     const { rows, columns, factor, levels } = run.tiles;
     Object.assign(this, { run, rows, columns, factor, levels, width: run.columns, revision: 0 });
-    this.pictures = new Store((key) => getImage(`api/kymograph/${key}.png`), arrived, 400);
+    this.pictures = new Store((key) => getImage(`api/kymograph/${key}.png`), arrived, 160);
     this.counts = new Map(); // revision to number of sheets
     this.blocks = new Store(async (key) => {
       const [revision, level, i] = key.split("/").map(Number);

@@ -45,10 +45,11 @@ function deformation(event, before, after) {
   const lines = changed.slice(0, MOST_LINES).map((one) => one.text);
   if (changed.length > MOST_LINES) lines.push(`… and of ${changed.length - MOST_LINES} more sheets`);
   if (!changed.length) lines.push(`σx/Λst in stick ${event}: no change`);
-  for (const [word, sign] of SIDES) {
+  const stiff = SIDES.map(([word, sign]) => {
     const [a, b] = [before, after].map((all) => all.filter((one) => one.side === sign && one.shell === "stiff").length);
-    lines.push(a === b ? `stiff sheets, ${word}: ${b}, no change` : `stiff sheets, ${word}: ${a} → ${b}`);
-  }
+    return a === b ? `${word} ${b}` : `${word} ${a} → ${b}`;
+  });
+  lines.push(`called stiff in it: ${stiff.join(", ")} sheets`);
   return lines;
 }
 
@@ -78,7 +79,7 @@ export function effectOfClock(answer, filmSlips, seconds, frameSeconds, before) 
 }
 
 const sideOf = (side) => (side < 0 ? "left" : "right");
-const span = (frames) => (frames.length ? `frames ${frames[0]}–${frames.at(-1)}` : "no frame in view");
+const span = (frames) => (frames.length > 1 ? `frames ${frames[0]}–${frames.at(-1)}` : frames.length ? `frame ${frames[0]}` : "no frame in view");
 const count = (values) => values.filter((x) => x != null).length;
 const ratio = (one) => (one?.ratio == null ? "none" : number(one.ratio, 3));
 const close = (a, b) => (a == null && b == null) || Math.abs(a - b) < 5e-4;

@@ -15,7 +15,7 @@ export class Film {
   redraw() { this.surface.redraw(); }
 
   rows() {
-    const { page, view } = this, [z0, z1] = page.strip(), high = page.state.rows ?? z1;
+    const { page, view } = this, [z0, z1] = page.strip(), high = page.film.rows ?? z1;
     if (this.wholePicture || view.tool?.wholePicture) return [0, high];
     const beside = Math.max(0.35 * (z1 - z0), 12);
     return [Math.max(0, z0 - beside), Math.min(high, z1 + beside)];
@@ -35,15 +35,16 @@ export class Film {
 
   draw(s, c) {
     const { view, page } = this, at = this.places();
-    const picture = page.state.rows != null ? this.pictures.get(view.frame) : null;
-    if (picture) this.shown = picture;
+    const picture = page.film.rows != null ? this.pictures.get(view.frame) : null;
+    const why = page.film.error || this.pictures.why(view.frame);
+    if (picture || why) this.shown = picture; // else the one before, until this one arrives
     s.clipped(() => {
       c.fillStyle = "#3a3d41"; c.fillRect(s.left, s.top, s.plotWidth, s.plotHeight);
-      if (this.shown) {
+      if (this.shown?.width) { // none is left of one that was closed
         const x0 = at.x(-0.5), y0 = at.y(0); // pixel centres are at integers, rows count edges
         c.imageSmoothingEnabled = at.perColumn < 2;
         c.drawImage(this.shown, x0, y0, this.shown.width * at.perColumn, this.shown.height * at.perRow);
-      } else this.notice(s, c, page.state.rows != null ? "reading the film …" : `The film cannot be shown: ${page.state.film_error}`);
+      } else this.notice(s, c, why ? `Not shown: ${why}` : "reading the film …");
       this.strip(s, c, at);
       this.sheets(s, c, at);
     });

@@ -6,7 +6,7 @@ import { Diagram, Tiles } from "./diagram.js";
 import { effectOfClock, effectOfStrip, effectOn } from "./effect.js";
 import { Film } from "./film.js";
 import { ForceRecording } from "./force.js";
-import { getBytes, getJson, Gone, post, Store } from "./server.js";
+import { getBytes, getJson, Gone, leave, post, Store, tryOut } from "./server.js";
 import { number, themeChanged } from "./surface.js";
 import { View } from "./view.js";
 
@@ -34,6 +34,7 @@ class Page {
     this.ridgeStore = new Store((key) => getJson(`api/ridges/${key.split("/")[1]}`), () => { this.drawAll(); if (this.decisions.open) this.decisions.offerRidges(); }, 200);
     this.stickStore = new Store((key) => getJson(`api/stick/${key.split("/")[1]}`), () => this.drawAll(), 100);
     this.view.measure({ begin, end: begin + frames, left: left - 0.5, right: left + columns - 0.5, sheets: this.columns(), times });
+    this.film = { rows: null, error: "" }; // rows of its picture, or why there is none
     this.filmSlips = []; // frames after the sheets' own steps
     this.doubt = null; // what the list shows as chosen
     this.views = {
@@ -44,6 +45,7 @@ class Page {
     };
     if (state.clock) this.views.force = new Force(by("force"), this.view, this);
     by("force-view").hidden = !state.clock;
+    by("stick-view").classList.toggle("none", !state.clock);
     this.decisions = new Decisions(this, by("decision"), by("kinds"));
     this.view.addEventListener("change", () => this.drawAll());
     this.listen();
@@ -51,6 +53,7 @@ class Page {
     by("title").textContent = state.name; document.title = `${state.name} – review`;
     this.take(state);
     this.watch();
+    getJson("api/film").then((film) => { this.film = film; this.decisions.offer(); this.drawAll(); }, (error) => this.failed(error));
     setTimeout(() => this.slipsNow(), 500); // a second's work for the program, after the pictures
   }
 
@@ -84,7 +87,8 @@ class Page {
     const [z0, z1] = this.strip();
     by("film-facts").textContent = `rows ${z0}:${z1} · ${state.sheets.length} sheets · axis ${number(state.axis_px, 1)} px`;
     by("diagram-facts").textContent = `${number(view.seconds(view.first), 2)}–${number(view.seconds(view.last), 2)} s · ${number(Math.max(0, view.low), 0)}–${number(view.high, 0)} px`;
-    by("tracks-facts").textContent = name;
+    const others = this.views.tracks.sheets().filter((one) => one !== sheet);
+    by("tracks-facts").textContent = `${name} (bold)${others.length > 4 ? ` and ${others.length} others` : others.map((one) => `, ${this.name(one)}`).join("")}`;
     const clock = this.clock();
     if (clock) by("force-facts").textContent = `offset ${number(clock.offset_s, 3)} s, drift ${number(clock.drift_ppm, 0)} ppm · clocks ${clock.status}`;
     const stick = this.stick(view.frame), ratio = stick?.sheets.find((one) => one.index === view.sheet)?.ratio;
@@ -98,7 +102,7 @@ class Page {
 
   shellText(stick) {
     const of = (side) => stick.shells?.find((one) => one.side === side)?.stiff_sheets ?? "–";
-    return stick.shells?.length ? ` · stiff: left ${of(-1)}, right ${of(1)}` : "";
+    return stick.shells?.length ? `, stiff: left ${of(-1)}, right ${of(1)}` : "";
   }
 
   /** Columns between which the sheets stand, with some room. */
@@ -160,6 +164,7 @@ class Page {
     if (other && this.decisions.open) this.decisions.cancel(true);
     this.listDoubts(); this.listHistory(); this.buttons(); this.decisions.offer();
     this.windows(state.other_windows);
+    this.unseen(state.unseen ?? []);
     this.view.changed();
   }
 
@@ -246,14 +251,14 @@ class Page {
     const { view, state } = this, { frame } = view, name = (sheet) => this.name(state.sheets[sheet]);
     if (decision.kind === "strip") {
       const rows = state.strip.join(":");
-      if (this.present?.key !== `${rows} ${frame}`) this.present = { key: `${rows} ${frame}`, ridges: await post("api/strip", { rows, frame }) };
-      return effectOfStrip(this.present.ridges, await post("api/strip", { rows: decision.rows, frame }));
+      if (this.present?.key !== `${rows} ${frame}`) this.present = { key: `${rows} ${frame}`, ridges: await tryOut("api/strip", { rows, frame }) };
+      return effectOfStrip(this.present.ridges, await tryOut("api/strip", { rows: decision.rows, frame }));
     }
     if (decision.kind === "clock") {
-      const answer = await post("api/clock", { offset_s: decision.offset_s, drift_ppm: decision.drift_ppm, frame });
+      const answer = await tryOut("api/clock", { offset_s: decision.offset_s, drift_ppm: decision.drift_ppm, frame });
       return effectOfClock(answer, (await this.slipsNow()).film, (at) => view.seconds(at), view.seconds(view.begin + 1) - view.seconds(view.begin), this.stick(frame));
     }
-    return effectOn(await post("api/preview", { decision, frame }), decision, name);
+    return effectOn(await tryOut("api/preview", { decision, frame }), decision, name);
   }
 
   async decide(decision) { return this.ask("api/decisions", { decision }, () => `Kept: ${this.state.decisions.at(-1)?.text}`); }
@@ -328,7 +333,13 @@ class Page {
   windows(others) {
     if (others === this.others) return;
     this.others = others;
-    this.notice(others ? `This run is open in ${others === 1 ? "another window" : `${others} other windows`}: they show the same decisions. Decide in one of them only.` : "");
+    this.notice(others ? `This run is open in ${others === 1 ? "another window, too" : `${others} other windows, too`}; all show the same decisions. Decide in one of them only.` : "");
+  }
+
+  /** What was taken back, but is shown as before until the run is saved. */
+  unseen(texts) {
+    if (texts.length) this.notice(`Undone, but still shown until you save: ${texts.join("; ")}.`);
+    else if (by("notice").textContent.startsWith("Undone, but")) this.notice("");
   }
 
   notice(text) { by("notice").textContent = text; by("notice").hidden = !text; }
@@ -391,6 +402,7 @@ class Page {
     on("whole", () => view.whole());
     on("tracks-shown", () => this.toggleTracks()); on("film-whole", () => this.toggleFilm());
     by("chosen").addEventListener("change", (event) => { this.views.tracks.which = event.target.value; this.drawAll(); });
+    addEventListener("pagehide", leave);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (!this.ownTheme) this.paint(); });
     this.paint();
     for (const [press, what] of HELP) {

@@ -33,17 +33,27 @@ export async function post(path, body = {}, options = {}) {
   return answer.json();
 }
 
+/** The answer to something tried out; what does not fit is an error. */
+export async function tryOut(path, body) {
+  const answer = await post(path, body);
+  if (answer.refused) throw new Error(answer.refused);
+  return answer;
+}
+
 /** Things fetched once and kept, the least used forgotten first; `get` gives what is there, or asks for it. */
 export class Store {
   constructor(load, arrived, most) {
     this.load = load; this.arrived = arrived; this.most = most;
-    this.kept = new Map(); this.asked = new Map();
+    this.kept = new Map(); this.asked = new Map(); this.refused = new Map();
   }
+
+  /** Why something cannot be had; "" where nothing says so. */
+  why(key) { return this.refused.get(key) ?? ""; }
 
   get(key) {
     const found = this.kept.get(key);
     if (found !== undefined) { this.kept.delete(key); this.kept.set(key, found); return found; }
-    if (!this.asked.has(key)) this.asked.set(key, this.fetch(key));
+    if (!this.asked.has(key) && !this.refused.has(key)) this.asked.set(key, this.fetch(key));
     return null;
   }
 
@@ -60,12 +70,13 @@ export class Store {
       }
       this.arrived(key);
     } catch (error) {
-      if (!(error instanceof Gone)) console.warn(`${key}: ${error.message}`);
-    } finally {
-      // what failed is asked for again, but not at once
-      setTimeout(() => this.asked.delete(key), this.kept.has(key) ? 0 : 1000);
-    }
+      if (error instanceof Gone) await new Promise((done) => { setTimeout(done, 1000); }); // asked for again then
+      else { this.refused.set(key, error.message); this.arrived(key); }
+    } finally { this.asked.delete(key); }
   }
+}
 
-  clear() { this.kept.clear(); }
+/** Tells the program that this window is closed. */
+export function leave() {
+  fetch("api/leave", { method: "POST", keepalive: true, headers: { "Content-Type": "application/json", "X-Window": WINDOW }, body: "{}" }).catch(() => {});
 }

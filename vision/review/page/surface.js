@@ -51,7 +51,7 @@ export class Surface {
       const c = this.context, colour = colours();
       c.setTransform(this.scale, 0, 0, this.scale, 0, 0);
       c.fillStyle = colour.card;
-      c.fillRect(0, 0, this.width, this.height);
+      c.fillRect(0, 0, this.width + 2, this.height + 2); // the last pixel of a fractional width, too
       this.font();
       this.paint(this, c, colour);
     });
@@ -82,7 +82,7 @@ export class Surface {
   yAxis(low, high, { grid = true, label = "", format = null } = {}) {
     const c = this.context, colour = colours();
     const place = (value) => this.top + this.plotHeight * (1 - (value - low) / (high - low || 1));
-    const [ticks, digits] = steps(low, high, Math.max(2, Math.floor(this.plotHeight / 26)));
+    const [ticks, digits] = steps(low, high, Math.max(3, Math.floor(this.plotHeight / 26)));
     c.textAlign = "right"; c.textBaseline = "middle"; c.lineWidth = 1;
     for (const value of ticks) {
       const y = Math.round(place(value)) + 0.5;
@@ -105,17 +105,18 @@ export class Surface {
 export function timeAxis(surface, view, labelled) {
   const c = surface.context, colour = colours();
   const place = (frame) => surface.left + (surface.plotWidth * (frame - view.first)) / (view.last - view.first);
-  const from = view.seconds(view.first), to = view.seconds(view.last);
-  if (Number.isFinite(from) && to > from) {
+  const timed = Number.isFinite(view.seconds(view.first)), value = (frame) => (timed ? view.seconds(frame) : frame);
+  const from = value(view.first), to = value(view.last);
+  if (to > from) {
     const [ticks, digits] = steps(from, to, Math.max(2, Math.floor(surface.plotWidth / 90)));
     const y = surface.top + surface.plotHeight;
     c.strokeStyle = colour.line; c.lineWidth = 1; c.textAlign = "center"; c.textBaseline = "top"; c.fillStyle = colour.soft;
-    for (const seconds of ticks) {
-      const x = Math.round(place(view.frameAt(seconds))) + 0.5;
+    for (const tick of ticks) {
+      const x = Math.round(place(timed ? view.frameAt(tick) : tick)) + 0.5;
       line(c, x, y, x, y + 4);
-      if (labelled && x > surface.left + 8 && x < surface.left + surface.plotWidth - 34) c.fillText(number(seconds, digits), x, y + 5);
+      if (labelled && x > surface.left + 8 && x < surface.left + surface.plotWidth - 34) c.fillText(number(tick, digits), x, y + 5);
     }
-    if (labelled) { c.textAlign = "right"; c.fillStyle = colour.text; c.fillText("t (s)", surface.left + surface.plotWidth, y + 5); }
+    if (labelled) { c.textAlign = "right"; c.fillStyle = colour.text; c.fillText(timed ? "t (s)" : "frame", surface.left + surface.plotWidth, y + 5); }
   }
   return place;
 }
@@ -149,14 +150,14 @@ export function curveThrough(c, from, to, at, width) {
   }
   c.fillStyle = c.strokeStyle;
   let column = NaN, low = Infinity, high = -Infinity, end = NaN;
-  const bar = () => { if (low <= high) c.fillRect(column, low - width / 2, Math.max(1, width), high - low + width); };
+  const bar = (next) => { if (low <= high) c.fillRect(column, low - width / 2, Math.max(1, Math.min(next - column, 4)), high - low + width); };
   for (let k = from; k < to; k++) {
     const [x, y] = at(k), here = Math.round(x);
-    if (here !== column) { bar(); column = here; low = high = end; if (Number.isNaN(end)) { low = Infinity; high = -Infinity; } }
+    if (here !== column) { bar(here); column = here; low = high = end; if (Number.isNaN(end)) { low = Infinity; high = -Infinity; } }
     if (!Number.isNaN(y)) { if (y < low) low = y; if (y > high) high = y; }
     end = y;
   }
-  bar();
+  bar(column + 1);
 }
 
 /** Text with an edge, readable on a picture. */

@@ -25,7 +25,7 @@ export class View extends EventTarget {
 
   /** Frames and columns there are; everything is shown. */
   measure({ begin, end, left, right, times, sheets }) {
-    Object.assign(this, { begin, end, left, right, times, sheets });
+    Object.assign(this, { begin, end, left, right, times: filled(times), sheets });
     this.frame = begin;
     this.whole();
   }
@@ -104,4 +104,19 @@ export class View extends EventTarget {
     }
     return this.begin + low + (seconds - t[low]) / (t[high] - t[low] || 1);
   }
+}
+
+/** Times of lost frames from those around them; all as they are where none is known. */
+function filled(times) {
+  let known = -1;
+  for (let i = 0; i < times.length; i++) {
+    if (Number.isNaN(times[i])) continue;
+    for (let k = known + 1; k < i; k++) {
+      const step = known >= 0 ? (times[i] - times[known]) / (i - known) : 1e-3;
+      times[k] = times[i] - step * (i - k);
+    }
+    known = i;
+  }
+  for (let k = known + 1; known > 0 && k < times.length; k++) times[k] = times[known] + (k - known) * (times[known] - times[known - 1]);
+  return times;
 }

@@ -34,11 +34,11 @@ def true_positions() -> Floats:
     return np.asarray(x)
 
 
-def planted_run(folder: Path) -> Path:
+def doubted_run(folder: Path) -> Path:
     """The run folder of a film of the scene, tracked with the planted faults."""
     light = ridges(true_positions(), width=WIDTH_PX, fwhm_px=10, contrast=brightness(SHEETS))
     profile = np.clip(np.rint(strip(light).values), 0, 255).astype(np.uint8)
-    film, faults, out = folder / "film.tif", folder / "faults.toml", folder / "planted"
+    film, faults, out = folder / "film.tif", folder / "faults.toml", folder / "doubted"
     tifffile.imwrite(film, np.repeat(profile[:, None], ROWS, axis=1), photometric="minisblack")
     faults.write_text(FAULTS, encoding="utf-8")
     options = [

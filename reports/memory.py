@@ -1,0 +1,248 @@
+"""Memory at growing numbers of frames, for every format that is read, and for the whole command.
+
+Run from the checkout: python -m reports.memory [--folder /tmp/films] [--most 16000]. Takes five minutes and
+some GB of disk. Writes reports/memory.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import platform
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import tifffile
+
+from tests.scenes.comb_video import frames_of, positions
+from tests.scenes.films import avi_header, chunk
+from vision.numeric import Pixels
+
+HERE = Path(__file__).parent
+ROWS, COLUMNS = 800, 1280
+STRIP = (360, 440)
+GOP = 24  # frames that are encoded; longer films repeat them
+WHOLE = (25_000, 100_000)  # frames of 600 x 24 for the whole command
+MIB = 1 << 20
+
+PEAK = """
+import json, sys
+def peak():  # of this program alone; getrusage counts what its parent had as it was forked
+    lines = open("/proc/self/status").read().splitlines()
+    return int(next(line.split()[1] for line in lines if line.startswith("VmHWM"))) << 10
+"""
+COMMAND = """
+from vision.command.main import run
+print(json.dumps([run(sys.argv[1:]), peak()]))
+"""
+CHILD = """
+from vision.video import open_video, strip_profile
+path, first, last = json.loads(sys.argv[1])
+before = peak()
+strip = strip_profile(open_video(path), slice(first, last))
+print(json.dumps([strip.sizes["frame"], strip.nbytes, before, peak()]))
+"""
+
+
+def pictures() -> Pixels:
+    """A few frames of a moving comb."""
+    profile = frames_of(positions(frames=GOP, sheets=50), width_px=COLUMNS, rows=1)
+    return np.ascontiguousarray(np.repeat(profile, ROWS, axis=1))
+
+
+def raw_avi(path: Path, frames: int, shown: Pixels, *, repeated: bool = False) -> None:
+    """Sparse: the first frames are there, of the others only the heads of their chunks, if not repeated."""
+    rows, columns = shown.shape[1:]
+    head = avi_header(width=columns, height=rows, bits=8, fourcc=b"Y800", frames=frames)
+    size = rows * columns
+    with path.open("wb") as out:
+        out.write(b"RIFF" + struct.pack("<I", 0) + b"AVI " + head + b"LIST" + struct.pack("<I", 0) + b"movi")
+        start = out.tell()
+        for n in range(frames):
+            out.seek(start + n * (size + 8))
+            out.write(
+                chunk(b"00dc", shown[n].tobytes()) if n < len(shown) else b"00dc" + struct.pack("<I", size)
+            )
+        out.truncate(start + frames * (size + 8))
+
+
+def mraw(path: Path, frames: int, shown: Pixels, bits: int) -> None:
+    """Sparse: the first frames are there."""
+    rows, columns = shown.shape[1:]
+    fields = {"Total Frame": frames, "Image Width": columns, "Image Height": rows, "Color Bit": bits}
+    text = "".join(f"{name} : {value}\n" for name, value in fields.items())
+    path.with_suffix(".cih").write_text(f"Record Rate(fps) : 1000\n{text}")
+    stored = shown if bits == 8 else np.repeat(shown, 3, axis=2)[:, :, : columns * 3 // 2]
+    path.write_bytes(stored.tobytes())
+    os.truncate(path, frames * rows * columns * bits // 8)
+
+
+def cine(path: Path, frames: int, shown: Pixels) -> None:
+    """Sparse: the first frames are there, of the others only their heads."""
+    rows, columns = shown.shape[1:]
+    setup = bytearray(2000)
+    struct.pack_into("<H", setup, 142, len(setup))
+    struct.pack_into("<I", setup, 896, 8)
+    images_at, size = 84 + len(setup), rows * columns + 8
+    first = images_at + 8 * frames
+    head = struct.pack("<2sHHHiIiIIII8x", b"CI", 44, 0, 1, 0, frames, 0, frames, 44, 84, images_at)
+    bitmap = struct.pack("<IiiHHIIiiII", 40, columns, rows, 1, 8, 0, rows * columns, 0, 0, 0, 0)
+    with path.open("wb") as out:
+        out.write(head + bitmap + bytes(setup))
+        out.write((first + size * np.arange(frames, dtype="<i8")).tobytes())
+        for n in range(frames):
+            out.seek(first + n * size)
+            out.write(struct.pack("<II", 8, rows * columns) + (shown[n].tobytes() if n < len(shown) else b""))
+        out.truncate(first + frames * size)
+
+
+def stack(path: Path, frames: int, shown: Pixels) -> None:
+    """Sparse: one page that stands for all."""
+    pages = tifffile.memmap(path, shape=(frames, *shown.shape[1:]), dtype=np.uint8, bigtiff=True)
+    pages[: len(shown)] = shown
+    del pages
+
+
+def compressed_stack(path: Path, frames: int, shown: Pixels) -> None:
+    """One compressed page for every frame."""
+    with tifffile.TiffWriter(path, bigtiff=True) as out:
+        for n in range(frames):
+            out.write(shown[n % len(shown)], compression="zlib", photometric="minisblack", metadata=None)
+
+
+def images(path: Path, frames: int, shown: Pixels) -> None:
+    """A folder of PNG, of which most are the same file under another name."""
+    path.mkdir()
+    for n in range(frames):
+        file = path / f"a_{n:06d}.png"
+        if n < len(shown):
+            cv2.imwrite(str(file), shown[n])
+        else:
+            os.link(path / f"a_{n % len(shown):06d}.png", file)
+
+
+def encoded(path: Path, frames: int, shown: Pixels, codec: str, pixel_format: str) -> None:
+    """A few frames are encoded, their packets written again and again."""
+    options = {"g": str(GOP), "preset": "veryfast"} if codec == "libx264" else {}
+    with av.open(str(path), "w") as out:
+        stream = out.add_stream(codec, rate=100, options=options)
+        stream.height, stream.width, stream.pix_fmt = *shown.shape[1:], pixel_format
+        stream.codec_context.gop_size = GOP
+        packets = []
+        for picture in (*shown, None):
+            frame = None if picture is None else av.VideoFrame.from_ndarray(picture, format="gray")
+            packets += list(stream.encode(frame))
+        step = int(1 / (stream.time_base * 100)) if stream.time_base else 1
+        shifts = {id(packet): (packet.pts, packet.dts) for packet in packets}
+        for turn, packet in itertools.product(range(-(-frames // len(shown))), packets):
+            pts, dts = shifts[id(packet)]
+            again = av.Packet(bytes(packet))
+            again.stream, again.is_keyframe, again.time_base = stream, packet.is_keyframe, packet.time_base
+            again.pts, again.dts = (None if t is None else t + turn * len(shown) * step for t in (pts, dts))
+            out.mux(again)
+
+
+FORMATS: dict[str, tuple[str, Callable[[Path, int, Pixels], None], int]] = {
+    "raw AVI": ("a.avi", raw_avi, 1),
+    "cine": ("a.cine", cine, 1),
+    "mraw, 8 bit": ("a.mraw", lambda *given: mraw(*given, 8), 1),
+    "mraw, 12 bit packed": ("a.mraw", lambda *given: mraw(*given, 12), 1),
+    "TIFF stack": ("a.tif", stack, 1),
+    "TIFF pages, deflate": ("a.tif", compressed_stack, 8),
+    "folder of PNG": ("images", images, 8),
+    "MJPEG in AVI": ("a.avi", lambda *given: encoded(*given, "mjpeg", "yuvj420p"), 1),
+    "H.264 in MKV": ("a.mkv", lambda *given: encoded(*given, "libx264", "yuv420p"), 8),
+    "FFV1 in MKV": ("a.mkv", lambda *given: encoded(*given, "ffv1", "gray"), 8),
+}
+"""File, writer, and by how much fewer frames than of raw film are read: decoding takes its time."""
+
+
+def read(path: Path) -> tuple[int, int, int, int]:
+    """Frames, bytes of I(x, t), and the process's peak before and after reading, bytes."""
+    task = json.dumps([str(path), *STRIP])
+    done = subprocess.run(
+        [sys.executable, "-c", PEAK + CHILD, task], capture_output=True, text=True, check=True
+    )
+    frames, profile, before, after = json.loads(done.stdout)
+    return frames, profile, before, after
+
+
+def formats(folder: Path, most: int) -> list[str]:
+    """A row per format and number of frames."""
+    shown, rows = pictures(), []
+    for name, (file, write, fewer) in FORMATS.items():
+        peaks = []
+        for frames in (most // 16 // fewer, most // 4 // fewer, most // fewer):
+            write(folder / file, frames, shown)
+            found, profile, before, after = read(folder / file)
+            peaks.append((found, (after - before - profile) / MIB))
+            shutil.rmtree(folder / file) if (folder / file).is_dir() else (folder / file).unlink()
+        cells = " | ".join(f"{beyond:.0f} MiB ({found})" for found, beyond in peaks)
+        rows.append(f"| {name} | {cells} |")
+        sys.stdout.write(rows[-1] + "\n")
+        sys.stdout.flush()
+    return rows
+
+
+def whole(folder: Path) -> list[str]:
+    """Peak of `track FILM --no-report`, imports and all."""
+    rows = []
+    for frames in WHOLE:
+        moving = frames_of(positions(frames=60, sheets=24), width_px=600, rows=24)
+        film = folder / "a.avi"
+        raw_avi(film, frames, moving, repeated=True)
+        words = [str(film), "--no-report", "--quiet", "--overwrite", "--out", str(folder / "out")]
+        child = [sys.executable, "-c", PEAK + COMMAND, *words]
+        done = subprocess.run(child, capture_output=True, text=True, check=True)
+        peak = json.loads(done.stdout.splitlines()[-1])[1] / MIB
+        rows.append(f"| {frames} | {peak:.0f} MiB | {4 * 600 * frames / MIB:.0f} MiB |")
+        sys.stdout.write(rows[-1] + "\n")
+        film.unlink()
+    return rows
+
+
+def main() -> None:
+    """Measure and write reports/memory.md."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--most", type=int, default=16_000)
+    given = parser.parse_args()
+    folder = Path(tempfile.mkdtemp(prefix="memory-", dir=given.folder))
+    lines = [
+        "# Memory",
+        "",
+        "Made by `python -m reports.memory`. Peak of the resident memory beyond that of the imports and of",
+        f"I(x, t), for films of {COLUMNS} x {ROWS} px of which rows {STRIP[0]} to {STRIP[1]} are",
+        f"averaged; in brackets the frames. {os.cpu_count()} cores, Python {platform.python_version()}.",
+        "It fills what is read ahead, four blocks of 16 MiB and up to 32 whole frames, and stays there",
+        "however long the film is.",
+        "",
+        "| format | few frames | four times as many | sixteen times |",
+        "|---|---|---|---|",
+        *formats(folder, given.most),
+        "",
+        "I(x, t) itself, 4 bytes a column and frame, is in memory up to 1 GiB (`VideoSettings.spill_bytes`)",
+        "and in a temporary file beyond, beside the run folder where `track` reads the film.",
+        "",
+        "The whole command, raw film of 600 x 24 px with 24 sheets, `--no-report`; all of the process:",
+        "",
+        "| frames | peak | of which I(x, t) |",
+        "|---|---|---|",
+        *whole(folder),
+    ]
+    shutil.rmtree(folder)
+    (HERE / "memory.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,88 @@
+"""`track review`: what it prints, and when it does not begin."""
+
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from tests.scenes.reviewed import SETTINGS, VIDEO, write_planted
+from vision.command.main import run
+from vision.command.review import settings_of_run
+from vision.review.session import Session
+
+HOME = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_planted(tmp_path_factory.mktemp("review") / "run")
+
+
+def test_a_run_has_the_settings_that_it_was_made_with(folder):
+    """A failure means that saving analyses by other settings than the run."""
+    found = settings_of_run(folder)
+    assert found.pixel_size_um == SETTINGS.pixel_size_um
+    assert found.d0_mm == SETTINGS.d0_mm
+    assert found.fps == SETTINGS.fps
+    assert found.corrections == ()
+
+
+def test_without_the_extra_it_says_what_to_install(folder, monkeypatch, capsys):
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "uvicorn" else found(name))
+    assert run(["review", str(folder)]) == 2
+    said = capsys.readouterr().err
+    assert "sheetvision[review]" in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["nowhere.avi"], "nowhere.avi"),
+        (["RUN", "--pixel-size", "3"], "without further options"),
+    ],
+)
+def test_what_cannot_be_reviewed_is_one_line(folder, arguments, says, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert run(["review", *(str(folder) if name == "RUN" else name for name in arguments)]) == 2
+    said = capsys.readouterr().err
+    assert says in said
+    assert said.count("\n") == 1
+
+
+def test_decisions_of_another_film_are_a_warning(folder, tmp_path, capsys, monkeypatch):
+    """The run's own corrections.toml is taken without a word; one that names another film is not."""
+    monkeypatch.chdir(tmp_path)
+    own = (folder / "corrections.toml").read_text()
+    video = [str(VIDEO), "--fps", "60", "--no-report", "--quiet"]
+    for name, text in (("own.toml", own), ("other.toml", own.replace('film = "', 'film = "0'))):
+        Path(name).write_text(text)
+        run([*video, "--corrections", name, "--out", name.removesuffix(".toml")])
+        assert ("another film" in capsys.readouterr().err) == (name == "other.toml")
+    assert (tmp_path / "own" / "corrections.toml").exists()
+
+
+def test_a_second_review_is_refused(folder, capsys):
+    with Session(folder, SETTINGS):
+        assert run(["review", str(folder), "--no-browser"]) == 2
+    assert "review" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such signal")
+def test_the_address_is_printed_and_ctrl_c_ends_it(folder):
+    """The whole command, as a person starts it."""
+    command = [sys.executable, str(HOME / "cli.py"), "review", str(folder), "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        address = process.stdout.readline().split()[-1]
+        assert address.startswith("http://127.0.0.1:")
+        with urllib.request.urlopen(address, timeout=20) as page:
+            assert b"<html" in page.read()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 130
+        assert "Traceback" not in process.stderr.read()

@@ -1,0 +1,26 @@
+"""One run with planted mistakes for the whole session, and copies of it to decide about."""
+
+import shutil
+
+import pytest
+
+from tests.scenes.reviewed import SETTINGS, write_planted
+from vision.review.session import Session
+
+
+@pytest.fixture(scope="session")
+def planted(tmp_path_factory):
+    """Not to be changed: see `run`."""
+    return write_planted(tmp_path_factory.mktemp("planted") / "run")
+
+
+@pytest.fixture
+def run(planted, tmp_path):
+    """A run folder of one's own."""
+    return shutil.copytree(planted, tmp_path / "run")
+
+
+@pytest.fixture
+def session(run):
+    with Session(run, SETTINGS) as opened:
+        yield opened

@@ -1,0 +1,349 @@
+"""The HTTP interface: who is refused, and that a page gets what it asks for."""
+
+import json
+import re
+import urllib.request
+from threading import Event, Thread
+
+import numpy as np
+import pytest
+from starlette.testclient import TestClient
+
+from tests.scenes.reviewed import FIXTURE, SETTINGS, remedies, truth
+from vision.review.server import MOST_BODY_BYTES, make_app, serve
+from vision.review.session import Session
+
+PORT, TOKEN = 54321, "a-token-of-this-test"
+HERE = f"http://127.0.0.1:{PORT}"
+
+
+@pytest.fixture
+def stopped():
+    return Event()
+
+
+@pytest.fixture
+def app(session, stopped):
+    return make_app(session, port=PORT, token=TOKEN, stop=stopped.set)
+
+
+@pytest.fixture
+def page(app):
+    """A page that was opened with its token."""
+    client = TestClient(app, base_url=HERE, headers={"X-Token": TOKEN, "X-Window": "one"})
+    client.cookies.clear()
+    return client
+
+
+@pytest.fixture
+def stranger(app):
+    return TestClient(app, base_url=HERE)
+
+
+def shape_of(png):
+    """(rows, columns) as a PNG's header says."""
+    assert png[:8] == b"\x89PNG\r\n\x1a\n"
+    return int.from_bytes(png[20:24]), int.from_bytes(png[16:20])
+
+
+# --- who is refused -----------------------------------------------------------------------------------------
+
+EVERYTHING = [
+    "/",
+    "/api/run",
+    "/api/frame/3.png",
+    "/api/kymograph/0/0/0.png",
+    "/api/tracks",
+    "/page/review.js",
+]
+
+
+@pytest.mark.parametrize("path", EVERYTHING)
+@pytest.mark.parametrize("headers", [{}, {"X-Token": ""}, {"X-Token": "another"}, {"X-Token": TOKEN + "x"}])
+def test_without_the_token_nothing_is_told(stranger, path, headers):
+    """A failure means that any program or page of this machine reads the run."""
+    answer = stranger.get(path, headers=headers)
+    assert answer.status_code == 403
+    assert TOKEN not in answer.text
+    assert "run" not in answer.headers.get("set-cookie", "")
+
+
+def test_without_the_token_nothing_is_changed(stranger, session):
+    for path in ("/api/decisions", "/api/undo", "/api/save", "/api/quit"):
+        assert stranger.post(path, json={"decision": remedies()[0]}).status_code == 403
+    assert session.revision == len(session.decisions) - len(session.applied)
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "evil.example",
+        f"evil.example:{PORT}",
+        "127.0.0.1",
+        "127.0.0.1:1",
+        f"127.0.0.1.evil.example:{PORT}",
+        "",
+    ],
+)
+def test_a_foreign_host_is_refused_even_with_the_token(page, host):
+    """DNS rebinding: a foreign name that resolves to this machine lets a foreign page read the answers."""
+    assert page.get("/api/run", headers={"Host": host}).status_code == 403
+
+
+@pytest.mark.parametrize(
+    "host", [f"127.0.0.1:{PORT}", f"localhost:{PORT}", f"[::1]:{PORT}", f"LOCALHOST:{PORT}"]
+)
+def test_every_name_of_the_loopback_address_is_served(page, host):
+    assert page.get("/api/state", headers={"Host": host}).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "origin", ["https://evil.example", "null", f"http://127.0.0.1:{PORT + 1}", "http://localhost"]
+)
+def test_a_foreign_page_cannot_decide(page, session, origin):
+    answer = page.post("/api/decisions", json={"decision": remedies()[0]}, headers={"Origin": origin})
+    assert answer.status_code == 403
+    assert not session.pending
+
+
+def test_the_own_page_can(page):
+    answer = page.post("/api/decisions", json={"decision": remedies()[0]}, headers={"Origin": HERE})
+    assert answer.status_code == 200
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/page/../server.py",
+        "/page/%2e%2e/server.py",
+        "/page/..%2fserver.py",
+        "/page//etc/passwd",
+        "/page/%2fetc%2fpasswd",
+        "/api/frame/../../run.json",
+        "/run.json",
+        "/api/kymograph/0/0/../../run.json",
+    ],
+)
+def test_no_path_leads_out(page, path):
+    """A failure means that files of this machine can be read."""
+    answer = page.get(path)
+    assert answer.status_code in (403, 404)
+    assert "import" not in answer.text
+    assert "root:" not in answer.text
+
+
+@pytest.mark.parametrize("path", ["/api/decisions", "/api/preview", "/api/strip"])
+def test_a_large_body_is_refused(page, path):
+    assert page.post(path, content=b"x" * (MOST_BODY_BYTES + 1)).status_code == 413
+
+
+def test_a_large_body_of_no_stated_length_is_refused(page):
+    """A failure means that memory can be filled from a page."""
+
+    def parts():
+        for _ in range(30):
+            yield b"x" * 50_000
+
+    assert page.post("/api/preview", content=parts()).status_code == 413
+
+
+@pytest.mark.parametrize("body", [b"{", b"[1]", b"\xff\xfe", b"[" * 100_000, b'{"decision": 3}', b"{}"])
+def test_a_body_that_is_no_request_is_refused(page, body):
+    answer = page.post("/api/decisions", content=body)
+    assert answer.status_code == 400
+    assert "\n" not in answer.json()["error"]
+
+
+def test_every_answer_forbids_what_is_not_its_own(page, stranger):
+    for answer in (page.get("/"), page.get("/api/run"), page.get("/nothing"), stranger.get("/")):
+        policy = answer.headers["content-security-policy"]
+        assert policy.startswith("default-src 'none'; script-src 'self';")
+        assert "unsafe" not in policy
+        assert "http" not in policy
+        assert answer.headers["cache-control"] == "no-store"
+        assert answer.headers["x-content-type-options"] == "nosniff"
+        assert answer.headers["x-frame-options"] == "DENY"
+        assert answer.headers["referrer-policy"] == "no-referrer"
+
+
+def test_the_page_needs_nothing_inline_and_nothing_from_elsewhere(page):
+    """A failure means that the policy breaks the page, or that it loads something from the network."""
+    html = page.get("/").text
+    assert "<style" not in html
+    assert not re.search(r"<script(?![^>]*\bsrc=)", html)
+    assert not re.search(r"""\s(?:style|on[a-z]+)=["']""", html)
+    names = set(re.findall(r"""(?:src|href)=["']([^"'#]+)["']""", html))
+    assert names
+    for name in names:
+        assert name.lstrip("/").startswith("page/")
+        assert page.get(f"/{name.lstrip('/')}").status_code == 200
+
+
+def test_the_token_becomes_a_cookie_that_no_other_site_sends(app):
+    browser = TestClient(app, base_url=HERE)
+    opened = browser.get("/", params={"token": TOKEN})
+    assert opened.status_code == 200
+    cookie = opened.headers["set-cookie"].lower()
+    assert "httponly" in cookie
+    assert "samesite=strict" in cookie
+    assert browser.get("/api/state").status_code == 200  # an image, say, that carries the cookie alone
+
+
+def test_two_windows_know_of_each_other(page):
+    """A failure means that two people undo each other's decisions unawares."""
+    assert page.get("/api/run").json()["other_windows"] == 0
+    second = page.get("/api/run", headers={"X-Window": "two"}).json()
+    assert second["other_windows"] == 1
+    assert page.get("/api/state").json()["other_windows"] == 1
+    seen = second["revision"]
+    assert page.post("/api/decisions", json={"decision": remedies()[0], "revision": seen}).status_code == 200
+    late = page.post("/api/decisions", json={"decision": remedies()[0], "revision": seen})
+    assert late.status_code == 409
+    assert "another window" in late.json()["error"]
+
+
+# --- what a page gets ---------------------------------------------------------------------------------------
+
+
+def test_the_run_at_a_glance(page):
+    facts = page.get("/api/run").json()
+    assert facts["frames"] == 240
+    assert facts["columns"] == 1200
+    assert len(facts["sheets"]) == 49
+    assert facts["clock"]["offset_s"] == 23.0
+    assert {"first", "stop", "event", "stick_length_um"} <= set(facts["sticks"][0])
+    assert facts["decisions"][0]["saved"]
+    assert "swapped" in facts["decisions"][0]["text"]
+
+
+def test_curves_are_the_positions(page):
+    answer = page.get("/api/tracks", params={"first": 10, "stop": 60, "points": 1000})
+    table = np.frombuffer(answer.content, "<f4").reshape(
+        int(answer.headers["X-Rows"]), int(answer.headers["X-Columns"])
+    )
+    assert table[:, 0].tolist() == list(range(10, 60))
+    np.testing.assert_allclose(table[:, 1], truth()["x_px"].values[10:60, 0], atol=0.5)
+    assert np.isnan(table[40:, 8]).all()  # the planted gap of sheet 7
+
+
+def test_few_points_keep_every_jump(page):
+    """Means would hide a slip of one frame; extremes do not."""
+    whole, few = (
+        np.frombuffer(page.get("/api/tracks", params={"points": points}).content, "<f4").reshape(-1, 50)
+        for points in (1000, 20)
+    )
+    assert len(few) <= 20 < len(whole)
+    np.testing.assert_array_equal(np.nanmax(few[:, 1:], axis=0), np.nanmax(whole[:, 1:], axis=0))
+    np.testing.assert_array_equal(np.nanmin(few[:, 1:], axis=0), np.nanmin(whole[:, 1:], axis=0))
+
+
+def test_pictures(page):
+    assert shape_of(page.get("/api/frame/17.png").content) == (30, 1200)
+    tiles = page.get("/api/run").json()["tiles"]
+    assert shape_of(page.get("/api/kymograph/0/0/0.png").content) == (240, tiles["columns"])
+    assert shape_of(page.get("/api/kymograph/0/2/0.png").content)[1] == 1200 - 2 * tiles["columns"]
+    assert page.get("/api/kymograph/0/3/0.png").status_code == 422
+    assert page.get("/api/kymograph/9/0/0.png").status_code == 422
+    assert page.get("/api/frame/9999.png").status_code == 422
+
+
+def test_candidates_of_a_frame_name_their_sheets(page):
+    found = page.get("/api/ridges/55").json()
+    x_px = truth()["x_px"].values[55]
+    by_sheet = {one["sheet"]: one["x_px"] for one in found["candidates"] if one["sheet"] is not None}
+    assert abs(by_sheet[0] - x_px[0]) < 1
+    assert 7 not in by_sheet  # left out here
+    free = [one["x_px"] for one in found["candidates"] if one["sheet"] is None]
+    assert min(abs(place - x_px[7]) for place in free) < 1
+    assert found["sheets"][7]["flag"] == "left_out"
+    assert abs(found["sheets"][7]["expected_px"] - x_px[7]) < 3
+
+
+def test_the_force(page):
+    answer = page.get("/api/force", params={"first_s": 25.0, "stop_s": 26.0, "points": 500})
+    table = np.frombuffer(answer.content, "<f8").reshape(-1, 3)
+    assert 25.0 <= table[:, 0].min() < table[:, 0].max() < 26.0
+    assert 1 < np.nanmean(table[:, 1]) < 1e4
+    assert page.get("/api/force", params={"first_s": "soon"}).status_code == 400
+
+
+def test_another_clock_moves_the_sticks_and_keeps_nothing(page):
+    before = page.get("/api/run").json()
+    seen = page.post("/api/clock", json={"offset_s": 24.0}).json()
+    true = truth()["t_p_video_s"].values * 60
+    inside = [stick["stop"] for stick in seen["sticks"] if 5 < stick["stop"] < 235]
+    assert max(min(abs(stop - true)) for stop in inside) < 2.5
+    assert max(min(abs(stick["stop"] - true)) for stick in before["sticks"]) > 5  # the planted clock is wrong
+    assert page.get("/api/run").json()["sticks"] == before["sticks"]
+
+
+def test_preview_decide_undo_redo(page):
+    decision = remedies()[0]
+    seen = page.post("/api/preview", json={"decision": decision, "frame": 120}).json()
+    assert seen["frames"][0] <= 120 <= seen["frames"][-1]
+    assert page.get("/api/state").json()["revision"] == 0
+    state = page.post("/api/decisions", json={"decision": decision}).json()
+    assert state["can_undo"]
+    assert state["decisions"][-1]["entry"]["frames"] == "100:"
+    state = page.post("/api/undo", json={}).json()
+    assert state["can_redo"]
+    assert not state["changed"]
+    assert page.post("/api/redo").json()["changed"]
+
+
+def test_the_stick_is_measured_anew_while_decisions_wait(page):
+    page.post("/api/decisions", json={"decision": remedies()[-1]})
+    sticks = page.get("/api/run").json()["sticks"]
+    event = sticks[len(sticks) // 2]["event"]
+    found = page.get(f"/api/stick/{event}").json()
+    assert found["preview"]
+    assert len(found["sheets"]) == 49
+    assert page.get("/api/stick/99999").json()["sheets"] == []
+
+
+def test_quit(page, stopped):
+    assert page.post("/api/quit").json() == {"ended": True}
+    assert stopped.is_set()
+
+
+def test_a_film_that_is_gone_costs_only_its_pictures(run, tmp_path):
+    """A failure means that a run cannot be looked at without its film."""
+    film = tmp_path / "another.avi"
+    film.write_bytes((FIXTURE / "video.avi").read_bytes()[:-1])
+    with Session(run, SETTINGS, film=film) as opened:
+        client = TestClient(
+            make_app(opened, port=PORT, token=TOKEN, stop=lambda: None),
+            base_url=HERE,
+            headers={"X-Token": TOKEN},
+        )
+        assert client.get("/api/frame/3.png").status_code == 422
+        assert client.get("/api/run").json()["frames"] == 240
+        told = client.get("/api/film").json()
+        assert told["rows"] is None
+        assert "bytes" in told["error"]
+        assert client.get("/api/kymograph/0/0/0.png").status_code == 200
+
+
+def test_served_on_the_loopback_address_until_it_is_told_to_stop(session):
+    """The real server: an address with its token, and an end."""
+    address, there = [], Event()
+
+    def opened(url):
+        address.append(url)
+        there.set()
+
+    serving = Thread(target=serve, args=(session,), kwargs={"opened": opened}, daemon=True)
+    serving.start()
+    assert there.wait(20)
+    url, _, token = address[0].partition("/?token=")
+    assert url.startswith("http://127.0.0.1:")
+
+    def ask(path, **more):
+        request = urllib.request.Request(url + path, headers={"X-Token": token}, **more)
+        with urllib.request.urlopen(request, timeout=20) as answer:
+            return json.load(answer)
+
+    assert ask("/api/run")["frames"] == 240
+    assert ask("/api/quit", data=b"{}") == {"ended": True}
+    serving.join(10)
+    assert not serving.is_alive()

@@ -1,0 +1,269 @@
+"""Decisions: what they change, that they can be taken back, and that none is lost."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.scenes.reviewed import PLANTED, SETTINGS, clean, remedies, truth
+from vision.errors import InputError
+from vision.review import stored
+from vision.review.positions import CELLS, FLAGS
+from vision.review.saving import Job, save_run
+from vision.review.session import Session
+from vision.run import read_run
+from vision.sheets.corrections import read_decisions
+
+EVERY_KIND = [
+    {"kind": "swap", "sheets": [20, 22], "frames": "30:"},
+    {"kind": "leave_out", "sheet": 5, "frames": "0:10"},
+    {"kind": "delete", "sheet": 40},
+    *remedies()[:4],
+    {"kind": "strip", "rows": "4:24"},
+    {"kind": "clock", "offset_s": 24.0, "drift_ppm": 12.5},
+]
+
+
+def held(positions):
+    """Everything a decision about sheets can change, to be compared."""
+    cells = {name: getattr(positions, name).copy() for name in CELLS}
+    return cells | {
+        "side": positions.side.copy(),
+        "n": positions.n.copy(),
+        "axis": positions.attrs["axis_px"],
+    }
+
+
+def assert_same(one, other):
+    for name, values in one.items():
+        np.testing.assert_array_equal(values, other[name], err_msg=name)
+
+
+def save(session):
+    """As the server does it, in this process."""
+    decisions = session._held(session.decisions, session.undone)
+    job = {"folder": session.folder, "settings": session.settings, "clock": session.found.clock}
+    save_run(Job(**job, applied=tuple(session.applied), decisions=decisions))
+
+
+def off_px(tracks):
+    """Largest distance from the truth; infinite where a sheet or a position is missing."""
+    x_px, known = np.asarray(tracks["x_px"].values), truth()["x_px"].values
+    if x_px.shape != known.shape:
+        return np.inf
+    return float(np.nan_to_num(np.abs(x_px - known), nan=np.inf).max())
+
+
+def test_planted_mistakes_are_put_right_and_saved(session):
+    """A failure means that a person who sees what is wrong cannot make the run right."""
+    before = read_run(session.folder)
+    assert off_px(before.tracks) == np.inf  # the mistakes are there, or this would prove nothing
+    for remedy in remedies():
+        session.decide(remedy)
+    assert np.abs(session.positions.x_px - truth()["x_px"].values).max() < 0.5  # shown at once
+    save(session)
+    after = read_run(session.folder)
+    assert off_px(after.tracks) < 0.5
+    np.testing.assert_allclose(after.tracks["x_px"].values, clean().tracks["x_px"].values, atol=0.02)
+    np.testing.assert_array_equal(after.tracks["n"].values, clean().tracks["n"].values)
+    np.testing.assert_array_equal(after.tracks["side"].values, clean().tracks["side"].values)
+    assert after.facts["clock"]["offset_s"] == 24.0
+    assert len(after.facts["corrections"]) == len(PLANTED) + len(remedies())
+    assert (session.folder / "shells.csv").exists()
+
+
+def test_what_a_page_shows_is_what_saving_measures(session):
+    """A failure means that the positions shown after a decision are not those that come of it."""
+    session.decide({"kind": "swap", "sheets": [20, 22], "frames": "30:"})
+    session.decide(remedies()[1])
+    shown = session.positions.x_px.copy()
+    save(session)
+    saved = read_run(session.folder).tracks["x_px"].values
+    assert np.array_equal(np.isnan(shown), np.isnan(saved))
+    assert np.nanmax(np.abs(shown - saved)) < 0.05
+
+
+def test_every_decision_can_be_taken_back_and_made_again(session):
+    """A failure means that undo leaves something changed, or redo makes something else of it."""
+    states = [held(session.positions)]
+    for decision in EVERY_KIND:
+        session.decide(decision)
+        states.append(held(session.positions))
+    for state in reversed(states[:-1]):
+        session.undo()
+        assert_same(state, held(session.positions))
+    for state in states[1:]:
+        session.redo()
+        assert_same(state, held(session.positions))
+    with pytest.raises(InputError, match="taken back"):
+        session.redo()
+
+
+def test_a_new_decision_ends_what_was_taken_back(session):
+    session.decide(EVERY_KIND[0])
+    session.undo()
+    session.decide(EVERY_KIND[1])
+    assert session.undone == []
+    assert session.decisions[-1].kind == "leave_out"
+
+
+@pytest.mark.parametrize("decision", EVERY_KIND[:6], ids=lambda decision: decision["kind"])
+def test_a_preview_is_what_the_decision_does(session, decision):
+    """A failure means that a person agrees to something else than what is then kept."""
+    first = session.revision
+    before = held(session.positions)
+    seen = session.effects.preview(decision, 60)
+    assert_same(before, held(session.positions))
+    assert session.revision == first
+    session.decide(decision)
+    rows = [session.positions.row_of(int(frame)) for frame in seen["frames"]]
+    np.testing.assert_allclose(seen["after"]["x_px"], session.positions.x_px[rows], atol=2e-3)
+    np.testing.assert_array_equal(seen["after"]["n"], session.positions.n)
+    assert not np.array_equal(seen["before"]["x_px"], seen["after"]["x_px"], equal_nan=True) or (
+        decision["kind"] == "axis"
+    )
+
+
+def test_the_effect_on_the_deformation_is_shown(session):
+    """Sheets of the stiff centre and of the outside exchanged: their ratios must change, others' hardly."""
+    session.decide(remedies()[-1])
+    frame = 120
+    seen = session.effects.preview({"kind": "swap", "sheets": [2, 30], "frames": "0:"}, frame)
+    before, after = (
+        {row["index"]: row["ratio"] for row in seen[name]} for name in ("stick_before", "stick_after")
+    )
+    assert abs(after[2] - before[2]) > 0.05
+    assert abs(after[40] - before[40]) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("decision", "says"),
+    [
+        ({"kind": "swap", "sheets": [3, 99], "frames": "0:"}, "0 to 48"),
+        ({"kind": "accept", "sheet": 3, "frames": "0:5"}, "doubtful stretch"),
+        ({"kind": "assign", "sheet": 7, "frames": "50:60", "x_px": 5.0}, "a ridge near"),
+        ({"kind": "leave_out", "sheet": 1, "frames": "0:9999"}, "0:240"),
+        ({"kind": "rename", "sheet": 1}, "a kind of"),
+        ({"kind": "axis"}, "x_px"),
+        ({"kind": "axis", "x_px": "left"}, "x_px"),
+    ],
+)
+def test_what_does_not_fit_is_refused_and_not_kept(session, decision, says):
+    """A failure means that a wrong decision is kept, or half of it."""
+    before = held(session.positions)
+    with pytest.raises(InputError, match=says):
+        session.decide(decision)
+    assert_same(before, held(session.positions))
+    assert len(session.decisions) == len(PLANTED)
+
+
+def test_a_ridge_is_not_given_twice(session):
+    x_px = float(session.positions.x_px[50, 9])
+    with pytest.raises(InputError, match="no other sheet"):
+        session.decide({"kind": "assign", "sheet": 7, "frames": "50:60", "x_px": x_px})
+
+
+def test_decisions_are_there_when_the_run_is_opened_again(run):
+    with Session(run, SETTINGS) as first:
+        for decision in EVERY_KIND[:3]:
+            first.decide(decision)
+        first.undo()
+        last = held(first.positions)
+    with Session(run, SETTINGS) as again:
+        assert_same(last, held(again.positions))
+        assert again.changed
+        again.redo()
+        assert again.decisions[-1].kind == "delete"
+
+
+def test_saved_decisions_can_be_taken_back_in_a_later_review(run):
+    """The positions before them were kept with the run."""
+    with Session(run, SETTINGS) as first:
+        before = held(first.positions)
+        first.decide(EVERY_KIND[1])
+        first.save()
+        first.saver.wait()
+        assert first.saver.error == ""
+        assert not first.changed
+    with Session(run, SETTINGS) as again:
+        assert FLAGS[again.positions.flag[5, 5]] == "left_out"
+        again.undo()
+        np.testing.assert_allclose(again.positions.x_px[:, 5], before["x_px"][:, 5], atol=1e-3)
+        assert again.unseen == []
+        again.undo()  # one of those planted, of which nothing is kept: said, and seen when it is saved
+        assert [one.kind for one in again.unseen] == ["clock"]
+        assert again.changed
+
+
+def test_the_other_rows_show_their_ridges_and_noise(session):
+    """Fewer rows, more noise."""
+    many = session.effects.strip_preview("2:28", 100)
+    few = session.effects.strip_preview("14:16", 100)
+    assert len(many["ridges"]) >= 48
+    assert few["profile_noise"] > 1.5 * many["profile_noise"]
+    with pytest.raises(InputError, match="rows within"):
+        session.effects.strip_preview("0:999", 100)
+
+
+def test_a_second_review_of_the_same_run_is_refused(run):
+    with Session(run, SETTINGS), pytest.raises(InputError, match="open"):
+        Session(run, SETTINGS)
+    Session(run, SETTINGS).__exit__()
+
+
+def test_a_disk_that_fails_loses_nothing_that_was_kept(session, monkeypatch):
+    """A failure means that a decision shown as kept is gone, or that half a file is left."""
+    session.decide(EVERY_KIND[0])
+    text = (session.folder / "corrections.toml").read_text()
+
+    def full(handle):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(stored.os, "fsync", full)
+    with pytest.raises(InputError, match="not kept"):
+        session.decide(EVERY_KIND[1])
+    assert (session.folder / "corrections.toml").read_text() == text
+    assert session.decisions[-1].kind == "swap"
+    assert [path.name for path in session.folder.glob(".corr*")] == []
+
+
+DECIDING = """
+import sys
+from pathlib import Path
+from tests.scenes.reviewed import SETTINGS
+from vision.review.session import Session
+session = Session(Path(sys.argv[1]), SETTINGS)
+count = len(session.decisions)
+while True:
+    session.decide({"kind": "leave_out", "sheet": count % 40, "frames": f"{count}:{count + 1}"})
+    count += 1
+    print(count, flush=True)
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal here")
+@pytest.mark.parametrize("after_s", [0.02, 0.15])
+def test_a_kill_loses_no_decision_that_was_kept(run, after_s):
+    """A failure means that the server's death takes decisions with it that a page showed as saved."""
+    home = Path(__file__).parents[2]
+    started = subprocess.Popen(
+        [sys.executable, "-c", DECIDING, str(run)],
+        stdout=subprocess.PIPE,
+        cwd=home,
+        env=os.environ | {"PYTHONPATH": str(home)},
+        text=True,
+    )
+    with started as process:
+        process.stdout.readline()
+        time.sleep(after_s)
+        process.kill()
+        said = [line for line in process.stdout.read().splitlines() if line]
+    kept = len(read_decisions(run / "corrections.toml").corrections)
+    assert kept >= int(said[-1]) > len(PLANTED)
+    with Session(run, SETTINGS) as again:  # and nobody's claim is left
+        assert len(again.decisions) == kept

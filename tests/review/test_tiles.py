@@ -1,0 +1,116 @@
+"""The pyramid of the space-time diagram: nothing that happened for one frame is lost in it."""
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from vision.errors import InputError
+from vision.review.diagram import Diagram
+from vision.review.tiles import Tiles, TileSettings
+from vision.sheets import TrackingSettings
+
+FRAMES, COLUMNS = 5000, 700
+
+
+@pytest.fixture(scope="module")
+def values():
+    """A bright ridge at column 300; in frame 3210 alone it stands at 340; frames 100 to 199 are missing."""
+    picture = np.random.default_rng(0).normal(40, 1, (FRAMES, COLUMNS)).astype(np.float32)
+    picture[:, 298:303] += 60
+    picture[3210, 298:303] -= 60
+    picture[3210, 338:343] += 60
+    picture[100:200] = np.nan
+    return picture
+
+
+@pytest.fixture
+def make(tmp_path):
+    """Tiles of a diagram that is written first."""
+    opened = []
+
+    def made(values, bright=True, **settings):
+        path = tmp_path / f"{len(opened)}.tif"
+        tifffile.imwrite(path, values)
+        opened.append(Diagram(path, 0, TrackingSettings()))
+        return Tiles(opened[-1], bright=bright, settings=TileSettings(**settings))
+
+    yield made
+    for diagram in opened:
+        diagram.close()
+
+
+@pytest.fixture
+def tiles(values, make):
+    return make(values)
+
+
+def test_level_0_is_the_recording(values, tiles):
+    shown = tiles.part(0, 0, 2)
+    wanted = np.clip(np.rint(255 * (values[512:768, :512] - tiles.low) / (tiles.high - tiles.low)), 0, 255)
+    np.testing.assert_array_equal(shown, wanted.astype(np.uint8))
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_a_ridge_that_was_elsewhere_for_one_frame_is_seen_at_every_level(tiles, level):
+    """A failure means that a look at the whole test does not show what went wrong in it. Means would not."""
+    step = 4**level
+    y, row = divmod(3210 // step, tiles.settings.rows)
+    shown = tiles.part(level, 0, y).astype(int)
+    assert shown[row, 340] > 200
+    assert shown[row - 1, 340] < 100
+    assert shown[row, 300] > 200  # and where it usually is
+
+
+def test_dark_ridges_keep_their_smallest_values(values, make):
+    tiles = make(80 - values, bright=False)
+    shown = tiles.part(2, 0, 0).astype(int)
+    assert shown[3210 // 16, 340] < 50
+    assert shown[3210 // 16 - 1, 340] > 150
+
+
+def test_frames_that_are_missing_are_grey_and_hide_no_others(tiles):
+    assert np.isin(tiles.part(0, 0, 0)[120:150], (127, 128)).all()
+    assert np.isin(tiles.part(1, 0, 0)[26:49], (127, 128)).all()
+    assert (tiles.part(1, 0, 0)[24, 290:296] < 100).all()  # frames 96 to 99 are there
+
+
+def test_the_last_level_is_one_tile_high_and_edges_are_smaller(tiles):
+    last = tiles.levels - 1
+    rows = -(-FRAMES // 4**last)
+    assert rows <= tiles.settings.rows < -(-FRAMES // 4 ** (last - 1))
+    assert tiles.part(last, 0, 0).shape == (rows, 512)
+    assert tiles.part(last, 1, 0).shape == (rows, COLUMNS - 512)
+    assert tiles.part(0, 1, FRAMES // 256).shape == (FRAMES % 256, COLUMNS - 512)
+
+
+def test_made_from_the_file_or_kept_in_memory_a_level_is_the_same(values, make):
+    one = make(values, first_kept=1)
+    other = make(values, first_kept=3)
+    for level in (1, 2):
+        np.testing.assert_array_equal(one.part(level, 0, 0), other.part(level, 0, 0))
+
+
+@pytest.mark.parametrize("place", [(-1, 0, 0), (9, 0, 0), (0, 2, 0), (0, 0, 20), (0, -1, 0), (0, 0, -1)])
+def test_a_tile_that_is_not_there_is_refused(tiles, place):
+    with pytest.raises(InputError, match="levels"):
+        tiles.part(*place)
+
+
+def test_the_picture_of_a_tile_is_the_tile(tiles):
+    picture = cv2.imdecode(np.frombuffer(tiles.png(1, 0, 0), np.uint8), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(picture, tiles.part(1, 0, 0))
+
+
+def test_a_short_film_has_one_level(values, make):
+    tiles = make(values[:50])
+    assert tiles.levels == 1
+    assert tiles.part(0, 0, 0).shape == (50, 512)
+
+
+def test_a_diagram_that_was_cut_short_is_named(values, make):
+    tiles = make(values[:1000])
+    with tiles.diagram.path.open("r+b") as file:
+        file.truncate(2_000_000)
+    with pytest.raises(InputError, match="cut short"):
+        tiles.diagram.rows(900, 1000)
