@@ -106,8 +106,8 @@ def short_films(folder: Path, count: int) -> list[str]:
         f"| start of a job's process, before its first film | {started.cpu_s:.1f} |",
         "",
         f"By the clock the campaign took {campaign.wall_s:.0f} s ({clock:.2f} of the single calls' CPU time "
-        "over the cores), on a machine that others used too. The start of Python and of the libraries is "
-        "most of a short film's time, so a job takes several films.",
+        f"over the cores) on a machine that others used too (load average {os.getloadavg()[1]:.0f}). The "
+        "start of Python and of the libraries is most of a short film's time, so a job takes several films.",
     ]
 
 
@@ -181,6 +181,10 @@ def _part(video: Path, stop: int) -> list[str]:
     return [*TRACK, str(video), "--frames", f"0:{stop}", "--out", "run", "--overwrite"]
 
 
+def _short(number: float) -> str:
+    return f"{number:.0f}" if number >= 10 else f"{number:.2g}"
+
+
 def needs(rates: dict[str, float]) -> list[str]:
     """What the file server must deliver, and where the limit lies."""
     table = [
@@ -189,8 +193,8 @@ def needs(rates: dict[str, float]) -> list[str]:
         "|---" * (1 + len(CORES) + len(LINES)) + "|",
     ]  # fmt: skip
     for container, rate in rates.items():
-        needed = [f"{rate * cores / 1000:.2g} GB/s" for cores in CORES]
-        fed = [f"{speed / 1e6 / rate:.0f}" if rate > 0 else "–" for speed in LINES.values()]
+        needed = [f"{_short(rate * cores / 1000)} GB/s" for cores in CORES]
+        fed = [_short(speed / 1e6 / rate) if rate > 0 else "–" for speed in LINES.values()]
         table.append("| " + " | ".join([container, *needed, *fed]) + " |")
     return [*table, "", *TEXT.strip().splitlines()]
 

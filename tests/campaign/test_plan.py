@@ -90,7 +90,7 @@ def film(name, seconds):
 
 def test_short_films_share_jobs_and_long_ones_do_not():
     tuning = CampaignSettings()
-    jobs = share([film(f"s{k}", 1.0) for k in range(100)] + [film("long", 600.0)], 1.0, 2, tuning)
+    jobs = share([film(f"s{k}", 1.0) for k in range(200)] + [film("long", 600.0)], 1.0, 2, tuning)
     assert [f.name for f in jobs[0]] == ["long"]
     sizes = [len(job) for job in jobs[1:]]
     assert sizes == [25] * 8  # even, and enough of them that both cores end together

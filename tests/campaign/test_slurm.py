@@ -29,8 +29,10 @@ ClusterName=one
 SlurmctldHost={host}
 AuthType=auth/munge
 SlurmUser=root
-StateSaveLocation=/var/spool/slurmctld
-SlurmdSpoolDir=/var/spool/slurmd
+StateSaveLocation={place}
+SlurmdSpoolDir={place}/slurmd
+SlurmctldPidFile={place}/slurmctld.pid
+SlurmdPidFile={place}/slurmd.pid
 ProctrackType=proctrack/linuxproc
 TaskPlugin=task/none
 SelectType=select/cons_tres
@@ -53,7 +55,7 @@ def idle():
 
 
 @pytest.fixture(scope="module")
-def cluster():
+def cluster(tmp_path_factory):
     """A node that takes jobs; skipped, and said, where there is none and none can be started."""
     if idle():
         yield
@@ -61,22 +63,19 @@ def cluster():
     absent = [name for name in DAEMONS if shutil.which(name, path=f"{os.environ['PATH']}:/usr/sbin") is None]
     if absent or os.getuid() != 0:
         pytest.skip(f"no SLURM answers and none can be started ({', '.join(absent) or 'not root'})")
-    if not CONF.exists():
+    place = tmp_path_factory.mktemp("slurm")
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") * 85 // 100 >> 20
+    facts = {"host": socket.gethostname(), "cores": os.cpu_count(), "memory": memory, "place": place}
+    made = not CONF.exists()
+    if made:  # where every step of a job looks for it; the environment does not reach them
         CONF.parent.mkdir(exist_ok=True)
-        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") * 85 // 100 >> 20
-        CONF.write_text(ONE_NODE.format(host=socket.gethostname(), cores=os.cpu_count(), memory=memory))
-    for folder in ("/var/spool/slurmctld", "/var/spool/slurmd", "/run/munge"):
-        Path(folder).mkdir(parents=True, exist_ok=True)
+        CONF.write_text(ONE_NODE.format(**facts))
+    Path("/run/munge").mkdir(exist_ok=True)
     shutil.chown("/run/munge", "munge", "munge")
-    asked = (
-        ["runuser", "-u", "munge", "--", "/usr/sbin/munged", "-F"],
-        ["slurmctld", "-D"],
-        ["slurmd", "-D"],
-    )
-    nowhere = subprocess.DEVNULL
-    started = []
+    munge = ["runuser", "-u", "munge", "--", "/usr/sbin/munged", "-F"]
+    nowhere, started = subprocess.DEVNULL, []
     try:
-        for words in asked:
+        for words in (munge, ["slurmctld", "-D"], ["slurmd", "-D"]):
             started.append(subprocess.Popen(words, stdout=nowhere, stderr=nowhere))
             time.sleep(2)
         if not any(idle() or time.sleep(1) for _ in range(20)):
@@ -86,6 +85,8 @@ def cluster():
         for process in reversed(started):
             process.terminate()
             process.wait(30)
+        if made:
+            CONF.unlink()
 
 
 def at_work(out):
@@ -101,7 +102,7 @@ def at_work(out):
     return ""
 
 
-def until(ready, seconds=150):
+def until(ready, seconds=300):
     end = time.monotonic() + seconds
     while not ready():
         assert time.monotonic() < end, "it never came"
@@ -131,7 +132,7 @@ def test_forty_films_one_killed_job_one_drained_node_one_bad_film(cluster, tmp_p
         subprocess.run(["scontrol", "update", f"nodename={name}", "state=drain", "reason=test"], check=True)
         time.sleep(8)
         subprocess.run(["scontrol", "update", f"nodename={name}", "state=resume"], check=True)
-        said, complained = process.communicate(timeout=400)
+        said, complained = process.communicate(timeout=600)
     finally:
         process.kill()
     assert process.returncode == 1

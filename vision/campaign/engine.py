@@ -225,4 +225,5 @@ def _last_line(log: Path) -> str:
     except OSError:
         return f"see {LOG}"
     told = [line.strip() for line in lines if "error" in line.lower() and len(line.strip()) > 20]
-    return f"{LOG} says: {shortened(told[-1])}" if told else f"see {LOG}"
+    told = [line for line in told if not line.startswith("Exiting because")]
+    return f"{LOG} says: {shortened(told[-1])}" if told else f"see {LOG} and what the batch system wrote"
