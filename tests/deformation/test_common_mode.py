@@ -70,6 +70,23 @@ def test_six_sheets_are_enough():
     assert np.sqrt(np.mean((wrong / stated) ** 2)) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.parametrize("noise_px", [0.02, 0.05])
+def test_sides_that_differ_before_a_still_camera_are_not_biased(noise_px):
+    """left = 0.8 × right: 0.002 to 0.005 too much of one side and too little of the other, once.
+
+    A failure means that a difference of the sides passes for movement of the camera.
+    """
+    made = make(profile(np.full(30, 8.0)), noise_px=noise_px)
+    left = (made.tracks["side"] < 0).to_numpy()
+    rest = 20.0 * made.tracks["side"] * (made.tracks["n"] - 0.5) + 960
+    x = made.tracks["x_px"].where(~left, rest + 0.8 * (made.tracks["x_px"] - rest))
+    motion = horizontal_deformation(made.tracks.assign(x_px=x), made.sticks, Clock(), pixel_size_um=PIXEL_UM)
+    wrong = motion["ratio_signed"].to_numpy() - made.ratio * np.where(left, 0.8, 1.0)
+    assert abs(wrong[:, left].mean()) < 0.0005
+    assert abs(wrong[:, ~left].mean()) < 0.0005
+    assert 0.60 < np.mean(np.abs(wrong) < motion["ratio_err"].to_numpy()) < 0.75
+
+
 def test_sides_that_differ_are_not_made_alike():
     """A failure means that a left side that creeps half as much again is averaged with the right one."""
     made = make(profile(np.full(30, 8.0)), noise_px=0.02)

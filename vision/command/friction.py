@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter as Option
 
 from vision.command.console import complain, say
+from vision.command.track import command_line
 from vision.errors import InputError, with_options
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ def _write(
     from vision.figures.single_sheets import friction_figure
     from vision.models.friction import RIM_CAVEAT, friction_table
     from vision.run.folder import run_folder
-    from vision.run.provenance import describe_input, versions, write_json
+    from vision.run.provenance import Origin, write_json
     from vision.run.tables import write_table
 
     mu, settings = float(parameters["mu"].value), found.settings
@@ -177,11 +177,8 @@ def _write(
         "caveat": RIM_CAVEAT,
         "notes": notes,
     }
-    facts = {
-        "command": " ".join(sys.argv),
-        "versions": versions(),
-        "inputs": [describe_input(file) for file in files if file.is_file()],
-        "parameters": parameters,
+    read = [file for file in files if file.is_file()]
+    facts = Origin(command=command_line(), inputs=read, parameters=parameters).facts() | {
         "measurements": len(found.measured),
         "failures": found.failures,
         "notes": [*notes, RIM_CAVEAT],

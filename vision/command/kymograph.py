@@ -268,17 +268,14 @@ def _facts(
     warnings: list[str],
 ) -> dict[str, Any]:
     """Everything run.json holds but the timings."""
-    from vision.run import Parameter, describe_input, versions
+    from vision.run import Origin, Parameter
 
     chosen = {
         name: Parameter(value, "default" if value in (None, (), False) else "given")
         for name, value in vars(window).items()
     }
-    return {
-        "command": command_line(),
-        "versions": versions(),
-        "parameters": {**parameters, **chosen},
-        "inputs": [describe_input(path) for path in source.files],
+    origin = Origin(command=command_line(), inputs=source.files, parameters={**parameters, **chosen})
+    return origin.facts() | {
         MARK: [_about(diagram) for diagram in diagrams],
         "slips": _slips_shown(source, diagrams[0]),
         "warnings": warnings,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +9,7 @@ from typing import Annotated
 from cyclopts import Parameter as Option
 
 from vision.command.console import complain, say
+from vision.command.track import command_line
 from vision.errors import InputError
 
 
@@ -66,7 +66,7 @@ def modulus(
     from vision.models import Estimate
     from vision.models.modulus import ModulusSettings, measure_cycles, summarise_modulus
     from vision.run.folder import check_target, run_folder
-    from vision.run.provenance import Parameter, describe_input, versions, write_json
+    from vision.run.provenance import Origin, Parameter, write_json
     from vision.run.tables import write_table
     from vision.sample import Sample
 
@@ -104,14 +104,11 @@ def modulus(
         "machine_stiffness_N_per_mm": machine_stiffness,
         "notes": notes,
     }
-    facts = {
-        "command": " ".join(sys.argv),
-        "versions": versions(),
-        "inputs": [describe_input(file)],
-        "parameters": {
-            name: Parameter(value, "default" if value == usual else "given")
-            for name, (value, usual) in given.items()
-        },
+    parameters = {
+        name: Parameter(value, "default" if value == usual else "given")
+        for name, (value, usual) in given.items()
+    }
+    facts = Origin(command=command_line(), inputs=[file], parameters=parameters).facts() | {
         "cycles": len(cycles),
         "notes": notes,
         "warnings": warnings,

@@ -7,7 +7,7 @@ view, by what each sheet does in other sticks.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,6 +60,8 @@ def _spread_and_weight(residual: Floats) -> tuple[Floats, Floats]:
     spread = np.maximum(spread, 0.1 * usual if usual > 0 else 1e-6)
     return spread, np.where(np.isfinite(spread), spread**-2, 0.0)
 
+
+_UNLIKE_PAIRS = 4.0  # variance of the pairs' creep over that of its noise from which they creep unlike
 
 # --- drift --------------------------------------------------------------------------------------------------
 
@@ -171,24 +173,28 @@ class BothSides:
         Notes
         -----
         Creep is inwards on both sides, so half the sum of a pair is what moved the camera, up to the pair's
-        asymmetry: a share of its creep, larger the nearer the axis, as where a sheet was overlooked on one
-        side.  That share is measured from how the pairs disagree.  Where the sides differ, the nearly still
-        inner sheets lead; a difference that all sheets share in equal measure looks like drift.
+        asymmetry.  The part of it that all pairs share, as a share of their creep (one side creeps less than
+        the other), is found from how half the sums go with the creep within each stick: the camera moves all
+        pairs alike.  What is left is larger the nearer the axis, as where a sheet was overlooked on one side;
+        it is measured from how the pairs disagree, and the nearly still inner sheets lead.
         """
         left, right = coefficient[:, self.left], coefficient[:, self.right]
         noise = (error[:, self.left] ** 2 + error[:, self.right] ** 2) / 4
-        pair = _Pairs.of(left, right, noise, self.least_pairs)
+        all_pairs = pair = _Pairs.of(left, right, noise, self.least_pairs)
         asymmetry = 0.2  # to begin with; four rounds suffice to converge
         for _round in range(4):
             weight = pair.known / np.maximum(pair.noise + (asymmetry * pair.step) ** 2, 1e-18)
             total = weight.sum(axis=1)
             share = np.divide(weight, total[:, None], out=np.zeros_like(weight), where=pair.known)
+            sides, sides_err = all_pairs.difference_of_sides(weight)
+            pair = replace(all_pairs, middle=all_pairs.middle - sides * all_pairs.step)
             value = (share * pair.middle).sum(axis=1)
             asymmetry = pair.asymmetry(value, share)
         of_sheet = np.zeros_like(coefficient)
         of_sheet[:, self.left] = of_sheet[:, self.right] = share
         random = np.divide(1, total, out=np.zeros_like(total), where=total > 0)
-        together = pair.common_asymmetry(value, weight) * (share * pair.step).sum(axis=1)
+        together = np.hypot(pair.common_asymmetry(value, weight), sides_err)
+        together = together * (share * pair.step).sum(axis=1)
         return Drift(value, np.sqrt(random + together**2), of_sheet)
 
 
@@ -212,6 +218,19 @@ class _Pairs:
         quiet = known & (noise <= 9 * np.median(noise[known])) if known.any() else known
         middle, step, noise = (np.where(known, part, 0.0) for part in (middle, step, noise))
         return cls(middle, step, noise, known, quiet)
+
+    def difference_of_sides(self, weight: Floats) -> tuple[float, float]:
+        """Half the sums as a share of the creep, the same for all pairs, and its error from noise.
+
+        0 where the pairs creep alike: there nothing tells it from drift.
+        """
+        weight = weight * self.quiet
+        total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
+        step = self.step - (weight * self.step).sum(axis=1, keepdims=True) / total
+        told = float((weight * step**2).sum())
+        if told <= _UNLIKE_PAIRS * float((weight * self.noise).sum()):
+            return 0.0, 0.0
+        return float((weight * step * self.middle).sum()) / told, told**-0.5
 
     def asymmetry(self, value: Floats, share: Floats) -> float:
         """RMS asymmetry beyond noise, as a share of the creep."""

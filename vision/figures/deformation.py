@@ -58,13 +58,7 @@ def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event:
 
 def deformation_figure(motion: xr.Dataset, *, threshold: float = 0.1) -> Figure:
     """σ_x over stick length against the sheet's number for a few separations, with standard errors."""
-    panel = Panel(
-        x_label="side · n (left negative)",
-        y_label="σ_x / Λ_st",
-        series=_ratios(motion),
-        bands=(Band(low=0.0, high=threshold, label=f"stiff (below {threshold:g})"),),
-        whole_numbers=True,
-    )
+    panel = ratio_panel(_ratios(motion), threshold)
     return Figure(
         name="deformation",
         title="Horizontal deformation against sheet number",
@@ -75,6 +69,17 @@ def deformation_figure(motion: xr.Dataset, *, threshold: float = 0.1) -> Figure:
             "stiff."
         ),
         panels=(panel,),
+    )
+
+
+def ratio_panel(series: tuple[Series, ...], threshold: float) -> Panel:
+    """Axes of σ_x/Λ_st against the sheet's number, with the range of stiff sheets."""
+    return Panel(
+        x_label="side · n (left negative)",
+        y_label="σ_x / Λ_st",
+        series=series,
+        bands=(Band(low=0.0, high=threshold, label=f"stiff (below {threshold:g})"),),
+        whole_numbers=True,
     )
 
 

@@ -10,7 +10,8 @@ import xarray as xr
 
 from vision.errors import InputError
 from vision.figures.decimate import minmax_decimate
-from vision.figures.figure import Band, Figure, Panel, Series
+from vision.figures.deformation import ratio_panel
+from vision.figures.figure import Figure, Panel, Series
 from vision.figures.force import force_figure, measurable
 from vision.figures.labels import load_label, load_unit, time_axis
 from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, ordered_inks
@@ -202,13 +203,7 @@ def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = 0.1) -> Fi
                 width=1.4,
             )
         )
-    panel = Panel(
-        x_label="side · n (left negative)",
-        y_label="σ_x / Λ_st",
-        series=tuple(series),
-        bands=(Band(low=0.0, high=threshold, label=f"stiff (below {threshold:g})"),),
-        whole_numbers=True,
-    )
+    panel = ratio_panel(tuple(series), threshold)
     return Figure(
         name="mean_deformation",
         title="Horizontal deformation, means over sticks",

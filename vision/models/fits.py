@@ -1,203 +1,40 @@
-# ruff: noqa: N815 (the unit is part of a name, and newton is N)
-"""Fits of the paper's models to stick-slip events, and their form in models.json."""
+"""Fits of the paper's models to stick-slip events: which events, all three fits, systematic errors."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import ArrayLike
 from scipy.ndimage import median_filter
-from scipy.optimize import least_squares
 
-from vision.data import FORCE, ForceMetadata, html_table
+from vision.data import FORCE, ForceMetadata
 from vision.errors import InputError
 from vision.models import equations
-from vision.models.single_sheet import bending_length_mm
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats
+from vision.models.bending import bending_length_mm
+from vision.models.results import Estimate, ModelFits
+from vision.models.single_fits import (
+    LARGEST_SCALE,
+    Fit,
+    fit_drops,
+    fit_peaks,
+    fit_stiffness,
+    fit_weighted,
+    usual_chi2,
+    with_friction,
+)
+from vision.numeric import NORMAL_MEDIAN, Floats
 from vision.sample import PUBLISHED, Sample
 
 _LEAST_EVENTS = 6
 _DEGENERATE = 0.98  # correlation from which two parameters are better read together
 _MEASURED = frozenset({"ok", "slow", "negative"})  # flags of events that are whole
 _SLOW_MM_MIN = 1.0  # up to which the publication states A, N-hat and Y_eff
-_LARGEST_SCALE = 20.0  # Λ̂ over d at which K no longer falls as M_eff does: a limit, not a result
 _BUILD_UP_BIAS = 0.1  # standard errors by which what is left of a build-up may move a parameter
 _LARGEST_OFFSET_N = 10.0  # limits of T0 in the publication: what a load cell's zero may be off by
 _GEOMETRY = ("thickness_mm", "width_mm", "length_mm", "t_star_N")
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A value, its standard error and its systematic error; errors that are not known are NaN."""
-
-    value: float
-    error: float
-    systematic_error: float = float("nan")
-
-
-@dataclass(frozen=True)
-class Goodness:
-    """How well one model follows its points.
-
-    Parameters
-    ----------
-    points
-        How many.
-    scatter
-        Root mean square of the deviation over the model.
-    chi2_dof
-        Squared deviations over the point-to-point scatter of neighbours, which knows no model: about 1 where
-        the model's shape is right, more where it is not.
-    """
-
-    points: int
-    scatter: float
-    chi2_dof: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class ModelFits:
-    """Parameters of the paper's models for one recording, with standard errors.
-
-    Parameters
-    ----------
-    mu, t0_N
-        Friction coefficient, and offset of the peak forces.
-    t_star_N
-        T*; its error is NaN where it was held fixed.
-    amplitude, n_hat_N, modulus_GPa
-        A, N-hat and Y_eff.
-    scale_mm
-        Lambda-hat, where M_eff reaches 0.
-    bending_mm
-        Bending length of the outermost sheet at mid-test.
-    goodness
-        Of the fits to "peaks", "drops" and "stiffness".
-    correlation
-        Of the pairs of parameters that are fitted together.
-    d_mm
-        Separation at the first and last event used.
-    sample
-        As given.
-    notes
-        What limits the result.
-    warnings
-        Why it may be wrong.
-    held
-        Names of parameters that were given, not fitted.
-    left_out
-        Events not used, by the reason: "flagged", "build_up" (before the peaks' maximum), "misfit" (after it,
-        before Eq. 1 fits) and "outside" the range given.
-    budget
-        Source of a systematic error to what it contributes to each parameter; None where it is not known.
-    """
-
-    mu: Estimate
-    t0_N: Estimate
-    t_star_N: Estimate
-    amplitude: Estimate
-    n_hat_N: Estimate
-    modulus_GPa: Estimate
-    scale_mm: Estimate
-    bending_mm: Estimate
-    goodness: dict[str, Goodness]
-    correlation: dict[str, float]
-    d_mm: tuple[float, float]
-    sample: Sample
-    notes: tuple[str, ...]
-    warnings: tuple[str, ...] = ()
-    held: tuple[str, ...] = ()
-    left_out: Mapping[str, int] = field(default_factory=dict)
-    budget: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
-
-    def reduced_separation(self, d_mm: ArrayLike) -> Floats:
-        """Separation over Lambda-hat, without unit."""
-        return np.asarray(d_mm, float) / self.scale_mm.value
-
-    def effective_sheets(self, d_mm: ArrayLike) -> Floats:
-        """M_eff per side that the force implies at d; 0 beyond Lambda-hat."""
-        return equations.effective_sheets(self.reduced_separation(d_mm), sample=self.sample)
-
-    def peak_force_N(self, d_mm: ArrayLike) -> Floats:
-        """The fitted peak force, traction plus offset."""
-        sample = replace(self.sample, t_star_N=self.t_star_N.value)
-        return np.asarray(equations.traction(d_mm, mu=self.mu.value, sample=sample) + self.t0_N.value)
-
-    def stiffness_N_per_mm(self, d_mm: ArrayLike) -> Floats:
-        """The fitted K(d) = M_eff K_eff."""
-        one = equations.sheet_stiffness(modulus_GPa=self.modulus_GPa.value, sample=self.sample)
-        return np.asarray(self.effective_sheets(d_mm) * one)
-
-    @property
-    def chi2_dof(self) -> float:
-        """That of the three fits together."""
-        return float(np.mean([good.chi2_dof for good in self.goodness.values()]))
-
-    def _repr_html_(self) -> str:
-        named = {
-            "μ": (self.mu, ""),
-            "𝒯0": (self.t0_N, "N"),
-            "A": (self.amplitude, ""),
-            "N̂": (self.n_hat_N, "N"),
-            "Y_eff": (self.modulus_GPa, "GPa"),
-            "Λ̂": (self.scale_mm, "mm"),
-        }
-        rows = {
-            name: f"{one.value:.5g}" + (f" ± {one.error:.2g}" if np.isfinite(one.error) else "") + f" {unit}"
-            for name, (one, unit) in named.items()
-        }
-        rows["d"] = f"{self.d_mm[0]:.2f} to {self.d_mm[1]:.2f} mm"
-        rows |= {
-            f"χ²/dof, {name}": f"{good.chi2_dof:.3g} ({good.points} points)"
-            for name, good in self.goodness.items()
-        }
-        rows |= {f"note {k}": line for k, line in enumerate(self.notes, 1)}
-        return html_table("models fitted to the force recording", rows)
-
-    def to_json(self) -> dict[str, Any]:
-        """The content of models.json: values with errors, how well they fit, and the sample; no NaN in it."""
-        named = {
-            "mu": self.mu,
-            "T0_N": self.t0_N,
-            "A": self.amplitude,
-            "N_hat_N": self.n_hat_N,
-            "Y_eff_GPa": self.modulus_GPa,
-            "Lambda_hat_mm": self.scale_mm,
-            "bending_length_mm": self.bending_mm,
-        }
-        if np.isfinite(self.t_star_N.error):
-            named["T_star_N"] = self.t_star_N
-        content = {
-            **{name: asdict(estimate) for name, estimate in named.items()},
-            "events_used": self.goodness["peaks"].points,
-            "fit_range_mm": self.d_mm,
-            "chi2_dof": self.chi2_dof,
-            "sample": asdict(self.sample),
-            "goodness": {name: asdict(good) for name, good in self.goodness.items()},
-            "correlation": self.correlation,
-            "d_mm": self.d_mm,
-            "d_hat": tuple(self.reduced_separation(self.d_mm).tolist()),
-            "M_eff": tuple(self.effective_sheets(self.d_mm).tolist()),
-            "held": self.held,
-            "events_left_out": dict(self.left_out),
-            "budget": {source: dict(parts) for source, parts in self.budget.items()},
-            "notes": self.notes,
-            "warnings": self.warnings,
-        }
-        return {key: _without_nan(item) for key, item in content.items()}
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(item) for item in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def fit_models(
@@ -386,11 +223,11 @@ def _first_that_fits(events: pd.DataFrame, sample: Sample, held: Mapping[str, fl
         part = events.iloc[int(start) :]
         if len(part) < _LEAST_EVENTS:
             break
-        fit = _fit_peaks(part, sample, False, held)
+        fit = fit_peaks(part, sample, False, held)
         first = fit.residual[: max(5, len(part) // 20)]
         noise = np.sqrt(np.mean(np.diff(fit.residual) ** 2) / 2)
         begins = abs(float(first.mean())) < 2 * noise / np.sqrt(first.size)
-        if begins and fit.goodness.chi2_dof < _usual_chi2(len(part)):
+        if begins and fit.goodness.chi2_dof < usual_chi2(len(part)):
             over = _build_up_over(events, sample, held, int(start)) if start else 0
             return int(max(start, min(over, len(events) - max(2 * _LEAST_EVENTS, len(events) // 4))))
     return top
@@ -403,7 +240,7 @@ def _build_up_over(events: pd.DataFrame, sample: Sample, held: Mapping[str, floa
     is, and the fit's own weights how much its rest moves each parameter. At most `_BUILD_UP_BIAS` errors.
     """
     d, peak = events["d_p_mm"].to_numpy(float), events["F_p_N"].to_numpy(float)
-    after = _fit_peaks(events.iloc[start:], sample, False, held)
+    after = fit_peaks(events.iloc[start:], sample, False, held)
 
     def steady(mu: float, t0: float) -> Floats:
         return np.asarray(equations.traction(d, mu=max(mu, 1e-3), sample=sample) + t0)
@@ -421,7 +258,7 @@ def _build_up_over(events: pd.DataFrame, sample: Sample, held: Mapping[str, floa
 
     lacking = max(1 - float(peak[first] / expected[first]), 0.01)
     long = max(float(d[start] - d[first]) / 4, span / 1000)
-    fit = _fit(model, peak[first:], None, [*after.value[:2], np.log(long), np.log(-np.log(lacking))])
+    fit = fit_weighted(model, peak[first:], None, [*after.value[:2], np.log(long), np.log(-np.log(lacking))])
     rest, force = lacks(fit.value), steady(*fit.value[:2])
     by_mu = (steady(fit.value[0] * 1.001, fit.value[1]) - force) / (0.001 * fit.value[0])
     by_t0 = np.ones_like(d)
@@ -434,17 +271,12 @@ def _build_up_over(events: pd.DataFrame, sample: Sample, held: Mapping[str, floa
     return start
 
 
-def _usual_chi2(points: int) -> float:
-    """What chi2_dof rarely exceeds where the model is right: it compares two estimates of one variance."""
-    return float(1 + 3 / np.sqrt(points))
-
-
 # --- the fits -----------------------------------------------------------------------------------------------
 
 
 def _fit_all(events: pd.DataFrame, given: Sample, free_t_star: bool, held: Mapping[str, float]) -> ModelFits:
     """The three fits one after the other, and what follows from them."""
-    peaks = _fit_peaks(events, given, free_t_star, held)
+    peaks = fit_peaks(events, given, free_t_star, held)
     mu, t0 = peaks.estimate(0), peaks.estimate(1)
     t_star = Estimate(given.t_star_N, float("nan"))
     if free_t_star:
@@ -452,8 +284,8 @@ def _fit_all(events: pd.DataFrame, given: Sample, free_t_star: bool, held: Mappi
     if not mu.value > mu.error:  # also where either is NaN
         raise _undetermined(f"friction coefficient {mu.value:.3g} ± {mu.error:.2g}")
     sample = replace(given, t_star_N=t_star.value)
-    drops = _with_friction(lambda m: _fit_drops(events, sample, m), mu)
-    stiffness = _fit_stiffness(events, sample, held)
+    drops = with_friction(lambda m: fit_drops(events, sample, m), mu)
+    stiffness = fit_stiffness(events, sample, held)
     span = (float(events["d_v_mm"].min()), float(events["d_v_mm"].max()))
     n_hat, bending, correlation = _derived(stiffness, peaks, sample, free_t_star, 0.5 * sum(span))
     return ModelFits(
@@ -474,140 +306,8 @@ def _fit_all(events: pd.DataFrame, given: Sample, free_t_star: bool, held: Mappi
     )
 
 
-@dataclass(frozen=True)
-class _Fit:
-    """Parameters with their covariance."""
-
-    value: Floats
-    covariance: Floats
-    goodness: Goodness
-    residual: Floats
-
-    def estimate(self, k: int) -> Estimate:
-        return Estimate(float(self.value[k]), float(np.sqrt(self.covariance[k, k])))
-
-    def correlation(self, a: int, b: int) -> float:
-        both = float(np.sqrt(self.covariance[a, a] * self.covariance[b, b]))
-        return float(self.covariance[a, b]) / both if both > 0 else 0.0
-
-    def with_held(self, place: int, value: float) -> _Fit:
-        """The same with one more parameter, known and without error, before `place`."""
-        covariance = np.insert(np.insert(self.covariance, place, 0.0, axis=0), place, 0.0, axis=1)
-        return replace(self, value=np.insert(self.value, place, value), covariance=covariance)
-
-
-def _fit(model: Callable[[Floats], Floats], y: Floats, sigma: Floats | None, start: Sequence[float]) -> _Fit:
-    """Weighted least squares with White's covariance; with sigma None the errors are a share of the model."""
-    value, width = np.asarray(start, float), np.abs(y) if sigma is None else sigma
-    scale = np.maximum(np.abs(value), 1e-3)
-
-    def deviation(q: Floats, w: Floats) -> Floats:
-        return (model(q) - y) / w
-
-    for _ in range(3 if sigma is None else 1):
-        found = least_squares(deviation, value, args=(width,), x_scale=scale, xtol=1e-12, ftol=1e-12)
-        value = found.x
-        if sigma is None:
-            width = np.maximum(np.abs(model(value)), 1e-6 * float(np.abs(y).max()))
-    residual, jacobian = np.asarray(found.fun, dtype=float), np.asarray(found.jac, dtype=float)
-    bread = np.linalg.pinv(jacobian.T @ jacobian)
-    meat = jacobian.T @ (jacobian * residual[:, np.newaxis] ** 2)
-    free = max(y.size - value.size, 1)
-    goodness = _goodness(model(value), y, residual, free)
-    # Deviations that hang together from event to event count for fewer than they are.
-    wider = max(goodness.chi2_dof, 1.0) if np.isfinite(goodness.chi2_dof) else 1.0
-    return _Fit(value, bread @ meat @ bread * (y.size / free * wider), goodness, residual)
-
-
-def _goodness(model: Floats, y: Floats, residual: Floats, free: int) -> Goodness:
-    neighbours = float(np.sum(np.diff(residual) ** 2) / (2 * max(residual.size - 1, 1)))
-    chi2 = float(np.sum(residual**2) / free / neighbours) if neighbours > 0 else float("nan")
-    return Goodness(int(y.size), float(np.sqrt(np.mean((y / model - 1) ** 2))), chi2)
-
-
-def _fit_peaks(events: pd.DataFrame, sample: Sample, free_t_star: bool, held: Mapping[str, float]) -> _Fit:
-    """μ, 𝒯0 and, if that is free, T* from the peak forces."""
-    d, peak = events["d_p_mm"].to_numpy(float), events["F_p_N"].to_numpy(float)
-
-    def force(mu: float, t0: float, t_star: float) -> Floats:
-        assumed = replace(sample, t_star_N=max(abs(t_star), 1e-12))
-        return np.asarray(equations.traction(d, mu=max(mu, 1e-3), sample=assumed) + t0)
-
-    given = held.get("mu")
-
-    def model(q: Floats) -> Floats:
-        mu, rest = (given, q) if given is not None else (float(q[0]), q[1:])
-        return force(mu, float(rest[0]), float(rest[1]) if free_t_star else sample.t_star_N)
-
-    trials = np.linspace(0.2, 2.0, 91) if given is None else np.array([given])
-    misfit = [np.sum((force(float(mu), 0.0, sample.t_star_N) / peak - 1) ** 2) for mu in trials]
-    start = [float(trials[int(np.argmin(misfit))])] if given is None else []
-    fit = _fit(model, peak, None, [*start, 0.0, *([sample.t_star_N] if free_t_star else [])])
-    return fit if given is None else fit.with_held(0, given)
-
-
-def _fit_drops(events: pd.DataFrame, sample: Sample, mu: float) -> _Fit:
-    """A from the force drops."""
-    d, drop = events["d_v_mm"].to_numpy(float), events["dF_N"].to_numpy(float)
-    total = equations.total_normal_force(d, mu=mu, sample=sample)
-    return _fit(lambda q: np.asarray(q[0] * total), drop, None, [float(np.median(drop / total))])
-
-
-def _fit_stiffness(events: pd.DataFrame, sample: Sample, held: Mapping[str, float]) -> _Fit:
-    """Λ̂ and Y_eff from the stiffness, K = M √(1 − d/Λ̂) ε W Y_eff / L: no friction coefficient in it."""
-    d, k = events["d_v_mm"].to_numpy(float), events["K_N_per_mm"].to_numpy(float)
-    sigma = _stiffness_errors(events)
-    given = held.get("modulus_GPa")
-
-    def stiffness(scale: float, modulus: float) -> Floats:
-        sheets = equations.effective_sheets(d / scale, sample=sample)
-        return np.asarray(sheets * equations.sheet_stiffness(modulus_GPa=modulus, sample=sample))
-
-    def model(q: Floats) -> Floats:
-        return stiffness(float(np.exp(q[0])), float(q[1]) if given is None else given)
-
-    trials = np.geomspace(1.001 * d.min(), _LARGEST_SCALE * d.max(), 120)
-    shapes = [stiffness(float(scale), 1.0) for scale in trials]
-    modulus = [
-        given or float(np.sum(k * s / sigma**2) / max(float(np.sum((s / sigma) ** 2)), 1e-300))
-        for s in shapes
-    ]
-    misfit = [np.sum(((k - y * s) / sigma) ** 2) for y, s in zip(modulus, shapes, strict=True)]
-    best = int(np.argmin(misfit))
-    start = [float(np.log(trials[best])), *([modulus[best]] if given is None else [])]
-    fit = _fit(model, k, sigma, start)
-    if given is not None:
-        fit = fit.with_held(1, given)
-    largest = _LARGEST_SCALE * float(d.max())
-    if fit.value[0] >= np.log(largest):
-        modulus_alone = _fit(lambda q: stiffness(largest, float(q[0])), k, sigma, [fit.value[1]])
-        fit = modulus_alone.with_held(0, float(np.log(largest)))
-        fit.covariance[0, 0] = 1.0  # of a logarithm: as large as Λ̂ itself
-    # Fitted as log Λ̂, which keeps it positive; reported as Λ̂.
-    scale = float(np.exp(fit.value[0]))
-    turn = np.diag([scale, 1.0])
-    return replace(fit, value=np.array([scale, fit.value[1]]), covariance=turn @ fit.covariance @ turn)
-
-
-def _stiffness_errors(events: pd.DataFrame) -> Floats:
-    """Errors of K, each added to half the usual one: one luckily small error must not outweigh the rest."""
-    error = np.full(len(events), np.nan)
-    if "K_err_N_per_mm" in events:
-        error = events["K_err_N_per_mm"].to_numpy(float)
-    known: Bools = np.isfinite(error) & (error > 0)
-    usual = float(np.median(error[known])) if known.any() else 1.0
-    return np.hypot(np.where(known, error, usual), 0.5 * usual)
-
-
-def _with_friction(fit: Callable[[float], _Fit], mu: Estimate) -> _Fit:
-    """A fit at the fitted μ whose covariance carries the error of μ too."""
-    centre = fit(mu.value)
-    slope = (fit(mu.value + mu.error).value - fit(mu.value - mu.error).value) / 2
-    return replace(centre, covariance=centre.covariance + np.outer(slope, slope))
-
-
 def _derived(
-    stiffness: _Fit, peaks: _Fit, sample: Sample, free_t_star: bool, d_mm: float
+    stiffness: Fit, peaks: Fit, sample: Sample, free_t_star: bool, d_mm: float
 ) -> tuple[Estimate, Estimate, dict[str, float]]:
     """(N̂, λ of the outermost sheet, the correlation of N̂ and Y_eff), errors carried through to first order.
 
@@ -638,7 +338,7 @@ def _derived(
     return n_hat, bending, {"N_hat_N,Y_eff_GPa": together}
 
 
-def _correlations(peaks: _Fit, stiffness: _Fit, free_t_star: bool) -> dict[str, float]:
+def _correlations(peaks: Fit, stiffness: Fit, free_t_star: bool) -> dict[str, float]:
     found = {"mu,T0_N": peaks.correlation(0, 1), "Lambda_hat_mm,Y_eff_GPa": stiffness.correlation(0, 1)}
     return found | ({"mu,T_star_N": peaks.correlation(0, 2)} if free_t_star else {})
 
@@ -719,7 +419,7 @@ def _with_systematics(
 # --- what is said -------------------------------------------------------------------------------------------
 
 
-def _notes(peaks: _Fit, stiffness: _Fit, span: tuple[float, float], free_t_star: bool) -> tuple[str, ...]:
+def _notes(peaks: Fit, stiffness: Fit, span: tuple[float, float], free_t_star: bool) -> tuple[str, ...]:
     """What limits the result."""
     notes = []
     if free_t_star:
@@ -749,7 +449,7 @@ def _remarks(
     elif given_range:
         notes.append(f"{used} events within the range given used, {left_out.get('outside', 0)} left out")
     for name, good in fits.goodness.items():
-        if good.chi2_dof > _usual_chi2(good.points):
+        if good.chi2_dof > usual_chi2(good.points):
             line = f"the model does not follow the {name} (χ²/dof {good.chi2_dof:.3g}): "
             line += f"errors widened {np.sqrt(good.chi2_dof):.2g} times"
             (warnings if good.chi2_dof > 3 else notes).append(line)
@@ -758,7 +458,7 @@ def _remarks(
             f"𝒯0 = {fits.t0_N.value:.3g} N lies beyond the ±{_LARGEST_OFFSET_N:g} N of a load cell's zero: "
             "check `d0_mm`, the sample's geometry and the zero"
         )
-    if fits.scale_mm.value > 0.999 * _LARGEST_SCALE * fits.d_mm[1]:
+    if fits.scale_mm.value > 0.999 * LARGEST_SCALE * fits.d_mm[1]:
         warnings.append("K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined")
     facts = ForceMetadata.of(force)
     if facts.speed_mm_min > _SLOW_MM_MIN * 1.05:

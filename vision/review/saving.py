@@ -24,9 +24,9 @@ from vision.clock import Clock
 from vision.errors import InputError
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.review.editing import Before
-from vision.run.provenance import Parameter
+from vision.run.provenance import Origin, Parameter
 from vision.run.reading import input_of, read_run, read_strip, tracks_of
-from vision.run.writing import Origin, write_run
+from vision.run.writing import write_run
 from vision.sheets.corrections import Correction, Decisions
 from vision.video import Video
 

@@ -3,9 +3,17 @@
 from vision.run.checkpoint import Checkpoint
 from vision.run.export import export_run
 from vision.run.folder import check_target, run_folder, whole_file
-from vision.run.provenance import Checksums, Parameter, describe_input, plain, versions, write_json
+from vision.run.provenance import (
+    Checksums,
+    Origin,
+    Parameter,
+    describe_input,
+    plain,
+    versions,
+    write_json,
+)
 from vision.run.reading import RunFolder, check_mark, is_run, read_run, read_strip, read_table, slip_times_s
-from vision.run.writing import Origin, run_facts, write_run
+from vision.run.writing import run_facts, write_run
 
 __all__ = [
     "Checkpoint",

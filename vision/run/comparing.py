@@ -10,9 +10,8 @@ from vision.comparison import Comparison
 from vision.figures import save_figures
 from vision.report.compare import write_compare_report
 from vision.run.folder import run_folder
-from vision.run.provenance import describe_input, versions, write_json
+from vision.run.provenance import Origin, write_json
 from vision.run.tables import write_table
-from vision.run.writing import Origin
 
 MARK = "compare"  # of run.json: tells a comparison from a run
 PICTURES = ("collapse", "trends")
@@ -47,11 +46,7 @@ def write_comparison(
         Where the folder exists (without ``overwrite``) or cannot be written; nothing is left then.
     """
     started = time.perf_counter()
-    facts: dict[str, Any] = {
-        "command": origin.command,
-        "versions": versions(),
-        "parameters": dict(origin.parameters),
-        "inputs": [describe_input(path) for path in origin.inputs],
+    facts = origin.facts() | {
         MARK: {"runs": [str(test.folder) for test in found.tests], "failures": list(found.failures)},
         "warnings": origin.named((*found.failures, *found.warnings)),
     }

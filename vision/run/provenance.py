@@ -9,13 +9,13 @@ import json
 import math
 import platform
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, is_dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
 
 import vision
-from vision.errors import InputError
+from vision.errors import InputError, with_options
 
 PACKAGES = ("av", "h5netcdf", "numpy", "opencv-python-headless", "pandas", "scipy", "tifffile", "xarray")
 MIB = 1 << 20
@@ -32,6 +32,49 @@ class Parameter:
 
     value: Any
     how: Literal["given", "config", "default", "found"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Origin:
+    """Where a run comes from, for run.json.
+
+    Parameters
+    ----------
+    command
+        The command line.
+    inputs
+        Files and folders that were read.
+    parameters
+        Every option with its value and whether it was given.
+    checksum
+        Whether the inputs' SHA-256 is that of every byte.
+    options
+        Names of arguments and the command's options that the report shows in their place.
+    described
+        Inputs that are described already (`vision.run.Checksums`).
+    """
+
+    command: str
+    inputs: Sequence[Path] = ()
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    checksum: bool = False
+    options: Mapping[str, str] = field(default_factory=dict)
+    described: Mapping[Path, Mapping[str, Any]] = field(default_factory=dict)
+
+    def named(self, lines: Iterable[str]) -> list[str]:
+        """Messages with the command's options in place of Python's arguments, where a command writes."""
+        return [with_options(line, self.options) if self.options else line for line in lines]
+
+    def facts(self) -> dict[str, Any]:
+        """What every run.json begins with: command, versions, parameters, inputs."""
+        return {
+            "command": self.command,
+            "versions": versions(),
+            "parameters": dict(self.parameters),
+            "inputs": [
+                self.described.get(path) or describe_input(path, whole=self.checksum) for path in self.inputs
+            ],
+        }
 
 
 def versions() -> dict[str, str]:

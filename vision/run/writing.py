@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from vision.data import ForceMetadata, StickMetadata, StripMetadata
-from vision.errors import with_options
 from vision.figures import (
     FIGURES,
     Figure,
@@ -23,7 +22,7 @@ from vision.figures import (
 from vision.pipeline import Analysis
 from vision.report import write_report
 from vision.run.folder import run_folder
-from vision.run.provenance import Parameter, describe_input, versions, write_json
+from vision.run.provenance import Origin, write_json
 from vision.run.tables import sheets_table, write_table, write_tracks_csv, write_tracks_nc
 from vision.run.tiff import write_kymograph_tif
 from vision.sample import PUBLISHED
@@ -36,38 +35,6 @@ from vision.systematics import systematic_budget
 FAILURES = "failures.txt"
 CORRECTIONS = "corrections.toml"
 COUNTS = ("expected", "read", "lost", "blank", "corrupt")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Origin:
-    """Where a run comes from, for run.json.
-
-    Parameters
-    ----------
-    command
-        The command line.
-    inputs
-        Files and folders that were read.
-    parameters
-        Every option with its value and whether it was given.
-    checksum
-        Whether the inputs' SHA-256 is that of every byte.
-    options
-        Names of arguments and the command's options that the report shows in their place.
-    described
-        Inputs that are described already (`vision.run.Checksums`).
-    """
-
-    command: str
-    inputs: Sequence[Path] = ()
-    parameters: Mapping[str, Parameter] = field(default_factory=dict)
-    checksum: bool = False
-    options: Mapping[str, str] = field(default_factory=dict)
-    described: Mapping[Path, Mapping[str, Any]] = field(default_factory=dict)
-
-    def named(self, lines: Iterable[str]) -> list[str]:
-        """Messages with the command's options in place of Python's arguments, where a command writes."""
-        return [with_options(line, self.options) if self.options else line for line in lines]
 
 
 def write_run(
@@ -170,15 +137,7 @@ def _shown(
 
 def run_facts(analysis: Analysis, origin: Origin) -> dict[str, Any]:
     """Everything run.json holds but the timings."""
-    facts: dict[str, Any] = {
-        "command": origin.command,
-        "versions": versions(),
-        "parameters": dict(origin.parameters),
-        "inputs": [
-            origin.described.get(path) or describe_input(path, whole=origin.checksum)
-            for path in origin.inputs
-        ],
-    }
+    facts = origin.facts()
     if analysis.tracks is not None:
         facts |= _video_facts(analysis)
     if analysis.force is not None:
