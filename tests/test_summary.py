@@ -75,7 +75,8 @@ def test_more_ridges_on_a_side_than_the_sample_has_sheets(picture):
     given = replace(PUBLISHED, sheets_per_block=20)
     lines = consistency_warnings(tracks, given)
     assert len(lines) == 1
-    assert "25 ridges on one side, but 20 sheets in a block" in lines[0]
+    assert "20 sheets per block and side given, video shows 25" in lines[0]
+    assert "`sheets_per_block`" in lines[0]
     assert consistency_warnings(tracks, replace(PUBLISHED, sheets_per_block=25, width_mm=44.0)) == []
     assert consistency_warnings(track_sheets(strip(ridges(comb(150, per_side=29))))) == []
 
