@@ -176,7 +176,7 @@ def _usable(sticks: pd.DataFrame, sample: Sample) -> pd.DataFrame:
             "model fits",
             f"separations between 0 and {sample.length_mm:g} mm",
             f"{low:.3g} to {high:.3g} mm",
-            "give the initial separation with `d0_mm`",
+            "give the initial separation with `d0_mm`, or check `length_mm`",
         )
     return events
 
