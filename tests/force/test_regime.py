@@ -11,6 +11,7 @@ import xarray as xr
 from tests.scenes.sawtooth import recording
 from vision.errors import InputError
 from vision.force import ForceSettings, find_stick_slip, read_force
+from vision.force.regime import find_extremes
 
 REAL = Path(__file__).parents[2] / "../shared/data"
 STICK_S, DROP_N, RATE_HZ = 0.03, 8.0, 10_000.0
@@ -115,3 +116,12 @@ def test_knees_are_seen_in_the_sticks_not_in_the_speed(speed: float) -> None:
     )
     assert not straight.attrs["two_slopes"]
     assert straight["K1_N_per_mm"].isna().all()
+
+
+def test_slips_whose_middles_cross_still_have_their_extremes():
+    """A failure means that a recording of very quick slips ends in an error nobody foresaw."""
+    load = np.r_[np.arange(50.0), np.arange(50.0), np.arange(50.0)]
+    found = find_extremes(load, np.array([49.6, 53.2, 49.9, 99.5]), np.full(4, 2.0))
+    for part in (found.peak, found.valley, found.high, found.low):
+        assert np.isfinite(part).all()
+    assert found.peak[0] == 49 and found.valley[3] == 100

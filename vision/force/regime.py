@@ -71,7 +71,9 @@ def find_extremes(y: Floats, middle: Floats, length: Floats) -> Extremes:
     final = middle[-1] + (middle[-1] - between[-1]) if between.size else last
     bounds = np.clip(np.r_[first, between, final], 0, last)
     here = np.clip(np.rint(middle), 0, last).astype(np.int64)
-    start, stop = np.floor(bounds[:-1]).astype(np.int64), np.ceil(bounds[1:]).astype(np.int64)
+    # Middles of slips that hardly differ may come in either order: each slip has its own sample at least.
+    start = np.minimum(np.floor(bounds[:-1]).astype(np.int64), here)
+    stop = np.maximum(np.ceil(bounds[1:]).astype(np.int64), here)
     width = 2 * (np.nan_to_num(length) / 48).astype(np.int64) + 1
     smooth = {int(w): uniform_filter1d(y, int(w), mode="nearest") for w in np.unique(_octaves(width))}
     peak, high, highest = _largest(y, smooth, _octaves(width), start, here + 1, 1)
