@@ -206,7 +206,8 @@ def test_each_figure_is_saved_as_svg_and_png(visit, pulled):
             if kind == "PNG":
                 pixels = np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
                 assert pixels.shape[1] == 1600
-                assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 20, figure.name
+                colours = np.unique(pixels.astype(np.int32) @ (1 << 16, 1 << 8, 1))
+                assert len(colours) > 20, figure.name
                 continue
             root = ElementTree.fromstring(content)
             text = " ".join(item.text for item in root.iter("{http://www.w3.org/2000/svg}text"))
