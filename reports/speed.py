@@ -253,7 +253,7 @@ def scaling(folder: Path) -> list[str]:
     """Seconds of each stage against the size of the film, as tables and one figure."""
     lines = ["## Cost against the film's size", "", "Raw film; seconds of each stage, one run each.", ""]
     page = Page(figsize=(9.6, 2.9), layout="constrained")
-    for ax, (what, films) in zip(page.subplots(1, 4), SERIES.items(), strict=True):
+    for ax, (what, films) in zip(page.subplots(1, 4, sharey=True), SERIES.items(), strict=True):
         sizes, seconds = [], []
         lines += [f"| {what} | {' | '.join(SHOWN)} | whole command |", "|---" * 6 + "|"]
         for film in films:
@@ -270,7 +270,8 @@ def scaling(folder: Path) -> list[str]:
         ):
             ax.plot(sizes, values, marker=mark, markersize=4, label=label)
         ax.set(xscale="log", yscale="log", xlabel=what, ylabel="s" if what == "frames" else "")
-        ax.set_xticks(sizes, [f"{size}" for size in sizes], minor=False)
+        names = [f"{size / 1000:.3g}k" if size >= 1000 else f"{size}" for size in sizes]
+        ax.set_xticks(sizes, names, minor=False)
         ax.minorticks_off()
     page.legend(*ax.get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False)
     page.savefig(HERE / "speed.png", dpi=130)
