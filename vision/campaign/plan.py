@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -183,7 +183,7 @@ def make_plan(
         _digest([film.key for film in job])[:12]: _job(job, factor, tuning)
         for job in share(waiting, factor, cores, tuning)
     }
-    return Plan(**{**_shallow(plan), "jobs": jobs})
+    return replace(plan, jobs=jobs)
 
 
 def vanished_rows(out: Path, check: Check, folder: Path) -> list[Row]:
@@ -220,10 +220,6 @@ def vanished_rows(out: Path, check: Check, folder: Path) -> list[Row]:
         and not Path(film.film).exists()
         and plan.finished(film) is not None
     ]
-
-
-def _shallow(plan: Plan) -> dict[str, Any]:
-    return {part.name: getattr(plan, part.name) for part in fields(plan)}
 
 
 def check_folder(out: Path) -> None:
@@ -373,8 +369,12 @@ def share(films: Iterable[Film], factor: float, cores: int, tuning: CampaignSett
     Films in object storage are alone: Snakemake fetches a job's files before it starts.
     """
     ordered = sorted(films, key=lambda film: -film.seconds)
-    alone = [[f] for f in ordered if f.seconds * factor >= tuning.job_seconds / 2 or is_remote(f.film)]
-    short = [f for f in ordered if [f] not in alone]
+    alone, short = [], []
+    for film in ordered:
+        if film.seconds * factor >= tuning.job_seconds / 2 or is_remote(film.film):
+            alone.append([film])
+        else:
+            short.append(film)
     total = factor * sum(film.seconds for film in short)
     even = min(cores * tuning.jobs_per_core, max(cores, int(total / tuning.least_job_seconds)))
     count = max(even, math.ceil(total / tuning.job_seconds))

@@ -404,6 +404,7 @@ def _watch(
 
 def _work(plan: Plan) -> Callable[[Film, Path, Path], Outcome]:
     """What a job does with each film: the same as `track`."""
+    from vision.campaign.table import is_remote
     from vision.campaign.worker import Outcome
 
     def parameters(film: Film) -> dict[str, Parameter]:
@@ -412,7 +413,7 @@ def _work(plan: Plan) -> Callable[[Film, Path, Path], Outcome]:
 
     def work(film: Film, source: Path, target: Path) -> Outcome:
         found: list[Any] = []
-        local = "://" not in film.film
+        local = not is_remote(film.film)
         video = Path(film.film) if local else source
         chosen = parameters(film)
         # a job that was killed goes on where it ended, but not from a copy that is gone
