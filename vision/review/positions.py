@@ -21,7 +21,7 @@ from vision.run.reading import AGAIN
 from vision.run.tables import attrs_of_netcdf
 from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.recovery import DOUBTS
-from vision.sheets.ridges import Polarity, RidgeComb
+from vision.sheets.ridges import RidgeComb
 
 Codes = NDArray[np.uint8]
 
@@ -100,10 +100,7 @@ class Positions:
     @property
     def comb(self) -> RidgeComb:
         """What the ridges look like, as the tracking measured it."""
-        facts = self.track_facts
-        polarity: Polarity = "bright" if facts.ridges == "bright" else "dark"
-        sizes = facts.ridge_fwhm_px, facts.pitch_px, facts.contrast, facts.profile_noise
-        return RidgeComb(polarity, *sizes, float(facts.sheets), 0.0)
+        return RidgeComb.of(self.track_facts)
 
     def expected_px(self, rows: Ints) -> Floats:
         """Where the sheets around say that each sheet must be, in these rows."""

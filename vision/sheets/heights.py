@@ -51,15 +51,7 @@ def with_heights(
     if not np.array_equal(tracks["frame"].values, parts["frame"].values):
         raise InputError("the parts of the strip", "the tracks' frames", "others", "use those of one reading")
     facts = TrackMetadata.of(tracks)
-    comb = RidgeComb(
-        "dark" if facts.ridges == "dark" else "bright",
-        facts.ridge_fwhm_px,
-        facts.pitch_px,
-        facts.contrast,
-        facts.profile_noise,
-        float(facts.sheets),
-        np.inf,
-    )
+    comb = RidgeComb.of(facts)
     start = tracks["x_px"].values - float(parts["x"].values[0])
     x = np.empty((*start.shape, parts.sizes["z"]))
     err = np.empty_like(x)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
+from vision.data import TrackMetadata
 from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints
 from vision.sheets.settings import DEFAULT, TrackingSettings
@@ -53,6 +54,19 @@ class RidgeComb:
     noise: float
     count: float
     ends_px: float
+
+    @classmethod
+    def of(cls, found: TrackMetadata) -> RidgeComb:
+        """The comb as the tracking measured it; `ends_px` is not kept, and 0."""
+        return cls(
+            "dark" if found.ridges == "dark" else "bright",
+            found.ridge_fwhm_px,
+            found.pitch_px,
+            found.contrast,
+            found.profile_noise,
+            float(found.sheets),
+            0.0,
+        )
 
     @property
     def sign(self) -> int:
