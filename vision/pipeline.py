@@ -307,7 +307,7 @@ def analyse(
     _check_choices(chosen, follow)
     stage = _Stages()
     # A force file that is not understood is refused before the long work of reading a video.
-    machine = None if force is None else stage.must("reading force", lambda: _recording(force, chosen))
+    machine = None if force is None else stage.must("reading force", lambda: open_force(force, chosen))
     recording = None if video is None else open_recording(video, chosen, follow)
     kept = _kept(earlier, chosen, film=recording is not None)
     strip, tracks, clock, frame, parts = kept.strip, kept.tracks, kept.clock, None, None
@@ -516,7 +516,8 @@ def _tracks(strip: xr.DataArray, parts: xr.DataArray | None, chosen: Settings) -
     return tracks if parts is None else with_heights(tracks, parts, settings=chosen.tuning.tracking)
 
 
-def _recording(force: xr.Dataset | str | Path, chosen: Settings) -> xr.Dataset:
+def open_force(force: xr.Dataset | str | Path, chosen: Settings) -> xr.Dataset:
+    """The force recording as the settings want it read; one that is read already, as it is."""
     if isinstance(force, xr.Dataset):
         return force
     return read_force(

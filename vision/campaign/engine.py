@@ -19,11 +19,7 @@ from vision.campaign.states import State, write_state
 from vision.campaign.table import is_remote
 from vision.errors import InputError
 from vision.files import shortened
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+from vision.run.folder import lock_open_file
 
 HERE = Path(__file__).parent
 SNAKEFILE = HERE / "Snakefile"
@@ -77,15 +73,14 @@ def campaign_lock(out: Path) -> Iterator[None]:
         found = (error.strerror or str(error)).lower()
         raise InputError(out, "a place that can be written", found, "give another `out`") from error
     try:
-        if fcntl is not None:
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                raise InputError(
-                    out, "a campaign that does not run", "one that does", "wait for its end"
-                ) from error
-            except OSError:
-                pass  # a file server without locks
+        try:
+            lock_open_file(handle)
+        except BlockingIOError as error:
+            raise InputError(
+                out, "a campaign that does not run", "one that does", "wait for its end"
+            ) from error
+        except OSError:
+            pass  # a file server without locks
         yield
     finally:
         os.close(handle)

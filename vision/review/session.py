@@ -17,9 +17,8 @@ from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, minmax_decimate
 from vision.files import reading
-from vision.force import read_force
 from vision.numeric import Floats, Floats32, Ints
-from vision.pipeline import Settings
+from vision.pipeline import Settings, open_force, open_recording
 from vision.review.diagram import Diagram
 from vision.review.editing import Before, apply, take_back, usual_places
 from vision.review.effects import READY, Effects
@@ -42,7 +41,7 @@ from vision.sheets.corrections import (
     stretches,
 )
 from vision.sheets.recovery import DOUBTS
-from vision.video import Video, open_video
+from vision.video import Video
 
 REPLACED = "corrections.npz"  # what saved decisions replaced, so that they can be taken back
 MOST_DOUBTS = 500  # listed
@@ -181,11 +180,7 @@ class Session:
             return self._film
 
     def _open_film(self) -> Video:
-        path = input_of(self.folder, self._input(0), self._film_moved)
-        chosen = self.settings
-        return open_video(
-            path, rotate=chosen.rotate, frames=chosen.frames, fps=chosen.fps, timestamps=chosen.timestamps
-        )
+        return open_recording(input_of(self.folder, self._input(0), self._film_moved), self.settings)
 
     def _input(self, place: int) -> Mapping[str, Any]:
         """The film's entry among run.json's inputs (0), or the force recording's (-1)."""
@@ -211,15 +206,7 @@ class Session:
         """The force recording, read at the first need.  Raises: InputError where there is none."""
         with self.lock:
             if self._force is None:
-                chosen = self.settings
-                self._force = read_force(
-                    input_of(self.folder, self._input(-1)),
-                    speed_mm_min=chosen.speed_mm_min,
-                    d0_mm=chosen.d0_mm,
-                    d0_err_mm=chosen.d0_err_mm,
-                    columns=chosen.force_columns,
-                    settings=chosen.tuning.force,
-                )
+                self._force = open_force(input_of(self.folder, self._input(-1)), self.settings)
             return self._force
 
     def force_curve(self, first_s: float, stop_s: float, points: int) -> Floats:

@@ -14,15 +14,9 @@ import pandas as pd
 
 from vision.clock import Candidate, Clock
 from vision.errors import InputError
-from vision.run.folder import MARK
+from vision.run.folder import MARK, lock_open_file
 from vision.run.reading import AGAIN, read_json, read_table_of
 from vision.sheets.corrections import Correction, correction_of
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
-
 
 COLUMNS = {
     "events": ("event", "t_v_s", "t_p_s", "stick_length_um"),
@@ -149,13 +143,12 @@ def claim(folder: Path) -> IO[str]:
     except OSError as error:
         found = (error.strerror or str(error)).lower()
         raise InputError(path, "a place that can be written", found, "copy the run folder") from error
-    if fcntl is not None:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            file.close()
-            found, advice = "a review of it that is open", "go to its window, or end it there"
-            raise InputError(folder, "a run that nobody reviews now", found, advice) from None
+    try:
+        lock_open_file(file.fileno())
+    except OSError:
+        file.close()
+        found, advice = "a review of it that is open", "go to its window, or end it there"
+        raise InputError(folder, "a run that nobody reviews now", found, advice) from None
     return file
 
 

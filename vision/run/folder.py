@@ -127,11 +127,20 @@ def lock_folder(folder: Path) -> int | None:
     except OSError:
         return None
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock_open_file(handle)
     except OSError:
         os.close(handle)
         return None
     return handle
+
+
+def lock_open_file(handle: int) -> None:
+    """Claim an open file for this process, until it is closed; off POSIX nothing is claimed.
+
+    Raises: BlockingIOError where another process has it, OSError where the file system has no locks.
+    """
+    if fcntl is not None:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _replace(made: Path, target: Path, *, overwrite: bool) -> None:
