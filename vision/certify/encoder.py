@@ -20,6 +20,7 @@ import numpy as np
 from vision.errors import InputError
 from vision.numeric import Floats, Floats32, Pixels
 from vision.video import open_video
+from vision.video.encoded import open_container
 from vision.video.strip import row_means
 
 ENCODERS = {"h264": "libx264"}
@@ -146,7 +147,7 @@ def read_encoder(
         Frames of it that are looked at.
     """
     try:
-        with av.open(str(path)) as film:
+        with open_container(path) as film:
             stream = film.streams.video[0]
             codec = ENCODERS.get(stream.codec_context.name)
             if codec is None:

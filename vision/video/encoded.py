@@ -59,7 +59,7 @@ class EncodedReader:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        with _open_container(path) as container:
+        with open_container(path) as container:
             stream = _video_stream(container, path)
             first = _first_frame(container, stream, path)
             self._dtype = grey_plane(first).dtype.newbyteorder("=")
@@ -76,7 +76,7 @@ class EncodedReader:
     def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
         """The key frame at or before each number; each key frame once."""
         seen: set[int | None] = set()
-        with _open_container(self._path) as container:
+        with open_container(self._path) as container:
             stream = _video_stream(container, self._path)
             rate = self.facts.playback_fps or 1 / float(stream.time_base or 1)
             for number in numbers:
@@ -90,7 +90,7 @@ class EncodedReader:
 
         Ends at once where the file cannot be entered there, or has no times in the order of display.
         """
-        with _open_container(self._path) as container:
+        with open_container(self._path) as container:
             stream = _video_stream(container, self._path)
             base = stream.time_base or Fraction(1)
             first = stream.start_time or 0
@@ -109,7 +109,7 @@ class EncodedReader:
     def _frames(self, stop: int | None) -> Iterator[Frame]:
         """Every frame number once, in order, up to `stop`."""
         number = 0
-        with _open_container(self._path) as container:
+        with open_container(self._path) as container:
             stream = _video_stream(container, self._path)
             for pts, decoded in _decoded(container, stream):
                 for _ in range(self._skipped(pts, number, stream)):
@@ -161,7 +161,7 @@ class MjpegReader(EncodedReader):
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
         """Frames in file order; those before `start` are not decoded."""
-        with _open_container(self._path) as container:
+        with open_container(self._path) as container:
             jpegs = itertools.islice(self._jpegs(container), start, stop)
             frames = decode_in_threads(self._decode, jpegs)
             yield from gather_blocks(frames, start=start, rows=rows, columns=columns, dtype=np.uint8)
@@ -196,7 +196,7 @@ def open_encoded(path: Path) -> EncodedReader:
     reader = EncodedReader(path)
     if reader.facts.codec != "mjpeg" or reader.facts.depth_bits != 8:
         return reader
-    with _open_container(path) as container:
+    with open_container(path) as container:
         packet = next(_video_packets(container, _video_stream(container, path)), None)
     fast = None if packet is None else _y_plane(bytes(packet))
     slow = next(reader.sample([0]), None)
@@ -214,8 +214,11 @@ def _y_plane(jpeg: bytes) -> Pixels | None:
         return None
 
 
-def _open_container(path: Path) -> av.container.InputContainer:
-    """The container; InputError where the file is none."""
+def open_container(path: Path) -> av.container.InputContainer:
+    """A container of the formats and by the protocol that are allowed.
+
+    Raises: InputError where the file is none.
+    """
     check_regular(path, "a video")
     try:
         container = av.open(

@@ -23,7 +23,7 @@ from vision.video.follow import Follow, growth, held_back, part_of
 from vision.video.reader import Block
 from vision.video.settings import DEFAULTS, VideoSettings
 from vision.video.store import STATUS_TYPE, FramesRead, FrameStore
-from vision.video.strip_find import Strip, find_strip, measure_strip
+from vision.video.strip_find import Strip, choose_strip, measure_strip
 from vision.video.video import Video, cut
 
 Progress = Callable[[int, int | None], None]
@@ -98,10 +98,7 @@ def strip_profile(
     Integers are summed exactly; the mean is rounded once, to float32. Source: paper, appendix B.
     """
     x = cut(columns, video.shape[1], what=f"{video.path}: `columns`")
-    if rows is None:
-        strip = find_strip(video, columns=x, settings=settings)
-    else:
-        strip = measure_strip(video, rows, columns=x, settings=settings)
+    strip = choose_strip(video, rows, columns=x, settings=settings)
     spans = {name: span and [span.start, span.stop] for name, span in (("rows", rows), ("columns", columns))}
     assemble = partial(_assembled, strip=strip, columns=x, spans=spans, settings=settings)
     store = FrameStore(
@@ -162,10 +159,7 @@ def strip_profiles(
         As `strip_profile`, and for parts of less than two rows.
     """
     x = cut(columns, video.shape[1], what=f"{video.path}: `columns`")
-    if rows is None:
-        strip = find_strip(video, columns=x, settings=settings)
-    else:
-        strip = measure_strip(video, rows, columns=x, settings=settings)
+    strip = choose_strip(video, rows, columns=x, settings=settings)
     height, width = strip.rows.stop - strip.rows.start, x.stop - x.start
     if not 2 <= strips <= height // 2:
         wanted = f"2 to {height // 2} parts of the strip's {height} rows" if height >= 4 else "4 rows or more"

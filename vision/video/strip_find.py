@@ -61,6 +61,15 @@ class _Slopes:
     band_rows: int
 
 
+def choose_strip(
+    video: Video, rows: slice | None, *, columns: slice | None = None, settings: VideoSettings = DEFAULTS
+) -> Strip:
+    """The strip of these rows, or the one that `find_strip` finds where there are none."""
+    if rows is None:
+        return find_strip(video, columns=columns, settings=settings)
+    return measure_strip(video, rows, columns=columns, settings=settings)
+
+
 def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSettings = DEFAULTS) -> Strip:
     r"""Rows whose mean profile has the steepest ridges for the most rows.
 
