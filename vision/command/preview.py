@@ -119,15 +119,13 @@ def look(path: Path, settings: Settings) -> Preview:
     from vision.pipeline import open_recording
     from vision.sheets import track_sheets
     from vision.sheets.ridges import describe_ridges, find_ridges
-    from vision.video import find_strip, measure_strip, reference_frame, strip_profile
+    from vision.video import reference_frame, strip_profile
     from vision.video.strip import row_means
+    from vision.video.strip_find import choose_strip
 
     film = open_recording(path, settings)
     strip_settings = settings.tuning.video
-    if settings.rows is None:
-        rows = find_strip(film, columns=settings.columns, settings=strip_settings).rows
-    else:
-        rows = measure_strip(film, settings.rows, columns=settings.columns, settings=strip_settings).rows
+    rows = choose_strip(film, settings.rows, columns=settings.columns, settings=strip_settings).rows
     stop = (
         film.first + CONSECUTIVE if film.estimated is None else film.first + min(CONSECUTIVE, film.estimated)
     )
