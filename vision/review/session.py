@@ -47,6 +47,7 @@ from vision.video import Video
 
 REPLACED = "corrections.npz"  # what saved decisions replaced, so that they can be taken back
 MOST_DOUBTS = 500  # listed
+SLIP_ROWS = 10_000  # in which slips are looked for at a time: all of a long test would take 250 MB
 
 
 class Session:
@@ -88,6 +89,7 @@ class Session:
         self.trial.discard()  # what a killed review left
         self._grey: tuple[float, float] | None = None
         self._force: xr.Dataset | None = None
+        self._film_slips: tuple[int, Floats] | None = None
         try:
             with reading(folder, "a run folder as track writes it", "run track again"):
                 self._load()
@@ -495,12 +497,18 @@ class Session:
             return sorted({int(frame) for frame in self._frames_at(self._video_slips_s())})
 
     def _video_slips_s(self) -> Floats:
-        if not hasattr(self, "_seen_slips_s"):
-            try:
-                self._seen_slips_s = video_slips(self.positions.tracks())["time_s"].to_numpy(float)
-            except InputError:  # too few frames, or none with a time
-                self._seen_slips_s = np.empty(0)
-        return self._seen_slips_s
+        if self._film_slips is None or self._film_slips[0] != self.revision:
+            frames = len(self.positions.frame)
+            parts = [slice(k, min(k + SLIP_ROWS, frames) + 1) for k in range(0, frames, SLIP_ROWS)]
+            self._film_slips = self.revision, np.concatenate([self._slips_in(part) for part in parts])
+        return self._film_slips[1]
+
+    def _slips_in(self, rows: slice) -> Floats:
+        """Of some rows; none in too few of them, or in rows without times."""
+        try:
+            return np.asarray(video_slips(self.positions.tracks(rows))["time_s"], np.float64)
+        except InputError:
+            return np.empty(0)
 
     def _frames_at(self, seconds: Floats) -> Ints:
         """Numbers of the frames next after these times of the camera's clock."""
