@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 import xarray as xr
 
-from vision.clock import Clock, video_slips
+from vision.clock import Clock
 from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, minmax_decimate
@@ -47,7 +47,6 @@ from vision.video import Video
 
 REPLACED = "corrections.npz"  # what saved decisions replaced, so that they can be taken back
 MOST_DOUBTS = 500  # listed
-SLIP_ROWS = 10_000  # in which slips are looked for at a time: all of a long test would take 250 MB
 
 
 class Session:
@@ -234,7 +233,8 @@ class Session:
             self.saver.start(self.job(self.decisions, self.undone), lambda found: self.reload())
 
     def job(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> Job:
-        """What makes the run follow these decisions."""
+        """What makes the run follow these decisions.  Raises: InputError where the run is gone."""
+        self.found.check_there()
         strips = [last_of(part, "strip") for part in (self.applied, decisions)]
         same = len({one.rows if one else None for one in strips}) == 1  # else other positions were replaced
         return Job(
@@ -351,6 +351,7 @@ class Session:
 
     def write(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> None:
         """corrections.toml, whole and on the disk when this returns."""
+        self.found.check_there()
         text = corrections_text(self._held(decisions, undone))
         with whole_file(self.folder / CORRECTIONS, durable=True) as path:
             path.write_text(text, encoding="utf-8")
@@ -498,17 +499,8 @@ class Session:
 
     def _video_slips_s(self) -> Floats:
         if self._film_slips is None or self._film_slips[0] != self.revision:
-            frames = len(self.positions.frame)
-            parts = [slice(k, min(k + SLIP_ROWS, frames) + 1) for k in range(0, frames, SLIP_ROWS)]
-            self._film_slips = self.revision, np.concatenate([self._slips_in(part) for part in parts])
+            self._film_slips = self.revision, self.positions.slips_s()
         return self._film_slips[1]
-
-    def _slips_in(self, rows: slice) -> Floats:
-        """Of some rows; none in too few of them, or in rows without times."""
-        try:
-            return np.asarray(video_slips(self.positions.tracks(rows))["time_s"], np.float64)
-        except InputError:
-            return np.empty(0)
 
     def _frames_at(self, seconds: Floats) -> Ints:
         """Numbers of the frames next after these times of the camera's clock."""
