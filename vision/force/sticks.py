@@ -1,4 +1,4 @@
-"""What is measured on each stick phase, all at once: forces at its ends, lengths, stiffness, errors, flags."""
+"""What is measured on each stick phase, all at once: end forces, lengths, stiffness, errors, flags."""
 
 from __future__ import annotations
 
