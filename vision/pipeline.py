@@ -22,9 +22,10 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock, ClockSettings, synchronise
-from vision.data import ForceMetadata, html_table, warnings_of
+from vision.data import ForceMetadata, warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import InputError
+from vision.escaping import html_table
 from vision.figures import FIGURES, Figure
 from vision.force import ForceSettings, find_stick_slip, read_force
 from vision.models import ModelFits, fit_models
