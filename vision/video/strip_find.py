@@ -7,9 +7,9 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from vision.errors import InputError
 from vision.numeric import Bools, Floats32, Ints, Pixels
@@ -230,8 +230,7 @@ def _measure_slopes(
         found = "none: they cannot be decoded"
         raise InputError(video.path, "at least one frame that shows something", found, "copy the file again")
     odd_even = np.stack([_odd_even(frame[rows, columns], band_rows) for frame in frames])
-    slope = np.empty_like(odd_even)
-    gaussian_filter1d(odd_even, settings.slope_sigma_px, axis=-1, order=1, mode="nearest", output=slope)
+    slope = np.stack([_slope(halves, settings.slope_sigma_px) for halves in odd_even])
     odd, even = slope[:, 0], slope[:, 1]
     half = np.float32(0.5)
     return _Slopes((odd + even) * half, (odd - even) * half, band_rows)
@@ -244,6 +243,17 @@ def _odd_even(frame: Pixels, band_rows: int) -> Floats32:
     if frame.dtype.kind == "f":  # a pixel without a value shows no ridge; as NaN it would hide all others
         pixels = np.where(np.abs(pixels) < _LARGEST, pixels, np.float32(0))
     return np.stack([pixels[:, 0::2].mean(axis=1), pixels[:, 1::2].mean(axis=1)])
+
+
+def _slope(bands: Floats32, sigma_px: float) -> Floats32:
+    """Derivative along x of means (2, band, x), Gaussian-smoothed; the outermost pixels are repeated."""
+    reach = int(4 * sigma_px + 0.5)
+    offsets = np.arange(-reach, reach + 1, dtype=np.float64)
+    gaussian = np.exp(-(offsets**2) / (2 * sigma_px**2))
+    kernel = gaussian / gaussian.sum() * offsets / sigma_px**2
+    lines = bands.reshape(-1, bands.shape[-1]).astype(np.float64)
+    found = cv2.sepFilter2D(lines, cv2.CV_64F, kernel, np.ones(1), borderType=cv2.BORDER_REPLICATE)
+    return found.astype(np.float32).reshape(bands.shape)
 
 
 def _best_run(slopes: _Slopes, settings: VideoSettings) -> tuple[int, int] | None:
