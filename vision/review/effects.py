@@ -33,6 +33,7 @@ times as long and change a ratio by a thirtieth of its error, a shell by one she
 SHOWN_ROWS = 400  # of a preview
 MOST_ROWS = 2000  # in which a stick is measured with those around it
 NOISE_FRAMES = 16  # from which the noise in other rows is measured
+PARTLY = "This stick phase does not lie wholly within the film."
 READY = ("ok", "given")  # of a clock
 
 
@@ -269,7 +270,7 @@ class Effects:
             if rows.size <= MOST_ROWS:
                 break
         if not rows.size:
-            raise InputError("the event", "one within the film", f"{event}")
+            raise InputError("the stick phase", "one within the film", f"{event}")
         return Near(event=event, clock=clock, sticks=sticks, rows=rows)
 
     def _measured(self, positions: Positions, near: Near) -> dict[str, Any]:
@@ -285,7 +286,7 @@ class Effects:
                 settings=settings.tuning.deformation,
             )
             if near.event not in motion["event"].values:
-                raise InputError("the event", "one within the film", f"{near.event}")
+                return {"sheets": [], "shells": [], "reason": PARTLY}
             one = motion.sel(event=[near.event])
             sheets = classify_sheets(one, threshold=settings.threshold).isel(event=0)
             shells = classify_shells(one, threshold=settings.threshold, settings=settings.tuning.shells)

@@ -49,9 +49,10 @@ class Trial:
 
     def state(self) -> dict[str, Any]:
         """How far it is, and what was found."""
-        saver, found = self.run.saver, self._found
-        told = {"stage": saver.stage, "done": saver.done, "total": saver.total, "error": saver.error}
-        return {"running": saver.running, "found": found, **told}
+        saver, begun = self.run.saver, self._place is not None
+        told = {"stage": saver.stage, "done": saver.done, "total": saver.total}
+        error = saver.error if begun else ""
+        return {"running": begun and saver.running, "error": error, "found": self._found, **told}
 
     def at(self, frame: int) -> dict[str, Any]:
         """Positions about a frame, and σ_x/Λ_st of the stick there, before and after.
@@ -82,12 +83,13 @@ class Trial:
 
     def discard(self) -> None:
         """Throw it away, also while it is being made; what a killed review left, too."""
-        if self.run.saver.running and self._place is not None and self._found is None:
-            self.run.saver.cancel()
-        place = _beside(self.run.folder)
-        shutil.rmtree(place, ignore_errors=True)
-        clean_up(place)
-        self._decision = self._place = self._found = None
+        with self.run.lock:
+            if self.run.saver.running and self._place is not None and self._found is None:
+                self.run.saver.cancel()
+            place = _beside(self.run.folder)
+            shutil.rmtree(place, ignore_errors=True)
+            clean_up(place)
+            self._decision = self._place = self._found = None
 
     def _take(self, found: Mapping[str, Any]) -> None:
         self._found = found
