@@ -7,7 +7,6 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -248,12 +247,18 @@ def _odd_even(frame: Pixels, band_rows: int) -> Floats32:
 def _slope(bands: Floats32, sigma_px: float) -> Floats32:
     """Derivative along x of means (2, band, x), Gaussian-smoothed; the outermost pixels are repeated."""
     reach = int(4 * sigma_px + 0.5)
-    offsets = np.arange(-reach, reach + 1, dtype=np.float64)
+    offsets = np.arange(1, reach + 1, dtype=np.float64)
     gaussian = np.exp(-(offsets**2) / (2 * sigma_px**2))
-    kernel = gaussian / gaussian.sum() * offsets / sigma_px**2
-    lines = bands.reshape(-1, bands.shape[-1]).astype(np.float64)
-    found = cv2.sepFilter2D(lines, cv2.CV_64F, kernel, np.ones(1), borderType=cv2.BORDER_REPLICATE)
-    return found.astype(np.float32).reshape(bands.shape)
+    weights = gaussian / (1 + 2 * gaussian.sum()) * offsets / sigma_px**2
+    width = bands.shape[-1]
+    padded = np.pad(bands.astype(np.float64), ((0, 0), (0, 0), (reach, reach)), mode="edge")
+    slope, step = np.zeros(bands.shape), np.empty(bands.shape)
+    for k in range(reach, 0, -1):  # differences, so that what is constant has no slope at all
+        right, left = padded[..., reach + k : reach + k + width], padded[..., reach - k : reach - k + width]
+        np.subtract(right, left, out=step)
+        step *= weights[k - 1]
+        slope += step
+    return slope.astype(np.float32)
 
 
 def _best_run(slopes: _Slopes, settings: VideoSettings) -> tuple[int, int] | None:
