@@ -16,6 +16,8 @@ from vision.force.regime import Extremes, is_slow
 from vision.force.settings import ForceSettings
 from vision.numeric import Bools, Floats, Ints
 
+_EXTREME_SIGMAS = 4.0  # of the noise, by which the smallest of many samples may lie below the load itself
+
 
 @dataclass(frozen=True)
 class Signal:
@@ -141,7 +143,7 @@ def measure_sticks(
     ends = _ends(signal, sticks, t_v, t_p)
     f_v, f_p = ends.f_v, ends.f_p
     if not lag:
-        f_v, f_p = _within_recorded(signal, extremes, ends, settings)
+        f_v, f_p = _within_recorded(signal, extremes, ends, np.isfinite(sticks.knee), settings)
         f_v = np.where(recorded[:-1], extremes.low[:-1], f_v)
         f_p = np.where(recorded[1:], extremes.high[1:], f_p)
     place = np.where(recorded, _flat_top_error(signal, corners, extremes), corners.error)
@@ -181,19 +183,26 @@ def measure_sticks(
 
 
 def _within_recorded(
-    signal: Signal, extremes: Extremes, ends: _Ends, settings: ForceSettings
+    signal: Signal, extremes: Extremes, ends: _Ends, bent: Bools, settings: ForceSettings
 ) -> tuple[Floats, Floats]:
     """Forces at the ends of the stick lines, held to what was recorded there.
 
     A stick begins and ends between two samples: it may be a sample's rise longer than what was recorded. The
     load cell is late, too: the lowest sample lies above the true valley, and a small share of the drop is
-    left for that. The whole recording's range is never left.
+    left for that. The whole recording's range is never left. Two straight lines are a rough likeness of a
+    bent stick that is curved throughout, and cut its corners off: there what was recorded holds, but for the
+    noise of single samples.
     """
     highest, lowest = extremes.highest[1:], extremes.lowest[:-1]
     rise = np.abs(ends.slope) * signal.interval_s
     spare = rise + settings.between_samples * np.maximum(highest - lowest, 0)
     f_v = np.fmax(ends.f_v, np.maximum(lowest - spare, signal.clean.min()))
-    return f_v, np.fmin(ends.f_p, np.minimum(highest + rise, signal.clean.max()))
+    f_p = np.fmin(ends.f_p, np.minimum(highest + rise, signal.clean.max()))
+    noise = _EXTREME_SIGMAS * signal.sigma
+    return (
+        np.where(bent, np.fmin(f_v, lowest + noise), f_v),
+        np.where(bent, np.fmax(f_p, highest - noise), f_p),
+    )
 
 
 def _flat_top_error(signal: Signal, corners: Corners, extremes: Extremes) -> Floats:
