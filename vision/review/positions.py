@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from vision.clock import video_slips
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.files import check_regular, reading
@@ -46,6 +47,9 @@ DOUBTFUL = FLAGS.index("doubtful")
 CELLS = ("x_px", "err_px", "withheld_px", "flag", "why")
 """Arrays of (frame, sheet)."""
 USUAL_ROWS = 300  # from which it is learned how sheets move with their neighbours
+SLIP_ROWS = 10_000
+"""In which slips are looked for at a time: all of 100 000 take 250 MB of memory; with fewer than some ten
+slips in a part their usual size is not known well."""
 BLOCK = 8192  # frames read at a time
 _WANTED = "tracks as track writes them"
 
@@ -130,6 +134,12 @@ class Positions:
         }
         return xr.Dataset(variables, coords, dict(self.attrs))
 
+    def slips_s(self) -> Floats:
+        """When the sheets themselves step outwards, whatever the clock, s; a part of the film at a time."""
+        frames = len(self.frame)
+        parts = [slice(k, min(k + SLIP_ROWS, frames) + 1) for k in range(0, frames, SLIP_ROWS)]
+        return np.concatenate([_slips_in(self.tracks(part)) for part in parts])
+
     def row_of(self, frame: int) -> int:
         """Row of a frame number.  Raises: InputError for a frame that the run does not have."""
         row = int(np.searchsorted(self.frame, frame))
@@ -141,6 +151,14 @@ class Positions:
         """A part that can be changed without changing this."""
         arrays = {name: getattr(self, name)[rows].copy() for name in (*CELLS, "frame", "time_s")}
         return replace(self, **arrays)
+
+
+def _slips_in(tracks: xr.Dataset) -> Floats:
+    """Of a part; none in too few frames, or without times."""
+    try:
+        return np.asarray(video_slips(tracks)["time_s"], np.float64)
+    except InputError:
+        return np.empty(0)
 
 
 def read_positions(path: Path) -> Positions:

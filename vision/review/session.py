@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 import xarray as xr
 
-from vision.clock import Clock, video_slips
+from vision.clock import Clock
 from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, minmax_decimate
@@ -88,6 +88,7 @@ class Session:
         self.trial.discard()  # what a killed review left
         self._grey: tuple[float, float] | None = None
         self._force: xr.Dataset | None = None
+        self._film_slips: tuple[int, Floats] | None = None
         try:
             with reading(folder, "a run folder as track writes it", "run track again"):
                 self._load()
@@ -232,7 +233,8 @@ class Session:
             self.saver.start(self.job(self.decisions, self.undone), lambda found: self.reload())
 
     def job(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> Job:
-        """What makes the run follow these decisions."""
+        """What makes the run follow these decisions.  Raises: InputError where the run is gone."""
+        self.found.check_there()
         strips = [last_of(part, "strip") for part in (self.applied, decisions)]
         same = len({one.rows if one else None for one in strips}) == 1  # else other positions were replaced
         return Job(
@@ -349,6 +351,7 @@ class Session:
 
     def write(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> None:
         """corrections.toml, whole and on the disk when this returns."""
+        self.found.check_there()
         text = corrections_text(self._held(decisions, undone))
         with whole_file(self.folder / CORRECTIONS, durable=True) as path:
             path.write_text(text, encoding="utf-8")
@@ -495,12 +498,9 @@ class Session:
             return sorted({int(frame) for frame in self._frames_at(self._video_slips_s())})
 
     def _video_slips_s(self) -> Floats:
-        if not hasattr(self, "_seen_slips_s"):
-            try:
-                self._seen_slips_s = video_slips(self.positions.tracks())["time_s"].to_numpy(float)
-            except InputError:  # too few frames, or none with a time
-                self._seen_slips_s = np.empty(0)
-        return self._seen_slips_s
+        if self._film_slips is None or self._film_slips[0] != self.revision:
+            self._film_slips = self.revision, self.positions.slips_s()
+        return self._film_slips[1]
 
     def _frames_at(self, seconds: Floats) -> Ints:
         """Numbers of the frames next after these times of the camera's clock."""

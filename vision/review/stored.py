@@ -31,6 +31,8 @@ class Found:
         The run folder.
     facts, parameters
         run.json, and what the run was made with by the names of the command's options.
+    stamp
+        By which another run in its place is recognised.
     clock, events
         As far as the run has them.
     """
@@ -38,21 +40,29 @@ class Found:
     folder: Path
     facts: Mapping[str, Any]
     parameters: Mapping[str, Parameter]
+    stamp: tuple[int, int, int]
     clock: Clock | None = None
     events: pd.DataFrame | None = None
 
     @classmethod
     def of(cls, folder: Path) -> Found:
         """Raises: InputError for a folder that is no run of a video, or a damaged one."""
-        facts = read_json(folder / MARK)
+        stamp, facts = _stamp(folder), read_json(folder / MARK)
         clock = folder / "clock.json"
         return cls(
             folder=folder,
             facts=facts,
             parameters=parameters_of(folder, facts),
+            stamp=stamp,
             clock=clock_of(read_json(clock)) if clock.exists() else None,
             events=_events(folder),
         )
+
+    def check_there(self) -> None:
+        """Raises: InputError where the run folder is gone, or another run has taken its place."""
+        if _stamp(self.folder) != self.stamp:
+            found, advice = "none, or another one", "nothing was changed; end the review and start it again"
+            raise InputError(self.folder, "the run that is reviewed", found, advice)
 
     @property
     def pixel_size_um(self) -> float | None:
@@ -72,6 +82,15 @@ class Found:
         return [
             correction_of(entry["kind"], _as_entry(entry)) for entry in self.facts.get("corrections") or []
         ]
+
+
+def _stamp(folder: Path) -> tuple[int, int, int]:
+    """Of run.json; zeros where there is none."""
+    try:
+        facts = (folder / MARK).stat()
+    except OSError:
+        return 0, 0, 0
+    return facts.st_ino, facts.st_size, facts.st_mtime_ns
 
 
 def _events(folder: Path) -> pd.DataFrame | None:
