@@ -46,6 +46,8 @@ class Facts:
         The recording's own time of each frame (frame), where the headers hold them.
     times_in_blocks
         Whether those times come with the blocks instead.
+    turned_deg
+        Degrees clockwise by which the file asks to be turned for display, as phones write it.
     container, codec, pixel_format, decoder, grey
         How the pixels are stored, what decodes them, and what a grey value is.
     warnings
@@ -67,6 +69,7 @@ class Facts:
     camera_fps: float | None = None
     times_s: Floats | None = None
     times_in_blocks: bool = False
+    turned_deg: int = 0
     warnings: tuple[str, ...] = ()
 
 
