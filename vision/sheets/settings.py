@@ -258,12 +258,6 @@ class TrackingSettings:
 
     # --- stated errors (tracks.py) ---
 
-    codec_hidden: float = 0.45
-    """By how much more than the scatter between neighbouring sheets a codec shifts ridges where it wiped the
-    noise of pixels out: what it holds still in all sheets alike shows in no scatter. Times the square of the
-    share that was wiped out, since mild compression adds errors that the scatter shows whole.
-    test_degraded.py and test_identity_compressed.py hold 62 to 74 of 100 truths within one error."""
-
     most_correlated: float = 2.0
     """Noise alike in some pixels side by side shifts a ridge by the root of their number more than the pixels
     predict. Positions that scatter by more than this factor move: larger takes motion for noise."""
