@@ -221,7 +221,7 @@ def shared_error(x_px: Floats) -> float:
     """
     if x_px.shape[1] < len(FOURTH) + 3 or len(x_px) < FAR[-1] + LEAST_FRAMES:
         return 0.0
-    own = np.nan_to_num(spatial_scatter(x_px))[2:-2]
+    own = float(np.mean(np.nan_to_num(spatial_scatter(x_px))[2:-2] ** 2))
     together = 0.0
     for lag in LAGS:
         second = (x_px[2 * lag :] - 2 * x_px[lag:-lag] + x_px[: -2 * lag]) / np.sqrt(6)
@@ -235,7 +235,7 @@ def shared_error(x_px: Floats) -> float:
     held = min(_held(_fourth(x_px)), _held(common[:, None]))
     step = nan_median(np.diff(x_px, 2, axis=0), axis=1) / np.sqrt(6)
     missing = _deviation(_centred(step)) * held / (1 - held)
-    return float(np.sqrt(together + min(missing**2, np.mean(own**2) + together)))
+    return float(np.sqrt(together + min(missing**2, own + together)))
 
 
 def _held(values: Floats) -> float:
