@@ -140,15 +140,25 @@ def consistency_warnings(
 
 
 def doubt_line(tracks: xr.Dataset) -> str:
-    """Number of doubtful stretches and the worst three; "" without any."""
+    """Number of doubtful stretches and the worst three; "" without any. Sheets doubted alike are one."""
     table = doubtful_stretches(tracks)
     if table.empty:
         return ""
-    worst = [
-        f"sheet {row['sheet']} in {row['first_frame']}:{row['last_frame'] + 1} ({row['why']})"
-        for row in table.head(3).to_dict("records")
+    alike = [rows for _, rows in table.groupby(["first_frame", "last_frame", "why"], sort=False)]
+    worst = sorted(alike, key=lambda rows: -int(rows["frames"].sum()))
+    longest = [
+        f"{_these(rows['sheet'])} in {rows['first_frame'].iloc[0]}:{rows['last_frame'].iloc[0] + 1}"
+        f" ({rows['why'].iloc[0]})"
+        for rows in worst[:3]
     ]
-    return f"{len(table)} doubtful stretches; longest: {'; '.join(worst)}"
+    return f"{len(table)} doubtful stretches; longest: {'; '.join(longest)}"
+
+
+def _these(sheets: pd.Series) -> str:
+    """Sheets that are doubted together, in few words."""
+    if len(sheets) == 1:
+        return f"sheet {sheets.iloc[0]}"
+    return f"{len(sheets)} sheets from {sheets.min()} to {sheets.max()}"
 
 
 def flag_counts(tracks: xr.Dataset) -> dict[str, int]:

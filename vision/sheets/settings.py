@@ -189,6 +189,15 @@ class TrackingSettings:
     """Difference of two neighbours' displacements, in pitches, that no slip causes. Larger lets wrong
     identities pass, smaller flags avalanches."""
 
+    least_misfit: float = 0.1
+    """Change of the logarithm of brightness, rms over the sheets, that says nothing against a jump by whole
+    pitches. Larger believes jumps of combs that look otherwise (test_identity_doubt.py's moving light at
+    0.3), smaller doubts jumps for noise."""
+
+    unlike_itself: float = 2.0
+    """Times its usual mean square by which the brightness changed when the pattern does not settle a jump.
+    Larger lets a pattern that moved over the sheets settle it, smaller keeps doubts of blurred combs."""
+
     leave_sigmas: float = 8.0
     """Times its own scatter by which a sheet leaves what its neighbours say before another ridge is
     looked for. Larger lets hops pass, smaller doubts sheets that move by themselves."""

@@ -12,7 +12,8 @@ import xarray as xr
 from vision.data import STRIP, TRACKS, StripMetadata, TrackMetadata, record
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Strings, nan_median
-from vision.sheets.corrections import Correction, apply_corrections, last_of
+from vision.sheets.corrected import apply_corrections
+from vision.sheets.corrections import Correction, last_of
 from vision.sheets.identities import Identities, identify_sheets
 from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.numbering import Numbering, number_sheets
