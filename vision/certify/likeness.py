@@ -33,6 +33,7 @@ BEYOND = 3.5  # half widths of the outermost ridge from its middle, beyond which
 FAR_PX = 1e4
 LEAST_SHARING = 5  # sheets from which what all do together is told from what each does
 
+CLIPPED_GREY, CLIPPED_SHARE = 0.5, 1e-3  # from the brightest pixel, and share of all pixels there, if clipped
 LEAST_LEFT = 0.2  # of the noise, where pieces are too short for the smooth motion to leave any
 
 
@@ -74,6 +75,8 @@ class Likeness:
         Frames that repeat the one before, (frame,).
     disturbed
         Pixels around ridges that something else pulls aside or hides, (frame, x).
+    ceiling
+        Brightest pixel, where the camera may have clipped.
     encoder
         What films go through in place of getting residuals; None where those are put in.
     """
@@ -95,6 +98,7 @@ class Likeness:
     part: Ints
     frozen: Bools
     disturbed: Bools
+    ceiling: float
     encoder: Encoder | None = None
 
     def film(self, motion_px: Floats, *, number: int | None) -> xr.DataArray:
@@ -118,6 +122,7 @@ class Likeness:
             values += self.residual[np.resize(self._sources(number), frames)]
         if own and noisy:
             values += self.slow
+        values = np.minimum(values, self.ceiling)
         if own:
             values[self.disturbed] = recorded[self.disturbed]
             for t in np.flatnonzero(self.frozen):
@@ -208,12 +213,11 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
             f"{int(whole.sum())}",
             "take a longer part",
         )
-    flag = tracks["flag"].values[:, order]
-    pulled = _pulled(np.asarray(tracks["x_err_px"].values, float)[:, order], flag, settings)
+    flag, err = tracks["flag"].values[:, order], np.asarray(tracks["x_err_px"].values, float)[:, order]
     often = np.isfinite(x_px[whole]).mean(axis=0) > 0.5
-    x_px, pulled = x_px[:, often], pulled[:, often]
-    frozen = (flag == "frozen").all(axis=1)
+    x_px, err, frozen = x_px[:, often], err[:, often], (flag == "frozen").all(axis=1)
     slips = find_slips(x_px, settings)
+    pulled = _pulled(err, flag[:, often], _beside(slips, len(x_px)), settings)
     chained = StripMetadata.of(strip).codec in BETWEEN_FRAMES
     motion, left = smooth_motion(x_px, slips, settings, chained=chained, pulled=pulled)
     usable = whole & ~_beside(slips, len(x_px))
@@ -228,8 +232,10 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     grid = -margin + np.arange(int((width + 2 * margin) * per_px)) / per_px
     disturbed = _around(pulled | (~np.isfinite(x_px) & ~frozen[:, None]), motion, width)
     disturbed[~np.isfinite(values).all(axis=1)] = False
-    gain = _gain(values, disturbed, usable)
-    picture = _mean_picture(values, disturbed, gain, motion, np.flatnonzero(usable), grid, rest, rigid)
+    gain, ceiling = _gain(values, disturbed, usable), float(np.nanmax(values))
+    clipped = values > ceiling - CLIPPED_GREY
+    aside = disturbed | clipped if clipped.mean() > CLIPPED_SHARE else disturbed
+    picture = _mean_picture(values, aside, gain, motion, np.flatnonzero(usable), grid, rest, rigid)
     likeness = Likeness(
         picture=np.asarray(scipy.ndimage.spline_filter1d(picture, order=3, mode="nearest")),
         first_px=float(grid[0]),
@@ -248,6 +254,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
         part=_parts(gain, settings),
         frozen=frozen,
         disturbed=disturbed,
+        ceiling=ceiling,
     )
     columns = np.arange(width, dtype=float)
     frame = likeness.usable
@@ -262,10 +269,13 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     return replace(likeness, residual=residual / np.float32(np.sqrt(share)), slow=slow)
 
 
-def _pulled(err_px: Floats, flag: Strings, settings: CertifySettings) -> Bools:
+def _pulled(err_px: Floats, flag: Strings, beside: Bools, settings: CertifySettings) -> Bools:
     """Positions, (frame, sheet), of which the run itself says that something other than noise is in them."""
+    usual = nan_median(err_px)
+    usual = np.fmin(usual, nan_median(usual))
     with np.errstate(invalid="ignore"):
-        return (err_px > settings.pulled_errors * nan_median(err_px)) & (flag == "ok")
+        large = (err_px > settings.pulled_errors * usual) & (flag == "ok")
+    return np.asarray(large | ((flag == "blurred") & ~beside[:, None]))
 
 
 def _around(which: Bools, motion: Floats, width: int) -> Bools:
