@@ -116,7 +116,7 @@ class Likeness:
         gain = np.resize(self.gain, frames)
         values = np.empty((frames, columns.size), np.float32)
         for t in range(frames):
-            values[t] = gain[t] * self._shown(columns, motion_px[t])
+            values[t] = np.minimum(gain[t] * self._shown(columns, motion_px[t]), self.ceiling)
         noisy = number is not None and self.encoder is None
         if noisy and number is not None:
             values += self.residual[np.resize(self._sources(number), frames)]
@@ -232,9 +232,10 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     grid = -margin + np.arange(int((width + 2 * margin) * per_px)) / per_px
     disturbed = _around(pulled | (~np.isfinite(x_px) & ~frozen[:, None]), motion, width)
     disturbed[~np.isfinite(values).all(axis=1)] = False
-    gain, ceiling = _gain(values, disturbed, usable), float(np.nanmax(values))
+    ceiling = float(np.nanmax(values))
     clipped = values > ceiling - CLIPPED_GREY
     aside = disturbed | clipped if clipped.mean() > CLIPPED_SHARE else disturbed
+    gain = _gain(values, aside, usable)
     picture = _mean_picture(values, aside, gain, motion, np.flatnonzero(usable), grid, rest, rigid)
     likeness = Likeness(
         picture=np.asarray(scipy.ndimage.spline_filter1d(picture, order=3, mode="nearest")),
@@ -259,7 +260,8 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     columns = np.arange(width, dtype=float)
     frame = likeness.usable
     residual = np.array(
-        [values[t] - gain[t] * likeness._shown(columns, motion[t]) for t in frame], np.float32
+        [values[t] - np.minimum(gain[t] * likeness._shown(columns, motion[t]), ceiling) for t in frame],
+        np.float32,
     )
     edges = np.union1d(slips, 1 + np.flatnonzero(np.diff(likeness.part)))
     slow = _slow_part(residual, frame, edges, len(motion), settings.slow_frames)
