@@ -19,7 +19,6 @@ from vision.sheets.subpixel import fit_sheets
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
-FRAMES_PER_BLOCK = 64  # few enough for the processor's cache
 LAGS = (4, 2, 1)
 """Frames apart at which the scatter of neighbours is compared with that of all sheets: what a codec holds
 still shows better over some frames, but a stick must be longer than twice as many."""
@@ -47,20 +46,13 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
     that change at all. Noise alone makes a frame differ from the one before by √2 of its standard deviation,
     within a few per cent; a frame that changes by much less repeats the one before.
     """
-    starts = range(0, len(profile) - 1, FRAMES_PER_BLOCK)
-    change = np.concatenate([np.empty(0), *(_change(profile[i : i + FRAMES_PER_BLOCK + 1]) for i in starts)])
+    change = np.sqrt(np.mean(np.diff(profile.astype(np.float64), axis=0) ** 2, axis=1))
     moving = change[np.isfinite(change) & (change > 0)]
     frozen = np.zeros(len(profile), bool)
     # a drawing without noise, or a still: nothing says that a frame should have changed
     if moving.size >= max(LEAST_FRAMES, settings.least_changing * len(change)):
         frozen[1:] = change < settings.frozen_fraction * np.quantile(moving, 0.1)
     return frozen
-
-
-def _change(frames: Floats32) -> Floats:
-    """Root mean square change from each frame to the next."""
-    step = np.diff(frames.astype(np.float64), axis=0)
-    return np.asarray(np.sqrt(np.mean(step**2, axis=1)), np.float64)
 
 
 class Blur(NamedTuple):
@@ -229,7 +221,7 @@ def shared_error(x_px: Floats) -> float:
     """
     if x_px.shape[1] < len(FOURTH) + 3 or len(x_px) < FAR[-1] + LEAST_FRAMES:
         return 0.0
-    own = np.nan_to_num(spatial_scatter(x_px))[2:-2]
+    own = float(np.mean(np.nan_to_num(spatial_scatter(x_px))[2:-2] ** 2))
     together = 0.0
     for lag in LAGS:
         second = (x_px[2 * lag :] - 2 * x_px[lag:-lag] + x_px[: -2 * lag]) / np.sqrt(6)
@@ -243,7 +235,7 @@ def shared_error(x_px: Floats) -> float:
     held = min(_held(_fourth(x_px)), _held(common[:, None]))
     step = nan_median(np.diff(x_px, 2, axis=0), axis=1) / np.sqrt(6)
     missing = _deviation(_centred(step)) * held / (1 - held)
-    return float(np.sqrt(together + min(missing**2, float(np.mean(own**2)) + together)))
+    return float(np.sqrt(together + min(missing**2, own + together)))
 
 
 def _held(values: Floats) -> float:
