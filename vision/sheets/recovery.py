@@ -12,7 +12,7 @@ import numpy as np
 
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median
 from vision.sheets.identities import Identities, fill_rows
-from vision.sheets.neighbours import anchored, excursions, hops, neighbour_residual
+from vision.sheets.neighbours import anchored, excursions, hops, neighbour_residual, torn
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
@@ -131,7 +131,7 @@ def _doubts(
     why = np.full(x.shape, "", "<U9")
     why[_after_jumps(x, identities, comb, width_px, settings)] = "jump"
     why[~(identities.margin >= settings.doubt)] = "margin"
-    why[_outliers(x - identities.rest_px, comb, settings)] = "tear"
+    why[torn(x - identities.rest_px, comb, settings)] = "tear"
     why[np.isnan(x)] = ""
     return why
 
@@ -206,23 +206,6 @@ def _moved_to(
     return table, why
 
 
-def _outliers(moved: Floats, comb: RidgeComb, settings: TrackingSettings) -> Bools:
-    """Sheets displaced from rest very differently from their neighbours in the same frame.
-
-    A slip moves neighbours alike, however far; where neighbours differ by more than `tear_fraction` pitches,
-    one of the identities is wrong. Such tears cut the sheets of a frame into groups, and all but the largest
-    group are doubtful.
-    """
-    frames, sheets = moved.shape
-    seen = np.isfinite(moved)
-    before = np.hstack([np.full((frames, 1), np.nan), _last_seen(moved)[:, :-1]])
-    group = np.cumsum(np.abs(moved - before) > settings.tear_fraction * comb.pitch_px, axis=1)
-    key = (group + sheets * np.arange(frames)[:, None])[seen]
-    size = np.bincount(key, minlength=frames * sheets).reshape(frames, sheets)
-    own = np.take_along_axis(size, group, axis=1)
-    return np.asarray(seen & (own < size.max(axis=1, keepdims=True)), bool)
-
-
 def _after_jumps(
     x: Floats, identities: Identities, comb: RidgeComb, width_px: int, settings: TrackingSettings
 ) -> Bools:
@@ -243,12 +226,6 @@ def _after_jumps(
     filled = (rest[:, 0] < reach) & (rest[:, -1] > width_px - 1 - reach)
     least = settings.stay_cost + 2 * settings.crossing_cost + 1.0
     return np.asarray((filled & (place != usual))[:, None] & (identities.margin < least), bool)
-
-
-def _last_seen(values: Floats) -> Floats:
-    """NaN replaced by the last value before it in the row."""
-    number = np.where(np.isfinite(values), np.arange(values.shape[1]), 0)
-    return np.asarray(np.take_along_axis(values, np.maximum.accumulate(number, axis=1), axis=1), np.float64)
 
 
 # --- a second look ------------------------------------------------------------------------------------------
