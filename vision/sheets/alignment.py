@@ -145,9 +145,9 @@ def align(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
     .. math:: C_{nk} = p_{nk} + \min\Big(f_{nk},\ \min_{a,b}\ C_{n-a,\,k-b}
               + s(\Delta x_k - \Delta \hat x_n;\ a) - g_{n-a,\,n}\Big),
 
-    where s is the cost of a changed spacing, f that of beginning here, and g what is saved where sheets side by
-    side are missing: of m of them the mean one costs what it costs alone, the others `covered_cost` (Gotoh
-    1982), as what covers one sheet covers those beside it. Margins come from the forward and
+    where s is the cost of a changed spacing, f that of beginning here, and g what is saved where sheets side
+    by side are missing: one of them costs what it costs alone, the others `covered_cost` (Gotoh 1982), as
+    what covers one sheet covers those beside it. Margins come from the forward and
     the backward pass together. Source: Needleman & Wunsch 1970, with the spacing to the previous pair as the
     cost of a step.
     """

@@ -134,7 +134,8 @@ def _rest_positions(
     size = int(np.diff(edges).max())
     index = np.minimum(edges[:-1, None] + np.arange(size), edges[1:, None] - 1)
     moved = x_px - reference.x_px
-    moved = np.where(torn(moved, comb, settings).any(axis=1)[:, None], np.nan, moved)[index]
+    moved[torn(moved, comb, settings).any(axis=1)] = np.nan
+    moved = moved[index]
     rare = np.isfinite(moved).mean(axis=1) < 0.25
     moved = np.where(rare, np.nan, nan_median(moved, axis=1))
     moved = fill_rows(fill_rows(moved, reference.x_px).T, np.arange(blocks, dtype=np.float64)).T

@@ -245,7 +245,7 @@ def _revise(
     found = everything.found
     place = everything.x_px + np.nan_to_num(np.nanmedian(moved))
     margin = 0.5 * comb.pitch_px
-    beside = (place < margin) | (place > width_px - 1 - margin)  # at rest; in view it is seen half of the time
+    beside = (place < margin) | (place > width_px - 1 - margin)  # else it is seen half of the time
     least = np.where(_at_ends(found) & beside, PRESENT_AT_EDGE, settings.present_inside)
     return replace(everything.only(np.flatnonzero(found >= least)), dropped=0)
 
