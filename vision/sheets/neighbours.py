@@ -94,6 +94,29 @@ def _beyond(moved: Floats, near: int, far: int) -> Floats:
     return np.asarray(close + (close - remote) * near / (far - near))
 
 
+def torn(moved: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Bools:
+    """Sheets displaced from rest very differently from their neighbours in the same frame, (frame, N).
+
+    A slip moves neighbours alike, however far; where neighbours differ by more than `tear_fraction` pitches,
+    one of the identities is wrong. Such tears cut the sheets of a frame into groups, and all but the largest
+    group are doubtful.
+    """
+    frames, sheets = moved.shape
+    seen = np.isfinite(moved)
+    before = np.hstack([np.full((frames, 1), np.nan), _last_seen(moved)[:, :-1]])
+    group = np.cumsum(np.abs(moved - before) > settings.tear_fraction * comb.pitch_px, axis=1)
+    key = (group + sheets * np.arange(frames)[:, None])[seen]
+    size = np.bincount(key, minlength=frames * sheets).reshape(frames, sheets)
+    own = np.take_along_axis(size, group, axis=1)
+    return np.asarray(seen & (own < size.max(axis=1, keepdims=True)), bool)
+
+
+def _last_seen(values: Floats) -> Floats:
+    """NaN replaced by the last value before it in the row."""
+    number = np.where(np.isfinite(values), np.arange(values.shape[1]), 0)
+    return np.asarray(np.take_along_axis(values, np.maximum.accumulate(number, axis=1), axis=1), np.float64)
+
+
 def hops(residual: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Bools:
     """Sheets that left what their neighbours say, (frame, N): they stand on another ridge.
 

@@ -152,6 +152,10 @@ class TrackingSettings:
     """Cost for the whole comb to have moved by half a pitch or more. Larger denies jumps ("cropped combs" at
     8), smaller finds some where nothing moved."""
 
+    covered_cost: float = 3.0
+    """Cost of not finding a sheet beside another one that is not found: what covers sheets covers several.
+    Larger shifts combs that are half covered (test_degraded.py's hands), smaller lets sheets go."""
+
     missing_cost: float = 6.0
     """Cost of not finding a sheet that is always seen. Smaller trades sheets for false detections ("cropped
     combs" at 3), larger takes dust in place of a sheet."""
