@@ -37,13 +37,35 @@ def mad_sigma(values: NDArray[np.floating], axis: int | None = None) -> Any:
     return np.median(np.abs(values - middle), axis=axis) / NORMAL_MEDIAN
 
 
+LONG = 200
+"""Values along an axis from which selecting the middle ones is faster than sorting all."""
+
+
 def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
     """Median along an axis of what is not NaN; NaN, without a warning, where nothing is left."""
-    ordered = np.sort(np.asarray(values, np.float64), axis=axis)  # NaN comes last
-    count = np.expand_dims(np.isfinite(ordered).sum(axis=axis), axis)
-    if ordered.shape[axis] == 0:
+    given = np.asarray(values, np.float64)
+    count = np.isfinite(given).sum(axis=axis, keepdims=True)
+    if given.shape[axis] == 0:
         return np.full(count.squeeze(axis).shape, np.nan)
     low, high = np.maximum(count - 1, 0) // 2, count // 2
     high = np.minimum(high, np.maximum(count - 1, 0))
+    if given.shape[axis] < LONG:
+        ordered = np.sort(given, axis=axis)  # NaN comes last
+    else:
+        places = np.unique([low, high])
+        ordered = np.partition(np.moveaxis(given, axis, -1), places, axis=-1)
+        ordered = np.moveaxis(ordered, -1, axis)
     pair = np.take_along_axis(ordered, low, axis) + np.take_along_axis(ordered, high, axis)
     return np.asarray(np.where(count > 0, pair / 2, np.nan).squeeze(axis), np.float64)
+
+
+def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -> Floats:
+    """Quantile along an axis of what is not NaN, linear between values; NaN where nothing is left."""
+    ordered = np.sort(np.asarray(values, np.float64), axis=axis)  # NaN comes last
+    count = np.isfinite(ordered).sum(axis=axis, keepdims=True)
+    place = fraction * np.maximum(count - 1, 0)
+    low = np.floor(place).astype(np.int64)
+    high = np.minimum(low + 1, np.maximum(count - 1, 0))
+    below, above = np.take_along_axis(ordered, low, axis), np.take_along_axis(ordered, high, axis)
+    found = below + (above - below) * (place - low)
+    return np.asarray(np.where(count > 0, found, np.nan).squeeze(axis), np.float64)

@@ -85,8 +85,8 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     for change in TrackMetadata.of(tracks).scene_changes:
         frame = change.split()[0]
         lines.append(
-            f"the picture changes for good at frame {change}: a cut, or the camera or the light was moved; sheets"
-            f" before and after may be others: give `frames` as 0:{frame} or {frame}:"
+            f"the picture changes for good at frame {change}: a cut, or the camera or the light was moved;"
+            f" sheets before and after may be others: give `frames` as 0:{frame} or {frame}:"
         )
     if wide := TrackMetadata.of(tracks).wide_spacings:
         where = ", ".join(wide)

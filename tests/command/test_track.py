@@ -253,3 +253,21 @@ def test_a_checksum_covers_every_byte_of_the_film(video):
     assert run([str(video), "--quiet", "--no-report", "--checksum", "--overwrite"]) == 0
     (film,) = json.loads(Path("comb_tracks/run.json").read_text())["inputs"]
     assert film["sha256"] == hashlib.sha256(video.read_bytes()).hexdigest()
+
+
+def test_a_run_without_force_loads_only_what_it_needs(video):
+    """A failure means half a second more for every run: statistics and solvers that nobody asked for."""
+    unused = ("scipy.signal", "scipy.stats", "scipy.optimize", "scipy.interpolate", "matplotlib.pyplot")
+    code = (
+        "import sys\n"
+        f"from vision.command.main import run; assert run([{str(video)!r}, '--fps', '20', '--quiet']) == 0\n"
+        f"print([name for name in {unused} if name in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout.strip() == "[]", done.stderr

@@ -7,7 +7,7 @@ from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import brightness
 from vision.data import TrackMetadata
 from vision.sheets import track_sheets
-from vision.sheets.quality import repeated_frames, spatial_scatter
+from vision.sheets.quality import repeated_frames, shared_error, spatial_scatter
 from vision.summary import tracking_warnings
 
 
@@ -58,6 +58,44 @@ def test_scatter_between_sheets_sees_errors_that_persist():
     rng = np.random.default_rng(5)
     x = comb(2000, slip=0.3) + np.repeat(rng.normal(0, 0.1, (200, 50)), 10, axis=0)
     assert np.median(spatial_scatter(x)) == pytest.approx(0.1, rel=0.1)
+
+
+def filmed(seed=5, shake=0.05):
+    """Creeping sheets and a shaking camera, and the noise of pixels, (frame, sheet)."""
+    rng = np.random.default_rng(seed)
+    place = np.linspace(-1, 1, 50)
+    moving = 525 + 500 * place + np.linspace(0, 3, 400)[:, None] * place**3 + rng.normal(0, shake, (400, 1))
+    return moving, rng.normal(0, 0.02, moving.shape)
+
+
+def test_noise_that_differs_from_sheet_to_sheet_is_not_shared():
+    """A failure means that motion, of sheets or of the camera, is taken for errors of a codec."""
+    moving, noise = filmed()
+    assert shared_error(moving + noise) < 0.3 * 0.02
+
+
+def test_errors_that_neighbours_share_are_counted():
+    """Blocks that hold three sheets each: fourth differences see less than there is."""
+    moving, noise = filmed()
+    blocks = np.repeat(np.random.default_rng(1).normal(0, 0.04, (400, 17)), 3, axis=1)[:, :50]
+    seen = np.median(spatial_scatter(moving + noise + blocks))
+    there = np.hypot(0.02, 0.04)
+    assert seen < 0.8 * there
+    assert np.hypot(seen, shared_error(moving + noise + blocks)) == pytest.approx(there, rel=0.15)
+
+
+@pytest.mark.parametrize("skipped", [0.3, 0.5])
+def test_a_shaking_that_a_codec_leaves_out_in_part_is_counted(skipped):
+    """Every second frame is as its neighbours say, in this share of its blocks, as with B frames."""
+    moving, noise = filmed(shake=0.03)
+    shown = moving + noise
+    between = (shown[:-2] + shown[2:]) / 2
+    blocks = np.repeat(np.random.default_rng(2).random((398, 17)) < skipped, 3, axis=1)[:, :50]
+    odd = (np.arange(398) % 2 == 0)[:, None]
+    shown[1:-1] = np.where(blocks & odd, between, shown[1:-1])
+    there = np.std((shown - moving)[1:-1])
+    seen = np.sqrt(np.mean(spatial_scatter(shown) ** 2))
+    assert np.hypot(seen, shared_error(shown)) == pytest.approx(there, rel=0.15)
 
 
 def slipping(slip_widths, *, fwhm=7.0, frames=240, seed=0):

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.signal import find_peaks
 
 from tests.scenes.combs import CONTRAST, comb, ridges, strip
-from vision.sheets.ridges import describe_ridges, find_ridges, profile_noise
+from vision.sheets.ridges import describe_ridges, find_maxima, find_ridges, profile_noise
 
 FRAMES, SHEETS, PITCH, FWHM = 40, 16, 20.0, 7.0
 
@@ -67,3 +68,21 @@ def test_what_no_longer_stands_out_is_no_candidate():
     noise = np.random.default_rng(2).normal(0, CONTRAST, profile.shape).astype(np.float32)
     loud = find_ridges(profile + noise, describe_ridges(profile + noise, sheets=SHEETS))
     assert loud.count.mean() < SHEETS / 2
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_maxima_are_those_of_scipy(seed):
+    """A failure means that ridges are found, measured or left out by another rule than the documented one."""
+    rng = np.random.default_rng(seed)
+    levels, length = rng.integers(2, 12), rng.integers(3, 300)
+    line = rng.integers(0, levels, length).astype(np.float32)  # plateaus, ties and equal neighbours
+    if seed % 2:
+        line += rng.normal(0, 1, length).astype(np.float32)
+    reach, widest, least = int(rng.integers(4, 40)), int(rng.integers(1, 8)), rng.uniform(0.1, 3)
+    whole = find_maxima(line, least_prominence=least, reach_px=length)
+    near = find_maxima(line, least_prominence=least, reach_px=reach, widest_px=widest)
+    for found, limits in ((whole, {}), (near, {"wlen": 2 * reach + 1, "plateau_size": (1, widest)})):
+        at, facts = find_peaks(line, prominence=least, width=0.0, rel_height=0.5, **limits)
+        np.testing.assert_array_equal(found.at, at)
+        np.testing.assert_array_equal(found.prominence, facts["prominences"])
+        np.testing.assert_allclose(found.width_px, facts["widths"], atol=1e-11)

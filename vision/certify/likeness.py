@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+import scipy
 import xarray as xr
-from scipy.ndimage import map_coordinates, spline_filter1d, uniform_filter1d
 
 from vision.certify.encoder import Encoder
 from vision.certify.settings import CertifySettings
@@ -126,7 +126,7 @@ class Likeness:
         material = _material(columns, at_px, self.rest_px, self.rigid_px)
         place = (material - self.first_px) * self.per_px
         return np.asarray(
-            map_coordinates(self.picture, place[None], order=3, mode="nearest", prefilter=False)
+            scipy.ndimage.map_coordinates(self.picture, place[None], order=3, mode="nearest", prefilter=False)
         )
 
 
@@ -188,7 +188,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     grid = -margin + np.arange(int((width + 2 * margin) * per_px)) / per_px
     picture, gain = _mean_picture(values, motion, np.flatnonzero(usable), grid, rest, rigid)
     likeness = Likeness(
-        picture=np.asarray(spline_filter1d(picture, order=3, mode="nearest")),
+        picture=np.asarray(scipy.ndimage.spline_filter1d(picture, order=3, mode="nearest")),
         first_px=float(grid[0]),
         per_px=per_px,
         rest_px=rest,
@@ -221,7 +221,9 @@ def _slow_part(residual: Floats32, frame: Ints, slips: Ints, frames: int, window
     for start, stop in pairwise(edges):
         inside = (frame >= start) & (frame < stop)
         if inside.sum() >= window:
-            slow[frame[inside]] = uniform_filter1d(residual[inside], window, axis=0, mode="nearest")
+            slow[frame[inside]] = scipy.ndimage.uniform_filter1d(
+                residual[inside], window, axis=0, mode="nearest"
+            )
     return slow
 
 
@@ -314,6 +316,9 @@ def _mean_picture(
     total = np.zeros(grid.size)
     for t in usable:
         seen = _material(grid, rest, motion[t], rigid)  # the column at which each point of M is seen
-        coefficients = spline_filter1d(values[t].astype(float), order=3, mode="nearest")
-        total += map_coordinates(coefficients, seen[None], order=3, mode="nearest", prefilter=False) / gain[t]
+        coefficients = scipy.ndimage.spline_filter1d(values[t].astype(float), order=3, mode="nearest")
+        total += (
+            scipy.ndimage.map_coordinates(coefficients, seen[None], order=3, mode="nearest", prefilter=False)
+            / gain[t]
+        )
     return total / len(usable), gain

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, median_filter
+import scipy
 
 from vision.clock.settings import ClockSettings
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints
@@ -64,7 +64,9 @@ def off_trend(values: Floats, settings: ClockSettings) -> Floats:
     slope, level = _theil_sen(values)
     away = values - level - slope * np.arange(len(values))
     window = settings.size_trend_slips
-    return np.asarray(away - median_filter(away, window, mode="nearest") if len(away) >= 2 * window else away)
+    return np.asarray(
+        away - scipy.ndimage.median_filter(away, window, mode="nearest") if len(away) >= 2 * window else away
+    )
 
 
 def _theil_sen(values: Floats) -> tuple[float, float]:
@@ -360,7 +362,7 @@ def _votes(
 
 def _summits(score: Floats, most: int) -> Ints:
     """The highest bins that no neighbour within two exceeds."""
-    top = np.flatnonzero((score == maximum_filter1d(score, 5)) & np.isfinite(score))
+    top = np.flatnonzero((score == scipy.ndimage.maximum_filter1d(score, 5)) & np.isfinite(score))
     if not len(top):
         return np.array([int(np.argmax(score))])
     return top[np.argsort(-score[top], kind="stable")[:most]]

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.signal import savgol_filter
+import scipy
 
 from vision.comparison.joint import CompareSettings
 from vision.comparison.tests import TractionTest
@@ -77,7 +77,7 @@ def find_irregular(test: TractionTest, settings: CompareSettings | None = None) 
             **whole, variation=np.full(d.size, nan), change_mm=nan, change_err_mm=nan, before=nan, after=nan,
             p=nan, reason=f"{d.size} events, at least {2 * window} needed",
         )  # fmt: skip
-    r = drop / np.maximum(savgol_filter(drop, window, 2), 1e-3 * float(drop.max())) - 1
+    r = drop / np.maximum(scipy.signal.savgol_filter(drop, window, 2), 1e-3 * float(drop.max())) - 1
     r *= 1 / np.sqrt(1 - _leverage(window))  # a smooth course takes part of the scatter with it
     square = np.convolve(r**2, np.ones(window), "same") / np.convolve(
         np.ones(d.size), np.ones(window), "same"
@@ -113,7 +113,7 @@ def _leverage(window: int) -> float:
     """Share of its own value in the smoothed one."""
     unit = np.zeros(2 * window + 1)
     unit[window] = 1
-    return float(savgol_filter(unit, window, 2)[window])
+    return float(scipy.signal.savgol_filter(unit, window, 2)[window])
 
 
 def _gains(level: Floats) -> Floats:

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import minimize_scalar
+import scipy
 
 from vision.comparison.tests import TractionTest
 from vision.errors import InputError
@@ -222,7 +222,9 @@ def _best(misfit: Callable[[float], float], low: float, high: float) -> float:
         values = np.nan_to_num([misfit(float(q)) for q in grid], nan=np.inf)
         at = int(np.argmin(values))
         bounds = float(grid[max(at - 1, 0)]), float(grid[min(at + 1, grid.size - 1)])
-        found = minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": 1e-9})
+        found = scipy.optimize.minimize_scalar(
+            misfit, bounds=bounds, method="bounded", options={"xatol": 1e-9}
+        )
     return float(found.x)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy.stats import rankdata
+import scipy
 
 from vision.comparison.joint import CompareSettings
 from vision.numeric import Bools, Floats
@@ -159,7 +159,7 @@ def weighted_fit(design: Floats, y: Floats, error: Floats) -> tuple[Floats, Floa
 
 def spearman(x: Floats, y: Floats, rng: np.random.Generator, draws: int) -> tuple[float, float]:
     """Rank correlation and its p value from random orders."""
-    a, b = rankdata(x), rankdata(y)
+    a, b = scipy.stats.rankdata(x), scipy.stats.rankdata(y)
     a, b = a - a.mean(), b - b.mean()
     size = float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
     if not size > 0:

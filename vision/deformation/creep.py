@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from vision.deformation.settings import DeformationSettings
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
@@ -261,8 +261,8 @@ def _times_inverse(columns: Floats, phi: Floats, share: float) -> tuple[Floats, 
     diagonal[:-1] += (phi**2 * weight)[1:]
     off[:-1] = -(phi * weight)[1:]
     band = np.vstack([share + (1 - share) * diagonal, (1 - share) * off])
-    factor = cholesky_banded(band, lower=True, check_finite=False)
-    solved = cho_solve_banded((factor, True), slow.T, check_finite=False).T
+    factor = scipy.linalg.cholesky_banded(band, lower=True, check_finite=False)
+    solved = scipy.linalg.cho_solve_banded((factor, True), slow.T, check_finite=False).T
     return solved, 2 * np.log(factor[0]) - np.log(weight)
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
-from scipy.special import chdtri, gammaincinv, spherical_jn
+import scipy
 
 from vision.deformation.creep import WHITE, AR1Noise, Creep, StickFrames, fit_creep
 from vision.deformation.settings import DeformationSettings
@@ -101,12 +100,12 @@ def _fit_correlation(
     white = fit_creep(x_px, part, terms, settings)
     if white.dof.sum() < _LEAST_DOF or not np.nansum(white.square) > _LEAST_VARIANCE_PX2 * white.dof.sum():
         return WHITE
-    pure = minimize_scalar(
+    pure = scipy.optimize.minimize_scalar(
         lambda rho: deviance(1.0, rho), bounds=(0.01, 0.97), method="bounded", options={"xatol": 0.01}
     )
     if pure.fun + _GAIN > deviance(0.0, 0.0):
         return WHITE
-    mixed = minimize(
+    mixed = scipy.optimize.minimize(
         mixture,
         [0.5, max(0.5, pure.x)],
         method="Nelder-Mead",
@@ -120,7 +119,7 @@ def _fit_correlation(
 
 def _typical_variance(creep: Creep) -> Floats:
     """Median noise variance per sheet, px², (sheet,); the sheets' median for those without."""
-    median = 2 * gammaincinv(np.maximum(creep.dof, 1) / 2, 0.5)  # of chi-square
+    median = 2 * scipy.special.gammaincinv(np.maximum(creep.dof, 1) / 2, 0.5)  # of chi-square
     each = nan_median(np.where(creep.dof > 0, creep.square / median, np.nan))
     overall = float(nan_median(each[None], axis=1)[0])
     return np.maximum(np.where(np.isfinite(each), each, np.nan_to_num(overall)), _LEAST_VARIANCE_PX2)
@@ -130,7 +129,7 @@ def _uneven(square: Floats, dof: Ints, variance: Floats, settings: DeformationSe
     """Residuals larger than chance allows, with half the degrees of freedom: correlated noise scatters
     more."""
     fewer = np.maximum(dof / 2, 1)
-    limit = chdtri(fewer, settings.uneven_probability)
+    limit = scipy.special.chdtri(fewer, settings.uneven_probability)
     return np.asarray(square / variance * fewer / np.maximum(dof, 1) > limit)
 
 
@@ -175,7 +174,7 @@ def fixed_pattern_gain(reach_px: Floats, terms: int) -> Floats:
     reach = np.nan_to_num(np.abs(reach_px))
     grid = np.linspace(0, float(reach.max(initial=0.0)) + 1e-9, 200)
     order, phase = np.arange(terms)[:, None, None], 2 * np.pi * _WAVES_PER_PX[:, None] * grid
-    square = _POWER @ spherical_jn(order, phase) ** 2 / _POWER.sum()
+    square = _POWER @ scipy.special.spherical_jn(order, phase) ** 2 / _POWER.sum()
     return np.stack([(2 * k + 1) * np.interp(reach, grid, np.sqrt(square[k])) for k in range(terms)], axis=-1)
 
 

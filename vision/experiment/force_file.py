@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from scipy.signal import lfilter
+import scipy
 
 from vision.experiment.mechanics import Pull, camera_time, random_stream
 from vision.experiment.settings import Experiment, ForceFile
@@ -39,7 +39,7 @@ def force_recording(experiment: Experiment, pull: Pull) -> pd.DataFrame:
     force = pull.force_N(fine)
     if cell.lowpass_s:
         keep = np.exp(-1 / (rate * oversampling * cell.lowpass_s))
-        force = lfilter([1 - keep], [1, -keep], force)
+        force = scipy.signal.lfilter([1 - keep], [1, -keep], force)
     time = fine[::oversampling]
     rng = random_stream(experiment.seed, "load cell")
     drift = cell.drift_N * time / pull.stop_s

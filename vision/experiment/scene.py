@@ -12,8 +12,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
-from scipy.special import ndtr
+import scipy
 
 from vision.experiment.mechanics import FrameTimes, Pull, frame_times, random_stream, simulate_pull
 from vision.experiment.motion import (
@@ -85,10 +84,10 @@ def _light_up_to(u: Floats, ridges: RidgeAppearance) -> Floats:
     sigma = np.hypot(fwhm / _FWHM_PER_SIGMA, ridges.psf_px)
     area = (fwhm / _FWHM_PER_SIGMA * np.sqrt(2 * np.pi)) * ridges.height[:, None]
     if ridges.shape == "gaussian":
-        return np.asarray(area * ndtr(u / sigma))
+        return np.asarray(area * scipy.special.ndtr(u / sigma))
     apart = _SHOULDER_AT_FWHM * fwhm * side
-    main = ndtr((u + _SHOULDER * apart) / sigma)
-    bump = ndtr((u - (1 - _SHOULDER) * apart) / (0.9 * sigma))
+    main = scipy.special.ndtr((u + _SHOULDER * apart) / sigma)
+    bump = scipy.special.ndtr((u - (1 - _SHOULDER) * apart) / (0.9 * sigma))
     return np.asarray(area * ((1 - _SHOULDER) * main + _SHOULDER * bump))
 
 
@@ -97,7 +96,7 @@ def _soft_box(u: Floats, fwhm: Floats, psf_px: float) -> Floats:
     soft = np.hypot(fwhm / 10, psf_px)
 
     def double_integral(v: Floats) -> Floats:
-        return np.asarray(v * ndtr(v) + np.exp(-(v**2) / 2) / np.sqrt(2 * np.pi))
+        return np.asarray(v * scipy.special.ndtr(v) + np.exp(-(v**2) / 2) / np.sqrt(2 * np.pi))
 
     return np.asarray(
         soft * (double_integral((u + fwhm / 2) / soft) - double_integral((u - fwhm / 2) / soft))
@@ -250,7 +249,9 @@ class Scene:
         if self.experiment.sheets.side != "both":  # the other half goes on beyond the axis
             left, right = (-1e6, right) if self.experiment.sheets.side == "right" else (left, 1e6)
         x = line.start_px + (np.arange(line.cells) + 0.5) / line.per_px
-        sample = ndtr((x - left) / _EDGE_SOFT_PX) - ndtr((x - right) / _EDGE_SOFT_PX)
+        sample = scipy.special.ndtr((x - left) / _EDGE_SOFT_PX) - scipy.special.ndtr(
+            (x - right) / _EDGE_SOFT_PX
+        )
         return np.asarray(optics.level * (optics.surround + (1 - optics.surround) * sample) / line.per_px)
 
     def ridge_light(self, frames: slice, brightness: Floats | None = None) -> Floats:
@@ -276,7 +277,7 @@ class Scene:
         e = self.experiment
         travel = int(np.ceil(self._travel_px(slice(None)).max())) + 2
         noise = random_stream(e.seed, "texture").standard_normal((e.camera.height + travel, e.ridges_in_view))
-        smooth = gaussian_filter1d(noise, e.optics.texture_px / 2.355, axis=0, mode="wrap")
+        smooth = scipy.ndimage.gaussian_filter1d(noise, e.optics.texture_px / 2.355, axis=0, mode="wrap")
         smooth /= smooth.std() or 1.0
         return np.asarray(e.optics.texture * np.clip(smooth, -3, 3))
 

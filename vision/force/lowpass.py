@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
-from scipy.optimize import minimize
+import scipy
 
 from vision.force.lines import lagged_hinge
 from vision.force.settings import ForceSettings
@@ -168,7 +167,7 @@ class _Blocks:
         def squares(pair: Floats) -> float:
             return self.fit(float(np.exp(pair[0])), float(pair[1]))[0]
 
-        found = minimize(
+        found = scipy.optimize.minimize(
             squares,
             start,
             method="Nelder-Mead",
@@ -252,7 +251,7 @@ def deconvolve_lowpass(y: Floats, sigma: float, slips: Slips, tau: float) -> Dec
     noisy = int(np.sum(noise > np.median(slips.drop) / 40))
     chosen = min(noisy, widths.size - 1)
     width = int(widths[chosen])
-    load = uniform_filter1d(y + gain * np.diff(y, prepend=y[:1]), width, mode="nearest")
+    load = scipy.ndimage.uniform_filter1d(y + gain * np.diff(y, prepend=y[:1]), width, mode="nearest")
     edge = _steepest(load, slips.edge, 2 * tau, width)
     return DeconvolvedLoad(load, edge, tau - gain, width, float(noise[chosen]))
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import h5py
 import numpy as np
-from scipy.io import loadmat
+import scipy
 
 from vision.errors import InputError
 from vision.files import reading
@@ -46,7 +46,7 @@ def _load(path: Path) -> tuple[str, Mapping[str, Any]]:
     with reading(path, _WANTED, "save it again"):
         if not h5py.is_hdf5(path):
             try_out(path, "MATLAB", _WANTED)
-            return "v5", loadmat(path, squeeze_me=True, struct_as_record=True)
+            return "v5", scipy.io.loadmat(path, squeeze_me=True, struct_as_record=True)
         try_out(path, "HDF5", _WANTED)
         found: dict[str, Any] = {}
 

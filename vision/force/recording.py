@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import scipy
 import xarray as xr
-from scipy.ndimage import median_filter
 
 from vision.data import FORCE, ForceMetadata, record
 from vision.errors import InputError
@@ -340,7 +340,7 @@ def find_spikes(y: Floats, sigma: float, *, settings: ForceSettings = DEFAULTS) 
     -------
     Which samples are spikes, and the signal with the median in their place.
     """
-    middle = median_filter(y, size=5, mode="nearest")
+    middle = scipy.ndimage.median_filter(y, size=5, mode="nearest")
     # The corner of a steep sawtooth also lies off the median, by at most two rises between samples.
     rise = 2.0 * float(np.median(np.abs(np.diff(middle))))
     is_spike = np.abs(y - middle) > settings.spike_sigmas * sigma + rise

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
-from scipy.signal import find_peaks
 
 from vision.force.lines import LEAST_FOR_KNEE, Lines, bend_squares, fit_lines
 from vision.force.settings import DEFAULTS, ForceSettings
@@ -116,7 +115,9 @@ def _peaks(y: Floats, half: Ints, sigma: float, settings: ForceSettings) -> Ints
     with warnings.catch_warnings():
         # A load that holds still leaves a level filter: no peak, and nothing to warn of.
         warnings.filterwarnings("ignore", "some peaks have a prominence of 0", RuntimeWarning)
-        found, _ = find_peaks(standard, prominence=settings.candidate_sigmas, distance=narrowest, wlen=reach)
+        found, _ = scipy.signal.find_peaks(
+            standard, prominence=settings.candidate_sigmas, distance=narrowest, wlen=reach
+        )
     return np.asarray(found, dtype=np.int64)
 
 
@@ -142,7 +143,7 @@ def _local_period(edge: Ints, size: int) -> Floats:
     """The same from drops already found: a running median of nine spacings."""
     if edge.size < 3:
         return np.full(size, max(size / 3, 1.0))
-    spacing = median_filter(np.diff(edge).astype(float), size=9, mode="nearest")
+    spacing = scipy.ndimage.median_filter(np.diff(edge).astype(float), size=9, mode="nearest")
     return _spread(0.5 * (edge[1:] + edge[:-1]), spacing, size)
 
 

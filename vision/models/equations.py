@@ -9,8 +9,8 @@ Source: Plati, Restagno & Poulard, Eqs. 1-2 and section IV; Alarcon et al. 2016 
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.special import erf
 
 from vision.numeric import Floats
 from vision.sample import PUBLISHED, Sample
@@ -43,7 +43,7 @@ def mean_amplification_excess(alpha: ArrayLike) -> Floats:
     a = np.asarray(alpha, float)
     positive = np.where(a > _SERIES_BELOW, a, 1.0)
     exponent = np.minimum(positive, _LARGEST_EXPONENT)
-    closed = np.sqrt(np.pi / (4 * positive)) * np.exp(exponent) * erf(np.sqrt(positive)) - 1
+    closed = np.sqrt(np.pi / (4 * positive)) * np.exp(exponent) * scipy.special.erf(np.sqrt(positive)) - 1
     series = 2 * a / 3 + 4 * a**2 / 15
     return np.where(a < 0, np.nan, np.where(a > _SERIES_BELOW, closed, series))
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+import scipy
 import xarray as xr
-from scipy.ndimage import median_filter
 
 from vision.data import FORCE, ForceMetadata
 from vision.errors import InputError
@@ -205,7 +205,7 @@ def _chosen(
 
 def _maximum(peaks: Floats) -> int:
     """Where the peaks, smoothed over seven, are largest; 0 where scatter alone may have put it there."""
-    smooth = median_filter(peaks, size=min(7, peaks.size), mode="reflect")
+    smooth = scipy.ndimage.median_filter(peaks, size=min(7, peaks.size), mode="reflect")
     top = int(np.argmax(smooth))
     scatter = float(np.median(np.abs(np.diff(peaks)))) / (NORMAL_MEDIAN * np.sqrt(2))
     risen = smooth[top] - np.median(peaks[: max(min(3, top), 1)])

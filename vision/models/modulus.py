@@ -13,10 +13,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
+import scipy
 import xarray as xr
 from numpy.typing import ArrayLike
-from scipy.ndimage import uniform_filter1d
-from scipy.signal import find_peaks
 
 from vision.data import FORCE, Metadata, Schema, Variable, record
 from vision.errors import InputError
@@ -122,7 +121,7 @@ def turning_points(displacement: ArrayLike, *, settings: ModulusSettings = Modul
     turns = _turns(raw, settings.least_reversal)
     if turns.size > 2:  # smoothed again in proportion to the branches found
         width = max(int(settings.smoothing * float(np.median(np.diff(turns)))), 1)
-        turns = _turns(uniform_filter1d(raw, width, mode="nearest"), settings.least_reversal)
+        turns = _turns(scipy.ndimage.uniform_filter1d(raw, width, mode="nearest"), settings.least_reversal)
     return turns
 
 
@@ -130,9 +129,9 @@ def _turns(values: Floats, least: float) -> Ints:
     prominence = least * float(np.ptp(values))
     # Ends count as turning points of their own: padding makes them none.
     padded = np.concatenate([[values.min()], values, [values.min()]])
-    high, _ = find_peaks(padded, prominence=prominence)
+    high, _ = scipy.signal.find_peaks(padded, prominence=prominence)
     padded = np.concatenate([[values.max()], values, [values.max()]])
-    low, _ = find_peaks(-padded, prominence=prominence)
+    low, _ = scipy.signal.find_peaks(-padded, prominence=prominence)
     inner = np.union1d(high, low).astype(np.int64) - 1
     inner = inner[(inner > 0) & (inner < values.size - 1)]
     # The noise beside an end is as low or high as the end itself: not a turn of its own.
@@ -407,7 +406,7 @@ def _clean(
     facts = CyclesMetadata(source=source, clamp_distance_from=how, notes=notes, warnings=warnings)
     turns = turning_points(delta, settings=settings)
     width = max(int(settings.smoothing * float(np.median(np.diff(turns)))), 1)
-    smooth = uniform_filter1d(load, width, mode="nearest")
+    smooth = scipy.ndimage.uniform_filter1d(load, width, mode="nearest")
     return _Cycles(at, delta - load / machine_N_per_mm, load, smooth, turns), facts
 
 

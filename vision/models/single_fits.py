@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import least_squares
+import scipy
 
 from vision.models import equations
 from vision.models.results import Estimate, Goodness
@@ -55,7 +55,9 @@ def fit_weighted(
         return (model(q) - y) / w
 
     for _ in range(3 if sigma is None else 1):
-        found = least_squares(deviation, value, args=(width,), x_scale=scale, xtol=1e-12, ftol=1e-12)
+        found = scipy.optimize.least_squares(
+            deviation, value, args=(width,), x_scale=scale, xtol=1e-12, ftol=1e-12
+        )
         value = found.x
         if sigma is None:
             width = np.maximum(np.abs(model(value)), 1e-6 * float(np.abs(y).max()))

@@ -17,9 +17,9 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
+import scipy
 import xarray as xr
 from numpy.typing import ArrayLike
-from scipy.integrate import solve_ivp
 
 from vision.errors import InputError
 from vision.numeric import Bools, Floats
@@ -264,7 +264,7 @@ def _phase(
     ends.terminal, ends.direction = True, 1.0  # type: ignore[attr-defined]
     # A slip lasts at most a whole period of the free oscillation; a stick until the drive has gone this far.
     longest = 2.1 * math.pi * math.sqrt(m / k) if sliding else 1.1 * (static / k - state[0]) / speed
-    found = solve_ivp(
+    found = scipy.integrate.solve_ivp(
         motion,
         (time, time + longest),
         [state[0], speed],

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median, nan_quantile
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
@@ -106,9 +106,7 @@ def hops(residual: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
     """
     size = np.abs(residual)
     own = settings.leave_sigmas * nan_median(size) / NORMAL_MEDIAN
-    frame = np.full(len(size), np.nan)
-    some = np.isfinite(size).any(axis=1)
-    frame[some] = 3.0 * np.nanquantile(size[some], 0.75, axis=1)
+    frame = 3.0 * nan_quantile(size, 0.75, axis=1)
     least = np.fmax(np.fmax(own, comb.fwhm_px), frame[:, None])
     padded = np.pad(size, ((0, 0), (PAIRS, PAIRS)), constant_values=np.nan)
     around = [padded[:, i : i + size.shape[1]] for i in range(2 * PAIRS + 1)]

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import median_filter
+from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, mad_sigma, nan_median
@@ -320,8 +320,13 @@ def _local_pitch(x_px: Floats, pitch_px: float) -> Floats:
     """Median spacing of the nine entries around each, within a quarter of the pitch."""
     if len(x_px) < 6:
         return np.full(len(x_px), pitch_px)
-    smooth = median_filter(np.diff(x_px), size=9, mode="nearest")
+    smooth = _running_median(np.diff(x_px))
     return np.asarray(np.clip(np.r_[smooth, smooth[-1]], 0.75 * pitch_px, 1.25 * pitch_px), np.float64)
+
+
+def _running_median(values: Floats) -> Floats:
+    """Median of the nine values around each; the outermost are repeated."""
+    return np.asarray(np.median(sliding_window_view(np.pad(values, 4, mode="edge"), 9), axis=1), np.float64)
 
 
 def _best_chain(score: Floats, cost: Floats) -> Ints:
@@ -445,7 +450,7 @@ def wide_spacings(x_px: Floats, *, settings: TrackingSettings = DEFAULT) -> tupl
     spacing = np.diff(x_px)
     if spacing.size < 8:
         return np.empty(0), np.empty(0)
-    size = spacing / median_filter(spacing, size=9, mode="nearest")
+    size = spacing / _running_median(spacing)
     log = np.log(size)
     scatter = float(mad_sigma(log))
     wide = log > max(np.log(settings.wide_pitches), 3.0 * scatter)  # an uneven comb has wide spacings anyway

@@ -270,12 +270,6 @@ class TrackingSettings:
 
     # --- stated errors (tracks.py) ---
 
-    codec_hidden: float = 0.45
-    """By how much more than the scatter between neighbouring sheets a codec shifts ridges where it wiped the
-    noise of pixels out: what it holds still in all sheets alike shows in no scatter. Times the square of the
-    share that was wiped out, since mild compression adds errors that the scatter shows whole.
-    test_degraded.py and test_identity_compressed.py hold 62 to 74 of 100 truths within one error."""
-
     most_correlated: float = 2.0
     """Noise alike in some pixels side by side shifts a ridge by the root of their number more than the pixels
     predict. Positions that scatter by more than this factor move: larger takes motion for noise."""
@@ -291,7 +285,7 @@ class TrackingSettings:
 
     knock_ratio: float = 2.0
     """Times by which all sheets step further together than the comb's ends step apart when a step tells of
-    the camera, not of the axis. Larger lets one knock place the axis, smaller drops slips of a shaken film."""
+    the camera, not of the axis. Larger lets one knock place the axis, smaller drops slips of shaken films."""
 
     vibration_sigmas: float = 2.0
     """Times the common-mode vibration that is allowed for. Larger leaves the axis open, smaller lets a

@@ -14,7 +14,6 @@ from typing import Literal, NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_lsq_spline
 
 from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median
@@ -260,30 +259,64 @@ def _match(
     pixels: Floats, offsets: NDArray[np.integer], fraction: Floats, centre: Ints
 ) -> tuple[Floats, Floats]:
     """Positions of one sheet's ridges against their mean shape, and their error per grey level of noise."""
-    bins = np.arange(offsets[0] - 0.5, offsets[-1] + 0.51, 1.0)
-    knots = np.r_[[bins[0]] * 3, bins, [bins[-1]] * 3]
     step = np.zeros_like(fraction)
     err = np.full_like(fraction, np.nan)
     for _ in range(2):
-        place = offsets - (fraction + step)[:, None]
-        order = np.argsort(place.ravel(), kind="stable")
-        at, level = np.clip(place.ravel()[order], bins[0], bins[-1]), pixels.ravel()[order]
         try:
-            spline = make_lsq_spline(at, level, knots, k=3)
-        except (ValueError, np.linalg.LinAlgError):
+            mean, rise = _mean_shape(offsets - (fraction + step)[:, None], pixels, offsets[0] - 0.5)
+        except np.linalg.LinAlgError:
             return fraction + centre, err
-        more, err = _gauss_newton(pixels, spline(place), spline.derivative()(place))
+        more, err = _gauss_newton(pixels, mean, rise)
+        if not np.isfinite(more).any():
+            return fraction + centre, err
         step += more - np.nanmean(more)
     bad = ~(np.abs(step) <= 1.0)
     return np.where(bad, np.nan, fraction + step + centre), np.where(bad, np.nan, err)
 
 
+_PIECES = np.array([[1, -3, 3, -1], [4, 0, -6, 3], [1, 3, 3, -3], [0, 0, 0, 1]]) / 6
+"""The four cubic B-splines over one cell of even knots: coefficients of 1, t, t², t³ for t from 0 to 1."""
+
+
+def _mean_shape(place: Floats, pixels: Floats, first: float) -> tuple[Floats, Floats]:
+    """Value and slope at `place` of the least-squares cubic spline through all pixels; a knot at every pixel.
+
+    place, pixels: both (ridges, pixels); the knots begin at `first` and end as far beyond its last pixel.
+    """
+    cells = place.shape[1]
+    cell = np.clip(np.floor(place - first), 0, cells - 1).astype(np.int64)
+    t = place - first - cell  # beyond the knots the outermost cells go on
+    inside = np.clip(t, 0.0, 1.0).ravel()
+    powers = np.stack([np.ones_like(inside), inside, inside**2, inside**3])
+    splines, flat = _PIECES @ powers, cell.ravel()
+    normal, right = np.zeros((cells + 3, cells + 3)), np.zeros(cells + 3)
+    row = np.arange(cells)
+    for i in range(4):
+        right[row + i] += np.bincount(flat, splines[i] * pixels.ravel(), cells)
+        for j in range(4):
+            normal[row + i, row + j] += np.bincount(flat, splines[i] * splines[j], cells)
+    found = np.linalg.solve(normal, right)
+    cubic = np.stack([found[row + i] for i in range(4)], axis=1) @ _PIECES
+    a, b, c, d = (cubic[:, k][cell] for k in range(4))
+    return ((d * t + c) * t + b) * t + a, (3 * d * t + 2 * c) * t + b
+
+
 def _gauss_newton(pixels: Floats, mean: Floats, rise: Floats) -> tuple[Floats, Floats]:
-    """Shift that brings the mean shape onto the pixels, with brightness and level fitted alongside."""
-    basis = np.stack([-rise, mean - mean.mean(axis=1, keepdims=True), np.ones_like(mean)], axis=2)
-    inverse = np.linalg.pinv(np.swapaxes(basis, 1, 2) @ basis, hermitian=True)
-    fitted = (inverse @ (np.swapaxes(basis, 1, 2) @ (pixels - mean)[:, :, None]))[:, :, 0]
-    return fitted[:, 0], np.sqrt(np.maximum(inverse[:, 0, 0], 0.0))
+    """Shift that brings the mean shape onto the pixels, with brightness and level fitted alongside.
+
+    Level and brightness are eliminated: of the normal equations for the shift and the brightness, both less
+    their means over the pixels, only the shift is solved for.
+    """
+    shift, shape = rise.mean(axis=1, keepdims=True) - rise, mean - mean.mean(axis=1, keepdims=True)
+    rest = pixels - mean
+    shift_shift, shift_shape, shape_shape = (
+        np.einsum("ij,ij->i", a, b) for a, b in ((shift, shift), (shift, shape), (shape, shape))
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shared = shift_shape / shape_shape
+        alone = shift_shift - shared * shift_shape
+        found = np.einsum("ij,ij->i", shift, rest) - shared * np.einsum("ij,ij->i", shape, rest)
+        return found / alone, np.sqrt(1 / alone)
 
 
 # --- all sheets of all frames -------------------------------------------------------------------------------

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
+import scipy
 import xarray as xr
-from scipy.special import ndtr
 
 from vision.data import MOTION, ShellMetadata, record
 from vision.errors import InputError
@@ -45,7 +45,7 @@ def classify_sheets(motion: xr.Dataset, *, threshold: float = 0.1, certainty: fl
     MOTION.check(motion)
     _check(threshold, certainty)
     value, error = motion["ratio_signed"].to_numpy(), np.maximum(motion["ratio_err"].to_numpy(), LEAST_ERROR)
-    p = ndtr((threshold - value) / error) - ndtr((-threshold - value) / error)
+    p = scipy.special.ndtr((threshold - value) / error) - scipy.special.ndtr((-threshold - value) / error)
     shell = np.select([p >= certainty, p <= 1 - certainty], ["stiff", "mobile"], default="undetermined")
     about = {"units": "1", "long_name": f"probability that the true ratio is below {threshold:g}"}
     judged = motion.assign(

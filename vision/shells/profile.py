@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 import xarray as xr
-from scipy.optimize import isotonic_regression
-from scipy.special import chdtri
 
 from vision.numeric import Bools, Floats
 
@@ -67,12 +66,12 @@ def isotonic(side: Side, significance: float) -> tuple[Floats, Bools]:
         if not known.any():
             continue
         value, weight, n = side.value[event, known], side.error[event, known] ** -2, side.n[known]
-        fit = isotonic_regression(value, weights=weight)
+        fit = scipy.optimize.isotonic_regression(value, weights=weight)
         first = fit.blocks[:-1]
         middle = np.add.reduceat(n, first) / np.diff(fit.blocks)
         rising[event] = np.interp(side.n, middle, fit.x[first])
         misfit[event] = np.sum(weight * (value - fit.x) ** 2)
-    return rising, misfit <= chdtri(np.maximum(side.known.sum(axis=1), 1), significance)
+    return rising, misfit <= scipy.special.chdtri(np.maximum(side.known.sum(axis=1), 1), significance)
 
 
 def breakpoint_n(side: Side, significance: float) -> Floats:
@@ -93,7 +92,7 @@ def breakpoint_n(side: Side, significance: float) -> Floats:
         along = (weight * value) @ ramp.T
         slope = along / (weight @ (ramp**2).T - total * middle**2)
     gain = np.nan_to_num(np.where(slope > 0, slope * along, 0.0))
-    sure = gain.max(axis=1) > chdtri(2, significance)
+    sure = gain.max(axis=1) > scipy.special.chdtri(2, significance)
     enough = side.known.sum(axis=1) >= _LEAST_FOR_KNEE
     return np.asarray(np.where(sure & enough, knee[gain.argmax(axis=1)], np.nan))
 

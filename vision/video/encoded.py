@@ -317,7 +317,7 @@ def _facts(
         saturation_level=saturation_level,
         declared_frames=stream.frames if 0 < stream.frames <= size else None,
         container=container.format.name,
-        codec=stream.codec_context.name,
+        codec=stream.codec_context.codec.canonical_name,  # the name is the decoder's: libdav1d for AV1
         pixel_format=first.format.name,
         decoder="FFmpeg",
         grey=grey,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import DTypeLike
 
+from vision.isolation import usable_cores
 from vision.numeric import Floats, Pixels
 
 Status = Literal["ok", "corrupt", "lost"]
@@ -154,7 +154,7 @@ def gather_blocks(
 def decode_in_threads(decode: Callable[[Item], Frame], items: Iterable[Item]) -> Iterator[Frame]:
     """`decode` of each item in order, on all cores; at most 32 frames are held at once."""
     source = iter(items)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(usable_cores()) as pool:
         while batch := list(itertools.islice(source, 32)):
             yield from pool.map(decode, batch)
 

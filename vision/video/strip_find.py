@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from vision.errors import InputError
 from vision.numeric import Bools, Floats32, Ints, Pixels
@@ -230,8 +229,7 @@ def _measure_slopes(
         found = "none: they cannot be decoded"
         raise InputError(video.path, "at least one frame that shows something", found, "copy the file again")
     odd_even = np.stack([_odd_even(frame[rows, columns], band_rows) for frame in frames])
-    slope = np.empty_like(odd_even)
-    gaussian_filter1d(odd_even, settings.slope_sigma_px, axis=-1, order=1, mode="nearest", output=slope)
+    slope = np.stack([_slope(halves, settings.slope_sigma_px) for halves in odd_even])
     odd, even = slope[:, 0], slope[:, 1]
     half = np.float32(0.5)
     return _Slopes((odd + even) * half, (odd - even) * half, band_rows)
@@ -244,6 +242,23 @@ def _odd_even(frame: Pixels, band_rows: int) -> Floats32:
     if frame.dtype.kind == "f":  # a pixel without a value shows no ridge; as NaN it would hide all others
         pixels = np.where(np.abs(pixels) < _LARGEST, pixels, np.float32(0))
     return np.stack([pixels[:, 0::2].mean(axis=1), pixels[:, 1::2].mean(axis=1)])
+
+
+def _slope(bands: Floats32, sigma_px: float) -> Floats32:
+    """Derivative along x of means (2, band, x), Gaussian-smoothed; the outermost pixels are repeated."""
+    reach = int(4 * sigma_px + 0.5)
+    offsets = np.arange(1, reach + 1, dtype=np.float64)
+    gaussian = np.exp(-(offsets**2) / (2 * sigma_px**2))
+    weights = gaussian / (1 + 2 * gaussian.sum()) * offsets / sigma_px**2
+    width = bands.shape[-1]
+    padded = np.pad(bands.astype(np.float64), ((0, 0), (0, 0), (reach, reach)), mode="edge")
+    slope, step = np.zeros(bands.shape), np.empty(bands.shape)
+    for k in range(reach, 0, -1):  # differences, so that what is constant has no slope at all
+        right, left = padded[..., reach + k : reach + k + width], padded[..., reach - k : reach - k + width]
+        np.subtract(right, left, out=step)
+        step *= weights[k - 1]
+        slope += step
+    return slope.astype(np.float32)
 
 
 def _best_run(slopes: _Slopes, settings: VideoSettings) -> tuple[int, int] | None:

@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from vision.data import html_table
 from vision.errors import InputError
+from vision.escaping import html_table
 from vision.files import Stamp, check_pixels, check_regular, reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.cine import is_cine, open_cine

@@ -90,11 +90,14 @@ export class Film {
       } else edged(c, "?", x, y1 - 8, ON_GREY.doubt);
       numbers.push({ x, sheet, chosen });
     }
-    this.numbers(s, c, numbers, y0);
-    for (const curve of view.effect?.curves ?? []) {
-      const column = curve.x_px[curve.frames.indexOf(view.frame)];
-      if (column != null) { c.lineWidth = 5; c.strokeStyle = ON_GREY.casing; line(c, at.x(column), s.top, at.x(column), y1); c.lineWidth = 2.4; c.strokeStyle = ON_GREY.new; line(c, at.x(column), s.top, at.x(column), y1); }
+    const { curves = [], many = false } = view.effect ?? {};
+    for (const curve of curves) {
+      const column = curve.x_px[curve.frames.indexOf(view.frame)], top = many ? y0 : s.top;
+      if (column == null) continue;
+      c.lineWidth = many ? 3.2 : 5; c.strokeStyle = ON_GREY.casing; line(c, at.x(column), top, at.x(column), y1);
+      c.lineWidth = many ? 1.4 : 2.4; c.strokeStyle = ON_GREY.new; line(c, at.x(column), top, at.x(column), y1);
     }
+    this.numbers(s, c, numbers, y0);
     for (const column of view.effect?.ridges_px ?? []) {
       c.lineWidth = 4; c.strokeStyle = ON_GREY.casing; line(c, at.x(column), y0, at.x(column), y1);
       c.lineWidth = 1.8; c.strokeStyle = ON_GREY.new; line(c, at.x(column), y0, at.x(column), y1);

@@ -3,7 +3,7 @@
 import { Displacement, Force, Stick } from "./curves.js";
 import { Decisions, element, KINDS } from "./decisions.js";
 import { Diagram, Tiles } from "./diagram.js";
-import { effectOfClock, effectOfStrip, effectOn } from "./effect.js";
+import { effectOfClock, effectOfStrip, effectOfTrial, effectOn } from "./effect.js";
 import { Film } from "./film.js";
 import { ForceRecording } from "./force.js";
 import { getBytes, getJson, Gone, leave, post, Store, tryOut } from "./server.js";
@@ -53,6 +53,7 @@ class Page {
     by("title").textContent = state.name; document.title = `${state.name} – review`;
     this.take(state);
     this.watch();
+    this.tracking().catch((error) => this.failed(error)); // begun before this page was loaded
     getJson("api/film").then((film) => { this.film = film; this.decisions.offer(); this.drawAll(); }, (error) => this.failed(error));
     setTimeout(() => this.slipsNow(), 500); // a second's work for the program, after the pictures
   }
@@ -172,7 +173,7 @@ class Page {
 
   buttons() {
     const { state } = this, last = state.decisions.at(-1)?.text, again = state.undone.at(-1)?.text;
-    const busy = Boolean(this.saving || this.lost || this.ended);
+    const busy = Boolean(this.saving || this.trying || this.lost || this.ended);
     by("undo").disabled = busy || !state.can_undo; by("undo").title = last ? `Undo: ${last} (u)` : "Nothing to undo";
     by("redo").disabled = busy || !state.can_redo; by("redo").title = again ? `Redo: ${again} (r)` : "Nothing to redo";
     by("save").disabled = busy || !state.changed;
@@ -279,6 +280,44 @@ class Page {
     this.tell(error instanceof Gone ? "The program does not answer; nothing was changed." : error.message);
   }
 
+  /** Tracks the film again under a decision that is not kept; what that would change, null where it was cancelled. */
+  async retrack(decision) {
+    this.trying = true; this.buttons();
+    try {
+      await post("api/retrack", { decision });
+      this.tell("Tracking again …");
+      const found = await this.tracking(), { frame } = this.view;
+      if (!found) { this.tell("Not tracked again."); return null; }
+      const waiting = this.state.decisions.filter((one) => !one.saved).length;
+      const effect = effectOfTrial(found, await getJson(`api/retracked/${frame}`), waiting);
+      this.tell("Tracked again: its effect is shown; nothing is kept yet.");
+      return effect;
+    } finally { this.trying = false; this.buttons(); }
+  }
+
+  /** Waits until the film has been tracked again; null where it is not, or was cancelled. */
+  async tracking() {
+    try {
+      for (;;) {
+        const news = await getJson("api/retrack");
+        if (!news.running) {
+          if (news.error && news.error !== "cancelled") throw new Error(news.error);
+          return news.found;
+        }
+        this.progress({ ...news, stage: `Tracking again: ${news.stage}`, stops: true });
+        await new Promise((done) => { setTimeout(done, 150); });
+      }
+    } finally { if (!this.saving) by("saving").hidden = true; }
+  }
+
+  endTrial() { post("api/retrack/cancel").catch((error) => this.failed(error)); }
+
+  async keepTrial() {
+    const kept = await this.ask("api/retrack/keep", {}, () => `Kept and saved: ${this.state.decisions.at(-1)?.text}`);
+    if (kept) { this.savedAt = clockTime(new Date().toISOString()); this.buttons(); }
+    return kept;
+  }
+
   async save() {
     if (by("save").disabled) return;
     try {
@@ -296,7 +335,7 @@ class Page {
       const news = await getJson("api/save");
       if (news.error) { this.stopSaving(); this.notice(`Not saved: ${news.error}`); this.tell(`Not saved: ${news.error}`); return; }
       if (!news.running) break;
-      this.progress(news);
+      this.progress({ ...news, stage: `Saving: ${news.stage}` });
       await new Promise((done) => { setTimeout(done, 150); });
     }
     this.savedAt = clockTime(new Date().toISOString());
@@ -307,10 +346,10 @@ class Page {
 
   stopSaving() { this.saving = false; by("saving").hidden = true; this.buttons(); }
 
-  progress({ stage, done, total }) {
+  progress({ stage, done, total, stops = false }) {
     const bar = by("progress");
-    by("saving").hidden = false;
-    by("stage").textContent = total ? `${stage}: ${done} of ${total}` : stage;
+    by("saving").hidden = false; by("stop").hidden = !stops;
+    by("stage").textContent = total && done < total ? `${stage}, ${done} of ${total} frames` : stage;
     if (total) { bar.max = total; bar.value = done; } else bar.removeAttribute("value");
   }
 
@@ -393,6 +432,7 @@ class Page {
     const { view } = this, on = (id, work) => by(id).addEventListener("click", work);
     on("undo", () => this.undo()); on("redo", () => this.redo()); on("save", () => this.save());
     on("theme", () => this.theme()); on("help", () => this.help()); on("close", () => this.close());
+    on("stop", () => this.endTrial());
     on("keys-close", () => by("keys").close());
     on("next-doubt", () => this.nextDoubt(1));
     on("slip-before", () => this.slip(-1)); on("slip-after", () => this.slip(1));
