@@ -182,5 +182,5 @@ def test_noise_is_found_from_the_bits(tmp_path):
         path = CODECS["H.264 crf 12"](tmp_path, np.clip(np.rint(pixels), 0, 255).astype(np.uint8))
         encoder = read_encoder(path, (0, 30), (0, 600))
         profile = np.asarray(strip_profile(open_video(path)).values)
-        found.append(encoder.with_noise(profile).noise_grey)
+        found.append(encoder.fitted(profile, profile).noise_grey)
     assert 0.5 < found[0] < 2.5 < found[1] < 5

@@ -233,7 +233,9 @@ def certify(
     """
     like = learn(strip, tracks, settings)
     if encoder is not None:
-        like = replace(like, encoder=encoder.with_noise(like.film(like.motion_px, number=None).values))
+        like = replace(
+            like, encoder=encoder.fitted(like.film(like.motion_px, number=None).values, like.strip.values)
+        )
     again = _tracking(tracks)
     scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]
     work = settings.films + 1 + len(scales) + (settings.films if sticks is not None else 0)
