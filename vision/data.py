@@ -321,7 +321,11 @@ TRACKS = Schema(
     "vision.track_sheets",
     {
         "x_px": Variable(_FRAME_SHEET, "px", "position of the sheet"),
-        "x_err_px": Variable(_FRAME_SHEET, "px", "standard error of the position"),
+        "x_err_px": Variable(
+            _FRAME_SHEET,
+            "px",
+            "standard error of a displacement: what is the same in all frames is not in it",
+        ),
         "flag": Variable(_FRAME_SHEET, "", "ok, blurred, or why there is no position"),
         "why": Variable(_FRAME_SHEET, "", "why a doubtful identity is doubted", required=False),
         "x_withheld_px": Variable(_FRAME_SHEET, "px", "ridge whose identity is doubtful", required=False),

@@ -125,7 +125,7 @@ class Likeness:
         values = np.minimum(values, self.ceiling)
         if own:
             values[self.disturbed] = recorded[self.disturbed]
-            for t in np.flatnonzero(self.frozen):
+            for t in np.flatnonzero(self.frozen).tolist():
                 values[t] = values[max(t - 1, 0)]
         if number is not None and self.encoder is not None:
             values[:, : self.encoder.width] = self.encoder.again(values[:, : self.encoder.width], seed=number)
@@ -477,4 +477,5 @@ def _mean_picture(
         for k, weight in enumerate((clear, np.ones_like(clear))):
             total[k] += weight * shown
             weights[k] += weight
-    return np.where(weights[0] > 1, total[0] / np.maximum(weights[0], 1e-9), total[1] / weights[1])
+    mean = np.where(weights[0] > 1, total[0] / np.maximum(weights[0], 1e-9), total[1] / weights[1])
+    return np.asarray(mean, np.float64)
