@@ -10,6 +10,7 @@ LAYERS = (
     "numeric",
     "files",
     "isolation",
+    "escaping",
     "data",
     "sample",
     "video",

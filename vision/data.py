@@ -9,9 +9,7 @@ Every stage adds itself, with its parameters, to ``attrs["operations"]``.
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
-import html
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from typing import Any, Self, TypeVar
@@ -22,8 +20,6 @@ import xarray as xr
 from vision.errors import InputError
 
 Data = xr.DataArray | xr.Dataset | pd.DataFrame
-_FORMULA = tuple("=+-@")  # what a cell begins with that Excel and LibreOffice compute
-_NUMBER = re.compile(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?")
 AnyData = TypeVar("AnyData", xr.DataArray, xr.Dataset, pd.DataFrame)
 
 
@@ -290,6 +286,8 @@ class TrackMetadata(Metadata):
         Persistent ridges that are no sheets.
     wide_spacings
         Where a sheet may have been overlooked: "748 px (1.9 pitches)".
+    scene_changes
+        Where the picture changes for good: "60 (all sheets displaced by 37.0 px)".
     ridges_beyond
         Ridges like the sheets that continue the comb beyond the number that was given.
     corrections_applied
@@ -312,6 +310,7 @@ class TrackMetadata(Metadata):
     least_margin: float = math.nan
     ridges_dropped: int = 0
     wide_spacings: Sequence[str] = field(default_factory=list)
+    scene_changes: Sequence[str] = field(default_factory=list)
     ridges_beyond: int = 0
     corrections_applied: int = 0
 
@@ -620,36 +619,3 @@ SHELLS = Schema(
     },
     ShellMetadata,
 )
-
-
-# --- notebooks ----------------------------------------------------------------------------------------------
-
-
-def html_table(title: str, rows: Mapping[str, str]) -> str:
-    """A short table of two columns, as notebooks show objects; text is escaped."""
-    cells = "".join(
-        f'<tr><th style="text-align:left">{html.escape(name)}</th>'
-        f'<td style="text-align:left">{html.escape(value)}</td></tr>'
-        for name, value in rows.items()
-    )
-    return f"<table><caption>{html.escape(title)}</caption>{cells}</table>"
-
-
-def harmless(text: str) -> str:
-    """Text that no spreadsheet takes for a formula: one that begins as such gets an apostrophe before it.
-
-    Numbers in text stay as they are. Carriage returns become blanks, as some programs begin a row there.
-    """
-    text = text.replace("\r", " ")
-    bites = text.lstrip()[:1] in _FORMULA or text[:1] == "\t"
-    return f"'{text}" if text and bites and not _NUMBER.fullmatch(text) else text
-
-
-def harmless_table(table: pd.DataFrame) -> pd.DataFrame:
-    """The table with `harmless` text and names of columns, as every table is written that may hold names."""
-    safe = table.rename(columns=lambda name: harmless(str(name)))
-    for place, column in enumerate(safe.columns):
-        if safe.iloc[:, place].dtype.kind not in "iufb":
-            cells = safe.iloc[:, place].map(lambda cell: harmless(cell) if isinstance(cell, str) else cell)
-            safe = safe.assign(**{column: cells})
-    return safe

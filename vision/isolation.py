@@ -1,4 +1,4 @@
-"""Files tried out in a process of their own first, for parsers that crash or never end on damaged ones."""
+"""What this process may use of the machine, and a process of its own for parsers that crash or never end."""
 
 from __future__ import annotations
 
@@ -51,6 +51,13 @@ except BaseException as error:
     print(json.dumps(type(error).__name__ + ": " + str(error)))
     sys.exit(1)
 """
+
+
+def usable_cores() -> int:
+    """Cores that this process may use: on a cluster those of its job, not all of the machine."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def try_out(path: Path, kind: str, wanted: str, *, seconds: float | None = None) -> None:

@@ -22,9 +22,10 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock, ClockSettings, synchronise
-from vision.data import ForceMetadata, html_table, warnings_of
+from vision.data import ForceMetadata, warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
-from vision.errors import InputError
+from vision.errors import InputError, known_as
+from vision.escaping import html_table
 from vision.figures import FIGURES, Figure
 from vision.force import ForceSettings, find_stick_slip, read_force
 from vision.models import ModelFits, fit_models
@@ -318,7 +319,7 @@ def analyse(
         frame = stage.must("first frame", lambda: reference_frame(film))
     if strip is not None:
         if tracks is None:
-            tracks = stage.must("tracking", lambda: _tracks(strip, parts, chosen))
+            tracks = stage.must("tracking", lambda: track_strip(strip, chosen, parts))
         if chosen.pitch_um is not None:
             chosen = replace(chosen, pixel_size_um=pixel_size_from_pitch(tracks, chosen.pitch_um))
     sticks = stage.may("sticks", _sticks, machine, settings=chosen, needed=strip is None)
@@ -502,7 +503,8 @@ def _check_lengths(chosen: Settings, width_px: int) -> None:
         raise InputError("`window_px`", f"at most the picture's {width_px} columns", str(window), "try auto")
 
 
-def _tracks(strip: xr.DataArray, parts: xr.DataArray | None, chosen: Settings) -> xr.Dataset:
+def track_strip(strip: xr.DataArray, chosen: Settings, parts: xr.DataArray | None = None) -> xr.Dataset:
+    """x(n, t) as the settings want it; of the strip's parts as well, where they are given."""
     tracks = track_sheets(
         strip,
         ridges=chosen.ridges,
@@ -516,6 +518,7 @@ def _tracks(strip: xr.DataArray, parts: xr.DataArray | None, chosen: Settings) -
     return tracks if parts is None else with_heights(tracks, parts, settings=chosen.tuning.tracking)
 
 
+@known_as(columns="force_columns")
 def open_force(force: xr.Dataset | str | Path, chosen: Settings) -> xr.Dataset:
     """The force recording as the settings want it read; one that is read already, as it is."""
     if isinstance(force, xr.Dataset):
@@ -530,6 +533,7 @@ def open_force(force: xr.Dataset | str | Path, chosen: Settings) -> xr.Dataset:
     )
 
 
+@known_as(columns="force_columns")
 def _sticks(force: xr.Dataset, chosen: Settings) -> pd.DataFrame:
     return find_stick_slip(
         force,

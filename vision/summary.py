@@ -82,6 +82,12 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     gone = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
     if gone > MISSING_SHARE * total:
         lines.append(f"{gone} of {total} positions missing (flags missing, edge, unfit in tracks.csv)")
+    for change in TrackMetadata.of(tracks).scene_changes:
+        frame = change.split()[0]
+        lines.append(
+            f"the picture changes for good at frame {change}: a cut, or the camera or the light was moved;"
+            f" sheets before and after may be others: give `frames` as 0:{frame} or {frame}:"
+        )
     if wide := TrackMetadata.of(tracks).wide_spacings:
         where = ", ".join(wide)
         lines.append(f"sheets may be missing at x = {where}: look there, or give their number (`sheets`)")
@@ -140,15 +146,25 @@ def consistency_warnings(
 
 
 def doubt_line(tracks: xr.Dataset) -> str:
-    """Number of doubtful stretches and the worst three; "" without any."""
+    """Number of doubtful stretches and the worst three; "" without any. Sheets doubted alike are one."""
     table = doubtful_stretches(tracks)
     if table.empty:
         return ""
-    worst = [
-        f"sheet {row['sheet']} in {row['first_frame']}:{row['last_frame'] + 1} ({row['why']})"
-        for row in table.head(3).to_dict("records")
+    alike = [rows for _, rows in table.groupby(["first_frame", "last_frame", "why"], sort=False)]
+    worst = sorted(alike, key=lambda rows: -int(rows["frames"].sum()))
+    longest = [
+        f"{_these(rows['sheet'])} in {rows['first_frame'].iloc[0]}:{rows['last_frame'].iloc[0] + 1}"
+        f" ({rows['why'].iloc[0]})"
+        for rows in worst[:3]
     ]
-    return f"{len(table)} doubtful stretches; longest: {'; '.join(worst)}"
+    return f"{len(table)} doubtful stretches; longest: {'; '.join(longest)}"
+
+
+def _these(sheets: pd.Series) -> str:
+    """Sheets that are doubted together, in few words."""
+    if len(sheets) == 1:
+        return f"sheet {sheets.iloc[0]}"
+    return f"{len(sheets)} sheets from {sheets.min()} to {sheets.max()}"
 
 
 def flag_counts(tracks: xr.Dataset) -> dict[str, int]:

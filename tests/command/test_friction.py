@@ -59,6 +59,20 @@ def test_files_that_fail_are_named_and_the_rest_is_done(capsys: pytest.CaptureFi
     assert len(json.loads(Path("all/run.json").read_text("utf-8"))["failures"]) == 3
 
 
+def test_a_bad_result_of_a_file_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    """A failure means a result without a known unit goes unnoticed, or takes its neighbours with it."""
+    write_rheocompass("rheo.csv", TEST, encoding="utf-8")
+    head, first, second, third = Path("rheo.csv").read_text("utf-8").split("Result:")
+    spoiled = "Result:".join([head, first, second.replace("[mN·m]", "[lbf·ft]"), third])
+    Path("rheo.csv").write_text(spoiled, encoding="utf-8")
+    assert run(["friction", "rheo.csv"]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "rheo.csv: Friction 0.5 N: " in line
+    assert "lbf·ft" in line
+    assert len(pd.read_csv("rheo_friction/friction.csv")) == 2
+    assert len(json.loads(Path("rheo_friction/run.json").read_text("utf-8"))["failures"]) == 1
+
+
 def test_normal_force_told_for_all_or_for_each() -> None:
     """A failure means the load of one file is used for another."""
     for name, load in (("a.csv", 0.5), ("b.csv", 2.0)):

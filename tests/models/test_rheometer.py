@@ -135,3 +135,59 @@ def test_long_lines_of_rubbish_take_no_time(tmp_path: Path) -> None:
         with pytest.raises(InputError):
             read_rheometer(_write(tmp_path / "t.csv", rubbish, ""))
     assert time.perf_counter() - start < 5
+
+
+def _without_torque(text: str) -> str:
+    """A result's table without the column of torques."""
+    rows = [line.split("\t") for line in text.splitlines()]
+    place = next(row.index("Torque") for row in rows if "Torque" in row)
+    table = [row[:place] + row[place + 1 :] if len(row) > place else row for row in rows]
+    return "\n".join("\t".join(row) for row in table) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("spoiled", "reason"),
+    [
+        (_without_torque, "no torque"),
+        (lambda text: text.replace("[mN·m]", "[lbf·ft]"), "lbf·ft"),
+        (lambda text: text.split("Interval data:")[0] + "\n", "no 'Interval data:'"),
+        (lambda text: text.splitlines()[0] + "\n\n", "no interval with data"),
+    ],
+    ids=["no-torque", "odd-unit", "no-data", "empty"],
+)
+def test_a_result_that_cannot_be_used_costs_no_other(tmp_path: Path, spoiled, reason: str) -> None:
+    """A failure means one bad result of a file loses the others, or is lost itself without a word."""
+    write_rheocompass(tmp_path / "rheo.csv", replace(TEST, loads_N=(0.1, 0.5, 2.0)), encoding="utf-8")
+    head, *results = (tmp_path / "rheo.csv").read_text("utf-8").split("Result:")
+    results = ["Result:" + text for text in results]
+    results[1] = spoiled(results[1])
+    (tmp_path / "rheo.csv").write_text(head + "".join(results), encoding="utf-8")
+    found = read_rheometer(tmp_path / "rheo.csv")
+    assert [rotation.attrs["measurement"] for rotation in found] == [
+        "Friction 0.1 N, interval 2 to 3",
+        "Friction 2 N, interval 2 to 3",
+    ]
+    for rotation in found:
+        (line,) = rotation.attrs["left_out"]
+        assert line.startswith("Friction 0.5 N: ")
+        assert reason in line
+
+
+def test_steps_of_trios(tmp_path: Path) -> None:
+    """A failure means exports of TA Instruments are misread: steps, units, torques that are none."""
+    head = "Filename\tdisc.tri\nInstrument name\tDHR-2\n[Parameters]\nTorque range\t200 mN.m\n\n"
+    columns = "Displacement\tStep time\tTorque\tAxial force\tGap\nrad\ts\tµN.m\tN\tmm\n"
+    angle = np.linspace(0, 2, 40)
+    steps = [
+        f"[step]\nPeak hold - {k}\n{columns}"
+        + "".join(f"{a:.6f}\t{10 * a:.5f}\t{1000 * load + a:.6f}\t{load}\t0.1\n" for a in angle)
+        for k, load in enumerate((0.5, 2.0), 1)
+    ]
+    (tmp_path / "t.txt").write_text(head + "\n".join(steps), encoding="utf-8-sig")
+    found = read_rheometer(tmp_path / "t.txt")
+    assert [rotation.attrs["measurement"] for rotation in found] == ["Peak hold - 1", "Peak hold - 2"]
+    for rotation, load in zip(found, (0.5, 2.0), strict=True):
+        np.testing.assert_allclose(rotation["angle_rad"], angle, atol=1e-6)
+        np.testing.assert_allclose(rotation["torque_N_m"], 1e-6 * (1000 * load + angle), rtol=1e-6)
+        np.testing.assert_allclose(rotation["normal_force_N"], load)
+        assert not rotation.attrs["left_out"]

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from vision.command.main import run
+from vision.numeric import nan_median
 
 DATA = Path(__file__).parents[2] / "../shared/data"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the recordings are not here")
@@ -132,3 +133,15 @@ def test_two_bands_of_a_high_speed_camera(tmp_path):
     assert facts["found"]["ridges"]["polarity"] == "bright"
     assert 14 < np.diff(np.median(x, axis=0))[0] < 18
     assert np.corrcoef(x.T)[0, 1] > 0.99
+
+
+@pytest.mark.parametrize("strip", [(), ("--strip", "190:211"), ("--strip", "255:270"), ("--strip", "60:80")])
+def test_the_sarcomeres_are_never_a_pitch_off_all_together(tmp_path, strip):
+    """A failure means that a comb that contracts by 3 px is said to have jumped by a pitch, flagged ok."""
+    status, x, _, facts = tracked(tmp_path, "sarcomeres.avi", "--rotate", "90", *strip)
+    assert status == 1
+    seen = np.isfinite(x).any(axis=1)
+    common = nan_median((x - nan_median(x))[seen], axis=1)
+    off = np.abs(common) > 0.6 * facts["found"]["ridges"]["pitch_px"]
+    assert np.isfinite(x[seen][off]).sum() <= 1
+    assert np.isfinite(x).mean() > 0.25

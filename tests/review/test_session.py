@@ -8,15 +8,15 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from tests.scenes.reviewed import PLANTED, SETTINGS, clean, remedies, truth
+from tests.scenes.reviewed import PLANTED, SETTINGS, clean, remedies, truth, write_planted
 from vision.errors import InputError
-from vision.review import stored
 from vision.review.positions import CELLS, FLAGS
 from vision.review.saving import Job, save_run
 from vision.review.session import Session
-from vision.run import read_run
+from vision.run import folder, read_run
 from vision.sheets.corrections import read_decisions
 
 EVERY_KIND = [
@@ -135,7 +135,8 @@ def test_the_effect_on_the_deformation_is_shown(session):
     frame = 120
     seen = session.effects.preview({"kind": "swap", "sheets": [2, 30], "frames": "0:"}, frame)
     before, after = (
-        {row["index"]: row["ratio"] for row in seen[name]} for name in ("stick_before", "stick_after")
+        {row["index"]: row["ratio"] for row in seen[name]["sheets"]}
+        for name in ("stick_before", "stick_after")
     )
     assert abs(after[2] - before[2]) > 0.05
     assert abs(after[40] - before[40]) < 0.02
@@ -224,8 +225,8 @@ def test_a_disk_that_fails_loses_nothing_that_was_kept(session, monkeypatch):
     def full(handle):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(stored.os, "fsync", full)
-    with pytest.raises(InputError, match="not kept"):
+    monkeypatch.setattr(folder.os, "fsync", full)
+    with pytest.raises(InputError, match="nothing was written"):
         session.decide(EVERY_KIND[1])
     assert (session.folder / "corrections.toml").read_text() == text
     assert session.decisions[-1].kind == "swap"
@@ -267,3 +268,85 @@ def test_a_kill_loses_no_decision_that_was_kept(run, after_s):
     assert kept >= int(said[-1]) > len(PLANTED)
     with Session(run, SETTINGS) as again:  # and nobody's claim is left
         assert len(again.decisions) == kept
+
+
+# --- another strip, tracked again before it is kept ---------------------------------------------------------
+
+
+@pytest.fixture
+def clocked(tmp_path):
+    """A run without mistakes."""
+    with Session(write_planted(tmp_path / "clean", ()), SETTINGS) as opened:
+        yield opened
+
+
+def test_another_strip_is_tracked_before_it_is_kept(clocked):
+    """A failure means that a person chooses rows without knowing what they do to positions and shells, or
+    that something else is kept than what was shown."""
+    folder, revision = clocked.folder, clocked.revision
+    before = held(clocked.positions)
+    clocked.trial.start({"kind": "strip", "rows": "10:14"})
+    clocked.saver.wait()
+    found = clocked.trial.state()["found"]
+    assert clocked.trial.state()["error"] == ""
+    assert_same(before, held(clocked.positions))
+    assert read_run(folder).facts["found"]["strip"] != [10, 14]
+    seen = clocked.trial.at(120)
+    assert clocked.revision == revision
+    assert [len(row["shells"]) for row in (seen["stick_before"], seen["stick_after"])] == [2, 2]
+
+    shells, earlier = pd.read_csv(folder / "shells.csv"), read_run(folder).tracks["x_px"].values
+    clocked.trial.keep()
+    tracks = read_run(folder).tracks
+    assert (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]) == (10, 14)
+    assert [one.kind for one in clocked.decisions] == ["strip"]
+    assert not clocked.changed
+    assert list(folder.parent.glob(".clean.*")) == [folder.parent / ".clean.review"]
+
+    away = np.abs(tracks["x_px"].values - earlier)
+    assert found["compared"] == np.isfinite(away).sum()
+    assert found["median_px"] == pytest.approx(np.nanmedian(away), abs=1e-4)
+    assert found["error_px"][1] > 1.5 * found["error_px"][0]  # fewer rows, more noise
+    np.testing.assert_allclose(seen["after"]["x_px"][3], tracks["x_px"].values[seen["frames"][3]], atol=2e-3)
+    new = pd.read_csv(folder / "shells.csv")
+    both = shells.merge(new, on=["event", "side"])
+    assert sum(side["other"] for side in found["shells"]) == (
+        (both["stiff_sheets_x"] != both["stiff_sheets_y"]).sum()
+    )
+    assert all(side["of"] == len(both) / 2 for side in found["shells"])
+
+
+def test_tracking_again_can_be_cancelled(clocked):
+    """A failure means that a long film holds the review for hours, or that half a run is left."""
+    clocked.trial.start({"kind": "strip", "rows": "10:14"})
+    clocked.trial.discard()
+    assert not clocked.saver.running
+    assert clocked.trial.state()["found"] is None
+    assert list(clocked.folder.parent.glob(".clean.*")) == [clocked.folder.parent / ".clean.review"]
+    with pytest.raises(InputError, match="track again first"):
+        clocked.trial.keep()
+    clocked.decide({"kind": "axis", "x_px": 590.0})  # and it goes on
+
+
+def test_what_was_tried_out_does_not_outlive_another_decision(clocked):
+    """A failure means that a run is kept that does not follow the decisions made meanwhile."""
+    clocked.trial.start({"kind": "strip", "rows": "10:14"})
+    with pytest.raises(InputError, match="being tracked"):
+        clocked.decide({"kind": "axis", "x_px": 590.0})
+    clocked.saver.wait()
+    clocked.decide({"kind": "axis", "x_px": 590.0})
+    with pytest.raises(InputError, match="track again first"):
+        clocked.trial.keep()
+
+
+def test_the_shell_before_a_decision_is_the_one_in_the_header(clocked):
+    """A failure means that two numbers for one thing stand on one page."""
+    seen = clocked.effects.preview({"kind": "swap", "sheets": [2, 30], "frames": "0:"}, 120)
+    header = clocked.effects.stick(seen["event"])
+    for name in ("sheets", "shells"):
+        assert seen["stick_before"][name] == header[name]
+    assert seen["stick_after"]["sheets"] != header["sheets"]
+    table = pd.read_csv(clocked.folder / "shells.csv").query("event == @seen['event']")
+    sizes = {one["side"]: one["stiff_sheets"] for one in header["shells"]}
+    for side, known in zip(table["side"], table["stiff_sheets"], strict=True):
+        assert abs(sizes[side] - known) <= 1  # from the sticks around in place of all

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from tests.scenes.combs import comb, ridges, strip
+from tests.scenes.identity_cases import brightness
+from vision.data import TrackMetadata
 from vision.sheets import track_sheets
-from vision.sheets.quality import repeated_frames, spatial_scatter
+from vision.sheets.quality import repeated_frames, shared_error, spatial_scatter
+from vision.summary import tracking_warnings
 
 
 def creeping(frames=120, snr=100):
@@ -55,6 +58,44 @@ def test_scatter_between_sheets_sees_errors_that_persist():
     rng = np.random.default_rng(5)
     x = comb(2000, slip=0.3) + np.repeat(rng.normal(0, 0.1, (200, 50)), 10, axis=0)
     assert np.median(spatial_scatter(x)) == pytest.approx(0.1, rel=0.1)
+
+
+def filmed(seed=5, shake=0.05):
+    """Creeping sheets and a shaking camera, and the noise of pixels, (frame, sheet)."""
+    rng = np.random.default_rng(seed)
+    place = np.linspace(-1, 1, 50)
+    moving = 525 + 500 * place + np.linspace(0, 3, 400)[:, None] * place**3 + rng.normal(0, shake, (400, 1))
+    return moving, rng.normal(0, 0.02, moving.shape)
+
+
+def test_noise_that_differs_from_sheet_to_sheet_is_not_shared():
+    """A failure means that motion, of sheets or of the camera, is taken for errors of a codec."""
+    moving, noise = filmed()
+    assert shared_error(moving + noise) < 0.3 * 0.02
+
+
+def test_errors_that_neighbours_share_are_counted():
+    """Blocks that hold three sheets each: fourth differences see less than there is."""
+    moving, noise = filmed()
+    blocks = np.repeat(np.random.default_rng(1).normal(0, 0.04, (400, 17)), 3, axis=1)[:, :50]
+    seen = np.median(spatial_scatter(moving + noise + blocks))
+    there = np.hypot(0.02, 0.04)
+    assert seen < 0.8 * there
+    assert np.hypot(seen, shared_error(moving + noise + blocks)) == pytest.approx(there, rel=0.15)
+
+
+@pytest.mark.parametrize("skipped", [0.3, 0.5])
+def test_a_shaking_that_a_codec_leaves_out_in_part_is_counted(skipped):
+    """Every second frame is as its neighbours say, in this share of its blocks, as with B frames."""
+    moving, noise = filmed(shake=0.03)
+    shown = moving + noise
+    between = (shown[:-2] + shown[2:]) / 2
+    blocks = np.repeat(np.random.default_rng(2).random((398, 17)) < skipped, 3, axis=1)[:, :50]
+    odd = (np.arange(398) % 2 == 0)[:, None]
+    shown[1:-1] = np.where(blocks & odd, between, shown[1:-1])
+    there = np.std((shown - moving)[1:-1])
+    seen = np.sqrt(np.mean(spatial_scatter(shown) ** 2))
+    assert np.hypot(seen, shared_error(shown)) == pytest.approx(there, rel=0.15)
 
 
 def slipping(slip_widths, *, fwhm=7.0, frames=240, seed=0):
@@ -171,3 +212,33 @@ def test_noise_alike_in_neighbouring_pixels_is_in_the_errors():
     off = np.abs(tracks.x_px.values - x - np.median(tracks.x_px.values - x, axis=0))
     assert 0.62 < (off < tracks.x_err_px.values).mean() < 0.74
     assert (off < tracks.x_predicted_px.values).mean() < 0.6
+
+
+def cut_at_60(kind):
+    """25 sheets on each side that slip; from frame 60 on another scene, or the same one."""
+    x = comb(150, per_side=25, axis_px=600, slip=0.4)
+    level = np.tile(brightness(50), (150, 1))
+    if kind == "camera moved":
+        x[60:] += 37.0
+    if kind == "mirrored":
+        level[60:] = level[60:, ::-1]
+    if kind == "light dimmed":
+        level[60:] *= 0.7
+    return strip(ridges(x, width=1300, contrast=level), snr=60)
+
+
+@pytest.mark.parametrize("kind", ["camera moved", "mirrored"])
+def test_a_cut_film_is_said_to_be_cut(kind):
+    """A failure means that two scenes, or two places of the camera, are numbered as one with nothing said."""
+    tracks = track_sheets(cut_at_60(kind))
+    changes = TrackMetadata.of(tracks).scene_changes
+    assert len(changes) == 1
+    assert changes[0].startswith("60 ")
+    assert "for good at frame 60" in " ".join(tracking_warnings(tracks))
+    assert abs(tracks.attrs["axis_px"] - (622 if kind == "camera moved" else 600)) < 20  # not a knock's place
+
+
+@pytest.mark.parametrize("kind", ["slips alone", "light dimmed"])
+def test_a_film_of_slips_is_not_cut(kind):
+    """A failure means that every slip, or a lamp, is called a change of scene."""
+    assert TrackMetadata.of(track_sheets(cut_at_60(kind))).scene_changes == []

@@ -1,4 +1,5 @@
 import struct
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -255,3 +256,45 @@ def test_striped_beam():
     assert strip.clock_kind == "file"
     assert np.allclose(strip.time_s, np.arange(235) * 0.01, atol=1e-6)
     assert len(list(video.sample(8))) >= 6
+
+
+def phone_film(path, frames, times_s, *, turned_deg=0):
+    """H.264 in MP4 with a time for every frame, and the angle (clockwise) that a player is to turn it by."""
+    with av.open(str(path), "w") as file:
+        stream = file.add_stream("libx264", rate=30, options={"qp": "0", "preset": "ultrafast", "bf": "2"})
+        stream.height, stream.width = frames.shape[1:]
+        stream.pix_fmt = "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 90_000)
+        if turned_deg:
+            stream.set_display_rotation(-turned_deg)
+        for picture, time_s in zip(frames, times_s, strict=True):
+            frame = av.VideoFrame.from_ndarray(picture, format="gray")
+            frame.pts, frame.time_base = round(time_s * 90_000), Fraction(1, 90_000)
+            file.mux(stream.encode(frame))
+        file.mux(stream.encode())
+    return path
+
+
+def test_a_variable_frame_rate_gives_every_frame_its_own_time(tmp_path):
+    """Failure: a phone's film, with frames 1/30 or 1/24 s apart, is given even times, frames wrong."""
+    frames = comb(count=60, rows=64, columns=96, top=200)
+    times_s = np.cumsum(np.r_[0.0, np.repeat([1 / 30, 1 / 24, 1 / 60], 20)[:59]])
+    strip = strip_profile(open_video(phone_film(tmp_path / "phone.mp4", frames, times_s)))
+    assert strip.attrs["clock_kind"] == "file"
+    found = strip["time_s"].values
+    assert np.abs(found - found[0] - times_s).max() < 1e-4
+    assert np.abs(np.linspace(0, times_s[-1], 60) - times_s).max() > 0.1  # what even times would cost
+    even = open_video(phone_film(tmp_path / "even.mp4", frames, np.arange(60) * 1001 / 30_000))
+    assert even.clock.kind == "playback"
+
+
+@pytest.mark.parametrize("turned_deg", [0, 90, 180, 270])
+def test_a_film_is_seen_as_players_show_it(tmp_path, turned_deg):
+    """Failure: a film of a phone held upright lies on its side, although every player shows it upright."""
+    frames = comb(count=6, rows=64, columns=96, top=200)
+    path = phone_film(tmp_path / "phone.mp4", frames, np.arange(6) / 30, turned_deg=turned_deg)
+    stored = whole(open_video(phone_film(tmp_path / "stored.mp4", frames, np.arange(6) / 30)))
+    turns = -(turned_deg // 90)
+    assert np.array_equal(whole(open_video(path)), np.rot90(stored, turns, axes=(1, 2)))
+    asked = whole(open_video(path, rotate=90))
+    assert np.array_equal(asked, np.rot90(stored, turns - 1, axes=(1, 2)))

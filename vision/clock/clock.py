@@ -16,8 +16,9 @@ from vision.clock.ambiguity import Alignments, align
 from vision.clock.force_slips import force_slips
 from vision.clock.settings import ClockSettings
 from vision.clock.video_slips import video_slips
-from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata, html_table
+from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata
 from vision.errors import InputError
+from vision.escaping import html_table
 from vision.force.recording import good_samples
 from vision.numeric import NORMAL_MEDIAN, Floats, nan_median
 

@@ -28,6 +28,7 @@ from vision.command.options import (
 )
 from vision.command.track import REFUSED, command_line, run_name, track_one
 from vision.errors import InputError, with_options
+from vision.isolation import usable_cores
 
 if TYPE_CHECKING:
     from vision.campaign.plan import Film, Plan
@@ -244,9 +245,7 @@ def _planner(
 ) -> Callable[..., Plan]:
     from vision.campaign.plan import make_plan
 
-    at_a_time = cores or (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
+    at_a_time = cores or usable_cores()
     if executor != "local":
         at_a_time = cores or 1  # jobs of full length: each one's start costs more there
 
@@ -269,7 +268,7 @@ def _dry_run(plan: Plan, cores: int | None) -> int:
     widths = [max((len(line[k]) for line in lines), default=0) for k in range(2)]
     say(f"{name.ljust(widths[0])}  {what.ljust(widths[1])}  {size}".rstrip() for name, what, size in lines)
     total = sum(job.seconds for job in plan.jobs.values())
-    at_a_time = cores or os.cpu_count() or 1
+    at_a_time = cores or usable_cores()
     longest = max((job.seconds for job in plan.jobs.values()), default=0.0)
     memory = max((job.memory_mb for job in plan.jobs.values()), default=0)
     say(

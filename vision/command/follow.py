@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -63,21 +64,15 @@ class _Shown:
 def state(strip: xr.DataArray, behind: int | None, settings: Settings) -> str:
     """How far the recording is read, and what its last frames show."""
     from vision.errors import InputError
-    from vision.sheets import track_sheets
+    from vision.pipeline import track_strip
     from vision.summary import flag_counts, noise_figures
 
     frame, time_s = int(strip["frame"].values[-1]), float(strip["time_s"].values[-1])
     where = f"frame {frame}" + (f", {time_s:.1f} s" if time_s == time_s else "")
     late = "" if behind is None else f"; {behind} more in the file"
     try:
-        tracks = track_sheets(
-            strip,
-            ridges=settings.ridges,
-            sheets=settings.sheets,
-            fit=settings.fit,
-            window_px=settings.window_px,
-            settings=settings.tuning.tracking,
-        )
+        # Decisions by hand are about the whole film.
+        tracks = track_strip(strip, replace(settings, corrections=()))
     except InputError as error:
         return f"{where}{late}; {error}"
     flags = flag_counts(tracks)

@@ -39,7 +39,8 @@ def friction(
     Parameters
     ----------
     files
-        RheoCompass exports (UTF-16 or UTF-8, several results and intervals), or tables with units.
+        RheoCompass exports (UTF-16 or UTF-8, several results and intervals), TRIOS exports, or tables with
+        units.
     radius
         Radius of the discs in mm.
     normal_force
@@ -120,6 +121,7 @@ def _measure(
         except (InputError, OSError) as error:
             found.failures.append(_line(error, file))
             continue
+        found.failures += [f"{file}: {line}" for line in rotations[0].attrs["left_out"]]
         for rotation in rotations:
             found.notes += [f"{file.name}: {line}" for line in rotation.attrs["notes"]]
             options: dict[str, Any] = {"radius_mm": radius_mm, "normal_force_N": load, "settings": settings}

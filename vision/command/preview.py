@@ -116,8 +116,7 @@ def look(path: Path, settings: Settings) -> Preview:
     """
     import numpy as np
 
-    from vision.pipeline import open_recording
-    from vision.sheets import track_sheets
+    from vision.pipeline import open_recording, track_strip
     from vision.sheets.ridges import describe_ridges, find_ridges
     from vision.video import reference_frame, strip_profile
     from vision.video.strip import row_means
@@ -131,15 +130,8 @@ def look(path: Path, settings: Settings) -> Preview:
     )
     few = open_recording(path, replace(settings, frames=slice(film.first, stop)))
     strip = strip_profile(few, rows, columns=settings.columns, settings=strip_settings)
-    tracks = track_sheets(
-        strip,
-        ridges=settings.ridges,
-        sheets=settings.sheets,
-        axis_px=settings.axis_px,
-        fit=settings.fit,
-        window_px=settings.window_px,
-        settings=settings.tuning.tracking,
-    )
+    # Decisions by hand are about frames that are not looked at here.
+    tracks = track_strip(strip, replace(settings, corrections=()))
     columns = slice(int(strip["x"].values[0]), int(strip["x"].values[-1]) + 1)
     spread = [frame[rows, columns] for frame in film.sample(SPREAD)]
     spread = spread or [frame[rows, columns] for frame in itertools.islice(film.frames(), SPREAD)]

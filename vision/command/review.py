@@ -96,8 +96,7 @@ def review(
         raise InputError(
             folder, "a run without further options", "some", "give the video, or run track again"
         )
-    with files.reading(folder, "a run folder as track writes it", "run track again"):
-        session = Session(folder, settings_of_run(folder), film=film, options=option_names())
+    session = Session(folder, settings_of_run(folder), film=film, options=option_names())
 
     def opened(address: str) -> None:
         say([f"review     {address}", "           Ctrl-C ends it"])
@@ -121,12 +120,9 @@ def settings_of_run(folder: Path) -> Settings:
     """
     from vision.run.folder import MARK
     from vision.run.provenance import Parameter
-    from vision.run.reading import AGAIN, read_json
+    from vision.run.reading import AGAIN, parameters_of, read_json
 
-    facts = read_json(folder / MARK).get("parameters")
-    if not isinstance(facts, dict) or not all(isinstance(one, dict) for one in facts.values()):
-        raise InputError(folder / MARK, "the parameters of a run", "none", AGAIN)
-    parameters = {name: Parameter(one.get("value"), one.get("how", "given")) for name, one in facts.items()}
+    parameters = parameters_of(folder, read_json(folder / MARK))
     parameters["corrections"] = Parameter(None, "default")
     with files.reading(folder / MARK, "the parameters of a run", AGAIN):
         return settings_of(parameters)

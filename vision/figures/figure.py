@@ -20,8 +20,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vision.data import harmless_table
 from vision.errors import InputError
+from vision.escaping import harmless_table
 from vision.files import reading
 from vision.numeric import Bools, Floats
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -13,22 +12,23 @@ import xarray as xr
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
 from vision.errors import InputError
 from vision.force.corners import Corners, find_corners
-from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines
+from vision.force.lines import fit_broken_lines
 from vision.force.lowpass import SlipTransients, deconvolve_lowpass, estimate_lowpass
-from vision.force.recording import find_spikes, is_compression, noise_sigma, usable
+from vision.force.recording import is_compression
 from vision.force.regime import (
     Extremes,
     Regime,
     find_extremes,
     find_regime,
-    is_slow,
     is_unloading,
 )
 from vision.force.settings import DEFAULTS, ForceSettings
 from vision.force.slips import Slips, find_slips, stick_middles
-from vision.numeric import Bools, Floats, Ints
+from vision.force.sticks import Signal, measure_sticks
+from vision.numeric import Bools, Floats, nan_median
 
 _STICKS_FOR_KNEES = 60  # looked at, from first to last, to tell whether sticks have two slopes
+_COARSE = 0.3  # of a stick: longer steps of the displacement leave fewer than four in it
 
 
 def find_stick_slip(
@@ -87,7 +87,7 @@ def find_stick_slip(
     """
     FORCE.check(force)
     metadata = ForceMetadata.of(force)
-    signal = _Signal.of(force, settings)
+    signal = Signal.of(force, settings)
     if is_compression(signal.load):
         raise InputError(
             metadata.source,
@@ -114,7 +114,7 @@ def find_stick_slip(
             f"{unloading.size} falls, all while it goes back: push–pull cycles",
         )
     compliance = 1 / (machine_stiffness_N_per_mm or np.inf)
-    events = _measure(signal, corners, chain.extremes, tau, chain.bent, compliance, settings)
+    events = measure_sticks(signal, corners, chain.extremes, tau, chain.bent, compliance, settings)
     if found.samples and not tau:
         events = _with_bias(events, signal, slips, chain.bent, compliance, found.samples, settings)
     response = tau or (found.samples if found.proven else 0.0)
@@ -156,44 +156,6 @@ def find_stick_slip(
     )
 
 
-@dataclass(frozen=True)
-class _Signal:
-    """Good samples: time, travel of the sample's end, load as recorded and without spikes.
-
-    damage: for each kind of bad sample, how many of them came before each good one.
-    """
-
-    time: Floats
-    travel: Floats
-    load: Floats
-    clean: Floats
-    is_spike: Bools
-    sigma: float
-    damage: dict[str, Ints]
-
-    @classmethod
-    def of(cls, force: xr.Dataset, settings: ForceSettings) -> _Signal:
-        count = force.sizes["time_s"]
-        flags = np.asarray(force["flag"].values, dtype=str) if "flag" in force else np.full(count, "ok")
-        good = usable(flags)
-        time, travel, load = (force[k].to_numpy()[good].astype(float) for k in ("time_s", "d_mm", "load_N"))
-        sigma = noise_sigma(load)
-        is_spike, clean = find_spikes(load, sigma, settings=settings)
-        kinds = ("gap", "nan", "saturated", "repeated", "backwards")
-        damage = {kind: np.cumsum(flags == kind)[good] for kind in kinds if np.any(flags == kind)}
-        return cls(time, travel, load, clean, is_spike, sigma, damage)
-
-    @cached_property
-    def interval_s(self) -> float:
-        """From sample to sample, at the median."""
-        return float(np.median(np.diff(self.time)))
-
-    @cached_property
-    def spikeless(self) -> Floats:
-        """Load with NaN for spikes, so that fits leave them out."""
-        return np.where(self.is_spike, np.nan, self.load)
-
-
 def _check_lowpass(lowpass_s: float | str, period_s: float, source: str) -> None:
     """Refuses what is no time constant of a recording whose slips follow each other after period_s."""
     if isinstance(lowpass_s, str):
@@ -223,7 +185,7 @@ class _Chain:
 
 
 def _chain(
-    signal: _Signal,
+    signal: Signal,
     slips: Slips,
     lowpass_s: float | str,
     two_slopes: bool | None,
@@ -252,7 +214,7 @@ def _chain(
     return _Chain(corners, extremes, regime, bent, found, tau, how)
 
 
-def _have_knees(signal: _Signal, slips: Slips, lag: float, settings: ForceSettings) -> bool:
+def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSettings) -> bool:
     """Whether the recording's sticks begin steeper than they go on, at the median of all of them.
 
     The speed has no say: sticks at 4.9975 and at 5.0000 mm/min are the same.
@@ -268,7 +230,7 @@ def _have_knees(signal: _Signal, slips: Slips, lag: float, settings: ForceSettin
     return float(np.median(broken.gain[known])) > settings.knee_gain and ratio > settings.knee_ratio
 
 
-def _corners(signal: _Signal, slips: Slips, two_slopes: bool, tau: float, settings: ForceSettings) -> Corners:
+def _corners(signal: Signal, slips: Slips, two_slopes: bool, tau: float, settings: ForceSettings) -> Corners:
     """Corners of the slips, corrected for a low-pass of tau samples."""
     corrected = deconvolve_lowpass(signal.clean, signal.sigma, slips, tau)
     return find_corners(corrected, two_slopes=two_slopes, settings=settings)
@@ -283,7 +245,7 @@ class _Lowpass:
 
 
 def _lowpass(
-    signal: _Signal, slips: Slips, plain: Corners, two_slopes: bool, settings: ForceSettings
+    signal: Signal, slips: Slips, plain: Corners, two_slopes: bool, settings: ForceSettings
 ) -> _Lowpass:
     """The low-pass of the load cell: proven where large and small, early and late slips show the same."""
     found = estimate_lowpass(signal.clean, plain.transients())
@@ -301,9 +263,7 @@ def _lowpass(
     return _Lowpass()
 
 
-def _same_everywhere(
-    signal: _Signal, transients: SlipTransients, tau: float, settings: ForceSettings
-) -> bool:
+def _same_everywhere(signal: Signal, transients: SlipTransients, tau: float, settings: ForceSettings) -> bool:
     """Whether slips of different size, and of different sticks, each show the time constant of all.
 
     An amplifier's constant is one; relaxation of the sample itself changes with the slip.
@@ -320,186 +280,9 @@ def _same_everywhere(
     return True
 
 
-# --- what is measured on each stick, all sticks at once -----------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Sticks:
-    """Valley, peak and knee (NaN: none) of each stick, in samples; lag: time constant of the low-pass."""
-
-    v: Floats
-    p: Floats
-    knee: Floats
-    lag: float
-    settings: ForceSettings
-
-    def central(self, part: float) -> tuple[Ints, Ints]:
-        """[start, stop) of the central part."""
-        margin = 0.5 * (1 - part) * (self.p - self.v)
-        return _between(self.v + margin, self.p - margin)
-
-    def one_slope(self, part: float) -> tuple[Ints, Ints]:
-        """The same after the knee; before it where it comes late."""
-        length = self.p - self.v
-        margin, clear = 0.5 * (1 - part) * length, 0.03 * length
-        start, stop = self.v + margin, self.p - margin
-        early = self.knee - self.v < 0.65 * length
-        start = np.where(early, np.fmax(start, self.knee + clear), start)
-        return _between(start, np.where(early, stop, np.fmin(stop, self.knee - clear)))
-
-    def broken(self, x: Floats, y: Floats) -> BrokenLines:
-        """Lines with a knee through nearly all of each stick."""
-        return fit_broken_lines(x, y, *self.central(self.settings.line_part), lag=self.lag)
-
-
-def _between(start: Floats, stop: Floats) -> tuple[Ints, Ints]:
-    return np.ceil(start).astype(np.int64), np.floor(stop).astype(np.int64) + 1
-
-
-def _measure(
-    signal: _Signal,
-    corners: Corners,
-    extremes: Extremes,
-    lag: float,
-    two_slopes: bool,
-    compliance: float,
-    settings: ForceSettings,
-) -> pd.DataFrame:
-    """The table, from corners in samples: valley[j] ends slip j, peak[j] begins it.
-
-    lag: time constant of the low-pass in samples.  compliance: of the machine, mm/N.
-    """
-    index = np.arange(signal.time.size, dtype=float)
-    slow = is_slow(corners.valley - corners.peak, corners.peak[1:] - corners.valley[:-1], settings)
-    recorded = slow if not lag else np.zeros_like(slow)
-    valley = np.where(recorded, extremes.valley, corners.valley)
-    peak = np.where(recorded, extremes.peak, corners.peak)
-    v, p, v_next = valley[:-1], peak[1:], valley[1:]
-    sticks = _Sticks(v, p, corners.knee[1:-1], lag, settings)
-    t_v, t_p, t_next = (np.interp(at, index, signal.time) for at in (v, p, v_next))
-    ends = _ends(signal, sticks, t_v, t_p)
-    f_v, f_p = ends.f_v, ends.f_p
-    if not lag:
-        f_v, f_p = _within_recorded(signal, extremes, ends, settings)
-        f_v = np.where(recorded[:-1], extremes.low[:-1], f_v)
-        f_p = np.where(recorded[1:], extremes.high[1:], f_p)
-    place = np.where(recorded, _flat_top_error(signal, corners, extremes), corners.error)
-    # The machine's stretch is subtracted at the corners: at every sample it would add the load's noise to d.
-    d_v = np.interp(v, index, signal.travel) - compliance * f_v
-    d_p = np.interp(p, index, signal.travel) - compliance * f_p
-    last = np.interp(v_next[-1:], index, signal.travel) - compliance * signal.clean[int(v_next[-1])]
-    relative = np.hypot(place[:-1], place[1:]) / (p - v)
-    # Near a slow slip's extreme the load is level: the place of the corner does not matter there.
-    rise = np.abs(ends.slope) * signal.interval_s
-    f_v_err = np.hypot(ends.error_v, np.where(recorded[:-1], 0, rise * place[:-1]))
-    f_p_err = np.hypot(ends.error_p, np.where(recorded[1:], 0, rise * place[1:]))
-    table = pd.DataFrame(
-        {
-            "event": np.arange(v.size),
-            "t_v_s": t_v,
-            "t_p_s": t_p,
-            "d_v_mm": d_v,
-            "d_p_mm": d_p,
-            "F_v_N": f_v,
-            "F_p_N": f_p,
-            "dF_N": f_p - f_v,
-            "stick_length_um": 1e3 * (d_p - d_v),
-            "slip_length_um": 1e3 * (np.r_[d_v[1:], last] - d_p),
-            **_stiffness(signal, sticks, two_slopes, compliance),
-            "F_v_raw_N": extremes.lowest[:-1],
-            "F_p_raw_N": extremes.highest[1:],
-            "F_v_err_N": f_v_err,
-            "F_p_err_N": f_p_err,
-            "dF_err_N": np.hypot(f_v_err, f_p_err),
-            "stick_length_err_um": 1e3 * (d_p - d_v) * relative,
-            "slip_time_s": t_next - t_p,
-            "samples": (p - v).astype(int),
-        }
-    )
-    return table.assign(flag=_event_flags(signal, sticks, ends.slope > 0, slow[:-1] | slow[1:]))
-
-
-def _within_recorded(
-    signal: _Signal, extremes: Extremes, ends: _Ends, settings: ForceSettings
-) -> tuple[Floats, Floats]:
-    """Forces at the ends of the stick lines, held to what was recorded there.
-
-    A stick begins and ends between two samples: it may be a sample's rise longer than what was recorded. The
-    load cell is late, too: the lowest sample lies above the true valley, and a small share of the drop is
-    left for that. The whole recording's range is never left.
-    """
-    highest, lowest = extremes.highest[1:], extremes.lowest[:-1]
-    rise = np.abs(ends.slope) * signal.interval_s
-    spare = rise + settings.between_samples * np.maximum(highest - lowest, 0)
-    f_v = np.fmax(ends.f_v, np.maximum(lowest - spare, signal.clean.min()))
-    return f_v, np.fmin(ends.f_p, np.minimum(highest + rise, signal.clean.max()))
-
-
-def _flat_top_error(signal: _Signal, corners: Corners, extremes: Extremes) -> Floats:
-    """Samples within which noise hides the extreme of half a cosine."""
-    noise = signal.sigma / np.sqrt(extremes.width)
-    relative = noise / np.maximum(extremes.high - extremes.low, noise)
-    return np.asarray(np.fmax(extremes.fall * 2 / np.pi * np.sqrt(relative), corners.error))
-
-
-@dataclass(frozen=True)
-class _Ends:
-    """Forces at the two ends of each stick with the errors of their lines, and the sticks' slope in N/s."""
-
-    f_v: Floats
-    f_p: Floats
-    error_v: Floats
-    error_p: Floats
-    slope: Floats
-
-
-def _ends(signal: _Signal, sticks: _Sticks, t_v: Floats, t_p: Floats) -> _Ends:
-    """Stick lines extended to the corners, each side of the knee its own."""
-    central = sticks.central(sticks.settings.line_part)
-    line = fit_lines(signal.time, signal.spikeless, *central, lag=sticks.lag)
-    bent = np.isfinite(sticks.knee)
-    f_v, f_p = line.at(t_v), line.at(t_p)
-    if bent.any():
-        broken = sticks.broken(signal.time, signal.spikeless)
-        f_v = np.where(bent, broken.first_at(t_v), f_v)
-        f_p = np.where(bent, broken.second_at(t_p), f_p)
-    return _Ends(f_v, f_p, line.error_at(t_v), line.error_at(t_p), line.slope)
-
-
-def _stiffness(signal: _Signal, sticks: _Sticks, two_slopes: bool, compliance: float) -> dict[str, Floats]:
-    """Slopes of load against d, corrected for the machine's compliance in series."""
-
-    def sample(slope: Floats) -> Floats:
-        with np.errstate(divide="ignore"):
-            return np.where(slope * compliance < 1, slope / (1 - slope * compliance), np.nan)
-
-    travel, load = signal.travel, signal.spikeless
-
-    def both(line: Lines) -> tuple[Floats, Floats]:
-        k = sample(line.slope)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return k, line.slope_error * (k / line.slope) ** 2
-
-    part = sticks.settings.central_part
-    central, narrow, wide = (
-        fit_lines(travel, load, *sticks.central(share), lag=sticks.lag) for share in (part, 0.3, 0.7)
-    )
-    k, error = both(central)
-    columns = {"K_N_per_mm": k, "K_err_N_per_mm": error}
-    columns |= {"K30_N_per_mm": sample(narrow.slope), "K70_N_per_mm": sample(wide.slope)}
-    names = ("K1_N_per_mm", "K2_N_per_mm", "K2_err_N_per_mm", "knee", "knee_gain")
-    if not two_slopes or not np.isfinite(travel).any():
-        return columns | dict.fromkeys(names, np.full(k.size, np.nan))
-    broken = sticks.broken(travel, load)
-    after, after_error = both(fit_lines(travel, load, *sticks.one_slope(part), lag=sticks.lag))
-    bent = np.isfinite(sticks.knee)
-    second = np.where(bent, after, sample(broken.second)), np.where(bent, after_error, error)
-    return columns | dict(zip(names, (sample(broken.first), *second, broken.knee, broken.gain), strict=True))
-
-
 def _with_bias(
     events: pd.DataFrame,
-    signal: _Signal,
+    signal: Signal,
     slips: Slips,
     two_slopes: bool,
     compliance: float,
@@ -509,7 +292,7 @@ def _with_bias(
     """Errors that hold what a low-pass of tau samples, left as recorded, changes in each event."""
     corners = _corners(signal, slips, two_slopes, tau, settings)
     extremes = find_extremes(signal.clean, corners.middle, corners.valley - corners.peak)
-    other = _measure(signal, corners, extremes, tau, two_slopes, compliance, settings)
+    other = measure_sticks(signal, corners, extremes, tau, two_slopes, compliance, settings)
     pairs = {
         "F_v_N": "F_v_err_N",
         "F_p_N": "F_p_err_N",
@@ -536,7 +319,7 @@ def _with_doubts(
     regime: str,
     unloading: Bools,
     response_s: float,
-    signal: _Signal,
+    signal: Signal,
     settings: ForceSettings,
 ) -> list[str]:
     """The flags with what contradicts stick-slip, or what the instrument cannot give, added."""
@@ -554,7 +337,7 @@ def _with_doubts(
     ]
 
 
-def _warnings(events: pd.DataFrame, regime: Regime, signal: _Signal) -> list[str]:
+def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal) -> list[str]:
     """Why the whole recording may not be stick-slip."""
     lines = []
     if regime.name == "oscillation":
@@ -569,6 +352,12 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: _Signal) -> list[str
             f"no stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises and are as "
             "straight; these look like cycles of loading and unloading"
         )
+    step, stick = 1e3 * _step(signal.travel), float(nan_median(events["stick_length_um"].to_numpy(float)))
+    if step > _COARSE * stick:
+        lines.append(
+            f"the displacement is recorded in steps of {step:.3g} µm, sticks last {stick:.3g} µm: "
+            "lengths and K are not resolved"
+        )
     flags = events["flag"].str.split("+")
     for word, meaning in (
         ("unloading", "lie beside a fall while the crosshead went back"),
@@ -580,13 +369,10 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: _Signal) -> list[str
     return lines
 
 
-def _event_flags(signal: _Signal, sticks: _Sticks, rising: Bools, slow: Bools) -> list[str]:
-    """What is wrong within each stick, joined by "+"; "ok" where nothing is."""
-    v, p, last = sticks.v, sticks.p, signal.time.size - 1
-    first, final = np.clip(np.floor(v), 0, last).astype(int), np.clip(np.ceil(p), 0, last).astype(int)
-    marks = {kind: seen[final] > seen[first] for kind, seen in signal.damage.items()}
-    marks |= {"few": p - v < sticks.settings.few_samples, "falling": ~rising, "slow": slow}
-    return ["+".join(word for word, mark in marks.items() if mark[k]) or "ok" for k in range(v.size)]
+def _step(travel: Floats) -> float:
+    """Usual distance of neighbouring values, mm; 0 where there are none or nearly all differ."""
+    values = np.unique(travel[np.isfinite(travel)])
+    return float(np.median(np.diff(values))) if 2 < values.size < 0.2 * travel.size else 0.0
 
 
 # --- detection limit ----------------------------------------------------------------------------------------

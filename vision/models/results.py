@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vision.data import html_table
+from vision.escaping import html_table
 from vision.models import equations
 from vision.numeric import Floats
 from vision.sample import Sample

@@ -1,4 +1,4 @@
-"""Rheometer exports: RheoCompass (Anton Paar) with several results and intervals, and plain tables."""
+"""Rheometer exports with several results: RheoCompass (Anton Paar), TRIOS (TA), and plain tables."""
 
 from __future__ import annotations
 
@@ -26,12 +26,15 @@ class RotationMetadata(Metadata):
         The file's path; result and interval, unique within the file.
     notes, warnings
         What was assumed, and what may spoil the numbers.
+    left_out
+        Results and intervals of the same file that hold no usable measurement, each with the reason.
     """
 
     source: str = "the rheometer's file"
     measurement: str = "1"
     notes: Sequence[str] = field(default_factory=list)
     warnings: Sequence[str] = field(default_factory=list)
+    left_out: Sequence[str] = field(default_factory=list)
 
 
 _ROW = ("sample",)
@@ -64,23 +67,43 @@ _SPEED = {"rad/s": 1.0, "1/s": 2 * math.pi, "1/min": math.pi / 30, "rpm": math.p
 @dataclass(frozen=True)
 class _Quantity:
     """How a column is recognised: words of its name, words it lacks, units, the unit where none is
-    written."""
+    written, and words that count only beside such a unit."""
 
     column: str
     words: tuple[str, ...]
     never: tuple[str, ...]
     units: Mapping[str, float]
     unsaid: str = ""
+    with_unit: tuple[str, ...] = ()
 
 
 _QUANTITIES = (
     _Quantity("torque_N_m", ("torque", "drehmoment", "couple", "moment"), ("force", "speed"), _TORQUE),
-    _Quantity("angle_rad", ("angle", "angular deflection", "winkel"), ("phase", "loss", "shift"), _ANGLE),
-    _Quantity("normal_force_N", ("normal force", "normalkraft", "force normale"), ("stress",), _FORCE, "N"),
+    _Quantity(
+        "angle_rad",
+        ("angle", "angular deflection", "angular displacement", "winkel"),
+        ("phase", "loss", "shift"),
+        _ANGLE,
+        with_unit=("displacement",),
+    ),
+    _Quantity(
+        "normal_force_N",
+        ("normal force", "axial force", "normalkraft", "force normale"),
+        ("stress",),
+        _FORCE,
+        "N",
+    ),
     _Quantity("time_s", ("time", "zeit", "temps"), ("date", "stamp"), _TIME, "s"),
-    _Quantity("speed_rad_s", ("speed", "drehzahl", "vitesse", "angular velocity"), ("shear",), _SPEED),
+    _Quantity(
+        "speed_rad_s",
+        (),
+        ("shear",),
+        _SPEED,
+        with_unit=("speed", "drehzahl", "vitesse", "velocity"),
+    ),
 )
 _MARKS = ("Project:", "Test:", "Result:", "Interval and data points:", "Interval data:")
+_STEP = "[step]"  # of a TRIOS export: before the step's name, its columns, their units and the rows
 _SEPARATORS = ("\t", ";", ",")
 
 
@@ -91,8 +114,9 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
     ----------
     path
         RheoCompass export (Anton Paar; UTF-16 or UTF-8; tab, semicolon or comma; several results and
-        intervals), or a plain table whose header names torque and angle with their units, as in
-        ``Torque [mN·m]`` or ``Angle (°)``. Units: mN·m, µN·m, N·m; mrad, rad, °; N, mN.
+        intervals), TRIOS export (TA Instruments; steps), or a plain table whose header names torque and
+        angle with their units, as in ``Torque [mN·m]`` or ``Angle (°)``. Units: mN·m, µN·m, N·m; mrad, rad,
+        °; N, mN.
 
     Returns
     -------
@@ -104,36 +128,55 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
     Raises
     ------
     InputError
-        For a file that is missing, empty or binary, without a torque column, with a unit that is not known,
-        or without any rotation.
+        For a file that is missing, empty or binary, or of which no part has a torque with a known unit and a
+        rotation.
 
     Notes
     -----
     Intervals of one result are one measurement where the second goes on at the angle and the normal force at
     which the first ended (a fine sampling of the peak, then a coarse one). Intervals without rotation
-    (approach, waiting) are left out, and a note says so.
+    (approach, waiting) are left out, and a note says so. A result that cannot be used costs no other one.
     """
     path = Path(path)
     lines = _decode(path).splitlines()
+    results = [k for k, line in enumerate(lines) if _mark(line) == "Result:"]
     starts = [k for k, line in enumerate(lines) if _mark(line) == "Interval and data points:"]
-    blocks = _intervals(path, lines, starts) if starts else [_plain_table(path, lines)]
-    rotations = _joined([_rotation(path, block) for block in blocks])
+    steps = [k for k, line in enumerate(lines) if line.strip().lower() == _STEP]
+    if starts:
+        blocks = _intervals(lines, starts, results)
+    elif steps:
+        blocks = _steps(lines, steps)
+    else:
+        blocks = [_plain_table(path, lines)]
+    if len(blocks) == 1 and not blocks[0].problem:
+        _rotation(path, blocks[0])
+    else:
+        for block in blocks:
+            _tried(path, block)
+    rotations = _joined(blocks)
     if not rotations:
         raise InputError(path, "a rotation", _nothing(blocks), "export torque and deflection angle")
-    return [_finished(path, parts, blocks) for parts in rotations]
+    left_out = _left_out(blocks, {k: _words(lines[k], _separator(lines[k]))[1] for k in results})
+    return [_finished(path, parts, blocks, left_out) for parts in rotations]
 
 
 @dataclass
 class _Block:
-    """One interval: its cells as text, and why it is no measurement."""
+    """One interval: its cells as text, and why it is no measurement.
+
+    The line of the file at which its result begins tells results of one name apart. waiting: it is an
+    interval without rotation, as there are before and between measurements.
+    """
 
     result: str
+    line: int
     name: str
     names: list[str]
     units: list[str]
     cells: pd.DataFrame
     warnings: list[str] = field(default_factory=list)
     problem: str = ""
+    waiting: bool = False
     values: pd.DataFrame = field(default_factory=pd.DataFrame)
 
 
@@ -186,7 +229,7 @@ def _cells(lines: Sequence[str], separator: str) -> pd.DataFrame:
     ).fillna("")
 
 
-def _intervals(path: Path, lines: list[str], starts: list[int]) -> list[_Block]:
+def _intervals(lines: list[str], starts: list[int], results: list[int]) -> list[_Block]:
     """The intervals of a RheoCompass export."""
     marks = [_mark(line) for line in lines]
     blocks: list[_Block] = []
@@ -194,15 +237,18 @@ def _intervals(path: Path, lines: list[str], starts: list[int]) -> list[_Block]:
         stop = next(
             (k for k in range(start + 1, len(lines)) if marks[k] not in ("", "Interval data:")), len(lines)
         )
-        before = next((k for k in range(start, -1, -1) if marks[k] == "Result:"), None)
+        before = max((k for k in results if k < start), default=-1)
         separator = _separator(lines[start])
-        result = "" if before is None else _words(lines[before], separator)[1]
+        result = "" if before < 0 else _words(lines[before], separator)[1]
         said = _words(lines[start], separator)
         header = next((k for k in range(start, stop) if marks[k] == "Interval data:"), None)
         name = f"{result or 'result'}, interval {said[1] or len(blocks) + 1}"
         if header is None or header + 1 >= stop:
-            raise InputError(path, "'Interval data:' with columns and rows", f"none in {name}")
-        blocks.append(_interval(result, name, lines[header:stop], said[2]))
+            nothing = _Block(result, before, name, [], [], pd.DataFrame())
+            nothing.problem = "no 'Interval data:' with columns and rows"
+            blocks.append(nothing)
+        else:
+            blocks.append(_interval(result, before, name, lines[header:stop], said[2]))
     repeated = {b.name for b in blocks if sum(b.name == other.name for other in blocks) > 1}
     for number, block in enumerate(blocks):
         if block.name in repeated:
@@ -215,7 +261,7 @@ def _words(line: str, separator: str) -> list[str]:
     return [*(cell.strip().strip('"').strip() for cell in line.split(separator)), "", ""]
 
 
-def _interval(result: str, name: str, lines: list[str], promised: str) -> _Block:
+def _interval(result: str, line: int, name: str, lines: list[str], promised: str) -> _Block:
     """One interval: names, one or two rows of which the last has the units in brackets, then data."""
     cells = _cells(lines, _separator(lines[0])).map(str.strip)
     names = [str(cell) for cell in cells.iloc[0, 1:]]
@@ -228,10 +274,30 @@ def _interval(result: str, name: str, lines: list[str], promised: str) -> _Block
             break
     data = cells.iloc[first:, 1:].reset_index(drop=True)
     data = data[(data != "").any(axis=1)]
-    block = _Block(result, name, names, units, data)
+    block = _Block(result, line, name, names, units, data)
     if promised.isdecimal() and int(promised) != len(data):
         block.warnings.append(f"{name} announces {promised} points and has {len(data)}")
     return block
+
+
+def _steps(lines: list[str], starts: list[int]) -> list[_Block]:
+    """The steps of a TRIOS export: name, columns, units, rows up to an empty line or the next section."""
+    blocks: list[_Block] = []
+    for number, start in enumerate(starts):
+        end = starts[number + 1] if number + 1 < len(starts) else len(lines)
+        name = lines[start + 1].strip(' "\t,;') if start + 1 < end else f"step {number + 1}"
+        stop = next(
+            (k for k in range(start + 3, end) if not lines[k].strip(" \t,;") or lines[k].startswith("[")), end
+        )
+        if stop - start < 5:
+            nothing = _Block("", start, name, [], [], pd.DataFrame())
+            nothing.problem = "no columns and rows"
+            blocks.append(nothing)
+            continue
+        cells = _cells(lines[start + 2 : stop], _separator(lines[start + 2])).map(str.strip)
+        names, units = ([str(cell) for cell in cells.iloc[row]] for row in (0, 1))
+        blocks.append(_Block("", start, name, names, units, cells.iloc[2:].reset_index(drop=True)))
+    return blocks
 
 
 def _plain_table(path: Path, lines: list[str]) -> _Block:
@@ -246,7 +312,7 @@ def _plain_table(path: Path, lines: list[str]) -> _Block:
     first = 1
     if len(cells) > 1 and not any(units) and not any(_is_number(str(cell)) for cell in cells.iloc[1]):
         units, first = [str(cell) for cell in cells.iloc[1]], 2
-    return _Block("", path.stem, names, units, cells.iloc[first:].reset_index(drop=True))
+    return _Block("", -1, path.stem, names, units, cells.iloc[first:].reset_index(drop=True))
 
 
 _LONGEST_HEADER = 5000  # characters: a longer line is no header, and taking it apart would take for ever
@@ -293,12 +359,22 @@ def _unit(text: str) -> str:
     return "µ" + plain[1:] if plain[:1] == "u" and plain[1:] in ("Nm", "N", "rad") else plain
 
 
-def _rotation(path: Path, block: _Block) -> _Block:
-    """The same interval with its numbers, in SI, or the reason why it is no rotation."""
+def _tried(path: Path, block: _Block) -> None:
+    """Numbers of one interval of several; a unit that is not known is its own problem, not the others'."""
+    if block.problem:
+        return
+    try:
+        _rotation(path, block)
+    except InputError as error:
+        block.problem = str(error).removeprefix(f"{path}: ")
+
+
+def _rotation(path: Path, block: _Block) -> None:
+    """Gives an interval its numbers, in SI, or the reason why it is no rotation."""
     found = {q.column: column for q in _QUANTITIES if (column := _column(path, block, q)) is not None}
     if "torque_N_m" not in found:
         block.problem = f"no torque (columns: {', '.join(filter(None, block.names))})"
-        return block
+        return
     values = pd.DataFrame(found)
     if "time_s" not in values:
         values["time_s"] = np.nan
@@ -309,7 +385,7 @@ def _rotation(path: Path, block: _Block) -> _Block:
         block.warnings.append(f"{block.name} has no angle: taken from speed and time")
     if "angle_rad" not in values:
         block.problem = f"no deflection angle (columns: {', '.join(filter(None, block.names))})"
-        return block
+        return
     kept = values[["torque_N_m", "angle_rad"]].notna().all(axis=1)
     if int((~kept).sum()):
         block.warnings.append(f"{block.name}: {int((~kept).sum())} of {len(values)} points without numbers")
@@ -317,7 +393,7 @@ def _rotation(path: Path, block: _Block) -> _Block:
     travelled = float(np.ptp(block.values["angle_rad"])) if len(block.values) else 0.0
     if travelled < _LEAST_ROTATION_RAD:
         block.problem = f"no rotation ({math.degrees(travelled):.2g}° travelled)"
-    return block
+        block.waiting = len(block.values) > 0
 
 
 _LEAST_ROTATION_RAD = math.radians(0.05)  # below: a waiting interval
@@ -332,7 +408,15 @@ def _column(path: Path, block: _Block, quantity: _Quantity) -> pd.Series[float] 
         if any(word in name for word in quantity.words) and not any(word in name for word in quantity.never)
     ]
     known = [k for k in fits if _unit(block.units[k]) in quantity.units]
-    if not fits or (not known and quantity.column == "speed_rad_s"):
+    if not fits:
+        known = [
+            k
+            for k, name in enumerate(low)
+            if any(word in name for word in quantity.with_unit)
+            and not any(word in name for word in quantity.never)
+            and _unit(block.units[k]) in quantity.units
+        ]
+    if not fits and not known:
         return None
     k = min(known or fits, key=lambda index: len(low[index]))  # "Time" before "Interval Time"
     unit = _unit(block.units[k]) or quantity.unsaid
@@ -387,7 +471,22 @@ def _goes_on(first: _Block, second: _Block) -> bool:
     return high <= 1.1 * low
 
 
-def _finished(path: Path, parts: list[_Block], blocks: list[_Block]) -> pd.DataFrame:
+def _left_out(blocks: list[_Block], results: Mapping[int, str]) -> list[str]:
+    """What holds no usable measurement, and why: a whole result in one line, else each interval."""
+    found: list[str] = []
+    for line in dict.fromkeys([*results, *(block.line for block in blocks)]):
+        mine = [block for block in blocks if block.line == line]
+        bad = [block for block in mine if block.problem and not block.waiting]
+        if not mine:
+            found.append(f"{results[line] or 'a result'}: no interval with data")
+        elif bad and all(block.problem for block in mine):
+            found.append(f"{results.get(line) or mine[0].name}: {bad[0].problem}")
+        else:
+            found += [f"{block.name}: {block.problem}" for block in bad]
+    return found
+
+
+def _finished(path: Path, parts: list[_Block], blocks: list[_Block], left_out: Sequence[str]) -> pd.DataFrame:
     """One measurement: parts joined, the angle from 0, signs along the rotation."""
     table = pd.concat([part.values for part in parts], ignore_index=True)
     time = table["time_s"].to_numpy(float)
@@ -402,7 +501,7 @@ def _finished(path: Path, parts: list[_Block], blocks: list[_Block]) -> pd.DataF
     table["angle_rad"] = sense * (angle - angle[0])
     turning = sense * table["torque_N_m"]
     table["torque_N_m"] = turning if float(turning.mean()) >= 0 else -turning
-    skipped = [b for b in blocks if b.problem and b.result == parts[0].result]
+    skipped = [b for b in blocks if b.waiting and b.line == parts[0].line]
     name = parts[0].name
     if len(parts) > 1:
         name += f" to {parts[-1].name.rsplit(' ', 1)[-1]}"
@@ -411,6 +510,7 @@ def _finished(path: Path, parts: list[_Block], blocks: list[_Block]) -> pd.DataF
         measurement=name,
         notes=[f"left out: {block.name}: {block.problem}" for block in skipped],
         warnings=[line for part in parts for line in part.warnings],
+        left_out=left_out,
     )
     columns = [name for name in ROTATION.variables if name in table]
     table = table[columns]

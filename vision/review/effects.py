@@ -4,33 +4,36 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-import xarray as xr
 
 from vision.clock import Clock
 from vision.deformation import horizontal_deformation
-from vision.errors import InputError
-from vision.numeric import Floats, Floats32, Pixels
+from vision.errors import InputError, with_options
+from vision.numeric import Floats, Floats32, Ints, Pixels
 from vision.review.editing import apply, usual_places
-from vision.review.positions import Positions
+from vision.review.positions import Positions, read_rows
 from vision.review.stored import decided_clock
 from vision.sheets.corrections import OF_STRETCHES, Correction
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.subpixel import fit_sheets, position_noise
-from vision.shells import classify_sheets
+from vision.shells import classify_sheets, classify_shells
 from vision.video.strip import row_means
 
 if TYPE_CHECKING:
     from vision.review.session import Session
 
-STICKS_AROUND = 3  # on each side of a stick, from which noise and camera movement are measured anew
+STICKS_AROUND = 3
+"""On each side of a stick, from which noise and camera movement are measured anew. All of a run take three
+times as long and change a ratio by a thirtieth of its error, a shell by one sheet in one stick of thirty."""
 SHOWN_ROWS = 400  # of a preview
-MOST_ROWS = 2000  # on which a preview works
+MOST_ROWS = 2000  # in which a stick is measured with those around it
 NOISE_FRAMES = 16  # from which the noise in other rows is measured
+PARTLY = "This stick phase does not lie wholly within the film."
 READY = ("ok", "given")  # of a clock
 
 
@@ -46,7 +49,7 @@ class Effects:
     def __init__(self, run: Session) -> None:
         self.run = run
         self._around: tuple[int, list[Pixels], int] = (-1, [], 0)
-        self._measured: tuple[int | None, int, list[dict[str, Any]]] = (None, -1, [])
+        self._known: tuple[int, dict[int, dict[str, Any]]] = (-1, {})
 
     def preview(self, request: Mapping[str, Any], frame: Any = None) -> dict[str, Any]:
         """What a decision would change: positions about a frame, numbering, and σ_x/Λ_st of the stick there.
@@ -67,37 +70,72 @@ class Effects:
         with self.run.lock:
             if decision.kind == "clock":
                 return {"text": decision.text(), **self.clock_preview(decision.offset_s, decision.drift_ppm)}
-            rows, at = self._window(decision, frame)
+            at = self._looked_at(decision, frame)
+            event = self._event_at(at)
+            near = None if event is None else self._near(event)
+            rows = self._window(decision, at, near)
             before = self.run.positions.copied(rows)
             clipped = _clipped(decision, before)
             after, _ = apply(self.run.positions.copied(rows), clipped, self.run.diagram)
-            near = slice(max(0, at - rows.start - SHOWN_ROWS // 2), at - rows.start + SHOWN_ROWS // 2)
-            event = self._event_at(at)
+            shown = slice(max(0, at - rows.start - SHOWN_ROWS // 2), at - rows.start + SHOWN_ROWS // 2)
+            now = None if event is None else self._now(event)
+            then = None if near is None else self._then(now, before, after, near.since(rows.start))
             return {
                 "text": decision.text(),
-                "frames": before.frame[near],
-                "before": _shown(before, near),
-                "after": _shown(after, near),
+                "frames": before.frame[shown],
+                "before": _shown(before, shown),
+                "after": _shown(after, shown),
                 "event": event,
-                "stick_before": self._ratios_now(event),
-                "stick_after": self._ratios(after, event),
+                "stick_before": now,
+                "stick_after": then,
             }
 
-    def _window(self, decision: Correction, frame: Any) -> tuple[slice, int]:
-        """Rows that a preview works on, and the one in their middle: those around the frame looked at, with
-        the sticks there, from where a ridge is first followed."""
-        positions = self.run.positions
-        numbers = positions.frame
+    def of_other(self, tracks: Path, frame: int) -> dict[str, Any]:
+        """What another run's tracks would change: positions about a frame, numbering and the stick there.
+
+        Parameters
+        ----------
+        tracks
+            tracks.nc of the other run.
+        frame
+            Where the page looks.
+        """
+        at = self.run.positions.row_of(frame)
+        event = self._event_at(at)
+        near = None if event is None else self._near(event)
+        decision = Correction(kind="strip")
+        rows = self._window(decision, at, near)
+        after = read_rows(tracks, rows)
+        shown = slice(max(0, at - rows.start - SHOWN_ROWS // 2), at - rows.start + SHOWN_ROWS // 2)
+        return {
+            "frames": after.frame[shown],
+            "after": _shown(after, shown),
+            "event": event,
+            "stick_before": None if event is None else self._now(event),
+            "stick_after": None if near is None else self._measured(after, near.since(rows.start)),
+        }
+
+    def _looked_at(self, decision: Correction, frame: Any) -> int:
+        """Row that a preview is about: the frame looked at, where the decision changes it, and not far from
+        where a ridge is first followed."""
+        numbers = self.run.positions.frame
         first = max(decision.first, int(numbers[0]))
         last = int(numbers[-1]) if decision.stop is None else min(decision.stop - 1, int(numbers[-1]))
         looked = frame if isinstance(frame, int) and first <= frame <= last else first
         if decision.kind in ("assign", "add"):
             looked = min(max(looked, first), first + MOST_ROWS // 2)
-        at = min(int(np.searchsorted(numbers, looked)), len(numbers) - 1)
-        a, b = max(0, at - MOST_ROWS // 2), min(len(numbers), at + MOST_ROWS // 2)
+        return min(int(np.searchsorted(numbers, looked)), len(numbers) - 1)
+
+    def _window(self, decision: Correction, at: int, near: Near | None) -> slice:
+        """Rows that a preview works on: those around one, with the sticks there, and from where a ridge is
+        first followed."""
+        numbers = self.run.positions.frame
+        a, b = max(0, at - SHOWN_ROWS // 2), min(len(numbers), at + SHOWN_ROWS // 2)
+        if near is not None:
+            a, b = min(a, int(near.rows[0])), max(b, int(near.rows[-1]) + 1)
         if decision.kind in ("assign", "add"):
-            a = min(a, int(np.searchsorted(numbers, first)))
-        return slice(a, b), at
+            a = min(a, int(np.searchsorted(numbers, decision.first)))
+        return slice(a, b)
 
     def _event_at(self, row: int, clock: Clock | None = None) -> int | None:
         """The stick in which a frame lies, where the clock is sure."""
@@ -107,23 +145,6 @@ class Effects:
         time_s = float(clock.to_force_s(self.run.positions.time_s[row]))
         inside = (events["t_v_s"] <= time_s) & (events["t_p_s"] >= time_s)
         return int(events["event"].to_numpy()[inside.to_numpy()][0]) if inside.any() else None
-
-    def _ratios(
-        self, positions: Positions, event: int | None, clock: Clock | None = None
-    ) -> list[dict[str, Any]]:
-        """σ_x/Λ_st of one stick; nothing where it cannot be measured."""
-        if event is None:
-            return []
-        try:
-            return _of_event(self._motion(positions, [event], clock), event)
-        except InputError:
-            return []
-
-    def _ratios_now(self, event: int | None) -> list[dict[str, Any]]:
-        """`_ratios` of the positions as they are, kept until they change."""
-        if self._measured[:2] != (event, self.run.revision):
-            self._measured = event, self.run.revision, self._ratios(self.run.positions, event)
-        return self._measured[2]
 
     def clock_preview(self, offset_s: Any, drift_ppm: Any = 0.0, frame: Any = None) -> dict[str, Any]:
         """Sticks and slips by another clock, and σ_x/Λ_st of the stick at a frame.
@@ -143,7 +164,7 @@ class Effects:
             if not isinstance(frame, int):
                 return by_it
             event = self._event_at(self.run.positions.row_of(frame), clock)
-            after = self._ratios(self.run.positions, event, clock)
+            after = None if event is None else self._by_clock(event, clock)
             return by_it | {"event": event, "stick_after": after}
 
     def strip_preview(self, rows: Any, frame: Any) -> dict[str, Any]:
@@ -199,53 +220,107 @@ class Effects:
     # --- deformation ----------------------------------------------------------------------------------------
 
     def stick(self, event: int) -> dict[str, Any]:
-        """σ_x/Λ_st of every sheet in one stick: as saved, or measured anew where decisions wait."""
-        table, shells = self.run.found.deformation, self.run.found.shells
-        if self.run.changed or table is None:
-            with self.run.lock:
-                return self._stick_now(self.run.positions, event)
-        part = table[table["event"] == event]
-        if not len(part):
-            raise InputError("the event", "one within the film", f"{event}")
-        names = ("index", "side", "n", "ratio", "ratio_err", "p_stiff", "shell", "flag")
-        sheets = part[list(names)].to_dict("records")
-        sides = [] if shells is None else shells[shells["event"] == event].to_dict("records")
-        return {"event": event, "preview": False, "sheets": sheets, "shells": sides}
+        """σ_x/Λ_st of every sheet in one stick and the shell of each side, of the positions as they are: what
+        a preview starts from. Without sheets there is a reason."""
+        with self.run.lock:
+            return {"event": event, **self._now(event)}
 
-    def _stick_now(self, positions: Positions, event: int) -> dict[str, Any]:
-        motion = self._motion(positions, [event])
-        return {"event": event, "preview": True, "shells": [], "sheets": _of_event(motion, event)}
+    def _now(self, event: int) -> dict[str, Any]:
+        """Of the positions as they are; kept until a decision changes them."""
+        if self._known[0] != self.run.revision:
+            self._known = self.run.revision, {}
+        known = self._known[1]
+        if event not in known:
+            known[event] = self._by_clock(event)
+        return known[event]
 
-    def _motion(self, positions: Positions, wanted: list[int], clock: Clock | None = None) -> xr.Dataset:
-        """Deformation in these sticks, with those around them for noise and camera movement.
+    def _by_clock(self, event: int, clock: Clock | None = None) -> dict[str, Any]:
+        """Of the positions as they are, by the run's clock or another."""
+        try:
+            near = self._near(event, clock)
+        except InputError as error:
+            return _unknown(error)
+        return self._measured(self.run.positions, near)
 
-        Raises
-        ------
-        InputError
-            Where clock, events or pixel size are missing, or the sticks lie outside the film.
-        """
+    def _then(
+        self, now: dict[str, Any] | None, before: Positions, after: Positions, near: Near
+    ) -> dict[str, Any]:
+        """Of other positions; what is known already where they are the same about this stick."""
+        same = np.array_equal(before.side, after.side) and np.array_equal(before.n, after.n)
+        if now and same and np.array_equal(before.x_px[near.rows], after.x_px[near.rows], equal_nan=True):
+            return now
+        return self._measured(after, near)
+
+    def _near(self, event: int, clock: Clock | None = None) -> Near:
+        """The stick with those around it.  Raises: InputError where clock or events are missing or unsure."""
         clock, events = clock or self.run.clock, self.run.found.events
         if clock is None or events is None:
             raise InputError("the run", "a force recording and its clock", "none", "give `force` to track")
         if clock.status not in READY:
             raise InputError("the clock", "one that is sure", "an ambiguous one", "accept a candidate")
-        places = [int(k) for k in np.flatnonzero(events["event"].isin(wanted).to_numpy())]
-        if not places:
-            raise InputError("the event", "one of events.csv", f"{wanted}")
-        near = slice(max(0, places[0] - STICKS_AROUND), places[-1] + STICKS_AROUND + 1)
-        some = events.iloc[near]
-        time = clock.to_force_s(positions.time_s)
+        place = np.flatnonzero(events["event"].to_numpy() == event)
+        if not place.size:
+            raise InputError("the event", "one of events.csv", f"{event}")
+        time = clock.to_force_s(self.run.positions.time_s)
         step = float(np.nanmedian(np.diff(time[: min(len(time), 1000)])))
-        kept = (time >= some["t_v_s"].min() - 2 * step) & (time <= some["t_p_s"].max() + 2 * step)
-        motion = horizontal_deformation(
-            positions.tracks(np.flatnonzero(kept)),
-            some,
-            clock,
-            pixel_size_um=self.run.found.facts.get("parameters", {}).get("pixel_size", {}).get("value"),
-            common_mode=self.run.settings.common_mode,
-            settings=self.run.settings.tuning.deformation,
-        )
-        return classify_sheets(motion, threshold=self.run.settings.threshold)
+        for around in range(STICKS_AROUND, -1, -1):
+            sticks = events.iloc[max(0, place[0] - around) : place[0] + around + 1]
+            first, last = sticks["t_v_s"].min() - 2 * step, sticks["t_p_s"].max() + 2 * step
+            rows = np.flatnonzero((time >= first) & (time <= last))
+            if rows.size <= MOST_ROWS:
+                break
+        if not rows.size:
+            raise InputError("the stick phase", "one within the film", f"{event}")
+        return Near(event=event, clock=clock, sticks=sticks, rows=rows)
+
+    def _measured(self, positions: Positions, near: Near) -> dict[str, Any]:
+        """σ_x/Λ_st of every sheet in a stick, and the shell of each side; why not where it cannot be."""
+        settings = self.run.settings
+        try:
+            motion = horizontal_deformation(
+                positions.tracks(near.rows),
+                near.sticks,
+                near.clock,
+                pixel_size_um=self.run.found.pixel_size_um,
+                common_mode=settings.common_mode,
+                settings=settings.tuning.deformation,
+            )
+            if near.event not in motion["event"].values:
+                return {"sheets": [], "shells": [], "reason": PARTLY}
+            one = motion.sel(event=[near.event])
+            sheets = classify_sheets(one, threshold=settings.threshold).isel(event=0)
+            shells = classify_shells(one, threshold=settings.threshold, settings=settings.tuning.shells)
+        except InputError as error:
+            return _unknown(error)
+        names = ("ratio", "ratio_err", "p_stiff", "shell", "flag")
+        columns = {"index": sheets["sheet"], "side": sheets["side"], "n": sheets["n"]}
+        table = pd.DataFrame({name: values.values for name, values in columns.items()})
+        table = table.assign(**{name: sheets[name].values for name in names})
+        sizes = shells[["side", "stiff_sheets", "stiff_low", "stiff_high"]].astype(object)
+        return {"sheets": _records(table), "shells": _records(sizes.where(sizes.notna(), None))}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Near:
+    """One stick, with those around it from which noise and camera movement are measured: their rows, and the
+    clock by which they lie there."""
+
+    event: int
+    clock: Clock
+    sticks: pd.DataFrame
+    rows: Ints
+
+    def since(self, row: int) -> Near:
+        """With rows counted from another one."""
+        return replace(self, rows=self.rows - row)
+
+
+def _unknown(error: InputError) -> dict[str, Any]:
+    return {"sheets": [], "shells": [], "reason": with_options(str(error), {})}
+
+
+def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    return [{str(name): value for name, value in row.items()} for row in table.to_dict("records")]
 
 
 def _clipped(decision: Correction, part: Positions) -> Correction:
@@ -274,15 +349,3 @@ def _nearest(x: Floats32, places: Floats, reach: float) -> Floats:
     best = distance.argmin(axis=1)
     found = np.take_along_axis(x, best, axis=1).astype(float)
     return np.where(distance.min(axis=1) <= reach, found, np.nan)
-
-
-def _of_event(motion: xr.Dataset, event: int) -> list[dict[str, Any]]:
-    if event not in motion["event"].values:
-        raise InputError("the event", "one within the film", f"{event}")
-    one = motion.sel(event=event)
-    names = ("ratio", "ratio_err", "p_stiff", "shell", "flag")
-    columns = {"index": one["sheet"], "side": one["side"], "n": one["n"]} | {
-        name: one[name] for name in names
-    }
-    table = pd.DataFrame({name: values.values for name, values in columns.items()})
-    return [{str(name): value for name, value in row.items()} for row in table.to_dict("records")]

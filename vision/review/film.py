@@ -67,7 +67,7 @@ class Film:
                 )
                 found = self._near(reader, at, 0.5 / (rate or 1.0)) if np.isfinite(at) else None
                 if found is not None:
-                    turns = -(self._video.rotate // 90)
+                    turns = -(self._video.turned_deg // 90)
                     return np.rot90(found, k=turns) if turns else found
             return self._sequential(number)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from vision.clock import video_slips
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.files import check_regular, reading
@@ -46,6 +47,9 @@ DOUBTFUL = FLAGS.index("doubtful")
 CELLS = ("x_px", "err_px", "withheld_px", "flag", "why")
 """Arrays of (frame, sheet)."""
 USUAL_ROWS = 300  # from which it is learned how sheets move with their neighbours
+SLIP_ROWS = 10_000
+"""In which slips are looked for at a time: all of 100 000 take 250 MB of memory; with fewer than some ten
+slips in a part their usual size is not known well."""
 BLOCK = 8192  # frames read at a time
 _WANTED = "tracks as track writes them"
 
@@ -130,6 +134,12 @@ class Positions:
         }
         return xr.Dataset(variables, coords, dict(self.attrs))
 
+    def slips_s(self) -> Floats:
+        """When the sheets themselves step outwards, whatever the clock, s; a part of the film at a time."""
+        frames = len(self.frame)
+        parts = [slice(k, min(k + SLIP_ROWS, frames) + 1) for k in range(0, frames, SLIP_ROWS)]
+        return np.concatenate([_slips_in(self.tracks(part)) for part in parts])
+
     def row_of(self, frame: int) -> int:
         """Row of a frame number.  Raises: InputError for a frame that the run does not have."""
         row = int(np.searchsorted(self.frame, frame))
@@ -143,6 +153,14 @@ class Positions:
         return replace(self, **arrays)
 
 
+def _slips_in(tracks: xr.Dataset) -> Floats:
+    """Of a part; none in too few frames, or without times."""
+    try:
+        return np.asarray(video_slips(tracks)["time_s"], np.float64)
+    except InputError:
+        return np.empty(0)
+
+
 def read_positions(path: Path) -> Positions:
     """tracks.nc in parts, so that its words never lie in memory at once.
 
@@ -153,15 +171,22 @@ def read_positions(path: Path) -> Positions:
     """
     check_regular(path, _WANTED)
     try_out(path, "HDF5", _WANTED)
+    return read_rows(path)
+
+
+def read_rows(path: Path, rows: slice = slice(None)) -> Positions:
+    """The same of a file that this program has written just now, and some frames of it if wanted."""
     with reading(path, _WANTED, AGAIN), h5netcdf.File(path, "r") as file:
-        return _read(file, path)
+        return _read(file, path, rows)
 
 
-def _read(file: h5netcdf.File, path: Path) -> Positions:
+def _read(file: h5netcdf.File, path: Path, wanted: slice) -> Positions:
     absent = [name for name in ("x_px", "x_err_px", "flag", "time_s", "side", "n") if name not in file]
     shape = tuple(file["x_px"].shape) if "x_px" not in absent else ()
     if absent or len(shape) != 2:
         raise InputError(path, _WANTED, f"no {', '.join(absent) or 'x(n, t)'}", AGAIN)
+    start, stop, _ = wanted.indices(shape[0])
+    shape = (stop - start, shape[1])
     arrays: dict[str, Any] = {
         "x_px": np.empty(shape, np.float32),
         "err_px": np.empty(shape, np.float32),
@@ -170,20 +195,19 @@ def _read(file: h5netcdf.File, path: Path) -> Positions:
         "why": np.zeros(shape, np.uint8),
     }
     names = {"x_err_px": "err_px", "x_withheld_px": "withheld_px"}
-    for rows in _blocks(shape[0]):
+    for first in range(start, stop, BLOCK):
+        rows = slice(first, min(first + BLOCK, stop))
+        here = slice(rows.start - start, rows.stop - start)
         for name in ("x_px", *names):
             if name in file:
-                arrays[names.get(name, name)][rows] = file[name][rows]
+                arrays[names.get(name, name)][here] = file[name][rows]
         for name, words in (("flag", FLAGS), ("why", WHYS)):
             if name in file:
-                arrays[name][rows] = _codes(file[name][rows], words)
+                arrays[name][here] = _codes(file[name][rows], words)
     attrs = {name: value for name, value in file.attrs.items() if name not in ("Conventions", "title")}
-    one = {name: np.asarray(file[name][:]) for name in ("frame", "time_s", "side", "n")}
+    one = {name: np.asarray(file[name][wanted]) for name in ("frame", "time_s")}
+    one |= {name: np.asarray(file[name][:]) for name in ("side", "n")}
     return Positions(**arrays, **one, attrs=attrs_of_netcdf({name: _plain(v) for name, v in attrs.items()}))
-
-
-def _blocks(frames: int) -> Iterator[slice]:
-    yield from (slice(start, min(start + BLOCK, frames)) for start in range(0, frames, BLOCK))
 
 
 def _codes(letters: NDArray[np.bytes_], words: Sequence[str]) -> Codes:

@@ -23,14 +23,17 @@ from numpy.typing import NDArray
 from vision.clock import Clock
 from vision.errors import InputError
 from vision.pipeline import Analysis, Settings, analyse, open_recording
+from vision.review.differences import differences
 from vision.review.editing import Before
-from vision.run.provenance import Origin, Parameter
-from vision.run.reading import input_of, read_run, read_strip, tracks_of
+from vision.run.folder import clean_up
+from vision.run.provenance import Origin, Parameter, plain
+from vision.run.reading import input_of, parameters_of, read_run, read_strip, tracks_of
 from vision.run.writing import write_run
 from vision.sheets.corrections import Correction, Decisions
 from vision.video import Video
 
-Tell = Callable[[str], None]
+Tell = Callable[..., None]
+"""Called with what is being done, and with frames done and their number where those are known."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +56,8 @@ class Job:
         Files of the review that are kept with the run: content by name.
     options
         Names of arguments and the command's options that the report shows in their place.
+    into
+        Where the run is written, if it shall not take the old one's place.
     """
 
     folder: Path
@@ -63,9 +68,10 @@ class Job:
     film: Path | None = None
     beside: Mapping[str, bytes] | None = None
     options: Mapping[str, str] = field(default_factory=dict)
+    into: Path | None = None
 
 
-def save_run(job: Job, tell: Tell = lambda stage: None) -> None:
+def save_run(job: Job, tell: Tell = lambda stage, done=0, total=0: None) -> None:
     """Run what follows from the decisions again and replace the run folder.
 
     Parameters
@@ -83,30 +89,32 @@ def save_run(job: Job, tell: Tell = lambda stage: None) -> None:
     tell("reading the run")
     folder, settings = job.folder, replace(job.settings, corrections=job.decisions.corrections)
     run = read_run(folder)
-    inputs, recorded = run.facts.get("inputs") or [], run.facts.get("parameters", {})
-    size = recorded.get("pixel_size", {}).get("value")
+    inputs, parameters = run.facts.get("inputs") or [], parameters_of(folder, run.facts)
     earlier = Analysis(
         settings=replace(settings, corrections=job.applied),
         strip=read_strip(run),
         tracks=tracks_of(run),
         clock=job.clock,
     )
-    with_force = recorded.get("force", {}).get("value") is not None
-    tell("tracking")
+    force, size = (parameters.get(name, Parameter(None, "default")).value for name in ("force", "pixel_size"))
+    tell("measuring")
+
+    def read(done: int, total: int | None) -> None:
+        tell("reading the film" if done != total else "measuring", done, total or 0)
+
     analysis = analyse(
         _recording(job, inputs),
-        input_of(folder, inputs[-1]) if with_force else None,
+        None if force is None else input_of(folder, inputs[-1]),
         settings if settings.pitch_um is None else replace(settings, pixel_size_um=None),
         earlier=earlier,
-        progress=lambda done, total: tell(f"reading the film, {done} of {total or 'unknown'} frames"),
+        progress=read,
     )
-    parameters = {name: Parameter(one.get("value"), one.get("how")) for name, one in recorded.items()}
     if settings.pitch_um is not None and size is not None:
         parameters["pixel_size"] = Parameter(analysis.pixel_size_um, "found")
     tell("writing")
     write_run(
         analysis,
-        folder,
+        job.into or folder,
         Origin(command=str(run.facts.get("command", "")), parameters=parameters, options=job.options),
         overwrite=True,
         report=(folder / "report.html").exists(),
@@ -128,12 +136,7 @@ def _recording(job: Job, inputs: list[Any]) -> Video | None:
 
 
 class Saver:
-    """One saving at a time, beside the server.
-
-    Parameters
-    ----------
-    done
-        Called, in a thread, when a run has been replaced.
+    """One run at a time that is made again, beside the server.
 
     Notes
     -----
@@ -141,49 +144,80 @@ class Saver:
     server that started it is gone.
     """
 
-    def __init__(self, done: Callable[[], None]) -> None:
-        self._done = done
+    def __init__(self) -> None:
         self._thread: Thread | None = None
-        self.stage, self.error = "", ""
+        self._child: subprocess.Popen[bytes] | None = None
+        self._cancelled = False
+        self.stage, self.error, self.done, self.total = "", "", 0, 0
 
     @property
     def running(self) -> bool:
-        """Whether a run is being saved."""
+        """Whether a run is being made."""
         return self._thread is not None and self._thread.is_alive()
 
-    def start(self, job: Job) -> None:
-        """Begin.  Raises: InputError while another one runs."""
+    def start(self, job: Job, finished: Callable[[Mapping[str, Any]], None]) -> None:
+        """Begin.
+
+        Parameters
+        ----------
+        job
+            What is to be done.
+        finished
+            Called, in a thread, when the run has been written, with its `differences` from the old one where
+            that has kept its place.
+
+        Raises
+        ------
+        InputError
+            While another one is being made.
+        """
         if self.running:
-            raise InputError("save", "one saving at a time", "one that runs")
-        self.stage, self.error = "starting", ""
-        self._thread = Thread(target=self._work, args=(job,), daemon=True)
+            raise InputError("the run", "one that is not being tracked or saved", "one that is", "wait")
+        self.stage, self.error, self._cancelled = "starting", "", False
+        self._thread = Thread(target=self._work, args=(job, finished), daemon=True)
         self._thread.start()
 
     def wait(self) -> None:
-        """Until nothing is being saved."""
+        """Until nothing is being made."""
         if self._thread is not None:
             self._thread.join()
 
-    def _work(self, job: Job) -> None:
-        error = "the process that saves ended without a word; the run is as it was"
+    def cancel(self) -> None:
+        """End it; nothing of it is left once this returns."""
+        self._cancelled = True
+        if self._child is not None:
+            self._child.kill()
+        self.wait()
+
+    def _work(self, job: Job, finished: Callable[[Mapping[str, Any]], None]) -> None:
+        found: Mapping[str, Any] = {}
+        error = "the process that tracks ended without a word; the run is as it was"
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
         with subprocess.Popen([sys.executable, "-c", _CHILD], **pipes) as child:  # type: ignore[call-overload]
+            self._child = child
+            if self._cancelled:
+                child.kill()
             with contextlib.suppress(BrokenPipeError):
                 pickle.dump((sys.path, os.getpid()), child.stdin)
                 pickle.dump(job, child.stdin)
                 child.stdin.close()
             for line in child.stdout:
-                kind, text = json.loads(line)
+                kind, content, done, total = json.loads(line)
                 if kind == "stage":
-                    self.stage = text
+                    self.stage, self.done, self.total = content, done, total
+                elif kind == "found":
+                    found = content
                 else:
-                    error = text
+                    error = content
+        if self._cancelled:
+            clean_up(job.into or job.folder)
+            error = "cancelled"
         if not error:
             try:
-                self._done()
+                finished(found)
             except InputError as broken:
                 error = str(broken)
-        self.stage, self.error = "", error
+        self.stage, self.error, self._child, self.done, self.total = "", error, None, 0, 0
 
 
 # The packages that the server has, and none in the working directory.
@@ -196,8 +230,8 @@ in_child(server)
 
 
 def in_child(server: int) -> None:
-    """Save what standard input holds, and tell how it goes, a line of JSON each: ["stage", text], at last
-    ["end", error or ""].
+    """Save what standard input holds, and tell how it goes, a line of JSON each: ["stage", text, frames done,
+    their number], ["found", differences, 0, 0] where a run is put beside, at last ["end", error, 0, 0].
 
     Parameters
     ----------
@@ -207,21 +241,25 @@ def in_child(server: int) -> None:
     """
     lines, sys.stdout = sys.stdout, sys.stderr
 
-    def tell(stage: str, kind: str = "stage") -> None:
+    def tell(content: Any, done: int = 0, total: int = 0, *, kind: str = "stage") -> None:
         if os.getppid() != server:
             os._exit(1)
-        lines.write(json.dumps([kind, stage]) + "\n")
+        lines.write(json.dumps([kind, content, done, total]) + "\n")
         lines.flush()
 
     try:
-        save_run(pickle.load(sys.stdin.buffer), tell)
-        tell("", "end")
+        job = pickle.load(sys.stdin.buffer)
+        save_run(job, tell)
+        if job.into is not None:
+            tell("comparing")
+            tell(plain(differences(job.folder, job.into)), kind="found")
+        tell("", kind="end")
     except InputError as error:
-        tell(str(error), "end")
+        tell(str(error), kind="end")
     except BrokenPipeError:
         os._exit(1)
     except Exception as error:  # shown in the page; the run stays as it was
-        tell(" ".join(f"unexpected {type(error).__name__}: {error}".split()), "end")
+        tell(" ".join(f"unexpected {type(error).__name__}: {error}".split()), kind="end")
 
 
 # --- what decisions replaced --------------------------------------------------------------------------------

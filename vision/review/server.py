@@ -180,6 +180,8 @@ class Api:
             "/api/stick/{event:int}": self.stick,
             "/api/ridges/{frame:int}": self.ridges,
             "/api/save": self.saving,
+            "/api/retrack": self.retracking,
+            "/api/retracked/{frame:int}": self.retracked,
         }
         post = {
             "/api/preview": self.preview,
@@ -189,6 +191,9 @@ class Api:
             "/api/strip": self.strip,
             "/api/clock": self.clock,
             "/api/save": self.save,
+            "/api/retrack": self.retrack,
+            "/api/retrack/keep": self.keep_retracked,
+            "/api/retrack/cancel": self.cancel_retracking,
             "/api/leave": self.leave,
             "/api/quit": self.quit,
         }
@@ -268,11 +273,7 @@ class Api:
 
     def stick(self, request: Request) -> Response:
         """σ_x/Λ_st of one stick, or why there is none: a page asks for each stick that the cursor passes."""
-        event = request.path_params["event"]
-        try:
-            return _json(self.session.effects.stick(event))
-        except InputError as error:
-            return _json({"event": event, "sheets": [], "shells": [], "reason": with_options(str(error), {})})
+        return _json(self.session.effects.stick(request.path_params["event"]))
 
     def ridges(self, request: Request) -> Response:
         """Candidates of one frame."""
@@ -323,6 +324,28 @@ class Api:
     def saving(self, request: Request) -> Response:
         """How far saving is."""
         return _json(self.session.saving())
+
+    def retrack(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """Begin to track again under a decision that is not kept yet."""
+        self.session.trial.start(_table(body, "decision"))
+        return _json(self.session.trial.state())
+
+    def retracking(self, request: Request) -> Response:
+        """How far that is; at last what it would change."""
+        return _json(self.session.trial.state())
+
+    def retracked(self, request: Request) -> Response:
+        """The run as it was tracked again, about one frame."""
+        return _json(self.session.trial.at(request.path_params["frame"]))
+
+    def keep_retracked(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """Keep the decision, and the run as it was tracked again."""
+        return self._changed(request, body, self.session.trial.keep)
+
+    def cancel_retracking(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """Throw it away, finished or not."""
+        self.session.trial.discard()
+        return _json({})
 
     def leave(self, request: Request, body: Mapping[str, Any]) -> Response:
         """A window was closed, or is loaded anew."""

@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 import xarray as xr
 
-from vision.clock import Clock, video_slips
+from vision.clock import Clock
 from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, minmax_decimate
@@ -25,8 +25,10 @@ from vision.review.effects import READY, Effects
 from vision.review.film import Film
 from vision.review.positions import FLAGS, WHYS, read_positions
 from vision.review.saving import Job, Saver, pack, unpack
-from vision.review.stored import Found, claim, decided_clock, write_durably
+from vision.review.stored import Found, claim, decided_clock
 from vision.review.tiles import Tiles, encode_png
+from vision.review.trial import Trial
+from vision.run.folder import whole_file
 from vision.run.reading import input_of
 from vision.run.writing import CORRECTIONS
 from vision.sheets.corrections import (
@@ -76,15 +78,17 @@ class Session:
         options: Mapping[str, str] | None = None,
     ) -> None:
         self.folder, self.settings, self.options = folder, settings, dict(options or {})
-        self.saver, self.effects = Saver(self._saved), Effects(self)
+        self.saver, self.effects, self.trial = Saver(), Effects(self), Trial(self)
         self._film_moved = film
         self._film: Film | None = None
         self._film_reason = ""
         self.lock = RLock()
         self.revision = 0
         self._claim = claim(folder)
+        self.trial.discard()  # what a killed review left
         self._grey: tuple[float, float] | None = None
         self._force: xr.Dataset | None = None
+        self._film_slips: tuple[int, Floats] | None = None
         try:
             with reading(folder, "a run folder as track writes it", "run track again"):
                 self._load()
@@ -160,6 +164,7 @@ class Session:
         return self
 
     def __exit__(self, *error: object) -> None:
+        self.trial.discard()
         self.saver.wait()
         self.diagram.close()
         self._claim.close()
@@ -185,8 +190,8 @@ class Session:
     def _input(self, place: int) -> Mapping[str, Any]:
         """The film's entry among run.json's inputs (0), or the force recording's (-1)."""
         inputs = self.found.facts.get("inputs") or []
-        named = self.found.facts.get("parameters", {}).get("force", {}).get("value")
-        if not inputs or (place and not named):
+        force = self.found.parameters.get("force")
+        if not inputs or (place and (force is None or not force.value)):
             raise InputError(self.folder, "a film and a force recording", "none in its run.json")
         return dict(inputs[place])
 
@@ -224,78 +229,91 @@ class Session:
     def save(self) -> None:
         """Begin to re-run what follows from the decisions.  Raises: InputError while that is being done."""
         with self.lock:
-            self.saver.start(
-                Job(
-                    folder=self.folder,
-                    settings=self.settings,
-                    applied=tuple(self.applied),
-                    decisions=self._held(self.decisions, self.undone),
-                    clock=self.found.clock,
-                    film=self._film_moved,
-                    beside={REPLACED: pack(self._before)} if self._before else {},
-                    options=self.options,
-                )
-            )
+            self.trial.discard()
+            self.saver.start(self.job(self.decisions, self.undone), lambda found: self.reload())
+
+    def job(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> Job:
+        """What makes the run follow these decisions.  Raises: InputError where the run is gone."""
+        self.found.check_there()
+        strips = [last_of(part, "strip") for part in (self.applied, decisions)]
+        same = len({one.rows if one else None for one in strips}) == 1  # else other positions were replaced
+        return Job(
+            folder=self.folder,
+            settings=self.settings,
+            applied=tuple(self.applied),
+            decisions=self._held(decisions, undone),
+            clock=self.found.clock,
+            film=self._film_moved,
+            beside={REPLACED: pack(self._before)} if self._before and same else {},
+            options=self.options,
+        )
 
     def saving(self) -> dict[str, Any]:
         """How far saving is."""
         saver = self.saver
-        return {"running": saver.running, "stage": saver.stage, "error": saver.error, "changed": self.changed}
+        progress = {"stage": saver.stage, "done": saver.done, "total": saver.total, "error": saver.error}
+        return {"running": saver.running, "changed": self.changed, **progress}
 
-    def _saved(self) -> None:
+    def reload(self) -> None:
+        """Look at the run that has been put in this one's place."""
         with self.lock:
             earlier = self.diagram
             self._load()
             earlier.close()
             self.revision += 1
 
-    def _check_free(self) -> None:
-        """Decisions wait while the run is made again.  Raises: InputError."""
+    def check_free(self) -> None:
+        """Decisions wait while the run is made again; what was tried out before them is thrown away.
+
+        Raises: InputError.
+        """
         if self.saver.running:
-            raise InputError("the run", "a run that is not being saved", "one that is", "wait for its end")
+            found = "one that is being tracked or saved"
+            raise InputError("the run", "a run that rests", found, "wait for its end, or cancel it")
+        self.trial.discard()
 
     # --- decisions ------------------------------------------------------------------------------------------
 
     def decide(self, request: Mapping[str, Any]) -> None:
         """Keep a decision.  Raises: InputError where it does not fit; nothing is kept then."""
         with self.lock:
-            self._check_free()
+            self.check_free()
             if any(one.kind in ("add", "delete") for one in self.unseen):
                 found = "a number that waits to be saved"
                 raise InputError("the decision", "sheets that are numbered as shown", found, "save first")
-            self._keep(self.decision_of(request, dated=True), [])
+            self._add(self.decision_of(request, dated=True), [])
 
     def undo(self) -> None:
         """Take the last decision back.  Raises: InputError without one."""
         with self.lock:
-            self._check_free()
+            self.check_free()
             if not self.decisions:
                 raise InputError("undo", "a decision to take back", "none")
-            self._write(self.decisions[:-1], [*self.undone, self.decisions[-1]])
+            self.write(self.decisions[:-1], [*self.undone, self.decisions[-1]])
             self.undone.append(self._step_back())
 
     def redo(self) -> None:
         """Make the last decision that was taken back again.  Raises: InputError without one."""
         with self.lock:
-            self._check_free()
+            self.check_free()
             if not self.undone:
                 raise InputError("redo", "a decision that was taken back", "none")
             again, rest = self.undone[-1], self.undone[:-1]
             if not (self.unseen and self.unseen[-1].what == again.what):
-                self._keep(again, rest)
+                self._add(again, rest)
                 return
-            self._write([*self.decisions, again], rest)
+            self.write([*self.decisions, again], rest)
             self.unseen.pop()
             self.decisions.append(again)
             self._before.append(None)
             self.undone = rest
             self.revision += 1
 
-    def _keep(self, decision: Correction, undone: list[Correction]) -> None:
+    def _add(self, decision: Correction, undone: list[Correction]) -> None:
         """Apply and write; what cannot be written is not applied either."""
         self._apply(decision)
         try:
-            self._write(self.decisions, undone)
+            self.write(self.decisions, undone)
         except InputError:
             self._step_back()
             raise
@@ -331,10 +349,12 @@ class Session:
             now = max(now, earliest.astimezone(UTC))
         return now.isoformat(timespec="milliseconds")
 
-    def _write(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> None:
+    def write(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> None:
         """corrections.toml, whole and on the disk when this returns."""
-        held = self._held(decisions, undone)
-        write_durably(self.folder / CORRECTIONS, corrections_text(held))
+        self.found.check_there()
+        text = corrections_text(self._held(decisions, undone))
+        with whole_file(self.folder / CORRECTIONS, durable=True) as path:
+            path.write_text(text, encoding="utf-8")
 
     def _held(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> Decisions:
         checksum = self.found.film_checksum
@@ -358,7 +378,7 @@ class Session:
                 "clock_kind": strip.clock_kind,
                 "columns": columns,
                 "first_column": self.diagram.first_column,
-                "pixel_size_um": self.found.facts.get("parameters", {}).get("pixel_size", {}).get("value"),
+                "pixel_size_um": self.found.pixel_size_um,
                 "threshold": self.settings.threshold,
                 "strip": self._rows(strip),
                 "axis_px": facts.axis_px,
@@ -478,12 +498,9 @@ class Session:
             return sorted({int(frame) for frame in self._frames_at(self._video_slips_s())})
 
     def _video_slips_s(self) -> Floats:
-        if not hasattr(self, "_seen_slips_s"):
-            try:
-                self._seen_slips_s = video_slips(self.positions.tracks())["time_s"].to_numpy(float)
-            except InputError:  # too few frames, or none with a time
-                self._seen_slips_s = np.empty(0)
-        return self._seen_slips_s
+        if self._film_slips is None or self._film_slips[0] != self.revision:
+            self._film_slips = self.revision, self.positions.slips_s()
+        return self._film_slips[1]
 
     def _frames_at(self, seconds: Floats) -> Ints:
         """Numbers of the frames next after these times of the camera's clock."""

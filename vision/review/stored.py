@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,15 +13,12 @@ import pandas as pd
 from vision.clock import Candidate, Clock
 from vision.errors import InputError
 from vision.run.folder import MARK, lock_open_file
-from vision.run.reading import AGAIN, read_json, read_table_of
+from vision.run.provenance import Parameter
+from vision.run.reading import AGAIN, parameters_of, read_json, read_table_of
 from vision.sheets.corrections import Correction, correction_of
 
-COLUMNS = {
-    "events": ("event", "t_v_s", "t_p_s", "stick_length_um"),
-    "deformation": ("event", "index", "side", "n", "ratio", "ratio_err", "p_stiff", "shell", "flag"),
-    "shells": ("event", "side", "stiff_sheets"),
-}
-"""Tables of a run, and what a review needs of each."""
+COLUMNS = ("event", "t_v_s", "t_p_s", "stick_length_um")
+"""Of events.csv that a review needs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,30 +29,46 @@ class Found:
     ----------
     folder
         The run folder.
-    facts
-        run.json.
-    clock, events, deformation, shells
+    facts, parameters
+        run.json, and what the run was made with by the names of the command's options.
+    stamp
+        By which another run in its place is recognised.
+    clock, events
         As far as the run has them.
     """
 
     folder: Path
     facts: Mapping[str, Any]
+    parameters: Mapping[str, Parameter]
+    stamp: tuple[int, int, int]
     clock: Clock | None = None
     events: pd.DataFrame | None = None
-    deformation: pd.DataFrame | None = None
-    shells: pd.DataFrame | None = None
 
     @classmethod
     def of(cls, folder: Path) -> Found:
         """Raises: InputError for a folder that is no run of a video, or a damaged one."""
-        facts = read_json(folder / MARK)
+        stamp, facts = _stamp(folder), read_json(folder / MARK)
         clock = folder / "clock.json"
         return cls(
             folder=folder,
             facts=facts,
+            parameters=parameters_of(folder, facts),
+            stamp=stamp,
             clock=clock_of(read_json(clock)) if clock.exists() else None,
-            **{name: _table(folder, name) for name in COLUMNS},
+            events=_events(folder),
         )
+
+    def check_there(self) -> None:
+        """Raises: InputError where the run folder is gone, or another run has taken its place."""
+        if _stamp(self.folder) != self.stamp:
+            found, advice = "none, or another one", "nothing was changed; end the review and start it again"
+            raise InputError(self.folder, "the run that is reviewed", found, advice)
+
+    @property
+    def pixel_size_um(self) -> float | None:
+        """µm per pixel; None where it was not given."""
+        size = self.parameters.get("pixel_size")
+        return None if size is None or size.value is None else float(size.value)
 
     @property
     def film_checksum(self) -> str:
@@ -73,14 +84,22 @@ class Found:
         ]
 
 
-def _table(folder: Path, name: str) -> pd.DataFrame | None:
-    """One of the run's tables, with the columns that are needed; None where the run has none."""
-    table = read_table_of(folder, name)
-    absent = [] if table is None else [column for column in COLUMNS[name] if column not in table]
+def _stamp(folder: Path) -> tuple[int, int, int]:
+    """Of run.json; zeros where there is none."""
+    try:
+        facts = (folder / MARK).stat()
+    except OSError:
+        return 0, 0, 0
+    return facts.st_ino, facts.st_size, facts.st_mtime_ns
+
+
+def _events(folder: Path) -> pd.DataFrame | None:
+    """The stick-slip events; None where the run has none."""
+    table = read_table_of(folder, "events")
+    absent = [] if table is None else [column for column in COLUMNS if column not in table]
     if absent:
-        raise InputError(
-            folder / f"{name}.csv", "a table as track writes it", f"no {', '.join(absent)}", AGAIN
-        )
+        found = f"no {', '.join(absent)}"
+        raise InputError(folder / "events.csv", "a table as track writes it", found, AGAIN)
     return table
 
 
@@ -150,30 +169,3 @@ def claim(folder: Path) -> IO[str]:
         found, advice = "a review of it that is open", "go to its window, or end it there"
         raise InputError(folder, "a run that nobody reviews now", found, advice) from None
     return file
-
-
-def write_durably(path: Path, text: str) -> None:
-    """Replace a text file in one step; on the disk when this returns.
-
-    Raises
-    ------
-    InputError
-        Where it cannot be written; the file is as it was then.
-    """
-    made = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    try:
-        with made.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        made.replace(path)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-    except OSError as error:
-        found = (error.strerror or str(error)).lower()
-        raise InputError(path, "a place that can be written", found, "the decision is not kept") from error
-    finally:
-        made.unlink(missing_ok=True)

@@ -13,8 +13,9 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import StripMetadata, harmless, harmless_table
+from vision.data import StripMetadata
 from vision.errors import InputError
+from vision.escaping import harmless, harmless_table
 from vision.files import reading
 from vision.run.folder import check_target, run_folder, whole_file
 from vision.run.provenance import write_json

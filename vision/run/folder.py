@@ -80,7 +80,7 @@ def run_folder(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
         made.mkdir(parents=True)
         lock = lock_folder(made)
         yield made
-        _replace(made, target, overwrite=overwrite)
+        put_in_place(made, target, overwrite=overwrite)
     except OSError as error:
         raise _unwritable(target, error) from error
     finally:
@@ -143,7 +143,7 @@ def lock_open_file(handle: int) -> None:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def _replace(made: Path, target: Path, *, overwrite: bool) -> None:
+def put_in_place(made: Path, target: Path, *, overwrite: bool) -> None:
     """Put `made` in the place of `target`; an earlier run takes the temporary place, and is removed there.
 
     Where the file system can exchange two names in one step, the target is at every moment the old run or
@@ -182,14 +182,26 @@ def _exchange(one: Path, other: Path) -> bool:
 
 
 @contextmanager
-def whole_file(target: Path) -> Iterator[Path]:
-    """A path beside the target; what is written there takes the target's place when it is whole."""
+def whole_file(target: Path, *, durable: bool = False) -> Iterator[Path]:
+    """A path beside the target; what is written there takes the target's place when it is whole.
+
+    durable: it is on the disk when this returns, whatever ends the machine; that takes some milliseconds.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be written; an earlier file is as it was then.
+    """
     made, missing = None, _missing_parents(target)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         made = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
         yield made / target.name
+        if durable:
+            _to_disk(made / target.name)
         (made / target.name).replace(target)
+        if durable:
+            _to_disk(target.parent)
     except OSError as error:
         found = str(error.strerror or error).lower()
         raise InputError(target, "a place that can be written", found, "nothing was written") from error
@@ -197,6 +209,17 @@ def whole_file(target: Path) -> Iterator[Path]:
         if made is not None:
             shutil.rmtree(made, ignore_errors=True)
         _remove_empty(missing)
+
+
+def _to_disk(path: Path) -> None:
+    """Wait until a file, or what a folder's names stand for, is on the disk."""
+    if path.is_dir() and fcntl is None:  # Windows opens no folders
+        return
+    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def _missing_parents(path: Path) -> list[Path]:

@@ -21,7 +21,7 @@ from vision.files import check_regular, reading, shortened
 from vision.isolation import try_out
 from vision.numeric import Floats, Floats32
 from vision.run.folder import MARK
-from vision.run.provenance import describe_input
+from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf
 from vision.video.store import ProfileStore
 from vision.video.tiff_index import check_tiff
@@ -84,6 +84,27 @@ def read_run(folder: Path) -> RunFolder:
     facts = read_json(folder / MARK)
     tracks = folder / "tracks.nc"
     return RunFolder(folder, facts, _read_tracks(tracks) if tracks.exists() else None)
+
+
+def parameters_of(folder: Path, facts: Mapping[str, Any]) -> dict[str, Parameter]:
+    """What a run was made with, by the names of the command's options.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    facts
+        Its run.json.
+
+    Raises
+    ------
+    InputError
+        Where run.json holds none, or something else in their place.
+    """
+    known = facts.get("parameters")
+    if not isinstance(known, dict) or not all(isinstance(one, dict) for one in known.values()):
+        raise InputError(folder / MARK, "the parameters of a run", "none", AGAIN)
+    return {name: Parameter(one.get("value"), one.get("how", "given")) for name, one in known.items()}
 
 
 def tracks_of(run: RunFolder) -> xr.Dataset:

@@ -13,7 +13,7 @@ import pyarrow as pa
 import xarray as xr
 from pyarrow import csv
 
-from vision.data import harmless_table
+from vision.escaping import harmless_table
 
 _JSON = ("[", "{", '"')  # what text that is read back as JSON begins with
 ROWS_PER_CHUNK = 500_000  # of tracks.csv, so that memory does not grow with the recording

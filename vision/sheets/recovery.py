@@ -12,7 +12,7 @@ import numpy as np
 
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median
 from vision.sheets.identities import Identities, fill_rows
-from vision.sheets.neighbours import anchored, excursions, hops, neighbour_residual
+from vision.sheets.neighbours import anchored, excursions, hops, neighbour_residual, torn
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
@@ -83,8 +83,8 @@ def assign_detections(
     table = [
         _of_sheets(values, identities.match) for values in (ridges.x_px, ridges.contrast, ridges.fwhm_px)
     ]
-    why = _doubts(np.where(paired, table[0], np.nan), identities, comb, profile.shape[1], settings)
     table = [np.where(paired, values, np.nan) for values in table]
+    why = _doubts(table[0], table[1], identities, comb, profile.shape[1], settings)
     why = _settled(why, table, comb, settings)
     table, why = _other_ridges(ridges, identities, table, why, comb, settings)
     withheld = np.where(why != "", table[0], np.nan)
@@ -118,6 +118,7 @@ DOUBTS = {
     "margin": "another numbering fits nearly as well",
     "tear": "displaced unlike the largest group of sheets",
     "jump": "after a jump by whole pitches",
+    "looks": "pitches away from the usual place, and the sheets look unlike themselves",
     "hop": "away from where the neighbours say, on another ridge",
     "excursion": "a jump away and back within a few frames",
 }
@@ -125,13 +126,20 @@ DOUBTS = {
 
 
 def _doubts(
-    x: Floats, identities: Identities, comb: RidgeComb, width_px: int, settings: TrackingSettings
+    x: Floats,
+    contrast: Floats,
+    identities: Identities,
+    comb: RidgeComb,
+    width_px: int,
+    settings: TrackingSettings,
 ) -> Strings:
     """Why the identity of each paired ridge (frame, N) is doubtful, as far as frame and margin tell."""
     why = np.full(x.shape, "", "<U9")
-    why[_after_jumps(x, identities, comb, width_px, settings)] = "jump"
-    why[~(identities.margin >= settings.doubt)] = "margin"
-    why[_outliers(x - identities.rest_px, comb, settings)] = "tear"
+    jump, unlike = _after_jumps(x, contrast, identities, comb, width_px, settings)
+    why[jump] = "jump"
+    why[jump & unlike[:, None]] = "looks"
+    why[~(identities.margin >= settings.doubt) & (why != "looks")] = "margin"
+    why[torn(x - identities.rest_px, comb, settings)] = "tear"
     why[np.isnan(x)] = ""
     return why
 
@@ -206,30 +214,22 @@ def _moved_to(
     return table, why
 
 
-def _outliers(moved: Floats, comb: RidgeComb, settings: TrackingSettings) -> Bools:
-    """Sheets displaced from rest very differently from their neighbours in the same frame.
-
-    A slip moves neighbours alike, however far; where neighbours differ by more than `tear_fraction` pitches,
-    one of the identities is wrong. Such tears cut the sheets of a frame into groups, and all but the largest
-    group are doubtful.
-    """
-    frames, sheets = moved.shape
-    seen = np.isfinite(moved)
-    before = np.hstack([np.full((frames, 1), np.nan), _last_seen(moved)[:, :-1]])
-    group = np.cumsum(np.abs(moved - before) > settings.tear_fraction * comb.pitch_px, axis=1)
-    key = (group + sheets * np.arange(frames)[:, None])[seen]
-    size = np.bincount(key, minlength=frames * sheets).reshape(frames, sheets)
-    own = np.take_along_axis(size, group, axis=1)
-    return np.asarray(seen & (own < size.max(axis=1, keepdims=True)), bool)
-
-
 def _after_jumps(
-    x: Floats, identities: Identities, comb: RidgeComb, width_px: int, settings: TrackingSettings
-) -> Bools:
-    """Frames in which a comb that fills the picture stands whole pitches from where it mostly does.
+    x: Floats,
+    contrast: Floats,
+    identities: Identities,
+    comb: RidgeComb,
+    width_px: int,
+    settings: TrackingSettings,
+) -> tuple[Bools, Bools]:
+    """Frames in which the comb stands whole pitches from where it mostly does, without proof (frame, N), and
+    those in which it looks so unlike itself that its pattern is no proof either (frame,).
 
-    With neither end in view, only brightness distinguishes such a jump from none: a margin that the costs of
-    staying in place and of sheets crossing the edges can bring by themselves is not enough.
+    Such a jump must be proved by a margin that the cost of staying in place cannot bring by itself; with
+    neither end in view, where only brightness tells a jump from none, nor those of sheets crossing the edges.
+    A comb that jumped still looks like itself. Where it does not, the costs count sheets that changed for
+    sheets that were exchanged, and the margin is worth less by as much as the brightness fits worse than
+    usual: the overdispersion of a quasi-likelihood (McCullagh & Nelder 1989, chapter 9).
     """
     seen = np.flatnonzero(np.isfinite(x).any(axis=1))
     step = np.nan_to_num(nan_median(np.diff(x[seen], axis=0), axis=1)) / comb.pitch_px
@@ -237,18 +237,23 @@ def _after_jumps(
     place = np.zeros(len(x), np.int64)
     place[seen[1:]] = np.cumsum(jump)
     values, counts = np.unique(place[seen], return_counts=True)
-    usual = values[np.argmax(counts)] if len(values) else 0
+    away = place != (values[np.argmax(counts)] if len(values) else 0)
+    if not away.any():
+        return np.zeros(x.shape, bool), away
     reach = settings.edge_pitches * comb.pitch_px
     rest = identities.rest_px
     filled = (rest[:, 0] < reach) & (rest[:, -1] > width_px - 1 - reach)
-    least = settings.stay_cost + 2 * settings.crossing_cost + 1.0
-    return np.asarray((filled & (place != usual))[:, None] & (identities.margin < least), bool)
-
-
-def _last_seen(values: Floats) -> Floats:
-    """NaN replaced by the last value before it in the row."""
-    number = np.where(np.isfinite(values), np.arange(values.shape[1]), 0)
-    return np.asarray(np.take_along_axis(values, np.maximum.accumulate(number, axis=1), axis=1), np.float64)
+    least = settings.stay_cost + 1.0 + np.where(filled, 2 * settings.crossing_cost, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = np.log(contrast) - identities.reference.log_contrast
+    off -= nan_median(off, axis=1)[:, None]  # flicker
+    misfit = np.minimum(np.nan_to_num(off) ** 2, LIKE_ITSELF**2).sum(axis=1)
+    misfit /= np.maximum(np.isfinite(off).sum(axis=1), 1)
+    usual = float(nan_median(misfit[seen][~away[seen]]))
+    worse = np.maximum(misfit / max(usual, settings.least_misfit**2), 1.0)
+    whole = nan_median(identities.margin, axis=1)  # of the comb; single sheets may be less certain
+    doubt = np.asarray((away & (whole < least * worse))[:, None] & np.isfinite(x), bool)
+    return doubt, np.asarray(worse > settings.unlike_itself, bool)
 
 
 # --- a second look ------------------------------------------------------------------------------------------

@@ -12,11 +12,20 @@ import xarray as xr
 from vision.data import STRIP, TRACKS, StripMetadata, TrackMetadata, record
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Strings, nan_median
-from vision.sheets.corrections import Correction, apply_corrections, last_of
+from vision.sheets.corrected import apply_corrections
+from vision.sheets.corrections import Correction, last_of
 from vision.sheets.identities import Identities, identify_sheets
 from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.numbering import Numbering, number_sheets
-from vision.sheets.quality import distortion, motion_blur, repeated_frames, spatial_scatter
+from vision.sheets.quality import (
+    SceneChange,
+    distortion,
+    motion_blur,
+    repeated_frames,
+    scene_changes,
+    shared_error,
+    spatial_scatter,
+)
 from vision.sheets.recovery import Detections, assign_detections
 from vision.sheets.reference import wide_spacings
 from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges
@@ -32,11 +41,12 @@ from vision.sheets.subpixel import (
     position_noise,
 )
 
-BETWEEN_FRAMES = frozenset(
-    {"h264", "hevc", "mpeg1video", "mpeg2video", "mpeg4", "vp8", "vp9", "av1", "wmv3", "msmpeg4v2"}
-)
+_MPEG = {"mpeg1video", "mpeg2video", "mpeg4", "h261", "h263", "h264", "hevc", "vvc"}
+_OTHERS = {"av1", "vp3", "vp6", "vp7", "vp8", "vp9", "theora", "flv1", "rv30", "rv40", "svq3", "cinepak"}
+_MICROSOFT = {"msmpeg4v1", "msmpeg4v2", "msmpeg4v3", "wmv1", "wmv2", "wmv3", "vc1", "msvideo1"}
+BETWEEN_FRAMES = frozenset(_MPEG | _OTHERS | _MICROSOFT)
 """Codecs that carry a picture's content, and with it errors, from frame to frame."""
-LOSSY = BETWEEN_FRAMES | {"mjpeg"}
+LOSSY = BETWEEN_FRAMES | {"mjpeg", "mjpegb", "amv", "jpeg2000", "dvvideo", "dnxhd", "prores", "cfhd"}
 LEAST_NOISE_GREY = 0.05  # noise of a profile drawn without any: whole grey levels, averaged over some rows
 LEAST_ERROR_PX = 1e-4
 
@@ -148,7 +158,14 @@ def track_sheets(
     quality = _Quality(frozen, blur.blurred, pulled > 0, errors)
     found = _Found(comb, identities, detections, numbering, x, err, noise, origin_px, quality)
     metadata = found.metadata(used, window, settings, count_given=sheets is not None)
-    metadata = replace(metadata, fit_asked=fit, corrections_applied=len(corrections))
+    number = strip["frame"].values
+    changes = scene_changes(detections.start_px, detections.contrast, comb, settings)
+    metadata = replace(
+        metadata,
+        fit_asked=fit,
+        corrections_applied=len(corrections),
+        scene_changes=[_in_words(change, int(number[change.frame])) for change in changes],
+    )
     return record(
         _dataset(strip, found, metadata),
         "track_sheets",
@@ -223,6 +240,13 @@ class _Found:
         )
 
 
+def _in_words(change: SceneChange, frame: int) -> str:
+    return (
+        f"{frame} (all sheets displaced by {change.moved_px:.0f} px, their brightness changed by"
+        f" {100 * change.brightness:.0f} %)"
+    )
+
+
 def _check(profile: Floats32, source: str) -> None:
     good = profile[np.isfinite(profile).all(axis=1)]
     if not len(good):
@@ -263,8 +287,9 @@ def _errors(
     (a soft lens behind which a camera sharpened or resampled, clipped tops) shifts ridges by more, in time
     and between sheets alike: then the smaller of both counts, over all sheets, since motion of its own in
     time or in n is no error. Compression hides the noise of pixels and shifts ridges in ways that may last
-    for frames: the scatter between sheets sees these. Repeated frames would halve the scatter or make it
-    zero, so they are left out. Never zero: a profile without noise still holds whole grey levels.
+    for frames: the scatter between sheets sees these, and `shared_error` what codecs do to neighbours
+    alike. Repeated frames would halve the scatter or make it zero, so they are left out. Never
+    zero: a profile without noise still holds whole grey levels.
     """
     new = np.where(frozen[:, None], np.nan, x)
     noise_px, scatter_px = position_noise(x[~frozen]), spatial_scatter(new)
@@ -277,8 +302,7 @@ def _errors(
     if codec in BETWEEN_FRAMES:  # one quantiser for all sheets
         measured = np.full_like(measured, np.sqrt(np.mean(measured[np.isfinite(measured)] ** 2)))
     if codec in LOSSY:
-        wiped = 1.0 - predicted / np.fmax(measured, predicted)
-        measured = measured * (1.0 + settings.codec_hidden * wiped**2)
+        measured = np.hypot(measured, shared_error(new))
     else:
         more = nan_median(np.minimum(noise_px, scatter_px) / predicted)
         measured = predicted * (np.fmax(more, 1.0) if more < settings.most_correlated else 1.0)

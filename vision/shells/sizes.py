@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -48,7 +49,7 @@ def shell_sizes(
     they are taken to be misread. So are all sheets of an event where the ratio falls with n beyond chance
     even without the outliers.
     """
-    profiles = _Profiles.crossing(side.n, threshold)
+    profiles = _crossing(tuple(side.n), threshold)
     sheets = _Sheets.of(side, threshold, settings)
     sheets = replace(sheets, alone=_outliers(sheets, profiles.thinned()))
     relative = _likeliest_scatter(sheets, profiles.thinned())
@@ -148,6 +149,12 @@ class _Sheets:
     def about_profile(self, relative: float) -> Floats:
         """Variance of the measurements about the profile; inf for those that do not follow it."""
         return np.where(self.alone, np.inf, self.variance + self.scatter(self.usual, relative))
+
+
+@lru_cache(maxsize=4)
+def _crossing(n: tuple[float, ...], threshold: float) -> _Profiles:
+    """`_Profiles.crossing`, kept for the next sticks of the same sheets; 4 MB each."""
+    return _Profiles.crossing(np.array(n), threshold)
 
 
 def _blocks(events: int) -> Iterator[slice]:

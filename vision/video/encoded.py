@@ -42,6 +42,8 @@ _FORMATS = (
     "wtv,yuv4mpegpipe,gif,apng,av1,obu,vc1,rm,swf,gxf,nsv,mpjpeg,r3d,bink,smjpeg"
 )
 _STAMPED = {"matroska", "webm"}  # containers whose times are those of each frame, not of a rate
+_INDEXED = {"mov", "mp4"}  # these hold every frame's time in a table; phones write the camera's own there
+_UNEVEN = 0.1  # of the usual interval between frames, beyond rounding: less is an even rate
 _PACKED_LUMA = {"yuyv422": (0, 2), "uyvy422": (1, 2), "yvyu422": (0, 2)}  # first luma byte, step
 
 
@@ -304,7 +306,8 @@ def _facts(
 ) -> Facts:
     """Facts of a file of so many bytes: it cannot hold more frames than bytes."""
     rate = stream.average_rate
-    stamped = bool(_STAMPED & set(container.format.name.split(",")))
+    kinds = set(container.format.name.split(","))
+    stamped = bool(_STAMPED & kinds) or (bool(_INDEXED & kinds) and _is_uneven(stream))
     duration_s = None if container.duration is None else container.duration / av.time_base
     depth_bits, saturation_level, grey = _grey_scale(first)
     estimated = round(duration_s * float(rate)) if rate and duration_s else 0
@@ -314,7 +317,7 @@ def _facts(
         saturation_level=saturation_level,
         declared_frames=stream.frames if 0 < stream.frames <= size else None,
         container=container.format.name,
-        codec=stream.codec_context.name,
+        codec=stream.codec_context.codec.canonical_name,  # the name is the decoder's: libdav1d for AV1
         pixel_format=first.format.name,
         decoder="FFmpeg",
         grey=grey,
@@ -322,7 +325,18 @@ def _facts(
         duration_s=duration_s if stamped else None,
         playback_fps=float(rate) if rate else None,
         times_in_blocks=stamped,
+        turned_deg=-90 * round(first.rotation / 90) % 360,
     )
+
+
+def _is_uneven(stream: av.VideoStream) -> bool:
+    """Whether the intervals between a container's frames differ: its times are then no mere playback rate."""
+    ticks = np.array([entry.timestamp for entry in stream.index_entries], np.int64)
+    interval = np.diff(np.sort(ticks)).astype(np.float64)
+    if interval.size < 2:
+        return False
+    usual = float(np.median(interval))
+    return bool((np.abs(interval - usual) > max(1.5, _UNEVEN * usual)).any())
 
 
 def _decoded(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import DTypeLike
 
+from vision.isolation import usable_cores
 from vision.numeric import Floats, Pixels
 
 Status = Literal["ok", "corrupt", "lost"]
@@ -46,6 +46,8 @@ class Facts:
         The recording's own time of each frame (frame), where the headers hold them.
     times_in_blocks
         Whether those times come with the blocks instead.
+    turned_deg
+        Degrees clockwise by which the file asks to be turned for display, as phones write it.
     container, codec, pixel_format, decoder, grey
         How the pixels are stored, what decodes them, and what a grey value is.
     warnings
@@ -67,6 +69,7 @@ class Facts:
     camera_fps: float | None = None
     times_s: Floats | None = None
     times_in_blocks: bool = False
+    turned_deg: int = 0
     warnings: tuple[str, ...] = ()
 
 
@@ -151,7 +154,7 @@ def gather_blocks(
 def decode_in_threads(decode: Callable[[Item], Frame], items: Iterable[Item]) -> Iterator[Frame]:
     """`decode` of each item in order, on all cores; at most 32 frames are held at once."""
     source = iter(items)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(usable_cores()) as pool:
         while batch := list(itertools.islice(source, 32)):
             yield from pool.map(decode, batch)
 

@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from vision.data import html_table
 from vision.errors import InputError
+from vision.escaping import html_table
 from vision.files import Stamp, check_pixels, check_regular, reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.cine import is_cine, open_cine
@@ -57,7 +57,7 @@ class Video:
     path, reader
         The file, and the code for its format.
     rotate
-        Degrees clockwise by which frames are turned, a multiple of 90.
+        Degrees clockwise by which frames are turned beyond what the file asks for, a multiple of 90.
     first, stop
         Frame numbers kept, half-open; stop None is the end.
     given_fps, given_times_s
@@ -113,7 +113,12 @@ class Video:
     def shape(self) -> tuple[int, int]:
         """(rows, columns) after rotation."""
         rows, columns = self.facts.shape
-        return (columns, rows) if self.rotate % 180 else (rows, columns)
+        return (columns, rows) if self.turned_deg % 180 else (rows, columns)
+
+    @property
+    def turned_deg(self) -> int:
+        """Degrees clockwise by which stored pictures are turned: as the file asks for, then `rotate`."""
+        return (self.facts.turned_deg + self.rotate) % 360
 
     @property
     def depth_bits(self) -> int:
@@ -182,7 +187,7 @@ class Video:
         height, width = self.shape
         r = cut(rows, height, what=f"{self.path}: `rows`")
         c = cut(columns, width, what=f"{self.path}: `columns`")
-        file_rows, file_columns = _before_rotation(r, c, self.facts.shape, self.rotate)
+        file_rows, file_columns = _before_rotation(r, c, self.facts.shape, self.turned_deg)
         blocks = self.reader.read(self.first, self.stop, file_rows, file_columns)
         while (block := self._next(blocks)) is not None:
             times_s = block.times_s if self.clock.kind == "file" else None
@@ -230,7 +235,8 @@ class Video:
             yield self._turned(pixels)
 
     def _turned(self, pixels: Pixels) -> Pixels:
-        return np.rot90(pixels, k=-(self.rotate // 90), axes=(-2, -1)) if self.rotate else pixels
+        turns = -(self.turned_deg // 90)
+        return np.rot90(pixels, k=turns, axes=(-2, -1)) if turns else pixels
 
 
 def open_video(
@@ -248,7 +254,8 @@ def open_video(
     path
         A video file, a TIFF, a cine, a Photron .mraw or .cih, a folder or a glob of numbered images.
     rotate
-        Degrees clockwise by which each frame is turned: 0, 90, 180 or 270.
+        Degrees clockwise by which each frame is turned: 0, 90, 180 or 270. A film that says how it is to be
+        turned for display, as phones' do, is turned so before.
     frames
         Half-open range of frame numbers kept; frames keep their numbers and times.
     fps

@@ -19,7 +19,7 @@ export const KINDS = [
   { kind: "axis", key: "m", label: "Move axis", fields: ["axis"],
     explain: "Side and number n count from the axis. Drag it in the film, or give its column." },
   { kind: "strip", key: "z", label: "Strip", fields: ["z0", "z1"],
-    explain: "Rows that are averaged. Drag an edge or the whole strip in the film; keeping it tracks the film again on saving." },
+    explain: "Rows that are averaged. Drag an edge or the whole strip in the film, then track it again." },
   { kind: "clock", key: "c", label: "Clocks", fields: ["candidate", "offset"],
     explain: "Slide the force along the film until its drops meet the film's slips (dotted), or choose a candidate." },
 ];
@@ -33,6 +33,7 @@ export class Decisions {
   constructor(page, form, kinds) {
     this.page = page; this.view = page.view; this.form = form; this.open = null; this.values = {};
     this.asked = 0; this.timer = 0;
+    this.trial = ""; // of another strip: "" before the film is tracked again, "running", then "done"
     for (const kind of KINDS) {
       const button = element("button", { type: "button", id: `decide-${kind.kind}`, "aria-pressed": "false", "aria-keyshortcuts": kind.key, title: `${kind.explain} (${kind.key})` }, `${kind.label} (${kind.key})`);
       button.addEventListener("click", () => (this.open?.kind === kind.kind ? this.cancel() : this.begin(kind.kind)));
@@ -65,6 +66,7 @@ export class Decisions {
   cancel(quietly = false) {
     if (!this.open) return;
     clearTimeout(this.timer); this.asked += 1;
+    this.endTrial();
     this.open = null; this.view.tool = null; this.view.effect = null;
     this.form.hidden = true; this.form.replaceChildren();
     this.press(); this.view.changed();
@@ -111,10 +113,13 @@ export class Decisions {
       }
     }
     const keep = element("button", { type: "submit", id: "keep", class: "main", disabled: "" }, "Keep (Enter)");
+    const retrack = element("button", { type: "button", id: "retrack", class: "main", disabled: "" }, "Re-track (Enter)");
+    retrack.addEventListener("click", () => this.retrack());
+    retrack.hidden = open.kind !== "strip"; keep.hidden = !retrack.hidden;
     const cancel = element("button", { type: "button", id: "cancel" }, "Cancel (Esc)");
     cancel.addEventListener("click", () => this.cancel());
     const actions = element("div", { class: "actions" });
-    actions.append(keep, cancel);
+    actions.append(retrack, keep, cancel);
     form.append(fields, element("div", { id: "effect", role: "status", "aria-live": "polite" }), actions);
     form.hidden = false;
     this.show();
@@ -226,9 +231,8 @@ export class Decisions {
 
   /** Asks for the effect, soon: a slider moves faster than any answer. */
   changed(atOnce = false) {
-    this.ready = false;
-    const keep = this.form.querySelector("#keep");
-    if (keep) keep.disabled = true;
+    this.endTrial();
+    this.enable(false);
     this.view.changed();
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.preview(), atOnce ? 0 : 60);
@@ -241,7 +245,7 @@ export class Decisions {
       const effect = await this.page.preview(decision);
       if (asked !== this.asked || !this.open) return;
       this.view.effect = effect;
-      this.ready = true; this.form.querySelector("#keep").disabled = false;
+      this.enable(true);
       this.tell(effect);
     } catch (error) {
       if (asked !== this.asked || !this.open) return;
@@ -260,21 +264,56 @@ export class Decisions {
   }
 
   refuse(text) {
-    this.ready = false;
-    const keep = this.form.querySelector("#keep");
-    if (keep) keep.disabled = true;
+    this.enable(false);
     const box = this.form.querySelector("#effect");
     box.classList.add("refused"); box.textContent = text;
+  }
+
+  /** Whether the effect is known, so that the decision can be kept, or the film tracked again first. */
+  enable(ready) {
+    this.ready = ready;
+    for (const button of this.form.querySelectorAll("#keep, #retrack")) button.disabled = !ready;
+  }
+
+  /** Tracks the film again in another strip, beside the run, and shows what that would change. */
+  async retrack() {
+    if (!this.ready) return;
+    const asked = (this.asked += 1), decision = this.decision();
+    this.enable(false); this.trial = "running";
+    try {
+      const effect = await this.page.retrack(decision);
+      if (asked !== this.asked || !this.open) return;
+      this.trial = effect ? "done" : "";
+      this.enable(true);
+      if (!effect) { this.form.querySelector("#retrack").focus(); return; }
+      this.view.effect = effect;
+      this.tell(effect);
+      const keep = this.form.querySelector("#keep");
+      this.form.querySelector("#retrack").hidden = true; keep.hidden = false; keep.focus();
+    } catch (error) {
+      if (asked !== this.asked || !this.open) return;
+      this.trial = ""; this.refuse(error.message); this.page.failed(error);
+    }
+    this.view.changed();
+  }
+
+  /** What was tracked again is not wanted. */
+  endTrial() {
+    if (!this.trial) return;
+    this.trial = "";
+    this.page.endTrial();
+    const keep = this.form.querySelector("#keep");
+    if (keep) { keep.hidden = true; this.form.querySelector("#retrack").hidden = false; }
   }
 
   /** Kept only after its effect was shown. */
   async keep() {
     if (!this.open) return;
     if (!this.ready) { this.page.tell("Its effect is not known yet; nothing is kept."); return; }
-    const decision = this.decision();
-    this.ready = false; this.form.querySelector("#keep").disabled = true;
-    if (await this.page.decide(decision)) this.cancel(true);
-    else { this.ready = true; const keep = this.form.querySelector("#keep"); if (keep) keep.disabled = false; }
+    if (this.open.kind === "strip" && this.trial !== "done") { await this.retrack(); return; }
+    const decision = this.decision(), tried = this.trial === "done";
+    this.enable(false);
+    if (await (tried ? this.page.keepTrial() : this.page.decide(decision))) { this.trial = ""; this.cancel(true); } else this.enable(true);
   }
 
   /** What the mouse does in the pictures while this decision is open. */

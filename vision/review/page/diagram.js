@@ -224,7 +224,8 @@ export class Diagram {
   }
 
   preview(c, at) {
-    const changed = this.view.effect?.curves ?? [];
+    const { curves: changed = [], many = false } = this.view.effect ?? {};
+    c.globalAlpha = many ? 0.8 : 1;
     for (const { frames, x_px: columns } of changed) {
       const path = new Path2D();
       let pen = false;
@@ -234,9 +235,10 @@ export class Diagram {
         if (pen) path.lineTo(x, y); else { path.moveTo(x - 3, y); path.lineTo(x, y); }
         pen = true;
       });
-      c.lineWidth = 4.2; c.strokeStyle = ON_GREY.casing; c.stroke(path);
-      c.setLineDash([6, 3]); c.lineWidth = 2.2; c.strokeStyle = ON_GREY.new; c.stroke(path); c.setLineDash([]);
+      if (!many) { c.lineWidth = 4.2; c.strokeStyle = ON_GREY.casing; c.stroke(path); }
+      c.setLineDash(many ? [] : [6, 3]); c.lineWidth = many ? 1 : 2.2; c.strokeStyle = ON_GREY.new; c.stroke(path); c.setLineDash([]);
     }
+    c.globalAlpha = 1;
   }
 
   /** The sheet whose track is nearest to a place, -1 where none is near. */

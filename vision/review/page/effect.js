@@ -2,11 +2,11 @@
 
 import { number } from "./surface.js";
 
-const MOST_LINES = 4; // of sheets whose deformation changes
+const MOST_LINES = 3; // of sheets whose deformation changes
 const SIDES = [["left", -1], ["right", 1]];
 
 /** What an effect on positions holds: `lines` in words, `curves` of sheets that change, `stick` at the cursor. */
-export function effectOn(answer, decision, name) {
+export function effectOn(answer, decision, name, noStick) {
   const { before, after, frames } = answer, lines = [], curves = [];
   const sheets = decision.sheets ?? (decision.sheet == null ? [] : [decision.sheet]);
   if (["accept", "leave_out", "swap", "assign"].includes(decision.kind)) {
@@ -30,27 +30,56 @@ export function effectOn(answer, decision, name) {
   }
   const [was, will] = [before, after].map(({ side }) => SIDES.map(([word, sign]) => `${word} ${side.filter((s) => s === sign).length}`).join(", "));
   if (was !== will) lines.push(`sheets: ${was} → ${will}`);
-  const stick = answer.stick_after?.length ? { event: answer.event, sheets: answer.stick_after } : null;
-  lines.push(...deformation(answer.event, answer.stick_before ?? [], answer.stick_after ?? []));
-  return { lines, curves, stick, numbering: decision.kind === "axis" ? { side: after.side, n: after.n } : null };
+  lines.push(...(answer.event == null ? [noStick] : deformation(answer.event, answer.stick_before, answer.stick_after)));
+  return { lines, curves, stick: stickOf(answer), numbering: decision.kind === "axis" ? { side: after.side, n: after.n } : null };
 }
 
+/** What is drawn of the stick at the cursor, as it would be. */
+function stickOf(answer) { return answer.stick_after?.sheets.length ? { event: answer.event, ...answer.stick_after } : null; }
+
 function deformation(event, before, after) {
-  if (!after.length) return event == null ? ["σx/Λst: no stick phase at the cursor, or clocks that are not sure"] : [`σx/Λst in stick ${event} cannot be measured`];
-  const key = (one) => `${sideOf(one.side)} ${one.n}`, was = new Map(before.map((one) => [key(one), one]));
-  const changed = after.filter((one) => !close(one.ratio, was.get(key(one))?.ratio)).map((one) => {
-    const old = was.get(key(one)), shell = old?.shell && old.shell !== one.shell ? ` (${old.shell} → ${one.shell})` : "";
-    return { by: Math.abs((one.ratio ?? 0) - (old?.ratio ?? 0)), text: `σx/Λst in stick ${event}, ${key(one)}: ${ratio(old)} → ${ratio(one)}${shell}` };
+  if (!after?.sheets.length) return [`no σx/Λst in stick ${event}. ${after?.reason ?? ""}`];
+  const shell = shellIn(event, before, after);
+  if (!before?.sheets.length) return [shell];
+  const key = (one) => `${sideOf(one.side)} ${one.n}`, was = new Map(before.sheets.map((one) => [key(one), one]));
+  const changed = after.sheets.filter((one) => !close(one.ratio, was.get(key(one))?.ratio)).map((one) => {
+    const old = was.get(key(one)), called = old?.shell && old.shell !== one.shell ? ` (${old.shell} → ${one.shell})` : "";
+    return { by: Math.abs((one.ratio ?? 0) - (old?.ratio ?? 0)), text: `σx/Λst of ${key(one)}: ${ratio(old)} → ${ratio(one)}${called}` };
   }).sort((a, b) => b.by - a.by);
-  const lines = changed.slice(0, MOST_LINES).map((one) => one.text);
+  const lines = [shell, ...changed.slice(0, MOST_LINES).map((one) => one.text)];
   if (changed.length > MOST_LINES) lines.push(`… and of ${changed.length - MOST_LINES} more sheets`);
   if (!changed.length) lines.push(`σx/Λst in stick ${event}: no change`);
-  const stiff = SIDES.map(([word, sign]) => {
-    const [a, b] = [before, after].map((all) => all.filter((one) => one.side === sign && one.shell === "stiff").length);
-    return a === b ? `${word} ${b}` : `${word} ${a} → ${b}`;
-  });
-  lines.push(`called stiff in it: ${stiff.join(", ")} sheets`);
   return lines;
+}
+
+/** Stiff sheets of each side in one stick, with the interval that holds the number. */
+function shellIn(event, before, after) {
+  const of = (stick, sign) => stick?.shells?.find((one) => one.side === sign);
+  const size = (one) => (one?.stiff_sheets == null ? "unknown" : `${one.stiff_sheets} (${one.stiff_low} to ${one.stiff_high})`);
+  const sides = SIDES.map(([word, sign]) => {
+    const [was, will] = [before, after].map((stick) => size(of(stick, sign)));
+    return was === will || !before ? `${word} ${will}` : `${word} ${was} → ${will}`;
+  });
+  return `shell in stick ${event}, stiff sheets: ${sides.join(", ")}`;
+}
+
+/** What tracking the film again would change, over the whole run and in the stick at the cursor. */
+export function effectOfTrial(found, answer, waiting) {
+  const pair = ([a, b], digits = 0) => (a === b ? short(a, digits) : `${short(a, digits)} → ${short(b, digits)}`);
+  const lines = [`positions: ${pair(found.positions)}; ${found.gained} gained, ${found.lost} lost; doubtful: ${pair(found.doubtful)}`];
+  if (found.compared) lines.push(`${found.differ} of ${found.compared} differ by over 3 errors; median ${number(found.median_px, 3)}, most ${number(found.largest_px, 2)} px; ${found.other_ridge} on another ridge`);
+  lines.push(`error of a position (median): ${pair(found.error_px, 4)} px`);
+  const [was, will] = found.sheets.map((sides) => SIDES.map(([word], i) => `${word} ${sides[i]}`).join(", "));
+  if (was !== will) lines.push(`sheets: ${was} → ${will}`);
+  const { ratios, shells } = found;
+  if (ratios) {
+    lines.push(`σx/Λst, ${pair(ratios.known)} values: change ${number(ratios.median, 3)} (median), ${number(ratios.largest, 3)} (most); ${ratios.other_shell} called otherwise`);
+    lines.push(`shell, stiff sheets (median): ${shells.map((one) => `${sideOf(one.side)} ${pair(one.median, 1)}, other in ${one.other} of ${one.of} sticks`).join("; ")}`);
+    if (answer.event != null) lines.push(...deformation(answer.event, answer.stick_before, answer.stick_after));
+  }
+  if (waiting) lines.push(`all with the ${waiting} ${waiting === 1 ? "decision that waits" : "decisions that wait"}, against the run as it was saved`);
+  const curves = answer.after.side.map((_, sheet) => ({ sheet: null, frames: answer.frames, x_px: answer.after.x_px.map((row) => row[sheet]) }));
+  return { lines, curves, stick: stickOf(answer), many: true };
 }
 
 /** Ridges and noise of another strip, against those of the present one. */
@@ -62,7 +91,7 @@ export function effectOfStrip(now, then) {
       `ridges in frame ${then.frame}: ${now.ridges.length} → ${then.ridges.length}, of these sheets: ${now.sheets_seen} → ${then.sheets_seen}`,
       `noise from frame to frame: ${change("noise_px", 4, " px")}`,
       `contrast: ${change("contrast", 1, " grey levels")}; ridge width: ${change("fwhm_px", 2, " px")}`,
-      "The film is tracked again when you save; positions, σx/Λst and shells follow then.",
+      "Re-track to see positions, σx/Λst and shells before you keep it.",
     ],
   };
 }
@@ -73,13 +102,13 @@ export function effectOfClock(answer, filmSlips, seconds, frameSeconds, before) 
   const met = away.filter((s) => s <= 2.5 * frameSeconds).sort((a, b) => a - b);
   const lines = [`${met.length} of the film's ${filmSlips.length} slips meet a drop of the force${met.length ? `, to ${number(1000 * met[met.length >> 1], 0)} ms (median)` : ""}`,
     `${answer.sticks.length} stick phases lie within the film`];
-  const stick = answer.stick_after?.length ? { event: answer.event, sheets: answer.stick_after } : null;
-  if (stick) lines.push(...deformation(answer.event, before?.event === answer.event ? before.sheets : [], answer.stick_after));
-  return { lines, curves: [], stick };
+  if (answer.stick_after) lines.push(...deformation(answer.event, before?.event === answer.event ? before : null, answer.stick_after));
+  return { lines, curves: [], stick: stickOf(answer) };
 }
 
 const sideOf = (side) => (side < 0 ? "left" : "right");
 const span = (frames) => (frames.length > 1 ? `frames ${frames[0]}–${frames.at(-1)}` : frames.length ? `frame ${frames[0]}` : "no frame in view");
+const short = (value, digits) => number(value, Number.isInteger(value) ? 0 : digits);
 const count = (values) => values.filter((x) => x != null).length;
 const ratio = (one) => (one?.ratio == null ? "none" : number(one.ratio, 3));
 const close = (a, b) => (a == null && b == null) || Math.abs(a - b) < 5e-4;

@@ -3,7 +3,7 @@
 import { Displacement, Force, Stick } from "./curves.js";
 import { Decisions, element, KINDS } from "./decisions.js";
 import { Diagram, Tiles } from "./diagram.js";
-import { effectOfClock, effectOfStrip, effectOn } from "./effect.js";
+import { effectOfClock, effectOfStrip, effectOfTrial, effectOn } from "./effect.js";
 import { Film } from "./film.js";
 import { ForceRecording } from "./force.js";
 import { getBytes, getJson, Gone, leave, post, Store, tryOut } from "./server.js";
@@ -50,9 +50,10 @@ class Page {
     this.view.addEventListener("change", () => this.drawAll());
     this.listen();
     this.keys();
-    by("title").textContent = state.name; document.title = `${state.name} – review`;
+    by("title").textContent = by("title").title = state.name; document.title = `${state.name} – review`;
     this.take(state);
     this.watch();
+    this.tracking().catch((error) => this.failed(error)); // begun before this page was loaded
     getJson("api/film").then((film) => { this.film = film; this.decisions.offer(); this.drawAll(); }, (error) => this.failed(error));
     setTimeout(() => this.slipsNow(), 500); // a second's work for the program, after the pictures
   }
@@ -82,8 +83,9 @@ class Page {
     const { view, state } = this, sheet = state.sheets[view.sheet], column = this.column(view.sheet);
     const time = number(view.seconds(view.frame), 3), name = this.name(sheet);
     const here = column == null ? this.flag(view.sheet) : `x = ${number(column, 2)} px`;
-    by("where").textContent = `frame ${view.frame} of ${view.begin}–${view.end - 1} · ${time} s`;
-    by("at-sheet").textContent = `${name}: ${here}`;
+    this.say("where", `frame ${view.frame} of ${view.begin}–${view.end - 1} · ${time} s`);
+    this.say("at-sheet", `${name}: ${here}`);
+    by("at-sheet").title = `${name}: ${here}`;
     const [z0, z1] = this.strip();
     by("film-facts").textContent = `rows ${z0}:${z1} · ${state.sheets.length} sheets · axis ${number(state.axis_px, 1)} px`;
     by("diagram-facts").textContent = `${number(view.seconds(view.first), 2)}–${number(view.seconds(view.last), 2)} s · ${number(Math.max(0, view.low), 0)}–${number(view.high, 0)} px`;
@@ -96,7 +98,7 @@ class Page {
     by("film").setAttribute("aria-label", `Film, frame ${view.frame}, ${time} s, strip of rows ${z0} to ${z1}, ${state.sheets.length} sheets; ${name} is chosen, ${here}`);
     by("diagram").setAttribute("aria-label", `Space-time diagram from ${number(view.seconds(view.first), 2)} to ${number(view.seconds(view.last), 2)} s, columns ${number(view.low, 0)} to ${number(view.high, 0)} px; cursor at frame ${view.frame}`);
     by("tracks").setAttribute("aria-label", `Displacement of the sheets around ${name}; at the cursor ${here}`);
-    by("stick").setAttribute("aria-label", stick ? `Relative deformation in stick ${stick.event}; ${name}: ${number(ratio, 3)}; threshold ${state.threshold}` : this.noStick());
+    by("stick").setAttribute("aria-label", stick ? `Relative deformation in stick ${stick.event}; ${name}: ${number(ratio, 3)}; threshold ${state.threshold}${this.shellText(stick)}` : this.noStick());
     by("force").setAttribute("aria-label", `Force along the same time; ${by("force-facts").textContent}`);
   }
 
@@ -172,10 +174,10 @@ class Page {
 
   buttons() {
     const { state } = this, last = state.decisions.at(-1)?.text, again = state.undone.at(-1)?.text;
-    const busy = Boolean(this.saving || this.lost || this.ended);
+    const busy = Boolean(this.saving || this.trying || this.lost || this.ended);
     by("undo").disabled = busy || !state.can_undo; by("undo").title = last ? `Undo: ${last} (u)` : "Nothing to undo";
     by("redo").disabled = busy || !state.can_redo; by("redo").title = again ? `Redo: ${again} (r)` : "Nothing to redo";
-    by("save").disabled = busy || !state.changed;
+    by("save").disabled = busy || !state.changed; by("close").disabled = Boolean(this.ended);
     const waiting = state.decisions.filter((one) => !one.saved).length;
     // decisions are on the disk as soon as the history shows them; saving makes the run's tables follow
     const [kind, text] = this.ended ? ["lost", "The review has ended"]
@@ -183,9 +185,8 @@ class Page {
         : this.saving ? ["open", "Saving …"]
           : state.changed ? ["open", waiting ? `${waiting === 1 ? "1 decision" : `${waiting} decisions`} not in the tables yet` : "The tables hold what was undone"]
             : ["saved", this.savedAt ? `Saved at ${this.savedAt}` : "Tables are up to date"];
-    const box = by("connection");
-    if (box.textContent !== text) box.textContent = text;
-    box.dataset.state = kind;
+    this.say("connection", text);
+    by("connection").dataset.state = kind;
   }
 
   listDoubts() {
@@ -258,7 +259,7 @@ class Page {
       const answer = await tryOut("api/clock", { offset_s: decision.offset_s, drift_ppm: decision.drift_ppm, frame });
       return effectOfClock(answer, (await this.slipsNow()).film, (at) => view.seconds(at), view.seconds(view.begin + 1) - view.seconds(view.begin), this.stick(frame));
     }
-    return effectOn(await tryOut("api/preview", { decision, frame }), decision, name);
+    return effectOn(await tryOut("api/preview", { decision, frame }), decision, name, this.noStick());
   }
 
   async decide(decision) { return this.ask("api/decisions", { decision }, () => `Kept: ${this.state.decisions.at(-1)?.text}`); }
@@ -279,6 +280,44 @@ class Page {
     this.tell(error instanceof Gone ? "The program does not answer; nothing was changed." : error.message);
   }
 
+  /** Tracks the film again under a decision that is not kept; what that would change, null where it was cancelled. */
+  async retrack(decision) {
+    this.trying = true; this.buttons();
+    try {
+      await post("api/retrack", { decision });
+      this.tell("Tracking again …");
+      const found = await this.tracking(), { frame } = this.view;
+      if (!found) { this.tell("Not tracked again."); return null; }
+      const waiting = this.state.decisions.filter((one) => !one.saved).length;
+      const effect = effectOfTrial(found, await getJson(`api/retracked/${frame}`), waiting);
+      this.tell("Tracked again: its effect is shown; nothing is kept yet.");
+      return effect;
+    } finally { this.trying = false; this.buttons(); }
+  }
+
+  /** Waits until the film has been tracked again; null where it is not, or was cancelled. */
+  async tracking() {
+    try {
+      for (;;) {
+        const news = await getJson("api/retrack");
+        if (!news.running) {
+          if (news.error && news.error !== "cancelled") throw new Error(news.error);
+          return news.found;
+        }
+        this.progress({ ...news, stage: `Tracking again: ${news.stage}`, stops: true });
+        await new Promise((done) => { setTimeout(done, 150); });
+      }
+    } finally { if (!this.saving) by("saving").hidden = true; }
+  }
+
+  endTrial() { post("api/retrack/cancel").catch((error) => this.failed(error)); }
+
+  async keepTrial() {
+    const kept = await this.ask("api/retrack/keep", {}, () => `Kept and saved: ${this.state.decisions.at(-1)?.text}`);
+    if (kept) { this.savedAt = clockTime(new Date().toISOString()); this.buttons(); }
+    return kept;
+  }
+
   async save() {
     if (by("save").disabled) return;
     try {
@@ -296,7 +335,7 @@ class Page {
       const news = await getJson("api/save");
       if (news.error) { this.stopSaving(); this.notice(`Not saved: ${news.error}`); this.tell(`Not saved: ${news.error}`); return; }
       if (!news.running) break;
-      this.progress(news);
+      this.progress({ ...news, stage: `Saving: ${news.stage}` });
       await new Promise((done) => { setTimeout(done, 150); });
     }
     this.savedAt = clockTime(new Date().toISOString());
@@ -307,10 +346,10 @@ class Page {
 
   stopSaving() { this.saving = false; by("saving").hidden = true; this.buttons(); }
 
-  progress({ stage, done, total }) {
+  progress({ stage, done, total, stops = false }) {
     const bar = by("progress");
-    by("saving").hidden = false;
-    by("stage").textContent = total ? `${stage}: ${done} of ${total}` : stage;
+    by("saving").hidden = false; by("stop").hidden = !stops;
+    by("stage").textContent = total && done < total ? `${stage}, ${done} of ${total} frames` : stage;
     if (total) { bar.max = total; bar.value = done; } else bar.removeAttribute("value");
   }
 
@@ -367,6 +406,9 @@ class Page {
 
   tell(text) { by("message").textContent = text; }
 
+  /** Words that a screen reader says when they change, and only then. */
+  say(id, text) { if (by(id).textContent !== text) by(id).textContent = text; }
+
   /* ---- keys and buttons ---- */
 
   async slip(way) {
@@ -393,6 +435,7 @@ class Page {
     const { view } = this, on = (id, work) => by(id).addEventListener("click", work);
     on("undo", () => this.undo()); on("redo", () => this.redo()); on("save", () => this.save());
     on("theme", () => this.theme()); on("help", () => this.help()); on("close", () => this.close());
+    on("stop", () => this.endTrial());
     on("keys-close", () => by("keys").close());
     on("next-doubt", () => this.nextDoubt(1));
     on("slip-before", () => this.slip(-1)); on("slip-after", () => this.slip(1));
@@ -422,6 +465,7 @@ class Page {
     const theme = this.ownTheme ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
     document.documentElement.dataset.theme = theme;
     by("theme").textContent = theme === "dark" ? "Light" : "Dark";
+    by("theme").setAttribute("aria-label", `${by("theme").textContent} colours`);
     themeChanged(); this.drawAll();
   }
 

@@ -1,0 +1,277 @@
+"""What may happen to a review from outside: foreign and broken requests, files that go, disks that fail."""
+
+import errno
+import http.client
+import json
+import os
+import re
+import resource
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event, Thread
+
+import pytest
+from starlette.testclient import TestClient
+
+from tests.scenes.reviewed import PLANTED, SETTINGS, VIDEO, remedies
+from vision.errors import InputError
+from vision.review.server import make_app, serve
+from vision.review.session import Session
+from vision.run import read_run
+from vision.sheets.corrections import read_decisions
+
+PROJECT = Path(__file__).parents[2]
+LEFT_OUT = {"kind": "leave_out", "sheet": 5, "frames": "0:10"}
+
+
+class Server:
+    """A review that is served, and what may be asked of it."""
+
+    def __init__(self, address):
+        url, _, self.token = address.partition("/?token=")
+        self.port = int(url.rpartition(":")[2])
+
+    def ask(self, path, body=None, **headers):
+        """Status and JSON of the answer."""
+        asked = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)
+        data = None if body is None else json.dumps(body)
+        asked.request("GET" if body is None else "POST", path, data, {"X-Token": self.token} | headers)
+        answer = asked.getresponse()
+        content = answer.read()
+        asked.close()
+        return answer.status, json.loads(content) if content[:1] == b"{" else content
+
+    def raw(self, text, *, ended=True):
+        """The first line that the server says to these bytes; with `ended` False an open connection."""
+        line = socket.create_connection(("127.0.0.1", self.port), timeout=20)
+        line.sendall(text.encode())
+        if not ended:
+            return line
+        with line:
+            return line.recv(4096).partition(b"\r\n")[0].decode()
+
+
+@contextmanager
+def served(session):
+    address, there = [], Event()
+
+    def opened(url):
+        address.append(url)
+        there.set()
+
+    serving = Thread(target=serve, args=(session,), kwargs={"opened": opened}, daemon=True)
+    serving.start()
+    assert there.wait(20)
+    server = Server(address[0])
+    try:
+        yield server
+    finally:
+        server.ask("/api/quit", {})
+        serving.join(20)
+        assert not serving.is_alive()
+
+
+# --- requests -----------------------------------------------------------------------------------------------
+
+
+def test_requests_by_hand(session):
+    """What a browser would not send: foreign hosts in every form, and paths that no library has tidied."""
+    with served(session) as server:
+        own, token = f"127.0.0.1:{server.port}", f"X-Token: {server.token}\r\n"
+
+        def status(path="/api/run", host=own, more=""):
+            said = server.raw(
+                f"GET {path} HTTP/1.1\r\nHost: {host}\r\n{token}{more}Connection: close\r\n\r\n"
+            )
+            return int(said.split()[1])
+
+        assert status() == 200
+        evil = f"evil.example:{server.port}"
+        assert status(host=evil) == 403
+        assert status(host=f"127.0.0.1.evil.example:{server.port}") == 403
+        assert status(more=f"Host: evil.example:{server.port}\r\n") in (400, 403)
+        assert status(f"http://evil.example:{server.port}/api/run", host=f"evil.example:{server.port}") in (
+            400,
+            403,
+        )
+        assert status(more="Origin: http://evil.example\r\n") == 403
+        for path in (
+            "/page/..%2f..%2fserver.py",
+            "/page/%2e%2e%2fserver.py",
+            "/page/..\\server.py",
+            "/../run.json",
+        ):
+            assert status(path) in (400, 403, 404)
+        assert server.raw("GET / HTTP/9.9\r\n\r\n").split()[1] in ("400", "403", "505")
+
+
+def test_half_requests_do_not_keep_others_waiting(session):
+    """Slow-loris: connections that never finish what they ask."""
+    with served(session) as server:
+        head = f"POST /api/preview HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\nX-Token: {server.token}\r\n"
+        lines = [server.raw(head, ended=False) for _ in range(100)]
+        lines += [server.raw(f"{head}Content-Length: 900\r\n\r\n{{", ended=False) for _ in range(100)]
+        started = time.perf_counter()
+        assert server.ask("/api/state")[0] == 200
+        assert time.perf_counter() - started < 5
+        for line in lines:
+            line.close()
+
+
+def test_a_chunked_body_ends_at_its_limit(session):
+    """A failure means that memory can be filled by who never says how much comes."""
+    with served(session) as server:
+        head = f"POST /api/preview HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\nX-Token: {server.token}\r\n"
+        line = server.raw(f"{head}Transfer-Encoding: chunked\r\n\r\n", ended=False)
+        part = b"186a0\r\n" + b"x" * 100_000 + b"\r\n"
+        try:
+            for _ in range(40):
+                line.sendall(part)
+            said = line.recv(4096)
+        except ConnectionError:  # it was shut in our face
+            said = b""
+        line.close()
+        assert said == b"" or said.split()[1] == b"413"
+        assert server.ask("/api/state")[0] == 200
+
+
+def test_many_requests_at_once(session):
+    """A failure means that a quick hand breaks the review."""
+    names = ("run", "tracks", "kymograph/0/0/0.png", "frame/3.png", "ridges/7", "stick/70")
+    with served(session) as server, ThreadPoolExecutor(24) as pool:
+        answers = list(pool.map(lambda k: server.ask(f"/api/{names[k % len(names)]}")[0], range(120)))
+        assert set(answers) == {200}
+
+
+def test_of_decisions_made_at_once_each_counts_or_is_refused(session):
+    """A failure means that one of two windows overwrites the other's decision."""
+    with served(session) as server, ThreadPoolExecutor(8) as pool:
+        before = len(session.decisions)
+        seen = session.revision
+
+        def decide(k):
+            entry = LEFT_OUT | {"sheet": k}
+            return server.ask("/api/decisions", {"decision": entry, "revision": seen})[0]
+
+        answers = list(pool.map(decide, range(16)))
+        assert sorted(answers) == [200] + [409] * 15
+        assert len(session.decisions) == before + 1
+
+
+# --- files --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("happens", ["deleted", "replaced"])
+def test_a_run_that_goes_is_not_written_to(session, planted, happens):
+    """A failure means that decisions about one run are kept with another, or in a folder made of nothing."""
+    session.decide(LEFT_OUT)
+    shutil.rmtree(session.folder)
+    if happens == "replaced":
+        shutil.copytree(planted, session.folder)
+    for work in (lambda: session.decide(remedies()[0]), session.undo, session.save):
+        with pytest.raises(InputError, match="the run that is reviewed"):
+            work()
+    with pytest.raises(InputError, match="the run that is reviewed"):
+        session.trial.start({"kind": "strip", "rows": "10:14"})
+    assert session.folder.exists() == (happens == "replaced")
+    assert len(session.decisions) == len(PLANTED) + 1
+    assert len(session.curves(0, 240, 1000)) == 240  # it can still be looked at
+
+
+@pytest.mark.parametrize("code", [errno.EROFS, errno.EACCES, errno.ENOSPC])
+def test_a_folder_that_cannot_be_written_keeps_nothing(session, monkeypatch, code):
+    """A failure means that a page shows a decision that no file holds."""
+
+    def refused(*args, **kwargs):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(tempfile, "mkdtemp", refused)
+    text = (session.folder / "corrections.toml").read_bytes()
+    for work in (lambda: session.decide(LEFT_OUT), session.undo):
+        with pytest.raises(InputError, match=os.strerror(code).lower()):
+            work()
+    assert (session.folder / "corrections.toml").read_bytes() == text
+    assert len(session.decisions) == len(PLANTED)
+
+
+def test_a_disk_that_is_full_while_saving_leaves_the_run(session):
+    """A failure means that half a run takes the place of a whole one, or that the decision is gone."""
+    before = {path.name: path.read_bytes() for path in session.folder.iterdir()}
+    session.decide(LEFT_OUT)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, hard))  # less than the diagram has
+    try:
+        session.save()
+        session.saver.wait()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert "a place that can be written" in session.saver.error
+    after = {path.name: path.read_bytes() for path in session.folder.iterdir()}
+    text = after.pop("corrections.toml")
+    assert b"sheet = 5" in text
+    assert {name: before[name] for name in after} == after
+    assert [path.name for path in session.folder.parent.iterdir() if path.suffix == ".part"] == []
+
+
+def test_a_film_that_is_moved_away_meanwhile(run, tmp_path):
+    """A failure means that the review ends with the film, or that it says nothing."""
+    film = shutil.copy(VIDEO, tmp_path / "moved.avi")
+    with Session(run, SETTINGS, film=film) as session:
+        app = make_app(session, port=54321, token="t", stop=lambda: None)
+        page = TestClient(app, base_url="http://127.0.0.1:54321", headers={"X-Token": "t"})
+        assert page.get("/api/frame/3.png").status_code == 200
+        film.unlink()
+        assert page.get("/api/frame/200.png").status_code in (200, 422)
+        assert page.post("/api/decisions", json={"decision": LEFT_OUT}).status_code == 200
+        assert (
+            page.post("/api/retrack", json={"decision": {"kind": "strip", "rows": "10:14"}}).status_code
+            == 200
+        )
+        session.saver.wait()
+        told = page.get("/api/retrack").json()
+        assert told["found"] is None
+        assert "film" in told["error"]
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal here")
+@pytest.mark.parametrize(("after_s", "saving"), [(0.07, False), (0.9, True)])
+def test_a_server_that_is_killed_loses_nothing_that_it_confirmed(run, after_s, saving):
+    """As a user starts it: decisions that a page showed as kept are there, whatever it was doing."""
+    command = [sys.executable, PROJECT / "cli.py", "review", run, "--no-browser"]
+    with subprocess.Popen(command, cwd=PROJECT, stdout=subprocess.PIPE, text=True) as process:
+        server = next(
+            Server(found[0]) for line in process.stdout if (found := re.search(r"http://\S+", line))
+        )
+        confirmed = 0
+
+        def decide():
+            nonlocal confirmed
+            for k in range(1000):
+                entry = {"decision": LEFT_OUT | {"sheet": k % 40, "frames": f"{k}:{k + 1}"}}
+                if saving and k == 5:
+                    server.ask("/api/save", {})
+                    return
+                if server.ask("/api/decisions", entry)[0] == 200:
+                    confirmed += 1
+
+        with ThreadPoolExecutor(1) as pool:
+            deciding = pool.submit(decide)
+            while confirmed < 3:
+                time.sleep(0.005)
+            time.sleep(after_s)
+            process.kill()
+            process.wait()
+            assert saving or isinstance(deciding.exception(), OSError | http.client.HTTPException)
+    kept = read_decisions(run / "corrections.toml").corrections
+    assert len(kept) >= confirmed + len(PLANTED)
+    with Session(run, SETTINGS) as again:
+        assert len(again.decisions) == len(kept)
+        assert read_run(run).tracks.sizes["sheet"] == again.positions.sheets
