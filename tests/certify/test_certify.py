@@ -188,7 +188,7 @@ def test_noise_is_found_from_the_bits(tmp_path):
 
 
 def damaged(name, folder, seed=36):
-    """Strip, tracks and errors of displacements of positions called ok, of a film to which something happened."""
+    """Strip, tracks and errors of displacements called ok, of a film to which something happened."""
     film = DEGRADATIONS[name](seed)
     strip = strip_profile(open_video(CODECS["FFV1"](folder, film.pixels)))
     tracks = track_sheets(strip)
@@ -224,7 +224,7 @@ def test_where_something_pulls_ridges_the_certificate_is_a_lower_bound(name, tmp
 
 
 def test_the_sheets_own_time_skips_what_was_dropped():
-    """Frames 40 and 41 are missing and 60 is there twice: steps of all sheets say so, standing still does not."""
+    """Frames 40 and 41 are missing and 60 is there twice: steps of all sheets say so, not standing still."""
     rng = np.random.default_rng(3)
     shown = np.r_[0:40, 42:61, 60:100]
     x = 500 + 20.0 * np.arange(-12, 13) + 0.01 * shown[:, None] * np.arange(-12, 13)
