@@ -24,7 +24,7 @@ import xarray as xr
 from vision.clock import Clock, ClockSettings, synchronise
 from vision.data import ForceMetadata, warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
-from vision.errors import InputError
+from vision.errors import InputError, known_as
 from vision.escaping import html_table
 from vision.figures import FIGURES, Figure
 from vision.force import ForceSettings, find_stick_slip, read_force
@@ -518,6 +518,7 @@ def track_strip(strip: xr.DataArray, chosen: Settings, parts: xr.DataArray | Non
     return tracks if parts is None else with_heights(tracks, parts, settings=chosen.tuning.tracking)
 
 
+@known_as(columns="force_columns")
 def open_force(force: xr.Dataset | str | Path, chosen: Settings) -> xr.Dataset:
     """The force recording as the settings want it read; one that is read already, as it is."""
     if isinstance(force, xr.Dataset):
@@ -532,6 +533,7 @@ def open_force(force: xr.Dataset | str | Path, chosen: Settings) -> xr.Dataset:
     )
 
 
+@known_as(columns="force_columns")
 def _sticks(force: xr.Dataset, chosen: Settings) -> pd.DataFrame:
     return find_stick_slip(
         force,

@@ -82,6 +82,12 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     gone = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
     if gone > MISSING_SHARE * total:
         lines.append(f"{gone} of {total} positions missing (flags missing, edge, unfit in tracks.csv)")
+    for change in TrackMetadata.of(tracks).scene_changes:
+        frame = change.split()[0]
+        lines.append(
+            f"the picture changes for good at frame {change}: a cut, or the camera or the light was moved;"
+            f" sheets before and after may be others: give `frames` as 0:{frame} or {frame}:"
+        )
     if wide := TrackMetadata.of(tracks).wide_spacings:
         where = ", ".join(wide)
         lines.append(f"sheets may be missing at x = {where}: look there, or give their number (`sheets`)")
