@@ -221,8 +221,7 @@ def shared_error(x_px: Floats) -> float:
     """
     if x_px.shape[1] < len(FOURTH) + 3 or len(x_px) < FAR[-1] + LEAST_FRAMES:
         return 0.0
-    own = float(np.mean(np.nan_to_num(spatial_scatter(x_px))[2:-2] ** 2))
-    together = 0.0
+    own, together = float(np.mean(np.nan_to_num(spatial_scatter(x_px))[2:-2] ** 2)), 0.0
     for lag in LAGS:
         second = (x_px[2 * lag :] - 2 * x_px[lag:-lag] + x_px[: -2 * lag]) / np.sqrt(6)
         second = second - nan_median(second, axis=1)[:, None]
@@ -231,11 +230,20 @@ def shared_error(x_px: Floats) -> float:
         if len(calm) >= LEAST_FRAMES:
             together = max(0.0, _deviation(calm) ** 2 - _deviation(_fourth(calm)) ** 2)
             break
-    common = nan_median(x_px, axis=1)
-    held = min(_held(_fourth(x_px)), _held(common[:, None]))
-    step = nan_median(np.diff(x_px, 2, axis=0), axis=1) / np.sqrt(6)
-    missing = _deviation(_centred(step)) * held / (1 - held)
+    missing = left_out(x_px) * _deviation(_common_step(x_px))
     return float(np.sqrt(together + min(missing**2, own + together)))
+
+
+def left_out(x_px: Floats) -> float:
+    """What a codec left out of the motion that all sheets share, over what is left of it: h/(1 − h), see
+    `shared_error`."""
+    held = min(_held(_fourth(x_px)), _held(nan_median(x_px, axis=1)[:, None]))
+    return held / (1 - held)
+
+
+def _common_step(x_px: Floats) -> Floats:
+    """Second differences of what all sheets do, scaled to the deviation of a frame, (frame − 2,)."""
+    return _centred(nan_median(np.diff(x_px, 2, axis=0), axis=1) / np.sqrt(6))
 
 
 def _held(values: Floats) -> float:
