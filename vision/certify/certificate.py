@@ -37,8 +37,6 @@ LEAST_DISTURBED = 0.02
 APART_ERRORS, APART_USUAL = 3.0, 4.0
 """Deviation of a sheet's motion from that of its neighbours, over the error and over the usual one, from
 which the certificate says that it may be no motion."""
-MOST_LEFT_OUT = 2.0
-"""Times what is left of the camera's shaking by which it may have been larger: beyond, noise is enlarged."""
 _LEAST_STICK = 5  # frames of a piece in which a sweep is measured
 _PHASES = 41  # frames of the film that crosses one pixel
 
@@ -246,7 +244,7 @@ def certify(
     like = learn(strip, tracks, settings)
     if encoder is not None:
         # what the codec left out of the camera's shaking must be there to be left out again
-        more = min(left_out(np.asarray(tracks["x_px"].values, float)), MOST_LEFT_OUT) * like.common_px
+        more = left_out(np.asarray(tracks["x_px"].values, float)) * like.common_px
         like = replace(like, motion_px=like.motion_px + more[:, None])
         like = replace(
             like, encoder=encoder.fitted(like.film(like.motion_px, number=None).values, like.strip.values)
