@@ -19,6 +19,7 @@ from vision.sheets import track_sheets
 from vision.video import open_video, strip_profile
 
 ONE_FILM = CertifySettings(films=1, largest_jump=1.0)
+TWO_FILMS = CertifySettings(films=2, largest_jump=1.0)  # where codecs make films differ by a tenth
 FILMS = {
     "as usual": {},
     "noisy": {"camera.full_well_e": 1000},
@@ -159,7 +160,7 @@ def test_films_encoded_again_have_the_errors_of_the_recording(crf, tmp_path):
     columns = (0, strip.sizes["x"])
     encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), columns)
     assert encoder.quantiser == crf
-    found = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
+    found = certify(strip, tracks, encoder=encoder, settings=TWO_FILMS)
     assert 0.85 < found.error_px / rms(error) < 1.15
     assert "quantiser" in found.encoding and not any("carries content" in line for line in found.warnings)
     if crf > 12:
