@@ -305,10 +305,22 @@ def shared_error(x_px: Floats) -> float:
 
     Where the codec leaves out all of a motion in all sheets, nothing in the film tells that.
     """
+    together, missing, _ = _shared(x_px)
+    return float(np.hypot(together, missing))
+
+
+def left_out(x_px: Floats) -> float:
+    """What a codec left out of the motion that all sheets share, over what is left of it, see
+    `shared_error`."""
+    _, missing, seen = _shared(x_px)
+    return missing / max(seen, 1e-9)
+
+
+def _shared(x_px: Floats) -> tuple[float, float, float]:
+    """What blocks of sheets err together, what is missing of the common motion, what is seen of it; px."""
     if x_px.shape[1] < len(FOURTH) + 3 or len(x_px) < FAR[-1] + LEAST_FRAMES:
-        return 0.0
-    own = float(np.mean(np.nan_to_num(spatial_scatter(x_px))[2:-2] ** 2))
-    together = 0.0
+        return 0.0, 0.0, 0.0
+    own, together = float(np.mean(np.nan_to_num(spatial_scatter(x_px))[2:-2] ** 2)), 0.0
     for lag in LAGS:
         second = (x_px[2 * lag :] - 2 * x_px[lag:-lag] + x_px[: -2 * lag]) / np.sqrt(6)
         second = second - nan_median(second, axis=1)[:, None]
@@ -317,11 +329,10 @@ def shared_error(x_px: Floats) -> float:
         if len(calm) >= LEAST_FRAMES:
             together = max(0.0, _deviation(calm) ** 2 - _deviation(_fourth(calm)) ** 2)
             break
-    common = nan_median(x_px, axis=1)
-    held = min(_held(_fourth(x_px)), _held(common[:, None]))
-    step = nan_median(np.diff(x_px, 2, axis=0), axis=1) / np.sqrt(6)
-    missing = _deviation(_centred(step)) * held / (1 - held)
-    return float(np.sqrt(together + min(missing**2, own + together)))
+    held = min(_held(_fourth(x_px)), _held(nan_median(x_px, axis=1)[:, None]))
+    seen = _deviation(_centred(nan_median(np.diff(x_px, 2, axis=0), axis=1) / np.sqrt(6)))
+    missing = min(seen * held / (1 - held), float(np.sqrt(own + together)))
+    return float(np.sqrt(together)), missing, seen
 
 
 def _held(values: Floats) -> float:
