@@ -107,7 +107,7 @@ def _hardly_any(tracks: xr.Dataset) -> str:
     """The longest run of frames in which fewer than half of the sheets are found; "" for a short one."""
     flags = tracks["flag"].values
     read = ~np.isin(flags, ("frozen", "blank", "corrupt", "lost")).all(axis=1)
-    few = read & (np.isin(flags, ("ok", "blurred")).mean(axis=1) < 0.5)
+    few = read & (np.isin(flags, ("missing", "edge", "unfit")).mean(axis=1) > 0.5)
     _, first, stop = stretches(few[:, None])
     if not len(first) or (stop - first).max() < FEW_FRAMES:
         return ""
