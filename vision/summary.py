@@ -99,7 +99,10 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
         )
     if wide := TrackMetadata.of(tracks).wide_spacings:
         where = ", ".join(wide)
-        lines.append(f"sheets may be missing at x = {where}: look there, or give their number (`sheets`)")
+        lines.append(
+            f"sheets may be missing at x = {where}, and are then not counted by n further out: look there"
+            " (dirt, too faint?), or give their number (`sheets`)"
+        )
     return lines
 
 
