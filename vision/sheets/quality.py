@@ -19,7 +19,7 @@ from vision.sheets.subpixel import fit_sheets
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
-CUT_FRAMES = 5  # before and after a change of scene that are compared
+SCENE_FRAMES = 5  # before and after a change of scene that are compared
 LAGS = (4, 2, 1)
 """Frames apart at which the scatter of neighbours is compared with that of all sheets: what a codec holds
 still shows better over some frames, but a stick must be longer than twice as many."""
@@ -233,7 +233,7 @@ def scene_changes(
     shows another scene.
     """
     frames, sheets = x_px.shape
-    if frames < 4 * CUT_FRAMES or sheets < 3:
+    if frames < 4 * SCENE_FRAMES or sheets < 3:
         return []
     bright = np.log(contrast)
     bright -= nan_median(bright, axis=1)[:, None]
@@ -249,29 +249,29 @@ def scene_changes(
     for values, limit in ((size, 1.0), (change, settings.cut_brightness)):
         least = max(limit, settings.cut_ratio * float(np.median(values)))
         at = int(np.argmax(values))
-        others = np.abs(np.arange(len(values)) - at) > 2 * CUT_FRAMES
+        others = np.abs(np.arange(len(values)) - at) > 2 * SCENE_FRAMES
         if values[at] >= least and (values[others] < values[at] / 2).all():
             found.append(at)
-    if len(found) == 2 and abs(found[0] - found[1]) <= CUT_FRAMES:
+    if len(found) == 2 and abs(found[0] - found[1]) <= SCENE_FRAMES:
         found = found[:1]
     return [
-        SceneChange(at + CUT_FRAMES, float(np.nan_to_num(together[at])), float(change[at]))
+        SceneChange(at + SCENE_FRAMES, float(np.nan_to_num(together[at])), float(change[at]))
         for at in sorted(found)
     ]
 
 
 def _after_less_before(values: Floats) -> Floats:
-    """Mean of CUT_FRAMES frames less that of as many before them, (frame − 2 CUT_FRAMES + 1, N)."""
+    """Mean of SCENE_FRAMES frames less that of as many before them, (frame − 2 SCENE_FRAMES + 1, N)."""
     known = np.isfinite(values)
     with np.errstate(divide="ignore", invalid="ignore"):
         means = _sums(np.where(known, values, 0.0)) / _sums(known.astype(np.float64))
-    return np.asarray(means[CUT_FRAMES:] - means[:-CUT_FRAMES], np.float64)
+    return np.asarray(means[SCENE_FRAMES:] - means[:-SCENE_FRAMES], np.float64)
 
 
 def _sums(values: Floats) -> Floats:
-    """Sums over CUT_FRAMES frames."""
+    """Sums over SCENE_FRAMES frames."""
     total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-    return np.asarray(total[CUT_FRAMES:] - total[:-CUT_FRAMES], np.float64)
+    return np.asarray(total[SCENE_FRAMES:] - total[:-SCENE_FRAMES], np.float64)
 
 
 def shared_error(x_px: Floats) -> float:
