@@ -86,3 +86,16 @@ def test_maxima_are_those_of_scipy(seed):
         np.testing.assert_array_equal(found.at, at)
         np.testing.assert_array_equal(found.prominence, facts["prominences"])
         np.testing.assert_allclose(found.width_px, facts["widths"], atol=1e-11)
+
+
+@pytest.mark.parametrize("sheets", [3, 4, 5])
+def test_ridges_on_a_lit_base_are_not_one_wide_ridge(sheets):
+    """A failure means that a film of few sheets on a lit block is given as one sheet as wide as the block."""
+    x = comb(FRAMES, per_side=8, axis_px=260, slip=0.2)[:, 8 - sheets // 2 :][:, :sheets]
+    columns = np.arange(520)
+    base = (columns > x.min() - 12) & (columns < x.max() + 12)
+    light = ridges(x, width=520, contrast=0.5) + 1.2 * base
+    found = describe_ridges(strip(light).values)
+    assert found.count == sheets
+    assert found.pitch_px == pytest.approx(PITCH, abs=1)
+    assert found.fwhm_px < 10

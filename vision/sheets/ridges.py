@@ -24,6 +24,8 @@ Polarity = Literal["bright", "dark"]
 FWHM = 2.3548  # of a Gaussian, in standard deviations
 SAMPLE_FRAMES = 48
 FRAMES_PER_BLOCK = 256
+FEW_RIDGES = 3
+REACHES_PX = (6, 12, 24, 48)  # surroundings in which few ridges are looked for
 
 
 @dataclass(frozen=True)
@@ -195,12 +197,35 @@ def _sample(profile: Floats32) -> Floats32:
 def _measure(
     sample: Floats32, polarity: Polarity, noise: float, sheets: int | None, settings: TrackingSettings
 ) -> RidgeComb | None:
-    """Medians over the main ridges of this polarity; None where there are none."""
+    """Medians over the main ridges of this polarity; None where there are none.
+
+    A lit base under few ridges stands out more than they do on it. Where only one or two ridges stand out
+    from the whole picture, those that stand out from their surroundings are looked for, too.
+    """
+    whole = _measure_within(sample, polarity, noise, sheets, settings, None)
+    if whole is None or whole.count >= FEW_RIDGES:
+        return whole
+    near = [reach for reach in REACHES_PX if reach < 2 * whole.fwhm_px]
+    tried = [_measure_within(sample, polarity, noise, sheets, settings, reach) for reach in near]
+    more = [comb for comb in tried if comb is not None and comb.count >= FEW_RIDGES]
+    return max([whole, *more], key=lambda comb: comb.count * comb.contrast / np.sqrt(comb.fwhm_px))
+
+
+def _measure_within(
+    sample: Floats32,
+    polarity: Polarity,
+    noise: float,
+    sheets: int | None,
+    settings: TrackingSettings,
+    reach_px: int | None,
+) -> RidgeComb | None:
+    """What stands out from so many pixels on both sides (from the whole picture, if None)."""
     sigma = 1.0
     line = _smoothed(sample if polarity == "bright" else -sample, sigma)
     walled = np.pad(line, ((0, 0), (1, 1)), constant_values=line.min())
     floor = _noise_floor(noise, sigma, settings)
-    at, prominence, widths = find_maxima(walled.ravel(), least_prominence=floor, reach_px=walled.shape[1])
+    reach = walled.shape[1] if reach_px is None else reach_px
+    at, prominence, widths = find_maxima(walled.ravel(), least_prominence=floor, reach_px=reach)
     frame = at // walled.shape[1]
     upper = float(np.quantile(prominence, 0.9)) if len(prominence) else np.inf
     strength = np.where(prominence >= 0.3 * upper, prominence, 0.0)
