@@ -13,8 +13,11 @@ from vision.errors import InputError
 from vision.files import shortened
 
 SECONDS, SECONDS_PER_BYTE = 8.0, 5e-8
-"""Longest time of reading, and what is added for the file's size. Recordings in use take under one second,
-most of which is the start of the process; more waits longer for damaged files, which end in a loop."""
+"""Longest computing time of reading, and what is added for the file's size. Recordings in use take under one
+second, most of which is the start of the process; more waits longer for files that end in a loop."""
+BUSY = 5
+"""Times as long it may take by the clock: on a busy machine a process gets part of a core. More waits longer
+for a file whose disk does not answer."""
 MEMORY_BYTES, MEMORY_PER_BYTE = 2 << 30, 4
 """Address space of the process, and what is added for the file's size. The libraries reserve half a GiB; more
 lets a damaged length take what other programs need."""
@@ -75,7 +78,7 @@ def try_out(path: Path, kind: str, wanted: str, *, seconds: float | None = None)
     wanted
         What the file should be, for the message.
     seconds
-        Longest time it may take; by the file's size if not given.
+        Longest computing time it may take; by the file's size if not given.
 
     Raises
     ------
@@ -96,11 +99,11 @@ def try_out(path: Path, kind: str, wanted: str, *, seconds: float | None = None)
         env=os.environ | quiet,
     )
     try:  # a `with` alone would wait for a process that never ends
-        out, _ = child.communicate(task.encode() + b"\n", timeout=seconds)
+        out, _ = child.communicate(task.encode() + b"\n", timeout=BUSY * seconds)
     except subprocess.TimeoutExpired:
-        found = f"one whose reading does not end within {seconds:g} s"
+        found = f"one whose reading does not end within {BUSY * seconds:g} s"
     else:
-        found = _found(child.returncode, out)
+        found = _found(child.returncode, out, seconds)
     finally:
         child.kill()
         with child:  # closes its pipes
@@ -109,10 +112,12 @@ def try_out(path: Path, kind: str, wanted: str, *, seconds: float | None = None)
         raise InputError(path, wanted, found, "save or copy it again")
 
 
-def _found(status: int, out: bytes) -> str:
+def _found(status: int, out: bytes, seconds: float) -> str:
     """What is wrong with the file; "" for nothing."""
     if status == 0:
         return ""
+    if -status == getattr(signal, "SIGXCPU", None):
+        return f"one whose reading does not end within {seconds:g} s of computing"
     if status < 0:
         return f"one that ends its reader ({signal.Signals(-status).name})"
     try:
