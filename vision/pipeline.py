@@ -527,9 +527,9 @@ def _upright(film: Video | None, chosen: Settings, work: Callable[[], Result]) -
 def _lie_level(film: Video) -> bool:
     """Whether the film shows a comb once it is turned by 90 degrees."""
     turned = replace(film, rotate=(film.rotate + 90) % 360)
-    rows = find_strip(turned).rows
-    pictures = [picture[rows].mean(axis=0, dtype=np.float32) for picture in turned.sample(LEVEL_FRAMES)]
     try:
+        rows = find_strip(turned).rows
+        pictures = [picture[rows].mean(axis=0, dtype=np.float32) for picture in turned.sample(LEVEL_FRAMES)]
         comb = describe_ridges(np.stack(pictures))
     except (InputError, ValueError):  # no ridge either, or no picture
         return False
