@@ -286,6 +286,8 @@ class TrackMetadata(Metadata):
         Persistent ridges that are no sheets.
     wide_spacings
         Where a sheet may have been overlooked: "748 px (1.9 pitches)".
+    scene_changes
+        Where the picture changes for good: "60 (all sheets displaced by 37.0 px)".
     ridges_beyond
         Ridges like the sheets that continue the comb beyond the number that was given.
     corrections_applied
@@ -308,6 +310,7 @@ class TrackMetadata(Metadata):
     least_margin: float = math.nan
     ridges_dropped: int = 0
     wide_spacings: Sequence[str] = field(default_factory=list)
+    scene_changes: Sequence[str] = field(default_factory=list)
     ridges_beyond: int = 0
     corrections_applied: int = 0
 
@@ -318,7 +321,11 @@ TRACKS = Schema(
     "vision.track_sheets",
     {
         "x_px": Variable(_FRAME_SHEET, "px", "position of the sheet"),
-        "x_err_px": Variable(_FRAME_SHEET, "px", "standard error of the position"),
+        "x_err_px": Variable(
+            _FRAME_SHEET,
+            "px",
+            "standard error of a displacement: what is the same in all frames is not in it",
+        ),
         "flag": Variable(_FRAME_SHEET, "", "ok, blurred, or why there is no position"),
         "why": Variable(_FRAME_SHEET, "", "why a doubtful identity is doubted", required=False),
         "x_withheld_px": Variable(_FRAME_SHEET, "px", "ridge whose identity is doubtful", required=False),

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 FWHM = 2.3548  # of a Gaussian, in standard deviations
 QUANTITIES: Mapping[str, tuple[str, str]] = {
-    "x_px": ("place of a sheet", "px"),
+    "x_px": ("place of a sheet (not in x_err)", "px"),
     "mu": ("μ", ""),
     "T0_N": ("𝒯0", "N"),
     "A": ("A", ""),

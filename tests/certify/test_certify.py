@@ -7,10 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.scenes.degraded import CODECS, FRAMES, SCENE, clean
+from tests.scenes.degraded import CODECS, DEGRADATIONS, FPS, FRAMES, SCENE, clean
+from tests.scenes.films import write_encoded
 from vision.certify import CertifySettings, certify, write_certificate
 from vision.certify.encoder import read_encoder
-from vision.certify.likeness import find_slips, learn
+from vision.certify.likeness import find_slips, learn, own_time
 from vision.errors import InputError
 from vision.experiment import preset, profiles, with_settings
 from vision.run.reading import read_json
@@ -18,6 +19,7 @@ from vision.sheets import track_sheets
 from vision.video import open_video, strip_profile
 
 ONE_FILM = CertifySettings(films=1, largest_jump=1.0)
+TWO_FILMS = CertifySettings(films=2, largest_jump=1.0)  # where codecs make films differ by a tenth
 FILMS = {
     "as usual": {},
     "noisy": {"camera.full_well_e": 1000},
@@ -158,7 +160,7 @@ def test_films_encoded_again_have_the_errors_of_the_recording(crf, tmp_path):
     columns = (0, strip.sizes["x"])
     encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), columns)
     assert encoder.quantiser == crf
-    found = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
+    found = certify(strip, tracks, encoder=encoder, settings=TWO_FILMS)
     assert 0.85 < found.error_px / rms(error) < 1.15
     assert "quantiser" in found.encoding and not any("carries content" in line for line in found.warnings)
     if crf > 12:
@@ -182,5 +184,74 @@ def test_noise_is_found_from_the_bits(tmp_path):
         path = CODECS["H.264 crf 12"](tmp_path, np.clip(np.rint(pixels), 0, 255).astype(np.uint8))
         encoder = read_encoder(path, (0, 30), (0, 600))
         profile = np.asarray(strip_profile(open_video(path)).values)
-        found.append(encoder.with_noise(profile).noise_grey)
+        found.append(encoder.fitted(profile, profile).noise_grey)
     assert 0.5 < found[0] < 2.5 < found[1] < 5
+
+
+def damaged(name, folder, seed=36):
+    """Strip, tracks and errors of displacements called ok, of a film to which something happened."""
+    film = DEGRADATIONS[name](seed)
+    strip = strip_profile(open_video(CODECS["FFV1"](folder, film.pixels)))
+    tracks = track_sheets(strip)
+    truth = film.truth_px[: strip.sizes["frame"]]
+    ok = tracks.flag.values == "ok"
+    sheet = np.argmin(np.abs(tracks.x_mean_px.values[:, None] - np.median(truth, axis=0)), axis=1)
+    error = np.where(ok, tracks.x_px.values - truth[:, sheet], np.nan)
+    return strip, tracks, moved(np.where(np.abs(error) < 10, error, np.nan))
+
+
+@pytest.mark.parametrize(
+    "name", ["frozen frames", "dropped frames", "duplicated frames", "auto-exposure steps"]
+)
+def test_what_happens_to_a_recording_happens_to_its_films(name, tmp_path):
+    """A failure means that frames that repeat, are missing, or are brighter than others count as noise."""
+    strip, tracks, error = damaged(name, tmp_path)
+    certificate = certify(strip, tracks, settings=ONE_FILM)
+    assert 0.85 < certificate.error_px / rms(error) < 1.2
+    assert certificate.found == pytest.approx(np.isfinite(error).mean(), abs=0.01)
+    assert not certificate.lower_bound
+
+
+@pytest.mark.parametrize("name", ["dirt", "glare", "passing hand"])
+def test_where_something_pulls_ridges_the_certificate_is_a_lower_bound(name, tmp_path):
+    """A failure means a number that looks sure where dirt, a highlight or a hand shift sheets by more."""
+    strip, tracks, error = damaged(name, tmp_path)
+    certificate = certify(strip, tracks, settings=ONE_FILM)
+    assert certificate.error_px < 1.3 * rms(error)
+    assert certificate.lower_bound
+    assert any("pulls" in line for line in certificate.warnings)
+    write_certificate(certificate, tmp_path / "out")
+    assert "at least" in (tmp_path / "out/certificate.html").read_text("utf-8")
+
+
+def test_the_sheets_own_time_skips_what_was_dropped():
+    """Frames 40 and 41 are missing and 60 is there twice: steps of all sheets say so, rest does not."""
+    rng = np.random.default_rng(3)
+    shown = np.r_[0:40, 42:61, 60:100]
+    x = 500 + 20.0 * np.arange(-12, 13) + 0.01 * shown[:, None] * np.arange(-12, 13)
+    time = own_time(x + rng.normal(0, 0.01, x.shape), np.array([], int), CertifySettings())
+    assert np.array_equal(time, shown)
+    still = own_time(rng.normal(0, 0.01, x.shape), np.array([], int), CertifySettings())
+    assert np.array_equal(still, np.arange(len(x)))
+
+
+@pytest.mark.parametrize(
+    ("codec", "ending", "options"),
+    [
+        ("libx264", "mp4", {"crf": "12", "preset": "ultrafast", "threads": "1"}),
+        ("libx265", "mp4", {"crf": "20", "x265-params": "log-level=none:pools=1:frame-threads=1"}),
+        ("mpeg4", "avi", {"qmin": "3", "qmax": "3"}),
+        ("libvpx-vp9", "mkv", {"crf": "20", "b": "0", "cpu-used": "4"}),
+    ],
+)
+def test_other_codecs_are_encoded_again_too(codec, ending, options, tmp_path):
+    """Within 20 % for one film: their quantisers are known less well than that of H.264."""
+    film = clean(42)
+    path = tmp_path / f"film.{ending}"
+    write_encoded(path, film.pixels, codec=codec, pix_fmt="yuv420p", source="gray", fps=FPS, options=options)
+    strip = strip_profile(open_video(path))
+    tracks = track_sheets(strip)
+    encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 600))
+    certificate = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
+    assert 0.8 < certificate.error_px / rms(moved(tracks.x_px.values - film.truth_px)) < 1.2
+    assert not certificate.lower_bound

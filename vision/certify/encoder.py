@@ -6,6 +6,7 @@ holds a sheet still while it creeps. A film with known truth that goes through t
 
 from __future__ import annotations
 
+import re
 import struct
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -16,6 +17,7 @@ from typing import Any, cast
 
 import av
 import numpy as np
+from av.video.frame import PictureType
 
 from vision.errors import InputError
 from vision.numeric import Floats, Floats32, Pixels
@@ -23,12 +25,35 @@ from vision.video import open_video
 from vision.video.encoded import open_container
 from vision.video.strip import row_means
 
-ENCODERS = {"h264": "libx264"}
-"""Codecs whose quantiser can be read, and what writes them."""
+ENCODERS = {
+    "h264": "libx264",
+    "hevc": "libx265",
+    "mpeg4": "mpeg4",
+    "mpeg2video": "mpeg2video",
+    "vp9": "libvpx-vp9",
+    "av1": "libsvtav1",
+}
+"""Codecs that carry content from frame to frame, and what FFmpeg writes them with."""
+QUANTISERS = {"hevc": (12, 16, 20, 24, 28, 32), "av1": (12, 20, 28, 36, 44)}
+"""What is tried where a decoder does not tell the quantiser."""
+PRESETS = {
+    0: "ultrafast",
+    1: "superfast",
+    2: "veryfast",
+    4: "faster",
+    6: "fast",
+    7: "medium",
+    8: "slow",
+    9: "slower",
+    10: "veryslow",
+}
+"""x264's presets by the effort of its motion search (subme), which it writes into its films."""
 NOISES = (0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
 """Standard deviations of the noise of pixels, grey levels, that are tried."""
 TRIED_FRAMES = 60
+TOLD_BYTES = 4096  # of the first packet, in which x264 and x265 write their settings
 MOST_PIXELS = 60_000_000  # of a film made to find the noise: larger frames are cut to fewer rows
+BLOCK = 16  # sides of the blocks that codecs work in, px
 
 
 @dataclass(frozen=True)
@@ -38,9 +63,9 @@ class Encoder:
     Parameters
     ----------
     codec
-        As FFmpeg names what writes it.
+        As FFmpeg names it.
     quantiser
-        Median of the frames' quantisers.
+        Median of the frames' quantisers, or, for HEVC and AV1, the rate factor.
     keyframes
         Frames from keyframe to keyframe; 0 where there is one only.
     bits_per_pixel
@@ -49,6 +74,12 @@ class Encoder:
         One frame (rows, columns), grey levels, turned as the run turned it.
     rows, columns
         Of the strip in it, half-open.
+    told
+        Whether the film tells its quantiser.
+    both_ways
+        Whether there are B frames.
+    preset
+        Of x264, medium where the film does not tell it.
     noise_grey
         Standard deviation of the pixels' noise before encoding.
     """
@@ -60,15 +91,20 @@ class Encoder:
     picture: Floats
     rows: tuple[int, int]
     columns: tuple[int, int]
+    told: bool = True
+    both_ways: bool = True
+    preset: str = "medium"
     noise_grey: float = 0.0
 
     @property
     def described(self) -> str:
         """In words, for the certificate."""
+        known = "the quantiser" if self.told else "a rate factor of"
         return (
-            f"{self.codec} at the recording's quantiser {self.quantiser}, with pixel noise of "
-            f"{self.noise_grey:g} grey levels, for which a film takes the recording's "
+            f"{self.codec} at {known} {self.quantiser}, with pixel "
+            f"noise of {self.noise_grey:g} grey levels, for which a film takes the recording's "
             f"{self.bits_per_pixel:.2g} bits per pixel"
+            + ("" if self.told else " and changes from frame to frame as much")
         )
 
     @property
@@ -78,26 +114,40 @@ class Encoder:
 
     def again(self, profile: Floats32, *, seed: int) -> Floats32:
         """I(x, t) (frame, x) drawn on all rows, encoded, decoded, and averaged over the strip's rows."""
+        return self._again(profile, seed)[0]
+
+    def _again(self, profile: Floats32, seed: int) -> tuple[Floats32, float]:
+        """The same, and the bits per pixel that it took."""
         with tempfile.TemporaryDirectory(prefix="sheetvision-") as folder:
-            path = Path(folder) / "again.mp4"
-            self._write(path, profile, seed)
+            path = Path(folder) / "again.mkv"
+            size = self._write(path, profile, seed)
             film = open_video(path)
             rows, columns = slice(*self.rows), slice(*self.columns)
-            return np.concatenate([row_means(block.pixels) for block in film.blocks(rows, columns)])
+            values = np.concatenate([row_means(block.pixels) for block in film.blocks(rows, columns)])
+            return values, 8 * size / (len(profile) * self.picture.size)
 
-    def with_noise(self, profile: Floats32) -> Encoder:
-        """With the noise for which a part of this film takes as many bits as the recording did."""
-        part, best = profile[:TRIED_FRAMES], (np.inf, 0.0)
-        for noise in NOISES:
-            tried = replace(self, noise_grey=noise)
-            with tempfile.TemporaryDirectory(prefix="sheetvision-") as folder:
-                path = Path(folder) / "again.mp4"
-                tried._write(path, part, seed=0)
-                bits = 8 * path.stat().st_size / (len(part) * self.picture.size)
-            best = min(best, (abs(np.log(bits / self.bits_per_pixel)), noise))
-            if bits > 1.5 * self.bits_per_pixel:
-                break
-        return replace(self, noise_grey=best[1])
+    def fitted(self, profile: Floats32, recorded: Floats32) -> Encoder:
+        """With the noise for which a part of this film takes as many bits as the recording did.
+
+        Where the quantiser is not known, it is the one, too, for which I(x, t) then changes from frame to
+        frame by as much as was recorded.
+        """
+        part, wanted = profile[:TRIED_FRAMES], _change(recorded[:TRIED_FRAMES, : self.width])
+        best, chosen = np.inf, self
+        for quantiser in (self.quantiser,) if self.told else QUANTISERS[self.codec]:
+            nearest, here = np.inf, self
+            change = wanted
+            for noise in NOISES:
+                tried = replace(self, noise_grey=noise, quantiser=quantiser)
+                values, bits = tried._again(part, seed=0)
+                off = abs(float(np.log(bits / self.bits_per_pixel)))
+                if off < nearest:
+                    nearest, here, change = off, tried, _change(values)
+                if bits > 1.5 * self.bits_per_pixel:
+                    break
+            if nearest + abs(np.log(change / wanted)) < best:
+                best, chosen = nearest + abs(np.log(change / wanted)), here
+        return chosen
 
     def _frames(self, profile: Floats32, seed: int) -> Iterator[Pixels]:
         rng = np.random.default_rng(seed)
@@ -109,25 +159,52 @@ class Encoder:
             frame += self.noise_grey * rng.standard_normal(frame.shape)
             yield np.clip(np.rint(frame), 0, 255).astype(np.uint8)
 
-    def _write(self, path: Path, profile: Floats32, seed: int) -> None:
-        height, width = self.picture.shape
-        options = {"crf": str(self.quantiser), "preset": "medium", "threads": "1"}
+    def _options(self) -> dict[str, str]:
+        """What makes the encoder write like the recording."""
+        q = str(self.quantiser)
+        options = {
+            "h264": {"crf": q, "preset": self.preset, "threads": "1"},
+            "hevc": {"crf": q, "x265-params": "log-level=none:pools=1:frame-threads=1"},
+            "vp9": {"crf": q, "b": "0", "cpu-used": "4"},
+            "av1": {"crf": q, "preset": "8"},
+        }.get(self.codec, {"qmin": q, "qmax": q})
         if self.keyframes:
             options["g"] = str(self.keyframes)
+        if not self.both_ways and self.codec in ("h264", "hevc"):
+            options["bf"] = "0"
+        return options
+
+    def _write(self, path: Path, profile: Floats32, seed: int) -> int:
+        """Bytes of the film's packets."""
+        # libx264 looks beyond sides that are no multiples of its blocks, at what memory happens to hold.
+        multiple = BLOCK if self.codec == "h264" else 1
+        more = [(0, -length % multiple) for length in self.picture.shape]
+        height, width = (length + add for length, (_, add) in zip(self.picture.shape, more, strict=True))
+        size = 0
         with av.open(str(path), "w") as out:
-            stream = out.add_stream(self.codec, rate=25, options=options)
+            stream = out.add_stream(ENCODERS[self.codec], rate=25, options=self._options())
             assert isinstance(stream, av.VideoStream)
             stream.height, stream.width, stream.pix_fmt = height, width, "yuv420p"
             stream.codec_context.time_base = Fraction(1, 25)
-            colourless = np.full(
-                (height // 2, width), 128, np.uint8
-            )  # both planes of colour, one after the other
+            # both planes of colour, one after the other
+            colourless = np.full((height // 2, width), 128, np.uint8)
             for n, grey in enumerate(self._frames(profile, seed)):
                 # the plane of brightness as it is: no change of range
-                frame = av.VideoFrame.from_ndarray(np.concatenate([grey, colourless]), format="yuv420p")
+                planes = np.concatenate([np.pad(grey, more, mode="edge"), colourless])
+                frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
                 frame.pts, frame.time_base = n, Fraction(1, 25)
-                out.mux(stream.encode(frame))
-            out.mux(stream.encode(None))
+                packets = stream.encode(frame)
+                size += sum(packet.size for packet in packets)
+                out.mux(packets)
+            packets = stream.encode(None)
+            out.mux(packets)
+            return size + sum(packet.size for packet in packets)
+
+
+def _change(values: Floats32) -> float:
+    """Mean change from frame to frame, grey levels, without that of slips."""
+    change = np.abs(np.diff(values, axis=0)).mean(axis=1)
+    return max(float(np.median(change)), 1e-3)
 
 
 def read_encoder(
@@ -149,23 +226,31 @@ def read_encoder(
     try:
         with open_container(path) as film:
             stream = film.streams.video[0]
-            codec = ENCODERS.get(stream.codec_context.name)
-            if codec is None:
+            codec = stream.codec_context.codec.canonical_name
+            if ENCODERS.get(codec) not in av.codecs_available:
                 return None
+            told = bytes(stream.codec_context.extradata or b"")
             stream.codec_context.options = {"export_side_data": "venc_params"}
             stream.thread_type = "NONE"
-            quantisers, keys, size = [], [], 0
+            quantisers, keys, size, seen, both_ways = [], [], 0, 0, False
             for n, packet in enumerate(film.demux(stream)):
                 if n >= frames:
                     break
                 size += packet.size
+                told += bytes(packet)[:TOLD_BYTES] if n == 0 else b""
                 keys += [n] if packet.is_keyframe and packet.size else []
-                quantisers += [q for frame in packet.decode() for q in _quantiser(frame)]
+                for frame in packet.decode():
+                    seen += 1
+                    both_ways |= int(frame.pict_type) == int(PictureType.B)
+                    quantisers += _quantiser(frame, codec)
             pixels = stream.codec_context.width * stream.codec_context.height
         picture = next(iter(open_video(path, rotate=rotate).frames()))
     except (OSError, av.FFmpegError, InputError, IndexError, StopIteration):
         return None
-    if not quantisers or picture.ndim != 2 or picture.dtype != np.uint8:
+    if codec == "hevc" and (crf := _told(told, b"x265", b"crf")) is not None:
+        quantisers = [crf]
+    effort = _told(told, b"x264", b"subme")
+    if not (quantisers or codec in QUANTISERS) or not seen or picture.ndim != 2 or picture.dtype != np.uint8:
         return None
     even = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2].astype(np.float64)
     most = MOST_PIXELS // (TRIED_FRAMES * even.shape[1])
@@ -174,19 +259,40 @@ def read_encoder(
     even = even[: len(even) // 2 * 2]
     return Encoder(
         codec=codec,
-        quantiser=int(np.median(quantisers)),
+        quantiser=round(float(np.median(quantisers))) if quantisers else QUANTISERS[codec][0],
         keyframes=int(np.median(np.diff(keys))) if len(keys) > 1 else 0,
-        bits_per_pixel=8 * size / (len(quantisers) * pixels),
+        bits_per_pixel=8 * size / (seen * pixels),
+        both_ways=both_ways,
+        told=bool(quantisers),
+        preset=PRESETS.get(int(effort), "medium") if effort is not None else "medium",
         picture=even,
         rows=(rows[0] - first, min(rows[1] - first, len(even))),
         columns=(columns[0], min(columns[1], even.shape[1])),
     )
 
 
-def _quantiser(frame: av.VideoFrame) -> list[int]:
-    """The quantiser of a frame, as FFmpeg's AVVideoEncParams hands it on; none where it does not."""
+def _told(text: bytes, encoder: bytes, name: bytes) -> float | None:
+    """A setting that this encoder wrote into its film; None where it did not."""
+    found = re.search(rb"\b" + name + rb"=(\d+(?:\.\d+)?)", text) if encoder in text else None
+    return None if found is None else float(found[1])
+
+
+def _quantiser(frame: av.VideoFrame, codec: str) -> list[float]:
+    """The quantiser of a frame, as FFmpeg's AVVideoEncParams hands it on; none where it does not.
+
+    In the units of the encoder's options: that of H.264 as it is, the index of VP9 over 4, and for MPEG-2 and
+    MPEG-4 half of what each block is given.
+    """
     for part in cast("Iterable[Any]", frame.side_data):
         if "VIDEO_ENC_PARAMS" in str(part.type):
             # unsigned nb_blocks; size_t blocks_offset, block_size; enum type; int32 qp
-            return [int(struct.unpack_from("@IQQii", bytes(part))[4])]
+            blocks, first, step, _, base = struct.unpack_from("@IQQii", bytes(part))
+            if codec in ("h264", "vp9"):
+                return [base if codec == "h264" else base / 4]
+            # of a block: int src_x, src_y, w, h; int32 delta_qp
+            given = [
+                struct.unpack_from("@i", bytes(part), first + k * step + 16)[0]
+                for k in range(min(blocks, 64))
+            ]
+            return [float(np.median(given)) / 2] if given else []
     return []

@@ -5,6 +5,10 @@ moves with them and holds each ridge's own shape, the gaps and the light; the br
 the residual R, which holds noise, unequal pixels, and what the codec added or took away.  Motion is smooth
 between slips; the noise of positions is therefore in R and not in the motion.  A film with another motion, or
 with the residuals of other frames, has exactly known positions.
+
+What happened to the recording happens to its films: brightness steps, frames that repeat the one before or
+are not there, and places where something else pulls ridges aside (dirt, a highlight, a hand) show what was
+recorded, while the true motion there is that of the sheets around.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ from vision.certify.encoder import Encoder
 from vision.certify.settings import CertifySettings
 from vision.data import StripMetadata
 from vision.errors import InputError
-from vision.numeric import Bools, Floats, Floats32, Ints, mad_sigma, nan_median
+from vision.numeric import Bools, Floats, Floats32, Ints, Strings, mad_sigma, nan_median
 from vision.sheets.subpixel import position_noise
 from vision.sheets.tracks import BETWEEN_FRAMES
 
@@ -29,6 +33,7 @@ BEYOND = 3.5  # half widths of the outermost ridge from its middle, beyond which
 FAR_PX = 1e4
 LEAST_SHARING = 5  # sheets from which what all do together is told from what each does
 
+CLIPPED_GREY, CLIPPED_SHARE = 0.5, 1e-3  # from the brightest pixel, and share of all pixels there, if clipped
 LEAST_LEFT = 0.2  # of the noise, where pieces are too short for the smooth motion to leave any
 
 
@@ -48,6 +53,8 @@ class Likeness:
         Half width of the part of M that moves with each sheet, (sheet,).
     motion_px
         Smooth positions, (frame, sheet), columns of the strip; frames in which they are truth.
+    common_px
+        What all sheets do together in single frames, a part of it, (frame,).
     gain
         Brightness of each frame, (frame,).
     residual, slow
@@ -62,6 +69,16 @@ class Likeness:
         Frames before which the sheets jump.
     strip
         The part of the recording that is imitated.
+    usable
+        Frames that the residuals are of.
+    part
+        Number of the part with the same brightness to which each frame belongs, (frame,).
+    frozen
+        Frames that repeat the one before, (frame,).
+    disturbed
+        Pixels around ridges that something else pulls aside or hides, (frame, x).
+    ceiling
+        Brightest pixel, where the camera may have clipped.
     encoder
         What films go through in place of getting residuals; None where those are put in.
     """
@@ -72,6 +89,7 @@ class Likeness:
     rest_px: Floats
     rigid_px: Floats
     motion_px: Floats
+    common_px: Floats
     gain: Floats
     residual: Floats32
     slow: Floats32
@@ -79,6 +97,11 @@ class Likeness:
     chained: bool
     slips: Ints
     strip: xr.DataArray
+    usable: Ints
+    part: Ints
+    frozen: Bools
+    disturbed: Bools
+    ceiling: float
     encoder: Encoder | None = None
 
     def film(self, motion_px: Floats, *, number: int | None) -> xr.DataArray:
@@ -87,33 +110,54 @@ class Likeness:
         They come in random order, another for each `number`, where frames are independent, from not too far
         away since light may change; where a codec carries content from frame to frame they keep their order
         and begin elsewhere. With an encoder the film is encoded anew instead, with another noise of pixels
-        for each number. None: neither.
+        for each number. None: neither. With the recording's own motion its frozen and lost frames and its
+        disturbed pixels are there, too.
         """
-        frames = len(motion_px)
+        frames, own = len(motion_px), motion_px is self.motion_px and number is not None
         columns = np.arange(self.strip.sizes["x"], dtype=float)
+        recorded = np.asarray(self.strip.values, np.float32)
         gain = np.resize(self.gain, frames)
         values = np.empty((frames, columns.size), np.float32)
         for t in range(frames):
-            values[t] = gain[t] * self._shown(columns, motion_px[t])
+            values[t] = np.minimum(gain[t] * self._shown(columns, motion_px[t]), self.ceiling)
+        noisy = number is not None and self.encoder is None
+        if noisy and number is not None:
+            values += self.residual[np.resize(self._sources(number), frames)]
+        if own and noisy:
+            values += self.slow
+        values = np.minimum(values, self.ceiling)
+        if own:
+            values[self.disturbed] = recorded[self.disturbed]
+            for t in np.flatnonzero(self.frozen).tolist():
+                values[t] = values[max(t - 1, 0)]
         if number is not None and self.encoder is not None:
             values[:, : self.encoder.width] = self.encoder.again(values[:, : self.encoder.width], seed=number)
-        elif number is not None:
-            values += self.residual[np.resize(self._order(number), frames)]
-            if motion_px is self.motion_px:
-                values += self.slow
         part = self.strip.isel(frame=np.arange(frames) % self.strip.sizes["frame"])
+        status = np.full(frames, "ok", "<U8")
+        if own:
+            lost = ~np.isfinite(recorded).all(axis=1)
+            values[lost] = np.nan
+            status[lost] = part["status"].values[lost] if "status" in part.coords else "blank"
         film = part.copy(data=values)
-        film["status"] = "frame", np.full(frames, "ok")
+        film["status"] = "frame", status
         return film.assign_coords(frame=np.arange(frames), time_s=("frame", self._times_s(frames)))
 
-    def _order(self, number: int) -> Ints:
-        """Which frame's residual goes where."""
-        kept = len(self.residual)
-        if not self.chained:
-            later = np.random.default_rng(number).uniform(0, self.reach, kept)
-            return np.argsort(np.arange(kept) + later)
-        golden = 0.382  # so that any number of films begin at different places
-        return np.roll(np.arange(kept), -round(kept * ((1 + number) * golden % 1)))
+    def _sources(self, number: int) -> Ints:
+        """Which row of the residuals each frame gets, (frame,): one of the same brightness."""
+        kept = len(self.usable)
+        if self.chained:
+            golden = 0.382  # so that any number of films begin at different places
+            rolled = np.roll(np.arange(kept), -round(kept * ((1 + number) * golden % 1)))
+            return np.resize(rolled, len(self.part))
+        later = np.arange(kept) + np.random.default_rng(number).uniform(0, self.reach, kept)
+        sources = np.zeros(len(self.part), np.int64)
+        for part in np.unique(self.part):
+            here = np.flatnonzero(self.part == part)
+            rows = np.flatnonzero(self.part[self.usable] == part)
+            rows = rows if rows.size else np.arange(kept)
+            rows = rows[np.argsort(later[rows])]
+            sources[here] = rows[np.arange(here.size) * rows.size // here.size]
+        return sources
 
     def _times_s(self, frames: int) -> Floats:
         times = np.asarray(self.strip["time_s"].values, float)
@@ -172,10 +216,13 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
             f"{int(whole.sum())}",
             "take a longer part",
         )
-    x_px = x_px[:, np.isfinite(x_px[whole]).mean(axis=0) > 0.5]
+    flag, err = tracks["flag"].values[:, order], np.asarray(tracks["x_err_px"].values, float)[:, order]
+    often = np.isfinite(x_px[whole]).mean(axis=0) > 0.5
+    x_px, err, frozen = x_px[:, often], err[:, often], (flag == "frozen").all(axis=1)
     slips = find_slips(x_px, settings)
+    pulled = _pulled(err, flag[:, often], _beside(slips, len(x_px)), settings)
     chained = StripMetadata.of(strip).codec in BETWEEN_FRAMES
-    motion, left = smooth_motion(x_px, slips, settings, chained=chained)
+    motion, common, left = smooth_motion(x_px, slips, settings, chained=chained, pulled=pulled)
     usable = whole & ~_beside(slips, len(x_px))
     if usable.sum() < LEAST_FRAMES:
         usable = whole
@@ -186,7 +233,13 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     width, per_px = values.shape[1], settings.grid_per_px
     margin = float(np.ceil(np.abs(motion - rest).max())) + 4
     grid = -margin + np.arange(int((width + 2 * margin) * per_px)) / per_px
-    picture, gain = _mean_picture(values, motion, np.flatnonzero(usable), grid, rest, rigid)
+    disturbed = _around(pulled | (~np.isfinite(x_px) & ~frozen[:, None]), motion, width)
+    disturbed[~np.isfinite(values).all(axis=1)] = False
+    ceiling = float(np.nanmax(values))
+    clipped = values > ceiling - CLIPPED_GREY
+    aside = disturbed | clipped if clipped.mean() > CLIPPED_SHARE else disturbed
+    gain = _gain(values, aside, usable)
+    picture = _mean_picture(values, aside, gain, motion, np.flatnonzero(usable), grid, rest, rigid)
     likeness = Likeness(
         picture=np.asarray(scipy.ndimage.spline_filter1d(picture, order=3, mode="nearest")),
         first_px=float(grid[0]),
@@ -194,6 +247,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
         rest_px=rest,
         rigid_px=rigid,
         motion_px=motion,
+        common_px=common,
         gain=gain,
         residual=np.zeros((1, width), np.float32),
         slow=np.zeros(values.shape, np.float32),
@@ -201,17 +255,70 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
         chained=chained,
         slips=slips,
         strip=strip,
+        usable=np.flatnonzero(usable),
+        part=_parts(gain, settings),
+        frozen=frozen,
+        disturbed=disturbed,
+        ceiling=ceiling,
     )
     columns = np.arange(width, dtype=float)
-    frame = np.flatnonzero(usable)
+    frame = likeness.usable
     residual = np.array(
-        [values[t] - gain[t] * likeness._shown(columns, motion[t]) for t in frame], np.float32
+        [values[t] - np.minimum(gain[t] * likeness._shown(columns, motion[t]), ceiling) for t in frame],
+        np.float32,
     )
-    slow = _slow_part(residual, frame, slips, len(motion), settings.slow_frames)
-    residual -= slow[frame]
+    edges = np.union1d(slips, 1 + np.flatnonzero(np.diff(likeness.part)))
+    slow = _slow_part(residual, frame, edges, len(motion), settings.slow_frames)
+    residual = _undisturbed(residual - slow[frame], disturbed[frame])
     # The smooth motion and the mean picture have taken up a part of the noise.
     share = max(float(left[usable].mean()) * (1 - 1 / int(usable.sum())), LEAST_LEFT)
     return replace(likeness, residual=residual / np.float32(np.sqrt(share)), slow=slow)
+
+
+def _pulled(err_px: Floats, flag: Strings, beside: Bools, settings: CertifySettings) -> Bools:
+    """Positions, (frame, sheet), of which the run itself says that something other than noise is in them."""
+    usual = nan_median(err_px)
+    usual = np.fmin(usual, nan_median(usual))
+    with np.errstate(invalid="ignore"):
+        large = (err_px > settings.pulled_errors * usual) & (flag == "ok")
+    return np.asarray(large | ((flag == "blurred") & ~beside[:, None]))
+
+
+def _around(which: Bools, motion: Floats, width: int) -> Bools:
+    """Pixels, (frame, x), nearer to one of these sheets, (frame, sheet), than to any other."""
+    columns, out = np.arange(width), np.zeros((len(motion), width), bool)
+    for t in np.flatnonzero(which.any(axis=1)):
+        middles = (motion[t, 1:] + motion[t, :-1]) / 2
+        out[t] = which[t, np.searchsorted(middles, columns)]
+    return out
+
+
+def _gain(values: Floats32, disturbed: Bools, usable: Bools) -> Floats:
+    """Brightness of each frame where nothing disturbs it, over the usual, (frame,)."""
+    clear = np.where(disturbed, np.nan, values)
+    typical = nan_median(clear[usable])
+    known = np.isfinite(clear) & np.isfinite(typical)
+    light = np.where(known, clear, 0.0).sum(axis=1, dtype=float)
+    usual = np.where(known, typical, 0.0).sum(axis=1)
+    gain = np.where((light > 0) & (usual > 0), light / np.maximum(usual, 1e-12), 1.0)  # 1 for blank frames
+    return np.asarray(gain / np.median(gain[usable]))
+
+
+def _parts(gain: Floats, settings: CertifySettings) -> Ints:
+    """Numbers of the parts between steps of the brightness, (frame,)."""
+    step = np.abs(np.diff(np.log(gain)))
+    least = max(settings.gain_step, settings.step_errors * float(np.median(step)))
+    return np.asarray(np.concatenate([[0], np.cumsum(step > least)]), np.int64)
+
+
+def _undisturbed(residual: Floats32, disturbed: Bools) -> Floats32:
+    """What belongs to a disturbance replaced by what the same column shows in the next frame without."""
+    out, row = residual.copy(), np.arange(len(residual))
+    for x in np.flatnonzero(disturbed.any(axis=0)):
+        clear = row[~disturbed[:, x]]
+        if clear.size:
+            out[:, x] = residual[clear[np.searchsorted(clear, row) % clear.size], x]
+    return out
 
 
 def _slow_part(residual: Floats32, frame: Ints, slips: Ints, frames: int, window: int) -> Floats32:
@@ -258,17 +365,27 @@ def find_slips(x_px: Floats, settings: CertifySettings) -> Ints:
 
 
 def smooth_motion(
-    x_px: Floats, slips: Ints, settings: CertifySettings, *, chained: bool = False
-) -> tuple[Floats, Floats]:
-    """Positions without noise, (frame, sheet), and the share of the noise's variance not in them, (frame,).
+    x_px: Floats,
+    slips: Ints,
+    settings: CertifySettings,
+    *,
+    chained: bool = False,
+    pulled: Bools | None = None,
+) -> tuple[Floats, Floats, Floats]:
+    """Positions without noise, (frame, sheet), what all sheets share of them in single frames, and the share
+    of the noise's variance not in them, both (frame,).
 
     Between slips a cubic (a parabola in short pieces) through as many frames as it fits, plus what all sheets
-    do together in each frame. Codecs that chain frames make steps that are no motion: fits are kept.
+    do together in each frame. It is a cubic in the sheets' own time, see `own_time`. Codecs that chain frames
+    make steps that are no motion: fits are kept. Positions that are `pulled` aside are no motion either:
+    there a sheet moves as those around it.
     """
     frames, sheets = x_px.shape
-    filled, left = _filled(x_px), np.zeros(frames)
+    x_px, raw = (x_px, x_px) if pulled is None else (np.where(pulled, np.nan, x_px), x_px)
+    filled, left = _filled(x_px, raw), np.zeros(frames)
     motion, blurred = filled.copy(), _beside(slips, frames)
     noise = np.nan_to_num(position_noise(x_px), nan=np.inf)
+    time = own_time(x_px, slips, settings)
     edges = np.unique(np.concatenate([[0, frames], slips]))
     waiting = []
     for start, stop in pairwise(edges):
@@ -281,7 +398,8 @@ def smooth_motion(
         if piece.size < settings.least_piece:
             continue
         degree = 3 if piece.size >= 2 * settings.least_piece else 2
-        basis = np.polynomial.legendre.legvander(np.linspace(-1, 1, piece.size), degree)
+        span = max(time[piece[-1]] - time[piece[0]], 1.0)
+        basis = np.polynomial.legendre.legvander(2 * (time[piece] - time[piece[0]]) / span - 1, degree)
         inner = basis[~blurred[piece]]
         fitted = basis @ np.linalg.lstsq(inner, filled[sharp], rcond=None)[0]
         off = (filled[piece] - fitted)[~blurred[piece]]
@@ -294,31 +412,75 @@ def smooth_motion(
         left[sharp] = 1 - (np.linalg.qr(inner)[0] ** 2).sum(axis=1)
     common = np.nan_to_num(nan_median(x_px - motion, axis=1)) if sheets >= LEAST_SHARING else np.zeros(frames)
     shared = 1 - 1.57 / sheets if sheets >= LEAST_SHARING else 1.0  # a median's variance is π/2 of a mean's
-    return motion + common[:, None], left * shared
+    return motion + common[:, None], common, left * shared
 
 
-def _filled(x_px: Floats) -> Floats:
-    """Gaps bridged by straight lines, ends held."""
-    filled, frame = x_px.copy(), np.arange(len(x_px))
+def own_time(x_px: Floats, slips: Ints, settings: CertifySettings) -> Floats:
+    """Time that went by for the sheets, in frames, (frame,): more where frames were dropped, none where one
+    was written twice.
+
+    Each step of all sheets is compared with their usual steps around it; the number of frames that it took is
+    rounded, and is that of the film where steps are too small against the noise to tell it.
+    """
+    frames = len(x_px)
+    new = np.flatnonzero(np.isfinite(x_px).mean(axis=1) > 0.5)
+    taken = np.diff(new).astype(float)
+    if new.size < 2 * settings.least_piece or x_px.shape[1] < LEAST_SHARING:
+        return np.arange(frames, dtype=float)
+    step = np.diff(x_px[new], axis=0)
+    step = step - nan_median(step, axis=1)[:, None]
+    noise = float(np.nan_to_num(nan_median(position_noise(x_px)), nan=np.inf))
+    slipped = np.diff(np.searchsorted(slips, new, side="right")) > 0
+    per_frame = np.where(slipped[:, None], np.nan, step)
+    for k in np.flatnonzero(~slipped):
+        around = slice(max(0, k - settings.least_piece), k + settings.least_piece + 1)
+        usual = np.nan_to_num(nan_median(per_frame[around]))
+        weight = float((usual**2).sum())
+        error = np.sqrt(2) * noise / np.sqrt(max(weight, 1e-24))
+        ratio = float(np.nan_to_num(step[k]) @ usual) / max(weight, 1e-24)
+        if error < settings.own_time_error:
+            taken[k] = np.clip(np.rint(ratio), 0, 2 * settings.least_piece)
+    total = np.concatenate([[0.0], np.cumsum(taken)])
+    return np.asarray(np.interp(np.arange(frames), new, total), float)
+
+
+def _filled(x_px: Floats, raw_px: Floats) -> Floats:
+    """Gaps filled with what the sheets around do; where none is seen by straight lines in time, ends held."""
+    place = nan_median(raw_px)
+    moved, sheet = x_px - place, np.arange(x_px.shape[1])
+    known = np.isfinite(moved)
+    for t in np.flatnonzero(~known.all(axis=1) & known.any(axis=1)):
+        moved[t] = np.interp(sheet, sheet[known[t]], moved[t, known[t]])
+    filled, frame = place + moved, np.arange(len(x_px))
     for column in filled.T:
-        known = np.isfinite(column)
-        column[~known] = np.interp(frame[~known], frame[known], column[known])
-    return filled
+        there = np.isfinite(column)
+        column[~there] = np.interp(frame[~there], frame[there], column[there])
+    return np.asarray(filled)
 
 
 def _mean_picture(
-    values: Floats32, motion: Floats, usable: Ints, grid: Floats, rest: Floats, rigid: Floats
-) -> tuple[Floats, Floats]:
-    """M on the grid, and the brightness of every frame; two rounds, since each needs the other."""
-    gain = values.mean(axis=1, dtype=float)
-    gain /= np.median(gain[usable]) or 1.0
-    gain[~(gain > 0)] = 1.0  # blank frames
-    total = np.zeros(grid.size)
+    values: Floats32,
+    disturbed: Bools,
+    gain: Floats,
+    motion: Floats,
+    usable: Ints,
+    grid: Floats,
+    rest: Floats,
+    rigid: Floats,
+) -> Floats:
+    """M on the grid, from what is not disturbed where there is such."""
+    total, weights = np.zeros((2, grid.size)), np.zeros((2, grid.size))
+    column = np.arange(values.shape[1])
     for t in usable:
         seen = _material(grid, rest, motion[t], rigid)  # the column at which each point of M is seen
         coefficients = scipy.ndimage.spline_filter1d(values[t].astype(float), order=3, mode="nearest")
-        total += (
+        shown = (
             scipy.ndimage.map_coordinates(coefficients, seen[None], order=3, mode="nearest", prefilter=False)
             / gain[t]
         )
-    return total / len(usable), gain
+        clear = 1.0 - np.interp(seen, column, disturbed[t].astype(float))
+        for k, weight in enumerate((clear, np.ones_like(clear))):
+            total[k] += weight * shown
+            weights[k] += weight
+    mean = np.where(weights[0] > 1, total[0] / np.maximum(weights[0], 1e-9), total[1] / weights[1])
+    return np.asarray(mean, np.float64)

@@ -28,7 +28,7 @@ img { width: 100% } .warning { border-left: 4px solid #b34700; padding-left: 0.8
 
 _RESIDUALS = (
     "That rest, the residual, holds noise, unequal pixels and what the codec did; the films got the "
-    "residuals of other frames.",
+    "residuals of other frames of the same brightness.",
     "errors that last as long as a stick, which look like motion;",
 )
 _ENCODED = (
@@ -91,7 +91,7 @@ def statements(certificate: Certificate) -> list[tuple[str, str]]:
     answers = [
         (
             "Error of a displacement",
-            f"{_length(c.error_px, c)} RMS over all sheets; from "
+            f"{'at least ' if c.lower_bound else ''}{_length(c.error_px, c)} RMS over all sheets; from "
             f"{_length(float(c.sheets['error_px'].min()), c)} to "
             f"{_length(float(c.sheets['error_px'].max()), c)}",
         ),
@@ -167,7 +167,8 @@ everything else. {what_else}
 {c.films} films of the same length, whose positions are known exactly, were tracked as the recording was.
 For the pull towards whole pixels the sheets cross one pixel without noise; for the identities the motion was
 enlarged; at the threshold every sheet creeps by √12 times the threshold times Λ_st in each stick, and the
-whole analysis follows.</p>
+whole analysis follows. Frames that repeat the one before or are not there, steps of the brightness, clipped
+tops and whatever pulls ridges aside are in the films where they are in the recording.</p>
 <p>Not in it: a constant error of each sheet's position, which displacements do not have; {without}
 frames in which a slip happens. certificate.csv holds the numbers of
 every sheet, certificate.json the rest.</p>

@@ -48,6 +48,19 @@ class CertifySettings:
     """Frames over which the residual is averaged to find its slow part.  Fewer keep more of the noise where
     it was, next to the same motion; more leave the grain of paper that is pulled along in what is moved."""
 
+    pulled_errors: float = 2.5
+    """Times its sheet's usual stated error from which a position is taken for pulled aside (dirt, a
+    highlight, a hand): the sheets around say where the sheet truly was.  Smaller replaces motion by that of
+    neighbours; larger takes what pulls ridges for motion."""
+
+    gain_step: float = 0.03
+    """Relative step of the brightness over which no residual is exchanged.  Smaller leaves few frames to
+    exchange with where light flickers; larger moves what is clipped into frames where nothing was."""
+
+    own_time_error: float = 0.2
+    """Error, in frames, up to which the time that a step took is read from the step.  Larger rounds noise to
+    dropped frames; smaller lets frames that were dropped count as noise."""
+
     largest_jump: float = 4.0
     """Largest multiple of the recording's own motion with which identities are tried."""
 

@@ -132,7 +132,7 @@ def _noise(results: Results) -> Answer | None:
     return Answer(
         what,
         f"{measured:.2g} px" + ("" if size is None else f" = {measured * size:.2g} µm"),
-        f"median of the sheets, from frame to frame; {check}",
+        f"median of the sheets, from frame to frame; {check}; the error of a displacement, not of a place",
         doubt=bool(not hidden and measured > 3 * predicted),
     )
 

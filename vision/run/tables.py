@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -64,14 +65,23 @@ def sheets_table(tracks: xr.Dataset) -> pd.DataFrame:
     return pd.DataFrame(who | {name: tracks[name].values.round(places) for name, places in digits.items()})
 
 
-def write_tracks_nc(tracks: xr.Dataset, path: Path, *, pixel_size_um: float | None) -> None:
+def write_tracks_nc(
+    tracks: xr.Dataset, path: Path, *, pixel_size_um: float | None, constant_error_px: float = math.nan
+) -> None:
     """netCDF-4 with CF units and long names; x_um only where the pixel size is known; flags as characters.
 
+    `constant_error_px` is the error of places that is the same in all frames, an attribute of x_px.
     Made in memory, because HDF5 crashes the process when a disk fills up.  Raises: OSError.
     """
     data = tracks.assign_coords(index=("sheet", tracks["sheet"].values, {"long_name": "index from the left"}))
     data["frame"].attrs["long_name"] = "frame number"
     data["sheet"].attrs["long_name"] = "sheet, counted from the left"
+    if math.isfinite(constant_error_px):
+        comment = (
+            "x_err_px is the error of a displacement, constant_error_px that of a place, alike in all frames"
+        )
+        about = {"constant_error_px": constant_error_px, "comment": comment}
+        data["x_px"] = data["x_px"].assign_attrs(about)
     if pixel_size_um is not None:
         about = {"long_name": "position of the sheet", "units": "um"}
         data = data.assign(x_um=(("frame", "sheet"), data["x_px"].values * pixel_size_um, about))
@@ -82,6 +92,8 @@ def write_tracks_nc(tracks: xr.Dataset, path: Path, *, pixel_size_um: float | No
     for name in ("flag", "why"):
         if name in packed:
             packed[name] |= {"dtype": "S1", "char_dim_name": f"{name}_length"}
+            # as bytes at once: xarray would encode them one by one
+            data[name] = data[name].astype("S").assign_attrs(data[name].attrs, _Encoding="utf-8")
     path.write_bytes(data.to_netcdf(engine="h5netcdf", encoding=packed))
 
 

@@ -187,7 +187,9 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
     size = analysis.pixel_size_um
     if analysis.tracks is not None and analysis.strip is not None:
         write_tracks_csv(analysis.tracks, folder / "tracks.csv", pixel_size_um=size)
-        write_tracks_nc(analysis.tracks, folder / "tracks.nc", pixel_size_um=size)
+        constant = systematic_budget(analysis).total("x_px")
+        path = folder / "tracks.nc"
+        write_tracks_nc(analysis.tracks, path, pixel_size_um=size, constant_error_px=constant)
         sheets_table(analysis.tracks).to_csv(folder / "sheets.csv", index=False, lineterminator="\n")
         write_kymograph_tif(analysis.strip, folder / "kymograph.tif", pixel_size_um=size)
     if analysis.sticks is not None:

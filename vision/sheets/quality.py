@@ -19,7 +19,7 @@ from vision.sheets.subpixel import fit_sheets
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
-FRAMES_PER_BLOCK = 64  # few enough for the processor's cache
+SCENE_FRAMES = 5  # before and after a change of scene that are compared
 LAGS = (4, 2, 1)
 """Frames apart at which the scatter of neighbours is compared with that of all sheets: what a codec holds
 still shows better over some frames, but a stick must be longer than twice as many."""
@@ -47,20 +47,13 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
     that change at all. Noise alone makes a frame differ from the one before by √2 of its standard deviation,
     within a few per cent; a frame that changes by much less repeats the one before.
     """
-    starts = range(0, len(profile) - 1, FRAMES_PER_BLOCK)
-    change = np.concatenate([np.empty(0), *(_change(profile[i : i + FRAMES_PER_BLOCK + 1]) for i in starts)])
+    change = np.sqrt(np.mean(np.diff(profile.astype(np.float64), axis=0) ** 2, axis=1))
     moving = change[np.isfinite(change) & (change > 0)]
     frozen = np.zeros(len(profile), bool)
     # a drawing without noise, or a still: nothing says that a frame should have changed
     if moving.size >= max(LEAST_FRAMES, settings.least_changing * len(change)):
         frozen[1:] = change < settings.frozen_fraction * np.quantile(moving, 0.1)
     return frozen
-
-
-def _change(frames: Floats32) -> Floats:
-    """Root mean square change from each frame to the next."""
-    step = np.diff(frames.astype(np.float64), axis=0)
-    return np.asarray(np.sqrt(np.mean(step**2, axis=1)), np.float64)
 
 
 class Blur(NamedTuple):
@@ -196,6 +189,91 @@ def spatial_scatter(x_px: Floats) -> Floats:
     return np.asarray(np.pad(typical, 2, mode="edge"), np.float64)
 
 
+class SceneChange(NamedTuple):
+    """The frame from which on the sheets stand or look otherwise for good.
+
+    Parameters
+    ----------
+    frame
+        The first frame of the new scene.
+    moved_px
+        By how much all sheets are displaced together.
+    brightness
+        Change of the logarithm of their brightness, rms over the sheets, common changes left out.
+    """
+
+    frame: int
+    moved_px: float
+    brightness: float
+
+
+def scene_changes(
+    x_px: Floats, contrast: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
+) -> list[SceneChange]:
+    """Where the film was cut, or the camera or the light was moved: sheets before and after may be others.
+
+    Parameters
+    ----------
+    x_px, contrast
+        Positions and heights of the ridges (frame, N), NaN where missing.
+    comb
+        Pitch of the ridges.
+    settings
+        `cut_pitches`, `cut_brightness`, `cut_ratio`.
+
+    Returns
+    -------
+    Changes in order of time; none where such changes are usual in the film.
+
+    Notes
+    -----
+    Means over five frames before and after are compared. In a slip the sides of the comb move against each
+    other and every sheet keeps its looks; where all sheets are displaced by more than the comb's ends are
+    against each other, or their brightnesses change, once, by several times what is usual in this film, it
+    shows another scene.
+    """
+    frames, sheets = x_px.shape
+    if frames < 4 * SCENE_FRAMES or sheets < 3:
+        return []
+    bright = np.log(contrast)
+    bright -= nan_median(bright, axis=1)[:, None]
+    moved, looks = (_after_less_before(values) for values in (x_px, bright))
+    together = nan_median(moved, axis=1)
+    apart = np.abs(moved - together[:, None])
+    rigid = np.abs(together) > 2.0 * np.nan_to_num(nan_median(apart, axis=1), nan=np.inf)
+    size = np.where(rigid, np.abs(np.nan_to_num(together)) / comb.pitch_px / settings.cut_pitches, 0.0)
+    known = np.isfinite(looks)
+    change = np.sqrt((np.where(known, looks, 0.0) ** 2).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
+    change[known.sum(axis=1) < max(3, sheets / 2)] = 0.0
+    found = []
+    for values, limit in ((size, 1.0), (change, settings.cut_brightness)):
+        least = max(limit, settings.cut_ratio * float(np.median(values)))
+        at = int(np.argmax(values))
+        others = np.abs(np.arange(len(values)) - at) > 2 * SCENE_FRAMES
+        if values[at] >= least and (values[others] < values[at] / 2).all():
+            found.append(at)
+    if len(found) == 2 and abs(found[0] - found[1]) <= SCENE_FRAMES:
+        found = found[:1]
+    return [
+        SceneChange(at + SCENE_FRAMES, float(np.nan_to_num(together[at])), float(change[at]))
+        for at in sorted(found)
+    ]
+
+
+def _after_less_before(values: Floats) -> Floats:
+    """Mean of SCENE_FRAMES frames less that of as many before them, (frame − 2 SCENE_FRAMES + 1, N)."""
+    known = np.isfinite(values)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        means = _sums(np.where(known, values, 0.0)) / _sums(known.astype(np.float64))
+    return np.asarray(means[SCENE_FRAMES:] - means[:-SCENE_FRAMES], np.float64)
+
+
+def _sums(values: Floats) -> Floats:
+    """Sums over SCENE_FRAMES frames."""
+    total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    return np.asarray(total[SCENE_FRAMES:] - total[:-SCENE_FRAMES], np.float64)
+
+
 def shared_error(x_px: Floats) -> float:
     r"""Error that neighbouring sheets share where a codec carries content from frame to frame, px.
 
@@ -227,10 +305,22 @@ def shared_error(x_px: Floats) -> float:
 
     Where the codec leaves out all of a motion in all sheets, nothing in the film tells that.
     """
+    together, missing, _ = _shared(x_px)
+    return float(np.hypot(together, missing))
+
+
+def left_out(x_px: Floats) -> float:
+    """What a codec left out of the motion that all sheets share, over what is left of it, see
+    `shared_error`."""
+    _, missing, seen = _shared(x_px)
+    return missing / max(seen, 1e-9)
+
+
+def _shared(x_px: Floats) -> tuple[float, float, float]:
+    """What blocks of sheets err together, what is missing of the common motion, what is seen of it; px."""
     if x_px.shape[1] < len(FOURTH) + 3 or len(x_px) < FAR[-1] + LEAST_FRAMES:
-        return 0.0
-    own = np.nan_to_num(spatial_scatter(x_px))[2:-2]
-    together = 0.0
+        return 0.0, 0.0, 0.0
+    own, together = float(np.mean(np.nan_to_num(spatial_scatter(x_px))[2:-2] ** 2)), 0.0
     for lag in LAGS:
         second = (x_px[2 * lag :] - 2 * x_px[lag:-lag] + x_px[: -2 * lag]) / np.sqrt(6)
         second = second - nan_median(second, axis=1)[:, None]
@@ -239,11 +329,10 @@ def shared_error(x_px: Floats) -> float:
         if len(calm) >= LEAST_FRAMES:
             together = max(0.0, _deviation(calm) ** 2 - _deviation(_fourth(calm)) ** 2)
             break
-    common = nan_median(x_px, axis=1)
-    held = min(_held(_fourth(x_px)), _held(common[:, None]))
-    step = nan_median(np.diff(x_px, 2, axis=0), axis=1) / np.sqrt(6)
-    missing = _deviation(_centred(step)) * held / (1 - held)
-    return float(np.sqrt(together + min(missing**2, float(np.mean(own**2)) + together)))
+    held = min(_held(_fourth(x_px)), _held(nan_median(x_px, axis=1)[:, None]))
+    seen = _deviation(_centred(nan_median(np.diff(x_px, 2, axis=0), axis=1) / np.sqrt(6)))
+    missing = min(seen * held / (1 - held), float(np.sqrt(own + together)))
+    return float(np.sqrt(together)), missing, seen
 
 
 def _held(values: Floats) -> float:
