@@ -65,8 +65,9 @@ force stands for. Published: M√(1 − d/19.09 mm).
 |---|---|---|---|---|---|---|---|---|---|
 {windows}
 
-The force gives back what the springs have: μ = {mu}, A = {amplitude} (the load cell's low-pass takes
-from the short sticks' drops).
+The force gives back what the springs have: μ = {mu}, A = {amplitude}. What the drops
+lack is not the load cell's low-pass alone: without one, sticks that are curved throughout lose part of
+their valley to the sampling and to the lines that are fitted to them.
 
 **Does imaging's shell follow the force's M_eff?** It follows the stiffness: both count sheets that
 stick, and the true ones grow by a tenth with d, as M/√α, since a sheet sticks for N(n)/N(1) of a stick

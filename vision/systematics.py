@@ -42,6 +42,7 @@ SOURCES = {
     "thickness_mm": "thickness of a sheet",
     "width_mm": "width of the sheets",
     "length_mm": "length of the sheets",
+    "t_star_N": "T*, friction of adhering sheets",
     "strip": "choice of the strip's rows",
     "light": "uneven light",
     "pixel_size": "pixel size",

@@ -15,7 +15,13 @@ SCRIPTS = sorted((PROJECT / "docs" / "gallery").glob("*.py"))
 def test_the_gallery_has_its_scripts():
     """A failure means that a script was lost or renamed, and is no longer run by the test below."""
     names = [path.stem for path in SCRIPTS]
-    assert names == ["publication_figures", "track_one_video", "what_would_my_camera_resolve", "with_force"]
+    assert names == [
+        "publication_figures",
+        "several_tests",
+        "track_one_video",
+        "what_would_my_camera_resolve",
+        "with_force",
+    ]
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)

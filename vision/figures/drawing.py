@@ -354,7 +354,14 @@ def _stack(ax: Axes, right: Axes, panel: Panel) -> None:
     for own, side, below, above in ((ax, "left", 1.15, 0.05), (right, "right", 0.05, 1.15)):
         mine = [series for series in panel.series if series.axis == side]
         low, high = ax.get_xlim()
-        seen = np.concatenate([s.y[(s.x >= low) & (s.x <= high) & np.isfinite(s.y)] for s in mine])
+        seen = np.concatenate(
+            [
+                part[(s.x >= low) & (s.x <= high) & np.isfinite(part)]
+                for s in mine
+                for part in (s.y, s.low, s.high)  # error bars, too
+                if part is not None
+            ]
+        )
         if seen.size:
             span = float(np.ptp(seen)) or 1.0
             own.set_ylim(float(seen.min()) - below * span, float(seen.max()) + above * span)

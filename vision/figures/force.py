@@ -499,11 +499,13 @@ def _curve(label: str, x: Floats, y: Floats, ink: Ink) -> Series:
 
 
 def _spread(sticks: pd.DataFrame) -> pd.DataFrame:
-    """A few events without a flag from the first to the last."""
+    """A few events without a flag from that of the largest peaks, where the build-up is over, to the last."""
     usable = _whole(sticks)
     usable = usable[usable["d_v_mm"].notna()]
     if usable.empty:
         return usable
+    top = int(usable["F_p_N"].rolling(7, center=True, min_periods=1).median().to_numpy(float).argmax())
+    usable = usable.iloc[min(top, max(len(usable) - SHOWN_STICKS, 0)) :]
     d = np.maximum.accumulate(usable["d_v_mm"].to_numpy(float))
     places = np.searchsorted(d, np.linspace(d[0], d[-1], SHOWN_STICKS))
     return usable.iloc[np.unique(places)]

@@ -33,7 +33,9 @@ def to_unicode(text: str) -> str:
 
 def to_mathtext(text: str) -> str:
     """For matplotlib: Unicode subscripts, and mathtext, which is slower, for those that Unicode lacks."""
-    return _SYMBOL.sub(r"$\1_{\\mathrm{\2}}$", to_unicode(text).replace("$", r"\$"))  # as of names
+    plain = _SYMBOL.sub(r"$\1_{\\mathrm{\2}}$", to_unicode(text).replace("$", r"\$"))  # as of names
+    # A hat on a tall letter is cut off where the letter ends, but for mathtext's own.
+    return re.sub("(\\w)\u0302", r"$\\hat{\\mathrm{\1}}$", plain)
 
 
 # --- numbers ------------------------------------------------------------------------------------------------
