@@ -21,25 +21,26 @@ from vision.numeric import Floats
 from vision.sheets import FitName, track_sheets
 from vision.video import open_video, strip_profile
 
-SEEDS = (31, 32)
+SEEDS = (31, 32, 33)
 FULL_WELLS = (20000, 4000, 1000)
 WIDTHS_PX = (6, 8, 11)
 FITS: tuple[FitName, ...] = ("sliding", "template", "paper")
-SETTINGS = CertifySettings(films=2, largest_jump=1.0)
+SETTINGS = CertifySettings(films=1, largest_jump=1.0)
 
 
 def ratio(
     strip: xr.DataArray, truth_px: Floats, fit: FitName = "sliding", film: Path | None = None
-) -> tuple[float, float]:
-    """Actual RMS error of displacements, px, and the predicted one over it."""
+) -> tuple[float, float, bool]:
+    """Actual RMS error of displacements, px, the predicted one over it, and whether that is a lower bound."""
     tracks = track_sheets(strip, fit=fit)
-    error = tracks["x_px"].values - truth_px
+    error = np.where(tracks["flag"].values == "ok", tracks["x_px"].values, np.nan) - truth_px
     error[np.abs(error) > 0.5 * np.median(np.diff(truth_px[0]))] = np.nan  # wrong ones are in degraded.md
     actual = float(np.sqrt(np.nanmean((error - np.nanmean(error, axis=0)) ** 2)))
     facts = StripMetadata.of(strip)
     rows, columns = (facts.strip_z0, facts.strip_z1), (0, strip.sizes["x"])
     encoder = None if film is None else read_encoder(film, rows, columns)
-    return actual, certify(strip, tracks, encoder=encoder, settings=SETTINGS).error_px / actual
+    found = certify(strip, tracks, encoder=encoder, settings=SETTINGS)
+    return actual, found.error_px / actual, found.lower_bound
 
 
 def drawn_rows() -> list[str]:
@@ -79,9 +80,10 @@ def filmed_rows() -> list[str]:
     return rows
 
 
-def _cell(found: list[tuple[float, float]]) -> str:
-    actual = np.sqrt(np.mean([error**2 for error, _ in found]))
-    return f"{1e3 * actual:.1f}: " + ", ".join(f"{share:.2f}" for _, share in found)
+def _cell(found: list[tuple[float, float, bool]]) -> str:
+    actual = np.sqrt(np.mean([error**2 for error, _, _ in found]))
+    shares = (f"{'≥ ' if bound else ''}{share:.2f}" for _, share, bound in found)
+    return f"{1e3 * actual:.1f}: " + ", ".join(shares)
 
 
 def main() -> None:
@@ -90,7 +92,7 @@ def main() -> None:
         "# Certificates against the truth",
         "",
         "Actual RMS error of displacements in thousandths of a pixel, then the error that `track certify`",
-        f"predicts over the actual one, for seeds {' and '.join(map(str, SEEDS))}. Wanted: 0.85 to 1.15.",
+        f"predicts over the actual one, for seeds {', '.join(map(str, SEEDS))}. Wanted: 0.85 to 1.15.",
         "Films of 120 frames with 26 sheets as in degraded.md; the certificate sees the film, not the truth.",
         "",
         "| FWHM (px) | full well (e⁻) | " + " | ".join(FITS) + " |",
@@ -103,13 +105,13 @@ def main() -> None:
         "|---|---|",
         *filmed_rows(),
         "",
-        "The publication's fit errs with the fraction of a pixel: where that is six times the noise, the",
-        "smooth motion takes up a part of it. Films of H.264 are encoded again. Not predicted are errors",
-        "that are not in the picture as noise: dirt and highlights pull a ridge as long as it stands beside",
-        "them; frames in which a hand covers sheets are not imitated. The certificate warns of frames left",
-        "out, not of",
-        "the others. Too large: frames lost or repeated make motion uneven, which counts as noise, as does",
-        "what automatic exposure clips in some frames only.",
+        "Of positions called ok. The publication's fit errs with the fraction of a pixel: where that",
+        "is six times the noise, the smooth motion takes up a part of it. Films of codecs that carry content",
+        "from frame to frame are encoded again, with the settings that the film tells. Films with frozen,",
+        "dropped and repeated frames and steps of the brightness have these where the recording has them.",
+        "Dirt, a highlight or a hand that pull ridges aside are in the films, too, as far as the run noticed",
+        "them; where sheets truly stood is then known from those around only, and the certificate gives a",
+        "lower bound (≥).",
         "",
         "Made by `python -m reports.certify`.",
     ]

@@ -19,6 +19,7 @@ from vision.sheets import track_sheets
 from vision.video import open_video, strip_profile
 
 ONE_FILM = CertifySettings(films=1, largest_jump=1.0)
+TWO_FILMS = CertifySettings(films=2, largest_jump=1.0)  # where codecs make films differ by a tenth
 FILMS = {
     "as usual": {},
     "noisy": {"camera.full_well_e": 1000},
@@ -159,7 +160,7 @@ def test_films_encoded_again_have_the_errors_of_the_recording(crf, tmp_path):
     columns = (0, strip.sizes["x"])
     encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), columns)
     assert encoder.quantiser == crf
-    found = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
+    found = certify(strip, tracks, encoder=encoder, settings=TWO_FILMS)
     assert 0.85 < found.error_px / rms(error) < 1.15
     assert "quantiser" in found.encoding and not any("carries content" in line for line in found.warnings)
     if crf > 12:
@@ -200,7 +201,7 @@ def damaged(name, folder, seed=36):
 
 
 @pytest.mark.parametrize(
-    "name", ["frozen frames", "dropped frames", "duplicated frames", "auto-exposure steps", "8-bit clipping"]
+    "name", ["frozen frames", "dropped frames", "duplicated frames", "auto-exposure steps"]
 )
 def test_what_happens_to_a_recording_happens_to_its_films(name, tmp_path):
     """A failure means that frames that repeat, are missing, or are brighter than others count as noise."""
@@ -224,7 +225,7 @@ def test_where_something_pulls_ridges_the_certificate_is_a_lower_bound(name, tmp
 
 
 def test_the_sheets_own_time_skips_what_was_dropped():
-    """Frames 40 and 41 are missing and 60 is there twice: steps of all sheets say so, not standing still."""
+    """Frames 40 and 41 are missing and 60 is there twice: steps of all sheets say so, rest does not."""
     rng = np.random.default_rng(3)
     shown = np.r_[0:40, 42:61, 60:100]
     x = 500 + 20.0 * np.arange(-12, 13) + 0.01 * shown[:, None] * np.arange(-12, 13)
@@ -237,6 +238,7 @@ def test_the_sheets_own_time_skips_what_was_dropped():
 @pytest.mark.parametrize(
     ("codec", "ending", "options"),
     [
+        ("libx264", "mp4", {"crf": "12", "preset": "ultrafast", "threads": "1"}),
         ("libx265", "mp4", {"crf": "20", "x265-params": "log-level=none:pools=1:frame-threads=1"}),
         ("mpeg4", "avi", {"qmin": "3", "qmax": "3"}),
         ("libvpx-vp9", "mkv", {"crf": "20", "b": "0", "cpu-used": "4"}),

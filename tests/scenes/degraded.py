@@ -237,6 +237,27 @@ def write_ffv1(path: Path, pixels: Pixels) -> Path:
     return write_encoded(path, pixels, codec="ffv1", pix_fmt="gray", source="gray", fps=FPS)
 
 
+def write_chained(path: Path, pixels: Pixels, encoder: str, options: Mapping[str, str]) -> Path:
+    """A film by another encoder that carries content from frame to frame."""
+    return write_encoded(
+        path, pixels, codec=encoder, pix_fmt="yuv420p", source="gray", fps=FPS, options=dict(options)
+    )
+
+
+CHAINED: Mapping[str, tuple[str, str, Mapping[str, str]]] = {
+    "H.264 crf 12, ultrafast": ("film.mp4", "libx264", {"crf": "12", "preset": "ultrafast", "threads": "1"}),
+    "H.264 crf 12, veryfast": ("film.mp4", "libx264", {"crf": "12", "preset": "veryfast", "threads": "1"}),
+    "H.264 crf 12, GOP 12": ("film.mp4", "libx264", {"crf": "12", "g": "12", "threads": "1"}),
+    "H.264 crf 18, no B": ("film.mp4", "libx264", {"crf": "18", "bf": "0", "threads": "1"}),
+    "HEVC crf 18": (
+        "film.mp4",
+        "libx265",
+        {"crf": "18", "x265-params": "log-level=none:pools=1:frame-threads=1"},
+    ),
+    "MPEG-4 q 3": ("film.avi", "mpeg4", {"qmin": "3", "qmax": "3"}),
+    "MPEG-2 q 3": ("film.avi", "mpeg2video", {"qmin": "3", "qmax": "3"}),
+    "VP9 crf 20": ("film.mkv", "libvpx-vp9", {"crf": "20", "b": "0", "cpu-used": "4"}),
+}
 CODECS: Mapping[str, Callable[[Path, Pixels], Path]] = {
     "FFV1": lambda folder, pixels: write_ffv1(folder / "film.mkv", pixels),
     **{
@@ -248,6 +269,12 @@ CODECS: Mapping[str, Callable[[Path, Pixels], Path]] = {
     **{
         f"H.264 crf {crf}": lambda folder, pixels, crf=crf: write_h264(folder / "film.mp4", pixels, crf)
         for crf in (12, 18, 23, 28)
+    },
+    **{
+        name: lambda folder, pixels, name=name: write_chained(
+            folder / CHAINED[name][0], pixels, *CHAINED[name][1:]
+        )
+        for name in CHAINED
     },
 }
 DEGRADATIONS: Mapping[str, Callable[[int], Film]] = {

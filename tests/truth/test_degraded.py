@@ -4,9 +4,11 @@
 74 % of displacements within one error, and no gross error that is called ok.
 """
 
+import numpy as np
 import pytest
 
 from tests.scenes.degraded import (
+    CHAINED,
     CODECS,
     DEGRADATIONS,
     SHEETS,
@@ -21,7 +23,9 @@ from vision.sheets import track_sheets
 from vision.video import open_video, strip_profile
 
 TRUSTED = tuple(
-    name for name in (*DEGRADATIONS, *CODECS) if name not in ("dirt", "glare", "passing hand", "FFV1")
+    name
+    for name in (*DEGRADATIONS, *CODECS)
+    if name not in ("dirt", "glare", "passing hand", "FFV1") and name not in CHAINED
 )
 
 
@@ -45,6 +49,15 @@ def test_stated_errors_hold(name, tmp_path):
     assert found.gross < 1e-3
     assert 0.61 < found.coverage_moved < 0.76
     assert found.rms_px < (0.12 if name.startswith("H.264") else 0.04)
+
+
+@pytest.mark.parametrize("name", ["HEVC crf 18", "MPEG-4 q 3", "VP9 crf 20"])
+def test_stated_errors_hold_on_average_for_other_codecs(name, tmp_path):
+    """Over three films, since a film's few sticks move its share by ±8 %.  A failure means that errors of
+    these codecs are stated as those of others: all were understated by a third once."""
+    found = [measured(clean(seed), tmp_path, name) for seed in (1, 2, 3)]
+    assert all((one.sheets, one.wrong) == (SHEETS, 0) for one in found)
+    assert 0.6 < np.mean([one.coverage_moved for one in found]) < 0.76
 
 
 @pytest.mark.parametrize(("name", "gross"), [("dirt", 0.06), ("glare", 0.005), ("passing hand", 1e-3)])

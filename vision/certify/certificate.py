@@ -25,6 +25,7 @@ from vision.run.overlay import film_of
 from vision.run.reading import read_json, tracks_of
 from vision.sheets import TrackingSettings, track_sheets
 from vision.sheets.neighbours import said_by_neighbours
+from vision.sheets.quality import left_out
 from vision.sheets.tracks import BETWEEN_FRAMES
 
 Progress = Callable[[int, int | None], None]
@@ -242,6 +243,9 @@ def certify(
     """
     like = learn(strip, tracks, settings)
     if encoder is not None:
+        # what the codec left out of the camera's shaking must be there to be left out again
+        more = left_out(np.asarray(tracks["x_px"].values, float)) * like.common_px
+        like = replace(like, motion_px=like.motion_px + more[:, None])
         like = replace(
             like, encoder=encoder.fitted(like.film(like.motion_px, number=None).values, like.strip.values)
         )

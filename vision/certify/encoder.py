@@ -6,6 +6,7 @@ holds a sheet still while it creeps. A film with known truth that goes through t
 
 from __future__ import annotations
 
+import re
 import struct
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -35,9 +36,22 @@ ENCODERS = {
 """Codecs that carry content from frame to frame, and what FFmpeg writes them with."""
 QUANTISERS = {"hevc": (12, 16, 20, 24, 28, 32), "av1": (12, 20, 28, 36, 44)}
 """What is tried where a decoder does not tell the quantiser."""
+PRESETS = {
+    0: "ultrafast",
+    1: "superfast",
+    2: "veryfast",
+    4: "faster",
+    6: "fast",
+    7: "medium",
+    8: "slow",
+    9: "slower",
+    10: "veryslow",
+}
+"""x264's presets by the effort of its motion search (subme), which it writes into its films."""
 NOISES = (0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
 """Standard deviations of the noise of pixels, grey levels, that are tried."""
 TRIED_FRAMES = 60
+TOLD_BYTES = 4096  # of the first packet, in which x264 and x265 write their settings
 MOST_PIXELS = 60_000_000  # of a film made to find the noise: larger frames are cut to fewer rows
 BLOCK = 16  # sides of the blocks that codecs work in, px
 
@@ -51,7 +65,7 @@ class Encoder:
     codec
         As FFmpeg names it.
     quantiser
-        Median of the frames' quantisers, or, for HEVC and AV1, the rate factor that was found.
+        Median of the frames' quantisers, or, for HEVC and AV1, the rate factor.
     keyframes
         Frames from keyframe to keyframe; 0 where there is one only.
     bits_per_pixel
@@ -60,8 +74,12 @@ class Encoder:
         One frame (rows, columns), grey levels, turned as the run turned it.
     rows, columns
         Of the strip in it, half-open.
+    told
+        Whether the film tells its quantiser.
     both_ways
         Whether there are B frames.
+    preset
+        Of x264, medium where the film does not tell it.
     noise_grey
         Standard deviation of the pixels' noise before encoding.
     """
@@ -73,18 +91,20 @@ class Encoder:
     picture: Floats
     rows: tuple[int, int]
     columns: tuple[int, int]
+    told: bool = True
     both_ways: bool = True
+    preset: str = "medium"
     noise_grey: float = 0.0
 
     @property
     def described(self) -> str:
         """In words, for the certificate."""
-        told = self.codec not in QUANTISERS
+        known = "the quantiser" if self.told else "a rate factor of"
         return (
-            f"{self.codec} at {'the quantiser' if told else 'a rate factor of'} {self.quantiser}, with pixel "
+            f"{self.codec} at {known} {self.quantiser}, with pixel "
             f"noise of {self.noise_grey:g} grey levels, for which a film takes the recording's "
             f"{self.bits_per_pixel:.2g} bits per pixel"
-            + ("" if told else " and changes from frame to frame as much")
+            + ("" if self.told else " and changes from frame to frame as much")
         )
 
     @property
@@ -114,7 +134,7 @@ class Encoder:
         """
         part, wanted = profile[:TRIED_FRAMES], _change(recorded[:TRIED_FRAMES, : self.width])
         best, chosen = np.inf, self
-        for quantiser in QUANTISERS.get(self.codec, (self.quantiser,)):
+        for quantiser in (self.quantiser,) if self.told else QUANTISERS[self.codec]:
             nearest, here = np.inf, self
             change = wanted
             for noise in NOISES:
@@ -143,7 +163,7 @@ class Encoder:
         """What makes the encoder write like the recording."""
         q = str(self.quantiser)
         options = {
-            "h264": {"crf": q, "preset": "medium", "threads": "1"},
+            "h264": {"crf": q, "preset": self.preset, "threads": "1"},
             "hevc": {"crf": q, "x265-params": "log-level=none:pools=1:frame-threads=1"},
             "vp9": {"crf": q, "b": "0", "cpu-used": "4"},
             "av1": {"crf": q, "preset": "8"},
@@ -209,6 +229,7 @@ def read_encoder(
             codec = stream.codec_context.codec.canonical_name
             if ENCODERS.get(codec) not in av.codecs_available:
                 return None
+            told = bytes(stream.codec_context.extradata or b"")
             stream.codec_context.options = {"export_side_data": "venc_params"}
             stream.thread_type = "NONE"
             quantisers, keys, size, seen, both_ways = [], [], 0, 0, False
@@ -216,6 +237,7 @@ def read_encoder(
                 if n >= frames:
                     break
                 size += packet.size
+                told += bytes(packet)[:TOLD_BYTES] if n == 0 else b""
                 keys += [n] if packet.is_keyframe and packet.size else []
                 for frame in packet.decode():
                     seen += 1
@@ -225,6 +247,9 @@ def read_encoder(
         picture = next(iter(open_video(path, rotate=rotate).frames()))
     except (OSError, av.FFmpegError, InputError, IndexError, StopIteration):
         return None
+    if codec == "hevc" and (crf := _told(told, b"x265", b"crf")) is not None:
+        quantisers = [crf]
+    effort = _told(told, b"x264", b"subme")
     if not (quantisers or codec in QUANTISERS) or not seen or picture.ndim != 2 or picture.dtype != np.uint8:
         return None
     even = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2].astype(np.float64)
@@ -238,10 +263,18 @@ def read_encoder(
         keyframes=int(np.median(np.diff(keys))) if len(keys) > 1 else 0,
         bits_per_pixel=8 * size / (seen * pixels),
         both_ways=both_ways,
+        told=bool(quantisers),
+        preset=PRESETS.get(int(effort), "medium") if effort is not None else "medium",
         picture=even,
         rows=(rows[0] - first, min(rows[1] - first, len(even))),
         columns=(columns[0], min(columns[1], even.shape[1])),
     )
+
+
+def _told(text: bytes, encoder: bytes, name: bytes) -> float | None:
+    """A setting that this encoder wrote into its film; None where it did not."""
+    found = re.search(rb"\b" + name + rb"=(\d+(?:\.\d+)?)", text) if encoder in text else None
+    return None if found is None else float(found[1])
 
 
 def _quantiser(frame: av.VideoFrame, codec: str) -> list[float]:

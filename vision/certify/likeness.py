@@ -53,6 +53,8 @@ class Likeness:
         Half width of the part of M that moves with each sheet, (sheet,).
     motion_px
         Smooth positions, (frame, sheet), columns of the strip; frames in which they are truth.
+    common_px
+        What all sheets do together in single frames, a part of it, (frame,).
     gain
         Brightness of each frame, (frame,).
     residual, slow
@@ -87,6 +89,7 @@ class Likeness:
     rest_px: Floats
     rigid_px: Floats
     motion_px: Floats
+    common_px: Floats
     gain: Floats
     residual: Floats32
     slow: Floats32
@@ -219,7 +222,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     slips = find_slips(x_px, settings)
     pulled = _pulled(err, flag[:, often], _beside(slips, len(x_px)), settings)
     chained = StripMetadata.of(strip).codec in BETWEEN_FRAMES
-    motion, left = smooth_motion(x_px, slips, settings, chained=chained, pulled=pulled)
+    motion, common, left = smooth_motion(x_px, slips, settings, chained=chained, pulled=pulled)
     usable = whole & ~_beside(slips, len(x_px))
     if usable.sum() < LEAST_FRAMES:
         usable = whole
@@ -244,6 +247,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
         rest_px=rest,
         rigid_px=rigid,
         motion_px=motion,
+        common_px=common,
         gain=gain,
         residual=np.zeros((1, width), np.float32),
         slow=np.zeros(values.shape, np.float32),
@@ -367,8 +371,9 @@ def smooth_motion(
     *,
     chained: bool = False,
     pulled: Bools | None = None,
-) -> tuple[Floats, Floats]:
-    """Positions without noise, (frame, sheet), and the share of the noise's variance not in them, (frame,).
+) -> tuple[Floats, Floats, Floats]:
+    """Positions without noise, (frame, sheet), what all sheets share of them in single frames, and the share
+    of the noise's variance not in them, both (frame,).
 
     Between slips a cubic (a parabola in short pieces) through as many frames as it fits, plus what all sheets
     do together in each frame. It is a cubic in the sheets' own time, see `own_time`. Codecs that chain frames
@@ -407,7 +412,7 @@ def smooth_motion(
         left[sharp] = 1 - (np.linalg.qr(inner)[0] ** 2).sum(axis=1)
     common = np.nan_to_num(nan_median(x_px - motion, axis=1)) if sheets >= LEAST_SHARING else np.zeros(frames)
     shared = 1 - 1.57 / sheets if sheets >= LEAST_SHARING else 1.0  # a median's variance is π/2 of a mean's
-    return motion + common[:, None], left * shared
+    return motion + common[:, None], common, left * shared
 
 
 def own_time(x_px: Floats, slips: Ints, settings: CertifySettings) -> Floats:

@@ -85,9 +85,8 @@ def _between(moved: Floats, place: Floats, k: int) -> Floats:
     left, right = _shifted(moved, -k), _shifted(moved, k)
     to_left = place - _shifted(place[None], -k)
     to_right = _shifted(place[None], k) - place
-    apart = np.where(
-        to_left + to_right > 0, to_left + to_right, np.nan
-    )  # two that stand in one place say nothing
+    apart = to_left + to_right
+    apart = np.where(apart > 0, apart, np.nan)  # two sheets in one place say nothing
     return np.asarray((left * to_right + right * to_left) / apart)
 
 

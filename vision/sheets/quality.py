@@ -19,7 +19,7 @@ from vision.sheets.subpixel import fit_sheets
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
-CUT_FRAMES = 5  # before and after a change of scene that are compared
+SCENE_FRAMES = 5  # before and after a change of scene that are compared
 LAGS = (4, 2, 1)
 """Frames apart at which the scatter of neighbours is compared with that of all sheets: what a codec holds
 still shows better over some frames, but a stick must be longer than twice as many."""
@@ -233,7 +233,7 @@ def scene_changes(
     shows another scene.
     """
     frames, sheets = x_px.shape
-    if frames < 4 * CUT_FRAMES or sheets < 3:
+    if frames < 4 * SCENE_FRAMES or sheets < 3:
         return []
     bright = np.log(contrast)
     bright -= nan_median(bright, axis=1)[:, None]
@@ -249,29 +249,29 @@ def scene_changes(
     for values, limit in ((size, 1.0), (change, settings.cut_brightness)):
         least = max(limit, settings.cut_ratio * float(np.median(values)))
         at = int(np.argmax(values))
-        others = np.abs(np.arange(len(values)) - at) > 2 * CUT_FRAMES
+        others = np.abs(np.arange(len(values)) - at) > 2 * SCENE_FRAMES
         if values[at] >= least and (values[others] < values[at] / 2).all():
             found.append(at)
-    if len(found) == 2 and abs(found[0] - found[1]) <= CUT_FRAMES:
+    if len(found) == 2 and abs(found[0] - found[1]) <= SCENE_FRAMES:
         found = found[:1]
     return [
-        SceneChange(at + CUT_FRAMES, float(np.nan_to_num(together[at])), float(change[at]))
+        SceneChange(at + SCENE_FRAMES, float(np.nan_to_num(together[at])), float(change[at]))
         for at in sorted(found)
     ]
 
 
 def _after_less_before(values: Floats) -> Floats:
-    """Mean of CUT_FRAMES frames less that of as many before them, (frame − 2 CUT_FRAMES + 1, N)."""
+    """Mean of SCENE_FRAMES frames less that of as many before them, (frame − 2 SCENE_FRAMES + 1, N)."""
     known = np.isfinite(values)
     with np.errstate(divide="ignore", invalid="ignore"):
         means = _sums(np.where(known, values, 0.0)) / _sums(known.astype(np.float64))
-    return np.asarray(means[CUT_FRAMES:] - means[:-CUT_FRAMES], np.float64)
+    return np.asarray(means[SCENE_FRAMES:] - means[:-SCENE_FRAMES], np.float64)
 
 
 def _sums(values: Floats) -> Floats:
-    """Sums over CUT_FRAMES frames."""
+    """Sums over SCENE_FRAMES frames."""
     total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-    return np.asarray(total[CUT_FRAMES:] - total[:-CUT_FRAMES], np.float64)
+    return np.asarray(total[SCENE_FRAMES:] - total[:-SCENE_FRAMES], np.float64)
 
 
 def shared_error(x_px: Floats) -> float:
@@ -305,10 +305,22 @@ def shared_error(x_px: Floats) -> float:
 
     Where the codec leaves out all of a motion in all sheets, nothing in the film tells that.
     """
+    together, missing, _ = _shared(x_px)
+    return float(np.hypot(together, missing))
+
+
+def left_out(x_px: Floats) -> float:
+    """What a codec left out of the motion that all sheets share, over what is left of it, see
+    `shared_error`."""
+    _, missing, seen = _shared(x_px)
+    return missing / max(seen, 1e-9)
+
+
+def _shared(x_px: Floats) -> tuple[float, float, float]:
+    """What blocks of sheets err together, what is missing of the common motion, what is seen of it; px."""
     if x_px.shape[1] < len(FOURTH) + 3 or len(x_px) < FAR[-1] + LEAST_FRAMES:
-        return 0.0
-    own = float(np.mean(np.nan_to_num(spatial_scatter(x_px))[2:-2] ** 2))
-    together = 0.0
+        return 0.0, 0.0, 0.0
+    own, together = float(np.mean(np.nan_to_num(spatial_scatter(x_px))[2:-2] ** 2)), 0.0
     for lag in LAGS:
         second = (x_px[2 * lag :] - 2 * x_px[lag:-lag] + x_px[: -2 * lag]) / np.sqrt(6)
         second = second - nan_median(second, axis=1)[:, None]
@@ -317,11 +329,10 @@ def shared_error(x_px: Floats) -> float:
         if len(calm) >= LEAST_FRAMES:
             together = max(0.0, _deviation(calm) ** 2 - _deviation(_fourth(calm)) ** 2)
             break
-    common = nan_median(x_px, axis=1)
-    held = min(_held(_fourth(x_px)), _held(common[:, None]))
-    step = nan_median(np.diff(x_px, 2, axis=0), axis=1) / np.sqrt(6)
-    missing = _deviation(_centred(step)) * held / (1 - held)
-    return float(np.sqrt(together + min(missing**2, own + together)))
+    held = min(_held(_fourth(x_px)), _held(nan_median(x_px, axis=1)[:, None]))
+    seen = _deviation(_centred(nan_median(np.diff(x_px, 2, axis=0), axis=1) / np.sqrt(6)))
+    missing = min(seen * held / (1 - held), float(np.sqrt(own + together)))
+    return float(np.sqrt(together)), missing, seen
 
 
 def _held(values: Floats) -> float:

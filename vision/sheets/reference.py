@@ -138,9 +138,9 @@ def build_reference(
         if settled:
             break
     if sheets is not None and reference.sheets < sheets:
-        raise InputError(
-            source, f"{sheets} ridges (`sheets`)", f"{reference.sheets}", "give the number that is in view"
-        )
+        gaps = ", ".join(f"{x:.0f} px" for x in wide_spacings(reference.x_px, settings=settings)[0])
+        found = f"{reference.sheets}" + (f", and none that stands out in the gaps at {gaps}" if gaps else "")
+        raise InputError(source, f"{sheets} ridges (`sheets`)", found, "give the number that is in view")
     score = _sheet_score(reference, settings)
     best = reference.only(_choose_sheets(reference.x_px, score, comb.pitch_px, sheets, settings))
     if sheets is None:

@@ -47,7 +47,7 @@ function deformation(event, before, after) {
     return { by: Math.abs((one.ratio ?? 0) - (old?.ratio ?? 0)), text: `σx/Λst of ${key(one)}: ${ratio(old)} → ${ratio(one)}${called}` };
   }).sort((a, b) => b.by - a.by);
   const lines = [shell, ...changed.slice(0, MOST_LINES).map((one) => one.text)];
-  if (changed.length > MOST_LINES) lines.push(`… and of ${changed.length - MOST_LINES} more sheets`);
+  if (changed.length > MOST_LINES) lines.push(`… and of ${changed.length - MOST_LINES} more sheets, by ${number(changed[MOST_LINES].by, 3)} at most`);
   if (!changed.length) lines.push(`σx/Λst in stick ${event}: no change`);
   return lines;
 }
