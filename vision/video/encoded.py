@@ -78,11 +78,19 @@ class EncodedReader:
     def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
         """The key frame at or before each number; each key frame once."""
         seen: set[int | None] = set()
+        entered: set[int | None] = set()  # a packet costs little, its frame all cores for a while
         with open_container(self._path) as container:
             stream = _video_stream(container, self._path)
             rate = self.facts.playback_fps or 1 / float(stream.time_base or 1)
-            for number in numbers:
-                frame = _frame_at(container, stream, number / rate)
+            for time_s in (number / rate for number in numbers):
+                if not _enter(container, stream, time_s):
+                    continue
+                packet = next(_video_packets(container, stream))
+                if packet is None or (packet.pos is not None and packet.pos in entered):
+                    continue
+                entered.add(packet.pos)
+                _enter(container, stream, time_s)
+                frame = next((frame for _, frame in _decoded(container, stream) if frame is not None), None)
                 if frame is not None and frame.pts not in seen:
                     seen.add(frame.pts)
                     yield self._checked(grey_plane(frame))
@@ -378,16 +386,14 @@ def _frames_of(packet: av.Packet[av.VideoStream] | None, stream: av.VideoStream)
         return []
 
 
-def _frame_at(
-    container: av.container.InputContainer, stream: av.VideoStream, time_s: float
-) -> av.VideoFrame | None:
-    """The first frame decoded after seeking to `time_s`; None where the file cannot be entered there."""
+def _enter(container: av.container.InputContainer, stream: av.VideoStream, time_s: float) -> bool:
+    """Go to the key frame at or before `time_s`; False where the file cannot be entered there."""
     base = stream.time_base or 1
     try:
         container.seek(int(time_s / base) + (stream.start_time or 0), stream=stream)
     except (av.error.FFmpegError, OSError):
-        return None
-    return next((frame for _, frame in _decoded(container, stream) if frame is not None), None)
+        return False
+    return True
 
 
 def grey_plane(frame: av.VideoFrame) -> Pixels:
