@@ -31,7 +31,7 @@ SETTINGS = CertifySettings(films=1, largest_jump=1.0)
 def ratio(
     strip: xr.DataArray, truth_px: Floats, fit: FitName = "sliding", film: Path | None = None
 ) -> tuple[float, float, bool]:
-    """Actual RMS error of displacements, px, the predicted one over it, and whether that is said to be unsure."""
+    """Actual RMS error of displacements, px, the predicted one over it, and if that is said to be unsure."""
     tracks = track_sheets(strip, fit=fit)
     error = np.where(tracks["flag"].values == "ok", tracks["x_px"].values, np.nan) - truth_px
     error[np.abs(error) > 0.5 * np.median(np.diff(truth_px[0]))] = np.nan  # wrong ones are in degraded.md
