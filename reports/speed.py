@@ -113,7 +113,9 @@ def process(arguments: Sequence[str]) -> Cost:
 
 
 def _surroundings() -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": str(HERE.parent)}
+    """Of this checkout; its modules are compiled once, as an installed program's are."""
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return kept | {"PYTHONPATH": str(HERE.parent)}
 
 
 def in_turn(commands: Mapping[str, Sequence[str]], runs: int) -> dict[str, list[Cost]]:

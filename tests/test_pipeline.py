@@ -4,11 +4,14 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+import tifffile
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import vision
+from tests.scenes.combs import comb, ridges, strip
 from vision import pipeline
 from vision.command.main import run
 from vision.errors import InputError
@@ -142,3 +145,18 @@ def test_without_a_change_nothing_is_run_again(whole):
     again = vision.analyse(None, whole.force, whole.settings, earlier=whole)
     assert again.tracks is whole.tracks
     assert again.strip is whole.strip
+
+
+def test_a_comb_that_lies_on_its_side_is_said_to(tmp_path):
+    """A failure means that a film with the camera turned ends in "no ridges", without how to turn it."""
+    picture = strip(ridges(comb(20, per_side=10, axis_px=220), width=440)).values
+    lying = np.repeat(np.clip(picture, 0, 255).astype(np.uint8)[:, :, None], 64, axis=2)
+    tifffile.imwrite(tmp_path / "lying.tif", lying)
+    with pytest.raises(InputError, match=r"found ridges that lie level.*give `rotate` 90"):
+        vision.analyse(tmp_path / "lying.tif")
+    upright = vision.analyse(tmp_path / "lying.tif", settings=Settings(rotate=90))
+    assert upright.tracks.sizes["sheet"] == 20
+    noise = np.random.default_rng(1).integers(0, 255, (20, 200, 200), dtype=np.uint8)
+    tifffile.imwrite(tmp_path / "noise.tif", noise)
+    with pytest.raises(InputError, match="check `rows`"):
+        vision.analyse(tmp_path / "noise.tif")

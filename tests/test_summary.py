@@ -9,7 +9,7 @@ from tests.scenes.analysed import with_force
 from tests.scenes.combs import comb, ridges, strip
 from vision.sample import PUBLISHED
 from vision.sheets import track_sheets
-from vision.summary import consistency_warnings, summary_lines
+from vision.summary import _noise, consistency_warnings, noise_figures, summary_lines, tracking_warnings
 
 PITCH, SHEETS, AXIS = 20.0, 50, 600.0
 
@@ -89,3 +89,23 @@ def test_both_errors_are_printed():
     systematic = next(line for line in lines if line.startswith("systematic"))
     assert "K ±" in systematic and "N/mm" in systematic and "Λ̂ ±" in systematic
     assert "σ_x/Λ_st without that of pixel size" in systematic
+
+
+def test_frames_of_another_scene_are_named(picture):
+    """A failure means that half a film of something else passes as some missing positions."""
+    assert tracking_warnings(track_sheets(picture)) == []
+    other = picture.copy(deep=True)
+    rng = np.random.default_rng(1)
+    other.values[90:] = 60 + rng.normal(0, 0.6, other.values[90:].shape)
+    lines = [line for line in tracking_warnings(track_sheets(other)) if "fewer than half" in line]
+    assert len(lines) == 1
+    assert "in 60 frames, the longest run 90:150" in lines[0]
+
+
+@pytest.mark.parametrize("frames", [1, 60])
+def test_a_picture_has_no_noise_to_measure_and_says_so(picture, frames):
+    """One picture, or one repeated: a failure means "nan px" or "0.0000 px" as if that had been measured."""
+    still = picture.isel(frame=np.zeros(frames, int)).assign_coords(frame=np.arange(frames))
+    tracks = track_sheets(still)
+    assert any("no frame differs" in line for line in tracking_warnings(tracks)) == (frames > 1)
+    assert "not measured" in _noise(noise_figures(tracks, None), "")

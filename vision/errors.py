@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 
 _NAMED = re.compile(r"`([A-Za-z_][A-Za-z0-9_]*)`")
 
@@ -30,6 +31,22 @@ class InputError(ValueError):
     def __init__(self, about: str | os.PathLike[str], expected: str, found: str, advice: str = "") -> None:
         parts = f"{os.fspath(about)}: expected {expected}; found {found}"
         super().__init__(" ".join(f"{parts}; {advice}".split()) if advice else " ".join(parts.split()))
+
+
+@contextmanager
+def known_as(**names: str) -> Iterator[None]:
+    """Lets an `InputError` raised within speak of arguments by the names that the caller has for them.
+
+    Parameters
+    ----------
+    names
+        An argument's name where it is raised to its name here, such as ``columns="force_columns"``.
+    """
+    try:
+        yield
+    except InputError as error:
+        error.args = (_NAMED.sub(lambda match: f"`{names.get(match[1], match[1])}`", str(error)),)
+        raise
 
 
 def with_options(message: str, options: Mapping[str, str]) -> str:

@@ -18,13 +18,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
+import numpy as np
 import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock, ClockSettings, synchronise
 from vision.data import ForceMetadata, warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
-from vision.errors import InputError
+from vision.errors import InputError, known_as
 from vision.escaping import html_table
 from vision.figures import FIGURES, Figure
 from vision.force import ForceSettings, find_stick_slip, read_force
@@ -41,6 +42,7 @@ from vision.sheets import (
     with_heights,
 )
 from vision.sheets.corrections import OF_SHEETS, last_of, ordered
+from vision.sheets.ridges import describe_ridges
 from vision.shells import ShellSettings, classify_shells
 from vision.summary import consistency_warnings, ridges_per_side, summary_lines, tracking_warnings
 from vision.video import (
@@ -49,6 +51,7 @@ from vision.video import (
     Video,
     VideoSettings,
     await_video,
+    find_strip,
     open_video,
     reference_frame,
     strip_profile,
@@ -61,6 +64,8 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int | None], None]
 Result = TypeVar("Result")
 
+LEVEL_FRAMES = 8  # looked at for ridges that lie level, where there are no upright ones
+LEVEL_RIDGES = 5  # at least: two or three are seen in any picture
 LEAST_UNMATCHED = 3  # slips on either side: fewer may all have been missed by the other
 
 
@@ -314,12 +319,17 @@ def analyse(
     strip, tracks, clock, frame, parts = kept.strip, kept.tracks, kept.clock, None, None
     if (film := recording) is not None:
         if strip is None:
-            strip, parts = stage.must("reading", lambda: _strip(film, chosen, progress, log, follow))
+            strip, parts = stage.must(
+                "reading",
+                lambda: _upright(film, chosen, lambda: _strip(film, chosen, progress, log, follow)),
+            )
         recording = _grown(film, chosen, follow)
         frame = stage.must("first frame", lambda: reference_frame(film))
     if strip is not None:
         if tracks is None:
-            tracks = stage.must("tracking", lambda: track_strip(strip, chosen, parts))
+            tracks = stage.must(
+                "tracking", lambda: _upright(recording, chosen, lambda: track_strip(strip, chosen, parts))
+            )
         if chosen.pitch_um is not None:
             chosen = replace(chosen, pixel_size_um=pixel_size_from_pitch(tracks, chosen.pitch_um))
     sticks = stage.may("sticks", _sticks, machine, settings=chosen, needed=strip is None)
@@ -503,6 +513,29 @@ def _check_lengths(chosen: Settings, width_px: int) -> None:
         raise InputError("`window_px`", f"at most the picture's {width_px} columns", str(window), "try auto")
 
 
+def _upright(film: Video | None, chosen: Settings, work: Callable[[], Result]) -> Result:
+    """The result; where a picture shows no upright ridges, whether it shows level ones is said."""
+    try:
+        return work()
+    except InputError:
+        if film is None or chosen.rows is not None or chosen.columns is not None or not _lie_level(film):
+            raise
+        found, way = "ridges that lie level, one above the other", (film.rotate + 90) % 360
+        raise InputError(film.path, "upright ridges", found, f"give `rotate` {way}") from None
+
+
+def _lie_level(film: Video) -> bool:
+    """Whether the film shows a comb once it is turned by 90 degrees."""
+    turned = replace(film, rotate=(film.rotate + 90) % 360)
+    rows = find_strip(turned).rows
+    pictures = [picture[rows].mean(axis=0, dtype=np.float32) for picture in turned.sample(LEVEL_FRAMES)]
+    try:
+        comb = describe_ridges(np.stack(pictures))
+    except (InputError, ValueError):  # no ridge either, or no picture
+        return False
+    return comb.count >= LEVEL_RIDGES
+
+
 def track_strip(strip: xr.DataArray, chosen: Settings, parts: xr.DataArray | None = None) -> xr.Dataset:
     """x(n, t) as the settings want it; of the strip's parts as well, where they are given."""
     tracks = track_sheets(
@@ -518,6 +551,7 @@ def track_strip(strip: xr.DataArray, chosen: Settings, parts: xr.DataArray | Non
     return tracks if parts is None else with_heights(tracks, parts, settings=chosen.tuning.tracking)
 
 
+@known_as(columns="force_columns")
 def open_force(force: xr.Dataset | str | Path, chosen: Settings) -> xr.Dataset:
     """The force recording as the settings want it read; one that is read already, as it is."""
     if isinstance(force, xr.Dataset):
@@ -532,6 +566,7 @@ def open_force(force: xr.Dataset | str | Path, chosen: Settings) -> xr.Dataset:
     )
 
 
+@known_as(columns="force_columns")
 def _sticks(force: xr.Dataset, chosen: Settings) -> pd.DataFrame:
     return find_stick_slip(
         force,

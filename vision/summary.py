@@ -15,6 +15,7 @@ from vision.figures.labels import both_errors
 from vision.numeric import nan_median
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
+from vision.sheets.corrections import stretches
 from vision.sheets.tracks import LOSSY
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
 
@@ -27,6 +28,10 @@ WEAK_SNR = 0.1
 """Of the median sheet's: below it a ridge may be a bump of the background."""
 RARELY = 0.25
 """Of the frames: a sheet that is found in fewer may be none."""
+FEW_FRAMES = 10
+"""Frames in a row in which most sheets are missing that are worth a line."""
+STILL_FRAMES = 10
+"""Of a film: fewer may happen to be alike."""
 MISSING_SHARE = 0.01
 """Of all positions: more missing ones are a warning, fewer are the usual gaps at the edges of the picture."""
 
@@ -82,10 +87,40 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     gone = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
     if gone > MISSING_SHARE * total:
         lines.append(f"{gone} of {total} positions missing (flags missing, edge, unfit in tracks.csv)")
+    if line := _hardly_any(tracks):
+        lines.append(line)
+    if tracks.sizes["frame"] >= STILL_FRAMES and not (tracks["x_noise_px"].values > 0).any():
+        lines.append("no frame differs from the one before: neither motion nor noise can be measured")
+    for change in TrackMetadata.of(tracks).scene_changes:
+        frame = change.split()[0]
+        lines.append(
+            f"the picture changes for good at frame {change}: a cut, or the camera or the light was moved;"
+            f" sheets before and after may be others: give `frames` as 0:{frame} or {frame}:"
+        )
     if wide := TrackMetadata.of(tracks).wide_spacings:
         where = ", ".join(wide)
-        lines.append(f"sheets may be missing at x = {where}: look there, or give their number (`sheets`)")
+        lines.append(
+            f"sheets may be missing at x = {where}, and are then not counted by n further out: look there"
+            " (dirt, too faint?), or give their number (`sheets`)"
+        )
     return lines
+
+
+def _hardly_any(tracks: xr.Dataset) -> str:
+    """The longest run of frames in which fewer than half of the sheets are found; "" for a short one."""
+    flags = tracks["flag"].values
+    read = ~np.isin(flags, ("frozen", "blank", "corrupt", "lost")).all(axis=1)
+    few = read & (np.isin(flags, ("missing", "edge", "unfit")).mean(axis=1) > 0.5)
+    _, first, stop = stretches(few[:, None])
+    if not len(first) or (stop - first).max() < FEW_FRAMES:
+        return ""
+    run = int(np.argmax(stop - first))
+    number = tracks["frame"].values
+    where = f"{number[first[run]]}:{number[stop[run] - 1] + 1}"
+    return (
+        f"in {few.sum()} frames, the longest run {where}, fewer than half of the sheets are found: another"
+        " scene, or something in front of them? leave it out with `frames`"
+    )
 
 
 def ridges_per_side(tracks: xr.Dataset) -> int:
@@ -257,9 +292,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
         f"frames     {strip.frames_read} of {strip.frames_expected} read; {strip.frames_lost} lost{corrupt}, "
         f"{strip.frames_blank} blank",
         f"positions  {flags.get('ok', 0)} measured; {other}",
-        f"noise      {noise['measured_px']:.4f} px{length} from frame to frame"
-        + (f", {noise['scatter_px']:.4f} px between sheets" if "scatter_px" in noise else "")
-        + predicted,
+        f"noise      {_noise(noise, length)}{predicted}",
         *([f"doubt      {doubt}"] if (doubt := doubt_line(tracks)) else []),
         f"strip      rows {strip.strip_z0}:{strip.strip_z1} ({strip.strip_how}){tilt}",
         *([heights_line(tracks)] if "x_z_px" in tracks else []),
@@ -269,6 +302,16 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
         f"clock      {frame_times(strip)}",
         f"scale      {scale}",
     ]
+
+
+def _noise(noise: Mapping[str, float], length: str) -> str:
+    """Noise as measured; too few frames, or frames that are all the same, measure none."""
+    parts = []
+    if noise["measured_px"] > 0:
+        parts.append(f"{noise['measured_px']:.4f} px{length} from frame to frame")
+    if noise.get("scatter_px", 0.0) > 0:
+        parts.append(f"{noise['scatter_px']:.4f} px between sheets")
+    return ", ".join(parts) or "not measured (too few frames that differ)"
 
 
 def heights_line(tracks: xr.Dataset) -> str:

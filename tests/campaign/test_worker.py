@@ -3,8 +3,11 @@
 import ctypes
 import faulthandler
 import os
+import shutil
 import signal
 import subprocess
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +18,7 @@ from tests.campaign.scenes import films, planned
 from vision.campaign.engine import close_states
 from vision.campaign.page import write_page
 from vision.campaign.tables import open_tables
-from vision.campaign.worker import Outcome, run_job
+from vision.campaign.worker import Outcome, copy_or_give_up, run_job
 from vision.errors import InputError
 from vision.run import run_folder
 from vision.sheets import track_sheets  # noqa: F401  # imported once, before the job forks
@@ -169,3 +172,25 @@ def test_a_full_disk_in_the_middle(tmp_path, analysis, monkeypatch):
             write_page(plan, live=False)
     finally:
         subprocess.run(["umount", "-l", tmp_path / "disk"], check=True)
+
+
+def test_a_copy_that_stalls_is_one_line_and_no_hang(tmp_path, monkeypatch):
+    """A failure means that a file server which stops answering stops a campaign for ever."""
+    source, released = tmp_path / "film.avi", threading.Event()
+    source.write_bytes(bytes(1000))
+
+    def stall(source, target):
+        Path(target).write_bytes(bytes(500))
+        released.wait(60)
+
+    monkeypatch.setattr(shutil, "copyfile", stall)
+    began = time.monotonic()
+    with pytest.raises(InputError, match=r"film.avi: expected data .* none for 0 s"):
+        copy_or_give_up(source, tmp_path / "copy", stalled_s=0.2)
+    assert time.monotonic() - began < 5
+    released.set()
+    monkeypatch.undo()
+    copy_or_give_up(source, tmp_path / "copy", stalled_s=0.2)
+    assert (tmp_path / "copy").read_bytes() == bytes(1000)
+    with pytest.raises(FileNotFoundError):
+        copy_or_give_up(tmp_path / "none.avi", tmp_path / "copy", stalled_s=0.2)

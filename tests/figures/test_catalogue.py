@@ -10,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tests.scenes.analysed import Found
 from vision.figures import FIGURES, figures_of, kymograph, missing_parts, overview, sections_of
+from vision.figures.figure import Figure, Image, Panel
 from vision.figures.video import space_time_figure
 
 
@@ -95,6 +96,30 @@ def test_nothing_in_the_overview_overlaps():
     assert all(upper.y0 >= lower.y1 for upper, lower in itertools.pairwise(boxes))
     assert all(title.y0 >= ax.get_window_extent().y1 for title, ax in zip(titles, page.axes, strict=True))
     assert all(page.bbox.contains(*corner) for box in [*boxes, *titles] for corner in (box.p0, box.p1))
+
+
+@pytest.mark.parametrize("shape", [(20, 1200), (400, 30)])
+def test_the_grey_scale_of_a_frame_lies_beside_everything(shape):
+    """A failure means a grey scale over the title of a narrow frame, or over the numbers of a flat one, or
+    cut off at the edge of the picture."""
+    image = Image(
+        pixels=np.zeros(shape, np.uint8), left=0, right=shape[1], top=0, bottom=shape[0], black=3, white=90
+    )
+    panel = Panel(
+        title="Frame 0 (t = 0 s): averaged rows (outlined)",
+        x_label="x (px)",
+        y_label="z (px)",
+        image=image,
+        downwards=True,
+    )
+    figure = Figure(name="frame", title="frame", caption="", panels=(panel,))
+    page = figure.plot().figure
+    FigureCanvasAgg(page).draw()
+    ax = page.axes[0]
+    scale = next(text for text in ax.texts if "grey levels" in text.get_text()).get_window_extent()
+    others = [ax.xaxis.label, *ax.get_xticklabels(), *page.texts]
+    assert not any(scale.overlaps(other.get_window_extent()) for other in others)
+    assert page.bbox.y0 <= scale.y0 < scale.y1 <= ax.get_window_extent().y0
 
 
 def test_tracks_lie_on_their_ridges_also_after_a_gap():

@@ -1,6 +1,6 @@
 """What a notebook shows of the objects of an analysis."""
 
-from vision.data import html_table
+from vision.escaping import html_table
 
 
 def test_clock_and_models_are_short_tables(pulled):

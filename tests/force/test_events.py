@@ -51,6 +51,19 @@ def test_noise_alone_gives_no_events() -> None:
         find_stick_slip(force)
 
 
+def test_drops_of_curved_sticks() -> None:
+    """Sheets that begin to creep one after the other bend a stick all along: two lines cut its corners off.
+
+    A failure means A is a tenth too small for such a sample, as it was.
+    """
+    time = np.arange(0, 18, 0.001)
+    within = (time % 0.3) / 0.3
+    load = 60 - 20 * (1 - within) ** 2 + np.random.default_rng(3).normal(0, 0.05, time.size)
+    force = recording(time, load, 13 + time / 60, 1.0)
+    assert find_stick_slip(force)["dF_N"].median() == pytest.approx(20, rel=0.02)
+    assert find_stick_slip(force, two_slopes=False)["dF_N"].median() < 0.9 * 20
+
+
 def test_a_threshold_too_low_or_high_fails() -> None:
     """A failure means `threshold_N` does nothing, so the recall above would prove nothing about it."""
     test = plain(sticks=100, samples=30, snr=6, seed=2)

@@ -137,7 +137,8 @@ def test_flagged_events_do_not_count() -> None:
         (lambda made: made.assign(d_v_mm=made["d_v_mm"] - 13.1), "initial separation with `d0_mm`"),
         (lambda made: made.assign(d_p_mm=made["d_p_mm"] + 50), "between 0 and 57 mm"),
         (lambda made: made.drop(columns="dF_N"), "no dF_N"),
-        (lambda made: made.assign(K_N_per_mm=np.nan), "a displacement or `speed_mm_min`"),
+        (lambda made: made.assign(K_N_per_mm=np.nan), "0 of 200; the separation changes by 9 mm: check the"),
+        (lambda made: made.assign(flag="gap", K2_N_per_mm=1.0), "0 of 200"),
     ],
 )
 def test_events_that_cannot_be_fitted_are_refused(change, message: str) -> None:
@@ -157,6 +158,33 @@ def test_recordings_that_cannot_be_fitted_are_refused(force: xr.Dataset, message
     """A failure means parameters in newton from numbers that are none, or from an unknown separation."""
     with pytest.raises(InputError, match=message):
         fit_models(force, events())
+
+
+@pytest.mark.parametrize(
+    ("length", "load", "message"),
+    [
+        (1e-3, 1, "events at least 0.1 µm apart"),  # m taken for mm
+        (0.1, 100, "sheets of less than 1000 GPa"),  # cm and cN
+        (25.4, 1, "between 0 and 57 mm.*units of displacement and load"),
+        (1, 1e-3, "friction coefficient.*units of displacement and load"),  # kN taken for N
+    ],
+)
+def test_a_wrong_unit_is_named(length: float, load: float, message: str) -> None:
+    """A failure means a displacement in metres gives μ to six digits, or a reason that is not the reason."""
+    made = events()
+    lengths = {name: 13 + length * (made[name] - 13) for name in ("d_v_mm", "d_p_mm")}
+    forces = {name: load * made[name] for name in ("F_p_N", "dF_N")}
+    stiffness = {name: load / length * made[name] for name in ("K_N_per_mm", "K_err_N_per_mm")}
+    with pytest.raises(InputError, match=message):
+        fit(made.assign(**lengths, **forces, **stiffness))
+
+
+def test_doubtful_units_are_said() -> None:
+    """A failure means stiffnesses of steel foil pass for paper without a word, or paper's own are doubted."""
+    made = events()
+    inches = made.assign(K_N_per_mm=25.4 * made["K_N_per_mm"], K_err_N_per_mm=25.4 * made["K_err_N_per_mm"])
+    assert any("check the units" in line for line in fit(inches).warnings)
+    assert not any("units" in line for line in fit(made).warnings)
 
 
 def test_peaks_that_do_not_fall_with_separation_are_refused() -> None:
@@ -267,6 +295,9 @@ def test_the_scale_does_not_depend_on_friction() -> None:
     scales = [fit_models(MADE, made, mu=mu).scale_mm.value for mu in (0.85, 0.89, 0.95)]
     np.testing.assert_allclose(scales, 19.094, atol=0.001)
     assert np.ptp(scales) < 1e-5
+    noisy = [fit_models(MADE, events(seed=1), mu=mu).scale_mm.value for mu in np.linspace(0.85, 0.95, 5)]
+    assert np.ptp(noisy) < 1e-5
+    assert abs(noisy[0] - 19.094) > 0.005  # other data, another Λ̂: its digits are those of the noise
     found = fit_models(MADE, made, mu=0.85)
     assert found.mu.value == 0.85
     assert found.held == ("mu",)

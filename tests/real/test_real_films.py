@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from vision.command.main import run
+from vision.numeric import nan_median
 
 DATA = Path(__file__).parents[2] / "../shared/data"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the recordings are not here")
@@ -140,7 +141,7 @@ def test_the_sarcomeres_are_never_a_pitch_off_all_together(tmp_path, strip):
     status, x, _, facts = tracked(tmp_path, "sarcomeres.avi", "--rotate", "90", *strip)
     assert status == 1
     seen = np.isfinite(x).any(axis=1)
-    common = np.nanmedian((x - np.nanmedian(x, axis=0))[seen], axis=1)
+    common = nan_median((x - nan_median(x))[seen], axis=1)
     off = np.abs(common) > 0.6 * facts["found"]["ridges"]["pitch_px"]
     assert np.isfinite(x[seen][off]).sum() <= 1
     assert np.isfinite(x).mean() > 0.25

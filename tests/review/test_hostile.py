@@ -5,7 +5,6 @@ import http.client
 import json
 import os
 import re
-import resource
 import shutil
 import signal
 import socket
@@ -204,6 +203,7 @@ def test_a_folder_that_cannot_be_written_keeps_nothing(session, monkeypatch, cod
 
 def test_a_disk_that_is_full_while_saving_leaves_the_run(session):
     """A failure means that half a run takes the place of a whole one, or that the decision is gone."""
+    resource = pytest.importorskip("resource")
     before = {path.name: path.read_bytes() for path in session.folder.iterdir()}
     session.decide(LEFT_OUT)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -537,20 +537,45 @@ def test_the_page_fits_its_window(browser, pulled_page, width, height, scheme):
 
 
 def test_every_control_and_picture_has_a_name(browser, pulled_page):
-    """A failure means that a screen reader says "button", or nothing."""
+    """For a screen reader: a failure means that it says "button", or nothing where something changed."""
     visit = Visit(browser, pulled_page)
-    nameless = visit.page.evaluate(
-        """() => [...document.querySelectorAll("button, input, select, canvas, progress, dialog, section")]
-          .filter((one) => !(one.textContent.trim() || one.ariaLabel || one.getAttribute("aria-labelledby")
-            || one.labels?.length)).map((one) => one.outerHTML)"""
-    )
-    assert nameless == []
-    visit.press("?")
-    assert visit.page.locator("#keys").is_visible()
+    page = visit.page
+    asked = visit.context.new_cdp_session(page)
+
+    def nodes():
+        found = asked.send("Accessibility.getFullAXTree")["nodes"]
+        return [one for one in found if not one["ignored"] and one["role"]["value"] != "RootWebArea"]
+
+    def told(node, name):
+        return next((p["value"].get("value") for p in node.get("properties", []) if p["name"] == name), None)
+
+    page.wait_for_selector("#decide-strip:not([disabled])")
+    for kind in ("", "accept", "swap", "assign", "add", "delete", "axis", "strip", "clock"):
+        if kind:
+            page.click(f"#decide-{kind}")
+            page.wait_for_selector("#effect :is(li), #effect.refused")
+        reached = [one for one in nodes() if told(one, "focusable")]
+        assert len(reached) > 25
+        assert [one for one in reached if not one["name"]["value"].strip()] == []
+        assert page.locator("#effect[aria-live=polite]").count() == bool(kind)
+    live = [one for one in nodes() if told(one, "live") == "polite"]
+    assert len(live) >= 4
+    visit.press("Escape", "?")
+    assert page.locator("#keys").is_visible()
     visit.press("Escape")
-    visit.press("Tab")
-    ring = visit.page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
-    assert ring == "solid"
+    focused = set()
+    for _ in range(40):  # every control is reached, and seen to be
+        visit.press("Tab")
+        name, ring = page.evaluate(
+            "[document.activeElement.id, getComputedStyle(document.activeElement).outlineStyle]"
+        )
+        assert ring == "solid" or not name
+        focused.add(name)
+    wanted = page.evaluate(
+        """[...document.querySelectorAll("button, select, input, canvas")]
+          .filter((one) => one.checkVisibility() && !one.disabled).map((one) => one.id)"""
+    )
+    assert set(wanted) <= focused
     visit.context.close()
 
 

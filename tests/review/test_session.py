@@ -13,6 +13,7 @@ import pytest
 
 from tests.scenes.reviewed import PLANTED, SETTINGS, clean, remedies, truth, write_planted
 from vision.errors import InputError
+from vision.review import trial
 from vision.review.positions import CELLS, FLAGS
 from vision.review.saving import Job, save_run
 from vision.review.session import Session
@@ -260,10 +261,10 @@ def test_a_kill_loses_no_decision_that_was_kept(run, after_s):
         text=True,
     )
     with started as process:
-        process.stdout.readline()
+        first = process.stdout.readline()
         time.sleep(after_s)
         process.kill()
-        said = [line for line in process.stdout.read().splitlines() if line]
+        said = [line for line in (first + process.stdout.read()).splitlines() if line]
     kept = len(read_decisions(run / "corrections.toml").corrections)
     assert kept >= int(said[-1]) > len(PLANTED)
     with Session(run, SETTINGS) as again:  # and nobody's claim is left
@@ -280,7 +281,7 @@ def clocked(tmp_path):
         yield opened
 
 
-def test_another_strip_is_tracked_before_it_is_kept(clocked):
+def test_another_strip_is_tracked_before_it_is_kept(clocked, monkeypatch):
     """A failure means that a person chooses rows without knowing what they do to positions and shells, or
     that something else is kept than what was shown."""
     folder, revision = clocked.folder, clocked.revision
@@ -296,6 +297,16 @@ def test_another_strip_is_tracked_before_it_is_kept(clocked):
     assert [len(row["shells"]) for row in (seen["stick_before"], seen["stick_after"])] == [2, 2]
 
     shells, earlier = pd.read_csv(folder / "shells.csv"), read_run(folder).tracks["x_px"].values
+
+    def refused(*args, **kwargs):
+        raise OSError(30, "Read-only file system")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(trial, "put_in_place", refused)
+        with pytest.raises(InputError, match="read-only file system; not kept"):
+            clocked.trial.keep()
+    assert clocked.decisions == []
+    assert not (folder / "corrections.toml").exists()
     clocked.trial.keep()
     tracks = read_run(folder).tracks
     assert (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]) == (10, 14)

@@ -53,6 +53,9 @@ def cost(candidates, contrast, row, sheets, chosen):
         total += COSTS.stay_cost / SHEETS * min(((x[k] - REST[n]) / (PITCH / 2)) ** 2, 1)
         total -= COSTS.missing_cost
         total -= COSTS.false_detection_cost * np.clip(np.exp(bright - np.median(contrast)) / 0.5, 0.3, 1)
+    further = COSTS.missing_cost - COSTS.covered_cost  # saved for each missing sheet beside another one
+    runs = np.diff([-1, *sheets, SHEETS]) - 1
+    total -= further * sum(run - 1 for run in runs if run > 1)
     for i in range(1, len(sheets)):
         a, b = sheets[i] - sheets[i - 1], chosen[i] - chosen[i - 1]
         if (a, b) not in STEPS:

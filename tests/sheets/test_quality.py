@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from tests.scenes.combs import comb, ridges, strip
+from tests.scenes.identity_cases import brightness
+from vision.data import TrackMetadata
 from vision.sheets import track_sheets
 from vision.sheets.quality import repeated_frames, shared_error, spatial_scatter
+from vision.summary import tracking_warnings
 
 
 def creeping(frames=120, snr=100):
@@ -209,3 +212,33 @@ def test_noise_alike_in_neighbouring_pixels_is_in_the_errors():
     off = np.abs(tracks.x_px.values - x - np.median(tracks.x_px.values - x, axis=0))
     assert 0.62 < (off < tracks.x_err_px.values).mean() < 0.74
     assert (off < tracks.x_predicted_px.values).mean() < 0.6
+
+
+def cut_at_60(kind):
+    """25 sheets on each side that slip; from frame 60 on another scene, or the same one."""
+    x = comb(150, per_side=25, axis_px=600, slip=0.4)
+    level = np.tile(brightness(50), (150, 1))
+    if kind == "camera moved":
+        x[60:] += 37.0
+    if kind == "mirrored":
+        level[60:] = level[60:, ::-1]
+    if kind == "light dimmed":
+        level[60:] *= 0.7
+    return strip(ridges(x, width=1300, contrast=level), snr=60)
+
+
+@pytest.mark.parametrize("kind", ["camera moved", "mirrored"])
+def test_a_cut_film_is_said_to_be_cut(kind):
+    """A failure means that two scenes, or two places of the camera, are numbered as one with nothing said."""
+    tracks = track_sheets(cut_at_60(kind))
+    changes = TrackMetadata.of(tracks).scene_changes
+    assert len(changes) == 1
+    assert changes[0].startswith("60 ")
+    assert "for good at frame 60" in " ".join(tracking_warnings(tracks))
+    assert abs(tracks.attrs["axis_px"] - (622 if kind == "camera moved" else 600)) < 20  # not a knock's place
+
+
+@pytest.mark.parametrize("kind", ["slips alone", "light dimmed"])
+def test_a_film_of_slips_is_not_cut(kind):
+    """A failure means that every slip, or a lamp, is called a change of scene."""
+    assert TrackMetadata.of(track_sheets(cut_at_60(kind))).scene_changes == []

@@ -5,6 +5,7 @@ import shutil
 import threading
 import time
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -19,7 +20,12 @@ from vision.video.reader import Block
 
 ROWS = slice(2, 10)
 QUICK = VideoSettings(
-    follow_poll_s=0.02, follow_still_s=0.4, follow_give_up_s=1.0, follow_first=20, follow_margin=8
+    follow_poll_s=0.02,
+    follow_still_s=0.4,
+    follow_give_up_s=1.0,
+    follow_first=20,
+    follow_margin=8,
+    follow_tell_s=0.1,
 )
 COUNT = 200
 
@@ -49,6 +55,20 @@ def photron(path, frames):
     return path
 
 
+def fragmented(path, frames):
+    """An MP4 whose every tenth frame begins a part of its own, with an index of its own."""
+    how = {"codec": "libx264", "pix_fmt": "yuv420p", "source": "gray", "options": {"g": "10"}}
+    plain = write_encoded(path.with_name("plain.mp4"), frames[:, :, :48], **how)
+    options = {"movflags": "frag_keyframe+empty_moov"}
+    with av.open(str(plain)) as source, av.open(str(path), "w", options=options) as out:
+        stream = out.add_stream_from_template(source.streams.video[0])
+        for packet in source.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = stream
+                out.mux(packet)
+    return path
+
+
 GROWING = {
     "raw.avi": write_avi,
     "mjpeg.avi": film("mjpeg", "yuvj420p"),
@@ -57,6 +77,8 @@ GROWING = {
     "pages.tif": stack,
     "lzw.tif": lambda path, frames: stack(path, frames, compression="lzw"),
     "a.mraw": photron,
+    "h264.mp4": film("libx264", "yuv420p"),  # cannot be read until it is closed
+    "parts.mp4": fragmented,
 }
 
 
@@ -184,3 +206,15 @@ def test_the_last_frames_are_held_back(sizes):
     ]
     kept = [block.start + n for block in held_back(iter(blocks), 8) for n in range(len(block.status))]
     assert kept == list(range(max(0, sum(sizes) - 8)))
+
+
+def test_what_cannot_be_read_until_it_is_closed_is_waited_for_and_told(tmp_path, frames):
+    """A failure means that an MP4 is refused while the camera writes it, or that nobody knows what is waited
+    for."""
+    whole, said = GROWING["h264.mp4"](tmp_path / "whole.mp4", frames), []
+    strip = followed(
+        tmp_path / "a.mp4", copy_slowly, whole, tmp_path / "a.mp4", follow=Follow(waiting=said.append)
+    )
+    assert strip.sizes["frame"] == COUNT
+    assert len(said) == 1
+    assert "index (moov), which is written when the recording is closed" in said[0]

@@ -38,6 +38,10 @@ class CampaignSettings:
     least_job_seconds: float = 20.0
     """Jobs of short films are not made shorter than this for the sake of ending together. Shorter ones lose
     more to their start (3 s), longer ones leave a core idle at the end."""
+    stalled_seconds: float = 300.0
+    """A copy to a node's own disk that does not grow for so long has failed, and its film with it; the others
+    go on. Shorter gives up where a file server is busy
+    (test_a_copy_that_stalls_is_one_line_and_no_hang)."""
 
     # the page and the folder that is watched
     page_seconds: float = 3.0

@@ -10,6 +10,7 @@ import shutil
 import signal
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -185,7 +186,7 @@ def _note(out: Path, state: State) -> None:
 def _one(plan: Plan, film: Film, work: Work, copies: dict[str, Path], tuning: CampaignSettings) -> State:
     """One film, its tables for the pool and its thumbnail."""
     target = plan.run_of(film.name)
-    with _source(film, copies, stage=plan.stage) as source:
+    with _source(film, copies, tuning, stage=plan.stage) as source:
         outcome = work(film, source, target)
     run = target / "run.json"
     state = State(name=film.name, state="failed", reason=outcome.reason)
@@ -202,13 +203,13 @@ def _one(plan: Plan, film: Film, work: Work, copies: dict[str, Path], tuning: Ca
 
 
 @contextmanager
-def _source(film: Film, copies: dict[str, Path], *, stage: bool) -> Iterator[Path]:
+def _source(film: Film, copies: dict[str, Path], tuning: CampaignSettings, *, stage: bool) -> Iterator[Path]:
     """Where a film is read from: itself, what Snakemake fetched, or a copy on the node's own disk.
 
     Raises
     ------
     InputError
-        Where the disk has no room for the copy.
+        Where the disk has no room for the copy, or the film's disk stops answering.
     """
     if is_remote(film.film):
         if film.film not in copies:
@@ -228,8 +229,49 @@ def _source(film: Film, copies: dict[str, Path], *, stage: bool) -> Iterator[Pat
         )
     with tempfile.TemporaryDirectory(prefix="track-") as folder:
         for file in files:
-            shutil.copyfile(file, Path(folder) / file.name)
+            copy_or_give_up(file, Path(folder) / file.name, stalled_s=tuning.stalled_seconds)
         yield Path(folder) / path.name
+
+
+def copy_or_give_up(source: Path, target: Path, *, stalled_s: float) -> None:
+    """Copy a file from a disk that may stop answering: reading it would then never return.
+
+    Parameters
+    ----------
+    source, target
+        Files.
+    stalled_s
+        Longest time in which the copy does not grow.
+
+    Raises
+    ------
+    InputError
+        After that time.
+    OSError
+        Where the file cannot be read or written.
+    """
+    ended: list[OSError | None] = []
+
+    def copy() -> None:
+        try:
+            shutil.copyfile(source, target)
+            ended.append(None)
+        except OSError as error:
+            ended.append(error)
+
+    copying = threading.Thread(target=copy, daemon=True)  # one that is stuck does not keep the process
+    copying.start()
+    size, since = -1, time.monotonic()
+    while copying.is_alive():
+        copying.join(min(1.0, stalled_s / 4))
+        now = target.stat().st_size if target.exists() else 0
+        if now != size:
+            size, since = now, time.monotonic()
+        elif copying.is_alive() and time.monotonic() - since > stalled_s:
+            found = f"none for {stalled_s:.0f} s, after {size / 1e6:.1f} MB"
+            raise InputError(source, "data from its disk", found, "look at the network, and run again")
+    if ended and ended[0] is not None:
+        raise ended[0]
 
 
 def _thumbnail(picture: Path, small: Path, width: int) -> None:

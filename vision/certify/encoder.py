@@ -53,6 +53,7 @@ NOISES = (0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
 TRIED_FRAMES = 60
 TOLD_BYTES = 4096  # of the first packet, in which x264 and x265 write their settings
 MOST_PIXELS = 60_000_000  # of a film made to find the noise: larger frames are cut to fewer rows
+BLOCK = 16  # sides of the blocks that codecs work in, px
 
 
 @dataclass(frozen=True)
@@ -175,19 +176,22 @@ class Encoder:
 
     def _write(self, path: Path, profile: Floats32, seed: int) -> int:
         """Bytes of the film's packets."""
-        height, width = self.picture.shape
+        # libx264 looks beyond sides that are no multiples of its blocks, at what memory happens to hold.
+        multiple = BLOCK if self.codec == "h264" else 1
+        more = [(0, -length % multiple) for length in self.picture.shape]
+        height, width = (length + add for length, (_, add) in zip(self.picture.shape, more, strict=True))
         size = 0
         with av.open(str(path), "w") as out:
             stream = out.add_stream(ENCODERS[self.codec], rate=25, options=self._options())
             assert isinstance(stream, av.VideoStream)
             stream.height, stream.width, stream.pix_fmt = height, width, "yuv420p"
             stream.codec_context.time_base = Fraction(1, 25)
-            colourless = np.full(
-                (height // 2, width), 128, np.uint8
-            )  # both planes of colour, one after the other
+            # both planes of colour, one after the other
+            colourless = np.full((height // 2, width), 128, np.uint8)
             for n, grey in enumerate(self._frames(profile, seed)):
                 # the plane of brightness as it is: no change of range
-                frame = av.VideoFrame.from_ndarray(np.concatenate([grey, colourless]), format="yuv420p")
+                planes = np.concatenate([np.pad(grey, more, mode="edge"), colourless])
+                frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
                 frame.pts, frame.time_base = n, Fraction(1, 25)
                 packets = stream.encode(frame)
                 size += sum(packet.size for packet in packets)

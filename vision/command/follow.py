@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from vision.command.console import complain
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -29,7 +31,10 @@ def following(settings: Settings, *, quiet: bool) -> Iterator[Follow]:
     """
     from vision.video import Follow
 
-    follow = Follow(seen=None if quiet else _Shown(settings))
+    follow = Follow(
+        seen=None if quiet else _Shown(settings),
+        waiting=None if quiet else lambda reason: complain(f"waiting: {reason}"),
+    )
     earlier = signal.getsignal(signal.SIGINT)
 
     def end(number: int, frame: Any) -> None:

@@ -10,7 +10,7 @@ from cyclopts import Parameter as Option
 
 from vision.command.console import complain, say
 from vision.command.track import command_line
-from vision.errors import InputError
+from vision.errors import InputError, known_as
 
 
 def modulus(
@@ -75,7 +75,8 @@ def modulus(
     check_target(target, overwrite=overwrite)
     sheet = Sample(thickness_mm=thickness, width_mm=width, length_mm=length)
     settings = ModulusSettings(part=_part(part))
-    force = read_force(file, columns=parse_columns(force_columns) if force_columns else None)
+    with known_as(columns="force_columns"):
+        force = read_force(file, columns=parse_columns(force_columns) if force_columns else None)
     cycles = measure_cycles(
         force,
         sheet=sheet,

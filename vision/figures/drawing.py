@@ -21,16 +21,18 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Page
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
+from matplotlib.transforms import blended_transform_factory
 from PIL import Image as Pillow
 
 from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series
 from vision.figures.labels import to_mathtext
-from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET, rgb
+from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET
 
 PNG_DPI, VECTOR_DPI = 100, 300
 STROKE = 0.2  # of the strip's height: a sheet is marked above and below, so that its ridge stays in view
 MOST_LINES = 40  # marked times with a line across; more are marked at the edges alone
 _DASHES = (0, (4, 2))
+_GREYS = mpl.colormaps["gray"].with_extremes(bad=MISSING)
 _STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib and has all letters that figures need
     "font.size": 10,
@@ -47,6 +49,8 @@ _LEFT, _INNER, _BOTTOM, _TOP = 0.8, 0.15, 0.55, 0.12
 _TITLE, _LEGEND = 0.26, 0.24
 _LEAST_HEIGHT, _MOST_HEIGHT = 0.35, 9.0
 _LETTER, _MARKER = 0.075, 0.55  # of a legend's entry
+
+SCALE_POINTS = 19  # of a frame's grey scale below it: past the numbers of the axis
 
 
 def draw_panel(ax: Axes, panel: Panel) -> Axes:
@@ -90,7 +94,7 @@ def _draw_annotations(ax: Axes, panel: Panel) -> None:
     """What explains the data: arrows, a grey scale, numbers, an inset, marks along the edge."""
     _draw_arrows(ax, panel.arrows)
     if panel.image is not None and panel.image.scale:
-        _draw_scale(ax, panel.image.scale, above=panel.downwards)
+        _draw_scale(ax, panel.image.scale, below=panel.downwards)
     _draw_ticks(ax, [series for series in panel.series if series.look == "ticks"])
     if panel.inset is not None:
         _draw_inset(ax, panel.inset)
@@ -163,18 +167,25 @@ def picture_style() -> AbstractContextManager[None]:
 
 def _draw_image(ax: Axes, image: Image, *, square: bool) -> None:
     extent = (image.left, image.right, image.bottom, image.top)
-    aspect: Any = "equal" if square else "auto"
-    ax.imshow(_rgba(image), extent=extent, aspect=aspect, interpolation="nearest")
+    # Grey values, which become colours where the page shows them: a quarter of the time of an RGB image.
+    look: dict[str, Any] = {"aspect": "equal" if square else "auto", "interpolation": "nearest"}
+    look |= {"cmap": _GREYS, "vmin": -0.5, "vmax": 255.5, "interpolation_stage": "data"}
+    pixels = image.pixels if image.missing is None else np.ma.masked_array(image.pixels, image.missing)
+    ax.imshow(pixels, extent=extent, **look)
 
 
-def _draw_scale(ax: Axes, text: str, *, above: bool) -> None:
-    """The grey scale in words: above a frame, which may be flat, else in the corner of the image."""
-    look: dict[str, Any] = {"transform": ax.transAxes, "ha": "right", "va": "bottom", "fontsize": 6.5}
-    if above:
-        ax.text(1, 1.01, text, color=QUIET[0], **look)
+def _draw_scale(ax: Axes, text: str, *, below: bool) -> None:
+    """The grey scale in words: below a frame, which may be flat, beside the axis label, at the end of the
+    panel's room, since a frame may be narrow; else in the corner of the image."""
+    look: dict[str, Any] = {"ha": "right", "fontsize": 6.5}
+    if below and (page := ax.get_figure(root=True)) is not None:
+        room = blended_transform_factory(page.transFigure, ax.transAxes)
+        end = (ax.get_position(original=True).x1, 0.0)
+        place: dict[str, Any] = {"xytext": (0, -SCALE_POINTS), "textcoords": "offset points", "va": "top"}
+        ax.annotate(text, end, xycoords=room, color=QUIET[0], annotation_clip=False, **place, **look)
     else:
         box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8}
-        ax.text(0.99, 0.01, text, bbox=box, **look)
+        ax.text(0.99, 0.01, text, bbox=box, transform=ax.transAxes, va="bottom", **look)
 
 
 def _draw_bands(ax: Axes, panel: Panel) -> None:
@@ -186,15 +197,6 @@ def _draw_bands(ax: Axes, panel: Panel) -> None:
         else:
             shade = ax.axvspan if band.of_x else ax.axhspan
             shade(band.low, band.high, color=QUIET[0], alpha=0.15, lw=0)
-
-
-def _rgba(image: Image) -> Any:
-    """Pixels, missing ones in their colour; with an alpha channel matplotlib needs a quarter of the time."""
-    pixels = np.full((*image.pixels.shape, 4), 255, np.uint8)
-    pixels[..., :3] = image.pixels[..., None]
-    if image.missing is not None:
-        pixels[image.missing, :3] = rgb(MISSING)
-    return pixels
 
 
 def _draw_sheets(ax: Axes, panel: Panel) -> None:

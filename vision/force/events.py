@@ -25,9 +25,10 @@ from vision.force.regime import (
 from vision.force.settings import DEFAULTS, ForceSettings
 from vision.force.slips import Slips, find_slips, stick_middles
 from vision.force.sticks import Signal, measure_sticks
-from vision.numeric import Bools
+from vision.numeric import Bools, Floats, nan_median
 
 _STICKS_FOR_KNEES = 60  # looked at, from first to last, to tell whether sticks have two slopes
+_COARSE = 0.3  # of a stick: longer steps of the displacement leave fewer than four in it
 
 
 def find_stick_slip(
@@ -351,6 +352,12 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal) -> list[str]
             f"no stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises and are as "
             "straight; these look like cycles of loading and unloading"
         )
+    step, stick = 1e3 * _step(signal.travel), float(nan_median(events["stick_length_um"].to_numpy(float)))
+    if step > _COARSE * stick:
+        lines.append(
+            f"the displacement is recorded in steps of {step:.3g} µm, sticks last {stick:.3g} µm: "
+            "lengths and K are not resolved"
+        )
     flags = events["flag"].str.split("+")
     for word, meaning in (
         ("unloading", "lie beside a fall while the crosshead went back"),
@@ -360,6 +367,12 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal) -> list[str]
         if count := int(flags.map(lambda words, word=word: word in words).sum()):
             lines.append(f"{count} of {len(events)} sticks {meaning} (flag {word})")
     return lines
+
+
+def _step(travel: Floats) -> float:
+    """Usual distance of neighbouring values, mm; 0 where there are none or nearly all differ."""
+    values = np.unique(travel[np.isfinite(travel)])
+    return float(np.median(np.diff(values))) if 2 < values.size < 0.2 * travel.size else 0.0
 
 
 # --- detection limit ----------------------------------------------------------------------------------------

@@ -34,6 +34,9 @@ _MEASURED = frozenset({"ok", "slow", "negative"})  # flags of events that are wh
 _SLOW_MM_MIN = 1.0  # up to which the publication states A, N-hat and Y_eff
 _BUILD_UP_BIAS = 0.1  # standard errors by which what is left of a build-up may move a parameter
 _LARGEST_OFFSET_N = 10.0  # limits of T0 in the publication: what a load cell's zero may be off by
+_CLOSEST_MM = 1e-4  # from event to event: no crosshead tells less
+_STIFFEST_GPA = 1000.0  # diamond: no sheet is stiffer
+_LIKELY_GPA = (0.1, 30.0)  # sheets of paper, polymers and wood, with room on both sides
 _GEOMETRY = ("thickness_mm", "width_mm", "length_mm", "t_star_N")
 
 
@@ -76,8 +79,8 @@ def fit_models(
     ------
     InputError
         For a force over a weight, an unknown initial separation, fewer than six whole events, separations
-        that are not between 0 and the sheets' length, events that do not determine the parameters, or
-        arguments that are not positive.
+        that are not between 0 and the sheets' length, a stiffness that no material has (a displacement in m
+        taken for mm), events that do not determine the parameters, or arguments that are not positive.
 
     Notes
     -----
@@ -97,22 +100,26 @@ def fit_models(
     _check_force(force)
     held = _held(mu, modulus_GPa)
     errors = _geometry_errors(geometry_err)
-    whole = _usable(sticks, sample)
+    whole = _usable(sticks, sample, force)
+    doubt = _doubtful_units(whole, sample, force)
     with np.errstate(all="ignore"):  # fits may stray; what comes out is checked
         try:
             events, left_out = _chosen(whole, sample, held, fit_range_mm)
             fits = _fit_all(events, sample, free_t_star, held)
-        except InputError:
+        except InputError as error:
+            if doubt and "`" not in str(error).partition(":")[0]:  # no argument is to blame
+                error.args = (f"{error}; {doubt}",)
             raise
         except (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError) as error:
-            raise _undetermined(str(error)) from error
+            raise _undetermined(str(error), doubt) from error
         parts = (fits.mu, fits.t0_N, fits.amplitude, fits.n_hat_N, fits.modulus_GPa, fits.scale_mm)
         if not all(np.isfinite((part.value, part.error)).all() for part in parts):
-            raise _undetermined("values or errors that are not finite")
+            raise _undetermined("values or errors that are not finite", doubt)
         left_out = {"flagged": len(sticks) - len(whole)} | left_out
         lowpass = {name: float(sticks.attrs.get(name, 0.0)) for name in _LOWPASS}
         fits = _with_systematics(fits, force, events, free_t_star, held, errors, lowpass)
     notes, warnings = _remarks(fits, force, left_out, fit_range_mm is not None)
+    warnings = (doubt, *warnings) if doubt else warnings
     return replace(fits, left_out=left_out, notes=(*fits.notes, *notes), warnings=warnings)
 
 
@@ -132,8 +139,8 @@ def _geometry_errors(given: Mapping[str, float] | None) -> dict[str, float]:
     return dict(given or {})
 
 
-def _undetermined(reason: str) -> InputError:
-    advice = "check `d0_mm`, and that the force was recorded while the blocks were pulled apart"
+def _undetermined(reason: str, doubt: str = "") -> InputError:
+    advice = doubt or "check `d0_mm`, and that the force was recorded while the blocks were pulled apart"
     return InputError("model fits", "events that follow the paper's model", f"others ({reason})", advice)
 
 
@@ -146,7 +153,34 @@ def _check_force(force: xr.Dataset) -> None:
         raise InputError("model fits", "the initial separation", "none", "give `d0_mm`")
 
 
-def _usable(sticks: pd.DataFrame, sample: Sample) -> pd.DataFrame:
+def _read_as(force: xr.Dataset) -> str:
+    """What to check where numbers are off by powers of ten."""
+    columns = ForceMetadata.of(force).columns
+    advice = "check the units of displacement and load"
+    return (
+        f"{advice}, read as {columns} (`force_columns` displacement=NAME:m states one)" if columns else advice
+    )
+
+
+def _doubtful_units(events: pd.DataFrame, sample: Sample, force: xr.Dataset) -> str:
+    """Why the units are doubtful, "" where they are not.
+
+    K of all M sheets together gives the smallest modulus that they can have.  Raises: InputError where no
+    material has it, or events lie closer than a crosshead can move.
+    """
+    apart = float(np.ptp(events["d_v_mm"])) / (len(events) - 1)
+    if apart < _CLOSEST_MM:
+        wanted, found = f"events at least {1e3 * _CLOSEST_MM:g} µm apart", f"{1e3 * apart:.2g} µm"
+        raise InputError("model fits", wanted, found, _read_as(force))
+    k = float(events["K_N_per_mm"].median())
+    least = k * sample.length_mm / (1000 * sample.sheets_per_block * sample.thickness_mm * sample.width_mm)
+    found = f"K of {k:.3g} N/mm, which needs sheets of {least:.2g} GPa"
+    if least > _STIFFEST_GPA:
+        raise InputError("model fits", f"sheets of less than {_STIFFEST_GPA:g} GPa", found, _read_as(force))
+    return "" if _LIKELY_GPA[0] < least < _LIKELY_GPA[1] else f"{found} or more: {_read_as(force)}"
+
+
+def _usable(sticks: pd.DataFrame, sample: Sample, force: xr.Dataset) -> pd.DataFrame:
     """Whole events with everything the fits need."""
     needed = ["d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm"]
     if absent := [name for name in needed if name not in sticks]:
@@ -156,7 +190,8 @@ def _usable(sticks: pd.DataFrame, sample: Sample) -> pd.DataFrame:
         events: pd.DataFrame = sticks[np.asarray(fine, dtype=bool)]
     else:
         events = sticks
-    if "K2_N_per_mm" in events and np.isfinite(events["K2_N_per_mm"].to_numpy(float)).mean() > 0.5:
+    knees = "K2_N_per_mm" in events and len(events) > 0
+    if knees and np.isfinite(events["K2_N_per_mm"].to_numpy(float)).mean() > 0.5:
         # Sticks with a knee: the assembly's stiffness is what is left when all sheets have gripped.
         events = events.assign(K_N_per_mm=events["K2_N_per_mm"])
         if "K2_err_N_per_mm" in events:
@@ -164,11 +199,14 @@ def _usable(sticks: pd.DataFrame, sample: Sample) -> pd.DataFrame:
     rising = (events["dF_N"] > 0) & (events["K_N_per_mm"] > 0)
     events = events.loc[rising & np.isfinite(events[needed].to_numpy(float)).all(axis=1)]
     if len(events) < _LEAST_EVENTS:
+        d = force["d_mm"].values
+        known = np.isfinite(d).any()
+        travel = f"the separation changes by {np.nanmax(d) - np.nanmin(d):.3g} mm" if known else ""
         raise InputError(
             "model fits",
             f"at least {_LEAST_EVENTS} whole events with d, F_p, dF and K",
             f"{len(events)} of {len(sticks)}",
-            "lengths need a displacement or `speed_mm_min`",
+            f"{travel}: {_read_as(force)}" if travel else "lengths need a displacement or `speed_mm_min`",
         )
     low, high = float(events["d_v_mm"].min()), float(events["d_p_mm"].max())
     if low <= 0 or high >= sample.length_mm:
@@ -176,7 +214,7 @@ def _usable(sticks: pd.DataFrame, sample: Sample) -> pd.DataFrame:
             "model fits",
             f"separations between 0 and {sample.length_mm:g} mm",
             f"{low:.3g} to {high:.3g} mm",
-            "give the initial separation with `d0_mm`, or check `length_mm`",
+            f"give the initial separation with `d0_mm`, check `length_mm`, or {_read_as(force)}",
         )
     return events
 
@@ -215,10 +253,13 @@ def _maximum(peaks: Floats) -> int:
 def _first_that_fits(events: pd.DataFrame, sample: Sample, held: Mapping[str, float], top: int) -> int:
     """The first event from which on Eq. 1 follows the peaks: in all, and where it begins.
 
-    Later starts are tried up to half of the events; where none fits it is the maximum of the peaks.
+    Later starts are tried up to half of the events, and where none fits they are tried less strictly: peaks
+    whose scatter is not quite independent must not leave all of a build-up in. Else it is the maximum of the
+    peaks.
     """
     count = len(events) - top
     steps = np.r_[0.0, np.geomspace(0.01, 0.5, 12)] * count
+    begins: dict[int, float] = {}  # starts at which the first peaks follow, with the misfit over the usual
     for start in top + np.unique(steps.astype(np.int64)):
         part = events.iloc[int(start) :]
         if len(part) < _LEAST_EVENTS:
@@ -226,9 +267,13 @@ def _first_that_fits(events: pd.DataFrame, sample: Sample, held: Mapping[str, fl
         fit = fit_peaks(part, sample, False, held)
         first = fit.residual[: max(5, len(part) // 20)]
         noise = np.sqrt(np.mean(np.diff(fit.residual) ** 2) / 2)
-        begins = abs(float(first.mean())) < 2 * noise / np.sqrt(first.size)
-        if begins and fit.goodness.chi2_dof < usual_chi2(len(part)):
-            over = _build_up_over(events, sample, held, int(start)) if start else 0
+        if abs(float(first.mean())) < 2 * noise / np.sqrt(first.size):
+            begins[int(start)] = (fit.goodness.chi2_dof - 1) / (usual_chi2(len(part)) - 1)
+            if begins[int(start)] < 1:
+                break
+    for start in (next((s for s, misfit in begins.items() if misfit < limit), None) for limit in (1, 2)):
+        if start is not None:
+            over = _build_up_over(events, sample, held, start) if start else 0
             return int(max(start, min(over, len(events) - max(2 * _LEAST_EVENTS, len(events) // 4))))
     return top
 
@@ -456,7 +501,7 @@ def _remarks(
     if abs(fits.t0_N.value) > _LARGEST_OFFSET_N:
         warnings.append(
             f"𝒯0 = {fits.t0_N.value:.3g} N lies beyond the ±{_LARGEST_OFFSET_N:g} N of a load cell's zero: "
-            "check `d0_mm`, the sample's geometry and the zero"
+            "check `d0_mm`, the sample's geometry, the zero and the units"
         )
     if fits.scale_mm.value > 0.999 * LARGEST_SCALE * fits.d_mm[1]:
         warnings.append("K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined")

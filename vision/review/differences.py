@@ -9,7 +9,7 @@ import numpy as np
 
 from vision.numeric import Floats, Floats32, Ints
 from vision.review.editing import usual_places
-from vision.review.positions import Positions, read_positions
+from vision.review.positions import Positions, read_rows
 from vision.run.reading import read_table_of
 
 DIFFERENT = 3.0
@@ -40,7 +40,7 @@ def differences(before: Path, after: Path) -> dict[str, Any]:
     InputError
         For damaged files.
     """
-    old, new = (read_positions(folder / "tracks.nc") for folder in (before, after))
+    old, new = (read_rows(folder / "tracks.nc") for folder in (before, after))
     pairs = _pairs(usual_places(old), usual_places(new), old.track_facts.pitch_px)
     return _of_positions(old, new, *pairs) | _of_deformation(before, after, *pairs)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -195,19 +195,30 @@ def _read(file: h5netcdf.File, path: Path, wanted: slice) -> Positions:
         "why": np.zeros(shape, np.uint8),
     }
     names = {"x_err_px": "err_px", "x_withheld_px": "withheld_px"}
-    for first in range(start, stop, BLOCK):
-        rows = slice(first, min(first + BLOCK, stop))
-        here = slice(rows.start - start, rows.stop - start)
-        for name in ("x_px", *names):
-            if name in file:
-                arrays[names.get(name, name)][here] = file[name][rows]
-        for name, words in (("flag", FLAGS), ("why", WHYS)):
-            if name in file:
-                arrays[name][here] = _codes(file[name][rows], words)
+    for name in ("x_px", *names):
+        for here, rows in _blocks(file, name, start, stop):
+            arrays[names.get(name, name)][here] = file[name][rows]
+    for name, words in (("flag", FLAGS), ("why", WHYS)):
+        for here, rows in _blocks(file, name, start, stop):
+            arrays[name][here] = _codes(file[name][rows], words)
     attrs = {name: value for name, value in file.attrs.items() if name not in ("Conventions", "title")}
     one = {name: np.asarray(file[name][wanted]) for name in ("frame", "time_s")}
     one |= {name: np.asarray(file[name][:]) for name in ("side", "n")}
     return Positions(**arrays, **one, attrs=attrs_of_netcdf({name: _plain(v) for name, v in attrs.items()}))
+
+
+def _blocks(file: h5netcdf.File, name: str, start: int, stop: int) -> Iterator[tuple[slice, slice]]:
+    """Rows counted from `start`, and in the file, a part at a time; none of a variable that is not there.
+
+    Parts begin where the file's chunks do, each of which is unpacked once so.
+    """
+    if name not in file:
+        return
+    chunk = (file[name].chunks or (1,))[0]
+    step = chunk * max(1, BLOCK // chunk)
+    for first in range(start - start % step, stop, step):
+        rows = slice(max(first, start), min(first + step, stop))
+        yield slice(rows.start - start, rows.stop - start), rows
 
 
 def _codes(letters: NDArray[np.bytes_], words: Sequence[str]) -> Codes:

@@ -197,9 +197,10 @@ class Saver:
             self._child = child
             if self._cancelled:
                 child.kill()
-            with contextlib.suppress(BrokenPipeError):
+            with contextlib.suppress(BrokenPipeError):  # it was killed
                 pickle.dump((sys.path, os.getpid()), child.stdin)
                 pickle.dump(job, child.stdin)
+            with contextlib.suppress(BrokenPipeError):
                 child.stdin.close()
             for line in child.stdout:
                 kind, content, done, total = json.loads(line)

@@ -85,7 +85,7 @@ class Session:
         self.lock = RLock()
         self.revision = 0
         self._claim = claim(folder)
-        self.trial.discard()  # what a killed review left
+        self.trial.sweep()  # what a killed review left
         self._grey: tuple[float, float] | None = None
         self._force: xr.Dataset | None = None
         self._film_slips: tuple[int, Floats] | None = None
@@ -289,7 +289,7 @@ class Session:
             self.check_free()
             if not self.decisions:
                 raise InputError("undo", "a decision to take back", "none")
-            self.write(self.decisions[:-1], [*self.undone, self.decisions[-1]])
+            self._write(self.decisions[:-1], [*self.undone, self.decisions[-1]])
             self.undone.append(self._step_back())
 
     def redo(self) -> None:
@@ -302,7 +302,7 @@ class Session:
             if not (self.unseen and self.unseen[-1].what == again.what):
                 self._add(again, rest)
                 return
-            self.write([*self.decisions, again], rest)
+            self._write([*self.decisions, again], rest)
             self.unseen.pop()
             self.decisions.append(again)
             self._before.append(None)
@@ -313,7 +313,7 @@ class Session:
         """Apply and write; what cannot be written is not applied either."""
         self._apply(decision)
         try:
-            self.write(self.decisions, undone)
+            self._write(self.decisions, undone)
         except InputError:
             self._step_back()
             raise
@@ -349,7 +349,7 @@ class Session:
             now = max(now, earliest.astimezone(UTC))
         return now.isoformat(timespec="milliseconds")
 
-    def write(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> None:
+    def _write(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> None:
         """corrections.toml, whole and on the disk when this returns."""
         self.found.check_there()
         text = corrections_text(self._held(decisions, undone))

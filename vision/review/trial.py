@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from vision.errors import InputError
 from vision.run.folder import clean_up, put_in_place
-from vision.sheets.corrections import Correction
 
 if TYPE_CHECKING:
     from vision.review.session import Session
@@ -26,13 +25,12 @@ class Trial:
 
     Notes
     -----
-    The new run is written whole, beside the old one. Keeping it is a decision in corrections.toml and a
-    change of two names: what is kept is exactly what was shown, and the film is not read a second time.
+    The new run is written whole, beside the old one, with the decision in its corrections.toml. Keeping it is
+    a change of two names: what is kept is exactly what was shown, and the film is not read a second time.
     """
 
     def __init__(self, run: Session) -> None:
         self.run = run
-        self._decision: Correction | None = None
         self._place: Path | None = None  # where it is written
         self._found: Mapping[str, Any] | None = None
 
@@ -42,10 +40,9 @@ class Trial:
         with run.lock:
             run.check_free()
             decision = run.decision_of(request, dated=True)
-            place = _beside(run.folder)
-            job = replace(run.job([*run.decisions, decision], []), into=place)
-            self._decision, self._place = decision, place
-            run.saver.start(job, self._take)
+            self._place = _beside(run.folder)
+            job = run.job([*run.decisions, decision], [])
+            run.saver.start(replace(job, into=self._place), self._take)
 
     def state(self) -> dict[str, Any]:
         """How far it is, and what was found."""
@@ -63,33 +60,49 @@ class Trial:
             Where nothing was tracked again.
         """
         with self.run.lock:
-            return self.run.effects.of_other(self._ready()[0] / "tracks.nc", frame)
+            return self.run.effects.of_other(self._ready() / "tracks.nc", frame)
 
-    def _ready(self) -> tuple[Path, Correction]:
-        """Where the new run lies, and what it follows that the old one does not."""
-        if self._found is None or self._decision is None or self._place is None:
+    def _ready(self) -> Path:
+        """Where the new run lies."""
+        if self._found is None or self._place is None:
             raise InputError("the trial", "a run that was tracked again", "none", "track again first")
-        return self._place, self._decision
+        return self._place
 
     def keep(self) -> None:
-        """Keep the decision, and the run that follows from it.  Raises: InputError without any."""
+        """Put the new run, whose corrections.toml holds the decision, in the old one's place.
+
+        Raises
+        ------
+        InputError
+            Where nothing was tracked again, or it cannot be written; the run stays as it was.
+        """
         run = self.run
         with run.lock:
-            place, decision = self._ready()
-            run.write([*run.decisions, decision], [])
-            put_in_place(place, run.folder.resolve(), overwrite=True)
+            place = self._ready()
+            run.found.check_there()
+            try:
+                put_in_place(place, run.folder.resolve(), overwrite=True)
+            except OSError as error:
+                found = (error.strerror or str(error)).lower()
+                raise InputError(run.folder, "a place that can be written", found, "not kept") from error
             self.discard()
             run.reload()
 
     def discard(self) -> None:
-        """Throw it away, also while it is being made; what a killed review left, too."""
+        """Throw it away, also while it is being made."""
         with self.run.lock:
-            if self.run.saver.running and self._place is not None and self._found is None:
+            if self._place is None:
+                return
+            if self.run.saver.running and self._found is None:
                 self.run.saver.cancel()
-            place = _beside(self.run.folder)
-            shutil.rmtree(place, ignore_errors=True)
-            clean_up(place)
-            self._decision = self._place = self._found = None
+            self.sweep()
+            self._place = self._found = None
+
+    def sweep(self) -> None:
+        """Remove what lies beside the run, from a killed review, too."""
+        place = _beside(self.run.folder)
+        shutil.rmtree(place, ignore_errors=True)
+        clean_up(place)
 
     def _take(self, found: Mapping[str, Any]) -> None:
         self._found = found

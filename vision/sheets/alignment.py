@@ -143,9 +143,11 @@ def align(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
     the cheapest alignment that ends with this pair costs
 
     .. math:: C_{nk} = p_{nk} + \min\Big(f_{nk},\ \min_{a,b}\ C_{n-a,\,k-b}
-              + s(\Delta x_k - \Delta \hat x_n;\ a)\Big),
+              + s(\Delta x_k - \Delta \hat x_n;\ a) - g_{n-a,\,n}\Big),
 
-    where s is the cost of a changed spacing and f that of beginning here. Margins come from the forward and
+    where s is the cost of a changed spacing, f that of beginning here, and g what is saved where sheets side
+    by side are missing: one of them costs what it costs alone, the others `covered_cost` (Gotoh 1982), as
+    what covers one sheet covers those beside it. Margins come from the forward and
     the backward pass together. Source: Needleman & Wunsch 1970, with the spacing to the previous pair as the
     cost of a step.
     """
@@ -168,6 +170,7 @@ def _align_batch(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
     longest = max(1, int(np.isfinite(candidates.x_px).sum(axis=1).max(initial=1)))
     candidates = candidates.first(longest)
     pair, missing, false_detection = _pair_costs(candidates, expected)
+    further = _further(missing, expected)
     left = _outside(candidates.x_px, expected, missing, false_detection)
     mirrored_x = -candidates.x_px[:, ::-1]
     right = _outside(mirrored_x, expected.mirrored(), missing[:, ::-1], false_detection[:, ::-1])
@@ -175,9 +178,16 @@ def _align_batch(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
     spread = expected.settings.spacing_spread * expected.pitch_px
     limit = expected.settings.spacing_limit
     steps = _steps(candidates, expected)
-    forward, origin = _pass(pair, left, candidates.x_px, expected.x_px, spread, limit, steps)
+    forward, origin = _pass(pair, left, candidates.x_px, expected.x_px, further, spread, limit, steps)
     backward, _ = _pass(
-        pair[::-1, :, ::-1], right[::-1, :, ::-1], mirrored_x, -expected.x_px[:, ::-1], spread, limit, steps
+        pair[::-1, :, ::-1],
+        right[::-1, :, ::-1],
+        mirrored_x,
+        -expected.x_px[:, ::-1],
+        further[:, ::-1],
+        spread,
+        limit,
+        steps,
     )
     backward = backward[::-1, :, ::-1]
     real = np.isfinite(pair)
@@ -226,15 +236,30 @@ def _outside(x: Floats, expected: ExpectedSheets, missing: Floats, false_detecti
     saved = np.pad(np.cumsum(saved, axis=1), ((0, 0), (1, 0)))
     rows, most = np.arange(len(x))[:, None], saved.shape[1] - 1
     out = np.zeros((sheet_x.shape[1], *x.shape))
-    for n in range(min(2 * BAND, sheet_x.shape[1])):
-        moved = np.nan_to_num(x) - sheet_x[:, n, None]
-        gone = (sheet_x[:, None, : min(n, most)] + moved[:, :, None] < low).sum(axis=2)
-        out[n] = -saved[rows, gone]
+    covered = _side_by_side(_further(missing, expected))
+    for n in range(sheet_x.shape[1]):
+        out[n] = -covered[:, n, None]
+        if n < 2 * BAND:
+            moved = np.nan_to_num(x) - sheet_x[:, n, None]
+            gone = (sheet_x[:, None, : min(n, most)] + moved[:, :, None] < low).sum(axis=2)
+            out[n] = np.minimum(out[n], -saved[rows, gone])
     if expected.open_ended:
         goes_on = sheet_x[:, 0] < low + expected.settings.edge_pitches * expected.pitch_px
         unknown = np.maximum(np.nan_to_num(false_detection) - crossing, 0)[:, :MOST_CROSSING].cumsum(axis=1)
         out[0, :, 1 : MOST_CROSSING + 1] -= np.where(goes_on[:, None], unknown, 0.0)[:, : x.shape[1] - 1]
     return out
+
+
+def _further(missing: Floats, expected: ExpectedSheets) -> Floats:
+    """Cost saved for each sheet that is missing beside another one, (lists, N)."""
+    return np.maximum(missing - expected.settings.covered_cost, 0.0)
+
+
+def _side_by_side(further: Floats) -> Floats:
+    """Cost saved where the first n sheets are missing together, (lists, n): something covers them."""
+    number = np.arange(further.shape[1])
+    total = np.pad(np.cumsum(further, axis=1), ((0, 0), (1, 0)))[:, :-1]
+    return np.asarray(total * np.maximum(number - 1, 0) / np.maximum(number, 1), np.float64)
 
 
 def _flicker(candidates: Candidates, expected: ExpectedSheets) -> Floats:
@@ -250,14 +275,16 @@ def _pass(
     first_pair: Floats,
     x: Floats,
     sheet_x: Floats,
+    further: Floats,
     spread_px: float,
     limit: float,
     steps: tuple[tuple[int, int], ...],
 ) -> tuple[Floats, NDArray[np.int8]]:
     """Cost of the best alignment ending with each pair, (N, lists, K), and the step it came by (−1: its
-    first); first_pair, cost of beginning with each."""
+    first); first_pair, cost of beginning with each; further, saved where sheets are missing side by side."""
     best = np.full_like(pair, np.inf)
     origin = np.full(pair.shape, -1, np.int8)
+    missed = np.pad(np.cumsum(further, axis=1), ((0, 0), (1, 0)))
     for n, (low, high) in enumerate(_band(pair)):
         row = np.array(first_pair[n, :, low:high])
         step = np.full(row.shape, -1, np.int8)
@@ -269,6 +296,9 @@ def _pass(
             change -= (sheet_x[:, n] - sheet_x[:, n - a])[:, None]
             total = _spacing_cost(change, spread_px * float(np.sqrt(a)), limit)
             total += best[n - a][:, first - b : high - b]
+            if a > 2:
+                together = (missed[:, n] - missed[:, n - a + 1]) * (a - 2) / (a - 1)
+                total -= together[:, None]
             better = total < row[:, first - low :]
             np.copyto(row[:, first - low :], total, where=better)
             np.copyto(step[:, first - low :], np.int8(code), where=better)

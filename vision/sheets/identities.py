@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from vision.numeric import Bools, Floats, Floats32, Ints, nan_median
 from vision.sheets.alignment import Candidates, Pairing, align
+from vision.sheets.neighbours import torn
 from vision.sheets.reference import ReferenceComb, build_reference, faint_ends, static_ridges
 from vision.sheets.ridges import RidgeComb, Ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
@@ -103,12 +104,12 @@ def identify_sheets(
     match = segments.in_frames(aligned(reference, rest).match, ridges.count)
     if sheets is None:
         x = _positions(ridges, match)
-        moved = x - _rest_positions(x, reference, settings)
+        moved = x - _rest_positions(x, reference, comb, settings)
         real = ~static_ridges(moved, reference.x_px, settings=settings)
         real &= ~faint_ends(reference, moved, settings=settings)
         reference, match = reference.only(np.flatnonzero(real)), match[:, real]
     for _ in range(ALIGNMENTS):
-        rest = _rest_positions(_positions(ridges, match), reference, settings)
+        rest = _rest_positions(_positions(ridges, match), reference, comb, settings)
         pairing = aligned(reference, rest)
         before, match = match, segments.in_frames(pairing.match, ridges.count)
         if np.array_equal(before, match):
@@ -122,15 +123,19 @@ def _positions(ridges: Ridges, match: Ints) -> Floats:
     return np.where(match >= 0, x, np.nan)
 
 
-def _rest_positions(x_px: Floats, reference: ReferenceComb, settings: TrackingSettings) -> Floats:
+def _rest_positions(
+    x_px: Floats, reference: ReferenceComb, comb: RidgeComb, settings: TrackingSettings
+) -> Floats:
     """Median position of each sheet over about thirty frames, on every frame; gaps filled from neighbours
-    and time."""
+    and time. Frames in which neighbours went far apart, which no slip does, have no part in it."""
     frames = len(x_px)
     blocks = max(1, round(frames / settings.frames_per_rest))
     edges = np.linspace(0, frames, blocks + 1).astype(int)
     size = int(np.diff(edges).max())
     index = np.minimum(edges[:-1, None] + np.arange(size), edges[1:, None] - 1)
-    moved = x_px[index] - reference.x_px
+    moved = x_px - reference.x_px
+    moved[torn(moved, comb, settings).any(axis=1)] = np.nan
+    moved = moved[index]
     rare = np.isfinite(moved).mean(axis=1) < 0.25
     moved = np.where(rare, np.nan, nan_median(moved, axis=1))
     moved = fill_rows(fill_rows(moved, reference.x_px).T, np.arange(blocks, dtype=np.float64)).T

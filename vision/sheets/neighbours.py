@@ -85,13 +85,38 @@ def _between(moved: Floats, place: Floats, k: int) -> Floats:
     left, right = _shifted(moved, -k), _shifted(moved, k)
     to_left = place - _shifted(place[None], -k)
     to_right = _shifted(place[None], k) - place
-    return np.asarray((left * to_right + right * to_left) / (to_left + to_right))
+    apart = to_left + to_right
+    apart = np.where(apart > 0, apart, np.nan)  # two sheets in one place say nothing
+    return np.asarray((left * to_right + right * to_left) / apart)
 
 
 def _beyond(moved: Floats, near: int, far: int) -> Floats:
     """Displacement said by two sheets on one side, on a line through them."""
     close, remote = _shifted(moved, near), _shifted(moved, far)
     return np.asarray(close + (close - remote) * near / (far - near))
+
+
+def torn(moved: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Bools:
+    """Sheets displaced from rest very differently from their neighbours in the same frame, (frame, N).
+
+    A slip moves neighbours alike, however far; where neighbours differ by more than `tear_fraction` pitches,
+    one of the identities is wrong. Such tears cut the sheets of a frame into groups, and all but the largest
+    group are doubtful.
+    """
+    frames, sheets = moved.shape
+    seen = np.isfinite(moved)
+    before = np.hstack([np.full((frames, 1), np.nan), _last_seen(moved)[:, :-1]])
+    group = np.cumsum(np.abs(moved - before) > settings.tear_fraction * comb.pitch_px, axis=1)
+    key = (group + sheets * np.arange(frames)[:, None])[seen]
+    size = np.bincount(key, minlength=frames * sheets).reshape(frames, sheets)
+    own = np.take_along_axis(size, group, axis=1)
+    return np.asarray(seen & (own < size.max(axis=1, keepdims=True)), bool)
+
+
+def _last_seen(values: Floats) -> Floats:
+    """NaN replaced by the last value before it in the row."""
+    number = np.where(np.isfinite(values), np.arange(values.shape[1]), 0)
+    return np.asarray(np.take_along_axis(values, np.maximum.accumulate(number, axis=1), axis=1), np.float64)
 
 
 def hops(residual: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Bools:

@@ -100,7 +100,7 @@ def _split_by_motion(
 ) -> tuple[int, AxisHow, tuple[float, float] | None]:
     """Number of sheets left of the axis, and between which numbers the motion allows it."""
     sheets = x_px.shape[1]
-    opening, error, vibration = _opening(x_px)
+    opening, error, vibration = _opening(x_px, settings)
     moves = (np.abs(opening[[0, -1]]) > settings.axis_sigmas * error[[0, -1]]).any()
     rigid = np.abs(opening).max() > 3.0  # px per px: what moves more than the ends do moves as a whole
     if sheets < 3 or not moves or rigid:
@@ -130,12 +130,13 @@ def _middle(splits: Ints) -> float:
     return float(splits[0] + splits[-1]) / 2
 
 
-def _opening(x_px: Floats) -> tuple[Floats, Floats, float]:
+def _opening(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, float]:
     """How far each sheet steps when the comb's ends step apart by one pixel, its standard error, and the
     error that vibration adds to all sheets together.
 
     Vibration or drift of the camera does not change the distance between the ends, so it does not bias these
-    slopes. Where both ends step the same way (one side in view), the larger step dominates.
+    slopes. Where both ends step the same way (one side in view), the larger step dominates. A knock against
+    the camera, or a cut, moves all sheets by more than the ends move apart: such steps say nothing.
     """
     step = np.diff(x_px, axis=0)
     known = np.isfinite(step)
@@ -144,10 +145,11 @@ def _opening(x_px: Floats) -> tuple[Floats, Floats, float]:
     apart = np.where(ends, step[:, -1] - step[:, 0], 0.0)
     noise = np.nan_to_num(position_noise(x_px), nan=1.0) * np.sqrt(2)
     apart = np.where(np.abs(apart) > 5 * noise[[0, -1]].max(), apart, 0.0)  # slips only: noise is no motion
+    common = nan_median(np.where(known, step, np.nan), axis=1)
+    apart = np.where(np.abs(np.nan_to_num(common)) < settings.knock_ratio * np.abs(apart), apart, 0.0)
     power = float((apart**2).sum())
     if power == 0:
         return np.zeros(x_px.shape[1]), np.full(x_px.shape[1], np.inf), 0.0
-    common = nan_median(np.where(known, step, np.nan), axis=1)
     vibration = float(np.nan_to_num(nan_median(np.abs(common)))) / NORMAL_MEDIAN
     return (apart @ step) / power, noise / np.sqrt(power), vibration / float(np.sqrt(power))
 

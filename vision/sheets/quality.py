@@ -19,6 +19,7 @@ from vision.sheets.subpixel import fit_sheets
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
+SCENE_FRAMES = 5  # before and after a change of scene that are compared
 LAGS = (4, 2, 1)
 """Frames apart at which the scatter of neighbours is compared with that of all sheets: what a codec holds
 still shows better over some frames, but a stick must be longer than twice as many."""
@@ -186,6 +187,91 @@ def spatial_scatter(x_px: Floats) -> Floats:
         return np.full(sheets, np.nan)
     typical = nan_median(np.abs(_centred(_fourth(x_px - nan_median(x_px))))) / NORMAL_MEDIAN
     return np.asarray(np.pad(typical, 2, mode="edge"), np.float64)
+
+
+class SceneChange(NamedTuple):
+    """The frame from which on the sheets stand or look otherwise for good.
+
+    Parameters
+    ----------
+    frame
+        The first frame of the new scene.
+    moved_px
+        By how much all sheets are displaced together.
+    brightness
+        Change of the logarithm of their brightness, rms over the sheets, common changes left out.
+    """
+
+    frame: int
+    moved_px: float
+    brightness: float
+
+
+def scene_changes(
+    x_px: Floats, contrast: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
+) -> list[SceneChange]:
+    """Where the film was cut, or the camera or the light was moved: sheets before and after may be others.
+
+    Parameters
+    ----------
+    x_px, contrast
+        Positions and heights of the ridges (frame, N), NaN where missing.
+    comb
+        Pitch of the ridges.
+    settings
+        `cut_pitches`, `cut_brightness`, `cut_ratio`.
+
+    Returns
+    -------
+    Changes in order of time; none where such changes are usual in the film.
+
+    Notes
+    -----
+    Means over five frames before and after are compared. In a slip the sides of the comb move against each
+    other and every sheet keeps its looks; where all sheets are displaced by more than the comb's ends are
+    against each other, or their brightnesses change, once, by several times what is usual in this film, it
+    shows another scene.
+    """
+    frames, sheets = x_px.shape
+    if frames < 4 * SCENE_FRAMES or sheets < 3:
+        return []
+    bright = np.log(contrast)
+    bright -= nan_median(bright, axis=1)[:, None]
+    moved, looks = (_after_less_before(values) for values in (x_px, bright))
+    together = nan_median(moved, axis=1)
+    apart = np.abs(moved - together[:, None])
+    rigid = np.abs(together) > 2.0 * np.nan_to_num(nan_median(apart, axis=1), nan=np.inf)
+    size = np.where(rigid, np.abs(np.nan_to_num(together)) / comb.pitch_px / settings.cut_pitches, 0.0)
+    known = np.isfinite(looks)
+    change = np.sqrt((np.where(known, looks, 0.0) ** 2).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
+    change[known.sum(axis=1) < max(3, sheets / 2)] = 0.0
+    found = []
+    for values, limit in ((size, 1.0), (change, settings.cut_brightness)):
+        least = max(limit, settings.cut_ratio * float(np.median(values)))
+        at = int(np.argmax(values))
+        others = np.abs(np.arange(len(values)) - at) > 2 * SCENE_FRAMES
+        if values[at] >= least and (values[others] < values[at] / 2).all():
+            found.append(at)
+    if len(found) == 2 and abs(found[0] - found[1]) <= SCENE_FRAMES:
+        found = found[:1]
+    return [
+        SceneChange(at + SCENE_FRAMES, float(np.nan_to_num(together[at])), float(change[at]))
+        for at in sorted(found)
+    ]
+
+
+def _after_less_before(values: Floats) -> Floats:
+    """Mean of SCENE_FRAMES frames less that of as many before them, (frame − 2 SCENE_FRAMES + 1, N)."""
+    known = np.isfinite(values)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        means = _sums(np.where(known, values, 0.0)) / _sums(known.astype(np.float64))
+    return np.asarray(means[SCENE_FRAMES:] - means[:-SCENE_FRAMES], np.float64)
+
+
+def _sums(values: Floats) -> Floats:
+    """Sums over SCENE_FRAMES frames."""
+    total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    return np.asarray(total[SCENE_FRAMES:] - total[:-SCENE_FRAMES], np.float64)
 
 
 def shared_error(x_px: Floats) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median
 from vision.sheets.identities import Identities, fill_rows
-from vision.sheets.neighbours import anchored, excursions, hops, neighbour_residual
+from vision.sheets.neighbours import anchored, excursions, hops, neighbour_residual, torn
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
@@ -139,7 +139,7 @@ def _doubts(
     why[jump] = "jump"
     why[jump & unlike[:, None]] = "looks"
     why[~(identities.margin >= settings.doubt) & (why != "looks")] = "margin"
-    why[_outliers(x - identities.rest_px, comb, settings)] = "tear"
+    why[torn(x - identities.rest_px, comb, settings)] = "tear"
     why[np.isnan(x)] = ""
     return why
 
@@ -214,23 +214,6 @@ def _moved_to(
     return table, why
 
 
-def _outliers(moved: Floats, comb: RidgeComb, settings: TrackingSettings) -> Bools:
-    """Sheets displaced from rest very differently from their neighbours in the same frame.
-
-    A slip moves neighbours alike, however far; where neighbours differ by more than `tear_fraction` pitches,
-    one of the identities is wrong. Such tears cut the sheets of a frame into groups, and all but the largest
-    group are doubtful.
-    """
-    frames, sheets = moved.shape
-    seen = np.isfinite(moved)
-    before = np.hstack([np.full((frames, 1), np.nan), _last_seen(moved)[:, :-1]])
-    group = np.cumsum(np.abs(moved - before) > settings.tear_fraction * comb.pitch_px, axis=1)
-    key = (group + sheets * np.arange(frames)[:, None])[seen]
-    size = np.bincount(key, minlength=frames * sheets).reshape(frames, sheets)
-    own = np.take_along_axis(size, group, axis=1)
-    return np.asarray(seen & (own < size.max(axis=1, keepdims=True)), bool)
-
-
 def _after_jumps(
     x: Floats,
     contrast: Floats,
@@ -271,12 +254,6 @@ def _after_jumps(
     whole = nan_median(identities.margin, axis=1)  # of the comb; single sheets may be less certain
     doubt = np.asarray((away & (whole < least * worse))[:, None] & np.isfinite(x), bool)
     return doubt, np.asarray(worse > settings.unlike_itself, bool)
-
-
-def _last_seen(values: Floats) -> Floats:
-    """NaN replaced by the last value before it in the row."""
-    number = np.where(np.isfinite(values), np.arange(values.shape[1]), 0)
-    return np.asarray(np.take_along_axis(values, np.maximum.accumulate(number, axis=1), axis=1), np.float64)
 
 
 # --- a second look ------------------------------------------------------------------------------------------

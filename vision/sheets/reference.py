@@ -128,7 +128,8 @@ def build_reference(
         raise InputError(source, "upright ridges", "none in any frame", "check `rows`, `rotate` and `ridges`")
     reference = _seed(candidates, frames)
     for _ in range(REVISIONS):
-        revised = _revise(reference, some, weight, comb, width_px, settings)
+        filled = _filled(reference, comb.pitch_px)
+        revised = _revise(filled, some, weight, comb, width_px, settings)
         if not revised.sheets:
             advice = "check `rows` and `rotate`; one picture may be a title among few frames"
             raise InputError(source, "ridges that most frames show", "none that lasts", advice)
@@ -137,9 +138,9 @@ def build_reference(
         if settled:
             break
     if sheets is not None and reference.sheets < sheets:
-        raise InputError(
-            source, f"{sheets} ridges (`sheets`)", f"{reference.sheets}", "give the number that is in view"
-        )
+        gaps = ", ".join(f"{x:.0f} px" for x in wide_spacings(reference.x_px, settings=settings)[0])
+        found = f"{reference.sheets}" + (f", and none that stands out in the gaps at {gaps}" if gaps else "")
+        raise InputError(source, f"{sheets} ridges (`sheets`)", found, "give the number that is in view")
     score = _sheet_score(reference, settings)
     best = reference.only(_choose_sheets(reference.x_px, score, comb.pitch_px, sheets, settings))
     if sheets is None:
@@ -199,6 +200,27 @@ def _seed(candidates: Candidates, frames: Ints) -> ReferenceComb:
     )
 
 
+def _filled(known: ReferenceComb, pitch_px: float) -> ReferenceComb:
+    """The comb with sheets wherever its spacings have room for them.
+
+    Something that covers sheets side by side in every frame leaves no list with all of them. What the other
+    lists do not show goes again; until then it may be missing at little cost.
+    """
+    x = known.x_px
+    room = np.maximum(np.rint(np.diff(x) / _local_pitch(x, pitch_px)[:-1]).astype(np.int64), 1)
+    after = np.repeat(np.arange(len(room)), room - 1)
+    step = np.concatenate([np.arange(1, size) for size in room]) if len(after) else np.zeros(0)
+    places = x[after] + step * (np.diff(x) / room)[after]
+    order = np.argsort(np.r_[x, places])
+    columns = (
+        np.r_[x, places],
+        np.r_[known.log_contrast, known.log_contrast[after]],
+        np.r_[known.log_width, known.log_width[after]],
+        np.r_[known.found, np.full(len(after), 0.5)],
+    )
+    return ReferenceComb(*(values[order] for values in columns))
+
+
 def _revise(
     reference: ReferenceComb,
     candidates: Candidates,
@@ -216,12 +238,15 @@ def _revise(
     found = np.where(np.isfinite(x), weight[:, None], 0).sum(axis=0) / weight.sum()
     rest_px = reference.x_px + nan_median(moved - nan_median(moved, axis=1)[:, None])
     known = (rest_px, nan_median(log_contrast), nan_median(log_width), found)
-    more = _unmatched(reference, candidates, match, weight, settings)
+    more = _unmatched(reference, candidates, match, weight, comb.pitch_px)
     columns = [np.concatenate(pair) for pair in zip(known, more, strict=True)]
     everything = ReferenceComb(columns[0], columns[1], columns[2], columns[3])
     everything = everything.only(np.argsort(everything.x_px))
     found = everything.found
-    least = np.where(_at_ends(found), PRESENT_AT_EDGE, settings.present_inside)
+    place = everything.x_px + np.nan_to_num(np.nanmedian(moved))
+    margin = 0.5 * comb.pitch_px
+    beside = (place < margin) | (place > width_px - 1 - margin)  # else it is seen half of the time
+    least = np.where(_at_ends(found) & beside, PRESENT_AT_EDGE, settings.present_inside)
     return replace(everything.only(np.flatnonzero(found >= least)), dropped=0)
 
 
@@ -235,10 +260,10 @@ def _at_ends(found: Floats) -> Bools:
 
 
 def _unmatched(
-    reference: ReferenceComb, candidates: Candidates, match: Ints, weight: Floats, settings: TrackingSettings
+    reference: ReferenceComb, candidates: Candidates, match: Ints, weight: Floats, pitch_px: float
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Unpaired candidates that persist between the sheets: rest position, log contrast, log width, fraction
-    of the frames; one per spacing and revision, the one that most frames show."""
+    """Unpaired candidates that persist: rest position, log contrast, log width, fraction of the frames; one
+    per spacing between the sheets, and per pitch outside them, and revision."""
     x = candidates.x_px
     taken = np.zeros(x.shape, bool)
     rows, sheet = np.nonzero(match >= 0)
@@ -246,8 +271,12 @@ def _unmatched(
     list_, column = np.nonzero(np.isfinite(x) & ~taken)
     rest = _at_rest(x[list_, column], _of_match(x, match)[list_], reference.x_px)
     interval = np.searchsorted(reference.x_px, rest)
-    share = np.bincount(interval, weights=weight[list_], minlength=reference.sheets + 1) / weight.sum()
-    mine = [interval == i for i in np.flatnonzero(share >= PRESENT_AT_EDGE)]
+    outside = np.rint((reference.x_px[0] - rest) / pitch_px), np.rint((rest - reference.x_px[-1]) / pitch_px)
+    interval -= np.maximum(outside[0] - 1, 0).astype(np.int64)
+    interval += np.maximum(outside[1] - 1, 0).astype(np.int64)
+    places, which = np.unique(interval, return_inverse=True)
+    share = np.bincount(which, weights=weight[list_], minlength=len(places)) / weight.sum()
+    mine = [which == i for i in np.flatnonzero(share >= PRESENT_AT_EDGE)]
     position = np.array([np.median(rest[m]) for m in mine])
     contrast, width = (
         np.array([np.median(values[list_[m], column[m]]) for m in mine])

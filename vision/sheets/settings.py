@@ -152,6 +152,10 @@ class TrackingSettings:
     """Cost for the whole comb to have moved by half a pitch or more. Larger denies jumps ("cropped combs" at
     8), smaller finds some where nothing moved."""
 
+    covered_cost: float = 3.0
+    """Cost of not finding a sheet beside another one that is not found: what covers sheets covers several.
+    Larger shifts combs that are half covered (test_degraded.py's hands), smaller lets sheets go."""
+
     missing_cost: float = 6.0
     """Cost of not finding a sheet that is always seen. Smaller trades sheets for false detections ("cropped
     combs" at 3), larger takes dust in place of a sheet."""
@@ -189,7 +193,7 @@ class TrackingSettings:
     """Difference of two neighbours' displacements, in pitches, that no slip causes. Larger lets wrong
     identities pass, smaller flags avalanches."""
 
-    least_misfit: float = 0.1
+    least_misfit: float = 0.12
     """Change of the logarithm of brightness, rms over the sheets, that says nothing against a jump by whole
     pitches. Larger believes jumps of combs that look otherwise (test_identity_doubt.py's moving light at
     0.3), smaller doubts jumps for noise."""
@@ -226,6 +230,18 @@ class TrackingSettings:
 
     least_changing: float = 0.1
     """Fraction of the frames that must differ from the one before for the others to be repeated ones."""
+
+    cut_pitches: float = 0.3
+    """Displacement of all sheets together, in pitches, from which a film may have been cut there. Larger
+    misses small knocks against the camera, smaller takes drift for a cut."""
+
+    cut_brightness: float = 0.12
+    """Change of the logarithm of brightness, rms over the sheets, that says so. Larger misses cuts between
+    like scenes, smaller takes a change of light for one."""
+
+    cut_ratio: float = 6.0
+    """Times what is usual in the film that either must be. Larger misses cuts in restless films, smaller
+    finds them in slips; test_quality.py cuts films and lets others slip."""
 
     blur_sigmas: float = 4.0
     """Times its own scatter by which a ridge is wider or lower than usual when it is blurred. Larger misses
@@ -270,6 +286,10 @@ class TrackingSettings:
     axis_slack: float = 0.02
     """Fraction of all motion by which places of the axis may differ and still be equally good; larger widens
     the choice in the stiff centre."""
+
+    knock_ratio: float = 2.0
+    """Times by which all sheets step further together than the comb's ends step apart when a step tells of
+    the camera, not of the axis. Larger lets one knock place the axis, smaller drops slips of shaken films."""
 
     vibration_sigmas: float = 2.0
     """Times the common-mode vibration that is allowed for. Larger leaves the axis open, smaller lets a

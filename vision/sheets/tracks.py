@@ -17,7 +17,15 @@ from vision.sheets.corrections import Correction, last_of
 from vision.sheets.identities import Identities, identify_sheets
 from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.numbering import Numbering, number_sheets
-from vision.sheets.quality import distortion, motion_blur, repeated_frames, shared_error, spatial_scatter
+from vision.sheets.quality import (
+    SceneChange,
+    distortion,
+    motion_blur,
+    repeated_frames,
+    scene_changes,
+    shared_error,
+    spatial_scatter,
+)
 from vision.sheets.recovery import Detections, assign_detections
 from vision.sheets.reference import wide_spacings
 from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges
@@ -150,7 +158,14 @@ def track_sheets(
     quality = _Quality(frozen, blur.blurred, pulled > 0, errors)
     found = _Found(comb, identities, detections, numbering, x, err, noise, origin_px, quality)
     metadata = found.metadata(used, window, settings, count_given=sheets is not None)
-    metadata = replace(metadata, fit_asked=fit, corrections_applied=len(corrections))
+    number = strip["frame"].values
+    changes = scene_changes(detections.start_px, detections.contrast, comb, settings)
+    metadata = replace(
+        metadata,
+        fit_asked=fit,
+        corrections_applied=len(corrections),
+        scene_changes=[_in_words(change, int(number[change.frame])) for change in changes],
+    )
     return record(
         _dataset(strip, found, metadata),
         "track_sheets",
@@ -223,6 +238,13 @@ class _Found:
             ridges_beyond=reference.beyond,
             wide_spacings=[f"{x + self.origin_px:.0f} px ({size:.1f} pitches)" for x, size in gaps],
         )
+
+
+def _in_words(change: SceneChange, frame: int) -> str:
+    return (
+        f"{frame} (all sheets displaced by {change.moved_px:.0f} px, their brightness changed by"
+        f" {100 * change.brightness:.0f} %)"
+    )
 
 
 def _check(profile: Floats32, source: str) -> None:

@@ -236,8 +236,8 @@ def open_container(path: Path) -> av.container.InputContainer:
         with path.open("rb") as file:
             head = file.read(12)
         if head[4:8] in (b"ftyp", b"mdat", b"free", b"wide"):
-            found = "an MP4/MOV without its index (moov)"
-            advice = "the recording was not closed; repair it from an intact one"
+            found = "an MP4/MOV without its index (moov), which is written when the recording is closed"
+            advice = "close it, or repair it from an intact one"
         else:
             found = f"a file that is none ({type(error).__name__})"
             advice = "give a recording PyAV, tifffile or OpenCV can read"

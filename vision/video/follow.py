@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 import time
@@ -31,11 +32,14 @@ class Follow:
     seen
         Called after every block with a function that gives I(x, t) of the last so many frames, and with the
         frames in the file that are not read yet (None where their number is not known).
+    waiting
+        Called once with the reason where the recording cannot be read for now, as an MP4 that is not closed.
     """
 
     stop: threading.Event = field(default_factory=threading.Event)
     closed: threading.Event = field(default_factory=threading.Event)
     seen: Callable[[Callable[[int], xr.DataArray], int | None], None] | None = None
+    waiting: Callable[[str], None] | None = None
 
 
 def await_video(
@@ -58,13 +62,17 @@ def await_video(
         Where it cannot be opened and nothing has been written to it for `settings.follow_give_up_s`.
     """
     watch = _Watch(pixels_file(Path(path)))
+    tell_at = time.monotonic() + settings.follow_tell_s
     while True:
         still_s = watch.still_s()
         try:
             video = opened()
-        except InputError:
+        except InputError as error:
             if max(still_s, watch.age_s()) >= settings.follow_give_up_s or follow.stop.is_set():
                 raise
+            if follow.waiting is not None and time.monotonic() >= tell_at:
+                follow.waiting(str(error))
+                tell_at = math.inf
         else:
             few = video.estimated is not None and video.estimated < settings.follow_first
             if not few or still_s >= settings.follow_still_s or follow.stop.is_set():

@@ -113,6 +113,9 @@ class VideoSettings:
     follow_give_up_s: float = 60.0
     """A file that stands still this long and cannot be opened is refused. Longer waits for a camera that
     writes its index late, and for nothing where there is none."""
+    follow_tell_s: float = 3.0
+    """Waiting for a recording that cannot be read yet after which the reason is told. Shorter tells of every
+    recording that has only just begun."""
     follow_first: int = 64
     """Frames waited for before the strip is found. More place it better and start later."""
     follow_margin: int = 32

@@ -125,7 +125,8 @@
   }
   function bars(u, chart, arrays) {
     const c = u.ctx, box = u.bbox, r = devicePixelRatio;
-    c.save(); c.beginPath(); c.rect(box.left, box.top, box.width, box.height); c.clip();
+    const above = chart.picture ? 15 * r : 0; /* numbers over a flat frame */
+    c.save(); c.beginPath(); c.rect(box.left, box.top - above, box.width, box.height + above); c.clip();
     c.setLineDash([]);
     c.font = `${11 * r}px system-ui, sans-serif`; c.textAlign = "center"; c.textBaseline = "bottom";
     const taken = [];

@@ -195,15 +195,15 @@ export class Stick {
       c.fillStyle = colour.soft; c.textAlign = "center"; c.textBaseline = "middle";
       wrapped(c, before?.reason ?? page.noStick(), 0, s.width, s.height / 2, s.size * 1.3); return;
     }
-    // what was far off before must not flatten what would be right: it is marked at the edge
-    const values = (after ?? before).sheets.map((one) => one.ratio).filter(Number.isFinite);
-    const high = Math.max(2.2 * threshold, 1.12 * Math.max(0, ...values));
+    // what is far off before or after must not flatten what is right: it is marked at the edge
+    const [values, others] = [after ?? before, before].map((stick) => stick.sheets.map((one) => one.ratio).filter(Number.isFinite));
+    const high = Math.max(2.2 * threshold, 1.12 * Math.min(Math.max(0, ...values), Math.max(0, ...others)));
     const y = s.yAxis(Math.min(-0.04 * high, 1.1 * Math.min(0, ...values)), high, { label: "σₓ/Λₛₜ" });
     this.nAxis(s, c, colour, x);
-    c.strokeStyle = colour.text; c.setLineDash([6, 4]); c.lineWidth = 1.4; line(c, s.left, y(threshold), s.left + s.plotWidth, y(threshold)); c.setLineDash([]);
-    c.fillStyle = colour.text; c.textAlign = "center"; c.textBaseline = "bottom"; c.fillText(`threshold ${threshold}`, s.left + s.plotWidth / 2, y(threshold) - 2);
     const chosen = page.state.sheets[view.sheet];
     if (chosen) { c.fillStyle = colour.grid; c.globalAlpha = 0.8; c.fillRect(x(chosen) - 4, s.top, 8, s.plotHeight); c.globalAlpha = 1; }
+    c.strokeStyle = colour.text; c.setLineDash([6, 4]); c.lineWidth = 1.4; line(c, s.left, y(threshold), s.left + s.plotWidth, y(threshold)); c.setLineDash([]);
+    c.fillStyle = colour.text; c.textAlign = "center"; c.textBaseline = "bottom"; c.fillText(`threshold ${threshold}`, s.left + s.plotWidth / 2, y(threshold) - 2);
     s.clipped(() => {
       this.points(c, before.sheets, x, y, (one) => (one.side < 0 ? colour.left : colour.right), after ? 0.45 : 1);
       if (after) this.points(c, after.sheets, x, y, () => colour.new, 1, 1.4);
@@ -241,7 +241,7 @@ export class Stick {
 }
 
 /** Text broken into lines that fit, centred. */
-function wrapped(c, text, left, width, y, height) {
+export function wrapped(c, text, left, width, y, height) {
   const lines = [""];
   for (const word of text.split(" ")) {
     const longer = `${lines.at(-1)} ${word}`.trim();

@@ -2,11 +2,11 @@
 
 import { number } from "./surface.js";
 
-const MOST_LINES = 4; // of sheets whose deformation changes
+const MOST_LINES = 3; // of sheets whose deformation changes
 const SIDES = [["left", -1], ["right", 1]];
 
 /** What an effect on positions holds: `lines` in words, `curves` of sheets that change, `stick` at the cursor. */
-export function effectOn(answer, decision, name) {
+export function effectOn(answer, decision, name, noStick) {
   const { before, after, frames } = answer, lines = [], curves = [];
   const sheets = decision.sheets ?? (decision.sheet == null ? [] : [decision.sheet]);
   if (["accept", "leave_out", "swap", "assign"].includes(decision.kind)) {
@@ -30,7 +30,7 @@ export function effectOn(answer, decision, name) {
   }
   const [was, will] = [before, after].map(({ side }) => SIDES.map(([word, sign]) => `${word} ${side.filter((s) => s === sign).length}`).join(", "));
   if (was !== will) lines.push(`sheets: ${was} → ${will}`);
-  lines.push(...deformation(answer.event, answer.stick_before, answer.stick_after));
+  lines.push(...(answer.event == null ? [noStick] : deformation(answer.event, answer.stick_before, answer.stick_after)));
   return { lines, curves, stick: stickOf(answer), numbering: decision.kind === "axis" ? { side: after.side, n: after.n } : null };
 }
 
@@ -38,17 +38,18 @@ export function effectOn(answer, decision, name) {
 function stickOf(answer) { return answer.stick_after?.sheets.length ? { event: answer.event, ...answer.stick_after } : null; }
 
 function deformation(event, before, after) {
-  if (event == null) return ["σx/Λst: no stick phase at the cursor, or clocks that are not sure"];
-  if (!after?.sheets.length) return [`σx/Λst in stick ${event} cannot be measured${after?.reason ? `: ${after.reason}` : ""}`];
-  const key = (one) => `${sideOf(one.side)} ${one.n}`, was = new Map((before?.sheets ?? []).map((one) => [key(one), one]));
+  if (!after?.sheets.length) return [`no σx/Λst in stick ${event}. ${after?.reason ?? ""}`];
+  const shell = shellIn(event, before, after);
+  if (!before?.sheets.length) return [shell];
+  const key = (one) => `${sideOf(one.side)} ${one.n}`, was = new Map(before.sheets.map((one) => [key(one), one]));
   const changed = after.sheets.filter((one) => !close(one.ratio, was.get(key(one))?.ratio)).map((one) => {
-    const old = was.get(key(one)), shell = old?.shell && old.shell !== one.shell ? ` (${old.shell} → ${one.shell})` : "";
-    return { by: Math.abs((one.ratio ?? 0) - (old?.ratio ?? 0)), text: `σx/Λst in stick ${event}, ${key(one)}: ${ratio(old)} → ${ratio(one)}${shell}` };
+    const old = was.get(key(one)), called = old?.shell && old.shell !== one.shell ? ` (${old.shell} → ${one.shell})` : "";
+    return { by: Math.abs((one.ratio ?? 0) - (old?.ratio ?? 0)), text: `σx/Λst of ${key(one)}: ${ratio(old)} → ${ratio(one)}${called}` };
   }).sort((a, b) => b.by - a.by);
-  const lines = changed.slice(0, MOST_LINES).map((one) => one.text);
-  if (changed.length > MOST_LINES) lines.push(`… and of ${changed.length - MOST_LINES} more sheets`);
+  const lines = [shell, ...changed.slice(0, MOST_LINES).map((one) => one.text)];
+  if (changed.length > MOST_LINES) lines.push(`… and of ${changed.length - MOST_LINES} more sheets, by ${number(changed[MOST_LINES].by, 3)} at most`);
   if (!changed.length) lines.push(`σx/Λst in stick ${event}: no change`);
-  return [...lines, shellIn(event, before, after)];
+  return lines;
 }
 
 /** Stiff sheets of each side in one stick, with the interval that holds the number. */
@@ -74,7 +75,7 @@ export function effectOfTrial(found, answer, waiting) {
   if (ratios) {
     lines.push(`σx/Λst, ${pair(ratios.known)} values: change ${number(ratios.median, 3)} (median), ${number(ratios.largest, 3)} (most); ${ratios.other_shell} called otherwise`);
     lines.push(`shell, stiff sheets (median): ${shells.map((one) => `${sideOf(one.side)} ${pair(one.median, 1)}, other in ${one.other} of ${one.of} sticks`).join("; ")}`);
-    lines.push(...deformation(answer.event, answer.stick_before, answer.stick_after));
+    if (answer.event != null) lines.push(...deformation(answer.event, answer.stick_before, answer.stick_after));
   }
   if (waiting) lines.push(`all with the ${waiting} ${waiting === 1 ? "decision that waits" : "decisions that wait"}, against the run as it was saved`);
   const curves = answer.after.side.map((_, sheet) => ({ sheet: null, frames: answer.frames, x_px: answer.after.x_px.map((row) => row[sheet]) }));

@@ -1,5 +1,6 @@
 /* The film at the chosen frame, with the strip, the sheets' ridges and their numbers. */
 
+import { wrapped } from "./curves.js";
 import { getImage, Store } from "./server.js";
 import { colours, edged, line, ON_GREY, Surface } from "./surface.js";
 
@@ -44,9 +45,10 @@ export class Film {
         const x0 = at.x(-0.5), y0 = at.y(0); // pixel centres are at integers, rows count edges
         c.imageSmoothingEnabled = at.perColumn < 2;
         c.drawImage(this.shown, x0, y0, this.shown.width * at.perColumn, this.shown.height * at.perRow);
-      } else this.notice(s, c, why ? `Not shown: ${why}` : "reading the film …");
+      }
       this.strip(s, c, at);
       this.sheets(s, c, at);
+      if (!this.shown?.width) this.notice(s, c, why ? `The film is not shown: ${why}` : "reading the film …");
     });
     s.frame();
     c.fillStyle = colours().soft; c.textAlign = "right"; c.textBaseline = "top"; c.fillText(Math.round(at.top), s.left - 5, s.top);
@@ -55,8 +57,9 @@ export class Film {
   }
 
   notice(s, c, text) {
-    c.fillStyle = "#fff"; c.textAlign = "center"; c.textBaseline = "middle"; s.font(1.1);
-    c.fillText(text, s.left + s.plotWidth / 2, s.top + s.plotHeight / 2); s.font();
+    c.fillStyle = "rgba(0,0,0,0.85)"; c.fillRect(s.left, s.top, s.plotWidth, s.plotHeight);
+    c.fillStyle = "#fff"; c.textAlign = "center"; c.textBaseline = "middle";
+    wrapped(c, text, s.left, s.plotWidth, s.top + s.plotHeight / 2, s.size * 1.3);
   }
 
   strip(s, c, at) {
@@ -114,14 +117,11 @@ export class Film {
   numbers(s, c, spots, y0) {
     c.textAlign = "center"; c.textBaseline = "top";
     const y = Math.max(s.top + 3, y0 + 4), width = s.size * 1.75;
-    const chosen = spots.find((spot) => spot.chosen);
-    const free = (x, taken) => taken.every((other) => Math.abs(other - x) >= width);
-    const taken = chosen ? [chosen.x] : [];
+    const chosen = spots.find((spot) => spot.chosen), xs = spots.map((spot) => spot.x);
+    const apart = xs.slice(1).map((x, i) => x - xs[i]).sort((a, b) => a - b)[xs.length >> 1] ?? width;
+    const every = Math.max(1, Math.ceil(width / apart)); // the same on both sides, from the axis outwards
     for (const spot of spots) {
-      if (!spot.chosen) {
-        if (!free(spot.x, taken)) continue;
-        taken.push(spot.x);
-      }
+      if (!spot.chosen && ((spot.sheet.n - 1) % every || (chosen && Math.abs(spot.x - chosen.x) < width))) continue;
       s.font(spot.chosen ? 1.15 : 1, spot.chosen ? "bold" : "");
       edged(c, spot.sheet.n, spot.x, y, spot.chosen ? ON_GREY.chosen : spot.sheet.side < 0 ? ON_GREY.left : ON_GREY.right);
     }

@@ -50,7 +50,7 @@ class Page {
     this.view.addEventListener("change", () => this.drawAll());
     this.listen();
     this.keys();
-    by("title").textContent = state.name; document.title = `${state.name} – review`;
+    by("title").textContent = by("title").title = state.name; document.title = `${state.name} – review`;
     this.take(state);
     this.watch();
     this.tracking().catch((error) => this.failed(error)); // begun before this page was loaded
@@ -83,8 +83,9 @@ class Page {
     const { view, state } = this, sheet = state.sheets[view.sheet], column = this.column(view.sheet);
     const time = number(view.seconds(view.frame), 3), name = this.name(sheet);
     const here = column == null ? this.flag(view.sheet) : `x = ${number(column, 2)} px`;
-    by("where").textContent = `frame ${view.frame} of ${view.begin}–${view.end - 1} · ${time} s`;
-    by("at-sheet").textContent = `${name}: ${here}`;
+    this.say("where", `frame ${view.frame} of ${view.begin}–${view.end - 1} · ${time} s`);
+    this.say("at-sheet", `${name}: ${here}`);
+    by("at-sheet").title = `${name}: ${here}`;
     const [z0, z1] = this.strip();
     by("film-facts").textContent = `rows ${z0}:${z1} · ${state.sheets.length} sheets · axis ${number(state.axis_px, 1)} px`;
     by("diagram-facts").textContent = `${number(view.seconds(view.first), 2)}–${number(view.seconds(view.last), 2)} s · ${number(Math.max(0, view.low), 0)}–${number(view.high, 0)} px`;
@@ -97,7 +98,7 @@ class Page {
     by("film").setAttribute("aria-label", `Film, frame ${view.frame}, ${time} s, strip of rows ${z0} to ${z1}, ${state.sheets.length} sheets; ${name} is chosen, ${here}`);
     by("diagram").setAttribute("aria-label", `Space-time diagram from ${number(view.seconds(view.first), 2)} to ${number(view.seconds(view.last), 2)} s, columns ${number(view.low, 0)} to ${number(view.high, 0)} px; cursor at frame ${view.frame}`);
     by("tracks").setAttribute("aria-label", `Displacement of the sheets around ${name}; at the cursor ${here}`);
-    by("stick").setAttribute("aria-label", stick ? `Relative deformation in stick ${stick.event}; ${name}: ${number(ratio, 3)}; threshold ${state.threshold}` : this.noStick());
+    by("stick").setAttribute("aria-label", stick ? `Relative deformation in stick ${stick.event}; ${name}: ${number(ratio, 3)}; threshold ${state.threshold}${this.shellText(stick)}` : this.noStick());
     by("force").setAttribute("aria-label", `Force along the same time; ${by("force-facts").textContent}`);
   }
 
@@ -176,7 +177,7 @@ class Page {
     const busy = Boolean(this.saving || this.trying || this.lost || this.ended);
     by("undo").disabled = busy || !state.can_undo; by("undo").title = last ? `Undo: ${last} (u)` : "Nothing to undo";
     by("redo").disabled = busy || !state.can_redo; by("redo").title = again ? `Redo: ${again} (r)` : "Nothing to redo";
-    by("save").disabled = busy || !state.changed;
+    by("save").disabled = busy || !state.changed; by("close").disabled = Boolean(this.ended);
     const waiting = state.decisions.filter((one) => !one.saved).length;
     // decisions are on the disk as soon as the history shows them; saving makes the run's tables follow
     const [kind, text] = this.ended ? ["lost", "The review has ended"]
@@ -184,9 +185,8 @@ class Page {
         : this.saving ? ["open", "Saving …"]
           : state.changed ? ["open", waiting ? `${waiting === 1 ? "1 decision" : `${waiting} decisions`} not in the tables yet` : "The tables hold what was undone"]
             : ["saved", this.savedAt ? `Saved at ${this.savedAt}` : "Tables are up to date"];
-    const box = by("connection");
-    if (box.textContent !== text) box.textContent = text;
-    box.dataset.state = kind;
+    this.say("connection", text);
+    by("connection").dataset.state = kind;
   }
 
   listDoubts() {
@@ -259,7 +259,7 @@ class Page {
       const answer = await tryOut("api/clock", { offset_s: decision.offset_s, drift_ppm: decision.drift_ppm, frame });
       return effectOfClock(answer, (await this.slipsNow()).film, (at) => view.seconds(at), view.seconds(view.begin + 1) - view.seconds(view.begin), this.stick(frame));
     }
-    return effectOn(await tryOut("api/preview", { decision, frame }), decision, name);
+    return effectOn(await tryOut("api/preview", { decision, frame }), decision, name, this.noStick());
   }
 
   async decide(decision) { return this.ask("api/decisions", { decision }, () => `Kept: ${this.state.decisions.at(-1)?.text}`); }
@@ -406,6 +406,9 @@ class Page {
 
   tell(text) { by("message").textContent = text; }
 
+  /** Words that a screen reader says when they change, and only then. */
+  say(id, text) { if (by(id).textContent !== text) by(id).textContent = text; }
+
   /* ---- keys and buttons ---- */
 
   async slip(way) {
@@ -462,6 +465,7 @@ class Page {
     const theme = this.ownTheme ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
     document.documentElement.dataset.theme = theme;
     by("theme").textContent = theme === "dark" ? "Light" : "Dark";
+    by("theme").setAttribute("aria-label", `${by("theme").textContent} colours`);
     themeChanged(); this.drawAll();
   }
 
