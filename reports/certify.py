@@ -31,7 +31,7 @@ SETTINGS = CertifySettings(films=1, largest_jump=1.0)
 def ratio(
     strip: xr.DataArray, truth_px: Floats, fit: FitName = "sliding", film: Path | None = None
 ) -> tuple[float, float, bool]:
-    """Actual RMS error of displacements, px, the predicted one over it, and whether that is a lower bound."""
+    """Actual RMS error of displacements, px, the predicted one over it, and if that is said to be unsure."""
     tracks = track_sheets(strip, fit=fit)
     error = np.where(tracks["flag"].values == "ok", tracks["x_px"].values, np.nan) - truth_px
     error[np.abs(error) > 0.5 * np.median(np.diff(truth_px[0]))] = np.nan  # wrong ones are in degraded.md
@@ -40,7 +40,7 @@ def ratio(
     rows, columns = (facts.strip_z0, facts.strip_z1), (0, strip.sizes["x"])
     encoder = None if film is None else read_encoder(film, rows, columns)
     found = certify(strip, tracks, encoder=encoder, settings=SETTINGS)
-    return actual, found.error_px / actual, found.lower_bound
+    return actual, found.error_px / actual, found.uncertain
 
 
 def drawn_rows() -> list[str]:
@@ -82,7 +82,7 @@ def filmed_rows() -> list[str]:
 
 def _cell(found: list[tuple[float, float, bool]]) -> str:
     actual = np.sqrt(np.mean([error**2 for error, _, _ in found]))
-    shares = (f"{'≥ ' if bound else ''}{share:.2f}" for _, share, bound in found)
+    shares = (f"{'~ ' if bound else ''}{share:.2f}" for _, share, bound in found)
     return f"{1e3 * actual:.1f}: " + ", ".join(shares)
 
 
@@ -110,8 +110,8 @@ def main() -> None:
         "from frame to frame are encoded again, with the settings that the film tells. Films with frozen,",
         "dropped and repeated frames and steps of the brightness have these where the recording has them.",
         "Dirt, a highlight or a hand that pull ridges aside are in the films, too, as far as the run noticed",
-        "them; where sheets truly stood is then known from those around only, and the certificate gives a",
-        "lower bound (≥).",
+        "them; where sheets truly stood is then known from those around only, and the certificate says",
+        "that its number is not sure (~).",
         "",
         "Made by `python -m reports.certify`.",
     ]

@@ -98,8 +98,8 @@ class Certificate:
         What the certificate does not cover.
     encoding
         How films were encoded again; "" where they got the recording's residuals.
-    lower_bound
-        Whether the recording contains what the films do not: errors are then larger than these.
+    uncertain
+        Whether the recording contains what the films do not reproduce well: errors may then be others.
     """
 
     source: str
@@ -122,7 +122,7 @@ class Certificate:
     threshold: Threshold | None
     warnings: tuple[str, ...]
     encoding: str = ""
-    lower_bound: bool = False
+    uncertain: bool = False
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -292,7 +292,7 @@ def certify(
         threshold=at_threshold,
         warnings=_warnings(like, facts, tracks, known, _rms(error), at_threshold is None),
         encoding="" if like.encoder is None else like.encoder.described,
-        lower_bound=(
+        uncertain=(
             (facts.codec in BETWEEN_FRAMES and like.encoder is None)
             or float(like.disturbed.mean()) > LEAST_DISTURBED
             or _moving_apart(like, _rms(error)).size > 0
@@ -535,7 +535,7 @@ def _warnings(
         lines.append(
             f"something pulls ridges aside or hides them in {100 * disturbed:.0f} % of the film (dirt, a "
             "highlight, a hand): the films show what was recorded there, and the sheets around are taken for "
-            "where those were; errors may be larger than stated here, twice in tests"
+            "where those were; errors may be other than stated here, 0.5 to 1.5 times in tests"
         )
     apart = _moving_apart(like, error_px)
     if apart.size:

@@ -91,7 +91,7 @@ def statements(certificate: Certificate) -> list[tuple[str, str]]:
     answers = [
         (
             "Error of a displacement",
-            f"{'at least ' if c.lower_bound else ''}{_length(c.error_px, c)} RMS over all sheets; from "
+            f"{'about ' if c.uncertain else ''}{_length(c.error_px, c)} RMS over all sheets; from "
             f"{_length(float(c.sheets['error_px'].min()), c)} to "
             f"{_length(float(c.sheets['error_px'].max()), c)}",
         ),
