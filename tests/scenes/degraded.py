@@ -190,6 +190,35 @@ def passing_hand(seed: int) -> Film:
     return _each(clean(seed), covered)
 
 
+def slow_hand(seed: int) -> Film:
+    """Something dark, 140 px wide, moves over the comb all the time: no frame shows all sheets."""
+    x = np.arange(WIDTH)
+
+    def covered(frame: Floats, k: int) -> Floats:
+        share = gaussian_filter1d((np.abs(x - 5.3 * k) < 70).astype(float), 3)
+        return np.asarray(frame * (1 - share) + 10 * share)
+
+    return _each(clean(seed), covered)
+
+
+def shadow(seed: int) -> Film:
+    """A soft shadow, 60 px wide, that takes two thirds of the light, crosses the comb slowly."""
+    x = np.arange(WIDTH)
+
+    def shaded(frame: Floats, k: int) -> Floats:
+        away = np.abs(x - 5.0 * k) < 30
+        return np.asarray(frame * (1 - 0.67 * gaussian_filter1d(away.astype(float), 10)))
+
+    return _each(clean(seed), shaded)
+
+
+def scale_bar(seed: int) -> Film:
+    """A white bar of 60 by 3 px that the recorder burned in."""
+    bar = np.zeros((ROWS, WIDTH), bool)
+    bar[20:23, 183:243] = True
+    return _each(clean(seed), lambda frame, k: np.where(bar, 255.0, frame))
+
+
 def clipped(seed: int) -> Film:
     """Overexposed: the tops of the ridges are cut off at 255."""
     return _each(clean(seed), lambda frame, k: frame * 1.6)
@@ -289,6 +318,9 @@ DEGRADATIONS: Mapping[str, Callable[[int], Film]] = {
     "dirt": dirty,
     "glare": glare,
     "passing hand": passing_hand,
+    "slow hand": slow_hand,
+    "shadow": shadow,
+    "scale bar": scale_bar,
     "rolling shutter": rolling_shutter,
     "interlaced": interlaced,
     "8-bit clipping": clipped,

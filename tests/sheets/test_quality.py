@@ -182,7 +182,7 @@ def test_ridges_that_are_pulled_aside_have_the_error_of_it(what):
     off, stated = np.abs(tracks.x_px.values - x), tracks.x_err_px.values
     assert np.median(off[beside, 5]) > 0.2
     assert (off[beside, 5] < 3 * stated[beside, 5]).mean() > 0.9
-    assert float(tracks.distorted[5]) == pytest.approx(1 / 3, abs=0.05)
+    assert float(tracks.distorted[5]) == pytest.approx(1 / 3, abs=0.07)
 
 
 def test_ridges_that_nothing_pulls_keep_their_errors():

@@ -12,14 +12,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
-from vision.sheets.subpixel import fit_sheets
+from vision.sheets.subpixel import Starts, gather
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
 SCENE_FRAMES = 5  # before and after a change of scene that are compared
+SHAPE_FRAMES = 200  # from which the mean shapes are learned, spread over the recording
+FRAMES_PER_BLOCK = 512
 LAGS = (4, 2, 1)
 """Frames apart at which the scatter of neighbours is compared with that of all sheets: what a codec holds
 still shows better over some frames, but a stick must be longer than twice as many."""
@@ -145,34 +147,86 @@ def distortion(
     comb
         Width and pitch of the ridges.
     settings
-        `narrow_widths`, `wide_widths`, `distortion_sigmas`, `distortion_floor`, `distortion_error`.
+        `distortion_sigmas`, `distortion_floor`, `distortion_residual`, `distortion_error`.
 
     Notes
     -----
-    The slope s of something underneath shifts the vertex of a parabola of curvature c by :math:`s/c`, and c
-    falls with the window: a narrow and a wide window then disagree by about the shift itself. Where they
-    disagree more than they do for most sheets and frames, :math:`|\Delta|` times `distortion_error` is the
-    error. Where most ridges are lopsided by themselves, to one side or to either, nothing is said.
+    To the pixels around each position the comb's mean shape :math:`S` is fitted with level, height and shift,
+
+    .. math:: I(x + u) = a + b\,(S(u) - s\,S'(u)) + r(u) .
+
+    Two things say by how much the position may be off: the change of s where a slope is fitted as well (light
+    that varies over the window), and the residual in terms of the shape's own slope,
+    :math:`\langle r^2 \rangle^{1/2} / (b\,\langle S'^2 \rangle^{1/2})` (anything narrower): what shows in
+    other directions of the window's pixels is about as large in that of the shift, where it does not show.
+    Each is split into the sheet's own mean and what differs from it in a frame. Of the mean residual the odd
+    part is compared with the other sheets': widths differ, and move nothing. What all sheets of a frame have
+    in common (blur, exposure) is left out. Where nearly all ridges are lopsided, none is.
     """
-    narrow = _odd(settings.narrow_widths * comb.fwhm_px)
-    wide = _odd(min(settings.wide_widths * comb.fwhm_px, 0.8 * comb.pitch_px))
-    if wide < narrow + 4:
+    half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
+    sample = np.unique(np.linspace(0, len(bright) - 1, SHAPE_FRAMES).astype(int))
+    around = _around(bright, x_px, sample, half)
+    level = around - around.mean(axis=-1, keepdims=True)
+    shape = nan_median((level / level.std(axis=-1, keepdims=True)).reshape(-1, level.shape[-1]))
+    if not np.isfinite(shape).all():
         return np.zeros_like(x_px)
-    start = np.rint(x_px)
-    few, many = (
-        fit_sheets(bright, start, fit="sliding", window_px=window, comb=comb)[0] for window in (narrow, wide)
+    own = nan_median(_shape_fit(around, shape)[1])  # each sheet's own residual, (N, u)
+    slant, unlike = np.full(x_px.shape, np.nan), np.full(x_px.shape, np.nan)
+    for start in range(0, len(bright), FRAMES_PER_BLOCK):
+        rows = np.arange(start, min(start + FRAMES_PER_BLOCK, len(bright)))
+        slant[rows], residual = _shape_fit(_around(bright, x_px, rows, half), shape)
+        residual -= own
+        residual -= nan_median(residual, axis=1)[:, None]
+        unlike[rows] = np.sqrt((residual**2).mean(axis=-1))
+    usual = nan_median(slant)
+    own = own - nan_median(own)
+    odd = np.sqrt(((own - own[:, ::-1]) ** 2).mean(axis=-1) / 2)
+    floor, sigmas, times = settings.distortion_floor, settings.distortion_sigmas, settings.distortion_residual
+    off = np.abs(slant - usual)
+    within = nan_median((off / err_px).ravel()) / NORMAL_MEDIAN * err_px
+    apart = np.abs(usual - nan_median(usual))
+    between = nan_median(apart) / NORMAL_MEDIAN
+    shifted = _beyond(off, np.fmax(sigmas * within, floor)) + _beyond(apart, np.fmax(sigmas * between, floor))
+    rough = _beyond(unlike, np.fmax(times * nan_median(unlike), floor))
+    rough = rough + _beyond(odd, np.fmax(times * nan_median(odd), floor))
+    size = np.hypot(shifted, settings.distortion_error * rough)
+    return np.where(np.isfinite(slant), size, 0.0)  # too near the picture's edge: nothing is said
+
+
+def _beyond(size: Floats, least: Floats) -> Floats:
+    """Sizes above what is usual, else 0."""
+    return np.where(size > least, size, 0.0)
+
+
+def _around(bright: Floats32, x_px: Floats, rows: Ints, half: int) -> Floats:
+    """Grey levels at whole pixels from each position, (rows, N, u), by the cubic through four pixels."""
+    x = x_px[rows]
+    left = np.floor(np.nan_to_num(x, nan=-10.0 * half)).astype(np.int64)
+    starts = Starts(np.repeat(rows, x.shape[1]), left.ravel())
+    pixels = gather(bright, starts, np.arange(-half - 1, half + 3)).reshape(*x.shape, -1)
+    t = (x - left)[..., None]
+    weights = (
+        -t * (t - 1) * (t - 2) / 6,
+        (t + 1) * (t - 1) * (t - 2) / 2,
+        -(t + 1) * t * (t - 2) / 2,
+        (t + 1) * t * (t - 1) / 6,
     )
-    apart = many - few
-    own = nan_median(apart)
-    between = nan_median(np.abs(own)) / NORMAL_MEDIAN  # how lopsided ridges are here, to either side
-    within = nan_median((np.abs(apart - own) / err_px).ravel()) / NORMAL_MEDIAN * err_px
-    least = np.fmax(settings.distortion_sigmas * np.hypot(between, within), settings.distortion_floor)
-    size = np.nan_to_num(np.abs(apart - nan_median(apart.ravel())))  # no vertex: nothing is said
-    return np.where(size > least, settings.distortion_error * size, 0.0)
+    width = 2 * half + 1
+    return np.asarray(sum(w * pixels[..., i : i + width] for i, w in enumerate(weights)), np.float64)
 
 
-def _odd(px: float) -> int:
-    return max(5, 2 * round((px - 1) / 2) + 1)
+def _shape_fit(pixels: Floats, shape: Floats) -> tuple[Floats, Floats]:
+    """Change of the shift, px, where a slope is fitted too, (…,), and the residual without it in terms of the
+    shape's slope, (…, u)."""
+    rise, place = np.gradient(shape), np.arange(len(shape)) - len(shape) // 2
+    upright = np.stack([np.ones_like(shape), shape, rise], axis=1)
+    sloping = np.column_stack([upright, place])
+    first, second = (pixels @ np.linalg.pinv(basis).T for basis in (upright, sloping))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        change = second[..., 2] / second[..., 1] - first[..., 2] / first[..., 1]
+        residual = (pixels - first @ upright.T) / first[..., 1:2] / np.sqrt((rise**2).mean())
+    lopsided = (residual - residual[..., ::-1]) / np.sqrt(2)
+    return np.asarray(change, np.float64), np.asarray(lopsided, np.float64)
 
 
 def spatial_scatter(x_px: Floats) -> Floats:

@@ -254,22 +254,20 @@ class TrackingSettings:
     """Error of a blurred position, in terms of lost height times motion; test_quality.py holds it to cover 62
     to 74 of 100 truths."""
 
-    narrow_widths: float = 0.9
-    """Narrow window, in ridge widths, that is compared with a wide one to find distorted ridges. Narrower is
-    noisier and finds less."""
-
-    wide_widths: float = 1.6
-    """The wide window. Wider takes in the neighbours, narrower differs too little from the narrow one."""
-
     distortion_sigmas: float = 5.0
-    """Times the usual difference of both windows by which a ridge is distorted. Larger lets pulled ones pass
-    as ok, smaller flags noise; test_quality.py puts a highlight and a shadow beside a ridge."""
+    """Times its usual scatter by which a position must depend on a slope of the light for the ridge to be
+    distorted. Larger lets pulled ones pass as ok, smaller flags noise; test_quality.py puts a highlight and a
+    shadow beside a ridge."""
 
     distortion_floor: float = 0.05
     """Least such difference, px: where noise is small, less does not matter."""
 
-    distortion_error: float = 2.0
-    """Error of a distorted position over that difference: between 1 (a slope) and 3 (a speck on the flank)
+    distortion_residual: float = 3.0
+    """Times the usual by which a ridge's pixels must differ from the mean shape. Larger lets specks pass,
+    smaller flags noise; test_quality.py, and test_degraded.py's dirt."""
+
+    distortion_error: float = 1.5
+    """Error of a distorted position over that residual: between 1 (specks anywhere) and 2 (all on the flank)
     in test_degraded.py."""
 
     # --- stated errors (tracks.py) ---
