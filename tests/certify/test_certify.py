@@ -217,7 +217,7 @@ def test_where_something_pulls_ridges_the_certificate_says_so(name, tmp_path):
     """A failure means a number that looks sure where dirt, a highlight or a hand shift sheets by more."""
     strip, tracks, error = damaged(name, tmp_path)
     certificate = certify(strip, tracks, settings=ONE_FILM)
-    assert certificate.error_px < 1.3 * rms(error)
+    assert 0.5 < certificate.error_px / rms(error) < 1.7
     assert certificate.uncertain
     assert any("pulls" in line for line in certificate.warnings)
     write_certificate(certificate, tmp_path / "out")

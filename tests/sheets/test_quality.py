@@ -71,7 +71,7 @@ def filmed(seed=5, shake=0.05):
 def test_noise_that_differs_from_sheet_to_sheet_is_not_shared():
     """A failure means that motion, of sheets or of the camera, is taken for errors of a codec."""
     moving, noise = filmed()
-    assert shared_error(moving + noise) < 0.3 * 0.02
+    assert shared_error(moving + noise, between_frames=True) < 0.3 * 0.02
 
 
 def test_errors_that_neighbours_share_are_counted():
@@ -81,7 +81,9 @@ def test_errors_that_neighbours_share_are_counted():
     seen = np.median(spatial_scatter(moving + noise + blocks))
     there = np.hypot(0.02, 0.04)
     assert seen < 0.8 * there
-    assert np.hypot(seen, shared_error(moving + noise + blocks)) == pytest.approx(there, rel=0.15)
+    assert np.hypot(seen, shared_error(moving + noise + blocks, between_frames=True)) == pytest.approx(
+        there, rel=0.15
+    )
 
 
 @pytest.mark.parametrize("skipped", [0.3, 0.5])
@@ -95,7 +97,7 @@ def test_a_shaking_that_a_codec_leaves_out_in_part_is_counted(skipped):
     shown[1:-1] = np.where(blocks & odd, between, shown[1:-1])
     there = np.std((shown - moving)[1:-1])
     seen = np.sqrt(np.mean(spatial_scatter(shown) ** 2))
-    assert np.hypot(seen, shared_error(shown)) == pytest.approx(there, rel=0.15)
+    assert np.hypot(seen, shared_error(shown, between_frames=True)) == pytest.approx(there, rel=0.15)
 
 
 def slipping(slip_widths, *, fwhm=7.0, frames=240, seed=0):

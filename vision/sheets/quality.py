@@ -147,7 +147,7 @@ def distortion(
     comb
         Width and pitch of the ridges.
     settings
-        `distortion_sigmas`, `distortion_floor`, `distortion_residual`, `distortion_error`.
+        The fields `distortion_…` and `lopsided`.
 
     Notes
     -----
@@ -163,6 +163,8 @@ def distortion(
     part is compared with the other sheets': widths differ, and move nothing. What all sheets of a frame have
     in common (blur, exposure) is left out. Where nearly all ridges are lopsided, none is.
     """
+    if comb.fwhm_px < settings.distortion_least_px:
+        return np.zeros_like(x_px)
     half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
     sample = np.unique(np.linspace(0, len(bright) - 1, SHAPE_FRAMES).astype(int))
     around = _around(bright, x_px, sample, half)
@@ -188,7 +190,8 @@ def distortion(
     between = nan_median(apart) / NORMAL_MEDIAN
     shifted = _beyond(off, np.fmax(sigmas * within, floor)) + _beyond(apart, np.fmax(sigmas * between, floor))
     rough = _beyond(unlike, np.fmax(times * nan_median(unlike), floor))
-    rough = rough + _beyond(odd, np.fmax(times * nan_median(odd), floor))
+    if nan_median(odd) < settings.lopsided:
+        rough = rough + _beyond(odd, np.fmax(times * nan_median(odd), floor))
     size = np.hypot(shifted, settings.distortion_error * rough)
     return np.where(np.isfinite(slant), size, 0.0)  # too near the picture's edge: nothing is said
 
@@ -328,13 +331,15 @@ def _sums(values: Floats) -> Floats:
     return np.asarray(total[SCENE_FRAMES:] - total[:-SCENE_FRAMES], np.float64)
 
 
-def shared_error(x_px: Floats) -> float:
-    r"""Error that neighbouring sheets share where a codec carries content from frame to frame, px.
+def shared_error(x_px: Floats, *, between_frames: bool) -> float:
+    r"""Error that neighbouring sheets share on compressed film, px.
 
     Parameters
     ----------
     x_px
         Positions (frame, N), NaN where missing or repeated.
+    between_frames
+        Whether the codec carries content from frame to frame; else only the first part below counts.
 
     Returns
     -------
@@ -360,7 +365,7 @@ def shared_error(x_px: Floats) -> float:
     Where the codec leaves out all of a motion in all sheets, nothing in the film tells that.
     """
     together, missing, _ = _shared(x_px)
-    return float(np.hypot(together, missing))
+    return float(np.hypot(together, missing if between_frames else 0.0))
 
 
 def left_out(x_px: Floats) -> float:

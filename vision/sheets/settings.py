@@ -262,9 +262,18 @@ class TrackingSettings:
     distortion_floor: float = 0.05
     """Least such difference, px: where noise is small, less does not matter."""
 
+    distortion_least_px: float = 5.0
+    """Width of ridges from which on their shape is looked at. Narrower ones change with their place among the
+    pixels, which smaller takes for dirt (test_accuracy.py's 3 px); larger looks at fewer recordings."""
+
     distortion_residual: float = 3.0
     """Times the usual by which a ridge's pixels must differ from the mean shape. Larger lets specks pass,
     smaller flags noise; test_quality.py, and test_degraded.py's dirt."""
+
+    lopsided: float = 0.1
+    """Usual odd part of a sheet's mean residual, px, from which on ridges are lopsided by themselves. Larger
+    takes shoulders of the paper for dirt (0.6 in test_certify.py's shouldered ridges), smaller overlooks dirt
+    that stands still where shapes differ a little (0.02 to 0.04 on usual films)."""
 
     distortion_error: float = 1.5
     """Error of a distorted position over that residual: between 1 (specks anywhere) and 2 (all on the flank)

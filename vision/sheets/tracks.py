@@ -299,10 +299,11 @@ def _errors(
     err = np.maximum(err, LEAST_ERROR_PX)
     predicted = nan_median(np.where(np.isfinite(new), err, np.nan))
     measured = np.where(np.isfinite(scatter_px), scatter_px, np.fmax(noise_px, predicted))
-    if codec in BETWEEN_FRAMES:  # one quantiser for all sheets
+    between_frames = codec in BETWEEN_FRAMES
+    if between_frames:  # one quantiser for all sheets
         measured = np.full_like(measured, np.sqrt(np.mean(measured[np.isfinite(measured)] ** 2)))
     if codec in LOSSY:
-        measured = np.hypot(measured, shared_error(new))
+        measured = np.hypot(measured, shared_error(new, between_frames=between_frames))
     else:
         more = nan_median(np.minimum(noise_px, scatter_px) / predicted)
         measured = predicted * (np.fmax(more, 1.0) if more < settings.most_correlated else 1.0)
