@@ -15,7 +15,7 @@ OF_SEVERAL = {"peaks", "sticks", "drops", "stiffnesses", "collapse", "trends"}
 def test_every_file_it_names_is_there():
     """A failure means that a reader is sent to a file that was renamed or never written."""
     named = set(re.findall(r"`((?:vision|tests)/[\w/]+\.py)`", TEXT))
-    assert len(named) > 20
+    assert len(named) > 15
     assert [name for name in sorted(named) if not (PROJECT / name).is_file()] == []
 
 

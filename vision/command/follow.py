@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from vision.video import Follow
 
 SHOWN_EVERY_S = 5.0
+FEWEST = 20
+"""Frames from which on something is shown, where more are in the file: fewer tell no noise."""
 RECENT = 100
 """Frames that are tracked for the line: enough to know the noise to a tenth, few enough to be quick."""
 
@@ -59,7 +61,10 @@ class _Shown:
     def __call__(self, last: Callable[[int], xr.DataArray], behind: int | None) -> None:
         if sys.stderr is None or time.monotonic() < self._next:
             return
-        line = state(last(RECENT), behind, self._settings)
+        strip = last(RECENT)
+        if behind and strip.sizes["frame"] < FEWEST:
+            return
+        line = state(strip, behind, self._settings)
         tty = sys.stderr.isatty()
         sys.stderr.write(f"\r\x1b[K{line}" if tty else f"{line}\n")
         sys.stderr.flush()

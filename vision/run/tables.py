@@ -92,8 +92,10 @@ def write_tracks_nc(
     for name in ("flag", "why"):
         if name in packed:
             packed[name] |= {"dtype": "S1", "char_dim_name": f"{name}_length"}
-            # as bytes at once: xarray would encode them one by one
-            data[name] = data[name].astype("S").assign_attrs(data[name].attrs, _Encoding="utf-8")
+            # as bytes at once, no longer than the longest: xarray would encode them one by one
+            text = data[name].to_numpy().astype("S")
+            text = text.astype(f"S{max(1, int(np.strings.str_len(text).max(initial=1)))}")
+            data[name] = data[name].copy(data=text).assign_attrs(data[name].attrs, _Encoding="utf-8")
     path.write_bytes(data.to_netcdf(engine="h5netcdf", encoding=packed))
 
 

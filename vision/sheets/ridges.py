@@ -190,6 +190,8 @@ def _likelier(bright: RidgeComb, dark: RidgeComb, settings: TrackingSettings) ->
 def _sample(profile: Floats32) -> Floats32:
     """Frames spread over the recording, those with NaN left out."""
     good = np.flatnonzero(np.isfinite(profile[:, :1]).all(axis=1))
+    if not good.size:
+        raise InputError("the strip", "at least one frame that shows something", "none")
     picked = good[np.unique(np.linspace(0, len(good) - 1, SAMPLE_FRAMES).astype(int))]
     return np.ascontiguousarray(profile[picked], np.float32)
 
