@@ -79,7 +79,7 @@ def number_sheets(
     split, how, between = _split_by_motion(x_px, settings)
     low = high = np.nan
     if between is not None:
-        edge = np.r_[place[0], 0.5 * (place[1:] + place[:-1]), place[-1]]
+        edge = np.r_[_axis(place, 0), 0.5 * (place[1:] + place[:-1]), _axis(place, sheets)]
         low, high = np.interp(between, np.arange(len(edge)), edge)
     if axis_px is not None:
         split = int(np.searchsorted(place, axis_px))
@@ -111,7 +111,8 @@ def _split_by_motion(
     low, high = min(first, last), max(first, last)
     outside = good[(good == 0) | (good == sheets)]  # all sheets move alike: one side is in view
     if len(outside):
-        return int(outside[0]), "motion", (low, high)
+        beyond = int(outside[0])
+        return beyond, "motion", (min(low, beyond), max(high, beyond))
     middle, even = _middle(good), sheets // 2
     if low - 0.5 <= sheets / 2 <= high + 0.5:
         return even, "motion" if high - low <= settings.decided_sheets else "geometry", (low, high)
