@@ -32,6 +32,9 @@ FEW_FRAMES = 10
 """Frames in a row in which most sheets are missing that are worth a line."""
 STILL_FRAMES = 10
 """Of a film: fewer may happen to be alike."""
+DOUBTED_SHARE = 0.1
+"""Share of doubtful positions above which the rest is not beyond doubt. Larger keeps quiet where others are
+wrong, too (a hand that always covers part of the comb: 0.2 and more in test_degraded.py), smaller warns of any."""
 MISSING_SHARE = 0.01
 """Of all positions: more missing ones are a warning, fewer are the usual gaps at the edges of the picture."""
 
@@ -83,7 +86,13 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
         )
     unsure = flags.get("doubtful", 0) + flags.get("merged", 0)
     if unsure:
-        lines.append(f"{unsure} of {total} positions not given because the sheet's identity is in doubt")
+        line = f"{unsure} of {total} positions not given because the sheet's identity is in doubt"
+        if unsure > DOUBTED_SHARE * total:
+            line += (
+                "; with so many, others may be wrong, too: look at overview.png, and leave out what hides the"
+            )
+            line += " comb with `frames` or `columns`"
+        lines.append(line)
     gone = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
     if gone > MISSING_SHARE * total:
         lines.append(f"{gone} of {total} positions missing (flags missing, edge, unfit in tracks.csv)")

@@ -21,6 +21,7 @@ from tests.scenes.degraded import (
     slow_hand,
 )
 from vision.sheets import track_sheets
+from vision.summary import tracking_warnings
 from vision.video import open_video, strip_profile
 
 TRUSTED = tuple(
@@ -86,6 +87,15 @@ def test_a_hand_that_is_always_over_the_comb_exchanges_no_sheets(seed, tmp_path)
     found = measured(slow_hand(seed), tmp_path)
     assert (found.sheets, found.wrong) == (SHEETS, 0)
     assert found.found > 0.7
+
+
+@pytest.mark.parametrize("seed", [3, 11])
+def test_where_a_hand_exchanges_sheets_none_is_called_certain(seed, tmp_path):
+    """The comb is never seen whole.  A failure means that nobody is told that others may be wrong, too."""
+    tracks = track_sheets(strip_profile(open_video(CODECS["FFV1"](tmp_path, slow_hand(seed).pixels))))
+    assert "others may be wrong, too" in " ".join(tracking_warnings(tracks))
+    passed = track_sheets(strip_profile(open_video(CODECS["FFV1"](tmp_path, passing_hand(seed).pixels))))
+    assert "others may be wrong, too" not in " ".join(tracking_warnings(passed))
 
 
 def test_the_comparison_sees_wrong_sheets(tmp_path):
