@@ -34,7 +34,7 @@ STILL_FRAMES = 10
 """Of a film: fewer may happen to be alike."""
 DOUBTED_SHARE = 0.1
 """Share of doubtful positions above which the rest is not beyond doubt. Larger keeps quiet where others are
-wrong, too (a hand that always covers part of the comb: 0.2 and more in test_degraded.py), smaller warns of any."""
+wrong, too (0.2 and more in test_degraded.py where a hand always covers part of it), smaller warns of any."""
 MISSING_SHARE = 0.01
 """Of all positions: more missing ones are a warning, fewer are the usual gaps at the edges of the picture."""
 
