@@ -39,6 +39,8 @@ def test_reference_table_to_its_printed_digits(row):
 def test_separation_scale_and_single_sheet_stiffness():
     """A failure means the scale that collapses the stiffness data is wrong."""
     assert round(float(eq.separation_scale_mm(mu=0.89, n_hat_N=0.57)), 2) == 19.09
+    assert round(float(eq.separation_scale_mm(mu=0.82, n_hat_N=0.77)), 2) == 16.96
+    assert round(float(eq.separation_scale_mm(mu=0.93, n_hat_N=0.48)), 2) == 20.40
     assert round(float(eq.sheet_stiffness(modulus_GPa=2.5))) == 197
 
 
