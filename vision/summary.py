@@ -88,10 +88,8 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     if unsure:
         line = f"{unsure} of {total} positions not given because the sheet's identity is in doubt"
         if unsure > DOUBTED_SHARE * total:
-            line += (
-                "; with so many, others may be wrong, too: look at overview.png, and leave out what hides the"
-            )
-            line += " comb with `frames` or `columns`"
+            line += "; with so many, others may be wrong, too: look at overview.png, and leave out what hides"
+            line += " the comb with `frames` or `columns`"
         lines.append(line)
     gone = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
     if gone > MISSING_SHARE * total:

@@ -15,14 +15,14 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from threading import Event, Thread
 
 import pytest
 from starlette.testclient import TestClient
 
 from tests.scenes.reviewed import PLANTED, SETTINGS, VIDEO, remedies
+from tests.scenes.served import serving_of
 from vision.errors import InputError
-from vision.review.server import make_app, serve
+from vision.review.server import make_app
 from vision.review.session import Session
 from vision.run import read_run
 from vision.sheets.corrections import read_decisions
@@ -60,16 +60,8 @@ class Server:
 
 @contextmanager
 def served(session):
-    address, there = [], Event()
-
-    def opened(url):
-        address.append(url)
-        there.set()
-
-    serving = Thread(target=serve, args=(session,), kwargs={"opened": opened}, daemon=True)
-    serving.start()
-    assert there.wait(20)
-    server = Server(address[0])
+    serving, address = serving_of(session)
+    server = Server(address)
     try:
         yield server
     finally:

@@ -3,14 +3,15 @@
 import json
 import re
 import urllib.request
-from threading import Event, Thread
+from threading import Event
 
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
 from tests.scenes.reviewed import FIXTURE, SETTINGS, remedies, truth
-from vision.review.server import MOST_BODY_BYTES, make_app, serve
+from tests.scenes.served import serving_of
+from vision.review.server import MOST_BODY_BYTES, make_app
 from vision.review.session import Session
 
 PORT, TOKEN = 54321, "a-token-of-this-test"
@@ -325,16 +326,8 @@ def test_a_film_that_is_gone_costs_only_its_pictures(run, tmp_path):
 
 def test_served_on_the_loopback_address_until_it_is_told_to_stop(session):
     """The real server: an address with its token, and an end."""
-    address, there = [], Event()
-
-    def opened(url):
-        address.append(url)
-        there.set()
-
-    serving = Thread(target=serve, args=(session,), kwargs={"opened": opened}, daemon=True)
-    serving.start()
-    assert there.wait(20)
-    url, _, token = address[0].partition("/?token=")
+    serving, address = serving_of(session)
+    url, _, token = address.partition("/?token=")
     assert url.startswith("http://127.0.0.1:")
 
     def ask(path, **more):

@@ -178,8 +178,8 @@ class Encoder:
         """Bytes of the film's packets."""
         # libx264 looks beyond sides that are no multiples of its blocks, at what memory happens to hold.
         multiple = BLOCK if self.codec == "h264" else 1
-        more = [(0, -length % multiple) for length in self.picture.shape]
-        height, width = (length + add for length, (_, add) in zip(self.picture.shape, more, strict=True))
+        beyond = [(0, -length % multiple) for length in self.picture.shape]
+        height, width = np.pad(self.picture, beyond).shape
         size = 0
         with av.open(str(path), "w") as out:
             stream = out.add_stream(ENCODERS[self.codec], rate=25, options=self._options())
@@ -190,7 +190,7 @@ class Encoder:
             colourless = np.full((height // 2, width), 128, np.uint8)
             for n, grey in enumerate(self._frames(profile, seed)):
                 # the plane of brightness as it is: no change of range
-                planes = np.concatenate([np.pad(grey, more, mode="edge"), colourless])
+                planes = np.concatenate([np.pad(grey, beyond, mode="edge"), colourless])
                 frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
                 frame.pts, frame.time_base = n, Fraction(1, 25)
                 packets = stream.encode(frame)

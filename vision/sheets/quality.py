@@ -159,9 +159,10 @@ def distortion(
     that varies over the window), and the residual in terms of the shape's own slope,
     :math:`\langle r^2 \rangle^{1/2} / (b\,\langle S'^2 \rangle^{1/2})` (anything narrower): what shows in
     other directions of the window's pixels is about as large in that of the shift, where it does not show.
-    Each is split into the sheet's own mean and what differs from it in a frame. Of the mean residual the odd
-    part is compared with the other sheets': widths differ, and move nothing. What all sheets of a frame have
-    in common (blur, exposure) is left out. Where nearly all ridges are lopsided, none is.
+    Of the residual only the odd part counts: widths differ, and move nothing. Each is split into the sheet's
+    own mean, which is compared with the other sheets', and what differs from it in a frame. What all sheets
+    of a frame have in common (blur, exposure) is left out. Where ridges are lopsided by themselves, each in
+    its own way, the mean residual says nothing.
     """
     if comb.fwhm_px < settings.distortion_least_px:
         return np.zeros_like(x_px)
@@ -181,8 +182,7 @@ def distortion(
         residual -= nan_median(residual, axis=1)[:, None]
         unlike[rows] = np.sqrt((residual**2).mean(axis=-1))
     usual = nan_median(slant)
-    own = own - nan_median(own)
-    odd = np.sqrt(((own - own[:, ::-1]) ** 2).mean(axis=-1) / 2)
+    odd = np.sqrt(2 * ((own - nan_median(own)) ** 2).mean(axis=-1))
     floor, sigmas, times = settings.distortion_floor, settings.distortion_sigmas, settings.distortion_residual
     off = np.abs(slant - usual)
     within = nan_median((off / err_px).ravel()) / NORMAL_MEDIAN * err_px
@@ -219,8 +219,8 @@ def _around(bright: Floats32, x_px: Floats, rows: Ints, half: int) -> Floats:
 
 
 def _shape_fit(pixels: Floats, shape: Floats) -> tuple[Floats, Floats]:
-    """Change of the shift, px, where a slope is fitted too, (…,), and the residual without it in terms of the
-    shape's slope, (…, u)."""
+    """Change of the shift, px, where a slope is fitted too, (…,), and the odd part of the residual without it
+    in terms of the shape's slope, (…, u)."""
     rise, place = np.gradient(shape), np.arange(len(shape)) - len(shape) // 2
     upright = np.stack([np.ones_like(shape), shape, rise], axis=1)
     sloping = np.column_stack([upright, place])
