@@ -236,9 +236,9 @@ def _outside(x: Floats, expected: ExpectedSheets, missing: Floats, false_detecti
     saved = np.pad(np.cumsum(saved, axis=1), ((0, 0), (1, 0)))
     rows, most = np.arange(len(x))[:, None], saved.shape[1] - 1
     out = np.zeros((sheet_x.shape[1], *x.shape))
-    covered = _side_by_side(_further(missing, expected))
+    covered = np.pad(np.cumsum(_further(missing, expected), axis=1), ((0, 0), (1, 0)))
     for n in range(sheet_x.shape[1]):
-        out[n] = -covered[:, n, None]
+        out[n] = -_together(covered[:, n, None], n)
         if n < 2 * BAND:
             moved = np.nan_to_num(x) - sheet_x[:, n, None]
             gone = (sheet_x[:, None, : min(n, most)] + moved[:, :, None] < low).sum(axis=2)
@@ -255,11 +255,10 @@ def _further(missing: Floats, expected: ExpectedSheets) -> Floats:
     return np.maximum(missing - expected.settings.covered_cost, 0.0)
 
 
-def _side_by_side(further: Floats) -> Floats:
-    """Cost saved where the first n sheets are missing together, (lists, n): something covers them."""
-    number = np.arange(further.shape[1])
-    total = np.pad(np.cumsum(further, axis=1), ((0, 0), (1, 0)))[:, :-1]
-    return np.asarray(total * np.maximum(number - 1, 0) / np.maximum(number, 1), np.float64)
+def _together(saved: Floats, count: int) -> Floats:
+    """Of what `count` sheets would save each, that which they save side by side: one costs what it costs
+    alone."""
+    return saved * max(count - 1, 0) / max(count, 1)
 
 
 def _flicker(candidates: Candidates, expected: ExpectedSheets) -> Floats:
@@ -297,8 +296,7 @@ def _pass(
             total = _spacing_cost(change, spread_px * float(np.sqrt(a)), limit)
             total += best[n - a][:, first - b : high - b]
             if a > 2:
-                together = (missed[:, n] - missed[:, n - a + 1]) * (a - 2) / (a - 1)
-                total -= together[:, None]
+                total -= _together((missed[:, n] - missed[:, n - a + 1])[:, None], a - 1)
             better = total < row[:, first - low :]
             np.copyto(row[:, first - low :], total, where=better)
             np.copyto(step[:, first - low :], np.int8(code), where=better)
