@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time as clock
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter as Option
 
-from vision.command.console import complain, frame_progress, say
+from vision.command.console import conclude, frame_progress
 from vision.command.options import (
     Flag,
     VideoOptions,
     merged,
+    parameters_given,
     parse_length,
     parse_pixel_size,
     parse_range,
@@ -125,11 +125,7 @@ def kymograph(
     warnings = [*source.warnings, *_warnings(diagrams)]
     facts = _facts(window, parameters, source, diagrams, warnings)
     files = _write(target, overwrite, picture, source, diagrams, facts, started)
-    for line in warnings:
-        complain(f"warning: {line}")
-    if not quiet:
-        say(_summary(target, files, source, diagrams))
-    return 1 if warnings else 0
+    return conclude(_summary(target, files, source, diagrams), warnings, quiet=quiet)
 
 
 def _space_time_options(window: WindowOptions) -> dict[str, Any]:
@@ -154,6 +150,7 @@ def _from_run(folder: Path, reading: VideoOptions) -> Source:
     InputError
         For options that only a video takes, for columns that the run does not have, and for a damaged run.
     """
+    from vision.figures import slip_times
     from vision.run import read_run, read_strip, slip_times_s
 
     given = [name for name, value in vars(reading).items() if value is not None and name not in OF_A_RUN]
@@ -164,7 +161,7 @@ def _from_run(folder: Path, reading: VideoOptions) -> Source:
     strip = read_strip(run)
     columns, size = parse_range(reading.columns, "--columns"), parse_pixel_size(reading.pixel_size)
     files = ("kymograph.tif", "tracks.nc", "events.csv", "clock.json")
-    slips_s, slips_from = _slips(run.tracks, slip_times_s(run))
+    slips_s, slips_from = slip_times(run.tracks, slip_times_s(run))
     return Source(
         strip=strip if columns is None else _cut(strip, columns, folder),
         tracks=run.tracks,
@@ -188,6 +185,7 @@ def _cut(strip: xr.DataArray, columns: slice, folder: Path) -> xr.DataArray:
 def _from_video(path: Path, settings: Settings, *, track: bool, quiet: bool) -> Source:
     """A video's strip, and its sheets where windows around them are wanted."""
     from vision.data import warnings_of
+    from vision.figures import slip_times
     from vision.pipeline import analyse, open_recording
     from vision.video import strip_profile
 
@@ -202,29 +200,7 @@ def _from_video(path: Path, settings: Settings, *, track: bool, quiet: bool) -> 
             tracks, warnings = None, tuple(warnings_of(strip))
     given = () if settings.timestamps is None else (settings.timestamps,)
     assert strip is not None
-    return Source(strip, tracks, *_slips(tracks, None), settings.pixel_size_um, (path, *given), warnings)
-
-
-def _slips(tracks: xr.Dataset | None, force_s: Floats | None) -> tuple[Floats | None, str]:
-    """Times of slips and where they come from: the force where its clock is sure, else the sheets' common
-    outward steps.
-
-    None where the axis was only guessed from the sheets' places: which way is outward is not known then.
-    """
-    from vision.clock import video_slips
-    from vision.data import TrackMetadata
-
-    if force_s is not None:
-        return force_s, "the force"
-    if tracks is None:
-        return None, ""
-    found = TrackMetadata.of(tracks)
-    if found.axis_how == "geometry" and math.isnan(found.axis_low_px):
-        return None, ""
-    try:
-        return video_slips(tracks)["time_s"].to_numpy(), "the sheets' common steps"
-    except InputError:  # too few frames, or none with a time: nothing to mark
-        return None, ""
+    return Source(strip, tracks, *slip_times(tracks), settings.pixel_size_um, (path, *given), warnings)
 
 
 def _diagrams(
@@ -268,13 +244,10 @@ def _facts(
     warnings: list[str],
 ) -> dict[str, Any]:
     """Everything run.json holds but the timings."""
-    from vision.run import Origin, Parameter
+    from vision.run import Origin
 
-    chosen = {
-        name: Parameter(value, "default" if value in (None, (), False) else "given")
-        for name, value in vars(window).items()
-    }
-    origin = Origin(command=command_line(), inputs=source.files, parameters={**parameters, **chosen})
+    chosen = parameters | parameters_given(vars(window))
+    origin = Origin(command=command_line(), inputs=source.files, parameters=chosen)
     return origin.facts() | {
         MARK: [_about(diagram) for diagram in diagrams],
         "slips": _slips_shown(source, diagrams[0]),

@@ -135,6 +135,15 @@ def position_unit(pixel_size_um: float | None, width_px: float) -> tuple[float, 
     return pixel_size_um / UM_PER_MM, "mm"
 
 
+def from_zero(*values: Floats, share: float = 1.0) -> tuple[float, float] | None:
+    """Range of an axis from 0 to above this share of the values; None where none is above 0."""
+    known = np.concatenate([np.asarray(part, np.float64).ravel() for part in values])
+    known = known[np.isfinite(known)]
+    room = 1.15 if share == 1 else 1.25  # for the outliers
+    top = room * float(np.quantile(known, share)) if known.size else 0.0
+    return (0.0, top) if top > 0 else None
+
+
 def load_unit(force: xr.Dataset) -> str:
     """The load's unit: "N", or "1" for a force over a weight."""
     return str(force["load_N"].attrs.get("units", "N"))

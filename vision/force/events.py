@@ -11,7 +11,6 @@ import xarray as xr
 
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
 from vision.errors import InputError
-from vision.force.corners import Corners, find_corners
 from vision.force.lines import fit_broken_lines
 from vision.force.lowpass import SlipTransients, deconvolve_lowpass, estimate_lowpass
 from vision.force.recording import is_compression
@@ -24,7 +23,7 @@ from vision.force.regime import (
 )
 from vision.force.settings import DEFAULTS, ForceSettings
 from vision.force.slips import Slips, find_slips, stick_middles
-from vision.force.sticks import Signal, measure_sticks
+from vision.force.sticks import Corners, Signal, find_corners, measure_sticks
 from vision.numeric import Bools, Floats, nan_median
 
 _STICKS_FOR_KNEES = 60  # looked at, from first to last, to tell whether sticks have two slopes

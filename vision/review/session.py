@@ -29,6 +29,7 @@ from vision.review.stored import Found, claim, decided_clock
 from vision.review.tiles import Tiles, encode_png
 from vision.review.trial import Trial
 from vision.run.folder import whole_file
+from vision.run.provenance import plain
 from vision.run.reading import input_of
 from vision.run.writing import CORRECTIONS
 from vision.sheets.corrections import (
@@ -395,7 +396,7 @@ class Session:
                 "sheets": self.sheets(),
                 "doubts": self.doubts(),
                 "sticks": self.sticks(),
-                "clock": None if self.clock is None else self.clock.to_json(),
+                "clock": plain(self.clock),
                 "tiles": {
                     "levels": self.tiles.levels,
                     "columns": self.tiles.settings.columns,

@@ -17,7 +17,7 @@ from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.escaping import harmless, harmless_table
 from vision.files import reading
-from vision.run.folder import check_target, run_folder, whole_file
+from vision.run.folder import check_new, check_target, run_folder, whole_file
 from vision.run.provenance import write_json
 from vision.run.reading import AGAIN, RunFolder, check_mark, read_json, read_table, tracks_of
 from vision.run.tables import sheets_table, tracks_table
@@ -103,8 +103,7 @@ def _check_outside(run: RunFolder, target: Path) -> None:
 def _check_file(target: Path, *, overwrite: bool) -> None:
     if target.is_dir():
         raise InputError(target, "a file to write", "a folder", "give another `out`")
-    if target.exists() and not overwrite:
-        raise InputError(target, "a new file", "one that exists", "give `overwrite` or another `out`")
+    check_new(target, overwrite=overwrite)
 
 
 def all_tables(run: RunFolder) -> dict[str, pd.DataFrame]:
