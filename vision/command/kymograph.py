@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from vision.numeric import Floats
     from vision.pipeline import Settings
-    from vision.run import Parameter
 
 PAPER_WIDTH_UM = 200.0
 MARK = "diagrams"  # of run.json: tells a folder of diagrams from a run
@@ -108,7 +107,9 @@ def kymograph(
     started = clock.perf_counter()
     window, reading = window or WindowOptions(), reading or VideoOptions()
     options = _space_time_options(window)
-    from vision.run import check_mark, check_target, is_run
+    from vision.figures import kymograph_figure
+    from vision.run import Origin, check_mark, check_target, is_run, run_folder, write_json
+    from vision.run.tiff import write_space_time_tif
 
     target = out or Path(f"{run_name(video_or_run)}_kymograph")
     check_target(target, overwrite=overwrite)
@@ -123,9 +124,26 @@ def kymograph(
         source = _from_video(video_or_run, settings_of(parameters), track=wanted, quiet=quiet)
     diagrams = _diagrams(source, **options)
     warnings = [*source.warnings, *_warnings(diagrams)]
-    facts = _facts(window, parameters, source, diagrams, warnings)
-    files = _write(target, overwrite, picture, source, diagrams, facts, started)
-    return conclude(_summary(target, files, source, diagrams), warnings, quiet=quiet)
+    slips, chosen = _slips_shown(source, diagrams[0]), parameters | parameters_given(vars(window))
+    facts = Origin(command=command_line(), inputs=source.files, parameters=chosen).facts()
+    facts |= {MARK: [_about(diagram) for diagram in diagrams], "slips": slips, "warnings": warnings}
+    names = [f"kymograph_{d.attrs.get('sheet', 'strip').replace(':', '')}.tif" for d in diagrams]
+    figure = kymograph_figure(diagrams, slips_s=source.slips_s, slips_from=source.slips_from)
+    size = source.pixel_size_um
+    with run_folder(target, overwrite=overwrite) as folder:
+        for name, diagram in zip(names, diagrams, strict=True):
+            write_space_time_tif(diagram, folder / name, pixel_size_um=size)
+        figure.save(folder / f"kymograph.{picture}")
+        facts["seconds"] = {"total": clock.perf_counter() - started}
+        write_json(facts, folder / "run.json")
+    rows, columns = diagrams[0].shape
+    scale = "" if size is None else f", {size:g} µm per px"
+    lines = [
+        f"diagrams   {len(diagrams)} of {rows} frames x {columns} px{scale}",
+        f"slips      {slips}",
+        f"results    {target}/: {', '.join([*names, f'kymograph.{picture}'])}",
+    ]
+    return conclude(lines, warnings, quiet=quiet)
 
 
 def _space_time_options(window: WindowOptions) -> dict[str, Any]:
@@ -236,25 +254,6 @@ def _warnings(diagrams: list[xr.DataArray]) -> list[str]:
     return lines
 
 
-def _facts(
-    window: WindowOptions,
-    parameters: dict[str, Parameter],
-    source: Source,
-    diagrams: list[xr.DataArray],
-    warnings: list[str],
-) -> dict[str, Any]:
-    """Everything run.json holds but the timings."""
-    from vision.run import Origin
-
-    chosen = parameters | parameters_given(vars(window))
-    origin = Origin(command=command_line(), inputs=source.files, parameters=chosen)
-    return origin.facts() | {
-        MARK: [_about(diagram) for diagram in diagrams],
-        "slips": _slips_shown(source, diagrams[0]),
-        "warnings": warnings,
-    }
-
-
 def _about(diagram: xr.DataArray) -> dict[str, Any]:
     """What one diagram shows."""
     from vision.run.tiff import frame_step_s
@@ -279,38 +278,3 @@ def _slips_shown(source: Source, diagram: xr.DataArray) -> str:
     half = frame_step_s(times) / 2
     seen = (source.slips_s >= times[0] - half) & (source.slips_s <= times[-1] + half)
     return f"{seen.sum()} in the part shown, from {source.slips_from}"
-
-
-def _write(
-    target: Path,
-    overwrite: bool,
-    picture: str,
-    source: Source,
-    diagrams: list[xr.DataArray],
-    facts: dict[str, Any],
-    started: float,
-) -> list[str]:
-    """The folder, whole; names of the files in it."""
-    from vision.figures import kymograph_figure
-    from vision.run import run_folder, write_json
-    from vision.run.tiff import write_space_time_tif
-
-    names = [f"kymograph_{d.attrs.get('sheet', 'strip').replace(':', '')}.tif" for d in diagrams]
-    figure = kymograph_figure(diagrams, slips_s=source.slips_s, slips_from=source.slips_from)
-    with run_folder(target, overwrite=overwrite) as folder:
-        for name, diagram in zip(names, diagrams, strict=True):
-            write_space_time_tif(diagram, folder / name, pixel_size_um=source.pixel_size_um)
-        figure.save(folder / f"kymograph.{picture}")
-        seconds = {"total": clock.perf_counter() - started}
-        write_json({**facts, "seconds": seconds}, folder / "run.json")
-    return [*names, f"kymograph.{picture}"]
-
-
-def _summary(target: Path, files: list[str], source: Source, diagrams: list[xr.DataArray]) -> list[str]:
-    rows, columns = diagrams[0].shape
-    size = "" if source.pixel_size_um is None else f", {source.pixel_size_um:g} µm per px"
-    return [
-        f"diagrams   {len(diagrams)} of {rows} frames x {columns} px{size}",
-        f"slips      {_slips_shown(source, diagrams[0])}",
-        f"results    {target}/: {', '.join(files)}",
-    ]

@@ -10,7 +10,7 @@ import numpy as np
 from vision.numeric import Floats, Floats32, Ints
 from vision.review.editing import usual_places
 from vision.review.positions import Positions, read_rows
-from vision.run.reading import read_table_of
+from vision.run.reading import read_table
 
 DIFFERENT = 3.0
 """Standard errors of both positions by which they differ: three of a thousand equal ones do by chance."""
@@ -49,7 +49,7 @@ def _of_deformation(before: Path, after: Path, old: Ints, new: Ints) -> dict[str
     """How σ_x/Λ_st of the sheets in both runs, and the shells, differ."""
     names = ("deformation", "shells")
     (sheets, shells), (sheets_new, shells_new) = (
-        [read_table_of(folder, name) for name in names] for folder in (before, after)
+        [read_table(folder, name) for name in names] for folder in (before, after)
     )
     if sheets is None or sheets_new is None or shells is None or shells_new is None:
         return {"ratios": None, "shells": None}
