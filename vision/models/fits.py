@@ -14,10 +14,11 @@ from vision.data import FORCE, ForceMetadata
 from vision.errors import InputError
 from vision.models import equations
 from vision.models.bending import bending_length_mm
-from vision.models.results import Estimate, ModelFits
 from vision.models.single_fits import (
     LARGEST_SCALE,
+    Estimate,
     Fit,
+    ModelFits,
     fit_drops,
     fit_peaks,
     fit_stiffness,
