@@ -82,6 +82,6 @@ def compare(
 
 
 def _summary(found: Comparison, target: Path) -> list[str]:
-    from vision.comparison.summary import summary_lines
+    from vision.comparison.comparison import summary_lines
 
     return [f"{len(found.tests)} tests -> {target}/", *summary_lines(found)]

@@ -121,7 +121,14 @@ def fit_models(
         fits = _with_systematics(fits, force, events, free_t_star, held, errors, lowpass)
     notes, warnings = _remarks(fits, force, left_out, fit_range_mm is not None)
     warnings = (doubt, *warnings) if doubt else warnings
-    return replace(fits, left_out=left_out, notes=(*fits.notes, *notes), warnings=warnings)
+    d0_err = ForceMetadata.of(force).d0_err_mm
+    return replace(
+        fits,
+        left_out=left_out,
+        input_errors=errors | ({"d0_mm": d0_err} if np.isfinite(d0_err) else {}),
+        notes=(*fits.notes, *notes),
+        warnings=warnings,
+    )
 
 
 def _held(mu: float | None, modulus_GPa: float | None) -> dict[str, float]:

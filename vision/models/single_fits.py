@@ -86,6 +86,8 @@ class ModelFits:
     left_out
         Events not used, by the reason: "flagged", "build_up" (before the peaks' maximum), "misfit" (after it,
         before Eq. 1 fits) and "outside" the range given.
+    input_errors
+        Standard errors of d0 (``d0_mm``) and of fields of the sample, as given.
     budget
         Source of a systematic error to what it contributes to each parameter; None where it is not known.
     """
@@ -106,6 +108,7 @@ class ModelFits:
     warnings: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
     left_out: Mapping[str, int] = field(default_factory=dict)
+    input_errors: Mapping[str, float] = field(default_factory=dict)
     budget: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
 
     def reduced_separation(self, d_mm: ArrayLike) -> Floats:
@@ -178,6 +181,7 @@ class ModelFits:
             "M_eff": tuple(self.effective_sheets(self.d_mm).tolist()),
             "held": self.held,
             "events_left_out": dict(self.left_out),
+            "input_errors": dict(self.input_errors),
             "budget": {source: dict(parts) for source, parts in self.budget.items()},
             "notes": self.notes,
             "warnings": self.warnings,
@@ -284,7 +288,7 @@ def fit_drops(events: pd.DataFrame, sample: Sample, mu: float) -> Fit:
 def fit_stiffness(events: pd.DataFrame, sample: Sample, held: Mapping[str, float]) -> Fit:
     """Λ̂ and Y_eff from the stiffness, K = M √(1 − d/Λ̂) ε W Y_eff / L: no friction coefficient in it."""
     d, k = events["d_v_mm"].to_numpy(float), events["K_N_per_mm"].to_numpy(float)
-    sigma = _stiffness_errors(events)
+    sigma = stiffness_errors(events)
     given = held.get("modulus_GPa")
 
     def stiffness(scale: float, modulus: float) -> Floats:
@@ -317,13 +321,13 @@ def fit_stiffness(events: pd.DataFrame, sample: Sample, held: Mapping[str, float
     return replace(fit, value=np.array([scale, fit.value[1]]), covariance=turn @ fit.covariance @ turn)
 
 
-def _stiffness_errors(events: pd.DataFrame) -> Floats:
+def stiffness_errors(events: pd.DataFrame) -> Floats:
     """Errors of K, each added to half the usual one: one luckily small error must not outweigh the rest."""
     error = np.full(len(events), np.nan)
     if "K_err_N_per_mm" in events:
         error = events["K_err_N_per_mm"].to_numpy(float)
     known: Bools = np.isfinite(error) & (error > 0)
-    usual = float(np.median(error[known])) if known.any() else 1.0
+    usual = float(np.median(error[known] if known.any() else 0.05 * events["K_N_per_mm"]))
     return np.hypot(np.where(known, error, usual), 0.5 * usual)
 
 
