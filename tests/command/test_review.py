@@ -16,6 +16,8 @@ from vision.command.main import run
 from vision.command.review import settings_of_run
 from vision.review.session import Session
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 HOME = Path(__file__).parents[2]
 
 

@@ -34,6 +34,9 @@ LINES = ["sheets", "frames", "positions", "noise", "strip", "ridges", "axis", "c
 LINES += ["systematic", "results"]
 
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
+
 @pytest.fixture
 def video(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -242,7 +245,7 @@ def test_help_names_every_option_of_the_contract(capsys):
 
 
 def test_the_checkout_s_cli_runs_as_a_process(video):
-    """A failure means that `python cli.py` or its exit status is broken."""
+    """A failure means that `python cli.py` or its exit status is broken, or pictures empty."""
     root = Path(__file__).parents[2]
     done = subprocess.run(
         [sys.executable, str(root / "cli.py"), str(video)],
@@ -254,6 +257,8 @@ def test_the_checkout_s_cli_runs_as_a_process(video):
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert done.stdout.count("\n") == len(LINES)
+    sizes = {file.name: file.stat().st_size for file in Path("comb_tracks").iterdir()}
+    assert min(sizes[name] for name in ("overview.png", "kymograph.png", "report.html")) > 10_000
 
 
 def test_a_checksum_covers_every_byte_of_the_film(video):

@@ -14,6 +14,8 @@ from vision.command.main import run
 from vision.force import find_stick_slip
 from vision.models import fit_models
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 COLUMNS = [
     "event",
     "t_v_s",
@@ -37,7 +39,7 @@ def force(file: Path, *options: str) -> int:
 
 @pytest.fixture(scope="module")
 def test() -> Test:
-    return realistic(d1=17.5, noise=0.2)
+    return realistic(d1=15.5, noise=0.2)
 
 
 @pytest.fixture
@@ -77,7 +79,7 @@ def test_run_folder(file: Path, test: Test, capsys: pytest.CaptureFixture[str]) 
     assert facts["parameters"]["d0"] == {"value": 13, "how": "given"}
     assert facts["force"]["separation_from"] == "displacement"
     assert len(facts["inputs"][0]["sha256"]) == 64
-    assert (folder / "force.png").stat().st_size > 10_000
+    assert (folder / "force.png").is_file()
     assert "μ 0.89" in capsys.readouterr().out
 
 

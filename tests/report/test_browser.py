@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from tests.scenes.analysed import FACTS
-from tests.scenes.browser import chromium
+from tests.scenes.browser import PATIENCE_MS, chromium
 from vision.figures import figures_of
 from vision.figures.labels import to_unicode
 from vision.report import write_report
@@ -33,6 +33,7 @@ class Visit:
 
     def __init__(self, browser, path, **look):
         self.context = browser.new_context(**{"viewport": {"width": 1280, "height": 900}} | look)
+        self.context.set_default_timeout(PATIENCE_MS)
         self.page = self.context.new_page()
         self.complaints, self.requests = [], []
         self.page.on("console", lambda message: self.complaints.append(message.text))
@@ -231,13 +232,11 @@ def test_a_saved_figure_shows_what_the_page_shows(visit):
     whole = visit.page.evaluate("document.getElementById('tracks').svg()")
     assert whole.count("<path") < 60  # one curve and the axes
     visit.click("tracks", "zoom in")
-    visit.page.wait_for_timeout(100)
-    zoomed = visit.page.evaluate("document.getElementById('tracks').svg()")
+    visit.page.wait_for_function("(whole) => document.getElementById('tracks').svg() !== whole", arg=whole)
     assert (
         visit.page.evaluate("document.querySelectorAll('canvas').length")
         == visit.page.locator("figure").count()
     )
-    assert zoomed != whole
 
 
 def test_the_theme_button_repaints_the_figures(visit):
