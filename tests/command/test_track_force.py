@@ -88,6 +88,8 @@ def test_an_existing_run_is_kept(file: Path, capsys: pytest.CaptureFixture[str])
     assert force(file, "--d0", "13", "--quiet") == 0
     assert force(file, "--d0", "13", "--quiet") == 2
     assert "--overwrite" in capsys.readouterr().err
+    lines = file.read_text(encoding="utf-8-sig").splitlines()
+    file.write_text("\n".join(lines[: len(lines) // 3]), encoding="utf-8-sig")
     assert force(file, "--d0", "13", "--quiet", "--overwrite", "--detection-limit") == 0
     facts = json.loads(Path("pull_force/run.json").read_text(encoding="utf-8"))
     assert 0.2 < facts["detection_limit"]["limit_N"] < 3
