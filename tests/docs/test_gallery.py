@@ -36,7 +36,7 @@ def test_a_script_of_the_gallery_draws_its_picture(script, tmp_path):
         capture_output=True,
         text=True,
         check=False,  # the assertion below shows what the script complained of
-        timeout=60,
+        timeout=600,
     )
     assert done.returncode == 0, done.stderr
     picture = imread(tmp_path / f"{script.stem}.png")

@@ -8,9 +8,7 @@ import pytest
 
 from tests.scenes.sawtooth import Test, plain, realistic, recording
 from vision.errors import InputError
-from vision.experiment import simulate_pull, with_settings
-from vision.experiment.force_file import force_recording
-from vision.experiment.presets import preset
+from vision.experiment import force_recording, preset, simulate_pull, with_settings
 from vision.force import find_stick_slip, read_force
 from vision.force.lowpass import deconvolve_lowpass, estimate_lowpass
 from vision.force.slips import find_slips

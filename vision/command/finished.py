@@ -281,7 +281,7 @@ def compare(
         No summary.
     """
     from vision.comparison import compare as compare_runs
-    from vision.comparison.summary import summary_lines
+    from vision.comparison.comparison import summary_lines
     from vision.run import Origin, check_mark, check_target
     from vision.run.comparing import MARK, write_comparison
 

@@ -14,10 +14,11 @@ from vision.data import FORCE, ForceMetadata
 from vision.errors import InputError
 from vision.models import equations
 from vision.models.bending import bending_length_mm
-from vision.models.results import Estimate, ModelFits
 from vision.models.single_fits import (
     LARGEST_SCALE,
+    Estimate,
     Fit,
+    ModelFits,
     fit_drops,
     fit_peaks,
     fit_stiffness,
@@ -120,7 +121,14 @@ def fit_models(
         fits = _with_systematics(fits, force, events, free_t_star, held, errors, lowpass)
     notes, warnings = _remarks(fits, force, left_out, fit_range_mm is not None)
     warnings = (doubt, *warnings) if doubt else warnings
-    return replace(fits, left_out=left_out, notes=(*fits.notes, *notes), warnings=warnings)
+    d0_err = ForceMetadata.of(force).d0_err_mm
+    return replace(
+        fits,
+        left_out=left_out,
+        input_errors=errors | ({"d0_mm": d0_err} if np.isfinite(d0_err) else {}),
+        notes=(*fits.notes, *notes),
+        warnings=warnings,
+    )
 
 
 def _held(mu: float | None, modulus_GPa: float | None) -> dict[str, float]:

@@ -11,7 +11,7 @@ import numpy as np
 
 import vision
 from vision.comparison import Comparison
-from vision.comparison.summary import DISAGREE, joint_line
+from vision.comparison.comparison import DISAGREE, joint_line
 from vision.figures import Figure, plus_minus, save_figures
 from vision.figures.compare import compare_sections
 from vision.models import Estimate
