@@ -384,9 +384,8 @@ def smooth_motion(
 
     Between slips a cubic (a parabola in short pieces) through as many frames as it fits each sheet, plus what
     all sheets do together in each frame; where none fits, as measured. It is a cubic in the sheets' own time,
-    see `own_time`. Codecs that chain frames
-    make steps that are no motion: fits are kept. Positions that are `pulled` aside are no motion either:
-    there a sheet moves as those around it.
+    see `own_time`. Codecs that chain frames make steps that are no motion: fits are kept. Positions that are
+    `pulled` aside are no motion either: there a sheet moves as those around it.
     """
     frames, sheets = x_px.shape
     x_px, raw = (x_px, x_px) if pulled is None else (np.where(pulled, np.nan, x_px), x_px)
