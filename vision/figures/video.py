@@ -14,7 +14,7 @@ from vision.figures.decimate import grey_levels, minmax_decimate, time_rows
 from vision.figures.displacement import origin_px, outer_less_inner_px
 from vision.figures.figure import Band, Figure, Image, Ink, Panel, Range, Series
 from vision.figures.labels import UM_PER_MM, displacement_unit, position_unit, time_axis
-from vision.figures.style import DATA, LEFT_ON_GREY, MODEL, PEAK, RIGHT_ON_GREY, sheet_inks
+from vision.figures.style import DATA, LEFT_ON_GREY, MODEL, PEAK, RIGHT_ON_GREY, VALLEY, sheet_inks
 from vision.numeric import Floats, Floats32, Ints, Pixels, nan_median
 
 MOST_ROWS = 1200  # of an image
@@ -412,19 +412,23 @@ def outer_inner_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None
 
 
 def noise_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Figure:
-    """Noise of every sheet's position, as measured and as predicted from the noise of the profile."""
+    """Noise of every sheet's position in time and between sheets, and the error that is stated."""
     scale, unit = displacement_unit(pixel_size_um)
     numbers, order = signed_number(tracks)
     measured = tracks["x_noise_px"].values[order] * scale
-    predicted = nan_median(tracks["x_err_px"].values)[order] * scale
+    scatter = (tracks["x_scatter_px"].values if "x_scatter_px" in tracks else np.full(order.size, np.nan))[
+        order
+    ] * scale
+    stated = nan_median(tracks["x_err_px"].values)[order] * scale
     panel = Panel(
         x_label="side · n (left negative)",
         y_label=f"noise of x ({unit})",
         series=(
-            Series(label="measured", x=numbers, y=measured, ink=DATA, look="points"),
-            Series(label="predicted", x=numbers, y=predicted, ink=PEAK, look="points", hollow=True),
+            Series(label="from frame to frame", x=numbers, y=measured, ink=DATA, look="points"),
+            Series(label="between sheets", x=numbers, y=scatter, ink=VALLEY, look="points"),
+            Series(label="stated error", x=numbers, y=stated, ink=PEAK, look="points", hollow=True),
         ),
-        y_range=(0.0, _top(measured, predicted)),
+        y_range=(0.0, _top(measured, scatter, stated)),
         whole_numbers=True,
         aspect=0.4,
     )
@@ -433,9 +437,10 @@ def noise_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> F
         title="Noise of the positions",
         caption=(
             "Filled: scatter of each sheet's position from frame to frame, from second differences in "
-            "time, so that creep and common motion do not count. Hollow: standard error expected from "
-            "the noise of the profile (median over the frames). Where the two disagree, something other "
-            "than camera noise moves or blurs that sheet."
+            "time, so that creep and common motion do not count, and against its neighbours, from fourth "
+            "differences along n. Hollow: the error stated for a position (median over the frames), from "
+            "the noise of the profile, or with a lossy codec from the scatter between sheets. Scatter from "
+            "frame to frame that is larger than the error is motion, or something that the error lacks."
         ),
         panels=(panel,),
     )
