@@ -41,7 +41,7 @@ def test_help_names_every_option_of_the_contract(capsys):
     promised = (
         "strip columns sheets ridges axis fit window pixel-size fps timestamps frames rotate config out"
     )
-    for option in [*promised.split(), "overwrite", "quiet", "verbose"]:
+    for option in [*promised.split(), "out", "overwrite", "quiet", "verbose"]:
         assert f"--{option}" in said
 
 
