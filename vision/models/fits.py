@@ -208,9 +208,7 @@ def _misread_lengths(
         except (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError):
             continue
         if peaks.goodness.chi2_dof < _CONTRADICTS and abs(peaks.value[1]) < _LARGEST_OFFSET_N:
-            found = (
-                f"𝒯0 = {fits.t0_N.value:.3g} N and χ²/dof {chi2:.3g} with displacement in mm; in {unit} "
-            )
+            found = f"𝒯0 = {fits.t0_N.value:.3g} N and χ²/dof {chi2:.3g} with displacement in mm; in {unit} "
             found += f"it agrees (μ = {peaks.value[0]:.3g}, 𝒯0 = {peaks.value[1]:.2g} N)"
             if any("displacement taken in" in note for note in facts.notes):
                 advice = f"the file states no unit: give `force_columns` displacement=NAME:{unit}"
