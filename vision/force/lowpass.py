@@ -11,6 +11,7 @@ from vision.force.lines import lagged_hinge
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips
 from vision.numeric import Bools, Floats, Ints
+from vision.signals import running_mean
 
 _SHORTEST = 0.15  # time constant looked for, samples: a shorter one leaves no transient
 _KNEES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0)  # tried, in sticks; 1 is no knee
@@ -251,7 +252,7 @@ def deconvolve_lowpass(y: Floats, sigma: float, slips: Slips, tau: float) -> Dec
     noisy = int(np.sum(noise > np.median(slips.drop) / 40))
     chosen = min(noisy, widths.size - 1)
     width = int(widths[chosen])
-    load = scipy.ndimage.uniform_filter1d(y + gain * np.diff(y, prepend=y[:1]), width, mode="nearest")
+    load = running_mean(y + gain * np.diff(y, prepend=y[:1]), width)
     edge = _steepest(load, slips.edge, 2 * tau, width)
     return DeconvolvedLoad(load, edge, tau - gain, width, float(noise[chosen]))
 
