@@ -255,7 +255,7 @@ class Figure:
     name
         Short, used for files and in `track figures`.
     title, caption
-        For the page and for captions.txt.
+        Of the page and of a manuscript.
     panels
         One, or several in reading order.
     columns
@@ -371,12 +371,6 @@ def _long(table: pd.DataFrame, panel: Panel) -> pd.DataFrame:
     table = table.rename(columns={x: "x", y: "y"}).assign(panel=panel.title, x_label=x, y_label=y)
     first = ["panel", "series", "x_label", "x", "y_label", "y"]
     return table[[*first, *(name for name in table if name not in first)]]
-
-
-def write_captions(path: Path, figures: Iterable[Figure]) -> None:
-    """Names, titles and captions as text."""
-    text = "\n\n".join(f"{f.name}\n{' '.join([f'{f.title}. {f.caption}', *f.notes])}" for f in figures)
-    path.write_text(text + "\n", encoding="utf-8", errors="replace")
 
 
 # --- figures in a file --------------------------------------------------------------------------------------

@@ -14,27 +14,18 @@ from vision.numeric import Bools, Floats, Ints
 
 @dataclass(frozen=True)
 class Extremes:
-    """Highest load before and lowest load after the middle of each slip, spikes aside.
+    """Highest load before and lowest load after the middle of each slip, spikes aside."""
 
-    Parameters
-    ----------
-    peak, valley
-        Where, in samples.
-    high, low
-        The load there, averaged over `width` samples.
-    highest, lowest
-        The single largest and smallest sample.
-    width
-        Samples averaged for each slip: a 24th of it, so that a half cosine loses next to nothing.
-    """
-
+    # peak, valley: where, in samples
     peak: Floats
     valley: Floats
+    # high, low: the load there, averaged over `width` samples
     high: Floats
     low: Floats
+    # highest, lowest: the single largest and smallest sample
     highest: Floats
     lowest: Floats
-    width: Ints
+    width: Ints  # samples averaged for each slip: a 24th of it, so that a half cosine loses next to nothing
 
     @property
     def fall(self) -> Floats:
@@ -130,22 +121,13 @@ def is_slow(fall: Floats, rise: Floats, settings: ForceSettings) -> Bools:
 
 @dataclass(frozen=True)
 class Regime:
-    """What kind of motion a recording shows.
+    """What kind of motion a recording shows."""
 
-    Parameters
-    ----------
-    name
-        "stick-slip", "oscillation" (rise and fall equally long, both rounded, a narrow line in the spectrum)
-        or "cycles" (rise and fall equally long and both straight).
-    fall_over_rise
-        Median duration of falls over that of rises.
-    line_share
-        Share of the load's variance within 20 % of the frequency of the slips.
-    """
-
+    # "stick-slip", "oscillation" (rise and fall equally long, both rounded, a narrow line in the
+    # spectrum) or "cycles" (rise and fall equally long and both straight)
     name: str
-    fall_over_rise: float
-    line_share: float
+    fall_over_rise: float  # median duration of falls over that of rises
+    line_share: float  # share of the load's variance within 20 % of the frequency of the slips
 
 
 def find_regime(y: Floats, extremes: Extremes, settings: ForceSettings) -> Regime:
