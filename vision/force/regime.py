@@ -102,17 +102,7 @@ def _largest(
 
 
 def is_slow(fall: Floats, rise: Floats, settings: ForceSettings) -> Bools:
-    """Slips that take a considerable part of the sticks beside them.
-
-    Parameters
-    ----------
-    fall
-        Length of each slip.
-    rise
-        Length of each stick between two slips, one fewer.
-    settings
-        ``slow_slip``.
-    """
+    """Slips (lengths `fall`) that take a considerable part of the sticks beside them (`rise`, one fewer)."""
     if not rise.size:
         return np.zeros(fall.shape, dtype=bool)
     beside = np.minimum(np.r_[rise[:1], rise], np.r_[rise, rise[-1:]])
@@ -133,19 +123,8 @@ class Regime:
 def find_regime(y: Floats, extremes: Extremes, settings: ForceSettings) -> Regime:
     """Stick-slip, or an oscillation, or loading and unloading.
 
-    Parameters
-    ----------
-    y
-        Load without spikes.
-    extremes
-        As from `find_extremes`.
-    settings
-        ``equal_share`` and ``line_share``.
-
-    Notes
-    -----
-    Rises and falls are each fitted by a straight line and by half a cosine. Slow slips of true stick-slip are
-    rounded too, but their sticks are straight.
+    Rises and falls of the load are each fitted by a straight line and by half a cosine. Slow slips of true
+    stick-slip are rounded too, but their sticks are straight.
     """
     rise, fall = extremes.rise, extremes.fall[1:]
     known = (rise >= 4) & (fall >= 2)
@@ -195,12 +174,7 @@ def _line_share(y: Floats, extremes: Extremes) -> float:
 def is_unloading(travel: Floats, extremes: Extremes) -> Bools:
     """Falls during which the crosshead goes back by a fifth of what it went forward before, or more.
 
-    Parameters
-    ----------
-    travel
-        Separation at each sample; where it is not known nothing is unloading.
-    extremes
-        As from `find_extremes`.
+    Where the separation at each sample, `travel`, is not known nothing is unloading.
     """
     place = np.arange(travel.size)
     at_peak, at_valley = (np.interp(at, place, travel) for at in (extremes.peak, extremes.valley))

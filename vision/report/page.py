@@ -187,6 +187,10 @@ def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
             arrays.append(store.add(values))
         return places[id(values)]
 
+    picture = None
+    if (image := panel.image) is not None:
+        picture = {edge: getattr(image, edge) for edge in ("left", "right", "top", "bottom")}
+        picture["uri"] = image_uri(image, most_bytes=IMAGE_BYTES)
     return {
         "name": name,
         "xLabel": panel.x_label,
@@ -198,7 +202,7 @@ def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
         "switchable": panel.switchable,
         "wholeNumbers": panel.whole_numbers,
         "commonX": panel.common_x if panel.series else False,
-        "picture": None if panel.image is None else _image_data(panel.image),
+        "picture": picture,
         "bands": [{"low": b.low, "high": b.high, "outline": b.outline} for b in panel.bands],
         "marks": [] if panel.marks is None else [float(f"{t:.8g}") for t in panel.marks.tolist()],
         "arrows": [{"x": a.x, "y": a.y, "label": to_unicode(a.label)} for a in panel.arrows],
@@ -208,13 +212,9 @@ def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
         "firstView": panel.first_view,
         "downwards": panel.downwards,
         "timeDown": panel.time_down,
-        "aspect": _page_aspect(panel),
+        "aspect": 0.75 if panel.time_down else panel.aspect,
         "squarePixels": panel.square_pixels,
     }
-
-
-def _page_aspect(panel: Panel) -> float:
-    return 0.75 if panel.time_down else panel.aspect
 
 
 def _series_data(series: Series, place: Callable[[Floats], int]) -> dict[str, Any]:
@@ -236,11 +236,6 @@ def _series_data(series: Series, place: Callable[[Floats], int]) -> dict[str, An
     if series.low is not None and series.high is not None:
         data |= {"low": place(series.low), "high": place(series.high)}
     return data | ({"text": series.text} if series.text else {})
-
-
-def _image_data(image: Image) -> dict[str, Any]:
-    edges = {name: getattr(image, name) for name in ("left", "right", "top", "bottom")}
-    return edges | {"uri": image_uri(image, most_bytes=IMAGE_BYTES)}
 
 
 def image_uri(image: Image, *, most_bytes: int) -> str:
