@@ -69,6 +69,16 @@ def conclude(lines: Iterable[str], warnings: Sequence[str], *, quiet: bool) -> i
     return 1 if warnings else 0
 
 
+def in_columns(rows: Sequence[Sequence[str]], align: str) -> list[str]:
+    """Lines with columns of even width, each to the left (<) or to the right (>), and the last as it is."""
+    widths = [max((len(row[k]) for row in rows), default=0) for k in range(len(align))]
+    lines = []
+    for row in rows:
+        cells = [f"{cell:{side}{width}}" for cell, side, width in zip(row, align, widths, strict=False)]
+        lines.append("  ".join([*cells, row[-1]]).rstrip())
+    return lines
+
+
 def _print(lines: Iterable[str], stream: TextIO | None) -> OSError | None:
     """Lines to a stream, with options in place of arguments; the error if the stream does not take them."""
     if stream is None:

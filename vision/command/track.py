@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vision.command.console import complain, frame_progress, outcome, say
+from vision.command.console import complain, frame_progress, in_columns, outcome, say
 from vision.command.options import (
     ForceOptions,
     RunOptions,
@@ -287,7 +287,7 @@ def _track_several(targets: Mapping[Path, Path], parameters: dict[str, Parameter
         worst = max(worst, status)
         rows.append(_row(video, status, found[0] if found else None, why, time.perf_counter() - started))
     if not run.quiet:
-        say(_table(rows))
+        say(in_columns([HEAD, *rows], "<" + ">" * (len(HEAD) - 2)))
     return worst
 
 
@@ -311,18 +311,6 @@ def _row(video: Path, status: int, found: Analysis | None, why: str, seconds: fl
         f"{seconds:.1f}",
         "" if not count else f"{count} warning{'s' * (count > 1)}",
     )
-
-
-def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Columns of even width, the remark last."""
-    table = [HEAD, *rows]
-    widths = [max(len(row[k]) for row in table) for k in range(len(HEAD) - 1)]
-    lines = []
-    for row in table:
-        first = row[0].ljust(widths[0])
-        rest = "  ".join(cell.rjust(width) for cell, width in zip(row[1:-1], widths[1:], strict=True))
-        lines.append(f"{first}  {rest}  {row[-1]}".rstrip())
-    return lines
 
 
 # --- a film that a camera still writes ----------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -365,10 +365,10 @@ def provenance(facts: Mapping[str, Any]) -> list[FactsTable]:
     """Parameters and whether they were given or found, inputs with checksums, versions; what is known."""
     tables = [
         FactsTable("Parameters", ("parameter", "value", "given or found"), tuple(_parameters(facts))),
-        FactsTable("What was found", ("quantity", "value"), tuple(_flat(facts.get("found", {})))),
+        FactsTable("What was found", ("quantity", "value"), tuple(_texts(facts.get("found", {})))),
         FactsTable("Decisions by hand", ("decision", "date"), tuple(_decisions(facts))),
         FactsTable("Inputs", ("file", "bytes", "SHA-256"), tuple(_inputs(facts))),
-        FactsTable("Versions", ("package", "version"), tuple(_flat(facts.get("versions", {})))),
+        FactsTable("Versions", ("package", "version"), tuple(_texts(facts.get("versions", {})))),
         FactsTable("Command", ("command line",), ((str(facts["command"]),),) if "command" in facts else ()),
     ]
     return [table for table in tables if table.rows]
@@ -394,9 +394,15 @@ def _inputs(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
         yield str(item["path"]), str(item["size_bytes"]), digest
 
 
-def _flat(values: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, ...]]:
+def _texts(values: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
+    for name, value in flattened(values, ": "):
+        yield name, f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def flattened(values: Mapping[str, Any], joint: str, before: str = "") -> Iterator[tuple[str, Any]]:
+    """(name, value) of nested mappings, the names joined."""
     for name, value in values.items():
         if isinstance(value, Mapping):
-            yield from _flat(value, f"{before}{name}: ")
+            yield from flattened(value, joint, f"{before}{name}{joint}")
         else:
-            yield f"{before}{name}", f"{value:.6g}" if isinstance(value, float) else str(value)
+            yield f"{before}{name}", value
