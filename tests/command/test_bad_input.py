@@ -154,6 +154,7 @@ def test_what_is_no_recording_is_refused_in_one_line(case, place, frames, capsys
 
 ARGUMENTS = {
     "strip outside": (["--strip", "5:99"], "0:12"),
+    "strip is no range": (["--strip", "rows"], "--strip"),
     "empty strip": (["--strip", "5:5"], "--strip"),
     "columns outside": (["--columns", "170:190"], "0:180"),
     "columns too few": (["--columns", "50:54"], "columns"),
@@ -162,9 +163,18 @@ ARGUMENTS = {
     "one number for frames": (["--frames", "5"], "A:B"),
     "frame rate nan": (["--fps", "nan"], "--fps"),
     "window wider than the picture": (["--window", "999"], "180 columns"),
+    "window over two ridges": (["--window", "31"], "no wider than the ridges' spacing"),
+    "even window": (["--window", "8"], "--window"),
+    "window is no number": (["--window", "wide"], "--window"),
+    "unknown option": (["--stripe", "1:2"], "--stripe"),
+    "unknown option in the file": (["--config", "bad.toml"], "stripe"),
+    "broken file of options": (["--config", "note.txt"], "note.txt"),
+    "unknown polarity": (["--ridges", "grey"], "grey"),
+    "rotation": (["--rotate", "45"], "45"),
     "axis far outside": (["--axis", "5000"], "--axis"),
     "axis is no number": (["--axis", "nan"], "--axis"),
     "pixel size 0": (["--pixel-size", "0"], "--pixel-size"),
+    "negative pixel size": (["--pixel-size", "-1"], "--pixel-size"),
     "second video that is not there": (["other.tif"], "other.tif"),
     "two pixel sizes": (["--scale", "1mm=103px", "--pitch", "0.2mm"], "one of"),
     "scale without pixels": (["--scale", "1mm"], "1mm=103px"),
@@ -184,6 +194,8 @@ ARGUMENTS = {
 def test_arguments_that_do_not_fit_are_refused_in_one_line(case, video, capsys):
     """A failure means that a mistyped option is guessed at or ends in a traceback."""
     arguments, expected = ARGUMENTS[case]
+    note(Path("note.txt"), None)
+    Path("bad.toml").write_text("stripe = '1:2'\n")
     first = [] if case.startswith("video has") else [video]
     assert expected in refused(capsys, *first, *arguments)
 

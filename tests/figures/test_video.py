@@ -95,7 +95,7 @@ def test_the_noise_of_each_sheet_is_that_of_the_tables(tracks):
     """A failure means that noise is shown for the wrong sheet or in the wrong unit."""
     tracks = tracks.assign(x_noise_px=("sheet", np.arange(10) / 100))
     figure = noise_figure(tracks, pixel_size_um=10.0)
-    measured = by_label(figure)["measured"]
+    measured = by_label(figure)["from frame to frame"]
     assert measured.x.tolist() == [-5, -4, -3, -2, -1, 1, 2, 3, 4, 5]
     np.testing.assert_allclose(measured.y, np.arange(10) / 10)
 

@@ -412,7 +412,7 @@ def _zoom(force: xr.Dataset, sticks: pd.DataFrame) -> Panel:
         )
     return Panel(
         title=title,
-        x_label="t (s)",
+        x_label="t (s, force clock)",
         y_label=load_label("F", load_unit(force)),
         series=series,
         placeholder="no events",

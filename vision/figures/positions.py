@@ -10,7 +10,7 @@ import xarray as xr
 from vision.figures.decimate import minmax_decimate
 from vision.figures.figure import Band, Figure, Ink, Panel, Series
 from vision.figures.labels import displacement_unit, from_zero, time_axis
-from vision.figures.style import DATA, MODEL, PEAK, sheet_inks
+from vision.figures.style import DATA, MODEL, PEAK, VALLEY, sheet_inks
 from vision.numeric import Bools, Floats, Ints, nan_median
 
 MOST_POINTS = 1600  # of one sheet
@@ -99,19 +99,22 @@ def outer_inner_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None
 
 
 def noise_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Figure:
-    """Noise of every sheet's position, as measured and as predicted from the noise of the profile."""
+    """Noise of every sheet's position in time and between sheets, and the error that is stated."""
     scale, unit = displacement_unit(pixel_size_um)
     numbers, order = signed_number(tracks)
     measured = tracks["x_noise_px"].values[order] * scale
-    predicted = nan_median(tracks["x_err_px"].values)[order] * scale
+    unknown = np.full(order.size, np.nan)
+    scatter = (tracks["x_scatter_px"].values[order] if "x_scatter_px" in tracks else unknown) * scale
+    stated = nan_median(tracks["x_err_px"].values)[order] * scale
     panel = Panel(
         x_label="side · n (left negative)",
         y_label=f"noise of x ({unit})",
         series=(
-            Series.points("measured", numbers, measured, DATA),
-            Series.points("predicted", numbers, predicted, PEAK, hollow=True),
+            Series.points("from frame to frame", numbers, measured, DATA),
+            Series.points("between sheets", numbers, scatter, VALLEY),
+            Series.points("stated error", numbers, stated, PEAK, hollow=True),
         ),
-        y_range=from_zero(measured, predicted),
+        y_range=from_zero(measured, scatter, stated),
         whole_numbers=True,
         aspect=0.4,
     )
@@ -119,9 +122,10 @@ def noise_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> F
         "noise",
         panel,
         "Filled: scatter of each sheet's position from frame to frame, from second differences in time, so "
-        "that creep and common motion do not count. Hollow: standard error expected from the noise of the "
-        "profile (median over the frames). Where the two disagree, something other than camera noise moves "
-        "or blurs that sheet.",
+        "that creep and common motion do not count, and against its neighbours, from fourth differences "
+        "along n. Hollow: the error stated for a position (median over the frames), from the noise of the "
+        "profile, or with a lossy codec from the scatter between sheets. Scatter from frame to frame that is "
+        "larger than the error is motion, or something that the error lacks.",
         title="Noise of the positions",
     )
 

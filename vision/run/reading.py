@@ -216,7 +216,6 @@ def slip_times_s(run: RunFolder) -> Floats | None:
 def _read_tracks(path: Path) -> xr.Dataset:
     """tracks.nc; HDF5 can crash or run for ever on a damaged file, so a process of its own tries it first."""
     wanted = "tracks as track writes them"
-    check_regular(path, wanted)
     try_out(path, "HDF5", wanted)
     with reading(path, wanted, AGAIN):
         with xr.open_dataset(path, engine="h5netcdf") as data:
