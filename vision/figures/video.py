@@ -174,7 +174,7 @@ def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | 
     """
     x_px = np.asarray(tracks["x_px"].values, np.float64)
     frames = _stick_frames(tracks, slips_s)
-    seen = np.isfinite(x_px).any(axis=1)
+    seen = np.asarray(np.isfinite(x_px).any(axis=1))
     if not seen.any():
         return None
     start = frames[0] if frames and seen[frames[0]] else int(seen.argmax())
