@@ -130,7 +130,7 @@ def outcome(work: Callable[[], Any]) -> tuple[int, str]:
     try:
         status = work()
     except (InputError, CycloptsError, OSError, MemoryError) as error:
-        return 2, _one_line(error)
+        return 2, one_line(error)
     except Exception as error:
         return 3, _unforeseen(error)
     return (status if isinstance(status, int) else 0), ""
@@ -146,7 +146,7 @@ def _unforeseen(error: Exception) -> str:
     return f"a failure that nobody foresaw ({what}); please report it with {file.name}"
 
 
-def _one_line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
     """What went wrong, where, and what to do."""
     if isinstance(error, UnusedCliTokensError):
         extra = " ".join(error.unused_tokens or ())
