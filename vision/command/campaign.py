@@ -179,7 +179,7 @@ def _checker(config: Path | None) -> Check:
     from vision.campaign.table import Checked
 
     if config is not None:
-        read_config(config)  # what is wrong with it is said once, not for every row
+        read_config(config)  # what is wrong with it is reported once, not for every row
 
     @cache
     def alone(name: str, text: str) -> tuple[Any, str]:
@@ -300,7 +300,7 @@ def _conductor(
         finally:
             try:
                 write_page(plan, live=False, remarks=read_remarks(plan))
-            except InputError as error:  # a full disk: what became of the films is said all the same
+            except InputError as error:  # a full disk: the states of the films are shown all the same
                 unwritten = True
                 complain(str(error))
         states = [plan.state(film) for film in plan.films]
@@ -317,7 +317,7 @@ def _conductor(
 
 
 def _complain_of(states: Sequence[State], remarks: Sequence[str]) -> None:
-    """One line for each film that failed, and what was said of the pool."""
+    """One line for each film that failed, and the remarks on the pool."""
     for state in states:
         if state.state in ("failed", "partial"):
             complain(f"{state.name}: {state.state}: {state.reason}")
@@ -326,7 +326,7 @@ def _complain_of(states: Sequence[State], remarks: Sequence[str]) -> None:
 
 
 def _progress(plan: Plan, *, quiet: bool) -> Callable[[], None] | None:
-    """Says which films have ended; None where nobody watches."""
+    """Says which films have ended; None where there is no terminal."""
     if quiet or sys.stderr is None or not sys.stderr.isatty():
         return None
     left = {name: plan.film(name) for job in plan.jobs.values() for name in job.films}
@@ -424,7 +424,7 @@ def _work(plan: Plan) -> Callable[[Film, Path, Path], Outcome]:
             reasons = [
                 analysis.reasons[name] for name in (*REFUSED, *analysis.failures) if name in analysis.reasons
             ]
-            why = reasons[0] if reasons else f"a failure that nobody foresaw: {target / 'failures.txt'}"
+            why = reasons[0] if reasons else f"unexpected error: {target / 'failures.txt'}"
         lines = [
             with_options(line, option_names()) for line in (why, *(analysis.warnings if analysis else ()))
         ]

@@ -84,7 +84,7 @@ def track(
     if run.follow:
         raise InputError("`follow`", "one video", f"{len(videos)}", "follow each in a terminal of its own")
     targets = _targets_of(videos, run.out, parameters)
-    settings_of(parameters)  # what fits no film is said once
+    settings_of(parameters)  # what is wrong for every film is reported once
     return _track_several(targets, parameters, run)
 
 
@@ -174,7 +174,7 @@ def resumable(checkpoint: Checkpoint) -> Iterator[None]:
 
 
 def run_name(video: Path) -> str:
-    """Base name of the run folder: the file's or folder's own; of a pattern what is no wildcard."""
+    """Base name of the run folder: the file's or folder's own; of a pattern what is not a wildcard."""
     whole = video.absolute() if video.name else video.resolve()
     if whole.exists():
         return whole.name if whole.is_dir() else whole.stem
@@ -193,7 +193,7 @@ def finish(
     """Summary to standard output, warnings to standard error; the exit status.
 
     0: done.  1: a warning that matters.  2: the force recording could not be used (what was measured is
-    kept).  3: a stage ended in an error that nobody foresaw (likewise).
+    kept).  3: an unexpected error ended a stage (likewise).
     """
     from vision.summary import findings
 
@@ -211,7 +211,7 @@ def finish(
             complain(f"{about}{analysis.reasons[name]} (what was measured before is kept in {target})")
     if (target / "failures.txt").exists():
         details = target / "failures.txt"
-        complain(f"{about}a failure that nobody foresaw; the rest is kept; please report it with {details}")
+        complain(f"{about}unexpected error; the rest is kept; please report it with {details}")
         return 3
     return 2 if refused else 1 if analysis.warnings else 0
 

@@ -244,7 +244,7 @@ def _check_numbers(tracks: xr.Dataset, path: Path, wanted: str) -> None:
 def stored_kymograph(path: Path) -> tuple[int, np.dtype[Any], tuple[int, int]]:
     """Where in the file of a space-time diagram its values begin, their type and shape (frame, x).
 
-    For whoever reads a part at a time: it is never mapped, as a mapping of a file that shrinks ends the
+    For reading a part at a time: it is never mapped, as a mapping of a file that shrinks ends the
     process.
     Raises: InputError for a damaged file.
     """

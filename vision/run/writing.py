@@ -123,7 +123,7 @@ def _shown(
     *,
     report: bool,
 ) -> None:
-    """Pictures and page; an error in them that nobody foresaw is added to `failures` and costs no table."""
+    """Pictures and page; an unexpected error in them is added to `failures` and loses no table."""
     try:
         figures = figures_of(analysis)
         _write_pictures(analysis, folder, figures)
