@@ -380,23 +380,9 @@ _COMPRESSION = 1  # of 9: four times as fast as the usual 6, for files a twentie
 
 
 def save_figures(path: str | Path, figures: Iterable[Figure]) -> Path:
-    """Write figures to one compressed .npz file, from which `load_figures` reads them.
+    """Write figures to one compressed .npz file, from which `load_figures` reads them; returns its path.
 
-    Parameters
-    ----------
-    path
-        The file. It holds JSON (as bytes, "figures"), all curves in one array ("curves") and the images.
-    figures
-        What to keep.
-
-    Returns
-    -------
-    The path.
-
-    Raises
-    ------
-    OSError
-        Where the file cannot be written.
+    It holds JSON (as bytes, "figures"), all curves in one array ("curves") and the images.
     """
     path = Path(path)
     curves: list[Floats] = []
@@ -452,21 +438,9 @@ def _is_default(value: Any, default: Any) -> bool:
 
 
 def load_figures(path: str | Path) -> list[Figure]:
-    """Figures from a file of `save_figures`.
+    """Figures from a file of `save_figures`, in their order.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    The figures, in the order in which they were saved.
-
-    Raises
-    ------
-    InputError
-        For a file that does not hold figures, or those of an incompatible version.
+    Raises: InputError for a file that does not hold figures, or those of an incompatible version.
     """
     with reading(Path(path), "figures that a run has saved", "run track again"):
         with np.load(path, allow_pickle=False) as arrays:

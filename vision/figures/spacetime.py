@@ -38,17 +38,9 @@ WINDOW_UM = 200.0
 def slip_times(tracks: xr.Dataset | None, force_s: Floats | None = None) -> tuple[Floats | None, str]:
     """Times of the slips on the camera's clock, s, and what they are from.
 
-    Parameters
-    ----------
-    tracks
-        From `track_sheets`; None where there are none.
-    force_s
-        Times of the force's slips on the camera's clock, where that is known for sure.
-
-    Returns
-    -------
-    The times of the force, rising, else the common outward steps of the sheets; None where neither is known:
-    with an axis that was only guessed from the sheets' places, outward is not known.
+    Those of the force where they are surely known on that clock (`force_s`), else the common outward steps of
+    the sheets; None where neither is known: with an axis that was only guessed from the sheets' places,
+    outward is not known.
     """
     if force_s is not None:
         return np.sort(force_s), "the force"

@@ -16,17 +16,7 @@ _NO_KNEE = 2.0
 
 
 def flat_ranges(start: Ints, stop: Ints) -> tuple[Ints, Ints]:
-    """Every integer of many ranges, one range after the other.
-
-    Parameters
-    ----------
-    start, stop
-        Half-open ranges, one per row.
-
-    Returns
-    -------
-    (row, index), both of the length of all ranges together.
-    """
+    """(row, index): every integer of many half-open ranges, one range (row) after the other."""
     count = np.maximum(stop - start, 0)
     row = np.repeat(np.arange(start.size), count)
     index = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(start, count)

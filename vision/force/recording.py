@@ -309,19 +309,10 @@ def noise_sigma(y: Floats) -> float:
 
 
 def find_spikes(y: Floats, sigma: float, *, settings: ForceSettings = DEFAULTS) -> tuple[Bools, Floats]:
-    """Impulsive spikes of one or two samples.
+    """Which samples are spikes, of one or two samples, and the signal with a median in their place.
 
-    Parameters
-    ----------
-    y, sigma
-        Load and its noise.
-    settings
-        ``spike_sigmas``, from the median of the five samples around. Slips and corners of a sawtooth stay,
-        because that median follows them.
-
-    Returns
-    -------
-    Which samples are spikes, and the signal with the median in their place.
+    A spike is `spike_sigmas` of the noise from the median of the five samples around. Slips and corners of a
+    sawtooth stay, because that median follows them.
     """
     middle = running_median(y, 5)
     # The corner of a steep sawtooth also lies off the median, by at most two rises between samples.

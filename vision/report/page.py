@@ -50,7 +50,7 @@ def write_report(
     path
         Where to.
     results
-        What the run found; nothing in it is changed.
+        What the run found. Long records are shown by the minimum and maximum of short intervals.
     facts
         The content of run.json: command, parameters, inputs, versions, warnings, as far as there.
     figures
@@ -58,18 +58,10 @@ def write_report(
     options
         Names of arguments and the command's options to be shown in their place.
 
-    Returns
-    -------
-    The path.
-
     Raises
     ------
     OSError
         Where the file cannot be written.
-
-    Notes
-    -----
-    Long records are decimated for display to the minimum and maximum of short intervals.
     """
     figures = figures_of(results) if figures is None else figures
     named = dict(options or {})
@@ -97,23 +89,10 @@ def render_page(
     facts: Mapping[str, Any],
     **content: Any,
 ) -> Path:
-    """Write a page of these figures under their headings.
+    """Write a page of these figures, of one panel each, under their headings.
 
-    Parameters
-    ----------
-    path
-        Where to.
-    sections
-        Headings with their figures, of one panel each.
-    facts
-        The content of run.json.
-    content
-        ``title``, ``kind``, ``subtitle``, ``answers``, ``warnings``, ``missing``, ``methods``, ``citation``,
-        ``tables``.
-
-    Returns
-    -------
-    The path.
+    `facts` is the content of run.json; `content` holds what else the template shows: title, kind, subtitle,
+    answers, warnings, missing, methods, citation and tables.
     """
     text = _template().render(
         sections=[(heading, [_shown(figure) for figure in part]) for heading, part in sections],
