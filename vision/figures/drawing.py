@@ -54,19 +54,10 @@ SCALE_POINTS = 19  # of a frame's grey scale below it: past the numbers of the a
 
 
 def draw_panel(ax: Axes, panel: Panel) -> Axes:
-    """Draw a panel on these axes with colours for a light background; nothing else is touched.
+    """Draw a panel on these axes with colours for a light background, and return them.
 
-    Parameters
-    ----------
-    ax
-        Where to draw. A second y axis is added where the panel has one. The legend stands above the axes,
-        where it hides no data.
-    panel
-        What to draw.
-
-    Returns
-    -------
-    The same axes.
+    A second y axis is added where the panel has one. The legend stands above the axes, where it hides no
+    data.
     """
     right = ax.twinx() if panel.y2_label else None
     if panel.image is not None:

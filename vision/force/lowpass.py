@@ -21,24 +21,16 @@ _LEAST_OWN = 1e-9  # of a column's length: what is left of it beside those befor
 
 @dataclass(frozen=True)
 class SlipTransients:
-    """What follows each slip, in samples.
+    """What follows each slip, in samples."""
 
-    Parameters
-    ----------
-    start, stop
-        Half-open ranges clear of slips.
-    middle, valley, peak
-        Middle and end of the slip as recorded; where the next slip begins.
-    drop
-        The slip's height.
-    """
-
+    # start, stop: half-open ranges clear of slips
     start: Ints
     stop: Ints
+    # middle, valley, peak: middle and end of the slip as recorded; where the next slip begins
     middle: Floats
     valley: Floats
     peak: Floats
-    drop: Floats
+    drop: Floats  # the slip's height
 
     def take(self, rows: Bools) -> SlipTransients:
         """Some of the transients."""
@@ -47,21 +39,15 @@ class SlipTransients:
 
 @dataclass(frozen=True)
 class LowpassEstimate:
-    """A time constant and the evidence for it.
+    """A time constant and the evidence for it."""
 
-    Parameters
-    ----------
-    samples
-        The time constant.
-    gain
-        By how much it lowers the sum of squares, over what chance does with one more free number per stick.
-    height, scatter
-        Transients extrapolated to the middle of their slips, over the drops: median, and interquartile range
-        over the median. A low-pass leaves transients of one and the same height, half of the drop or more.
-    """
-
-    samples: float
+    samples: float  # the time constant
+    # by how much it lowers the sum of squares, over what chance does with one more free number per
+    # stick
     gain: float
+    # height, scatter: Transients extrapolated to the middle of their slips, over the drops: median, and
+    # interquartile range over the median. A low-pass leaves transients of one and the same height, half
+    # of the drop or more.
     height: float
     scatter: float
 
@@ -220,27 +206,14 @@ def _dot(one: Floats, other: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class DeconvolvedLoad:
-    """A recording corrected for the load cell's low-pass.
+    """A recording corrected for the load cell's low-pass."""
 
-    Parameters
-    ----------
-    load
-        Each value is a mean over `width` samples: deconvolution alone would drown the load in noise.
-    edge
-        The first sample after the steepest drop of each slip.
-    late
-        Samples by which `load` lags behind the clock.
-    width
-        Samples averaged.
-    sigma
-        Noise of `load`.
-    """
-
+    # each value is a mean over `width` samples: deconvolution alone would drown the load in noise
     load: Floats
-    edge: Ints
-    late: float
-    width: int
-    sigma: float
+    edge: Ints  # the first sample after the steepest drop of each slip
+    late: float  # samples by which `load` lags behind the clock
+    width: int  # samples averaged
+    sigma: float  # noise of `load`
 
 
 def deconvolve_lowpass(y: Floats, sigma: float, slips: Slips, tau: float) -> DeconvolvedLoad:
