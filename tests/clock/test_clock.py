@@ -13,6 +13,7 @@ from vision.experiment import force_recording, preset, truth_of, with_settings, 
 from vision.experiment.scene import make_scene
 from vision.force import find_stick_slip
 from vision.force.recording import read_force
+from vision.run import plain
 
 STOP_S, OFFSET_S, FRAME_S = 120.0, 31.25, 0.05
 
@@ -200,10 +201,10 @@ def test_a_playback_rate_is_said(recorded):
 
 def test_json_has_the_agreed_names(recorded):
     """A failure means that scripts outside cannot read clock.json."""
-    written = json.loads(json.dumps(synchronise(*recorded).to_json(), allow_nan=False))
+    written = json.loads(json.dumps(plain(synchronise(*recorded)), allow_nan=False))
     names = {"offset_s", "drift_ppm", "residual_ms", "matched", "unmatched_video", "unmatched_force"}
     assert names | {"margin", "status"} <= set(written)
-    given = synchronise(*recorded, offset_s=OFFSET_S).to_json()
+    given = plain(synchronise(*recorded, offset_s=OFFSET_S))
     assert given["margin"] is None
     assert given["status"] == "given"
 

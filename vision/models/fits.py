@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-import scipy
 import xarray as xr
 
 from vision.data import FORCE, ForceMetadata
@@ -28,6 +27,7 @@ from vision.models.single_fits import (
 )
 from vision.numeric import NORMAL_MEDIAN, Floats
 from vision.sample import PUBLISHED, Sample
+from vision.signals import running_median
 
 _LEAST_EVENTS = 6
 _DEGENERATE = 0.98  # correlation from which two parameters are better read together
@@ -280,7 +280,7 @@ def _chosen(
 
 def _maximum(peaks: Floats) -> int:
     """Where the peaks, smoothed over seven, are largest; 0 where scatter alone may have put it there."""
-    smooth = scipy.ndimage.median_filter(peaks, size=min(7, peaks.size), mode="reflect")
+    smooth = running_median(peaks, min(7, peaks.size), ends="symmetric")
     top = int(np.argmax(smooth))
     scatter = float(np.median(np.abs(np.diff(peaks)))) / (NORMAL_MEDIAN * np.sqrt(2))
     risen = smooth[top] - np.median(peaks[: max(min(3, top), 1)])
