@@ -195,10 +195,10 @@ def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | 
     """
     x_px = np.asarray(tracks["x_px"].values, np.float64)
     frames = _stick_frames(tracks, slips_s)
-    seen = np.isfinite(x_px).any(axis=1)
-    if not seen.any():
+    seen = np.flatnonzero(np.isfinite(x_px).any(axis=1))
+    if not seen.size:
         return None
-    start = frames[0] if frames and seen[frames[0]] else int(seen.argmax())
+    start = frames[0] if frames and frames[0] in seen else int(seen[0])
     columns = np.asarray(strip["x"].values, np.float64)
     values = np.asarray(strip.values[start], np.float64)
     at = np.sort(x_px[start][np.isfinite(x_px[start])])
