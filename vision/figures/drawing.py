@@ -53,6 +53,9 @@ _LETTER, _MARKER = 0.075, 0.55  # of a legend's entry
 SCALE_POINTS = 19  # of a frame's grey scale below it: past the numbers of the axis
 
 
+_TICK_ROOM_IN = 0.22  # height that a number on the y axis needs
+
+
 def draw_panel(ax: Axes, panel: Panel) -> Axes:
     """Draw a panel on these axes with colours for a light background, and return them.
 
@@ -106,6 +109,7 @@ def new_figure(figure: Figure, *, interactive: bool = False) -> Page:
         for panel, box in zip(figure.panels, boxes, strict=True):
             ax = page.add_axes(box)
             draw_panel(ax, panel)
+            _thin_ticks(ax, box[3] * size[1])
             if len(figure.panels) > 1:
                 # not `set_title`, which measures everything around the axes
                 legend = (
@@ -120,6 +124,17 @@ def new_figure(figure: Figure, *, interactive: bool = False) -> Page:
         if label := next((p.marks_label for p in figure.panels if p.marks is not None and p.marks.size), ""):
             page.text(1 - 0.1 / size[0], 0.05 / size[1], label, color=HIGHLIGHT, fontsize=8, ha="right")
     return page
+
+
+def _thin_ticks(ax: Axes, height_in: float) -> None:
+    """Only as many numbers along y as the height of a flat panel has room for."""
+    low, high = sorted(ax.get_ylim())
+    ticks = [float(y) for y in ax.get_yticks() if low <= y <= high]
+    room = max(int(height_in / _TICK_ROOM_IN), 1)
+    if 1 < room < len(ticks):
+        ax.set_yticks([ticks[0], ticks[-1]])
+    elif room < len(ticks):
+        ax.set_yticks(ticks[-1:])
 
 
 def write(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
