@@ -244,7 +244,7 @@ def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | 
     seen = np.isfinite(x_px).any(axis=1)
     if not seen.any():
         return None
-    start = frames[0] if frames and seen[frames[0]] else int(seen.argmax())
+    start = frames[0] if frames and np.isfinite(x_px[frames[0]]).any() else int(seen.argmax())
     columns = np.asarray(strip["x"].values, np.float64)
     values = np.asarray(strip.values[start], np.float64)
     at = np.sort(x_px[start][np.isfinite(x_px[start])])
