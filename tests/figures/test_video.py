@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from tests.scenes.report_data import make_profile, make_tracks, sawtooth
-from vision.figures import overview
-from vision.figures.video import (
-    MOST_POINTS,
+from vision.figures import (
     frame_figure,
     noise_figure,
+    overview,
     pixel_locking_figure,
     space_time_figure,
     tracks_figure,
 )
+from vision.figures.positions import MOST_POINTS
 
 JUMP_PX = 4.0
 

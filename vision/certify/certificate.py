@@ -151,7 +151,7 @@ def certify_run(
     InputError
         For a run without a video, or whose sheets are seen in too few frames.
     """
-    sticks, path = read_table(run, "events"), run.folder / "clock.json"
+    sticks, path = read_table(run.folder, "events"), run.folder / "clock.json"
     clock = _clock(read_json(path)) if path.exists() else None
     given = run.facts.get("parameters", {}).get("threshold", {}).get("value")
     strip = read_strip(run)
