@@ -250,8 +250,14 @@ def _after_jumps(
     misfit = np.minimum(np.nan_to_num(off) ** 2, LIKE_ITSELF**2).sum(axis=1)
     misfit /= np.maximum(np.isfinite(off).sum(axis=1), 1)
     usual = float(nan_median(misfit[seen][~away[seen]]))
+    # a stay away is one event: all its frames together are believed or not
+    stay = np.r_[0, np.cumsum(away[1:] != away[:-1])]
     worse = np.maximum(misfit / max(usual, settings.least_misfit**2), 1.0)
     whole = nan_median(identities.margin, axis=1)  # of the comb; single sheets may be less certain
+    worse, whole = (
+        (np.bincount(stay, np.nan_to_num(values)) / np.bincount(stay, np.isfinite(whole)))[stay]
+        for values in (np.where(np.isfinite(whole), worse, 0.0), whole)
+    )
     doubt = np.asarray((away & (whole < least * worse))[:, None] & np.isfinite(x), bool)
     return doubt, np.asarray(worse > settings.unlike_itself, bool)
 
