@@ -12,7 +12,7 @@ import numpy as np
 
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median
 from vision.sheets.identities import Identities, fill_rows
-from vision.sheets.neighbours import anchored, excursions, hops, neighbour_residual, torn
+from vision.sheets.neighbours import anchored, excursions, hops, neighbour_residual, places_in_comb, torn
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
@@ -139,7 +139,7 @@ def _doubts(
     why[jump] = "jump"
     why[jump & unlike[:, None]] = "looks"
     why[~(identities.margin >= settings.doubt) & (why != "looks")] = "margin"
-    why[torn(x - identities.rest_px, comb, settings)] = "tear"
+    why[torn(x - places_in_comb(x), comb, settings)] = "tear"
     why[np.isnan(x)] = ""
     return why
 
