@@ -216,7 +216,7 @@ def _filled(known: ReferenceComb, pitch_px: float) -> ReferenceComb:
     lists do not show goes again; until then it may be missing at little cost.
     """
     x = known.x_px
-    room = np.maximum(np.rint(np.diff(x) / _local_pitch(x, pitch_px)[:-1]).astype(np.int64), 1)
+    room = np.maximum(np.rint(np.diff(x) / pitch_px).astype(np.int64), 1)
     after = np.repeat(np.arange(len(room)), room - 1)
     step = np.concatenate([np.arange(1, size) for size in room]) if len(after) else np.zeros(0)
     places = x[after] + step * (np.diff(x) / room)[after]
@@ -354,9 +354,9 @@ def _local_pitch(x_px: Floats, pitch_px: float) -> Floats:
 
 
 def _running_median(values: Floats) -> Floats:
-    """Median of the nine values around each; at the ends they are mirrored."""
+    """Median of the nine values around each; the outermost are repeated."""
     return np.asarray(
-        np.median(sliding_window_view(np.pad(values, 4, mode="reflect"), 9), axis=1), np.float64
+        np.median(sliding_window_view(np.pad(values, 4, mode="edge"), 9), axis=1), np.float64
     )
 
 
