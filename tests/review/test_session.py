@@ -13,7 +13,7 @@ import pytest
 
 from tests.scenes.reviewed import PLANTED, SETTINGS, clean, remedies, truth, write_planted
 from vision.errors import InputError
-from vision.review import trial
+from vision.review import saving
 from vision.review.positions import CELLS, FLAGS
 from vision.review.saving import Job, save_run
 from vision.review.session import Session
@@ -302,7 +302,7 @@ def test_another_strip_is_tracked_before_it_is_kept(clocked, monkeypatch):
         raise OSError(30, "Read-only file system")
 
     with monkeypatch.context() as broken:
-        broken.setattr(trial, "put_in_place", refused)
+        broken.setattr(saving, "put_in_place", refused)
         with pytest.raises(InputError, match="read-only file system; not kept"):
             clocked.trial.keep()
     assert clocked.decisions == []

@@ -55,7 +55,7 @@ class Page {
     this.watch();
     this.tracking().catch((error) => this.failed(error)); // begun before this page was loaded
     getJson("api/film").then((film) => { this.film = film; this.decisions.offer(); this.drawAll(); }, (error) => this.failed(error));
-    setTimeout(() => this.slipsNow(), 500); // a second's work for the program, after the pictures
+    setTimeout(() => { this.slipsNow(); if (state.sticks.length) this.stick(state.sticks[0].first); }, 500); // slow the first time: after the pictures
   }
 
   /** Frames after slips: `slips` by the clock in force, `film` by the sheets' own steps. */
