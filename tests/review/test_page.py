@@ -15,7 +15,6 @@ import xarray as xr
 
 from tests.scenes import doubted as scene
 from tests.scenes.browser import chromium
-from tests.scenes.doubted import doubted_run
 from tests.scenes.reviewed import SETTINGS
 from tests.scenes.served import Served, Started
 from vision.command.review import settings_of_run
@@ -32,12 +31,6 @@ SHOTS = os.environ.get("SHEETVISION_SCREENSHOTS")
 def browser():
     with chromium() as opened:
         yield opened
-
-
-@pytest.fixture(scope="module")
-def doubted(tmp_path_factory):
-    """Not to be changed: see `run`."""
-    return doubted_run(tmp_path_factory.mktemp("doubted"))
 
 
 @pytest.fixture

@@ -139,7 +139,7 @@ export class Diagram {
   constructor(canvas, view, tiles, page) {
     this.view = view; this.tiles = tiles; this.page = page; this.tracksShown = true;
     this.sketch = null; // the tracks as drawn last while the range moves
-    this.surface = new Surface(canvas, { left: 52, right: 8, top: 4, bottom: 20 }, (s, c, colour) => this.draw(s, c, colour));
+    this.surface = new Surface(canvas, { left: 58, right: 8, top: 4, bottom: 20 }, (s, c, colour) => this.draw(s, c, colour));
     this.listen(canvas);
   }
 
