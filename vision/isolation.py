@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from vision.errors import InputError
-from vision.files import shortened
+from vision.files import check_regular, shortened
 
 SECONDS, SECONDS_PER_BYTE = 8.0, 5e-8
 """Longest computing time of reading, and what is added for the file's size. Recordings in use take under one
@@ -83,13 +83,18 @@ def try_out(path: Path, kind: str, wanted: str, *, seconds: float | None = None)
     Raises
     ------
     InputError
-        Where the parser raises, crashes, or takes longer.
+        Where it is no regular file, or the parser raises, crashes, or takes longer.
     """
-    size = path.stat().st_size
+    run_parser(path, _PARSERS[kind], wanted, seconds=seconds)
+
+
+def run_parser(path: Path, parser: str, wanted: str, *, seconds: float | None = None) -> None:
+    """`try_out` with other lines of Python, in which `path` is the file's."""
+    size = check_regular(path, wanted).st_size
     seconds = SECONDS + SECONDS_PER_BYTE * size if seconds is None else seconds
     memory = MEMORY_BYTES + MEMORY_PER_BYTE * size
     modules = [place for place in sys.path if place]
-    task = json.dumps([os.path.abspath(path), modules, int(seconds) + 1, memory, _PARSERS[kind]])  # noqa: PTH100
+    task = json.dumps([os.path.abspath(path), modules, int(seconds) + 1, memory, parser])  # noqa: PTH100
     quiet = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # each thread would reserve memory
     child = subprocess.Popen(
         [sys.executable, "-I", "-c", _CHILD],

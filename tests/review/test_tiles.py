@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from vision.review.tiles import Tiles, TileSettings
 
 from vision.errors import InputError
 from vision.review.diagram import Diagram
-from vision.review.tiles import Tiles, TileSettings
 from vision.sheets import TrackingSettings
 
 FRAMES, COLUMNS = 5000, 700

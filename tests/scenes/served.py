@@ -14,4 +14,4 @@ def serving_of(session: Session) -> tuple[Thread, str]:
     opened: Queue[str] = Queue()
     serving = Thread(target=serve, args=(session,), kwargs={"opened": opened.put}, daemon=True)
     serving.start()
-    return serving, opened.get(timeout=20)
+    return serving, opened.get(timeout=120)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +25,8 @@ from vision.command.track import run_name, track
 from vision.errors import InputError
 
 if TYPE_CHECKING:
+    from starlette.types import ASGIApp
+
     from vision.pipeline import Settings
 
 NEEDED = ("starlette", "uvicorn")
@@ -80,12 +85,8 @@ def review(
     if missing:
         found = f"no {' and no '.join(missing)}"
         raise InputError("track review", "the extra 'review'", found, "pip install 'sheetvision[review]'")
-    from vision.review.server import serve
-    from vision.review.session import Session
-    from vision.run import is_run
-
     folder = run_or_video
-    if not is_run(folder):
+    if not (folder / "run.json").is_file():  # as `vision.run.is_run`, which takes a second to import
         chosen = run or RunOptions()
         folder = chosen.out or Path(f"{run_name(run_or_video)}_tracks")
         groups: dict[str, Any] = {"reading": reading, "test": test, "machine": machine, "sample": sample}
@@ -96,7 +97,7 @@ def review(
         raise InputError(
             folder, "a run without further options", "some", "give the video, or run track again"
         )
-    session = Session(folder, settings_of_run(folder), film=film, options=option_names())
+    from vision.review.server import serve
 
     def opened(address: str) -> None:
         say([f"review     {address}", "           Ctrl-C ends it"])
@@ -105,9 +106,22 @@ def review(
 
             webbrowser.open(address)
 
-    with session:
-        serve(session, opened=opened, port=port)
+    with ExitStack() as held:
+        serve(lambda stop: _answers(folder, film, held, stop), opened=opened, port=port)
     return 0
+
+
+def _answers(folder: Path, film: Path | None, held: ExitStack, stop: Callable[[], None]) -> ASGIApp:
+    """Reads the run, which `held` closes; its tracks while modules are imported."""
+    from vision.review.tracks_file import read_tracks
+
+    with ThreadPoolExecutor(1) as beside:
+        tracks = beside.submit(read_tracks, folder / "tracks.nc")
+        from vision.review.api import answers
+        from vision.review.session import Session
+
+        session = Session(folder, settings_of_run(folder), film=film, options=option_names(), tracks=tracks)
+    return answers(held.enter_context(session), stop)
 
 
 def settings_of_run(folder: Path) -> Settings:

@@ -1,14 +1,21 @@
-"""I(x, t) of a run, read from kymograph.tif a part at a time, and the ridges in it."""
+"""I(x, t) of a run, read from kymograph.tif a part at a time: its ridges, and its tiles, from the whole test
+down to single pixels, in which no slip and no thin ridge is lost."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vision.errors import InputError
+from vision.figures.decimate import grey_levels
 from vision.numeric import Floats32
 from vision.review.positions import Positions
 from vision.run.reading import AGAIN, stored_kymograph
@@ -17,6 +24,8 @@ from vision.sheets.settings import TrackingSettings
 
 PARTS_KEPT = 4
 """Parts that neighbouring tiles share; more keep more memory, up to 8 MB each."""
+PART_VALUES = 1 << 20  # read at a time while levels are made: 4 MB
+Grey = NDArray[np.uint8]
 
 
 class Diagram:
@@ -50,14 +59,24 @@ class Diagram:
 
     def rows(self, start: int, stop: int) -> Floats32:
         """These frames, (frame, x), grey levels; NaN in frames that are not there."""
-        stop = min(stop, self.frames)
-        count = max(0, stop - start) * self.columns
+        return self._read(
+            start, np.empty((max(0, min(stop, self.frames) - start), self.columns), self._dtype)
+        )
+
+    def parts(self, frames: int, first: range) -> Iterator[Floats32]:
+        """So many frames from each of these on, in memory that is used again: new memory would take longer
+        than reading."""
+        space = np.empty((min(frames, self.frames), self.columns), self._dtype)
+        for start in first:
+            yield self._read(start, space[: self.frames - start])
+
+    def _read(self, start: int, space: NDArray[Any]) -> Floats32:
         with self._lock:
             self._file.seek(self._offset + start * self.columns * self._dtype.itemsize)
-            values = np.fromfile(self._file, self._dtype, count)
-        if values.size < count:
+            done = self._file.readinto(space.reshape(-1).view(np.uint8).data)
+        if done < space.nbytes:
             raise InputError(self.path, f"{self.frames} frames", "a file that was cut short", AGAIN)
-        return np.asarray(values.reshape(-1, self.columns), np.float32)
+        return np.asarray(space, np.float32)
 
     def sample(self, count: int) -> Floats32:
         """Frames spread over the run."""
@@ -67,3 +86,131 @@ class Diagram:
     def ridges(self, positions: Positions, rows: slice) -> Ridges:
         """Candidates in these frames, as the tracking saw them; columns counted from the diagram's first."""
         return find_ridges(self.rows(rows.start, rows.stop), positions.comb, settings=self.settings)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TileSettings:
+    """How the space-time diagram is cut."""
+
+    columns: int = 512
+    """Of a tile. Wider tiles are fewer requests, but a pan waits longer for one; 512 x 256 takes 3 ms."""
+
+    rows: int = 256
+    """Of a tile, likewise."""
+
+    factor: int = 4
+    """Frames of a level to one row of the next. 2 would double the memory and the work of the first view;
+    with 8 a page has to shrink pictures so far that single frames fade."""
+
+    first_kept: int = 2
+    """Finest level that is kept in memory. Level 1 would take half the size of the recording's 8-bit diagram,
+    and is made as fast from the file: 2 MB per tile."""
+
+    sampled_rows: int = 512
+    """Frames from which the grey scale is taken."""
+
+
+class Tiles:
+    """The pyramid of one space-time diagram.
+
+    Parameters
+    ----------
+    diagram
+        I(x, t), on disk.
+    bright
+        Whether ridges are bright. A coarse row shows each column's largest value in its frames (the smallest
+        where ridges are dark), so that a ridge that was somewhere for one frame is still seen.
+    settings
+        How it is cut.
+
+    Notes
+    -----
+    A row of level l holds ``factor**l`` frames; columns are never merged. Level 0 is the recording itself.
+    """
+
+    def __init__(
+        self, diagram: Diagram, *, bright: bool = True, settings: TileSettings = TileSettings()
+    ) -> None:
+        self.diagram, self.bright, self.settings = diagram, bright, settings
+        self.low, self.high = grey_limits(diagram.sample(settings.sampled_rows))
+        self._kept: list[Grey] = []  # levels from `first_kept` on
+        self._building = Lock()
+
+    @property
+    def levels(self) -> int:
+        """Number of levels; the last one fits into one tile's rows."""
+        frames, levels = self.diagram.frames, 1
+        while frames > self.settings.rows:
+            frames, levels = -(-frames // self.settings.factor), levels + 1
+        return levels
+
+    def build(self) -> None:
+        """Make the levels that are kept; they are made at the first need otherwise."""
+        with self._building:
+            step = self.settings.factor**self.settings.first_kept
+            if self._kept or self.levels <= self.settings.first_kept:
+                return
+            made = [self._first_level(step)]
+            while len(made) < self.levels - self.settings.first_kept:
+                made.append(_extremes(made[-1], self.settings.factor, bright=self.bright))
+            self._kept = [self._grey(level) for level in made]
+
+    def _first_level(self, step: int) -> Floats32:
+        """Extremes of every `step` frames, read in parts by two threads."""
+        frames, columns = self.diagram.frames, self.diagram.columns
+        out = np.empty((-(-frames // step), columns), np.float32)
+        block = max(1, PART_VALUES // (step * columns))
+
+        def work(rows: range) -> None:
+            parts = self.diagram.parts(block * step, range(rows.start * step, frames, rows.step * step))
+            for row, part in zip(rows, parts, strict=True):
+                out[row : row + block] = _extremes(part, step, bright=self.bright)
+
+        with ThreadPoolExecutor(2) as pool:
+            list(pool.map(work, [range(k * block, len(out), 2 * block) for k in range(2)]))
+        return out
+
+    def _grey(self, values: Floats32) -> Grey:
+        """8 bits; frames that are not there are mid-grey. In parts, as this takes more than the result."""
+        starts = range(0, len(values), self.settings.rows)
+        parts = [grey_levels(values[k : k + self.settings.rows], self.low, self.high) for k in starts]
+        return np.concatenate(parts)
+
+    def part(self, level: int, x: int, y: int) -> Grey:
+        """One tile in 8 bits; those at the right and lower edge are smaller.
+
+        Raises
+        ------
+        InputError
+            For a tile that is not there.
+        """
+        rows, columns = self.settings.rows, self.settings.columns
+        step = self.settings.factor**level if 0 <= level < self.levels else 0
+        height = -(-self.diagram.frames // step) if step else 0
+        if not (0 <= y * rows < height and 0 <= x * columns < self.diagram.columns):
+            raise InputError("the tile", f"one of {self.levels} levels", f"{level}/{x}/{y}")
+        across = slice(x * columns, (x + 1) * columns)
+        if level >= self.settings.first_kept:
+            self.build()
+            return self._kept[level - self.settings.first_kept][y * rows : (y + 1) * rows, across]
+        part = self.diagram.shared_rows(y * rows * step, (y + 1) * rows * step)[:, across]
+        return self._grey(part if level == 0 else _extremes(part, step, bright=self.bright))
+
+
+def _extremes(values: Floats32, step: int, *, bright: bool) -> Floats32:
+    """Largest (or smallest) of every `step` rows, the last interval may be shorter; NaN only without any."""
+    pick = np.fmax if bright else np.fmin
+    whole = len(values) // step * step
+    out = pick.reduce(values[:whole].reshape(-1, step, values.shape[1]), axis=1)
+    if whole < len(values):
+        out = np.concatenate([out, pick.reduce(values[whole:], axis=0)[None]])
+    return np.asarray(out, np.float32)
+
+
+def grey_limits(sample: Floats32) -> tuple[float, float]:
+    """Black and white: all but the outermost grey values."""
+    known = sample[np.isfinite(sample)]
+    if not known.size:
+        return 0.0, 1.0
+    low, high = np.percentile(known, (0.5, 99.8))
+    return float(low), float(max(high, low + 1e-6))

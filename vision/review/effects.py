@@ -16,7 +16,7 @@ from vision.deformation import horizontal_deformation
 from vision.errors import InputError, with_options
 from vision.numeric import Floats, Floats32, Ints, Pixels
 from vision.review.editing import apply, usual_places
-from vision.review.positions import Positions, read_rows
+from vision.review.positions import Positions, read_positions
 from vision.review.stored import decided_clock
 from vision.sheets.corrections import OF_STRETCHES, Correction
 from vision.sheets.ridges import describe_ridges, find_ridges
@@ -105,7 +105,7 @@ class Effects:
         near = None if event is None else self._near(event)
         decision = Correction(kind="strip")
         rows = self._window(decision, at, near)
-        after = read_rows(tracks, rows)
+        after = read_positions(tracks, rows)
         shown = slice(max(0, at - rows.start - SHOWN_ROWS // 2), at - rows.start + SHOWN_ROWS // 2)
         return {
             "frames": after.frame[shown],
@@ -177,8 +177,8 @@ class Effects:
         """
         decision = self.run.decision_of({"kind": "strip", "rows": rows})
         top, bottom = decision.rows or (0, 0)
-        if bottom > self.run.film().shape[0]:
-            raise InputError("the strip", f"rows within 0:{self.run.film().shape[0]}", f"{rows}")
+        if bottom > self.run.recordings.film().shape[0]:
+            raise InputError("the strip", f"rows within 0:{self.run.recordings.film().shape[0]}", f"{rows}")
         at = self.run.positions.row_of(frame if isinstance(frame, int) else int(self.run.positions.frame[0]))
         pictures, here = self._pictures(at)
         first = self.run.diagram.first_column
@@ -207,7 +207,7 @@ class Effects:
         """Frames about one, kept while the page stays at it, and its place among them."""
         with self.run.lock:
             if self._around[0] != row:
-                film, positions = self.run.film(), self.run.positions
+                film, positions = self.run.recordings.film(), self.run.positions
                 first = max(0, min(row - NOISE_FRAMES // 2, len(positions.frame) - NOISE_FRAMES))
                 rows = range(first, min(first + NOISE_FRAMES, len(positions.frame)))
                 found = [(k, film.picture(int(positions.frame[k]), float(positions.time_s[k]))) for k in rows]

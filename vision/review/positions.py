@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import h5netcdf
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -15,10 +14,8 @@ from numpy.typing import NDArray
 from vision.clock import video_slips
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
-from vision.files import check_regular, reading
-from vision.isolation import try_out
 from vision.numeric import Bools, Floats, Floats32, Ints
-from vision.run.reading import AGAIN
+from vision.review.tracks_file import Stored, read_tracks
 from vision.run.tables import attrs_of_netcdf
 from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.recovery import DOUBTS
@@ -50,8 +47,6 @@ USUAL_ROWS = 300  # from which it is learned how sheets move with their neighbou
 SLIP_ROWS = 10_000
 """In which slips are looked for at a time: all of 100 000 take 250 MB of memory; with fewer than some ten
 slips in a part their usual size is not known well."""
-BLOCK = 8192  # frames read at a time
-_WANTED = "tracks as track writes them"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,77 +156,34 @@ def _slips_in(tracks: xr.Dataset) -> Floats:
         return np.empty(0)
 
 
-def read_positions(path: Path) -> Positions:
-    """tracks.nc in parts, so that its words never lie in memory at once.
+def read_positions(path: Path, rows: slice = slice(None)) -> Positions:
+    """Of a tracks.nc, or of some of its frames.
 
     Raises
     ------
     InputError
         For a file that is not there, damaged, or no tracks.
     """
-    check_regular(path, _WANTED)
-    try_out(path, "HDF5", _WANTED)
-    return read_rows(path)
+    return positions_of(read_tracks(path, rows))
 
 
-def read_rows(path: Path, rows: slice = slice(None)) -> Positions:
-    """The same of a file that this program has written just now, and some frames of it if wanted."""
-    with reading(path, _WANTED, AGAIN), h5netcdf.File(path, "r") as file:
-        return _read(file, path, rows)
-
-
-def _read(file: h5netcdf.File, path: Path, wanted: slice) -> Positions:
-    absent = [name for name in ("x_px", "x_err_px", "flag", "time_s", "side", "n") if name not in file]
-    shape = tuple(file["x_px"].shape) if "x_px" not in absent else ()
-    if absent or len(shape) != 2:
-        raise InputError(path, _WANTED, f"no {', '.join(absent) or 'x(n, t)'}", AGAIN)
-    start, stop, _ = wanted.indices(shape[0])
-    shape = (stop - start, shape[1])
-    arrays: dict[str, Any] = {
-        "x_px": np.empty(shape, np.float32),
-        "err_px": np.empty(shape, np.float32),
-        "withheld_px": np.full(shape, np.nan, np.float32),
-        "flag": np.zeros(shape, np.uint8),
-        "why": np.zeros(shape, np.uint8),
+def positions_of(stored: Stored) -> Positions:
+    """What has been read."""
+    arrays, attrs = dict(stored.arrays), dict(stored.attrs)
+    x_px = arrays.pop("x_px")
+    words = {
+        name: np.array([_place(word, known) for word in stored.words.get(name, [""])], np.uint8)
+        for name, known in (("flag", FLAGS), ("why", WHYS))
     }
-    names = {"x_err_px": "err_px", "x_withheld_px": "withheld_px"}
-    for name in ("x_px", *names):
-        for here, rows in _blocks(file, name, start, stop):
-            arrays[names.get(name, name)][here] = file[name][rows]
-    for name, words in (("flag", FLAGS), ("why", WHYS)):
-        for here, rows in _blocks(file, name, start, stop):
-            arrays[name][here] = _codes(file[name][rows], words)
-    attrs = {name: value for name, value in file.attrs.items() if name not in ("Conventions", "title")}
-    one = {name: np.asarray(file[name][wanted]) for name in ("frame", "time_s")}
-    one |= {name: np.asarray(file[name][:]) for name in ("side", "n")}
-    return Positions(**arrays, **one, attrs=attrs_of_netcdf({name: _plain(v) for name, v in attrs.items()}))
+    return Positions(
+        x_px=x_px,
+        err_px=arrays["x_err_px"],
+        withheld_px=arrays.get("x_withheld_px", np.full(x_px.shape, np.nan, np.float32)),
+        **{name: place[arrays.get(name, np.zeros(x_px.shape, np.uint8))] for name, place in words.items()},
+        **{name: arrays[name] for name in ("frame", "time_s", "side", "n")},
+        attrs=attrs_of_netcdf({k: v for k, v in attrs.items() if k not in ("Conventions", "title")}),
+    )
 
 
-def _blocks(file: h5netcdf.File, name: str, start: int, stop: int) -> Iterator[tuple[slice, slice]]:
-    """Rows counted from `start`, and in the file, a part at a time; none of a variable that is not there.
-
-    Parts begin where the file's chunks do, each of which is unpacked once so.
-    """
-    if name not in file:
-        return
-    chunk = (file[name].chunks or (1,))[0]
-    step = chunk * max(1, BLOCK // chunk)
-    for first in range(start - start % step, stop, step):
-        rows = slice(max(first, start), min(first + step, stop))
-        yield slice(rows.start - start, rows.stop - start), rows
-
-
-def _codes(letters: NDArray[np.bytes_], words: Sequence[str]) -> Codes:
-    """Places in the list of words of words written letter by letter, (…, letters)."""
-    width = letters.shape[-1]
-    whole = np.ascontiguousarray(letters).view(f"S{width}")[..., 0]
-    codes = np.zeros(whole.shape, np.uint8)
-    for code, word in enumerate(words):
-        if code:
-            codes[whole == word.encode()] = code
-    return codes
-
-
-def _plain(value: Any) -> Any:
-    """A number of netCDF's attributes as Python's own."""
-    return value.item() if isinstance(value, np.generic) else value
+def _place(word: str, words: Sequence[str]) -> int:
+    return words.index(word) if word in words else 0

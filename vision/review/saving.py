@@ -7,6 +7,7 @@ import io
 import json
 import os
 import pickle
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -15,25 +16,32 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Thread
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vision.clock import Clock
 from vision.errors import InputError
+from vision.numeric import Floats, Floats32, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
-from vision.review.differences import differences
-from vision.review.editing import Before
-from vision.run.folder import clean_up
+from vision.review.editing import Before, usual_places
+from vision.review.positions import Positions, read_positions
+from vision.run.folder import clean_up, put_in_place
 from vision.run.provenance import Origin, Parameter, plain
-from vision.run.reading import input_of, parameters_of, read_run, read_strip, tracks_of
+from vision.run.reading import input_of, parameters_of, read_run, read_strip, read_table, tracks_of
 from vision.run.writing import write_run
 from vision.sheets.corrections import Correction, Decisions
 from vision.video import Video
 
+if TYPE_CHECKING:
+    from vision.review.session import Session
+
 Tell = Callable[..., None]
 """Called with what is being done, and with frames done and their number where those are known."""
+
+DIFFERENT = 3.0
+"""Standard errors of both positions by which they differ: three of a thousand equal ones do by chance."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -261,6 +269,209 @@ def in_child(server: int) -> None:
         os._exit(1)
     except Exception as error:  # shown in the page; the run stays as it was
         tell(" ".join(f"unexpected {type(error).__name__}: {error}".split()), kind="end")
+
+
+# --- tracked again before it is kept ------------------------------------------------------------------------
+
+
+class Trial:
+    """Tracks a run again under a decision that is not kept, and says what that would change.
+
+    Parameters
+    ----------
+    run
+        The session.
+
+    Notes
+    -----
+    The new run is written whole, beside the old one, with the decision in its corrections.toml. Keeping it is
+    a change of two names: what is kept is exactly what was shown, and the film is not read a second time.
+    """
+
+    def __init__(self, run: Session) -> None:
+        self.run = run
+        self._place: Path | None = None  # where it is written
+        self._found: Mapping[str, Any] | None = None
+
+    def start(self, request: Mapping[str, Any]) -> None:
+        """Begin to track again.  Raises: InputError where the decision does not fit, or while it is busy."""
+        run = self.run
+        with run.lock:
+            run.check_free()
+            decision = run.decision_of(request, dated=True)
+            self._place = _beside(run.folder)
+            job = run.job([*run.decisions, decision], [])
+            run.saver.start(replace(job, into=self._place), self._take)
+
+    def state(self) -> dict[str, Any]:
+        """How far it is, and what was found."""
+        saver, begun = self.run.saver, self._place is not None
+        told = {"stage": saver.stage, "done": saver.done, "total": saver.total}
+        error = saver.error if begun else ""
+        return {"running": begun and saver.running, "error": error, "found": self._found, **told}
+
+    def at(self, frame: int) -> dict[str, Any]:
+        """Positions about a frame, and σ_x/Λ_st of the stick there, before and after.
+
+        Raises
+        ------
+        InputError
+            Where nothing was tracked again.
+        """
+        with self.run.lock:
+            return self.run.effects.of_other(self._ready() / "tracks.nc", frame)
+
+    def _ready(self) -> Path:
+        """Where the new run lies."""
+        if self._found is None or self._place is None:
+            raise InputError("the trial", "a run that was tracked again", "none", "track again first")
+        return self._place
+
+    def keep(self) -> None:
+        """Put the new run, whose corrections.toml holds the decision, in the old one's place.
+
+        Raises
+        ------
+        InputError
+            Where nothing was tracked again, or it cannot be written; the run stays as it was.
+        """
+        run = self.run
+        with run.lock:
+            place = self._ready()
+            run.found.check_there()
+            try:
+                put_in_place(place, run.folder.resolve(), overwrite=True)
+            except OSError as error:
+                found = (error.strerror or str(error)).lower()
+                raise InputError(run.folder, "a place that can be written", found, "not kept") from error
+            self.discard()
+            run.reload()
+
+    def discard(self) -> None:
+        """Throw it away, also while it is being made."""
+        with self.run.lock:
+            if self._place is None:
+                return
+            if self.run.saver.running and self._found is None:
+                self.run.saver.cancel()
+            self.sweep()
+            self._place = self._found = None
+
+    def sweep(self) -> None:
+        """Remove what lies beside the run, from a killed review, too."""
+        place = _beside(self.run.folder)
+        shutil.rmtree(place, ignore_errors=True)
+        clean_up(place)
+
+    def _take(self, found: Mapping[str, Any]) -> None:
+        self._found = found
+
+
+def _beside(folder: Path) -> Path:
+    path = folder.resolve()
+    return path.with_name(f".{path.name}.tried")
+
+
+def differences(before: Path, after: Path) -> dict[str, Any]:
+    """What one run folder says that another one does not.
+
+    Parameters
+    ----------
+    before, after
+        Run folders.
+
+    Returns
+    -------
+    dict
+        Pairs are before and after. Of the whole runs: sheets (left and right), positions, doubtful
+        (positions), error_px (median). Of the sheets that both have, each other's nearest within half a
+        pitch: gained and lost (positions); of the positions in both, their number compared, how many differ
+        by more than `DIFFERENT` errors, how many lie on other_ridge, more than half a pitch away, median_px
+        and largest_px (of the difference). ratios: known (pairs), median and largest (of the difference), of
+        (compared), other_shell (called otherwise). shells: of each side the median number of stiff sheets,
+        and in how many sticks it is other. Both None where a run has none.
+
+    Raises
+    ------
+    InputError
+        For damaged files.
+    """
+    old, new = (read_positions(folder / "tracks.nc") for folder in (before, after))
+    pairs = _pairs(usual_places(old), usual_places(new), old.track_facts.pitch_px)
+    return _of_positions(old, new, *pairs) | _of_deformation(before, after, *pairs)
+
+
+def _of_deformation(before: Path, after: Path, old: Ints, new: Ints) -> dict[str, Any]:
+    """How σ_x/Λ_st of the sheets in both runs, and the shells, differ."""
+    names = ("deformation", "shells")
+    (sheets, shells), (sheets_new, shells_new) = (
+        [read_table(folder, name) for name in names] for folder in (before, after)
+    )
+    if sheets is None or sheets_new is None or shells is None or shells_new is None:
+        return {"ratios": None, "shells": None}
+    index = dict(zip(old.tolist(), new.tolist(), strict=True))
+    both = sheets.assign(index=sheets["index"].map(index)).merge(sheets_new, on=["event", "index"])
+    change = (both["ratio_y"] - both["ratio_x"]).abs().dropna()
+    ratios = {
+        "known": [int(table["ratio"].notna().sum()) for table in (sheets, sheets_new)],
+        "of": len(change),
+        "median": float(change.median()),
+        "largest": float(change.max()),
+        "other_shell": int((both["shell_x"] != both["shell_y"]).sum()),
+    }
+    sides = shells.merge(shells_new, on=["event", "side"])
+    sizes = [
+        {
+            "side": side,
+            "median": [float(part[f"stiff_sheets_{which}"].median()) for which in "xy"],
+            "other": int((part["stiff_sheets_x"] != part["stiff_sheets_y"]).sum()),
+            "of": len(part),
+        }
+        for side in (-1, 1)
+        if len(part := sides[sides["side"] == side])
+    ]
+    return {"ratios": ratios, "shells": sizes}
+
+
+def _pairs(old_px: Floats, new_px: Floats, pitch_px: float) -> tuple[Ints, Ints]:
+    """Sheets of two runs that are each other's nearest, within half a pitch."""
+    distance = np.nan_to_num(np.abs(old_px[:, None] - new_px[None, :]), nan=np.inf)
+    nearest = distance.argmin(axis=1)
+    old = np.arange(len(old_px))
+    mutual = (distance.argmin(axis=0)[nearest] == old) & (distance[old, nearest] < 0.5 * pitch_px)
+    return old[mutual], nearest[mutual].astype(np.int64)
+
+
+def _of_positions(before: Positions, after: Positions, old: Ints, new: Ints) -> dict[str, Any]:
+    """How the positions of the sheets in both runs differ, a sheet at a time."""
+    known, gained, lost, differ, other = np.zeros(2, np.int64), 0, 0, 0, 0
+    moved: list[Floats32] = []
+    for a, b in zip(old, new, strict=True):
+        was, will = before.x_px[:, a], after.x_px[:, b]
+        there, then = np.isfinite(was), np.isfinite(will)
+        gained, lost = gained + int((then & ~there).sum()), lost + int((there & ~then).sum())
+        both = there & then
+        away = np.abs(will - was)[both]
+        error = np.hypot(before.err_px[:, a], after.err_px[:, b])[both]
+        differ += int((away > DIFFERENT * error).sum())
+        other += int((away > 0.5 * before.track_facts.pitch_px).sum())
+        moved.append(away)
+    for k, part in enumerate((before, after)):
+        known[k] = np.isfinite(part.x_px).sum()
+    all_moved = np.concatenate(moved) if moved else np.empty(0, np.float32)
+    return {
+        "sheets": [[int((part.side == side).sum()) for side in (-1, 1)] for part in (before, after)],
+        "positions": known,
+        "doubtful": [int(part.doubtful.sum()) for part in (before, after)],
+        "error_px": [float(np.nanmedian(part.err_px)) for part in (before, after)],
+        "gained": gained,
+        "lost": lost,
+        "compared": len(all_moved),
+        "differ": differ,
+        "other_ridge": other,
+        "median_px": float(np.median(all_moved)) if all_moved.size else None,
+        "largest_px": float(all_moved.max()) if all_moved.size else None,
+    }
 
 
 # --- what decisions replaced --------------------------------------------------------------------------------

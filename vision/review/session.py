@@ -3,33 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from threading import RLock
 from typing import Any, Self
 
 import numpy as np
-import xarray as xr
 
 from vision.clock import Clock
 from vision.data import StripMetadata
 from vision.errors import InputError
-from vision.figures.decimate import grey_levels, minmax_decimate
+from vision.figures.decimate import minmax_decimate
 from vision.files import reading
 from vision.numeric import Floats, Floats32, Ints
-from vision.pipeline import Settings, open_force, open_recording
-from vision.review.diagram import Diagram
+from vision.pipeline import Settings
+from vision.review.diagram import Diagram, Tiles
 from vision.review.editing import Before, apply, take_back, usual_places
 from vision.review.effects import READY, Effects
-from vision.review.film import Film
-from vision.review.positions import FLAGS, WHYS, read_positions
-from vision.review.saving import Job, Saver, pack, unpack
+from vision.review.film import Recordings
+from vision.review.positions import FLAGS, WHYS, positions_of
+from vision.review.saving import Job, Saver, Trial, pack, unpack
 from vision.review.stored import Found, claim, decided_clock
-from vision.review.tiles import Tiles, encode_png
-from vision.review.trial import Trial
+from vision.review.tracks_file import Stored, read_tracks
 from vision.run.folder import whole_file
-from vision.run.reading import input_of
+from vision.run.provenance import plain
 from vision.run.writing import CORRECTIONS
 from vision.sheets.corrections import (
     KEYS,
@@ -43,7 +41,6 @@ from vision.sheets.corrections import (
     stretches,
 )
 from vision.sheets.recovery import DOUBTS
-from vision.video import Video
 
 REPLACED = "corrections.npz"  # what saved decisions replaced, so that they can be taken back
 MOST_DOUBTS = 500  # listed
@@ -62,6 +59,8 @@ class Session:
         Where the film lies now, if not where it was when it was tracked.
     options
         Names of arguments and the command's options that a report shows in their place.
+    tracks
+        Of the run, where they are being read already.
 
     Notes
     -----
@@ -76,45 +75,43 @@ class Session:
         *,
         film: Path | None = None,
         options: Mapping[str, str] | None = None,
+        tracks: Future[Stored] | None = None,
     ) -> None:
         self.folder, self.settings, self.options = folder, settings, dict(options or {})
         self.saver, self.effects, self.trial = Saver(), Effects(self), Trial(self)
-        self._film_moved = film
-        self._film: Film | None = None
-        self._film_reason = ""
         self.lock = RLock()
         self.revision = 0
         self._claim = claim(folder)
         self.trial.sweep()  # what a killed review left
-        self._grey: tuple[float, float] | None = None
-        self._force: xr.Dataset | None = None
         self._film_slips: tuple[int, Floats] | None = None
         try:
             with reading(folder, "a run folder as track writes it", "run track again"):
-                self._load()
+                self._load(tracks)
+                self.recordings = Recordings(self.found, settings, film)
         except BaseException:
             self._claim.close()
             raise
 
-    def _load(self) -> None:
+    def _load(self, tracks: Future[Stored] | None = None) -> None:
         """Read the folder, then take up the decisions that its tables do not follow yet."""
         self.found = Found.of(self.folder)
         columns = self.settings.columns
         first = 0 if columns is None else columns.start or 0
         self.diagram = Diagram(self.folder / "kymograph.tif", first, self.settings.tuning.tracking)
         try:
-            self._take_up()
+            self._take_up(tracks)
         except BaseException:
             self.diagram.close()
             raise
 
-    def _take_up(self) -> None:
+    def _take_up(self, tracks: Future[Stored] | None) -> None:
         """Positions, and the decisions about them."""
         ridges = self.found.facts.get("found", {}).get("ridges", {}).get("polarity", "bright")
         self.tiles = Tiles(self.diagram, bright=ridges == "bright")
         with ThreadPoolExecutor(1) as pool:  # while the tracks are tried out and read
             built = pool.submit(self.tiles.build)
-            self.positions = read_positions(self.folder / "tracks.nc")
+            stored = tracks.result() if tracks else read_tracks(self.folder / "tracks.nc")
+            self.positions = positions_of(stored)
             built.result()
         if len(self.positions.frame) != self.diagram.frames:
             frames = f"{len(self.positions.frame)} rows, one per frame of tracks.nc"
@@ -169,61 +166,6 @@ class Session:
         self.diagram.close()
         self._claim.close()
 
-    # --- film and force -------------------------------------------------------------------------------------
-
-    def film(self) -> Film:
-        """The film, opened at the first need.  Raises: InputError where it is gone or another one."""
-        with self.lock:
-            if self._film_reason:
-                raise InputError("the film", "the one that was tracked", self._film_reason)
-            if self._film is None:
-                try:
-                    self._film = Film(self._open_film())
-                except InputError as error:
-                    self._film_reason = str(error)
-                    raise
-            return self._film
-
-    def _open_film(self) -> Video:
-        return open_recording(input_of(self.folder, self._input(0), self._film_moved), self.settings)
-
-    def _input(self, place: int) -> Mapping[str, Any]:
-        """The film's entry among run.json's inputs (0), or the force recording's (-1)."""
-        inputs = self.found.facts.get("inputs") or []
-        force = self.found.parameters.get("force")
-        if not inputs or (place and (force is None or not force.value)):
-            raise InputError(self.folder, "a film and a force recording", "none in its run.json")
-        return dict(inputs[place])
-
-    def frame_png(self, frame: int) -> bytes:
-        """One frame as an 8-bit PNG, by the same black and white throughout."""
-        film, row = self.film(), self.positions.row_of(frame)
-        pixels = film.picture(frame, float(self.positions.time_s[row]))
-        if pixels is None:
-            raise InputError("the frame", "one that can be read", f"{frame}, which cannot")
-        if self._grey is None:
-            known = np.asarray(pixels, np.float32)
-            low, high = np.percentile(known[np.isfinite(known)], (0.5, 99.8))
-            self._grey = float(low), float(max(high, low + 1e-6))
-        return encode_png(grey_levels(np.asarray(pixels, np.float32), *self._grey))
-
-    def force(self) -> xr.Dataset:
-        """The force recording, read at the first need.  Raises: InputError where there is none."""
-        with self.lock:
-            if self._force is None:
-                self._force = open_force(input_of(self.folder, self._input(-1)), self.settings)
-            return self._force
-
-    def force_curve(self, first_s: float, stop_s: float, points: int) -> Floats:
-        """(rows, 3): seconds of the force clock, load, separation; extremes where there are more rows than
-        points."""
-        force = self.force()
-        time_s = force["time_s"].to_numpy()
-        a, b = np.searchsorted(time_s, [first_s, stop_s])
-        values = np.column_stack([force[name].to_numpy()[a:b] for name in ("load_N", "d_mm")])
-        at, low_high = minmax_decimate(time_s[a:b], values, most=points)
-        return np.column_stack([at, low_high])
-
     # --- saving ---------------------------------------------------------------------------------------------
 
     def save(self) -> None:
@@ -243,7 +185,7 @@ class Session:
             applied=tuple(self.applied),
             decisions=self._held(decisions, undone),
             clock=self.found.clock,
-            film=self._film_moved,
+            film=self.recordings.moved,
             beside={REPLACED: pack(self._before)} if self._before and same else {},
             options=self.options,
         )
@@ -395,7 +337,7 @@ class Session:
                 "sheets": self.sheets(),
                 "doubts": self.doubts(),
                 "sticks": self.sticks(),
-                "clock": None if self.clock is None else self.clock.to_json(),
+                "clock": plain(self.clock),
                 "tiles": {
                     "levels": self.tiles.levels,
                     "columns": self.tiles.settings.columns,
@@ -477,9 +419,7 @@ class Session:
         first, last = self._frames_at(start), self._frames_at(stop)
         time_s = self.positions.time_s
         inside = (stop > np.nanmin(time_s)) & (start < np.nanmax(time_s))
-        names = ("event", "d_v_mm", "dF_N", "F_p_N", "stick_length_um", "K_N_per_mm", "flag")
-        known = [name for name in names if name in events]
-        table = events[known].assign(first=first, stop=last + 1, start_s=start, end_s=stop)
+        table = events[["event", "stick_length_um"]].assign(first=first, stop=last + 1)
         return [{str(name): value for name, value in row.items()} for row in table[inside].to_dict("records")]
 
     def slips(self, clock: Clock | None = None) -> list[int]:

@@ -1,0 +1,315 @@
+"""What the page of a review asks and is told about one run."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import cv2
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+from starlette.types import ASGIApp
+
+from vision.errors import InputError, with_options
+from vision.review.diagram import Grey
+from vision.review.server import failed, refused
+from vision.review.session import Session
+from vision.run.provenance import plain
+
+MOST_POINTS = 20_000  # of a curve
+WINDOW_GONE_S = 6.0  # a window that has not asked for so long is closed; pages ask every two seconds
+
+
+def answers(session: Session, stop: Callable[[], None]) -> ASGIApp:
+    """What answers the questions about an open run.
+
+    Parameters
+    ----------
+    session
+        The open run.
+    stop
+        Ends the server.
+    """
+    routes = Api(session, stop).routes()
+    return Starlette(routes=routes, exception_handlers={HTTPException: failed, Exception: failed})
+
+
+class Windows:
+    """Which windows of a browser have the run open."""
+
+    def __init__(self) -> None:
+        self._seen: dict[str, float] = {}
+
+    def others(self, window: str) -> int:
+        """How many besides this one, which is noted."""
+        now = time.monotonic()
+        self._seen = {name: at for name, at in self._seen.items() if now - at < WINDOW_GONE_S}
+        if window:
+            self._seen[window[:64]] = now
+        return len(self._seen.keys() - {window[:64]})
+
+    def leave(self, window: str) -> None:
+        """This one was closed."""
+        self._seen.pop(window[:64], None)
+
+
+class Api:
+    """Answers for one session."""
+
+    def __init__(self, session: Session, stop: Callable[[], None]) -> None:
+        self.session, self._stop = session, stop
+        self._windows = Windows()
+
+    def routes(self) -> list[Route]:
+        """Every address that is served."""
+        get = {
+            "/api/run": self.run,
+            "/api/state": self.state,
+            "/api/film": self.film,
+            "/api/frame/{frame:int}.png": self.frame,
+            "/api/kymograph/{level:int}/{x:int}/{y:int}.png": self.tile,
+            "/api/tracks": self.tracks,
+            "/api/times": self.times,
+            "/api/slips": self.slips,
+            "/api/force": self.force,
+            "/api/stick/{event:int}": self.stick,
+            "/api/ridges/{frame:int}": self.ridges,
+            "/api/save": self.saving,
+            "/api/retrack": self.retracking,
+            "/api/retracked/{frame:int}": self.retracked,
+        }
+        post = {
+            "/api/preview": self.preview,
+            "/api/decisions": self.decide,
+            "/api/undo": self.undo,
+            "/api/redo": self.redo,
+            "/api/strip": self.strip,
+            "/api/clock": self.clock,
+            "/api/save": self.save,
+            "/api/retrack": self.retrack,
+            "/api/retrack/keep": self.keep_retracked,
+            "/api/retrack/cancel": self.cancel_retracking,
+            "/api/leave": self.leave,
+            "/api/quit": self.quit,
+        }
+        routes = [Route(path, _threaded(work), methods=["GET"]) for path, work in get.items()]
+        return routes + [
+            Route(path, _threaded(work, body=True), methods=["POST"]) for path, work in post.items()
+        ]
+
+    # --- what is shown --------------------------------------------------------------------------------------
+
+    def run(self, request: Request) -> Response:
+        """The run at a glance."""
+        return _json(self.session.summary() | self._company(request))
+
+    def state(self, request: Request) -> Response:
+        """Revision, decisions, and whether another window has the run open."""
+        return _json(self.session.state() | self._company(request))
+
+    def _company(self, request: Request) -> dict[str, Any]:
+        return {"other_windows": self._windows.others(request.headers.get("x-window", ""))}
+
+    def film(self, request: Request) -> Response:
+        """The film's picture, or why it cannot be shown."""
+        try:
+            rows, columns = self.session.recordings.film().shape
+        except InputError as error:
+            return _json({"rows": None, "columns": None, "error": with_options(str(error), {})})
+        return _json({"rows": rows, "columns": columns, "error": ""})
+
+    def frame(self, request: Request) -> Response:
+        """One frame of the film."""
+        frame, session = request.path_params["frame"], self.session
+        row = session.positions.row_of(frame)
+        return _png(session.recordings.picture(frame, float(session.positions.time_s[row])))
+
+    def tile(self, request: Request) -> Response:
+        """One tile of I(x, t)."""
+        place = (request.path_params[name] for name in ("level", "x", "y"))
+        return _png(self.session.tiles.part(*place))
+
+    def tracks(self, request: Request) -> Response:
+        """Curves of all sheets as float32, row after row."""
+        first, stop = _number(request, "first", 0), _number(request, "stop", 1 << 40)
+        points = max(2, min(_number(request, "points", 2000), MOST_POINTS))
+        what = request.query_params.get("what", "x")
+        return _floats(self.session.curves(first, stop, points, what))
+
+    def times(self, request: Request) -> Response:
+        """Seconds of the camera's clock as float64, one per frame."""
+        return _floats(self.session.positions.time_s[:, None])
+
+    def slips(self, request: Request) -> Response:
+        """Frames after the slips, and after the sheets' own steps, whatever the clock; a second's work."""
+        return _json({"slips": self.session.slips(), "film": self.session.film_slips()})
+
+    def force(self, request: Request) -> Response:
+        """Time by the force clock, load and separation as float64, row after row."""
+        points = max(2, min(_number(request, "points", 2000), MOST_POINTS))
+        span = (_seconds(request, "first_s", float("-inf")), _seconds(request, "stop_s", float("inf")))
+        return _floats(self.session.recordings.force(*span, points))
+
+    def stick(self, request: Request) -> Response:
+        """σ_x/Λ_st of one stick, or why there is none: a page asks for each stick that the cursor passes."""
+        return _json(self.session.effects.stick(request.path_params["event"]))
+
+    def ridges(self, request: Request) -> Response:
+        """Candidates of one frame."""
+        return _json(self.session.ridges(request.path_params["frame"]))
+
+    # --- what is decided ------------------------------------------------------------------------------------
+
+    def preview(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """What a decision would change."""
+        decision = _table(body, "decision")
+        return _tried(lambda: self.session.effects.preview(decision, body.get("frame")))
+
+    def decide(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """Keep a decision."""
+        return self._changed(request, body, lambda: self.session.decide(_table(body, "decision")))
+
+    def undo(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """Take the last decision back."""
+        return self._changed(request, body, self.session.undo)
+
+    def redo(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """Make it again."""
+        return self._changed(request, body, self.session.redo)
+
+    def _changed(self, request: Request, body: Mapping[str, Any], work: Callable[[], None]) -> Response:
+        """Refused where the page has not seen what another window decided meanwhile."""
+        with self.session.lock:
+            seen = body.get("revision", self.session.revision)
+            if seen != self.session.revision:
+                raise HTTPException(409, "the run was changed in another window: look again")
+            work()
+            return self.state(request)
+
+    def strip(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """Ridges and noise of other rows."""
+        return _tried(lambda: self.session.effects.strip_preview(body.get("rows"), body.get("frame")))
+
+    def clock(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """Sticks and slips by another clock, which is not kept."""
+        offset_s, drift_ppm = body.get("offset_s"), body.get("drift_ppm", 0.0)
+        return _tried(lambda: self.session.effects.clock_preview(offset_s, drift_ppm, body.get("frame")))
+
+    def save(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """Begin to re-run what follows from the decisions."""
+        self.session.save()
+        return _json(self.session.saving())
+
+    def saving(self, request: Request) -> Response:
+        """How far saving is."""
+        return _json(self.session.saving())
+
+    def retrack(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """Begin to track again under a decision that is not kept yet."""
+        self.session.trial.start(_table(body, "decision"))
+        return _json(self.session.trial.state())
+
+    def retracking(self, request: Request) -> Response:
+        """How far that is; at last what it would change."""
+        return _json(self.session.trial.state())
+
+    def retracked(self, request: Request) -> Response:
+        """The run as it was tracked again, about one frame."""
+        return _json(self.session.trial.at(request.path_params["frame"]))
+
+    def keep_retracked(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """Keep the decision, and the run as it was tracked again."""
+        return self._changed(request, body, self.session.trial.keep)
+
+    def cancel_retracking(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """Throw it away, finished or not."""
+        self.session.trial.discard()
+        return _json({})
+
+    def leave(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """A window was closed, or is loaded anew."""
+        self._windows.leave(request.headers.get("x-window", ""))
+        return _json({})
+
+    def quit(self, request: Request, body: Mapping[str, Any]) -> Response:
+        """End the server once this is answered."""
+        self._stop()
+        return _json({"ended": True})
+
+
+def _tried(work: Callable[[], Mapping[str, Any]]) -> Response:
+    """What was tried out, or why it does not fit: half-typed numbers are no errors, so a 200 says it."""
+    try:
+        return _json(work())
+    except InputError as error:
+        return _json({"refused": with_options(str(error), {})})
+
+
+def _threaded(work: Callable[..., Response], *, body: bool = False) -> Callable[[Request], Any]:
+    """A function that waits for files and arrays, off the event loop; InputError becomes an answer."""
+
+    async def answer(request: Request) -> Response:
+        given = [await _body_of(request)] if body else []
+        try:
+            return await run_in_threadpool(work, request, *given)
+        except InputError as error:
+            return refused(422, with_options(str(error), {}))
+
+    return answer
+
+
+async def _body_of(request: Request) -> Mapping[str, Any]:
+    raw = await request.body()
+    try:
+        body = json.loads(raw or b"{}")
+    except (ValueError, RecursionError):
+        raise HTTPException(400, "the body is no JSON") from None
+    if not isinstance(body, dict):
+        raise HTTPException(400, "the body is no JSON object")
+    return body
+
+
+def _table(body: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    value = body.get(name)
+    if not isinstance(value, dict):
+        raise HTTPException(400, f"no {name} in the body")
+    return value
+
+
+def _number(request: Request, name: str, default: int) -> int:
+    text = request.query_params.get(name, str(default))
+    if not text.isdecimal() or len(text) > 15:
+        raise HTTPException(400, f"{name} is a whole number from 0")
+    return int(text)
+
+
+def _seconds(request: Request, name: str, default: float) -> float:
+    try:
+        return float(request.query_params.get(name, default))
+    except ValueError:
+        raise HTTPException(400, f"{name} is a number") from None
+
+
+def _json(content: Any) -> Response:
+    text = json.dumps(plain(content), ensure_ascii=False, allow_nan=False)
+    return Response(text.encode(), media_type="application/json")
+
+
+def _png(pixels: Grey) -> Response:
+    """Packed fast rather than small: it travels within one machine."""
+    made, data = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    assert made
+    return Response(data.tobytes(), media_type="image/png")
+
+
+def _floats(table: Any) -> Response:
+    """Little-endian numbers; their rows and columns in a header."""
+    shape = {"X-Rows": str(table.shape[0]), "X-Columns": str(table.shape[1])}
+    little = table.astype(table.dtype.newbyteorder("<"), copy=False)
+    return Response(little.tobytes(), media_type="application/octet-stream", headers=shape)
