@@ -355,9 +355,7 @@ def _local_pitch(x_px: Floats, pitch_px: float) -> Floats:
 
 def _running_median(values: Floats) -> Floats:
     """Median of the nine values around each; the outermost are repeated."""
-    return np.asarray(
-        np.median(sliding_window_view(np.pad(values, 4, mode="edge"), 9), axis=1), np.float64
-    )
+    return np.asarray(np.median(sliding_window_view(np.pad(values, 4, mode="edge"), 9), axis=1), np.float64)
 
 
 def _best_chain(score: Floats, cost: Floats) -> Ints:
