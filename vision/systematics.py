@@ -39,6 +39,7 @@ SOURCES = {
     "d0": "initial separation d0",
     "load_drift": "drift of the load cell",
     "low_pass": "load cell's low-pass",
+    "sampling": "rise of the force within one sample after a slip",
     "thickness_mm": "thickness of a sheet",
     "width_mm": "width of the sheets",
     "length_mm": "length of the sheets",

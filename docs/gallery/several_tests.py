@@ -20,6 +20,7 @@ NAMES |= {"trends": 14}
 # V in mm/min, previous tests, relative humidity in %: N̂ rises with the tests, μ with humidity.
 TESTS = ((0.5, 10, 40), (1, 11, 42), (5, 12, 41), (10, 13, 40), (1, 20, 52), (1, 28, 31))
 folder = Path(sys.argv[1]).resolve() if len(sys.argv) > 1 else Path.cwd()
+folder.mkdir(parents=True, exist_ok=True)
 
 with tempfile.TemporaryDirectory() as scratch:
     work = Path(scratch)

@@ -14,6 +14,7 @@ from vision.figures import kymograph_figure, space_time_figure, tracks_figure
 PIXEL_SIZE_UM = 10.0
 recording = Path(__file__).parents[2] / "fixtures" / "paper" / "video.avi"
 folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path()
+folder.mkdir(parents=True, exist_ok=True)
 
 # The camera's rate must be given: an AVI file holds only the rate at which it is played.
 video = vision.open_video(recording, fps=60)

@@ -13,6 +13,7 @@ import vision
 from vision.experiment import preset, profiles, with_settings
 
 folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path()
+folder.mkdir(parents=True, exist_ok=True)
 
 test = with_settings(preset("paper"), {"camera.duration_s": 3})
 # half the pixels over the same 19.2 mm, so every length in pixels is halved, and less light per pixel

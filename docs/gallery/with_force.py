@@ -15,6 +15,7 @@ from vision.figures import clocks_figure, deformation_figure, force_figure, shel
 PIXEL_SIZE_UM = 10.0
 sample = Path(__file__).parents[2] / "fixtures" / "paper"
 folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path()
+folder.mkdir(parents=True, exist_ok=True)
 
 strip = vision.strip_profile(vision.open_video(sample / "video.avi", fps=60))
 tracks = vision.track_sheets(strip)

@@ -82,6 +82,35 @@ def test_the_pipeline_measures_the_shell_of_the_springs(scene: Scene, tmp_path: 
     assert np.nanquantile(np.abs(wrong - true[: len(wrong)]), 0.9) > 0.1
 
 
+@pytest.fixture(scope="module")
+def pulled() -> Scene:
+    """The whole pull, without a film to speak of: a shorter one lets μ and 𝒯0 trade, and A with them."""
+    changes = {"clocks.offset_s": 1.0, "camera.duration_s": 1.0}
+    return make_scene(with_settings(preset("sheets"), changes))
+
+
+@pytest.mark.parametrize(("rate_Hz", "lowpass_s"), [(200, 0.0), (200, 0.003)])
+def test_a_lies_within_its_stated_error(
+    pulled: Scene, tmp_path: Path, rate_Hz: int, lowpass_s: float
+) -> None:
+    """All sheets stick right after a slip: the force rises fastest where samples miss it.
+
+    A failure means an A that is 7 % low with an error of 1 % where sticks have no straight part.
+    """
+    changes = {"clocks.force_rate_Hz": rate_Hz, "load_cell.lowpass_s": lowpass_s}
+    experiment = with_settings(pulled.experiment, changes)
+    write_force(tmp_path / "f.txt", force_recording(experiment, pulled.pull), experiment.force_file, name="f")
+    force = vision.read_force(tmp_path / "f.txt", d0_mm=13.0)
+    fits = vision.fit_models(force, vision.find_stick_slip(force))
+    events = pulled.pull.events()
+    true = float(np.mean(events["dF_N"] / equations.total_normal_force(events["d_v_mm"].to_numpy(), mu=0.89)))
+    assert true == pytest.approx(0.34, rel=0.02)
+    found = fits.amplitude
+    assert abs(found.value - true) < 2 * np.hypot(found.error, found.systematic_error)
+    others = [float(parts["A"] or 0) for name, parts in fits.budget.items() if name != "sampling"]
+    assert lowpass_s or abs(found.value - true) > 3 * np.hypot(found.error, np.linalg.norm(others))
+
+
 def test_thresholds_follow_the_seed() -> None:
     """A failure means that two samples of one preset are the same, or one is not repeatable."""
     short = with_settings(preset("sheets"), {"mechanics.d_end_mm": 13.1, "clocks.offset_s": 1.0})

@@ -13,7 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vision.command.console import complain, frame_progress, in_columns, outcome, say
+from vision.command.console import (
+    complain,
+    frame_progress,
+    in_columns,
+    outcome,
+    say,
+    skip_matplotlib_help,
+)
 from vision.command.options import (
     ForceOptions,
     RunOptions,
@@ -106,6 +113,7 @@ def track_one(
     from vision.run import Checkpoint, Checksums, Origin, Parameter, check_target, write_run
     from vision.video import video_files
 
+    skip_matplotlib_help()
     if run.follow and run.resume:
         raise InputError("`follow` and `resume`", "one of the two", "both")
     check_target(target, overwrite=run.overwrite)

@@ -6,13 +6,13 @@ engines and tight bounding boxes draw everything twice. pyplot is not imported.
 
 from __future__ import annotations
 
-import io
 import sys
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,7 +22,6 @@ from matplotlib.figure import Figure as Page
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.transforms import blended_transform_factory
-from PIL import Image as Pillow
 
 from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series
 from vision.figures.labels import to_mathtext
@@ -31,6 +30,8 @@ from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET
 PNG_DPI, VECTOR_DPI = 100, 300
 STROKE = 0.2  # of the strip's height: a sheet is marked above and below, so that its ridge stays in view
 MOST_LINES = 40  # marked times with a line across; more are marked at the edges alone
+# A sixth of the time of `savefig`: no alpha channel, little compression, each row less the one above it.
+_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP)
 _DASHES = (0, (4, 2))
 _GREYS = mpl.colormaps["gray"].with_extremes(bad=MISSING)
 _STYLE: dict[str, Any] = {
@@ -51,6 +52,9 @@ _LEAST_HEIGHT, _MOST_HEIGHT = 0.35, 9.0
 _LETTER, _MARKER = 0.075, 0.55  # of a legend's entry
 
 SCALE_POINTS = 19  # of a frame's grey scale below it: past the numbers of the axis
+
+
+_TICK_ROOM_IN = 0.22  # height that a number on the y axis needs
 
 
 def draw_panel(ax: Axes, panel: Panel) -> Axes:
@@ -106,6 +110,7 @@ def new_figure(figure: Figure, *, interactive: bool = False) -> Page:
         for panel, box in zip(figure.panels, boxes, strict=True):
             ax = page.add_axes(box)
             draw_panel(ax, panel)
+            _thin_ticks(ax, box[3] * size[1])
             if len(figure.panels) > 1:
                 # not `set_title`, which measures everything around the axes
                 legend = (
@@ -120,6 +125,17 @@ def new_figure(figure: Figure, *, interactive: bool = False) -> Page:
         if label := next((p.marks_label for p in figure.panels if p.marks is not None and p.marks.size), ""):
             page.text(1 - 0.1 / size[0], 0.05 / size[1], label, color=HIGHLIGHT, fontsize=8, ha="right")
     return page
+
+
+def _thin_ticks(ax: Axes, height_in: float) -> None:
+    """Only as many numbers along y as the height of a flat panel has room for."""
+    low, high = sorted(ax.get_ylim())
+    ticks = [float(y) for y in ax.get_yticks() if low <= y <= high]
+    room = max(int(height_in / _TICK_ROOM_IN), 1)
+    if 1 < room < len(ticks):
+        ax.set_yticks([ticks[0], ticks[-1]])
+    elif room < len(ticks):
+        ax.set_yticks(ticks[-1:])
 
 
 def write(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
@@ -137,14 +153,12 @@ def write(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
 def png(figure: Figure, *, dpi: float | None = None) -> bytes:
     """The figure as PNG."""
     with picture_style():
-        page, stream = new_figure(figure), io.BytesIO()
+        page = new_figure(figure)
         page.set_dpi(PNG_DPI if dpi is None else dpi)
         canvas: Any = FigureCanvasAgg(page)
         canvas.draw()
-        # without the alpha channel and with little compression: a third of the time of `savefig`
-        pixels = np.asarray(canvas.buffer_rgba())[..., :3]
-        Pillow.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG", compress_level=1)
-    return stream.getvalue()
+        pixels = cv2.cvtColor(np.asarray(canvas.buffer_rgba()), cv2.COLOR_RGBA2BGR)
+    return cv2.imencode(".png", pixels, _PNG)[1].tobytes()
 
 
 def picture_style() -> AbstractContextManager[None]:

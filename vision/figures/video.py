@@ -21,7 +21,7 @@ from vision.numeric import Floats, Pixels, nan_median
 
 MOST_ROWS = 1200  # of an image
 NOT_SHOWN = ("lost", "blank", "corrupt")  # frames that hold no picture
-FLATTEST = 0.03  # height over width of a frame below which it is stretched, or nothing could be seen
+FLATTEST = 0.06  # height over width of a frame below which it is stretched, or nothing could be seen
 SHOWN_SLIPS = 4  # of the space-time diagrams of single sheets, as in the publication
 RIDGE_PITCHES = 0.9  # half width of the window around one ridge
 

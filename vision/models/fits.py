@@ -477,14 +477,7 @@ def _with_systematics(
         budget["d0"] = moved | {"K_N_per_mm": 0.0, "ratio": 0.0}
     moved = half(again(drifted(drift)), again(drifted(-drift)))
     budget["load_drift"] = moved | {"T0_N": drift, "K_N_per_mm": drift / span, "ratio": 0.0}
-    if any(lowpass.values()):
-        # What the load cell's low-pass takes from all drops and slopes, as a share of each.
-        none: dict[str, float | None] = dict.fromkeys((*_BUDGET, "ratio"), 0.0)
-        budget["low_pass"] = none | {
-            "A": abs(fits.amplitude.value * lowpass["lowpass_dF_share"]),
-            "Y_eff_GPa": abs(fits.modulus_GPa.value * lowpass["lowpass_K_share"]),
-            "K_N_per_mm": abs(float(events["K_N_per_mm"].median()) * lowpass["lowpass_K_share"]),
-        }
+    budget |= _unresolved(fits, force, events, lowpass)
     for name, error in geometry.items():
         value = getattr(fits.sample, name)
         larger, smaller = (replace(fits.sample, **{name: value + by}) for by in (error, -error))
@@ -496,6 +489,39 @@ def _with_systematics(
 
     changed = {part: systematic(name, getattr(fits, part)) for name, part in _BUDGET.items()}
     return replace(fits, budget=budget, **changed)  # type: ignore[arg-type]
+
+
+def _unresolved(
+    fits: ModelFits, force: xr.Dataset, events: pd.DataFrame, lowpass: Mapping[str, float]
+) -> dict[str, dict[str, float | None]]:
+    """What the load cell's low-pass and the time between samples hide, as a share of all drops and slopes."""
+    none: dict[str, float | None] = dict.fromkeys((*_BUDGET, "K_N_per_mm", "ratio"), 0.0)
+    found = {}
+    if any(lowpass.values()):
+        found["low_pass"] = none | {
+            "A": abs(fits.amplitude.value * lowpass["lowpass_dF_share"]),
+            "Y_eff_GPa": abs(fits.modulus_GPa.value * lowpass["lowpass_K_share"]),
+            "K_N_per_mm": abs(float(events["K_N_per_mm"].median()) * lowpass["lowpass_K_share"]),
+        }
+    if share := _unseen_valleys(force, events):
+        found["sampling"] = none | {"A": abs(fits.amplitude.value * share)}
+    return found
+
+
+def _unseen_valleys(force: xr.Dataset, events: pd.DataFrame) -> float:
+    """Share of ΔF that lies between the lowest sample and the next, median; 0 where sticks have no knee.
+
+    There the force rises fastest right after a slip: what it rises by between the true valley and the first
+    sample after it no line through the later ones gives back.
+    """
+    if not events.attrs.get("two_slopes"):
+        return 0.0
+    time, load = force["time_s"].values, force["load_N"].values
+    near = np.searchsorted(time, events["t_v_s"].to_numpy(float))[:, np.newaxis] + np.arange(-3, 4)
+    near = np.clip(near, 0, load.size - 2)
+    lowest = np.take_along_axis(near, np.argmin(load[near], axis=1)[:, np.newaxis], axis=1)[:, 0]
+    share = float(np.nanmedian((load[lowest + 1] - load[lowest]) / events["dF_N"].to_numpy(float)))
+    return share if np.isfinite(share) else 0.0
 
 
 # --- what is said -------------------------------------------------------------------------------------------

@@ -272,9 +272,12 @@ def fit_peaks(events: pd.DataFrame, sample: Sample, free_t_star: bool, held: Map
         return force(mu, float(rest[0]), float(rest[1]) if free_t_star else sample.t_star_N)
 
     trials = np.linspace(0.2, 2.0, 91) if given is None else np.array([given])
-    misfit = [np.sum((force(float(mu), 0.0, sample.t_star_N) / peak - 1) ** 2) for mu in trials]
-    start = [float(trials[int(np.argmin(misfit))])] if given is None else []
-    fit = fit_weighted(model, peak, None, [*start, 0.0, *([sample.t_star_N] if free_t_star else [])])
+    width = np.maximum(np.abs(peak), 1e-3 * float(np.abs(peak).max()))
+    rest = peak - np.array([force(float(mu), 0.0, sample.t_star_N) for mu in trials])
+    offset = np.average(rest, axis=1, weights=width**-2.0)
+    best = int(np.argmin((((rest - offset[:, np.newaxis]) / width) ** 2).sum(axis=1)))
+    start = [*([float(trials[best])] if given is None else []), float(offset[best])]
+    fit = fit_weighted(model, peak, None, [*start, *([sample.t_star_N] if free_t_star else [])])
     return fit if given is None else fit.with_held(0, given)
 
 
