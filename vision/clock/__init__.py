@@ -1,6 +1,6 @@
 """The camera's clock against the testing machine's."""
 
-from vision.clock.clock import Candidate, Clock, clock_from_column, synchronise
+from vision.clock.clock import Candidate, Clock, synchronise
 from vision.clock.settings import ClockSettings
 from vision.clock.slips import force_slips, video_slips
 
@@ -8,7 +8,6 @@ __all__ = [
     "Candidate",
     "Clock",
     "ClockSettings",
-    "clock_from_column",
     "force_slips",
     "synchronise",
     "video_slips",

@@ -288,7 +288,9 @@ def friction(
     settings = FrictionSettings(dynamic_deg=parse_pair(dynamic, "--dynamic", wanted))
     found = _measure(files, _loads(normal_force, len(files)), radius, settings)
     if not found.measured:
-        raise InputError(*_parts(found.failures))
+        for line in found.failures:
+            complain(line)
+        return 2
     law, why = _law(found)
     notes = [*found.notes, *([why] if why else [])]
     typed = {"radius_mm": radius, "normal_force_N": normal_force, "dynamic_deg": dynamic, "mu": mu}
@@ -411,11 +413,3 @@ def _loads(text: str | None, files: int) -> list[float | None]:
     if len(loads) not in (1, files) or not all(load is not None and 0 < load < 1e9 for load in loads):
         raise InputError("--normal-force", f"one positive number, or {files} with commas", f"'{text}'")
     return loads * files if len(loads) == 1 else loads
-
-
-def _parts(failures: list[str]) -> tuple[str, str, str]:
-    """One message where nothing at all could be used."""
-    more = f" (and {len(failures) - 1} more)" if len(failures) > 1 else ""
-    about, _, rest = failures[0].partition(": expected ")
-    expected, _, found = rest.partition("; found ")
-    return about, expected, found + more

@@ -10,7 +10,7 @@ from vision.figures.catalogue import (
     publication_figures_of,
     sections_of,
 )
-from vision.figures.deformation import deformation_figure, shells_figure, stick_figure
+from vision.figures.deformation import deformation_figure, shells_figure
 from vision.figures.figure import (
     Arrow,
     Band,
@@ -23,11 +23,8 @@ from vision.figures.figure import (
 )
 from vision.figures.force import (
     clocks_figure,
-    force_drop_figure,
     force_figure,
     force_overview_figure,
-    sticks_figure,
-    stiffness_figure,
 )
 from vision.figures.labels import both_errors, percent, plus_minus, signed
 from vision.figures.positions import noise_figure, pixel_locking_figure, tracks_figure
@@ -47,7 +44,6 @@ __all__ = [
     "clocks_figure",
     "deformation_figure",
     "figures_of",
-    "force_drop_figure",
     "force_figure",
     "force_overview_figure",
     "frame_figure",
@@ -68,8 +64,5 @@ __all__ = [
     "signed",
     "slip_times",
     "space_time_figure",
-    "stick_figure",
-    "sticks_figure",
-    "stiffness_figure",
     "tracks_figure",
 ]

@@ -2,7 +2,6 @@
 
 from vision.force.columns import parse_columns
 from vision.force.events import detection_limit, find_stick_slip
-from vision.force.lines import flat_ranges
 from vision.force.recording import good_samples, read_force
 from vision.force.settings import ForceSettings
 
@@ -10,7 +9,6 @@ __all__ = [
     "ForceSettings",
     "detection_limit",
     "find_stick_slip",
-    "flat_ranges",
     "good_samples",
     "parse_columns",
     "read_force",

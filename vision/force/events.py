@@ -21,7 +21,7 @@ from vision.force.regime import (
     find_regime,
     is_unloading,
 )
-from vision.force.settings import DEFAULTS, ForceSettings
+from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, find_slips, stick_middles
 from vision.force.sticks import Corners, Signal, find_corners, measure_sticks
 from vision.numeric import Bools, Floats, nan_median
@@ -37,7 +37,7 @@ def find_stick_slip(
     machine_stiffness_N_per_mm: float | None = None,
     two_slopes: bool | None = None,
     lowpass_s: float | Literal["auto"] = 0.0,
-    settings: ForceSettings = DEFAULTS,
+    settings: ForceSettings = ForceSettings(),
 ) -> pd.DataFrame:
     """Stick-slip events of a recording, one row per complete stick: valley (v), peak (p), next valley.
 
@@ -379,7 +379,7 @@ def detection_limit(
     levels_N: tuple[float, ...] | None = None,
     injected: int = 40,
     seed: int = 0,
-    settings: ForceSettings = DEFAULTS,
+    settings: ForceSettings = ForceSettings(),
 ) -> pd.DataFrame:
     """The share of known small slips that are found when added to the recording's own sticks.
 

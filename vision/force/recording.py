@@ -12,7 +12,7 @@ from vision.data import FORCE, ForceMetadata, record
 from vision.errors import InputError
 from vision.force.columns import Column, Role, Table, find_columns
 from vision.force.files import read_tables
-from vision.force.settings import DEFAULTS, ForceSettings
+from vision.force.settings import ForceSettings
 from vision.numeric import Bools, Floats, Strings, mad_sigma
 from vision.signals import running_median
 
@@ -28,7 +28,7 @@ def read_force(
     d0_mm: float | None = None,
     d0_err_mm: float | None = None,
     columns: Mapping[str, str] | None = None,
-    settings: ForceSettings = DEFAULTS,
+    settings: ForceSettings = ForceSettings(),
 ) -> xr.Dataset:
     """Load and separation of a traction test, as recorded: nothing is smoothed, sorted or left out.
 
@@ -235,7 +235,7 @@ def is_compression(load: Floats) -> bool:
 
 
 def sample_flags(
-    time_s: Floats, load: Floats, displacement: Floats | None, *, settings: ForceSettings = DEFAULTS
+    time_s: Floats, load: Floats, displacement: Floats | None, *, settings: ForceSettings = ForceSettings()
 ) -> Strings:
     """One word per sample: the first of these that applies, else "ok".
 
@@ -308,7 +308,9 @@ def noise_sigma(y: Floats) -> float:
     return float(max(spread, quantum / np.sqrt(12.0), 1e-9 * range_, np.finfo(float).tiny))
 
 
-def find_spikes(y: Floats, sigma: float, *, settings: ForceSettings = DEFAULTS) -> tuple[Bools, Floats]:
+def find_spikes(
+    y: Floats, sigma: float, *, settings: ForceSettings = ForceSettings()
+) -> tuple[Bools, Floats]:
     """Which samples are spikes, of one or two samples, and the signal with a median in their place.
 
     A spike is `spike_sigmas` of the noise from the median of the five samples around. Slips and corners of a

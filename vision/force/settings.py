@@ -109,6 +109,3 @@ class ForceSettings:
         return {
             part.name: value for part in fields(self) if (value := getattr(self, part.name)) != part.default
         }
-
-
-DEFAULTS = ForceSettings()

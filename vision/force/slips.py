@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.force.lines import LEAST_FOR_KNEE, Lines, bend_squares, fit_lines
-from vision.force.settings import DEFAULTS, ForceSettings
+from vision.force.settings import ForceSettings
 from vision.numeric import Bools, Floats, Ints
 from vision.signals import apart, find_maxima, running_median
 
@@ -26,7 +26,7 @@ class Slips:
 
 
 def find_slips(
-    y: Floats, sigma: float, *, threshold: float | None = None, settings: ForceSettings = DEFAULTS
+    y: Floats, sigma: float, *, threshold: float | None = None, settings: ForceSettings = ForceSettings()
 ) -> Slips:
     """Slips of a sawtooth without spikes.
 

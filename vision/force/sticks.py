@@ -13,7 +13,7 @@ from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines, 
 from vision.force.lowpass import DeconvolvedLoad, SlipTransients
 from vision.force.recording import find_spikes, noise_sigma, usable
 from vision.force.regime import Extremes, is_slow
-from vision.force.settings import DEFAULTS, ForceSettings
+from vision.force.settings import ForceSettings
 from vision.force.slips import stick_lines, stick_middles
 from vision.numeric import Bools, Floats, Ints
 
@@ -54,7 +54,9 @@ class Corners:
         )
 
 
-def find_corners(signal: DeconvolvedLoad, *, two_slopes: bool, settings: ForceSettings = DEFAULTS) -> Corners:
+def find_corners(
+    signal: DeconvolvedLoad, *, two_slopes: bool, settings: ForceSettings = ForceSettings()
+) -> Corners:
     """Begin and end of the slips of a recording.
 
     Parameters

@@ -9,11 +9,10 @@ from vision.run.provenance import (
     Parameter,
     describe_input,
     plain,
-    versions,
     write_json,
 )
 from vision.run.reading import RunFolder, check_mark, is_run, read_run, read_strip, read_table, slip_times_s
-from vision.run.writing import run_facts, write_run
+from vision.run.writing import write_run
 
 __all__ = [
     "Checkpoint",
@@ -31,10 +30,8 @@ __all__ = [
     "read_run",
     "read_strip",
     "read_table",
-    "run_facts",
     "run_folder",
     "slip_times_s",
-    "versions",
     "whole_file",
     "write_json",
     "write_run",

@@ -36,29 +36,16 @@ class Parameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Origin:
-    """Where a run comes from, for run.json.
+    """Where a run comes from, for run.json."""
 
-    Parameters
-    ----------
-    command
-        The command line.
-    inputs
-        Files and folders that were read.
-    parameters
-        Every option with its value and whether it was given.
-    checksum
-        Whether the inputs' SHA-256 is that of every byte.
-    options
-        Names of arguments and the command's options that the report shows in their place.
-    described
-        Inputs that are described already (`vision.run.Checksums`).
-    """
-
-    command: str
-    inputs: Sequence[Path] = ()
+    command: str  # the command line
+    inputs: Sequence[Path] = ()  # files and folders that were read
+    # every option with its value and whether it was given
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
-    checksum: bool = False
+    checksum: bool = False  # whether the inputs' SHA-256 is that of every byte
+    # names of arguments and the command's options that the report shows in their place
     options: Mapping[str, str] = field(default_factory=dict)
+    # inputs that are described already (`vision.run.Checksums`)
     described: Mapping[Path, Mapping[str, Any]] = field(default_factory=dict)
 
     def named(self, lines: Iterable[str]) -> list[str]:
