@@ -3,9 +3,17 @@
 import os
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 # Before the workers load NumPy: two workers of two threads each wait for each other half of the time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+for name in ("FORCE_COLOR", "COLUMNS", "LINES"):  # a terminal's or a CI service's, which text output obeys
+    os.environ.pop(name, None)
+# The same examples each time, however long one takes.
+settings.register_profile(
+    "same", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("same")
 
 
 def pytest_xdist_auto_num_workers():

@@ -15,7 +15,6 @@ from vision.figures import (
     load_figures,
     overview,
     save_figures,
-    write_captions,
 )
 from vision.figures.deformation import shells_figure
 from vision.figures.force import clocks_figure
@@ -114,13 +113,6 @@ def test_the_ending_says_what_is_written(pulled, tmp_path):
     np.testing.assert_allclose(table["t (s)"], pulled.tracks["time_s"], rtol=1e-6)
     with pytest.raises(InputError, match=r"\.png, \.pdf, \.svg or \.csv"):
         figure.save(tmp_path / "f.gif")
-
-
-def test_captions_are_written_with_their_notes(pulled, tmp_path):
-    """A failure means figures of a manuscript without a word on what they show."""
-    write_captions(tmp_path / "captions.txt", figures_of(pulled))
-    text = (tmp_path / "captions.txt").read_text(encoding="utf-8")
-    assert all(f"{figure.name}\n{figure.title}. " in text for figure in figures_of(pulled))
 
 
 def test_figures_are_drawn_on_given_axes_or_their_own(pulled):

@@ -4,6 +4,7 @@ import shutil
 
 import pytest
 
+from tests.scenes.doubted import doubted_run
 from tests.scenes.reviewed import SETTINGS, write_planted
 from vision.review.session import Session
 
@@ -12,6 +13,12 @@ from vision.review.session import Session
 def planted(tmp_path_factory):
     """Not to be changed: see `run`."""
     return write_planted(tmp_path_factory.mktemp("planted") / "run")
+
+
+@pytest.fixture(scope="session")
+def doubted(tmp_path_factory):
+    """Not to be changed either."""
+    return doubted_run(tmp_path_factory.mktemp("doubted"))
 
 
 @pytest.fixture

@@ -4,13 +4,9 @@ import json
 import os
 import re
 import shutil
-import subprocess
-import sys
 import time
-import urllib.request
+from contextlib import contextmanager
 from pathlib import Path
-from queue import Queue
-from threading import Thread
 
 import numpy as np
 import pandas as pd
@@ -19,16 +15,14 @@ import xarray as xr
 
 from tests.scenes import doubted as scene
 from tests.scenes.browser import chromium
-from tests.scenes.doubted import doubted_run
 from tests.scenes.reviewed import SETTINGS
+from tests.scenes.served import Served, Started
 from vision.command.review import settings_of_run
 from vision.pipeline import Settings, analyse
-from vision.review.server import serve
 from vision.review.session import Session
 from vision.run import Origin, Parameter, write_run
 from vision.run.reading import read_run
 
-PROJECT = Path(__file__).parents[2]
 PATIENCE_MS = 60_000  # the machine may be busy
 SHOTS = os.environ.get("SHEETVISION_SCREENSHOTS")
 
@@ -39,81 +33,32 @@ def browser():
         yield opened
 
 
-@pytest.fixture(scope="module")
-def doubted(tmp_path_factory):
-    """Not to be changed: see `run`."""
-    return doubted_run(tmp_path_factory.mktemp("doubted"))
-
-
 @pytest.fixture
 def run(doubted, tmp_path):
     """A run folder of one's own."""
     return shutil.copytree(doubted, tmp_path / "doubted")
 
 
-class Served:
-    """`track review` in a process of its own, as a user starts it."""
-
-    def __init__(self, run):
-        command = [sys.executable, PROJECT / "cli.py", "review", run, "--no-browser"]
-        self.process = subprocess.Popen(command, cwd=PROJECT, stdout=subprocess.PIPE, text=True)
-        for line in self.process.stdout:
-            if found := re.search(r"http://\S+", line):
-                self.address = found[0]
-                break
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error):
-        self.kill()
-
-    def kill(self):
-        """At once, with nothing put in order."""
-        self.process.kill()
-        self.process.wait()
-        self.process.stdout.close()
-
-
-class ServedHere:
-    """The same within this process, which begins sooner."""
-
-    def __init__(self, run, settings):
-        ready = Queue()
-
-        def work():
-            with Session(run, settings) as session:
-                serve(session, opened=ready.put)
-
-        self.thread = Thread(target=work, daemon=True)
-        self.thread.start()
-        self.address = ready.get(timeout=PATIENCE_MS / 1000)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error):
-        if self.thread.is_alive():
-            home, _, token = self.address.partition("?token=")
-            asked = urllib.request.Request(f"{home}api/quit", b"{}", {"X-Token": token})
-            urllib.request.urlopen(asked).close()
-        self.thread.join(timeout=PATIENCE_MS / 1000)
-        assert not self.thread.is_alive()
+@contextmanager
+def served(run, settings):
+    """A review within this process, which begins sooner than one of its own."""
+    with Session(run, settings) as session, Served(session) as here:
+        yield here
 
 
 class Visit:
     """An open page, with everything it complained about or asked for."""
 
-    def __init__(self, browser, served, **look):
+    def __init__(self, browser, address, **look):
         self.context = browser.new_context(**{"viewport": {"width": 1280, "height": 800}} | look)
         self.page = self.context.new_page()
         self.page.set_default_timeout(PATIENCE_MS)
-        self.address = served.address
+        self.address = address.address
         self.complaints, self.requests = [], []
         self.page.on("console", lambda message: self.complaints.append(message.text))
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.on("request", lambda request: self.requests.append(request.url))
-        self.page.goto(served.address)
+        self.page.goto(self.address)
         self.page.wait_for_selector("#history li")
 
     def press(self, *keys):
@@ -236,8 +181,8 @@ def test_the_planted_faults_are_there(doubted):
 
 def test_by_the_keyboard_alone(browser, run):
     """A failure means that somebody without a mouse cannot put a run right, or loses a decision."""
-    with Served(run) as served:
-        visit = Visit(browser, served)
+    with Started(run) as started:
+        visit = Visit(browser, started)
         page = visit.page
         visit.shot("start")
         visit.press("d")
@@ -277,14 +222,14 @@ def test_by_the_keyboard_alone(browser, run):
             visit.kept(done)
         history = visit.history()
         assert visit.complaints == []
-        served.kill()
+        started.kill()
         page.wait_for_selector("#connection[data-state=lost]")
         assert "does not answer" in visit.text("connection")
         visit.shot("gone")
         assert visit.foreign() == []
         visit.context.close()
-    with ServedHere(run, settings_of_run(run)) as served:
-        visit = Visit(browser, served)
+    with served(run, settings_of_run(run)) as here:
+        visit = Visit(browser, here)
         assert visit.history() == history
         visit.press("Control+S")
         visit.page.wait_for_selector("#saving:not([hidden])")
@@ -299,8 +244,8 @@ def test_by_the_keyboard_alone(browser, run):
 def test_by_the_mouse_alone(browser, run):
     """A failure means that somebody who knows no key cannot put a run right."""
     truth = scene.true_positions()
-    with ServedHere(run, settings_of_run(run)) as served:
-        visit = Visit(browser, served)
+    with served(run, settings_of_run(run)) as here:
+        visit = Visit(browser, here)
         page = visit.page
         page.click("#doubts button")
         page.click("#decide-accept")
@@ -355,8 +300,7 @@ def test_by_the_mouse_alone(browser, run):
         assert visit.foreign() == []
         page.click("#close")
         visit.reads("notice", "The review has ended")
-        served.thread.join(timeout=PATIENCE_MS / 1000)
-        assert not served.thread.is_alive()
+        here.ended()
         visit.context.close()
 
 
@@ -392,8 +336,8 @@ def test_a_clock_is_accepted_by_sliding_the_force(browser, unsure, tmp_path):
     right = float(truth.attrs["offset_s"])
     fits = [abs(one["offset_s"] - right) < 0.05 for one in clock["candidates"]]
     assert sum(fits) == 1
-    with ServedHere(run, PAPER_SETTINGS) as served:
-        visit = Visit(browser, served)
+    with served(run, PAPER_SETTINGS) as here:
+        visit = Visit(browser, here)
         page = visit.page
         visit.reads("force-facts", "ambiguous")
         page.click("#decide-clock")
@@ -443,8 +387,8 @@ def test_a_clock_is_accepted_by_sliding_the_force(browser, unsure, tmp_path):
 def pulled_page(planted, tmp_path_factory):
     """A run with a force recording."""
     run = shutil.copytree(planted, tmp_path_factory.mktemp("pulled") / "late")
-    with ServedHere(run, SETTINGS) as served:
-        yield served
+    with served(run, SETTINGS) as here:
+        yield here
 
 
 def test_dragging_the_strip_shows_its_noise_at_once(browser, pulled_page):
@@ -478,8 +422,8 @@ def test_another_strip_is_tracked_again_before_it_is_kept(browser, planted, tmp_
     the review."""
     run = shutil.copytree(planted, tmp_path / "late")
     before = (run / "tracks.csv").read_bytes()
-    with ServedHere(run, SETTINGS) as served:
-        visit = Visit(browser, served)
+    with served(run, SETTINGS) as here:
+        visit = Visit(browser, here)
         page = visit.page
         count = len(visit.history())
         page.wait_for_selector("#decide-strip:not([disabled])")

@@ -1,17 +1,18 @@
 """The HTTP interface: who is refused, and that a page gets what it asks for."""
 
-import json
 import re
-import urllib.request
-from threading import Event
+from concurrent.futures import ThreadPoolExecutor
+from queue import Queue
+from threading import Event, Thread
 
 import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
 from tests.scenes.reviewed import FIXTURE, SETTINGS, remedies, truth
-from tests.scenes.served import serving_of
-from vision.review.server import MOST_BODY_BYTES, make_app
+from tests.scenes.served import PATIENCE_S, Address, Served, app_of
+from vision.errors import InputError
+from vision.review.server import MOST_BODY_BYTES, serve
 from vision.review.session import Session
 
 PORT, TOKEN = 54321, "a-token-of-this-test"
@@ -25,7 +26,7 @@ def stopped():
 
 @pytest.fixture
 def app(session, stopped):
-    return make_app(session, port=PORT, token=TOKEN, stop=stopped.set)
+    return app_of(session, port=PORT, token=TOKEN, stop=stopped.set)
 
 
 @pytest.fixture
@@ -312,7 +313,7 @@ def test_a_film_that_is_gone_costs_only_its_pictures(run, tmp_path):
     film.write_bytes((FIXTURE / "video.avi").read_bytes()[:-1])
     with Session(run, SETTINGS, film=film) as opened:
         client = TestClient(
-            make_app(opened, port=PORT, token=TOKEN, stop=lambda: None),
+            app_of(opened, port=PORT, token=TOKEN),
             base_url=HERE,
             headers={"X-Token": TOKEN},
         )
@@ -326,16 +327,33 @@ def test_a_film_that_is_gone_costs_only_its_pictures(run, tmp_path):
 
 def test_served_on_the_loopback_address_until_it_is_told_to_stop(session):
     """The real server: an address with its token, and an end."""
-    serving, address = serving_of(session)
-    url, _, token = address.partition("/?token=")
-    assert url.startswith("http://127.0.0.1:")
+    with Served(session) as served:
+        assert served.url.startswith("http://127.0.0.1:")
+        assert served.ask("/api/run")[1]["frames"] == 240
+        assert served.ask("/api/quit", {}) == (200, {"ended": True})
+        served.ended()
 
-    def ask(path, **more):
-        request = urllib.request.Request(url + path, headers={"X-Token": token}, **more)
-        with urllib.request.urlopen(request, timeout=20) as answer:
-            return json.load(answer)
 
-    assert ask("/api/run")["frames"] == 240
-    assert ask("/api/quit", data=b"{}") == {"ended": True}
-    serving.join(10)
-    assert not serving.is_alive()
+def test_the_page_is_there_before_the_run_has_been_read():
+    """A failure means that a long run keeps a person waiting before a blank window."""
+    begin, opened = Event(), Queue()
+
+    def reading(stop):
+        assert begin.wait(PATIENCE_S)
+        raise InputError("tracks.nc", "tracks", "a damaged file")
+
+    def work():
+        with pytest.raises(InputError, match="damaged"):
+            serve(reading, opened=opened.put)
+        opened.put("refused")
+
+    serving = Thread(target=work, daemon=True)
+    serving.start()
+    served = Address(opened.get(timeout=PATIENCE_S))
+    assert b"<html" in served.ask(f"/?token={served.token}")[1]
+    with ThreadPoolExecutor(1) as pool:
+        asked = pool.submit(served.ask, "/api/run")
+        begin.set()
+        status, told = asked.result()
+    assert (status, opened.get(timeout=PATIENCE_S)) == (422, "refused")
+    assert "damaged" in told["error"]

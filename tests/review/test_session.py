@@ -1,6 +1,7 @@
 """Decisions: what they change, that they can be taken back, and that none is lost."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,9 +12,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.scenes import doubted as scene
 from tests.scenes.reviewed import PLANTED, SETTINGS, clean, remedies, truth, write_planted
+from vision.command.review import settings_of_run
 from vision.errors import InputError
-from vision.review import trial
+from vision.review import effects, saving
 from vision.review.positions import CELLS, FLAGS
 from vision.review.saving import Job, save_run
 from vision.review.session import Session
@@ -128,6 +131,26 @@ def test_a_preview_is_what_the_decision_does(session, decision):
     assert not np.array_equal(seen["before"]["x_px"], seen["after"]["x_px"], equal_nan=True) or (
         decision["kind"] == "axis"
     )
+
+
+@pytest.mark.parametrize("kind", ["accept", "assign"])
+def test_a_preview_far_into_a_run_looks_at_the_frames_it_shows(doubted, tmp_path, monkeypatch, kind):
+    """Of a long run only the frames about the cursor are looked at. A failure means that ridges of other
+    frames, where the sheets stood elsewhere, are shown."""
+    monkeypatch.setattr(effects, "SHOWN_ROWS", 40)
+    run, x_px = shutil.copytree(doubted, tmp_path / "run"), scene.true_positions()
+    sheet, (first, stop) = {
+        "accept": (scene.DOUBTED, scene.DOUBT),
+        "assign": (scene.LEFT_OUT, scene.GAP),
+    }[kind]
+    decision = {"kind": kind, "sheet": sheet, "frames": f"{first}:{stop}", "x_px": x_px[first, sheet]}
+    with Session(run, settings_of_run(run)) as opened:
+        seen = opened.effects.preview(decision, first + 10)
+        frames = np.asarray(seen["frames"])
+        assert frames[0] > 50
+        within = (frames >= first) & (frames < stop)
+        shown = np.asarray(seen["after"]["x_px"])[within, sheet]
+        np.testing.assert_allclose(shown, x_px[frames[within], sheet], atol=0.5)
 
 
 def test_the_effect_on_the_deformation_is_shown(session):
@@ -302,7 +325,7 @@ def test_another_strip_is_tracked_before_it_is_kept(clocked, monkeypatch):
         raise OSError(30, "Read-only file system")
 
     with monkeypatch.context() as broken:
-        broken.setattr(trial, "put_in_place", refused)
+        broken.setattr(saving, "put_in_place", refused)
         with pytest.raises(InputError, match="read-only file system; not kept"):
             clocked.trial.keep()
     assert clocked.decisions == []

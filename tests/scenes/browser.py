@@ -20,14 +20,17 @@ PATIENCE_MS = 120_000  # on a machine that does much else
 def chromium() -> Iterator[Any]:
     """An open browser. Without one the test is skipped, or fails where .ci/run says that there is one."""
     try:
-        from playwright.sync_api import sync_playwright
+        from playwright.sync_api import Error, sync_playwright
     except ImportError:
         _without("playwright is not installed: pip install '.[test]'")
     if CHROMIUM is None:
         _without("no chromium on this machine: apt-get install chromium")
     with sync_playwright() as driver:
         options = ["--no-sandbox", "--disable-background-networking"]
-        opened = driver.chromium.launch(executable_path=CHROMIUM, args=options, timeout=PATIENCE_MS)
+        try:
+            opened = driver.chromium.launch(executable_path=CHROMIUM, args=options, timeout=PATIENCE_MS)
+        except Error as error:
+            _without(f"chromium does not start: {error}")
         yield opened
         opened.close()
 

@@ -20,7 +20,6 @@ def expected(lists, log_contrast):
         np.full(SHEETS, COSTS.missing_cost),
         PITCH,
         (0.0, 500.0),
-        open_ended=False,
     )
 
 
@@ -50,7 +49,8 @@ def cost(candidates, contrast, row, sheets, chosen):
     for n, k in zip(sheets, chosen, strict=True):
         bright = light[k] - flicker
         total += min((bright - contrast[n]) ** 2 / (2 * COSTS.brightness_spread**2), 4)
-        total += COSTS.stay_cost / SHEETS * min(((x[k] - REST[n]) / (PITCH / 2)) ** 2, 1)
+        moved = abs(x[k] - REST[n]) / PITCH
+        total += COSTS.stay_cost / SHEETS * (min((2 * moved) ** 2, 1) + max(moved - 1, 0) / 2)
         total -= COSTS.missing_cost
         total -= COSTS.false_detection_cost * np.clip(np.exp(bright - np.median(contrast)) / 0.5, 0.3, 1)
     further = COSTS.missing_cost - COSTS.covered_cost  # saved for each missing sheet beside another one
@@ -63,6 +63,7 @@ def cost(candidates, contrast, row, sheets, chosen):
         off = abs(x[chosen[i]] - x[chosen[i - 1]] - a * PITCH) / (COSTS.spacing_spread * PITCH * np.sqrt(a))
         near = min(off, 1.5)
         total += min(near * (off - near / 2), COSTS.spacing_limit)
+        total += 1.5 * max(off - COSTS.tear_fraction / COSTS.spacing_spread, 0)
     return total
 
 

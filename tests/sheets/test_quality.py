@@ -130,6 +130,23 @@ def test_errors_hold_in_frames_in_which_sheets_slip():
     assert found > 0.3 * np.size(inside)
 
 
+def test_errors_hold_where_ridges_are_drawn_over_their_neighbours():
+    """Slips of 0.6 to 1.1 pitches within one exposure: nothing is lower or wider, and only the sheets inside
+    tell it. A failure means sheets called ok that are off by many times their error: every second once."""
+    inside, gross = [], []
+    for slip in (3.0, 4.0):
+        truth, picture, slips = slipping(slip, seed=1)
+        tracks = track_sheets(picture, sheets=40)
+        far = slips[:, None] & (slip * 7 / 20 * np.abs(np.arange(40) - 19.5) > 0.6 * 25)
+        error = np.abs(tracks.x_px.values - truth)
+        known = far & np.isfinite(error)
+        assert known.sum() > 0.7 * far.sum()
+        inside += list((error < tracks.x_err_px.values)[known])
+        gross += list((error > 5 * tracks.x_err_px.values + 0.2)[known])
+    assert 0.58 < np.mean(inside) < 0.78
+    assert np.mean(gross) < 0.02
+
+
 def test_without_the_blur_the_same_errors_fail():
     """The errors of the quiet frames hold few of the truths in slip frames: the scene is hard."""
     truth, picture, slips = slipping(1.5)

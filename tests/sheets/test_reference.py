@@ -32,7 +32,7 @@ def test_a_given_number_settles_it():
     assert track_sheets(picture, sheets=15).attrs["wide_spacings"] == []
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 10_000), jitter=st.floats(0, 0.12), hole=st.integers(3, 45))
 def test_even_combs_have_no_holes_and_a_missing_sheet_leaves_one(seed, jitter, hole):
     """A failure means false alarms on sound recordings, or holes that are not seen."""

@@ -21,7 +21,6 @@ from tests.scenes.degraded import (
     slow_hand,
 )
 from vision.sheets import track_sheets
-from vision.summary import tracking_warnings
 from vision.video import open_video, strip_profile
 
 TRUSTED = tuple(
@@ -81,21 +80,13 @@ def test_a_hand_over_nine_sheets_leaves_those_beside_it_where_they_are(seed, tmp
     assert measured(passing_hand(seed), tmp_path).wrong == 0
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, 3, 11, 12])
 def test_a_hand_that_is_always_over_the_comb_exchanges_no_sheets(seed, tmp_path):
-    """What is left of a half covered comb was read as shifted by up to seven sheets: hundreds were wrong."""
+    """No frame shows all sheets.  A failure means that the comb is put together from too few of them, and
+    those on one side of the hand are read as others: hundreds were wrong and called ok."""
     found = measured(slow_hand(seed), tmp_path)
     assert (found.sheets, found.wrong) == (SHEETS, 0)
-    assert found.found > 0.7
-
-
-@pytest.mark.parametrize("seed", [3, 11])
-def test_where_a_hand_exchanges_sheets_none_is_called_certain(seed, tmp_path):
-    """The comb is never seen whole.  A failure means that nobody is told that others may be wrong, too."""
-    tracks = track_sheets(strip_profile(open_video(CODECS["FFV1"](tmp_path, slow_hand(seed).pixels))))
-    assert "others may be wrong, too" in " ".join(tracking_warnings(tracks))
-    passed = track_sheets(strip_profile(open_video(CODECS["FFV1"](tmp_path, passing_hand(seed).pixels))))
-    assert "others may be wrong, too" not in " ".join(tracking_warnings(passed))
+    assert found.found > 0.75
 
 
 def test_the_comparison_sees_wrong_sheets(tmp_path):

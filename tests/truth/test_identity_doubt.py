@@ -9,6 +9,7 @@ from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import FRAMES, brightness, jumps
 from vision.sheets import track_sheets
 from vision.sheets.settings import DEFAULT
+from vision.summary import tracking_warnings
 
 PITCH = 20.0
 
@@ -57,13 +58,30 @@ def test_equal_sheets_of_a_cropped_comb_keep_their_numbers_through_slips(slip):
     assert (tracks.flag == "ok").values.mean() > 0.98
 
 
-@pytest.mark.parametrize("name", ["drift 16 px", "drift 60 px", "drift 120 px", "jumps of half a pitch"])
-def test_equal_sheets_of_a_cropped_moving_comb_are_doubted_rather_than_swapped(name):
-    """Which sheet is which is hardly to be known here: what is said without doubt must be right."""
+@pytest.mark.parametrize("name", ["drift 16 px", "drift 60 px", "drift 120 px"])
+def test_equal_sheets_of_a_cropped_drifting_comb_are_told_by_how_far_it_was_carried(name):
+    """No picture tells which sheets it shows, only how the film came there.  A failure means that two thirds
+    of such a film are withheld, or sheets that come in at an edge renumber those in view."""
     truth, picture = cropped(MOTIONS[name], equal=True)
     tracks = track_sheets(picture)
-    assert wrong_positions(tracks, truth) <= 0.002 * truth.size
-    assert (tracks.flag == "doubtful").any()
+    assert wrong_positions(tracks, truth) == 0
+    assert (tracks.flag == "ok").values.mean() > 0.7
+
+
+def test_equal_sheets_of_a_cropped_jumping_comb_are_doubted_rather_than_swapped():
+    """Half a pitch to the right or to the left: nothing tells which.  What is said without doubt is right."""
+    truth, picture = cropped(MOTIONS["jumps of half a pitch"], equal=True)
+    tracks = track_sheets(picture)
+    assert wrong_positions(tracks, truth) == 0
+    assert (tracks.flag == "doubtful").values.mean() > 0.3
+
+
+def test_where_most_is_doubted_the_rest_is_not_called_certain():
+    """A failure means that nobody is told that what is left of such a film may be wrong, too."""
+    _, picture = cropped(MOTIONS["jumps of half a pitch"], equal=True)
+    assert "others may be wrong, too" in " ".join(tracking_warnings(track_sheets(picture)))
+    _, picture = cropped(MOTIONS["jumps of half a pitch"])
+    assert "others may be wrong, too" not in " ".join(tracking_warnings(track_sheets(picture)))
 
 
 def test_a_jump_that_cannot_be_seen_is_not_made_up():

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,24 +19,21 @@ from vision.clock import Clock
 from vision.data import StripMetadata, TrackMetadata
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError
-from vision.numeric import Floats, Ints, nan_median
+from vision.numeric import Bools, Floats, Ints, nan_median
 from vision.run import RunFolder, read_strip, read_table
 from vision.run.overlay import film_of
 from vision.run.reading import read_json, tracks_of
 from vision.sheets import TrackingSettings, track_sheets
-from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.quality import left_out
 from vision.sheets.tracks import BETWEEN_FRAMES
 
 Progress = Callable[[int, int | None], None]
 
 UNLIKE = 1.5
-"""Error over the noise that was measured from frame to frame, from which films are unlike it."""
+"""Error of the films over the recording's noise from frame to frame, from which its motion was not smooth.
+The publication's fit errs by more than it scatters, and codecs that chain frames let it scatter less."""
 LEAST_DISTURBED = 0.02
 """Share of the pixels that something disturbs from which the certificate says so."""
-APART_ERRORS, APART_USUAL = 3.0, 4.0
-"""Deviation of a sheet's motion from that of its neighbours, over the error and over the usual one, from
-which the certificate says that it may be no motion."""
 _LEAST_STICK = 5  # frames of a piece in which a sweep is measured
 _PHASES = 41  # frames of the film that crosses one pixel
 
@@ -252,7 +249,12 @@ def certify(
     again = _tracking(tracks)
     scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]
     work = settings.films + 1 + len(scales) + (settings.films if sticks is not None else 0)
-    done = _Counter(progress, work)
+    finished = itertools.count(1)
+
+    def done() -> None:
+        if progress is not None:
+            progress(next(finished), work)
+
     measured = []
     for number in range(settings.films):
         measured.append(_measure(like, like.motion_px, again(like.film(like.motion_px, number=number))))
@@ -271,6 +273,7 @@ def certify(
     metadata, facts = TrackMetadata.of(tracks), StripMetadata.of(strip)
     sheets = _sheet_table(like, tracks, error, stated, locking, sweeps * settings.errors_resolved, sweeps)
     known = np.isfinite(error)
+    doubts = _doubts(like, facts, tracks, _rms(error))
     return Certificate(
         source=facts.source,
         codec=facts.codec,
@@ -290,26 +293,10 @@ def certify(
         identity_margin=margin,
         identity_tried=tried,
         threshold=at_threshold,
-        warnings=_warnings(like, facts, tracks, known, _rms(error), at_threshold is None),
+        warnings=(*doubts, *_gaps(like, tracks, known, at_threshold is None)),
         encoding="" if like.encoder is None else like.encoder.described,
-        uncertain=(
-            (facts.codec in BETWEEN_FRAMES and like.encoder is None)
-            or float(like.disturbed.mean()) > LEAST_DISTURBED
-            or _moving_apart(like, _rms(error)).size > 0
-            or _unlike(facts, tracks, _rms(error))
-            or not like.smooth.any()
-        ),
+        uncertain=bool(doubts),
     )
-
-
-class _Counter:
-    def __init__(self, progress: Progress | None, total: int) -> None:
-        self.progress, self.total, self.count = progress, total, 0
-
-    def __call__(self) -> None:
-        self.count += 1
-        if self.progress is not None:
-            self.progress(self.count, self.total)
 
 
 def _tracking(tracks: xr.Dataset) -> Callable[[xr.DataArray], xr.Dataset]:
@@ -374,7 +361,9 @@ def _locking(like: Likeness, again: Callable[[xr.DataArray], xr.Dataset]) -> Flo
 def _pieces(like: Likeness) -> list[Ints]:
     """Frames from slip to slip, without those that a slip may have blurred."""
     edges = np.unique(np.concatenate([[0, len(like.motion_px)], like.slips]))
-    pieces = [np.arange(start + (start > 0), stop - (stop < edges[-1])) for start, stop in pairwise(edges)]
+    pieces = [
+        np.arange(start + (start > 0), stop - (stop < edges[-1])) for start, stop in itertools.pairwise(edges)
+    ]
     return [piece for piece in pieces if piece.size >= _LEAST_STICK]
 
 
@@ -408,7 +397,7 @@ def _identity_margin(
     again: Callable[[xr.DataArray], xr.Dataset],
     measured: list[_Measured],
     scales: list[float],
-    done: _Counter,
+    done: Callable[[], None],
 ) -> tuple[float, float]:
     """The largest multiple of the motion that is followed without a wrong identity, and the largest tried.
 
@@ -508,40 +497,22 @@ def _sheet_table(
     )
 
 
-def _moving_apart(like: Likeness, error_px: float) -> Ints:
-    """Indexes (left to right) of sheets whose smooth motion is not that of their neighbours."""
-    off = like.motion_px - said_by_neighbours(like.motion_px)
-    off = off - nan_median(off)
-    each = _columns(off, _rms)
-    usual = float(nan_median(each[None], axis=1)[0])
-    return np.flatnonzero(each > max(APART_ERRORS * error_px, APART_USUAL * usual))
-
-
-def _noise_px(tracks: xr.Dataset) -> float:
-    return float(np.nan_to_num(nan_median(tracks["x_noise_px"].values)))
-
-
-def _unlike(facts: StripMetadata, tracks: xr.Dataset, error_px: float) -> bool:
-    """Whether the films err by more than the recording scatters; the publication's fit does by itself."""
-    compared = facts.codec not in BETWEEN_FRAMES and TrackMetadata.of(tracks).fit != "paper"
-    return compared and error_px > UNLIKE * max(_noise_px(tracks), 1e-6)
-
-
-def _warnings(
-    like: Likeness, facts: StripMetadata, tracks: xr.Dataset, known: Any, error_px: float, no_threshold: bool
-) -> tuple[str, ...]:
+def _doubts(like: Likeness, facts: StripMetadata, tracks: xr.Dataset, error_px: float) -> list[str]:
+    """What the recording contains and films do not reproduce well: errors may be others."""
     lines = []
-    if facts.codec in BETWEEN_FRAMES and like.encoder is None:
+    chained = facts.codec in BETWEEN_FRAMES
+    if chained and like.encoder is None:
         lines.append(
             f"{facts.codec} carries content from frame to frame, and nothing could be encoded again like it "
             "(no encoder here, or the film is gone): its residuals were put in again, in which errors that "
             "last as long as a stick look like motion; the true error is larger, up to twice in tests"
         )
-    if _unlike(facts, tracks, error_px):
+    noise_px = max(float(np.nan_to_num(nan_median(tracks["x_noise_px"].values))), 1e-6)
+    if not chained and TrackMetadata.of(tracks).fit != "paper" and error_px > UNLIKE * noise_px:
         lines.append(
             f"errors of the films, {error_px:.3f} px, are above the noise of the recording from frame to "
-            f"frame, {_noise_px(tracks):.3f} px: where its motion is not smooth, the films take "
-            "some of it for errors, and the true ones are smaller"
+            f"frame, {noise_px:.3f} px: where its motion is not smooth, the films take some of it for "
+            "errors, and the true ones are smaller"
         )
     if not like.smooth.any():
         lines.append("slips follow each other so fast that motion and noise are hard to tell apart")
@@ -552,19 +523,16 @@ def _warnings(
             "highlight, a hand): the films show what was recorded there, and the sheets around are taken for "
             "where those were; errors may be other than stated here, 0.7 to 1.3 times in tests"
         )
-    apart = _moving_apart(like, error_px)
-    if apart.size:
-        numbers = ", ".join(str(index) for index in apart[:8]) + ", …" * (apart.size > 8)
-        lines.append(
-            f"sheets with index {numbers} do not move as those around them: where dirt or a highlight pulls "
-            "them, the film contains errors which the certificate does not reproduce"
-        )
-    if like.rest_px.size < tracks.sizes["sheet"]:
-        lines.append(
-            f"{tracks.sizes['sheet'] - like.rest_px.size} sheets seen in under half of the frames left out"
-        )
+    return lines
+
+
+def _gaps(like: Likeness, tracks: xr.Dataset, known: Bools, no_threshold: bool) -> list[str]:
+    """What the certificate does not cover."""
+    lines, left_out_sheets = [], tracks.sizes["sheet"] - like.rest_px.size
+    if left_out_sheets:
+        lines.append(f"{left_out_sheets} sheets seen in under half of the frames left out")
     if known.mean() < 0.95:
         lines.append(f"only {100 * known.mean():.0f} % of the positions of the films were found")
     if no_threshold:
         lines.append("nothing about σ_x/Λ_st: that needs a force recording, a clock and the pixel size")
-    return tuple(lines)
+    return lines

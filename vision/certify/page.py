@@ -166,9 +166,9 @@ shape, the gaps, the light), the smooth motion of the sheets between slips with 
 everything else. {what_else}
 {c.films} films of the same length, whose positions are known exactly, were tracked as the recording was.
 For the pull towards whole pixels the sheets cross one pixel without noise; for the identities the motion was
-enlarged; at the threshold every sheet creeps by √12 times the threshold times Λ_st in each stick, and the
-whole analysis follows. Frames that repeat the one before or are not there, steps of the brightness, clipped
-tops and whatever pulls ridges aside are in the films where they are in the recording.</p>
+enlarged; at the threshold every sheet creeps by √12 times the threshold times Λ<sub>st</sub> in each stick,
+and the whole analysis follows. Frames that repeat the one before or are not there, steps of the brightness,
+clipped tops and whatever pulls ridges aside are in the films where they are in the recording.</p>
 <p>Not in it: a constant error of each sheet's position, which displacements do not have; {without}
 frames in which a slip happens. certificate.csv holds the numbers of
 every sheet, certificate.json the rest.</p>

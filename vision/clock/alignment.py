@@ -31,18 +31,12 @@ class SlipSizes:
 
     Both the steps of the sheets and the drops of the force fall slowly through a test, which tells nothing:
     only how a slip differs from its neighbours is evidence.
-
-    Parameters
-    ----------
-    score
-        Standard scores about the running trend, (slips,), limited to 2 as two slips seen as one or dust may
-        be far off; NaN where not known.
-    reliability
-        Correlation of the scores with those without measurement error, 0 to 1.
     """
 
+    # standard scores about the running trend, (slips,), limited to 2 as two slips seen as one or dust
+    # may be far off; NaN where not known
     score: Floats
-    reliability: float = 1.0
+    reliability: float = 1.0  # correlation of the scores with those without measurement error, 0 to 1
 
     @classmethod
     def of(cls, size: Floats, error: Floats | float = 0.0, settings: ClockSettings = ClockSettings()) -> Self:
@@ -78,26 +72,16 @@ def _theil_sen(values: Floats) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class SlipTrains:
-    """The slips of one test as the camera and as the load cell saw them.
+    """The slips of one test as the camera and as the load cell saw them."""
 
-    Parameters
-    ----------
-    video_s, force_s
-        Times in order, s, each on its instrument's own clock.
-    error_s
-        Standard error of the place of each camera slip, that of the force slips included, s.
-    video_size, force_size
-        How large the slips were, where that is known.
-    force_error_s
-        Standard error of the place of a force slip, s.
-    """
-
+    # video_s, force_s: times in order, s, each on its instrument's own clock
     video_s: Floats
-    error_s: Floats
+    error_s: Floats  # standard error of the place of each camera slip, that of the force slips included, s
     force_s: Floats
+    # video_size, force_size: how large the slips were, where that is known
     video_size: SlipSizes | None = None
     force_size: SlipSizes | None = None
-    force_error_s: float = 0.001
+    force_error_s: float = 0.001  # standard error of the place of a force slip, s
 
     @property
     def period_s(self) -> float:
@@ -150,28 +134,16 @@ class CandidateClocks:
 
 @dataclass(frozen=True)
 class ClockFits:
-    """How well K clocks fit two trains.
+    """How well K clocks fit two trains."""
 
-    Parameters
-    ----------
-    log_likelihood
-        Less that of no slip in common, the prior of the drift included, (K,).
-    size_evidence
-        The part of it that comes from the sizes, (K,).
-    error_scale
-        By how much the errors of the slips were widened, (K,).
-    residual_s, partner
-        Mapped less force time, NaN where not paired; index of the force slip, -1 where not paired;
-        (K, video slips).
-    video, force
-        Slips of either train in the time that both cover, (K,).
-    """
-
-    log_likelihood: Floats
-    size_evidence: Floats
-    error_scale: Floats
+    log_likelihood: Floats  # less that of no slip in common, the prior of the drift included, (K,)
+    size_evidence: Floats  # the part of it that comes from the sizes, (K,)
+    error_scale: Floats  # by how much the errors of the slips were widened, (K,)
+    # residual_s, partner: mapped less force time, NaN where not paired; index of the force slip, -1
+    # where not paired; (K, video slips)
     residual_s: Floats
     partner: Ints
+    # video, force: slips of either train in the time that both cover, (K,)
     video: Ints
     force: Ints
 

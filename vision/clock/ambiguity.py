@@ -24,28 +24,15 @@ from vision.numeric import NORMAL_MEDIAN, Floats, Ints
 
 @dataclass(frozen=True)
 class Alignments:
-    """The alignments of two trains, best first.
+    """The alignments of two trains, best first."""
 
-    Parameters
-    ----------
-    trains
-        The slips.
-    clocks, fits
-        The candidates and how well they fit.
-    margin
-        Log-likelihood of the best over the next; inf where there is only one.
-    ambiguity
-        Why the best one is ambiguous; "" where it is not.
-    settings
-        With which they were found.
-    """
-
-    trains: SlipTrains
+    trains: SlipTrains  # the slips
+    # clocks, fits: the candidates and how well they fit
     clocks: CandidateClocks
     fits: ClockFits
-    margin: float
-    ambiguity: str
-    settings: ClockSettings
+    margin: float  # log-likelihood of the best over the next; inf where there is only one
+    ambiguity: str  # why the best one is ambiguous; "" where it is not
+    settings: ClockSettings  # with which they were found
 
     def errors(self) -> tuple[float, float]:
         """Standard errors of the best clock: at the centre of its slips, s, and of its drift."""

@@ -6,13 +6,14 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter as Option
 
-from vision.command.console import complain, outcome, say
+from vision.command.console import complain, in_columns, outcome, say
 from vision.command.options import (
     GROUPS,
     Flag,
@@ -32,7 +33,7 @@ from vision.isolation import usable_cores
 if TYPE_CHECKING:
     from vision.campaign.plan import Film, Plan
     from vision.campaign.states import State
-    from vision.campaign.table import Check, Problem, Row
+    from vision.campaign.table import Check, Row
     from vision.campaign.watch import FolderWatch
     from vision.campaign.worker import Outcome
     from vision.run import Parameter
@@ -178,7 +179,7 @@ def _checker(config: Path | None) -> Check:
     from vision.campaign.table import Checked
 
     if config is not None:
-        read_config(config)  # what is wrong with it is said once, not for every row
+        read_config(config)  # what is wrong with it is reported once, not for every row
 
     @cache
     def alone(name: str, text: str) -> tuple[Any, str]:
@@ -205,8 +206,6 @@ def _checker(config: Path | None) -> Check:
 
 def _groups(values: Mapping[str, Any]) -> list[Any]:
     """The groups of options of the command line, from values by name."""
-    from dataclasses import fields
-
     return [
         group(**{one.name: values[one.name] for one in fields(group) if one.name in values})
         for group in GROUPS
@@ -221,19 +220,13 @@ def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:
         table, options=option_fields(), check=check, name_of=run_name, awaited=awaited
     )
     if problems:
-        for line in _problem_lines(problems):
+        rows_shown = [("row", "column", "problem"), *((str(p.row), p.column, p.text) for p in problems)]
+        for line in in_columns(rows_shown, "><"):
             complain(line)
         count, where = len(problems), len({problem.row for problem in problems})
         found = f"{count} problem{'s' * (count > 1)} in {where} row{'s' * (where > 1)}, listed above"
         raise InputError(table, "a table without problems", found, "nothing was started")
     return list(rows)
-
-
-def _problem_lines(problems: Sequence[Problem]) -> list[str]:
-    """One table of all problems."""
-    table = [("row", "column", "problem"), *((str(p.row), p.column, p.text) for p in problems)]
-    widths = [max(len(line[k]) for line in table) for k in range(2)]
-    return [f"{row.rjust(widths[0])}  {column.ljust(widths[1])}  {text}" for row, column, text in table]
 
 
 # --- planning and running -----------------------------------------------------------------------------------
@@ -264,19 +257,17 @@ def _dry_run(plan: Plan, cores: int | None) -> int:
         what = "would run" if film.name in waiting else f"is {plan.state(film).state}"
         size = film.doubt or f"{film.frames} frames x {film.columns} px, about {duration(film.seconds)}"
         lines.append((film.name, what, size if film.name in waiting else ""))
-    widths = [max((len(line[k]) for line in lines), default=0) for k in range(2)]
-    say(f"{name.ljust(widths[0])}  {what.ljust(widths[1])}  {size}".rstrip() for name, what, size in lines)
+    say(in_columns(lines, "<<"))
     total = sum(job.seconds for job in plan.jobs.values())
     at_a_time = cores or usable_cores()
     longest = max((job.seconds for job in plan.jobs.values()), default=0.0)
     memory = max((job.memory_mb for job in plan.jobs.values()), default=0)
-    say(
-        [
-            f"{len(waiting)} of {len(plan.films)} films would run in {len(plan.jobs)} jobs: about "
-            f"{duration(total)} of computing, {duration(max(total / at_a_time, longest))} with "
-            f"{at_a_time} at a time, up to {memory / 1000:.1f} GB for each; nothing was written"
-        ]
+    line = (
+        f"{len(waiting)} of {len(plan.films)} films would run in {len(plan.jobs)} jobs: about "
+        f"{duration(total)} of computing, {duration(max(total / at_a_time, longest))} with "
+        f"{at_a_time} at a time, up to {memory / 1000:.1f} GB for each; nothing was written"
     )
+    say([line])
     return 0
 
 
@@ -309,7 +300,7 @@ def _conductor(
         finally:
             try:
                 write_page(plan, live=False, remarks=read_remarks(plan))
-            except InputError as error:  # a full disk: what became of the films is said all the same
+            except InputError as error:  # a full disk: the states of the films are shown all the same
                 unwritten = True
                 complain(str(error))
         states = [plan.state(film) for film in plan.films]
@@ -326,7 +317,7 @@ def _conductor(
 
 
 def _complain_of(states: Sequence[State], remarks: Sequence[str]) -> None:
-    """One line for each film that failed, and what was said of the pool."""
+    """One line for each film that failed, and the remarks on the pool."""
     for state in states:
         if state.state in ("failed", "partial"):
             complain(f"{state.name}: {state.state}: {state.reason}")
@@ -335,7 +326,7 @@ def _complain_of(states: Sequence[State], remarks: Sequence[str]) -> None:
 
 
 def _progress(plan: Plan, *, quiet: bool) -> Callable[[], None] | None:
-    """Says which films have ended; None where nobody watches."""
+    """Says which films have ended; None where there is no terminal."""
     if quiet or sys.stderr is None or not sys.stderr.isatty():
         return None
     left = {name: plan.film(name) for job in plan.jobs.values() for name in job.films}
@@ -433,7 +424,7 @@ def _work(plan: Plan) -> Callable[[Film, Path, Path], Outcome]:
             reasons = [
                 analysis.reasons[name] for name in (*REFUSED, *analysis.failures) if name in analysis.reasons
             ]
-            why = reasons[0] if reasons else f"a failure that nobody foresaw: {target / 'failures.txt'}"
+            why = reasons[0] if reasons else f"unexpected error: {target / 'failures.txt'}"
         lines = [
             with_options(line, option_names()) for line in (why, *(analysis.warnings if analysis else ()))
         ]

@@ -69,6 +69,16 @@ def conclude(lines: Iterable[str], warnings: Sequence[str], *, quiet: bool) -> i
     return 1 if warnings else 0
 
 
+def in_columns(rows: Sequence[Sequence[str]], align: str) -> list[str]:
+    """Lines with columns of even width, each to the left (<) or to the right (>), and the last as it is."""
+    widths = [max((len(row[k]) for row in rows), default=0) for k in range(len(align))]
+    lines = []
+    for row in rows:
+        cells = [f"{cell:{side}{width}}" for cell, side, width in zip(row, align, widths, strict=False)]
+        lines.append("  ".join([*cells, row[-1]]).rstrip())
+    return lines
+
+
 def _print(lines: Iterable[str], stream: TextIO | None) -> OSError | None:
     """Lines to a stream, with options in place of arguments; the error if the stream does not take them."""
     if stream is None:
@@ -84,7 +94,7 @@ def _print(lines: Iterable[str], stream: TextIO | None) -> OSError | None:
 
 @contextmanager
 def frame_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[[int, int | None], None] | None]:
-    """A function to call with (frames done, total frames or None); None where nobody watches."""
+    """A function to call with (frames done, total frames or None); None where there is no terminal."""
     if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield None
         return
@@ -108,35 +118,42 @@ def frame_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[[int,
         yield show
 
 
+def skip_matplotlib_help() -> None:
+    """Leave the help texts of matplotlib's artists unwritten: a third of the time that its import takes."""
+    import matplotlib.artist
+
+    matplotlib.artist.kwdoc = lambda artist: ""
+
+
 # --- exceptions ---------------------------------------------------------------------------------------------
 
 
 def outcome(work: Callable[[], Any]) -> tuple[int, str]:
     """Exit status of some work and what went wrong, "" for nothing; Ctrl-C passes.
 
-    0 or what the work returns: done.  2: input that cannot be used.  3: an error that nobody foresaw, with
-    its details in a file that the line names.
+    0 or what the work returns: done.  2: input that cannot be used.  3: an unexpected error, with its
+    details in a file that the line names.
     """
     try:
         status = work()
     except (InputError, CycloptsError, OSError, MemoryError) as error:
-        return 2, _one_line(error)
+        return 2, one_line(error)
     except Exception as error:
-        return 3, _unforeseen(error)
+        return 3, _unexpected(error)
     return (status if isinstance(status, int) else 0), ""
 
 
-def _unforeseen(error: Exception) -> str:
+def _unexpected(error: Exception) -> str:
     what = " ".join(f"{type(error).__name__}: {error}".split())
     try:
         with tempfile.NamedTemporaryFile("w", prefix="track-", suffix=".txt", delete=False) as file:
             file.write("".join(traceback.format_exception(error)))
     except OSError:
-        return f"a failure that nobody foresaw ({what}); its details could not be written"
-    return f"a failure that nobody foresaw ({what}); please report it with {file.name}"
+        return f"unexpected error ({what}); its details could not be written"
+    return f"unexpected error ({what}); please report it with {file.name}"
 
 
-def _one_line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
     """What went wrong, where, and what to do."""
     if isinstance(error, UnusedCliTokensError):
         extra = " ".join(error.unused_tokens or ())

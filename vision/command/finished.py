@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter as Option
 
-from vision.command.console import complain, conclude, frame_progress, say
+from vision.command.console import complain, conclude, frame_progress, in_columns, say
 from vision.command.options import Flag, option_names, parameters_given, parse_range
 from vision.command.track import command_line
 from vision.errors import InputError
@@ -234,9 +234,7 @@ def certify(
     with frame_progress("films", quiet=quiet) as progress:
         certificate = certify_run(finished, settings=settings, progress=progress)
     write_certificate(certificate, target)
-    said = statements(certificate)
-    wide = max(len(name) for name, _ in said)
-    lines = [*(f"{name:<{wide}}  {text}" for name, text in said), f"-> {target}/"]
+    lines = [*in_columns(statements(certificate), "<"), f"-> {target}/"]
     return conclude(lines, certificate.warnings, quiet=quiet)
 
 

@@ -40,8 +40,8 @@ tracks.csv, tracks.nc, sheets.csv, kymograph.tif and run.json. Try:
     track 'frames/*.tiff' --fps 60
     track *.avi --out series
 
-Exit status: 0 done, 1 finished with a warning that matters, 2 input that cannot be used, 3 a failure that \
-nobody foresaw (what was measured before it is kept).
+Exit status: 0 done, 1 finished with a warning that matters, 2 input that cannot be used, 3 an unexpected \
+error (what was measured before it is kept).
 """
 
 
@@ -86,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     gc.set_threshold(FEWER_COLLECTIONS)
     hold_streams()
     silence_libraries()
-    _plain_surroundings()
+    _isolate_environment()
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), _interrupt)
@@ -96,8 +96,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sys.exit(130 if _interrupted else status)
 
 
-def _plain_surroundings() -> None:
-    """Nothing of the user's settings for other programs, of the working directory, of libraries' chatter."""
+def _isolate_environment() -> None:
+    """Ignore settings for other programs, modules in the working directory and warnings of libraries."""
     sys.path[:] = [place for place in sys.path if place]  # "" is wherever the data are
     os.environ.pop("MPLBACKEND", None)  # Jupyter's, which need not be installed here
     os.environ["MATPLOTLIBRC"] = os.devnull
@@ -117,7 +117,7 @@ def _interrupt(number: int, frame: Any) -> None:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Exit status of a command line: 0 done, 1 with a warning that matters, 2 bad input, 3 unforeseen."""
+    """Exit status of a command line: 0 done, 1 with a warning that matters, 2 bad input, 3 unexpected."""
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # cut files are reported by the reader itself
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # a home that cannot be written is no concern
     try:

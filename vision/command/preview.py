@@ -27,25 +27,14 @@ SPREAD = 12
 
 @dataclass(frozen=True)
 class Preview:
-    """What a few frames show.
+    """What a few frames show."""
 
-    Parameters
-    ----------
-    video
-        The whole film.
-    frame
-        The first frame of those tracked that shows something.
-    strip, tracks
-        Of the consecutive frames.
-    counts
-        Ridges in each of the frames spread over the film.
-    """
-
-    video: Video
-    frame: Pixels
+    video: Video  # the whole film
+    frame: Pixels  # the first frame of those tracked that shows something
+    # strip, tracks: of the consecutive frames
     strip: xr.DataArray
     tracks: xr.Dataset
-    counts: Ints
+    counts: Ints  # ridges in each of the frames spread over the film
 
 
 def preview(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vision.command.console import complain, say
+from vision.command.console import complain, one_line, say
 from vision.command.options import (
     Flag,
     ForceOptions,
@@ -353,7 +353,7 @@ def _measure(
         try:
             rotations = read_rheometer(file)
         except (InputError, OSError) as error:
-            found.failures.append(_line(error, file))
+            found.failures.append(one_line(error))
             continue
         found.failures += [f"{file}: {line}" for line in rotations[0].attrs["left_out"]]
         for rotation in rotations:
@@ -411,13 +411,6 @@ def _loads(text: str | None, files: int) -> list[float | None]:
     if len(loads) not in (1, files) or not all(load is not None and 0 < load < 1e9 for load in loads):
         raise InputError("--normal-force", f"one positive number, or {files} with commas", f"'{text}'")
     return loads * files if len(loads) == 1 else loads
-
-
-def _line(error: Exception, file: Path) -> str:
-    if isinstance(error, OSError):
-        reason = (error.strerror or str(error)).lower()
-        error = InputError(file, "a file that can be read", reason)
-    return str(error)
 
 
 def _parts(failures: list[str]) -> tuple[str, str, str]:

@@ -13,7 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vision.command.console import complain, frame_progress, outcome, say
+from vision.command.console import (
+    complain,
+    frame_progress,
+    in_columns,
+    outcome,
+    say,
+    skip_matplotlib_help,
+)
 from vision.command.options import (
     ForceOptions,
     RunOptions,
@@ -84,7 +91,7 @@ def track(
     if run.follow:
         raise InputError("`follow`", "one video", f"{len(videos)}", "follow each in a terminal of its own")
     targets = _targets_of(videos, run.out, parameters)
-    settings_of(parameters)  # what fits no film is said once
+    settings_of(parameters)  # what is wrong for every film is reported once
     return _track_several(targets, parameters, run)
 
 
@@ -106,6 +113,7 @@ def track_one(
     from vision.run import Checkpoint, Checksums, Origin, Parameter, check_target, write_run
     from vision.video import video_files
 
+    skip_matplotlib_help()
     if run.follow and run.resume:
         raise InputError("`follow` and `resume`", "one of the two", "both")
     check_target(target, overwrite=run.overwrite)
@@ -174,7 +182,7 @@ def resumable(checkpoint: Checkpoint) -> Iterator[None]:
 
 
 def run_name(video: Path) -> str:
-    """Base name of the run folder: the file's or folder's own; of a pattern what is no wildcard."""
+    """Base name of the run folder: the file's or folder's own; of a pattern what is not a wildcard."""
     whole = video.absolute() if video.name else video.resolve()
     if whole.exists():
         return whole.name if whole.is_dir() else whole.stem
@@ -193,7 +201,7 @@ def finish(
     """Summary to standard output, warnings to standard error; the exit status.
 
     0: done.  1: a warning that matters.  2: the force recording could not be used (what was measured is
-    kept).  3: a stage ended in an error that nobody foresaw (likewise).
+    kept).  3: an unexpected error ended a stage (likewise).
     """
     from vision.summary import findings
 
@@ -211,7 +219,7 @@ def finish(
             complain(f"{about}{analysis.reasons[name]} (what was measured before is kept in {target})")
     if (target / "failures.txt").exists():
         details = target / "failures.txt"
-        complain(f"{about}a failure that nobody foresaw; the rest is kept; please report it with {details}")
+        complain(f"{about}unexpected error; the rest is kept; please report it with {details}")
         return 3
     return 2 if refused else 1 if analysis.warnings else 0
 
@@ -287,7 +295,7 @@ def _track_several(targets: Mapping[Path, Path], parameters: dict[str, Parameter
         worst = max(worst, status)
         rows.append(_row(video, status, found[0] if found else None, why, time.perf_counter() - started))
     if not run.quiet:
-        say(_table(rows))
+        say(in_columns([HEAD, *rows], "<" + ">" * (len(HEAD) - 2)))
     return worst
 
 
@@ -311,18 +319,6 @@ def _row(video: Path, status: int, found: Analysis | None, why: str, seconds: fl
         f"{seconds:.1f}",
         "" if not count else f"{count} warning{'s' * (count > 1)}",
     )
-
-
-def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Columns of even width, the remark last."""
-    table = [HEAD, *rows]
-    widths = [max(len(row[k]) for row in table) for k in range(len(HEAD) - 1)]
-    lines = []
-    for row in table:
-        first = row[0].ljust(widths[0])
-        rest = "  ".join(cell.rjust(width) for cell, width in zip(row[1:-1], widths[1:], strict=True))
-        lines.append(f"{first}  {rest}  {row[-1]}".rstrip())
-    return lines
 
 
 # --- a film that a camera still writes ----------------------------------------------------------------------

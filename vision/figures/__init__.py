@@ -20,7 +20,6 @@ from vision.figures.figure import (
     Series,
     load_figures,
     save_figures,
-    write_captions,
 )
 from vision.figures.force import (
     clocks_figure,
@@ -73,5 +72,4 @@ __all__ = [
     "sticks_figure",
     "stiffness_figure",
     "tracks_figure",
-    "write_captions",
 ]

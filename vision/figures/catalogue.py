@@ -78,25 +78,15 @@ class Results(Protocol):
 
 @dataclass(frozen=True)
 class CatalogueEntry:
-    """How one figure is made.
+    """How one figure is made."""
 
-    Parameters
-    ----------
-    section
-        Heading of the report under which it stands; "" for figures that the report does not show, because
-        their panels are figures of their own there.
-    build
-        The figure of results that have what it needs; None where there is still nothing to show.
-    needs
-        Parts of the results without which there is no such figure (`_has`).
-    paper
-        Number of the publication's figure that it corresponds to, "" for none.
-    """
-
+    # heading of the report under which it stands; "" for figures that the report does not show, because
+    # their panels are figures of their own there
     section: str
+    # the figure of results that have what it needs; None where there is still nothing to show
     build: Callable[[Any], Figure | None]
-    needs: tuple[str, ...] = ()
-    paper: str = ""
+    needs: tuple[str, ...] = ()  # parts of the results without which there is no such figure (`_has`)
+    paper: str = ""  # number of the publication's figure that it corresponds to, "" for none
 
     def make(self, results: Results) -> Figure | None:
         """The figure, with the publication's number in its caption; None where the results lack its data."""

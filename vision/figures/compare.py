@@ -31,44 +31,23 @@ _QUANTITY: Mapping[str, tuple[str, str, str]] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Overlay:
-    """What the figures of several tests are drawn from.
+    """What the figures of several tests are drawn from."""
 
-    Parameters
-    ----------
-    events
-        All events with ``run``, ``sample``, ``V_mm_min`` and ``used``.
-    table
-        tests.csv.
-    sample
-        Geometry of the first test, for the model curves.
-    mu, amplitude, modulus
-        Of the joint fit, A, and the Y_eff held fixed.
-    joint_name
-        Sample of the joint fit; "" where there is none.
-    collapse
-        One row an event: ``run``, ``d_v_mm``, ``d_hat``, ``sheets``; None without.
-    rms
-        Distance from the master curve before and after the collapse, and that of noise alone.
-    irregular
-        Running variation of ΔF and its change point, one mapping a test.
-    trends
-        One mapping a trend.
-    sticks
-        Velocity and figure of single sticks, one a velocity.
-    """
-
-    events: pd.DataFrame
-    table: pd.DataFrame
-    sample: Sample
+    events: pd.DataFrame  # all events with ``run``, ``sample``, ``V_mm_min`` and ``used``
+    table: pd.DataFrame  # tests.csv
+    sample: Sample  # geometry of the first test, for the model curves
+    # mu, amplitude, modulus: of the joint fit, A, and the Y_eff held fixed
     mu: Estimate
     amplitude: Estimate
     modulus: Estimate
-    joint_name: str
+    joint_name: str  # sample of the joint fit; "" where there is none
+    # one row an event: ``run``, ``d_v_mm``, ``d_hat``, ``sheets``; None without
     collapse: pd.DataFrame | None
+    # distance from the master curve before and after the collapse, and that of noise alone
     rms: tuple[float, float, float]
-    irregular: Sequence[Mapping[str, Any]]
-    trends: Sequence[Mapping[str, Any]]
-    sticks: Sequence[tuple[float, Figure]]
+    irregular: Sequence[Mapping[str, Any]]  # running variation of ΔF and its change point, one mapping a test
+    trends: Sequence[Mapping[str, Any]]  # one mapping a trend
+    sticks: Sequence[tuple[float, Figure]]  # velocity and figure of single sticks, one a velocity
 
 
 def compare_figures(overlay: Overlay) -> list[Figure]:

@@ -23,21 +23,9 @@ _BESIDE = 0.12  # of the step from stick to stick: how far the two sides' points
 
 
 def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event: int | None = None) -> Figure:
-    """Displacement of all sheets over one stick phase.
+    """Displacement of all sheets over one stick phase; by default over the one with most frames.
 
-    Parameters
-    ----------
-    tracks, clock
-        As given to `horizontal_deformation`.
-    motion
-        What it returned.
-    event
-        Number of the stick phase; None for the one with most frames.
-
-    Raises
-    ------
-    InputError
-        For an event that is not in `motion`.
+    Raises: InputError for an event that is not in `motion`, what `horizontal_deformation` returned.
     """
     if event is None:
         event = int(motion["event"].values[int(np.argmax(motion["frames"].to_numpy().sum(axis=1)))])

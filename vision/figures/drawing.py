@@ -6,13 +6,13 @@ engines and tight bounding boxes draw everything twice. pyplot is not imported.
 
 from __future__ import annotations
 
-import io
 import sys
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,7 +22,6 @@ from matplotlib.figure import Figure as Page
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.transforms import blended_transform_factory
-from PIL import Image as Pillow
 
 from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series
 from vision.figures.labels import to_mathtext
@@ -31,6 +30,8 @@ from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET
 PNG_DPI, VECTOR_DPI = 100, 300
 STROKE = 0.2  # of the strip's height: a sheet is marked above and below, so that its ridge stays in view
 MOST_LINES = 40  # marked times with a line across; more are marked at the edges alone
+# A sixth of the time of `savefig`: no alpha channel, little compression, each row less the one above it.
+_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP)
 _DASHES = (0, (4, 2))
 _GREYS = mpl.colormaps["gray"].with_extremes(bad=MISSING)
 _STYLE: dict[str, Any] = {
@@ -57,19 +58,10 @@ _TICK_ROOM_IN = 0.22  # height that a number on the y axis needs
 
 
 def draw_panel(ax: Axes, panel: Panel) -> Axes:
-    """Draw a panel on these axes with colours for a light background; nothing else is touched.
+    """Draw a panel on these axes with colours for a light background, and return them.
 
-    Parameters
-    ----------
-    ax
-        Where to draw. A second y axis is added where the panel has one. The legend stands above the axes,
-        where it hides no data.
-    panel
-        What to draw.
-
-    Returns
-    -------
-    The same axes.
+    A second y axis is added where the panel has one. The legend stands above the axes, where it hides no
+    data.
     """
     right = ax.twinx() if panel.y2_label else None
     if panel.image is not None:
@@ -161,14 +153,12 @@ def write(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
 def png(figure: Figure, *, dpi: float | None = None) -> bytes:
     """The figure as PNG."""
     with picture_style():
-        page, stream = new_figure(figure), io.BytesIO()
+        page = new_figure(figure)
         page.set_dpi(PNG_DPI if dpi is None else dpi)
         canvas: Any = FigureCanvasAgg(page)
         canvas.draw()
-        # without the alpha channel and with little compression: a third of the time of `savefig`
-        pixels = np.asarray(canvas.buffer_rgba())[..., :3]
-        Pillow.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG", compress_level=1)
-    return stream.getvalue()
+        pixels = cv2.cvtColor(np.asarray(canvas.buffer_rgba()), cv2.COLOR_RGBA2BGR)
+    return cv2.imencode(".png", pixels, _PNG)[1].tobytes()
 
 
 def picture_style() -> AbstractContextManager[None]:

@@ -35,56 +35,35 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Series:
-    """One curve or set of points.
+    """One curve or set of points."""
 
-    Parameters
-    ----------
-    label
-        Name in legends and tables; "" for none.
-    x, y
-        (k,), x rising; NaN in y leaves a gap.
-    ink
-        Its colour.
-    look
-        "line", "points", "both", "steps" (bars of a histogram) or "ticks" (strokes at `low` and `high` with
-        `text` above).
-    low, high
-        Ends of error bars, (k,), where there are any.
-    text
-        One label a point, for "ticks".
-    dashed, hollow
-        Distinguish series without colour.
-    shift
-        Added to x in drawings, so that points with the same x stand side by side; tables hold x itself.
-    width
-        Of the line, in points.
-    axis
-        Which y axis.
-    sheet
-        (side, n) of a sheet, which the page can switch on and off.
-    """
-
-    label: str
+    label: str  # name in legends and tables; "" for none
+    # x, y: (k,), x rising; NaN in y leaves a gap
     x: Floats
     y: Floats
-    ink: Ink
+    ink: Ink  # its colour
+    # "line", "points", "both", "steps" (bars of a histogram) or "ticks" (strokes at `low` and `high`
+    # with `text` above)
     look: Literal["line", "points", "both", "steps", "ticks"] = "line"
+    # low, high: ends of error bars, (k,), where there are any
     low: Floats | None = None
     high: Floats | None = None
-    text: tuple[str, ...] = ()
+    text: tuple[str, ...] = ()  # one label a point, for "ticks"
+    # dashed, hollow: distinguish series without colour
     dashed: bool = False
     hollow: bool = False
+    # added to x in drawings, so that points with the same x stand side by side; tables hold x itself
     shift: float = 0.0
-    width: float = 1.2
-    axis: Literal["left", "right"] = "left"
-    sheet: tuple[int, int] | None = None
+    width: float = 1.2  # of the line, in points
+    axis: Literal["left", "right"] = "left"  # which y axis
+    sheet: tuple[int, int] | None = None  # (side, n) of a sheet, which the page can switch on and off
 
     @classmethod
-    def points(cls, label: str, x: Any, y: Any, ink: Ink, error: Any = None, **look: Any) -> Series:
+    def points(cls, label: str, x: Any, y: Any, ink: Ink, error: Any = None, **rest: Any) -> Series:
         """Points, with their standard errors where these are given."""
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
         bars = {} if error is None else {"low": y - np.asarray(error), "high": y + np.asarray(error)}
-        return cls(**{"label": label, "x": x, "y": y, "ink": ink, "look": "points"} | bars | look)
+        return cls(label=label, x=x, y=y, ink=ink, look="points", **bars | rest)
 
     @classmethod
     def model(cls, label: str, x: Floats, y: Any, ink: Ink) -> Series:
@@ -94,26 +73,18 @@ class Series:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Image:
-    """A grey image under the curves.
+    """A grey image under the curves."""
 
-    Parameters
-    ----------
-    pixels
-        Grey levels (row, column).
-    left, right, top, bottom
-        Outer edges in units of the axes.
-    missing
-        True where nothing was recorded, (row, column); None where every pixel is known.
-    black, white
-        Grey levels of the recording that are shown black and white; NaN where the image has no scale.
-    """
-
-    pixels: NDArray[np.uint8]
+    pixels: NDArray[np.uint8]  # grey levels (row, column)
+    # left, right, top, bottom: outer edges in units of the axes
     left: float
     right: float
     top: float
     bottom: float
+    # True where nothing was recorded, (row, column); None where every pixel is known
     missing: Bools | None = None
+    # black, white: grey levels of the recording that are shown black and white; NaN where the image has
+    # no scale
     black: float = math.nan
     white: float = math.nan
 
@@ -148,68 +119,38 @@ class Arrow:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Panel:
-    """One pair of axes with what is drawn on them.
+    """One pair of axes with what is drawn on them."""
 
-    Parameters
-    ----------
-    x_label, y_label, y2_label
-        With units. The second y axis is there where it has a label; its curves go below those of the first,
-        so that neither hides the other. A panel without `y_label` shares the axis of its left neighbour.
-    series, image, bands
-        What is drawn.
-    x_lines
-        Dashed vertical lines.
-    marks, marks_label
-        Times marked across an image, and what they are.
-    x_range, y_range
-        What is shown; None for everything.
-    first_view
-        Part of x that the page shows first.
-    downwards
-        y grows downwards, as in an image.
-    time_down
-        x of the series runs down the page and y across it, as in a space-time diagram.
-    whole_numbers
-        x counts something.
-    aspect
-        Height over width of the plotted area.
-    square_pixels
-        Both axes have the same scale.
-    x_log, y_log
-        Logarithmic axes.
-    arrows
-        Lengths that are pointed out, with their symbols.
-    title
-        Shown above a panel of several.
-    placeholder
-        Shown where there is nothing to draw.
-    inset
-        A small panel in the upper right corner, which the page leaves out.
-    """
-
+    # x_label, y_label, y2_label: with units. The second y axis is there where it has a label; its
+    # curves go below those of the first, so that neither hides the other. A panel without `y_label`
+    # shares the axis of its left neighbour.
     x_label: str
     y_label: str
     y2_label: str = ""
+    # series, image, bands: what is drawn
     series: tuple[Series, ...] = ()
     image: Image | None = None
     bands: tuple[Band, ...] = ()
-    x_lines: tuple[float, ...] = ()
+    x_lines: tuple[float, ...] = ()  # dashed vertical lines
+    # marks, marks_label: times marked across an image, and what they are
     marks: Floats | None = None
     marks_label: str = ""
+    # x_range, y_range: what is shown; None for everything
     x_range: Range | None = None
     y_range: Range | None = None
-    first_view: Range | None = None
-    downwards: bool = False
-    time_down: bool = False
-    whole_numbers: bool = False
-    aspect: float = 0.5
-    square_pixels: bool = False
+    first_view: Range | None = None  # part of x that the page shows first
+    downwards: bool = False  # y grows downwards, as in an image
+    time_down: bool = False  # x of the series runs down the page and y across it, as in a space-time diagram
+    whole_numbers: bool = False  # x counts something
+    aspect: float = 0.5  # height over width of the plotted area
+    square_pixels: bool = False  # both axes have the same scale
+    # x_log, y_log: logarithmic axes
     x_log: bool = False
     y_log: bool = False
-    arrows: tuple[Arrow, ...] = ()
-    title: str = ""
-    placeholder: str = "no data"
-    inset: Panel | None = None
+    arrows: tuple[Arrow, ...] = ()  # lengths that are pointed out, with their symbols
+    title: str = ""  # shown above a panel of several
+    placeholder: str = "no data"  # shown where there is nothing to draw
+    inset: Panel | None = None  # a small panel in the upper right corner, which the page leaves out
 
     @property
     def switchable(self) -> bool:
@@ -248,31 +189,16 @@ class Panel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Figure:
-    """A figure: numbers, labels with units, and a caption that says what it shows and how it was computed.
+    """A figure: numbers, labels with units, and a caption that says what it shows and how it was computed."""
 
-    Parameters
-    ----------
-    name
-        Short, used for files and in `track figures`.
-    title, caption
-        For the page and for captions.txt.
-    panels
-        One, or several in reading order.
-    columns
-        Panels side by side.
-    width_in
-        Width of the saved figure, inches.
-    notes
-        Warnings that belong to the figure.
-    """
-
-    name: str
+    name: str  # short, used for files and in `track figures`
+    # title, caption: of the page and of a manuscript
     title: str
     caption: str
-    panels: tuple[Panel, ...]
-    columns: int = 1
-    width_in: float = 6.0
-    notes: tuple[str, ...] = ()
+    panels: tuple[Panel, ...]  # one, or several in reading order
+    columns: int = 1  # panels side by side
+    width_in: float = 6.0  # width of the saved figure, inches
+    notes: tuple[str, ...] = ()  # warnings that belong to the figure
 
     @classmethod
     def of(cls, name: str, panel: Panel, caption: str, *, title: str = "", **rest: Any) -> Figure:
@@ -373,12 +299,6 @@ def _long(table: pd.DataFrame, panel: Panel) -> pd.DataFrame:
     return table[[*first, *(name for name in table if name not in first)]]
 
 
-def write_captions(path: Path, figures: Iterable[Figure]) -> None:
-    """Names, titles and captions as text."""
-    text = "\n\n".join(f"{f.name}\n{' '.join([f'{f.title}. {f.caption}', *f.notes])}" for f in figures)
-    path.write_text(text + "\n", encoding="utf-8", errors="replace")
-
-
 # --- figures in a file --------------------------------------------------------------------------------------
 
 _CLASSES: dict[str, type] = {part.__name__: part for part in (Series, Image, Band, Arrow, Panel, Figure)}
@@ -386,23 +306,9 @@ _COMPRESSION = 1  # of 9: four times as fast as the usual 6, for files a twentie
 
 
 def save_figures(path: str | Path, figures: Iterable[Figure]) -> Path:
-    """Write figures to one compressed .npz file, from which `load_figures` reads them.
+    """Write figures to one compressed .npz file, from which `load_figures` reads them; returns its path.
 
-    Parameters
-    ----------
-    path
-        The file. It holds JSON (as bytes, "figures"), all curves in one array ("curves") and the images.
-    figures
-        What to keep.
-
-    Returns
-    -------
-    The path.
-
-    Raises
-    ------
-    OSError
-        Where the file cannot be written.
+    It holds JSON (as bytes, "figures"), all curves in one array ("curves") and the images.
     """
     path = Path(path)
     curves: list[Floats] = []
@@ -458,21 +364,9 @@ def _is_default(value: Any, default: Any) -> bool:
 
 
 def load_figures(path: str | Path) -> list[Figure]:
-    """Figures from a file of `save_figures`.
+    """Figures from a file of `save_figures`, in their order.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    The figures, in the order in which they were saved.
-
-    Raises
-    ------
-    InputError
-        For a file that does not hold figures, or those of an incompatible version.
+    Raises: InputError for a file that does not hold figures, or those of an incompatible version.
     """
     with reading(Path(path), "figures that a run has saved", "run track again"):
         with np.load(path, allow_pickle=False) as arrays:

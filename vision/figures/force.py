@@ -50,15 +50,6 @@ def force_figure(
 
     Against time where the separation is not known. The curve is the minimum and maximum of the force in
     each of some thousand steps of d, so that every slip is shown.
-
-    Parameters
-    ----------
-    force
-        From `read_force`.
-    sticks
-        From `find_stick_slip`.
-    fits
-        From `fit_models`.
     """
     good = good_samples(force)
     d, time = good["d_mm"].to_numpy(), good["time_s"].to_numpy()
@@ -374,17 +365,7 @@ def stiffness_residuals_figure(sticks: pd.DataFrame, fits: ModelFits, *, unit: s
 
 
 def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits | None = None) -> Figure:
-    """The whole recording, a few sticks with their lines, amplitude and stiffness against d, on one page.
-
-    Parameters
-    ----------
-    force
-        From `read_force`.
-    sticks
-        From `find_stick_slip`.
-    fits
-        From `fit_models`; their curves are drawn where given.
-    """
+    """The whole recording, a few sticks with their lines, amplitude and stiffness against d, on one page."""
     unit = load_unit(force)
     whole = force_figure(force, sticks, fits).panel
     drops, stiffness = (make(sticks, fits, unit=unit) for make in (force_drop_figure, stiffness_figure))

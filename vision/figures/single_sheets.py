@@ -40,16 +40,8 @@ def friction_figure(
 ) -> Figure:
     """μ(φ) with the maxima, μ_s and μ_d against N, and the threshold forces.
 
-    Parameters
-    ----------
-    measured, curves
-        Of `friction_of_disc` and `friction_curve`, in the same order.
-    law
-        Fitted to the measurements; None where there were too few.
-    mu
-        Constant coefficient to compare with, as the fit of Eq. 1 gives it.
-    dynamic_deg
-        Range of μ_d, shaded.
+    The curves are those of the measurements, in the same order; `law` is None where there were too few; `mu`
+    is the constant coefficient to compare with, as the fit of Eq. 1 gives it; the range of μ_d is shaded.
     """
     fitted = (
         f" Line: μ_s = a(1 + b/N), a = {plus_minus(Estimate(law.a, law.a_err))}, "

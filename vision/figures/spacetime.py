@@ -38,17 +38,9 @@ WINDOW_UM = 200.0
 def slip_times(tracks: xr.Dataset | None, force_s: Floats | None = None) -> tuple[Floats | None, str]:
     """Times of the slips on the camera's clock, s, and what they are from.
 
-    Parameters
-    ----------
-    tracks
-        From `track_sheets`; None where there are none.
-    force_s
-        Times of the force's slips on the camera's clock, where that is known for sure.
-
-    Returns
-    -------
-    The times of the force, rising, else the common outward steps of the sheets; None where neither is known:
-    with an axis that was only guessed from the sheets' places, outward is not known.
+    Those of the force where they are surely known on that clock (`force_s`), else the common outward steps of
+    the sheets; None where neither is known: with an axis that was only guessed from the sheets' places,
+    outward is not known.
     """
     if force_s is not None:
         return np.sort(force_s), "the force"
@@ -71,24 +63,10 @@ def space_time_figure(
     slips_s: Floats | None = None,
     slips_from: str = "the force",
 ) -> Figure:
-    """I(x, t), time downwards, with the tracks on it.
+    """I(x, t), time downwards, with the tracks on it, and marks at the times of the slips.
 
-    Parameters
-    ----------
-    strip
-        I(x, t) from `strip_profile`.
-    tracks
-        From `track_sheets`.
-    pixel_size_um
-        Gives lengths in mm (µm below 1 mm); px without it.
-    slips_s, slips_from
-        Times to mark, on the recording's clock, s, and where they are from: in a long recording an image row
-        stands for many frames, and a slip cannot be seen otherwise.
-
-    Notes
-    -----
-    Rows of the image are means of the frames that they stand for; the tracks keep the minimum and maximum
-    position of each interval.
+    Rows of the image are means of the frames that they stand for, in which a slip cannot be seen; the tracks
+    keep the minimum and maximum position of each interval.
     """
     scale, _ = position_unit(pixel_size_um, strip.sizes["x"])
     at, x_px = decimated_tracks(tracks)
@@ -270,16 +248,8 @@ def single_sheets_figure(
 ) -> Figure | None:
     """Space-time diagrams around an outer and an inner sheet over a few slips; None where there are none.
 
-    Parameters
-    ----------
-    strip, tracks
-        From `strip_profile` and `track_sheets`.
-    slips_s
-        Times of the slips on the camera's clock, s, rising.
-    pixel_size_um
-        For a window of 0.2 mm, as in the publication; one pitch wide without it.
-    slips_from
-        What the times were taken from.
+    The windows are 0.2 mm wide, as in the publication; without a pixel size one pitch. The times of the slips
+    are on the camera's clock, rising.
     """
     time = time_axis(tracks)[0]
     slips = slips_s[(slips_s >= time[0]) & (slips_s <= time[-1])]

@@ -30,13 +30,6 @@ def frame_figure(frame: Pixels, tracks: xr.Dataset) -> Figure:
     """One whole frame with the averaged rows outlined, the sheets' numbers n and the symmetry axis.
 
     A pixel is drawn square; only a frame too flat to show anything is stretched, and its title says so.
-
-    Parameters
-    ----------
-    frame
-        (rows, columns), any depth.
-    tracks
-        From `track_sheets`.
     """
     rows, columns = frame.shape
     step = max(1, -(-rows // MOST_ROWS), -(-columns // (2 * MOST_ROWS)))
@@ -124,16 +117,7 @@ def preview_figure(
 ) -> Figure:
     """One frame with strip and sheets, its profile I(x) with the positions, and the noise of every position.
 
-    Parameters
-    ----------
-    frame
-        (rows, columns), the frame of the strip's first usable row.
-    strip
-        I(x, t) of a few consecutive frames, from `strip_profile`.
-    tracks
-        Their sheets, from `track_sheets`.
-    pixel_size_um
-        Gives the noise in µm; px without it.
+    Strip and tracks are those of a few consecutive frames, of which the frame is the first that is usable.
     """
     facts = StripMetadata.of(strip)
     x = np.asarray(strip["x"].values, np.float64)
@@ -186,12 +170,7 @@ def preview_figure(
 def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | None = None) -> Figure | None:
     """I(x) of one frame with the positions, and one ridge at the start and end of a stick and after the slip.
 
-    Parameters
-    ----------
-    strip, tracks
-        From `strip_profile` and `track_sheets`.
-    slips_s
-        Times of the slips on the camera's clock, s, rising; without two of them only I(x) is shown.
+    Without two slips (times on the camera's clock, rising) only I(x) is shown.
     """
     x_px = np.asarray(tracks["x_px"].values, np.float64)
     frames = _stick_frames(tracks, slips_s)

@@ -102,21 +102,13 @@ def split_name(header: str) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class Table:
-    """One block of numbers of a file with its header, before anything is known about its meaning.
+    """One block of numbers of a file with its header, before anything is known about its meaning."""
 
-    Parameters
-    ----------
-    names, units
-        One per column; units "" where none is written.
-    numbers
-        (rows, columns), NaN where a cell is empty or not a number.
-    facts
-        How the file was read: layout, encoding, separator, decimal.
-    """
-
+    # names, units: one per column; units "" where none is written
     names: tuple[str, ...]
     units: tuple[str, ...]
-    numbers: Floats
+    numbers: Floats  # (rows, columns), NaN where a cell is empty or not a number
+    # how the file was read: layout, encoding, separator, decimal
     facts: dict[str, str] = field(default_factory=dict)
 
     def listing(self) -> str:
@@ -165,24 +157,12 @@ _OVER_WEIGHT = frozenset({"fnorm"})
 
 @dataclass(frozen=True)
 class Column:
-    """A column with its role's unit.
+    """A column with its role's unit."""
 
-    Parameters
-    ----------
-    name
-        As in the file.
-    unit
-        As written or given, "1" for a force over a weight.
-    assumed
-        True where no unit is written and the base unit (s, N or mm) is taken.
-    values
-        In s, N or mm.
-    """
-
-    name: str
-    unit: str
-    assumed: bool
-    values: Floats = field(repr=False)
+    name: str  # as in the file
+    unit: str  # as written or given, "1" for a force over a weight
+    assumed: bool  # true where no unit is written and the base unit (s, N or mm) is taken
+    values: Floats = field(repr=False)  # in s, N or mm
 
 
 def parse_columns(text: str) -> dict[str, str]:

@@ -156,7 +156,7 @@ def find_stick_slip(
 
 
 def _check_lowpass(lowpass_s: float | str, period_s: float, source: str) -> None:
-    """Refuses what is no time constant of a recording whose slips follow each other after period_s."""
+    """Raises InputError for a time constant that is not below the time from slip to slip."""
     if isinstance(lowpass_s, str):
         if lowpass_s != "auto":
             raise InputError("`lowpass_s`", "seconds or auto", f"'{lowpass_s}'")

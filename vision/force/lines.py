@@ -16,17 +16,7 @@ _NO_KNEE = 2.0
 
 
 def flat_ranges(start: Ints, stop: Ints) -> tuple[Ints, Ints]:
-    """Every integer of many ranges, one range after the other.
-
-    Parameters
-    ----------
-    start, stop
-        Half-open ranges, one per row.
-
-    Returns
-    -------
-    (row, index), both of the length of all ranges together.
-    """
+    """(row, index): every integer of many half-open ranges, one range (row) after the other."""
     count = np.maximum(stop - start, 0)
     row = np.repeat(np.arange(start.size), count)
     index = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(start, count)
@@ -37,24 +27,16 @@ def flat_ranges(start: Ints, stop: Ints) -> tuple[Ints, Ints]:
 class Lines:
     """Least-squares lines, one per stretch: y = mean_y + slope (x - mean_x).
 
-    Parameters
-    ----------
-    slope, mean_x, mean_y
-        Of each line.
-    sxx
-        Sum of (x - mean_x)².
-    spread
-        Residual standard deviation.
-    count
-        Samples used. All are NaN with fewer than three samples or where x does not vary.
+    All are NaN with fewer than three samples or where x does not vary.
     """
 
+    # slope, mean_x, mean_y: of each line
     slope: Floats
     mean_x: Floats
     mean_y: Floats
-    sxx: Floats
-    spread: Floats
-    count: Floats
+    sxx: Floats  # sum of (x - mean_x)²
+    spread: Floats  # residual standard deviation
+    count: Floats  # samples used
 
     def at(self, x: Floats) -> Floats:
         """The lines' values."""
@@ -141,28 +123,17 @@ class _Rows:
 
 @dataclass(frozen=True)
 class BrokenLines:
-    """Continuous lines of two slopes, one per stretch.
+    """Continuous lines of two slopes, one per stretch."""
 
-    Parameters
-    ----------
-    first, second
-        Slope before and after the knee.
-    knee
-        Where the slope changes, as a fraction of the stretch.
-    low, span
-        The stretches in x.
-    level
-        Value at low.
-    gain
-        How many times smaller the squared residual is than a single line's; about 1 where one line does.
-    """
-
+    # first, second: slope before and after the knee
     first: Floats
     second: Floats
-    knee: Floats
+    knee: Floats  # where the slope changes, as a fraction of the stretch
+    # low, span: the stretches in x
     low: Floats
     span: Floats
-    level: Floats
+    level: Floats  # value at low
+    # how many times smaller the squared residual is than a single line's; about 1 where one line does
     gain: Floats
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -21,24 +21,16 @@ _LEAST_OWN = 1e-9  # of a column's length: what is left of it beside those befor
 
 @dataclass(frozen=True)
 class SlipTransients:
-    """What follows each slip, in samples.
+    """What follows each slip, in samples."""
 
-    Parameters
-    ----------
-    start, stop
-        Half-open ranges clear of slips.
-    middle, valley, peak
-        Middle and end of the slip as recorded; where the next slip begins.
-    drop
-        The slip's height.
-    """
-
+    # start, stop: half-open ranges clear of slips
     start: Ints
     stop: Ints
+    # middle, valley, peak: middle and end of the slip as recorded; where the next slip begins
     middle: Floats
     valley: Floats
     peak: Floats
-    drop: Floats
+    drop: Floats  # the slip's height
 
     def take(self, rows: Bools) -> SlipTransients:
         """Some of the transients."""
@@ -47,21 +39,15 @@ class SlipTransients:
 
 @dataclass(frozen=True)
 class LowpassEstimate:
-    """A time constant and the evidence for it.
+    """A time constant and the evidence for it."""
 
-    Parameters
-    ----------
-    samples
-        The time constant.
-    gain
-        By how much it lowers the sum of squares, over what chance does with one more free number per stick.
-    height, scatter
-        Transients extrapolated to the middle of their slips, over the drops: median, and interquartile range
-        over the median. A low-pass leaves transients of one and the same height, half of the drop or more.
-    """
-
-    samples: float
+    samples: float  # the time constant
+    # by how much it lowers the sum of squares, over what chance does with one more free number per
+    # stick
     gain: float
+    # height, scatter: Transients extrapolated to the middle of their slips, over the drops: median, and
+    # interquartile range over the median. A low-pass leaves transients of one and the same height, half
+    # of the drop or more.
     height: float
     scatter: float
 
@@ -97,7 +83,7 @@ def estimate_lowpass(y: Floats, transients: SlipTransients, corrected: float = 0
     blocks = _Blocks.of(y, transients, corrected)
     if blocks is None:
         return None
-    without = min(blocks.fit(0.0, knee)[0] for knee in _KNEES)
+    without = min(blocks.over_knees(0.0))
     tau, knee = blocks.best()
     squares, transient = blocks.fit(tau, knee)
     # Squares are differences of sums: no smaller than what rounding leaves.
@@ -162,9 +148,10 @@ class _Blocks:
     def best(self) -> tuple[float, float]:
         """(time constant, knee) of the least squares: the best of a grid, then downhill from there."""
         high = max(0.6 * float(np.median(self.peak)), 2 * _SHORTEST)
-        grid = [(tau, knee) for tau in np.geomspace(_SHORTEST, high, 15) for knee in _KNEES]
-        first = min(grid, key=lambda pair: self.fit(*pair)[0])
-        start = np.array([np.log(first[0]), min(first[1], 0.9)])
+        grid = np.geomspace(_SHORTEST, high, 15)
+        squares_left = np.array([self.over_knees(tau) for tau in grid])
+        first, knee = np.unravel_index(int(squares_left.argmin()), squares_left.shape)
+        start = np.array([np.log(grid[first]), min(_KNEES[knee], 0.9)])
         steps = np.array([start, (start[0] + 0.2, start[1]), (start[0], start[1] - 0.05)])
 
         def squares(pair: Floats) -> float:
@@ -181,37 +168,55 @@ class _Blocks:
 
     def fit(self, tau: float, knee: float) -> tuple[float, Floats]:
         """(squares left, heights of the transients) of all rows; tau in blocks (0: none), knee in sticks."""
+        parabola, hinge, transient = self._columns(tau)
+        columns = [*parabola, *([hinge(knee)] if knee < 1 else []), *transient]
+        directions, length = _orthonormal(columns)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return self._left(directions), _dot(directions[-1], self.load) / length
+
+    def over_knees(self, tau: float) -> list[float]:
+        """Squares left for each of the knees: what they share is fitted once."""
+        parabola, hinge, transient = self._columns(tau)
+        shared, _ = _orthonormal([*parabola, *transient])
+        left = self._left(shared)
+        last = [_orthonormal([hinge(knee)], shared)[0][-1:] if knee < 1 else [] for knee in _KNEES]
+        return [left - float(sum(np.sum(_dot(one, self.load) ** 2) for one in more)) for more in last]
+
+    def _left(self, directions: Sequence[Floats]) -> float:
+        """Squares left by orthonormal directions."""
+        found = [float(np.sum(_dot(direction, self.load) ** 2)) for direction in directions]
+        return float(np.sum(self.load**2)) - sum(found)
+
+    def _columns(self, tau: float) -> tuple[list[Floats], Callable[[float], Floats], list[Floats]]:
+        """Of the fit in each row, 0 where no block is known: a parabola, a hinge by its knee, a transient."""
         t = np.arange(float(self.load.shape[1]))
         # The low-pass delays the end of the slip by its time constant.
         begin = self.valley - (tau - self.corrected / self.size)
-        u = (t - begin[:, None]) / (self.peak - begin)[:, None]
-        columns = [np.ones_like(u), u, u**2]
-        if knee < 1:
-            columns.append(lagged_hinge(t - (begin + knee * (self.peak - begin))[:, None], tau))
-        if tau:
-            columns.append(np.broadcast_to(np.exp(-t / tau), u.shape))
-        return _last_of_fit(self.load, [column * self.known for column in columns])
+        rise = self.peak - begin
+        u = (t - begin[:, None]) / rise[:, None]
+
+        def hinge(knee: float) -> Floats:
+            return lagged_hinge(t - (begin + knee * rise)[:, None], tau) * self.known
+
+        transient = [np.exp(-t / tau) * self.known] if tau else []
+        one = self.known.astype(np.float64)
+        return [one, u * one, u**2 * one], hinge, transient
 
 
-def _last_of_fit(rows: Floats, columns: Sequence[Floats]) -> tuple[float, Floats]:
-    """(squares left in all rows, coefficient of the last column in each) of least squares within each row.
+def _orthonormal(columns: Sequence[Floats], before: Sequence[Floats] = ()) -> tuple[list[Floats], Floats]:
+    """Orthonormal directions of columns within each row, behind others; the last column's own length.
 
     Modified Gram-Schmidt for all rows at once: LAPACK's QR of each small matrix takes three times as long.
     """
-    left, directions = float(np.sum(rows**2)), list[Floats]()
-    found = length = np.zeros(len(rows))
+    directions, length = list(before), np.zeros(0)
     for column in columns:
-        size = _dot(column, column)
+        own = column
         for direction in directions:
-            column = column - _dot(direction, column)[:, None] * direction  # noqa: PLW2901
-        length = np.sqrt(_dot(column, column))
-        own = length > _LEAST_OWN * np.sqrt(size)
-        direction = column * np.divide(1, length, out=np.zeros_like(length), where=own)[:, None]
-        found = _dot(direction, rows)
-        left -= float(np.sum(found**2))
-        directions.append(direction)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return left, found / length
+            own = own - _dot(direction, own)[:, None] * direction
+        length = np.sqrt(_dot(own, own))
+        some = length > _LEAST_OWN * np.sqrt(_dot(column, column))
+        directions.append(own * np.divide(1, length, out=np.zeros_like(length), where=some)[:, None])
+    return directions, length
 
 
 def _dot(one: Floats, other: Floats) -> Floats:
@@ -220,27 +225,14 @@ def _dot(one: Floats, other: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class DeconvolvedLoad:
-    """A recording corrected for the load cell's low-pass.
+    """A recording corrected for the load cell's low-pass."""
 
-    Parameters
-    ----------
-    load
-        Each value is a mean over `width` samples: deconvolution alone would drown the load in noise.
-    edge
-        The first sample after the steepest drop of each slip.
-    late
-        Samples by which `load` lags behind the clock.
-    width
-        Samples averaged.
-    sigma
-        Noise of `load`.
-    """
-
+    # each value is a mean over `width` samples: deconvolution alone would drown the load in noise
     load: Floats
-    edge: Ints
-    late: float
-    width: int
-    sigma: float
+    edge: Ints  # the first sample after the steepest drop of each slip
+    late: float  # samples by which `load` lags behind the clock
+    width: int  # samples averaged
+    sigma: float  # noise of `load`
 
 
 def deconvolve_lowpass(y: Floats, sigma: float, slips: Slips, tau: float) -> DeconvolvedLoad:

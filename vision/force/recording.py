@@ -91,14 +91,7 @@ def read_force(
 def good_samples(force: xr.Dataset) -> xr.Dataset:
     """The samples that can be measured on: finite, times strictly rising, load cell not saturated.
 
-    Parameters
-    ----------
-    force
-        As from `read_force`; without flags all its samples are good.
-
-    Returns
-    -------
-    The same dataset with fewer samples.
+    Of a recording without flags all are good.
     """
     return force.isel(time_s=np.flatnonzero(usable(force["flag"].values))) if "flag" in force else force
 
@@ -299,20 +292,10 @@ def usable(flags: Strings) -> Bools:
 
 
 def noise_sigma(y: Floats) -> float:
-    """Standard deviation of white noise on a signal of slow rises and sudden drops.
+    """Standard deviation of white noise on a signal of slow rises and sudden drops, of three samples or more.
 
-    Parameters
-    ----------
-    y
-        Load, finite, at least three samples.
-
-    Returns
-    -------
-    In the unit of y; never below what the quantum q of the recording causes, nor zero.
-
-    Notes
-    -----
-    The median absolute second difference sees neither the rises nor the few drops:
+    The median absolute second difference sees neither the rises nor the few drops; the noise is never below
+    what the quantum q of the recording causes, nor zero:
 
     .. math:: \\sigma = \\max(\\mathrm{MAD}(\\Delta^2 y) / (0.674\\,\\sqrt 6),\\; q / \\sqrt{12})
     """
@@ -326,19 +309,10 @@ def noise_sigma(y: Floats) -> float:
 
 
 def find_spikes(y: Floats, sigma: float, *, settings: ForceSettings = DEFAULTS) -> tuple[Bools, Floats]:
-    """Impulsive spikes of one or two samples.
+    """Which samples are spikes, of one or two samples, and the signal with a median in their place.
 
-    Parameters
-    ----------
-    y, sigma
-        Load and its noise.
-    settings
-        ``spike_sigmas``, from the median of the five samples around. Slips and corners of a sawtooth stay,
-        because that median follows them.
-
-    Returns
-    -------
-    Which samples are spikes, and the signal with the median in their place.
+    A spike is `spike_sigmas` of the noise from the median of the five samples around. Slips and corners of a
+    sawtooth stay, because that median follows them.
     """
     middle = running_median(y, 5)
     # The corner of a steep sawtooth also lies off the median, by at most two rises between samples.

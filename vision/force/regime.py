@@ -14,27 +14,18 @@ from vision.signals import running_mean
 
 @dataclass(frozen=True)
 class Extremes:
-    """Highest load before and lowest load after the middle of each slip, spikes aside.
+    """Highest load before and lowest load after the middle of each slip, spikes aside."""
 
-    Parameters
-    ----------
-    peak, valley
-        Where, in samples.
-    high, low
-        The load there, averaged over `width` samples.
-    highest, lowest
-        The single largest and smallest sample.
-    width
-        Samples averaged for each slip: a 24th of it, so that a half cosine loses next to nothing.
-    """
-
+    # peak, valley: where, in samples
     peak: Floats
     valley: Floats
+    # high, low: the load there, averaged over `width` samples
     high: Floats
     low: Floats
+    # highest, lowest: the single largest and smallest sample
     highest: Floats
     lowest: Floats
-    width: Ints
+    width: Ints  # samples averaged for each slip: a 24th of it, so that a half cosine loses next to nothing
 
     @property
     def fall(self) -> Floats:
@@ -109,17 +100,7 @@ def _largest(
 
 
 def is_slow(fall: Floats, rise: Floats, settings: ForceSettings) -> Bools:
-    """Slips that take a considerable part of the sticks beside them.
-
-    Parameters
-    ----------
-    fall
-        Length of each slip.
-    rise
-        Length of each stick between two slips, one fewer.
-    settings
-        ``slow_slip``.
-    """
+    """Slips (lengths `fall`) that take a considerable part of the sticks beside them (`rise`, one fewer)."""
     if not rise.size:
         return np.zeros(fall.shape, dtype=bool)
     beside = np.minimum(np.r_[rise[:1], rise], np.r_[rise, rise[-1:]])
@@ -128,40 +109,20 @@ def is_slow(fall: Floats, rise: Floats, settings: ForceSettings) -> Bools:
 
 @dataclass(frozen=True)
 class Regime:
-    """What kind of motion a recording shows.
+    """What kind of motion a recording shows."""
 
-    Parameters
-    ----------
-    name
-        "stick-slip", "oscillation" (rise and fall equally long, both rounded, a narrow line in the spectrum)
-        or "cycles" (rise and fall equally long and both straight).
-    fall_over_rise
-        Median duration of falls over that of rises.
-    line_share
-        Share of the load's variance within 20 % of the frequency of the slips.
-    """
-
+    # "stick-slip", "oscillation" (rise and fall equally long, both rounded, a narrow line in the
+    # spectrum) or "cycles" (rise and fall equally long and both straight)
     name: str
-    fall_over_rise: float
-    line_share: float
+    fall_over_rise: float  # median duration of falls over that of rises
+    line_share: float  # share of the load's variance within 20 % of the frequency of the slips
 
 
 def find_regime(y: Floats, extremes: Extremes, settings: ForceSettings) -> Regime:
     """Stick-slip, or an oscillation, or loading and unloading.
 
-    Parameters
-    ----------
-    y
-        Load without spikes.
-    extremes
-        As from `find_extremes`.
-    settings
-        ``equal_share`` and ``line_share``.
-
-    Notes
-    -----
-    Rises and falls are each fitted by a straight line and by half a cosine. Slow slips of true stick-slip are
-    rounded too, but their sticks are straight.
+    Rises and falls of the load are each fitted by a straight line and by half a cosine. Slow slips of true
+    stick-slip are rounded too, but their sticks are straight.
     """
     rise, fall = extremes.rise, extremes.fall[1:]
     known = (rise >= 4) & (fall >= 2)
@@ -211,12 +172,7 @@ def _line_share(y: Floats, extremes: Extremes) -> float:
 def is_unloading(travel: Floats, extremes: Extremes) -> Bools:
     """Falls during which the crosshead goes back by a fifth of what it went forward before, or more.
 
-    Parameters
-    ----------
-    travel
-        Separation at each sample; where it is not known nothing is unloading.
-    extremes
-        As from `find_extremes`.
+    Where the separation at each sample, `travel`, is not known nothing is unloading.
     """
     place = np.arange(travel.size)
     at_peak, at_valley = (np.interp(at, place, travel) for at in (extremes.peak, extremes.valley))

@@ -16,27 +16,13 @@ from vision.signals import apart, find_maxima, running_median
 
 @dataclass(frozen=True)
 class Slips:
-    """Drops of the load, each between two samples.
+    """Drops of the load, each between two samples."""
 
-    Parameters
-    ----------
-    edge
-        Index of the first sample after the steepest drop.
-    drop
-        Height between the stick lines on both sides there.
-    period
-        Median samples from slip to slip; NaN with fewer than two.
-    threshold
-        Smallest drop kept.
-    threshold_how
-        "noise" (a multiple of it), "gap" (between small and large drops) or "given".
-    """
-
-    edge: Ints
-    drop: Floats
-    period: float
-    threshold: float
-    threshold_how: str
+    edge: Ints  # index of the first sample after the steepest drop
+    drop: Floats  # height between the stick lines on both sides there
+    period: float  # median samples from slip to slip; NaN with fewer than two
+    threshold: float  # smallest drop kept
+    threshold_how: str  # "noise" (a multiple of it), "gap" (between small and large drops) or "given"
 
 
 def find_slips(

@@ -30,26 +30,15 @@ _UNRESOLVED, _PART_WAY = 0.4, 0.5
 
 @dataclass(frozen=True)
 class Corners:
-    """Begin (peak) and end (valley) of each slip, in samples, fractions included.
+    """Begin (peak) and end (valley) of each slip, in samples, fractions included."""
 
-    Parameters
-    ----------
-    peak, valley, middle
-        Begin, end, and where the load is half-way down.
-    drop
-        Height between the stick lines.
-    error
-        Standard error of one corner's place.
-    knee
-        Where the stick before and after changes slope: one more than slips, NaN where it does not.
-    """
-
+    # peak, valley, middle: begin, end, and where the load is half-way down
     peak: Floats
     valley: Floats
     middle: Floats
-    drop: Floats
-    error: Floats
-    knee: Floats
+    drop: Floats  # height between the stick lines
+    error: Floats  # standard error of one corner's place
+    knee: Floats  # where the stick before and after changes slope: one more than slips, NaN where it does not
 
     def transients(self) -> SlipTransients:
         """The stretches between slips and clear of them, in which a low-pass leaves its transients."""
@@ -235,29 +224,17 @@ def _interpolated(u: Floats, index: Ints, level: float, at: Ints) -> Floats:
 
 @dataclass(frozen=True)
 class Signal:
-    """The good samples of a force recording.
+    """The good samples of a force recording."""
 
-    Parameters
-    ----------
-    time, travel
-        Of each sample, s, and of the sample's end, mm.
-    load, clean
-        As recorded and with spikes replaced by their neighbours, N.
-    is_spike
-        Samples that are spikes.
-    sigma
-        Noise of the load, N.
-    damage
-        For each kind of bad sample, how many of them came before each good one.
-    """
-
+    # time, travel: of each sample, s, and of the sample's end, mm
     time: Floats
     travel: Floats
+    # load, clean: as recorded and with spikes replaced by their neighbours, N
     load: Floats
     clean: Floats
-    is_spike: Bools
-    sigma: float
-    damage: dict[str, Ints]
+    is_spike: Bools  # samples that are spikes
+    sigma: float  # noise of the load, N
+    damage: dict[str, Ints]  # for each kind of bad sample, how many of them came before each good one
 
     @classmethod
     def of(cls, force: xr.Dataset, settings: ForceSettings) -> Signal:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -50,7 +50,7 @@ def write_report(
     path
         Where to.
     results
-        What the run found; nothing in it is changed.
+        What the run found. Long records are shown by the minimum and maximum of short intervals.
     facts
         The content of run.json: command, parameters, inputs, versions, warnings, as far as there.
     figures
@@ -58,18 +58,10 @@ def write_report(
     options
         Names of arguments and the command's options to be shown in their place.
 
-    Returns
-    -------
-    The path.
-
     Raises
     ------
     OSError
         Where the file cannot be written.
-
-    Notes
-    -----
-    Long records are decimated for display to the minimum and maximum of short intervals.
     """
     figures = figures_of(results) if figures is None else figures
     named = dict(options or {})
@@ -97,23 +89,10 @@ def render_page(
     facts: Mapping[str, Any],
     **content: Any,
 ) -> Path:
-    """Write a page of these figures under their headings.
+    """Write a page of these figures, of one panel each, under their headings.
 
-    Parameters
-    ----------
-    path
-        Where to.
-    sections
-        Headings with their figures, of one panel each.
-    facts
-        The content of run.json.
-    content
-        ``title``, ``kind``, ``subtitle``, ``answers``, ``warnings``, ``missing``, ``methods``, ``citation``,
-        ``tables``.
-
-    Returns
-    -------
-    The path.
+    `facts` is the content of run.json; `content` holds what else the template shows: title, kind, subtitle,
+    answers, warnings, missing, methods, citation and tables.
     """
     text = _template().render(
         sections=[(heading, [_shown(figure) for figure in part]) for heading, part in sections],
@@ -187,6 +166,10 @@ def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
             arrays.append(store.add(values))
         return places[id(values)]
 
+    picture = None
+    if (image := panel.image) is not None:
+        picture = {edge: getattr(image, edge) for edge in ("left", "right", "top", "bottom")}
+        picture["uri"] = image_uri(image, most_bytes=IMAGE_BYTES)
     return {
         "name": name,
         "xLabel": panel.x_label,
@@ -198,7 +181,7 @@ def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
         "switchable": panel.switchable,
         "wholeNumbers": panel.whole_numbers,
         "commonX": panel.common_x if panel.series else False,
-        "picture": None if panel.image is None else _image_data(panel.image),
+        "picture": picture,
         "bands": [{"low": b.low, "high": b.high, "outline": b.outline} for b in panel.bands],
         "marks": [] if panel.marks is None else [float(f"{t:.8g}") for t in panel.marks.tolist()],
         "arrows": [{"x": a.x, "y": a.y, "label": to_unicode(a.label)} for a in panel.arrows],
@@ -208,13 +191,9 @@ def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
         "firstView": panel.first_view,
         "downwards": panel.downwards,
         "timeDown": panel.time_down,
-        "aspect": _page_aspect(panel),
+        "aspect": 0.75 if panel.time_down else panel.aspect,
         "squarePixels": panel.square_pixels,
     }
-
-
-def _page_aspect(panel: Panel) -> float:
-    return 0.75 if panel.time_down else panel.aspect
 
 
 def _series_data(series: Series, place: Callable[[Floats], int]) -> dict[str, Any]:
@@ -236,11 +215,6 @@ def _series_data(series: Series, place: Callable[[Floats], int]) -> dict[str, An
     if series.low is not None and series.high is not None:
         data |= {"low": place(series.low), "high": place(series.high)}
     return data | ({"text": series.text} if series.text else {})
-
-
-def _image_data(image: Image) -> dict[str, Any]:
-    edges = {name: getattr(image, name) for name in ("left", "right", "top", "bottom")}
-    return edges | {"uri": image_uri(image, most_bytes=IMAGE_BYTES)}
 
 
 def image_uri(image: Image, *, most_bytes: int) -> str:
@@ -370,10 +344,10 @@ def provenance(facts: Mapping[str, Any]) -> list[FactsTable]:
     """Parameters and whether they were given or found, inputs with checksums, versions; what is known."""
     tables = [
         FactsTable("Parameters", ("parameter", "value", "given or found"), tuple(_parameters(facts))),
-        FactsTable("What was found", ("quantity", "value"), tuple(_flat(facts.get("found", {})))),
+        FactsTable("What was found", ("quantity", "value"), tuple(_texts(facts.get("found", {})))),
         FactsTable("Decisions by hand", ("decision", "date"), tuple(_decisions(facts))),
         FactsTable("Inputs", ("file", "bytes", "SHA-256"), tuple(_inputs(facts))),
-        FactsTable("Versions", ("package", "version"), tuple(_flat(facts.get("versions", {})))),
+        FactsTable("Versions", ("package", "version"), tuple(_texts(facts.get("versions", {})))),
         FactsTable("Command", ("command line",), ((str(facts["command"]),),) if "command" in facts else ()),
     ]
     return [table for table in tables if table.rows]
@@ -399,9 +373,15 @@ def _inputs(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
         yield str(item["path"]), str(item["size_bytes"]), digest
 
 
-def _flat(values: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, ...]]:
+def _texts(values: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
+    for name, value in flattened(values, ": "):
+        yield name, f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def flattened(values: Mapping[str, Any], joint: str, before: str = "") -> Iterator[tuple[str, Any]]:
+    """(name, value) of nested mappings, the names joined."""
     for name, value in values.items():
         if isinstance(value, Mapping):
-            yield from _flat(value, f"{before}{name}: ")
+            yield from flattened(value, joint, f"{before}{name}{joint}")
         else:
-            yield f"{before}{name}", f"{value:.6g}" if isinstance(value, float) else str(value)
+            yield f"{before}{name}", value

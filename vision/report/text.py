@@ -141,13 +141,12 @@ def _frames(results: Results) -> Answer | None:
     if results.strip is None:
         return None
     strip = StripMetadata.of(results.strip)
-    bad = {"lost": strip.frames_lost, "blank": strip.frames_blank, "corrupt": strip.frames_corrupt}
-    counts = ", ".join(f"{count} {name}" for name, count in bad.items() if count)
+    bad = _bad_frames(strip)
     return Answer(
         "frames",
         f"{strip.frames_read} of {strip.frames_expected} read",
-        counts or "none lost, blank or corrupt",
-        doubt=any(bad.values()),
+        bad or "none lost, blank or corrupt",
+        doubt=bool(bad),
     )
 
 
@@ -194,9 +193,10 @@ def _video(profile: xr.DataArray, pixel_size_um: float | None) -> str:
         if math.isfinite(strip.tilt_deg)
         else ""
     )
+    bad = f" ({bad})" if (bad := _bad_frames(strip)) else ""
     return (
         f"The edges of the sheets were recorded at {rate}{scale}, {strip.depth_bits} bits deep"
-        f"{_compression(strip.codec)}. In each of {strip.frames_read} frames{_bad_frames(strip)} the "
+        f"{_compression(strip.codec)}. In each of {strip.frames_read} frames{bad} the "
         f"intensity was averaged over {strip.strip_z1 - strip.strip_z0} rows (rows {strip.strip_z0} to "
         f"{strip.strip_z1}, {chosen}) to a profile I(x,t).{lean}"
     )
@@ -212,9 +212,9 @@ def _compression(codec: str) -> str:
 
 
 def _bad_frames(strip: StripMetadata) -> str:
+    """How many frames show nothing, and why; "" for none."""
     bad = {"lost": strip.frames_lost, "blank": strip.frames_blank, "corrupt": strip.frames_corrupt}
-    named = ", ".join(f"{count} {name}" for name, count in bad.items() if count)
-    return f" ({named})" if named else ""
+    return ", ".join(f"{count} {name}" for name, count in bad.items() if count)
 
 
 def _tracking(tracks: xr.Dataset) -> str:

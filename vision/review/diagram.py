@@ -84,8 +84,10 @@ class Diagram:
         return np.concatenate([self.rows(int(row), int(row) + 1) for row in at])
 
     def ridges(self, positions: Positions, rows: slice) -> Ridges:
-        """Candidates in these frames, as the tracking saw them; columns counted from the diagram's first."""
-        return find_ridges(self.rows(rows.start, rows.stop), positions.comb, settings=self.settings)
+        """Candidates in these rows of the positions, as the tracking saw them; columns counted from the
+        diagram's first."""
+        profile = self.rows(positions.first_row + rows.start, positions.first_row + rows.stop)
+        return find_ridges(profile, positions.comb, settings=self.settings)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -265,14 +265,14 @@ def _whole_pixels(x_px: Floats, ridges: Ridges) -> Floats:
 
 
 def _fitted(positions: Positions, start_px: Floats, rows: Ints, diagram: Diagram) -> Floats:
-    """Subpixel positions, as columns of the picture, from whole pixels of the diagram in these rows."""
+    """Subpixel positions, as columns of the picture, from whole pixels in these rows of the positions."""
     comb, facts = positions.comb, positions.track_facts
     fit: FitName = "paper" if facts.fit == "paper" else "sliding"
     x = np.full(len(rows), np.nan)
     for begin in range(0, len(rows), BLOCK):
         part = slice(begin, begin + BLOCK)
         first, last = int(rows[part][0]), int(rows[part][-1]) + 1
-        profile = diagram.rows(first, last)[rows[part] - first]
+        profile = diagram.rows(positions.first_row + first, positions.first_row + last)[rows[part] - first]
         bright = profile if comb.sign > 0 else -profile
         x[part] = fit_sheets(bright, start_px[part, None], fit=fit, window_px=facts.window_px, comb=comb)[0][
             :, 0

@@ -68,6 +68,8 @@ class Positions:
         As numbered from the axis, (sheet,).
     attrs
         Of the tracks: how they were found.
+    first_row
+        Of the run, at which a part of it begins.
     """
 
     frame: Ints
@@ -80,6 +82,7 @@ class Positions:
     side: Ints
     n: Ints
     attrs: Mapping[str, Any]
+    first_row: int = 0
 
     @property
     def sheets(self) -> int:
@@ -145,7 +148,7 @@ class Positions:
     def copied(self, rows: slice) -> Positions:
         """A part that can be changed without changing this."""
         arrays = {name: getattr(self, name)[rows].copy() for name in (*CELLS, "frame", "time_s")}
-        return replace(self, **arrays)
+        return replace(self, **arrays, first_row=self.first_row + rows.start)
 
 
 def _slips_in(tracks: xr.Dataset) -> Floats:
@@ -169,21 +172,26 @@ def read_positions(path: Path, rows: slice = slice(None)) -> Positions:
 
 def positions_of(stored: Stored) -> Positions:
     """What has been read."""
-    arrays, attrs = dict(stored.arrays), dict(stored.attrs)
-    x_px = arrays.pop("x_px")
-    words = {
-        name: np.array([_place(word, known) for word in stored.words.get(name, [""])], np.uint8)
-        for name, known in (("flag", FLAGS), ("why", WHYS))
-    }
+    arrays, shape = stored.arrays, stored.arrays["x_px"].shape
+    attrs = {name: value for name, value in stored.attrs.items() if name not in ("Conventions", "title")}
     return Positions(
-        x_px=x_px,
+        frame=arrays["frame"],
+        time_s=arrays["time_s"],
+        x_px=arrays["x_px"],
         err_px=arrays["x_err_px"],
-        withheld_px=arrays.get("x_withheld_px", np.full(x_px.shape, np.nan, np.float32)),
-        **{name: place[arrays.get(name, np.zeros(x_px.shape, np.uint8))] for name, place in words.items()},
-        **{name: arrays[name] for name in ("frame", "time_s", "side", "n")},
-        attrs=attrs_of_netcdf({k: v for k, v in attrs.items() if k not in ("Conventions", "title")}),
+        withheld_px=arrays.get("x_withheld_px", np.full(shape, np.nan, np.float32)),
+        flag=_codes(stored, "flag", FLAGS),
+        why=_codes(stored, "why", WHYS),
+        side=arrays["side"],
+        n=arrays["n"],
+        attrs=attrs_of_netcdf(attrs),
     )
 
 
-def _place(word: str, words: Sequence[str]) -> int:
-    return words.index(word) if word in words else 0
+def _codes(stored: Stored, name: str, words: Sequence[str]) -> Codes:
+    """Words as places in another list; 0 for those that are not in it."""
+    if name not in stored.arrays:
+        return np.zeros(stored.arrays["x_px"].shape, np.uint8)
+    place = [words.index(word) if word in words else 0 for word in stored.words[name]]
+    codes: Codes = np.array([*place, 0], np.uint8)[stored.arrays[name]]
+    return codes

@@ -83,7 +83,7 @@ class Session:
         self.revision = 0
         self._claim = claim(folder)
         self.trial.sweep()  # what a killed review left
-        self._film_slips: tuple[int, Floats] | None = None
+        self._film_slips: tuple[int, Floats] = (-1, np.empty(0))
         try:
             with reading(folder, "a run folder as track writes it", "run track again"):
                 self._load(tracks)
@@ -434,13 +434,15 @@ class Session:
 
     def film_slips(self) -> list[int]:
         """First frames after the sheets' own steps, whatever the clock."""
-        with self.lock:
-            return sorted({int(frame) for frame in self._frames_at(self._video_slips_s())})
+        return sorted({int(frame) for frame in self._frames_at(self._video_slips_s())})
 
     def _video_slips_s(self) -> Floats:
-        if self._film_slips is None or self._film_slips[0] != self.revision:
-            self._film_slips = self.revision, self.positions.slips_s()
-        return self._film_slips[1]
+        """A second's work for a long film, which nobody else waits for."""
+        revision, found = self._film_slips
+        if revision != self.revision:
+            revision, found = self.revision, self.positions.slips_s()
+            self._film_slips = revision, found
+        return found
 
     def _frames_at(self, seconds: Floats) -> Ints:
         """Numbers of the frames next after these times of the camera's clock."""

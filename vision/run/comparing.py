@@ -28,30 +28,9 @@ PICTURES = ("collapse", "trends")
 def write_comparison(
     found: Comparison, target: Path, origin: Origin, *, overwrite: bool = False, report: bool = True
 ) -> dict[str, Any]:
-    """Write tests.csv, trends.json, all_events.csv, the figures, report.html and run.json.
+    """Write tests.csv, trends.json, all_events.csv, the figures, report.html and run.json, which it returns.
 
-    Parameters
-    ----------
-    found
-        Of `vision.compare`.
-    target
-        The folder.
-    origin
-        For run.json.
-    overwrite
-        Replace an earlier comparison.
-    report
-        Whether report.html is written.
-
-    Returns
-    -------
-    dict
-        What run.json holds.
-
-    Raises
-    ------
-    InputError
-        Where the folder exists (without ``overwrite``) or cannot be written; nothing is left then.
+    Raises: InputError where the folder exists (without `overwrite`) or cannot be written; nothing is left.
     """
     started = time.perf_counter()
     facts = origin.facts() | {

@@ -17,6 +17,7 @@ from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.escaping import harmless, harmless_table
 from vision.files import reading
+from vision.report.page import flattened
 from vision.run.folder import check_new, check_target, run_folder, whole_file
 from vision.run.provenance import write_json
 from vision.run.reading import AGAIN, RunFolder, check_mark, read_json, read_table, tracks_of
@@ -162,19 +163,11 @@ def settings_table(run: RunFolder) -> pd.DataFrame:
         path = run.folder / f"{name}.json"
         if path.exists():
             facts[name] = read_json(path)
-    pairs = list(_flat(facts, ""))
+    pairs = [
+        (name, value if isinstance(value, str) else json.dumps(value, ensure_ascii=False))
+        for name, value in flattened(facts, ".")
+    ]
     return pd.DataFrame(pairs, columns=["name", "value"], dtype=str)
-
-
-def _flat(facts: Mapping[str, Any], above: str) -> list[tuple[str, str]]:
-    pairs: list[tuple[str, str]] = []
-    for name, value in facts.items():
-        if isinstance(value, Mapping):
-            pairs += _flat(value, f"{above}{name}.")
-        else:
-            text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-            pairs.append((f"{above}{name}", text))
-    return pairs
 
 
 def write_csv(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:

@@ -49,20 +49,7 @@ class Overlay:
 
 
 def film_of(run: RunFolder, moved: Path | None = None) -> Path:
-    """The film that the run was made from.
-
-    Parameters
-    ----------
-    run
-        From `read_run`.
-    moved
-        Where the film lies now, if not where it was.
-
-    Raises
-    ------
-    InputError
-        Where it is gone, or another file has its name: size and fingerprint are those in run.json.
-    """
+    """The film that the run was made from, or where it was moved to.  Raises: InputError as `input_of`."""
     inputs = run.facts.get("inputs") or []
     if not inputs or run.tracks is None:
         raise InputError(run.folder, "a run of a video", "no film in its run.json", "give the run of a video")

@@ -89,17 +89,7 @@ def read_run(folder: Path) -> RunFolder:
 def parameters_of(folder: Path, facts: Mapping[str, Any]) -> dict[str, Parameter]:
     """What a run was made with, by the names of the command's options.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-    facts
-        Its run.json.
-
-    Raises
-    ------
-    InputError
-        Where run.json holds none, or something else in their place.
+    Raises: InputError where run.json holds none, or something else in their place.
     """
     known = facts.get("parameters")
     if not isinstance(known, dict) or not all(isinstance(one, dict) for one in known.values()):
@@ -158,21 +148,9 @@ def read_strip(run: RunFolder) -> xr.DataArray:
 
 
 def input_of(folder: Path, known: Mapping[str, Any], moved: Path | None = None) -> Path:
-    """A file that the run was made from.
+    """A file that the run was made from: `known` is its entry in run.json, `moved` where it lies now.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-    known
-        Its entry among run.json's inputs.
-    moved
-        Where it lies now, if not where it was.
-
-    Raises
-    ------
-    InputError
-        Where it is gone, or another file has its name: size and fingerprint are those in run.json.
+    Raises: InputError where it is gone, or another file has its name (by size and fingerprint).
     """
     named = Path(str(known["path"]))
     places = [named, folder.absolute().parent / named] if moved is None else [moved]
@@ -244,7 +222,7 @@ def _check_numbers(tracks: xr.Dataset, path: Path, wanted: str) -> None:
 def stored_kymograph(path: Path) -> tuple[int, np.dtype[Any], tuple[int, int]]:
     """Where in the file of a space-time diagram its values begin, their type and shape (frame, x).
 
-    For whoever reads a part at a time: it is never mapped, as a mapping of a file that shrinks ends the
+    For reading a part at a time: it is never mapped, as a mapping of a file that shrinks ends the
     process.
     Raises: InputError for a damaged file.
     """

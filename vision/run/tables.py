@@ -107,7 +107,7 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
 def netcdf_attrs(attrs: Mapping[str, Any]) -> dict[str, Any]:
     """Attributes as netCDF holds them: lists and tables become JSON, and text that would pass for it.
 
-    Names of files that are not UTF-8 have "?" for what is none.
+    In names of files "?" replaces what is not UTF-8.
     """
     held = {name: _held(value) for name, value in attrs.items() if value is not None}
     return {

@@ -54,16 +54,12 @@ def write_run(
     ----------
     analysis
         Of a video, with or without a force recording, or of a force recording alone.
-    target
-        The run folder.
-    origin
+    target, overwrite
+        The run folder, and whether an earlier one is replaced.
+    origin, facts
         For run.json.
-    overwrite
-        Replace an earlier run folder.
     report
         Whether report.html is written.
-    facts
-        More for run.json.
     decisions
         For corrections.toml, where more is known of them than ``analysis.settings.corrections``.
     beside
@@ -71,8 +67,7 @@ def write_run(
 
     Returns
     -------
-    dict
-        What run.json holds.
+    What run.json holds.
 
     Raises
     ------
@@ -123,7 +118,7 @@ def _shown(
     *,
     report: bool,
 ) -> None:
-    """Pictures and page; an error in them that nobody foresaw is added to `failures` and costs no table."""
+    """Pictures and page; an unexpected error in them is added to `failures` and loses no table."""
     try:
         figures = figures_of(analysis)
         _write_pictures(analysis, folder, figures)

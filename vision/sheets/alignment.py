@@ -55,8 +55,8 @@ class ExpectedSheets:
         Typical spacing.
     view_px
         Left and right end of the picture; sheets expected outside it are missing at hardly any cost.
-    open_ended
-        Whether there may be more sheets beyond the first and the last.
+    open_ends
+        Whether there may be more sheets beyond the first and beyond the last.
     settings
         Costs.
     """
@@ -66,7 +66,7 @@ class ExpectedSheets:
     missing_cost: Floats
     pitch_px: float
     view_px: tuple[float, float]
-    open_ended: bool = True
+    open_ends: tuple[bool, bool] = (False, False)
     settings: TrackingSettings = DEFAULT
 
     def mirrored(self) -> ExpectedSheets:
@@ -78,6 +78,7 @@ class ExpectedSheets:
             log_contrast=self.log_contrast[::-1],
             missing_cost=self.missing_cost[::-1],
             view_px=(-high, -low),
+            open_ends=self.open_ends[::-1],
         )
 
 
@@ -177,8 +178,9 @@ def _align_batch(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
     right = right[::-1, :, ::-1]
     spread = expected.settings.spacing_spread * expected.pitch_px
     limit = expected.settings.spacing_limit
+    tear = expected.settings.tear_fraction / expected.settings.spacing_spread
     steps = _steps(candidates, expected)
-    forward, origin = _pass(pair, left, candidates.x_px, expected.x_px, further, spread, limit, steps)
+    forward, origin = _pass(pair, left, candidates.x_px, expected.x_px, further, spread, limit, tear, steps)
     backward, _ = _pass(
         pair[::-1, :, ::-1],
         right[::-1, :, ::-1],
@@ -187,6 +189,7 @@ def _align_batch(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
         further[:, ::-1],
         spread,
         limit,
+        tear,
         steps,
     )
     backward = backward[::-1, :, ::-1]
@@ -214,8 +217,8 @@ def _pair_costs(candidates: Candidates, expected: ExpectedSheets) -> tuple[Float
     brightness = candidates.log_contrast - _flicker(candidates, expected)[:, None]
     off = brightness[None] - expected.log_contrast[:, None, None]
     cost = np.minimum(off**2 / (2 * costs.brightness_spread**2), BRIGHTNESS_LIMIT)
-    moved = (candidates.x_px[None] - expected.x_px.T[:, :, None]) / (0.5 * pitch)
-    cost += costs.stay_cost / sheets * np.minimum(moved**2, 1.0)
+    moved = np.abs(candidates.x_px[None] - expected.x_px.T[:, :, None]) / (0.5 * pitch)
+    cost += costs.stay_cost / sheets * (np.minimum(moved**2, 1.0) + np.maximum(moved / 4 - 0.5, 0.0))
     relative = np.exp(brightness - np.median(expected.log_contrast)) / 0.5
     false_detection = costs.false_detection_cost * np.clip(relative, 0.3, 1.0)
     low, high = expected.view_px
@@ -229,7 +232,7 @@ def _outside(x: Floats, expected: ExpectedSheets, missing: Floats, false_detecti
     """Cost saved by an alignment that begins with each pair, (N, lists, K), zero or less.
 
     Sheets further to the left that are then expected outside the picture are missing at little cost, and
-    where the comb may go on beyond its first sheet, candidates to the left of that are sheets not known yet.
+    where there may be more sheets beyond the first, candidates to the left of that are sheets not known yet.
     """
     sheet_x, low, crossing = expected.x_px, expected.view_px[0], expected.settings.crossing_cost
     saved = np.maximum(missing - crossing, 0)[:, :MOST_CROSSING]
@@ -243,10 +246,9 @@ def _outside(x: Floats, expected: ExpectedSheets, missing: Floats, false_detecti
             moved = np.nan_to_num(x) - sheet_x[:, n, None]
             gone = (sheet_x[:, None, : min(n, most)] + moved[:, :, None] < low).sum(axis=2)
             out[n] = np.minimum(out[n], -saved[rows, gone])
-    if expected.open_ended:
-        goes_on = sheet_x[:, 0] < low + expected.settings.edge_pitches * expected.pitch_px
+    if expected.open_ends[0]:
         unknown = np.maximum(np.nan_to_num(false_detection) - crossing, 0)[:, :MOST_CROSSING].cumsum(axis=1)
-        out[0, :, 1 : MOST_CROSSING + 1] -= np.where(goes_on[:, None], unknown, 0.0)[:, : x.shape[1] - 1]
+        out[0, :, 1 : MOST_CROSSING + 1] -= unknown[:, : x.shape[1] - 1]
     return out
 
 
@@ -277,6 +279,7 @@ def _pass(
     further: Floats,
     spread_px: float,
     limit: float,
+    tear: float,
     steps: tuple[tuple[int, int], ...],
 ) -> tuple[Floats, NDArray[np.int8]]:
     """Cost of the best alignment ending with each pair, (N, lists, K), and the step it came by (−1: its
@@ -293,7 +296,7 @@ def _pass(
                 continue
             change = x[:, first:high] - x[:, first - b : high - b]
             change -= (sheet_x[:, n] - sheet_x[:, n - a])[:, None]
-            total = _spacing_cost(change, spread_px * float(np.sqrt(a)), limit)
+            total = _spacing_cost(change, spread_px * float(np.sqrt(a)), limit, tear)
             total += best[n - a][:, first - b : high - b]
             if a > 2:
                 total -= _together((missed[:, n] - missed[:, n - a + 1])[:, None], a - 1)
@@ -315,13 +318,16 @@ def _band(pair: Floats) -> Iterator[tuple[int, int]]:
         yield first, max(first + 1, min(count, n + high + 1))
 
 
-def _spacing_cost(change: Floats, spread: float, limit: float) -> Floats:
-    """Huber's function of the change of a spacing (knee at 1.5 spreads), capped; NaN costs the cap too."""
+def _spacing_cost(change: Floats, spread: float, limit: float, tear: float) -> Floats:
+    """Huber's function of the change of a spacing (knee at 1.5 spreads), capped up to a tear, beyond which it
+    grows again: sheets may part, but no part of the comb goes to other sheets' places. NaN costs the cap.
+    """
     size = np.abs(change)
     size /= spread
     near = np.minimum(size, 1.5)
-    cost = near * (size - 0.5 * near)
-    return np.fmin(cost, limit)
+    cost = np.fmin(near * (size - 0.5 * near), limit)
+    cost += 1.5 * np.fmax(size - tear, 0.0)
+    return cost
 
 
 def _trace(forward: Floats, origin: NDArray[np.int8], steps: tuple[tuple[int, int], ...]) -> Ints:

@@ -84,9 +84,11 @@ def identify_sheets(
         Where there are no ridges, or fewer than `sheets`.
     """
     segments = split_segments(ridges, comb, width_px=width_px, settings=settings)
+    carried = carried_px(ridges, comb, settings)
     reference = build_reference(
         segments.candidates,
         segments.length,
+        carried[segments.middle],
         comb,
         width_px=width_px,
         sheets=sheets,
@@ -95,12 +97,12 @@ def identify_sheets(
     )
 
     def aligned(reference: ReferenceComb, rest: Floats) -> Pairing:
-        middle = rest[segments.start + segments.length // 2]
-        open_ended = sheets is None
-        expected = reference.expected(middle, comb, width_px, open_ended=open_ended, settings=settings)
+        middle = rest[segments.middle]
+        counted = sheets is not None
+        expected = reference.expected(middle, comb, width_px, counted=counted, settings=settings)
         return align(segments.candidates, expected)
 
-    rest = np.broadcast_to(reference.x_px, (len(ridges.x_px), reference.sheets))
+    rest = reference.x_px + carried[:, None]
     match = segments.in_frames(aligned(reference, rest).match, ridges.count)
     if sheets is None:
         x = _positions(ridges, match)
@@ -116,6 +118,30 @@ def identify_sheets(
             break
     margin = np.where(match >= 0, pairing.margin[segments.of_frames()], np.nan)
     return Identities(match, margin, rest, reference)
+
+
+def carried_px(ridges: Ridges, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Floats:
+    """How far the whole comb has been carried since the first frame, px, (frame,).
+
+    The sum of the mean steps from each ridge to the nearest one of the next frame, of those within a pixel of
+    their median (positions are whole pixels); where most steps are too large to be told, none.
+    """
+    x = ridges.x_px.astype(np.float64)
+    frames = len(x)
+    apart = 4.0 * (np.nanmax(x, initial=0.0) + comb.pitch_px)  # all frames in one row, far from each other
+    placed = x + apart * np.arange(frames)[:, None]
+    row = placed[np.isfinite(placed)]
+    if not len(row):
+        return np.zeros(frames)
+    sought = placed[:-1] + apart
+    after = np.searchsorted(row, np.nan_to_num(sought))
+    near = np.stack([row[np.clip(after - 1, 0, len(row) - 1)], row[np.clip(after, 0, len(row) - 1)]]) - sought
+    step = np.where(np.abs(near[0]) < np.abs(near[1]), near[0], near[1])
+    told = np.abs(step) < settings.step_fraction * comb.pitch_px
+    most = told.sum(axis=1) > 0.5 * ridges.count[:-1]
+    told &= np.abs(step - nan_median(np.where(told, step, np.nan), axis=1)[:, None]) <= 1.0
+    moved = np.where(told, step, 0.0).sum(axis=1) / np.maximum(told.sum(axis=1), 1)
+    return np.concatenate([[0.0], np.cumsum(np.where(most, moved, 0.0))])
 
 
 def _positions(ridges: Ridges, match: Ints) -> Floats:
@@ -190,6 +216,11 @@ class Segments:
     length: Ints
     place: Ints
     candidates: Candidates
+
+    @property
+    def middle(self) -> Ints:
+        """Middle frame of every segment."""
+        return self.start + self.length // 2
 
     def of_frames(self) -> Ints:
         """Segment of every frame (frame,)."""

@@ -58,7 +58,7 @@ def said_by_neighbours(x_px: Floats) -> Floats:
     sheets = x_px.shape[1]
     if sheets < 3:
         return np.full(x_px.shape, np.nan)
-    place = nan_median(x_px)
+    place = places_in_comb(x_px)
     moved = x_px - place
     pairs = [_between(moved, place, k) for k in range(1, PAIRS + 1)]
     few = np.isfinite(np.stack(pairs)).sum(axis=0) < 2
@@ -66,6 +66,14 @@ def said_by_neighbours(x_px: Floats) -> Floats:
     lines = [np.where(few, line, np.nan) for line in lines]
     said = nan_median(np.stack([*pairs, *lines]))
     return np.asarray(place + said + nan_median(moved - said), np.float64)
+
+
+def places_in_comb(x_px: Floats) -> Floats:
+    """Each sheet's median position less the comb's motion, (N,), also of sheets seen for a short time."""
+    place = nan_median(x_px)
+    for _ in range(3):
+        place = nan_median(x_px - nan_median(x_px - place, axis=1)[:, None])
+    return place
 
 
 def _shifted(values: Floats, by: int) -> Floats:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median, nan_quantile
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import Starts, gather
@@ -85,9 +85,9 @@ def motion_blur(
     contrast, fwhm_px
         Height and width of the ridges (frame, N).
     comb
-        Width of the ridges.
+        Width and pitch of the ridges.
     settings
-        `blur_sigmas`, `blur_fraction`, `blur_error`.
+        The fields `blur_…`.
 
     Returns
     -------
@@ -99,8 +99,10 @@ def motion_blur(
     high; its mean is what was exposed, but the fit follows the higher part, and is off by up to
     :math:`\min(p, 1-p)\,D`: the loss of height times the jump. D is the difference between the frames on
     both sides. Where ridge and jump are about equally wide the two parts merge, the ridge grows wider, and
-    the fit is less far off. Blurred are ridges wider or lower than usual by more than their scatter in a
-    frame in which they moved by more than a fraction of their width.
+    the fit is less far off. Where the jump is about a pitch the second part lies on a neighbour's first and
+    nothing is lower: there sheets of the same frame that moved less tell p. Blurred are ridges wider or lower
+    than usual by more than their scatter in a frame in which they moved by more than a fraction of their
+    width.
     """
     moved = np.zeros_like(x_px)
     moved[1:-1] = np.nan_to_num(np.abs(x_px[2:] - x_px[:-2]))
@@ -118,6 +120,13 @@ def motion_blur(
     )  # too little to be flagged, not too little to matter
     loss = np.clip(1 - np.exp(-np.nan_to_num(lower - nan_median(lower))), 0.0, 0.5)
     apart = moved / comb.fwhm_px
+    over = fast & (moved > settings.blur_overlap * comb.pitch_px)
+    telling = fast & ~over & (apart > 0.5)
+    told = nan_quantile(np.where(telling, loss, np.nan), 0.75, axis=1)[:, None]
+    most = nan_quantile(np.where(telling, excess, np.nan), 0.75, axis=1)[:, None]
+    loss = np.where(over, np.fmax(loss, told), loss)
+    blurred |= over & (most > settings.blur_sigmas)
+    suspect |= over & (most > 0.5 * settings.blur_sigmas)
     share = np.minimum(0.8, apart)  # two parts nearer than a width merge, and the fit takes the middle
     return Blur(blurred, np.where(suspect, settings.blur_error * loss * moved * share, 0.0))
 

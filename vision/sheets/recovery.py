@@ -12,7 +12,7 @@ import numpy as np
 
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median
 from vision.sheets.identities import Identities, fill_rows
-from vision.sheets.neighbours import anchored, excursions, hops, neighbour_residual, torn
+from vision.sheets.neighbours import anchored, excursions, hops, neighbour_residual, places_in_comb, torn
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
@@ -139,7 +139,7 @@ def _doubts(
     why[jump] = "jump"
     why[jump & unlike[:, None]] = "looks"
     why[~(identities.margin >= settings.doubt) & (why != "looks")] = "margin"
-    why[torn(x - identities.rest_px, comb, settings)] = "tear"
+    why[torn(x - places_in_comb(x), comb, settings)] = "tear"
     why[np.isnan(x)] = ""
     return why
 
@@ -250,8 +250,14 @@ def _after_jumps(
     misfit = np.minimum(np.nan_to_num(off) ** 2, LIKE_ITSELF**2).sum(axis=1)
     misfit /= np.maximum(np.isfinite(off).sum(axis=1), 1)
     usual = float(nan_median(misfit[seen][~away[seen]]))
+    # a stay away is one event: all its frames together are believed or not
+    stay = np.r_[0, np.cumsum(away[1:] != away[:-1])]
     worse = np.maximum(misfit / max(usual, settings.least_misfit**2), 1.0)
     whole = nan_median(identities.margin, axis=1)  # of the comb; single sheets may be less certain
+    worse, whole = (
+        (np.bincount(stay, np.nan_to_num(values)) / np.bincount(stay, np.isfinite(whole)))[stay]
+        for values in (np.where(np.isfinite(whole), worse, 0.0), whole)
+    )
     doubt = np.asarray((away & (whole < least * worse))[:, None] & np.isfinite(x), bool)
     return doubt, np.asarray(worse > settings.unlike_itself, bool)
 

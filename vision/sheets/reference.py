@@ -21,7 +21,7 @@ from vision.sheets.settings import DEFAULT, TrackingSettings
 REVISIONS = 4  # of the reference comb, at most; it usually settles after two
 LISTS_USED = 384  # candidate lists: the longest, and others spread over the recording
 
-PRESENT_AT_EDGE = 0.04  # fraction of the frames for a sheet that may have come in or gone out at an edge
+LEAST_IN_VIEW = 0.13  # fraction of the frames: what was in view for less has not been seen often enough
 
 
 @dataclass(frozen=True)
@@ -67,20 +67,25 @@ class ReferenceComb:
         comb: RidgeComb,
         width_px: int,
         *,
-        open_ended: bool = True,
+        counted: bool = False,
         settings: TrackingSettings = DEFAULT,
     ) -> ExpectedSheets:
-        """This comb with its sheets expected at x_px (lists, N)."""
+        """This comb with its sheets expected at x_px (lists, N); unless all are counted, there may be more
+        beyond an end that comes near to the picture's."""
         unseen = -np.log(np.clip(1 - self.found, 1e-3, 1))
         missing = np.clip(unseen, 1.0, settings.missing_cost)
         half = comb.fwhm_px / 2
         view = (half, width_px - 1 - half)
-        return ExpectedSheets(x_px, self.log_contrast, missing, comb.pitch_px, view, open_ended, settings)
+        near = settings.edge_pitches * comb.pitch_px
+        ends = x_px[:, 0].min() < view[0] + near, x_px[:, -1].max() > view[1] - near
+        open_ends = (False, False) if counted else (bool(ends[0]), bool(ends[1]))
+        return ExpectedSheets(x_px, self.log_contrast, missing, comb.pitch_px, view, open_ends, settings)
 
 
 def build_reference(
     candidates: Candidates,
     frames: Ints,
+    carried_px: Floats,
     comb: RidgeComb,
     *,
     width_px: int,
@@ -101,6 +106,8 @@ def build_reference(
         Lists of candidates, one for each undisturbed run of frames.
     frames
         Number of frames each list stands for, (lists,).
+    carried_px
+        How far the whole comb had been carried by then, (lists,).
     comb
         Width, pitch and contrast of the ridges.
     width_px
@@ -123,13 +130,13 @@ def build_reference(
         comb; or no ridge that most frames show.
     """
     chosen = _representative(frames)
-    some, weight = candidates.take(chosen), frames[chosen].astype(np.float64)
+    some, weight, carried = candidates.take(chosen), frames[chosen].astype(np.float64), carried_px[chosen]
     if not np.isfinite(some.x_px).any():
         raise InputError(source, "upright ridges", "none in any frame", "check `rows`, `rotate` and `ridges`")
-    reference = _seed(candidates, frames)
+    reference = _seed(candidates, frames, carried_px, comb.pitch_px)
     for _ in range(REVISIONS):
         filled = _filled(reference, comb.pitch_px)
-        revised = _revise(filled, some, weight, comb, width_px, settings)
+        revised = _revise(filled, some, weight, carried, comb, width_px, settings)
         if not revised.sheets:
             advice = "check `rows` and `rotate`; one picture may be a title among few frames"
             raise InputError(source, "ridges that most frames show", "none that lasts", advice)
@@ -183,17 +190,19 @@ def _representative(frames: Ints) -> Ints:
     return np.asarray(np.unique(np.r_[order[: LISTS_USED // 2], spread]), np.int64)
 
 
-def _seed(candidates: Candidates, frames: Ints) -> ReferenceComb:
-    """The longest list of the commonest number of candidates (counted in frames)."""
+def _seed(candidates: Candidates, frames: Ints, carried_px: Floats, pitch_px: float) -> ReferenceComb:
+    """The longest list of the commonest number of candidates (counted in frames), gaps counted as sheets."""
     x = candidates.x_px
     count = np.isfinite(x).sum(axis=1)
+    gap = np.diff(x, axis=1)
+    count += np.nan_to_num(np.maximum(np.rint(gap / pitch_px) - 1, 0)).sum(axis=1).astype(np.int64)
     total = np.bincount(count, weights=frames)
     total[0] = 0
     of_count = np.flatnonzero(count == np.argmax(total))
     seed = of_count[np.argmax(frames[of_count])]
     real = np.isfinite(x[seed])
     return ReferenceComb(
-        x[seed][real],
+        x[seed][real] - carried_px[seed],
         candidates.log_contrast[seed][real],
         candidates.log_width[seed][real],
         np.ones(real.sum()),
@@ -207,7 +216,7 @@ def _filled(known: ReferenceComb, pitch_px: float) -> ReferenceComb:
     lists do not show goes again; until then it may be missing at little cost.
     """
     x = known.x_px
-    room = np.maximum(np.rint(np.diff(x) / _local_pitch(x, pitch_px)[:-1]).astype(np.int64), 1)
+    room = np.maximum(np.rint(np.diff(x) / pitch_px).astype(np.int64), 1)
     after = np.repeat(np.arange(len(room)), room - 1)
     step = np.concatenate([np.arange(1, size) for size in room]) if len(after) else np.zeros(0)
     places = x[after] + step * (np.diff(x) / room)[after]
@@ -225,38 +234,29 @@ def _revise(
     reference: ReferenceComb,
     candidates: Candidates,
     weight: Floats,
+    carried_px: Floats,
     comb: RidgeComb,
     width_px: int,
     settings: TrackingSettings,
 ) -> ReferenceComb:
     """Add what many lists show and the comb lacks, drop what few show; positions and contrasts anew."""
-    rest = np.broadcast_to(reference.x_px, (len(weight), reference.sheets))
+    rest = reference.x_px + carried_px[:, None]
     match = align(candidates, reference.expected(rest, comb, width_px, settings=settings)).match
     tables = (candidates.x_px, candidates.log_contrast, candidates.log_width)
     x, log_contrast, log_width = (_of_match(values, match) for values in tables)
-    moved = x - reference.x_px
+    moved = x - rest
     found = np.where(np.isfinite(x), weight[:, None], 0).sum(axis=0) / weight.sum()
-    rest_px = reference.x_px + nan_median(moved - nan_median(moved, axis=1)[:, None])
+    common = nan_median(moved, axis=1)
+    rest_px = reference.x_px + nan_median(moved - common[:, None])
     known = (rest_px, nan_median(log_contrast), nan_median(log_width), found)
     more = _unmatched(reference, candidates, match, weight, comb.pitch_px)
     columns = [np.concatenate(pair) for pair in zip(known, more, strict=True)]
-    everything = ReferenceComb(columns[0], columns[1], columns[2], columns[3])
-    everything = everything.only(np.argsort(everything.x_px))
-    found = everything.found
-    place = everything.x_px + np.nan_to_num(np.nanmedian(moved))
-    margin = 0.5 * comb.pitch_px
-    beside = (place < margin) | (place > width_px - 1 - margin)  # else it is seen half of the time
-    least = np.where(_at_ends(found) & beside, PRESENT_AT_EDGE, settings.present_inside)
-    return replace(everything.only(np.flatnonzero(found >= least)), dropped=0)
-
-
-def _at_ends(found: Floats) -> Bools:
-    """Entries outside all those that are certainly sheets."""
-    certain = np.flatnonzero(found >= 0.5)
-    number = np.arange(len(found))
-    if not len(certain):
-        return np.zeros(len(found), bool)
-    return np.asarray((number < certain[0]) | (number > certain[-1]), bool)
+    everything = ReferenceComb(columns[0], columns[1], columns[2], columns[3]).only(np.argsort(columns[0]))
+    place = everything.x_px + (carried_px + np.nan_to_num(common))[:, None]
+    margin = 0.5 * comb.pitch_px  # beside the picture's edge a sheet is seen half of the time
+    in_view = weight @ ((place > margin) & (place < width_px - 1 - margin))
+    share = everything.found * weight.sum() / np.maximum(in_view, LEAST_IN_VIEW * weight.sum())
+    return replace(everything.only(np.flatnonzero(share >= settings.present_inside)), dropped=0)
 
 
 def _unmatched(
@@ -276,7 +276,7 @@ def _unmatched(
     interval += np.maximum(outside[1] - 1, 0).astype(np.int64)
     places, which = np.unique(interval, return_inverse=True)
     share = np.bincount(which, weights=weight[list_], minlength=len(places)) / weight.sum()
-    mine = [which == i for i in np.flatnonzero(share >= PRESENT_AT_EDGE)]
+    mine = [which == i for i in np.flatnonzero(share >= 0.3 * LEAST_IN_VIEW)]
     position = np.array([np.median(rest[m]) for m in mine])
     contrast, width = (
         np.array([np.median(values[list_[m], column[m]]) for m in mine])

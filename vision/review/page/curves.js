@@ -7,7 +7,7 @@ const CASES = { one: 0, near: 2 }; // sheets on either side of the chosen one
 export class Displacement {
   constructor(canvas, view, tiles, page) {
     this.view = view; this.tiles = tiles; this.page = page; this.which = "near";
-    this.surface = new Surface(canvas, { left: 52, right: 8, top: 4, bottom: 6 }, (s, c, colour) => this.draw(s, c, colour));
+    this.surface = new Surface(canvas, { left: 58, right: 8, top: 4, bottom: 6 }, (s, c, colour) => this.draw(s, c, colour));
     alongTime(canvas, this.surface, view);
   }
 
@@ -114,7 +114,7 @@ export function alongTime(canvas, surface, view, { grab = () => null } = {}) {
 export class Force {
   constructor(canvas, view, page) {
     this.view = view; this.page = page;
-    this.surface = new Surface(canvas, { left: 52, right: 8, top: 4, bottom: 20 }, (s, c, colour) => this.draw(s, c, colour));
+    this.surface = new Surface(canvas, { left: 58, right: 8, top: 4, bottom: 20 }, (s, c, colour) => this.draw(s, c, colour));
     alongTime(canvas, this.surface, view, { grab: () => view.tool?.slide?.() ?? null });
   }
 
@@ -189,14 +189,14 @@ export class Stick {
 
   draw(s, c, colour) {
     const { page, view } = this, before = page.stick(view.frame), threshold = page.state.threshold;
-    const after = before && view.effect?.stick?.event === before.event ? view.effect.stick : null;
+    const other = view.effect?.stick, after = other && (!before || other.event === before.event) ? other : null;
     const x = this.place(s);
-    if (!before?.sheets.length) {
+    if (!before?.sheets.length && !after) {
       c.fillStyle = colour.soft; c.textAlign = "center"; c.textBaseline = "middle";
       wrapped(c, before?.reason ?? page.noStick(), 0, s.width, s.height / 2, s.size * 1.3); return;
     }
     // what is far off before or after must not flatten what is right: it is marked at the edge
-    const [values, others] = [after ?? before, before].map((stick) => stick.sheets.map((one) => one.ratio).filter(Number.isFinite));
+    const [values, others] = [after ?? before, before ?? after].map((stick) => stick.sheets.map((one) => one.ratio).filter(Number.isFinite));
     const high = Math.max(2.2 * threshold, 1.12 * Math.min(Math.max(0, ...values), Math.max(0, ...others)));
     const y = s.yAxis(Math.min(-0.04 * high, 1.1 * Math.min(0, ...values)), high, { label: "σₓ/Λₛₜ" });
     this.nAxis(s, c, colour, x);
@@ -205,7 +205,7 @@ export class Stick {
     c.strokeStyle = colour.text; c.setLineDash([6, 4]); c.lineWidth = 1.4; line(c, s.left, y(threshold), s.left + s.plotWidth, y(threshold)); c.setLineDash([]);
     c.fillStyle = colour.text; c.textAlign = "center"; c.textBaseline = "bottom"; c.fillText(`threshold ${threshold}`, s.left + s.plotWidth / 2, y(threshold) - 2);
     s.clipped(() => {
-      this.points(c, before.sheets, x, y, (one) => (one.side < 0 ? colour.left : colour.right), after ? 0.45 : 1);
+      this.points(c, before?.sheets ?? [], x, y, (one) => (one.side < 0 ? colour.left : colour.right), after ? 0.45 : 1);
       if (after) this.points(c, after.sheets, x, y, () => colour.new, 1, 1.4);
     });
     s.frame();

@@ -87,7 +87,7 @@ export class Decisions {
       first: within ? doubt.first : frame,
       stop: within ? doubt.stop : kind === "swap" ? view.end : frame + 1,
       frame, ridge: kind === "add" ? null : this.guess(sheet, doubt),
-      axis: page.state.axis_px, z0, z1, candidate: "", offset: page.state.clock?.offset_s ?? 0, drift: page.state.clock?.drift_ppm ?? 0,
+      axis: Math.round(page.state.axis_px * 10) / 10, z0, z1, candidate: "", offset: page.state.clock?.offset_s ?? 0, drift: page.state.clock?.drift_ppm ?? 0,
     };
   }
 

@@ -4,6 +4,9 @@ import { getBytes, getImage, Store } from "./server.js";
 import { edged, line, ON_GREY, Surface, timeAxis, timeCursor } from "./surface.js";
 
 const NEAR_PX = 14; // a click this near to a track chooses its sheet
+const BESIDE = 0.25; // of the range shown is drawn beside it, too, while it moves
+const STRETCH = 1.5; // so far a drawing of the tracks is stretched before they are drawn anew
+const WAIT_MS = 150; // so long tracks that have arrived wait to be drawn while the range moves
 
 /** Tracks of a stretch of time: rows of a frame's number and every sheet's column; in coarse blocks each interval has two rows, its extremes. */
 class Block {
@@ -65,6 +68,8 @@ export class Tiles {
   constructor(run, arrived) {
     const { rows, columns, factor, levels } = run.tiles;
     Object.assign(this, { run, rows, columns, factor, levels, width: run.columns, revision: 0 });
+    this.arrivals = 0;
+    const drawn = () => { this.arrivals += 1; arrived(); };
     this.pictures = new Store((key) => getImage(`api/kymograph/${key}.png`), arrived, 160);
     this.counts = new Map(); // revision to number of sheets
     this.blocks = new Store(async (key) => {
@@ -72,7 +77,7 @@ export class Tiles {
       const from = this.begin(level, i), to = Math.min(this.begin(level, i + 1), run.first_frame + run.frames);
       const bytes = await getBytes(`api/tracks?first=${from}&stop=${to}&points=${2 * rows}`);
       return new Block(bytes, 1 + this.counts.get(revision), from, to);
-    }, arrived, 160);
+    }, drawn, 160);
   }
 
   /** The tracks are others from now on. */
@@ -123,10 +128,18 @@ export class Tiles {
   }
 }
 
+/** Whether a drawing holds the range, not stretched too far. */
+function within({ first, last, low, high, frames, columns }, view) {
+  const like = (one, other) => one < STRETCH * other && other < STRETCH * one;
+  return first <= view.first && view.last <= last && low <= view.low && view.high <= high
+    && like(view.last - view.first, frames) && like(view.high - view.low, columns);
+}
+
 export class Diagram {
   constructor(canvas, view, tiles, page) {
     this.view = view; this.tiles = tiles; this.page = page; this.tracksShown = true;
-    this.surface = new Surface(canvas, { left: 52, right: 8, top: 4, bottom: 20 }, (s, c, colour) => this.draw(s, c, colour));
+    this.sketch = null; // the tracks as drawn last while the range moves
+    this.surface = new Surface(canvas, { left: 58, right: 8, top: 4, bottom: 20 }, (s, c, colour) => this.draw(s, c, colour));
     this.listen(canvas);
   }
 
@@ -150,7 +163,7 @@ export class Diagram {
     s.clipped(() => {
       c.fillStyle = colour.grid; c.fillRect(s.left, s.top, s.plotWidth, s.plotHeight);
       this.pictures(c, at, level);
-      if (this.tracksShown) this.tracks(c, at, tiles.level((view.settled ? 1 : tiles.factor) / at.perFrame));
+      if (this.tracksShown) this.tracks(c, at);
       this.marks(c, at);
     });
     s.yAxis(view.low, view.high, { grid: false, label: "x (px)" });
@@ -180,13 +193,38 @@ export class Diagram {
     }
   }
 
-  tracks(c, at, level) {
-    const { view, tiles, page } = this, blocks = tiles.tracks(level, view.first, view.last);
+  /** Lines are slow to draw: while the range moves they are drawn now and then, and stretched in between. */
+  tracks(c, at) {
+    const { view, tiles } = this;
+    if (view.settled) { this.sketch = null; this.lines(c, at, tiles.level(1 / at.perFrame), view); return; }
+    const key = `${tiles.revision} ${view.sheet}`, old = this.sketch;
+    const late = old && old.arrivals !== tiles.arrivals && performance.now() - old.when > WAIT_MS;
+    if (!old || late || old.key !== key || !within(old, view)) this.sketch = this.drawn(key, at);
+    const { canvas, first, last, low, high } = this.sketch;
+    const x = at.x(first), y = at.y(high);
+    c.imageSmoothingEnabled = true;
+    c.drawImage(canvas, x, y, at.x(last) - x, at.y(low) - y);
+  }
+
+  /** The tracks of the range and what lies beside it, on a canvas of their own. */
+  drawn(key, at) {
+    const { view, tiles, surface: s } = this, width = view.last - view.first, height = view.high - view.low;
+    const range = { first: view.first - BESIDE * width, last: view.last + BESIDE * width, low: view.low - 0.1 * height, high: view.high + 0.1 * height };
+    const canvas = this.sketch?.canvas ?? document.createElement("canvas");
+    canvas.width = (range.last - range.first) * at.perFrame * s.scale; canvas.height = (range.high - range.low) * at.perColumn * s.scale;
+    const c = canvas.getContext("2d");
+    c.scale(s.scale, s.scale);
+    this.lines(c, { ...at, x: (frame) => (frame - range.first) * at.perFrame, y: (column) => (range.high - column) * at.perColumn }, tiles.level(tiles.factor / at.perFrame), range);
+    return { key, canvas, ...range, frames: width, columns: height, arrivals: tiles.arrivals, when: performance.now() };
+  }
+
+  lines(c, at, level, range) {
+    const { view, tiles, page } = this, blocks = tiles.tracks(level, range.first, range.last);
     const groups = { left: new Path2D(), right: new Path2D(), chosen: new Path2D() };
     const matrix = (block) => new DOMMatrix([at.perFrame, 0, 0, -at.perColumn, at.x(block.from), at.y(0)]);
     const reach = 2 * page.state.pitch_px;
     for (const sheet of page.state.sheets) {
-      if (sheet.x_px < view.low - reach || sheet.x_px > view.high + reach) continue;
+      if (sheet.x_px < range.low - reach || sheet.x_px > range.high + reach) continue;
       const name = sheet.index === view.sheet ? "chosen" : sheet.side < 0 ? "left" : "right";
       groups[name].addPath(curve(blocks, sheet.index, matrix));
     }

@@ -8,7 +8,7 @@ export class Film {
   constructor(canvas, view, page) {
     this.view = view; this.page = page; this.wholePicture = false;
     this.pictures = new Store((frame) => getImage(`api/frame/${frame}.png`), () => this.redraw(), 24);
-    this.surface = new Surface(canvas, { left: 52, right: 8, top: 4, bottom: 4 }, (s, c) => this.draw(s, c));
+    this.surface = new Surface(canvas, { left: 58, right: 8, top: 4, bottom: 4 }, (s, c) => this.draw(s, c));
     this.shown = null; // the last picture that arrived, shown while the next is on its way
     this.listen(canvas);
   }
@@ -78,13 +78,14 @@ export class Film {
       c.setLineDash([9, 4, 2, 4]); c.lineWidth = width; c.strokeStyle = colour; line(c, axis, s.top, axis, s.top + s.plotHeight);
     }
     c.setLineDash([]);
-    for (const { x_px: x } of page.ridges(view.frame)?.candidates ?? []) this.ridge(c, at.x(x), y1);
+    const seen = page.ridges(view.frame);
+    for (const { x_px: x } of seen?.candidates ?? []) this.ridge(c, at.x(x), y1);
     const numbers = [];
     const { side, n } = view.effect?.numbering ?? {}; // as it would be
     for (const known of page.state.sheets) {
       const sheet = side ? { ...known, side: side[known.index], n: n[known.index] } : known;
       const chosen = sheet.index === view.sheet, column = here ? here(sheet.index) : sheet.x_px;
-      const x = at.x(column || sheet.x_px);
+      const x = at.x(column || (seen?.sheets[sheet.index]?.withheld_px ?? sheet.x_px));
       if (x < s.left - 9 || x > s.left + s.plotWidth + 9) continue;
       if (!Number.isNaN(column)) {
         const colour = chosen ? ON_GREY.chosen : sheet.side < 0 ? ON_GREY.left : ON_GREY.right;

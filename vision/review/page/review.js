@@ -55,7 +55,7 @@ class Page {
     this.watch();
     this.tracking().catch((error) => this.failed(error)); // begun before this page was loaded
     getJson("api/film").then((film) => { this.film = film; this.decisions.offer(); this.drawAll(); }, (error) => this.failed(error));
-    setTimeout(() => this.slipsNow(), 500); // a second's work for the program, after the pictures
+    setTimeout(() => { this.slipsNow(); if (state.sticks.length) this.stick(state.sticks[0].first); }, 500); // slow the first time: after the pictures
   }
 
   /** Frames after slips: `slips` by the clock in force, `film` by the sheets' own steps. */
@@ -181,7 +181,7 @@ class Page {
     const waiting = state.decisions.filter((one) => !one.saved).length;
     // decisions are on the disk as soon as the history shows them; saving makes the run's tables follow
     const [kind, text] = this.ended ? ["lost", "The review has ended"]
-      : this.lost ? ["lost", "The program does not answer – trying again …"]
+      : this.lost ? ["lost", "Does not answer – trying again …"]
         : this.saving ? ["open", "Saving …"]
           : state.changed ? ["open", waiting ? `${waiting === 1 ? "1 decision" : `${waiting} decisions`} not in the tables yet` : "The tables hold what was undone"]
             : ["saved", this.savedAt ? `Saved at ${this.savedAt}` : "Tables are up to date"];
@@ -503,10 +503,12 @@ class Page {
   enter() { if (this.decisions.open) this.decisions.keep(); }
 }
 
-/** Hours and minutes of a date, where the reader is. */
+/** Hours and minutes of a date, where the reader is; with its day where that is not today. */
 function clockTime(date) {
-  const at = new Date(date);
-  return Number.isNaN(at.getTime()) ? "" : at.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });
+  const at = new Date(date), two = (value) => String(value).padStart(2, "0"), time = `${two(at.getHours())}:${two(at.getMinutes())}`;
+  if (Number.isNaN(at.getTime())) return "";
+  if (at.toDateString() === new Date().toDateString()) return time;
+  return `${at.getFullYear()}-${two(at.getMonth() + 1)}-${two(at.getDate())} ${time}`;
 }
 
 const page = new Page();

@@ -68,8 +68,7 @@ export class Surface {
 
   /** Where the pointer is: px in the canvas, and whether inside the plot. */
   pointer(event) {
-    const box = this.canvas.getBoundingClientRect();
-    return { x: event.clientX - box.left, y: event.clientY - box.top };
+    return { x: event.offsetX, y: event.offsetY };
   }
 
   frame() {

@@ -1,13 +1,11 @@
 """The pyramid of the space-time diagram: nothing that happened for one frame is lost in it."""
 
-import cv2
 import numpy as np
 import pytest
 import tifffile
-from vision.review.tiles import Tiles, TileSettings
 
 from vision.errors import InputError
-from vision.review.diagram import Diagram
+from vision.review.diagram import Diagram, Tiles, TileSettings
 from vision.sheets import TrackingSettings
 
 FRAMES, COLUMNS = 5000, 700
@@ -95,11 +93,6 @@ def test_made_from_the_file_or_kept_in_memory_a_level_is_the_same(values, make):
 def test_a_tile_that_is_not_there_is_refused(tiles, place):
     with pytest.raises(InputError, match="levels"):
         tiles.part(*place)
-
-
-def test_the_picture_of_a_tile_is_the_tile(tiles):
-    picture = cv2.imdecode(np.frombuffer(tiles.png(1, 0, 0), np.uint8), cv2.IMREAD_UNCHANGED)
-    np.testing.assert_array_equal(picture, tiles.part(1, 0, 0))
 
 
 def test_a_short_film_has_one_level(values, make):
