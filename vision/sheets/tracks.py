@@ -28,7 +28,7 @@ from vision.sheets.quality import (
 )
 from vision.sheets.recovery import Detections, assign_detections
 from vision.sheets.reference import wide_spacings
-from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges
+from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges, no_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import (
     FitChoice,
@@ -122,6 +122,8 @@ def track_sheets(
     comb = describe_ridges(profile, polarity=ridges, sheets=sheets, source=facts.source, settings=settings)
     window = choose_window(comb, window_px, settings=settings)
     candidates = find_ridges(profile, comb, settings=settings)
+    if not candidates.count.any():
+        raise no_ridges(profile, facts.source)
     identities = identify_sheets(
         candidates, comb, width_px=profile.shape[1], sheets=sheets, source=facts.source, settings=settings
     )
