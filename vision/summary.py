@@ -339,7 +339,7 @@ def _axis(found: TrackMetadata) -> str:
         return "given"
     how = {"motion": "found from motion", "geometry": "the middle of the ridges in view"}[found.axis_how]
     if not math.isfinite(found.axis_low_px):
-        return f"{how}; no motion detected"
+        return f"{how}; no motion of the sides against each other found"
     return f"{how}; motion allows {found.axis_low_px:.0f} to {found.axis_high_px:.0f}"
 
 

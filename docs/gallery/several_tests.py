@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from vision.command.main import run
-from vision.experiment import preset, simulate_pull, with_settings
-from vision.experiment.force_file import force_recording, write_force
+from vision.experiment import force_recording, preset, simulate_pull, with_settings, write_force
 from vision.experiment.single_sheets import CyclesTest, DiscTest, write_cycles, write_rheocompass
 from vision.figures import load_figures
 

@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import threading
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -176,21 +175,20 @@ def test_a_full_disk_in_the_middle(tmp_path, analysis, monkeypatch):
 
 def test_a_copy_that_stalls_is_one_line_and_no_hang(tmp_path, monkeypatch):
     """A failure means that a file server which stops answering stops a campaign for ever."""
-    source, released = tmp_path / "film.avi", threading.Event()
+    source, released, answered = tmp_path / "film.avi", threading.Event(), []
     source.write_bytes(bytes(1000))
 
     def stall(source, target):
         Path(target).write_bytes(bytes(500))
-        released.wait(60)
+        answered.append(released.wait(120))
 
     monkeypatch.setattr(shutil, "copyfile", stall)
-    began = time.monotonic()
     with pytest.raises(InputError, match=r"film.avi: expected data .* none for 0 s"):
         copy_or_give_up(source, tmp_path / "copy", stalled_s=0.2)
-    assert time.monotonic() - began < 5
+    assert not answered
     released.set()
     monkeypatch.undo()
-    copy_or_give_up(source, tmp_path / "copy", stalled_s=0.2)
+    copy_or_give_up(source, tmp_path / "copy", stalled_s=60)
     assert (tmp_path / "copy").read_bytes() == bytes(1000)
     with pytest.raises(FileNotFoundError):
-        copy_or_give_up(tmp_path / "none.avi", tmp_path / "copy", stalled_s=0.2)
+        copy_or_give_up(tmp_path / "none.avi", tmp_path / "copy", stalled_s=60)

@@ -28,12 +28,29 @@ FILMS = {
     "shouldered": {"optics.shape": "shouldered", "camera.full_well_e": 4000},
     "dark": {"optics.polarity": "dark", "camera.full_well_e": 4000},
 }
+OTHERS = {
+    "each sheet slips by itself": {"mechanics.model": "sheets"},
+    "12 bits": {"camera.bits": 12, "camera.full_well_e": 30000},
+    "pitch 8 px": {
+        "sheets.count": 60,
+        "sheets.per_side": 30,
+        "sheets.pitch_px": 8,
+        "optics.fwhm_px": 3.5,
+    },
+    "broad and flat": {
+        "camera.width": 900,
+        "sheets.pitch_px": 30,
+        "optics.fwhm_px": 14,
+        "optics.shape": "flat",
+    },
+}
 
 
 @cache
 def drawn(name, fit="sliding", seed=21):
     """Strip, tracks, and errors of displacements (frame, sheet)."""
-    strip, truth = profiles(with_settings(preset("paper", seed=seed), {**SCENE, **FILMS[name]}))
+    changes = {**SCENE, **(FILMS | OTHERS)[name]}
+    strip, truth = profiles(with_settings(preset("paper", seed=seed), changes))
     tracks = track_sheets(strip, fit=fit)
     return strip, tracks, moved(tracks.x_px.values - truth.x_px.values)
 
@@ -57,6 +74,18 @@ def test_predicted_error_is_the_actual_one(name, fit):
     assert 0.6 < certificate.within_error < 0.8
     each = certificate.sheets["error_px"].to_numpy() / rms(error, axis=0)
     assert ((each > 0.65) & (each < 1.45)).all()  # 120 frames tell an error to 6 %, textures differ
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_other_films_are_certified_by_the_fit_of_their_run(name):
+    """Within 15 %; more where a film of a template run is tracked by the sliding fit. Where each sheet slips
+    by itself motion counts for noise, which is said; 2.3 times too large once."""
+    strip, tracks, error = drawn(name, "auto", 72)
+    certificate = certify(strip, tracks, settings=ONE_FILM)
+    alone = name == "each sheet slips by itself"
+    assert 0.85 < certificate.error_px / rms(error) < (1.8 if alone else 1.15)
+    assert certificate.uncertain == alone
+    assert certificate.fit == tracks.attrs["fit"]
 
 
 def test_the_papers_fit_is_certified_with_its_locking():
@@ -217,7 +246,7 @@ def test_where_something_pulls_ridges_the_certificate_says_so(name, tmp_path):
     """A failure means a number that looks sure where dirt, a highlight or a hand shift sheets by more."""
     strip, tracks, error = damaged(name, tmp_path)
     certificate = certify(strip, tracks, settings=ONE_FILM)
-    assert 0.5 < certificate.error_px / rms(error) < 1.7
+    assert 0.65 < certificate.error_px / rms(error) < 1.35
     assert certificate.uncertain
     assert any("pulls" in line for line in certificate.warnings)
     write_certificate(certificate, tmp_path / "out")

@@ -9,12 +9,11 @@ import xarray as xr
 from tests.scenes.slip_trains import as_tracks, sawtooth, slip_sizes, slip_times, sticks_of, tracks
 from vision.clock import Clock, force_slips, synchronise, video_slips
 from vision.errors import InputError
-from vision.experiment import preset, with_settings
-from vision.experiment.force_file import force_recording, write_force
+from vision.experiment import force_recording, preset, truth_of, with_settings, write_force
 from vision.experiment.scene import make_scene
-from vision.experiment.truth import truth_of
 from vision.force import find_stick_slip
 from vision.force.recording import read_force
+from vision.run import plain
 
 STOP_S, OFFSET_S, FRAME_S = 120.0, 31.25, 0.05
 
@@ -202,10 +201,10 @@ def test_a_playback_rate_is_said(recorded):
 
 def test_json_has_the_agreed_names(recorded):
     """A failure means that scripts outside cannot read clock.json."""
-    written = json.loads(json.dumps(synchronise(*recorded).to_json(), allow_nan=False))
+    written = json.loads(json.dumps(plain(synchronise(*recorded)), allow_nan=False))
     names = {"offset_s", "drift_ppm", "residual_ms", "matched", "unmatched_video", "unmatched_force"}
     assert names | {"margin", "status"} <= set(written)
-    given = synchronise(*recorded, offset_s=OFFSET_S).to_json()
+    given = plain(synchronise(*recorded, offset_s=OFFSET_S))
     assert given["margin"] is None
     assert given["status"] == "given"
 

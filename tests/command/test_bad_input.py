@@ -5,7 +5,6 @@ import resource
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import cv2
@@ -47,7 +46,7 @@ def start(*arguments, **options):
 def finish(*arguments, **options):
     """Exit status, standard output and standard error of a process."""
     process = start(*arguments, **options)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=300)
     return process.returncode, out, err
 
 
@@ -155,6 +154,7 @@ def test_what_is_no_recording_is_refused_in_one_line(case, place, frames, capsys
 
 ARGUMENTS = {
     "strip outside": (["--strip", "5:99"], "0:12"),
+    "strip is no range": (["--strip", "rows"], "--strip"),
     "empty strip": (["--strip", "5:5"], "--strip"),
     "columns outside": (["--columns", "170:190"], "0:180"),
     "columns too few": (["--columns", "50:54"], "columns"),
@@ -163,9 +163,18 @@ ARGUMENTS = {
     "one number for frames": (["--frames", "5"], "A:B"),
     "frame rate nan": (["--fps", "nan"], "--fps"),
     "window wider than the picture": (["--window", "999"], "180 columns"),
+    "window over two ridges": (["--window", "31"], "no wider than the ridges' spacing"),
+    "even window": (["--window", "8"], "--window"),
+    "window is no number": (["--window", "wide"], "--window"),
+    "unknown option": (["--stripe", "1:2"], "--stripe"),
+    "unknown option in the file": (["--config", "bad.toml"], "stripe"),
+    "broken file of options": (["--config", "note.txt"], "note.txt"),
+    "unknown polarity": (["--ridges", "grey"], "grey"),
+    "rotation": (["--rotate", "45"], "45"),
     "axis far outside": (["--axis", "5000"], "--axis"),
     "axis is no number": (["--axis", "nan"], "--axis"),
     "pixel size 0": (["--pixel-size", "0"], "--pixel-size"),
+    "negative pixel size": (["--pixel-size", "-1"], "--pixel-size"),
     "second video that is not there": (["other.tif"], "other.tif"),
     "two pixel sizes": (["--scale", "1mm=103px", "--pitch", "0.2mm"], "one of"),
     "scale without pixels": (["--scale", "1mm"], "1mm=103px"),
@@ -185,6 +194,8 @@ ARGUMENTS = {
 def test_arguments_that_do_not_fit_are_refused_in_one_line(case, video, capsys):
     """A failure means that a mistyped option is guessed at or ends in a traceback."""
     arguments, expected = ARGUMENTS[case]
+    note(Path("note.txt"), None)
+    Path("bad.toml").write_text("stripe = '1:2'\n")
     first = [] if case.startswith("video has") else [video]
     assert expected in refused(capsys, *first, *arguments)
 
@@ -236,20 +247,35 @@ def test_a_write_that_fails_leaves_nothing(size, video):
     assert [p.name for p in video.parent.iterdir()] == [video.name]
 
 
+WAITS_WHILE_IT_WRITES = """
+import sys, time
+from vision.command.main import main
+from vision.run import writing
+
+def wait(*_):
+    print("writing", flush=True)
+    time.sleep(600)
+
+writing._write_tables = wait
+main(sys.argv[1:])
+"""
+
+
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_run_leaves_nothing(sent, place, frames):
+def test_an_interrupted_run_leaves_nothing(sent, place, video):
     """A failure means that Ctrl-C, a closed terminal or a time limit leaves rubbish or looks like success."""
-    write_video(place / "long.tif", np.tile(frames, (20, 1, 4)))
-    process = start("long.tif")
-    until = time.monotonic() + 30
-    while not any(p.name.startswith(".long") for p in place.iterdir()) and time.monotonic() < until:
-        time.sleep(0.01)  # until the run folder is being written
-    process.send_signal(sent)
-    out, err = process.communicate(timeout=30)
+    command = [sys.executable, "-c", WAITS_WHILE_IT_WRITES, "comb.tif"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=PLACE
+    ) as process:
+        assert process.stdout.readline() == "writing\n"
+        assert any(p.name.startswith(".comb_tracks") for p in place.iterdir())
+        process.send_signal(sent)
+        out, err = process.communicate(timeout=300)
     assert process.returncode == 130
     assert (out, err.count("\n")) == ("", 1)
     assert "interrupted" in err
-    assert [p.name for p in place.iterdir()] == ["long.tif"]
+    assert [p.name for p in place.iterdir()] == ["comb.tif"]
 
 
 def test_a_reader_that_leaves_is_no_failure(video):
@@ -274,28 +300,37 @@ def test_a_terminal_without_greek_letters_is_no_failure(place):
     status, out, err = finish("force", force, "--out", "run", env=PLACE | {"PYTHONIOENCODING": "ascii"})
     assert (status, "Traceback" in err) == (0, False), err
     assert "median ?F" in out
+    assert Path("run/force.png").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("nowhere", ["2>&-", ">&- 2>&-", "<&- >&- 2>&-", "2>/dev/full"])
-def test_bad_input_is_status_2_also_where_nobody_can_be_told(video, nowhere):
+@pytest.mark.parametrize(
+    ("words", "nowhere"),
+    [
+        ("note.avi", "2>&-"),
+        ("note.avi", "<&- >&- 2>&-"),
+        ("force note.avi", ">&- 2>&-"),
+        ("comb.tif --frobnicate", "2>&-"),
+        ("comb.tif --frobnicate", "2>/dev/full"),
+    ],
+)
+def test_bad_input_is_status_2_also_where_nobody_can_be_told(video, words, nowhere):
     """A failure means that a scheduler which closes the streams takes a bad file for a finished run."""
     note(Path("note.avi"), None)
-    for words in ("note.avi", "comb.tif --frobnicate", "force note.avi"):
-        command = f"{' '.join(COMMAND)} {words} {nowhere}"
-        assert subprocess.call(command, shell=True, env=PLACE, timeout=60) == 2, words
+    command = f"{' '.join(COMMAND)} {words} {nowhere}"
+    assert subprocess.call(command, shell=True, env=PLACE, timeout=300) == 2
 
 
 def test_closed_streams_do_not_end_up_in_the_results(video):
     """A failure means that the first file opened takes the place of standard error, and its messages."""
     command = f"{' '.join(COMMAND)} comb.tif --out run <&- >&- 2>&-"
-    assert subprocess.call(command, shell=True, env=PLACE, timeout=60) == 0
+    assert subprocess.call(command, shell=True, env=PLACE, timeout=300) == 0
     assert Path("run/tracks.csv").read_text().startswith("frame,time_s,index")
 
 
 def test_two_runs_into_one_folder_keep_one_of_them_whole(video):
     """A failure means that a run silently replaces another's results, or that the two are mixed."""
     both = [start(video, "--quiet", "--out", "run") for _ in range(2)]
-    said = [process.communicate(timeout=60)[1] for process in both]
+    said = [process.communicate(timeout=300)[1] for process in both]
     assert sorted(process.returncode for process in both) == [0, 2], said
     assert "a new folder" in "".join(said) or "not empty" in "".join(said)
     assert sorted(p.name for p in video.parent.iterdir()) == ["comb.tif", "run"]

@@ -10,6 +10,8 @@ from vision.command.main import run
 from vision.experiment import preset, simulate, with_settings
 from vision.run.reading import read_json
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):

@@ -10,6 +10,8 @@ import pytest
 from tests.scenes.comb_video import positions, write_video
 from vision.command.main import run
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):

@@ -44,7 +44,7 @@ def test_ctrl_c_ends_it_with_a_whole_run(film, tmp_path):
     with subprocess.Popen([*COMMAND, "a.avi", "--follow", "--out", "out"], **pipes) as process:
         state = process.stderr.readline()
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=300)
     stop.set()
     writer.join()
     assert "8 sheets, noise 0.0" in state

@@ -34,6 +34,17 @@ def test_an_option_is_explained_without_line_breaks(capsys, monkeypatch):
     assert not re.findall(r"^│ {4,}\S.*", capsys.readouterr().out, re.MULTILINE)
 
 
+def test_help_names_every_option_of_the_contract(capsys):
+    """A failure means that a promised option is missing from the help."""
+    assert run(["--help"]) == 0
+    said = capsys.readouterr().out
+    promised = (
+        "strip columns sheets ridges axis fit window pixel-size fps timestamps frames rotate config out"
+    )
+    for option in [*promised.split(), "out", "overwrite", "quiet", "verbose"]:
+        assert f"--{option}" in said
+
+
 def test_help_shows_examples_and_every_command(capsys):
     """A failure means that the examples are swallowed, or that a command is a bare name."""
     assert run(["--help"]) == 0

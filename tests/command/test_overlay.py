@@ -12,6 +12,8 @@ import pytest
 from tests.scenes.comb_video import frames_of, positions, write_video
 from vision.command.main import run
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 FRAMES, BLANK, MARGIN, SCALE = 40, 7, 22, 3  # 161 columns are enlarged threefold
 
 

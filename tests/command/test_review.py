@@ -16,6 +16,8 @@ from vision.command.main import run
 from vision.command.review import settings_of_run
 from vision.review.session import Session
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 HOME = Path(__file__).parents[2]
 
 
@@ -105,8 +107,8 @@ def test_the_address_is_printed_and_ctrl_c_ends_it(folder):
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         address = process.stdout.readline().split()[-1]
         assert address.startswith("http://127.0.0.1:")
-        with urllib.request.urlopen(address, timeout=20) as page:
+        with urllib.request.urlopen(address, timeout=120) as page:
             assert b"<html" in page.read()
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 130
+        assert process.wait(120) == 130
         assert "Traceback" not in process.stderr.read()

@@ -11,6 +11,8 @@ import pytest
 from tests.scenes.comb_video import frames_of, positions, write_video
 from vision.command.main import run
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 
 @pytest.fixture
 def films(tmp_path, monkeypatch):

@@ -15,6 +15,7 @@ import tifffile
 import xarray as xr
 
 from tests.scenes.comb_video import frames_of, positions, write_video
+from vision import pipeline
 from vision.command.main import run
 from vision.run import writing
 
@@ -31,6 +32,9 @@ FILES = {
 }
 LINES = ["sheets", "frames", "positions", "noise", "strip", "ridges", "axis", "clock", "scale"]
 LINES += ["systematic", "results"]
+
+
+pytestmark = pytest.mark.usefixtures("without_pictures")
 
 
 @pytest.fixture
@@ -107,16 +111,23 @@ def test_kymograph_tif_opens_calibrated(video):
 
 def test_the_seconds_of_run_json_are_all_of_them(video, monkeypatch):
     """A failure means that a run that takes long does not say where its time went."""
-    monkeypatch.setattr(writing, "write_report", lambda *_, **__: time.sleep(0.3))
-    started = time.perf_counter()
+    now_s, read = [100.0], pipeline.strip_profile
+
+    def reading(*arguments, **options):
+        now_s[0] += 20
+        return read(*arguments, **options)
+
+    def reporting(*_, **__):
+        now_s[0] += 3
+
+    monkeypatch.setattr(pipeline, "strip_profile", reading)
+    monkeypatch.setattr(writing, "write_report", reporting)
+    monkeypatch.setattr(time, "perf_counter", lambda: now_s[0])  # a clock that only these two move
     assert run([str(video), "--quiet"]) == 0
-    took = time.perf_counter() - started
     seconds = json.loads(Path("comb_tracks/run.json").read_text())["seconds"]
-    assert seconds["pictures and report"] > 0.3
-    parts = sum(value for name, value in seconds.items() if name != "total")
-    assert parts == pytest.approx(seconds["total"], rel=0.05)
-    assert seconds["total"] < took
-    assert seconds["total"] > 0.6 * took
+    assert seconds.pop("total") == 23
+    assert seconds.pop("pictures and report") == 3
+    assert sum(seconds.values()) == max(seconds.values()) == 20
 
 
 def test_run_json_says_what_was_given_and_what_was_found(video):
@@ -157,43 +168,6 @@ def test_a_blank_frame_is_flagged_and_sets_the_exit_status(tmp_path, monkeypatch
     assert (table[table.frame != 30].flag == "ok").all()
 
 
-BAD = {
-    "no such file": (["nothing.avi"], "nothing.avi"),
-    "not a video": (["note.txt"], "note.txt"),
-    "empty": (["empty.avi"], "empty.avi"),
-    "strip outside the frame": (["comb.tif", "--strip", "5:99"], "5:99"),
-    "strip is no range": (["comb.tif", "--strip", "rows"], "--strip"),
-    "fewer ridges than asked": (["comb.tif", "--sheets", "9"], "9 ridges"),
-    "even window": (["comb.tif", "--window", "8"], "--window"),
-    "window over two ridges": (["comb.tif", "--window", "31"], "no wider than the ridges' spacing"),
-    "window is no number": (["comb.tif", "--window", "wide"], "--window"),
-    "constant picture": (["flat.tif"], "flat.tif"),
-    "unknown option": (["comb.tif", "--stripe", "1:2"], "--stripe"),
-    "unknown polarity": (["comb.tif", "--ridges", "grey"], "grey"),
-    "rotation": (["comb.tif", "--rotate", "45"], "45"),
-    "unknown option in the file": (["comb.tif", "--config", "bad.toml"], "stripe"),
-    "broken file of options": (["comb.tif", "--config", "note.txt"], "note.txt"),
-    "negative pixel size": (["comb.tif", "--pixel-size", "-1"], "--pixel-size"),
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_bad_input_ends_in_one_line_and_status_2(case, video, tmp_path, capsys):
-    """A failure means a traceback, a silent guess or half a result for bad input."""
-    (tmp_path / "note.txt").write_text("This is not a video.\n" * 10)
-    (tmp_path / "empty.avi").write_bytes(b"")
-    (tmp_path / "bad.toml").write_text("stripe = '1:2'\n")
-    write_video(tmp_path / "flat.tif", np.full((5, 12, 60), 90, np.uint8))
-    before = set(tmp_path.iterdir())
-    arguments, named = BAD[case]
-    assert run(arguments) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
-    assert named in said.err
-    assert set(tmp_path.iterdir()) == before
-
-
 def test_an_earlier_run_is_kept_unless_told_otherwise(video, capsys):
     """A failure means that results are overwritten."""
     assert run([str(video), "--quiet"]) == 0
@@ -207,34 +181,8 @@ def test_an_earlier_run_is_kept_unless_told_otherwise(video, capsys):
     assert Path("comb_tracks/run.json").read_bytes() != stamp
 
 
-def test_help_names_every_option_of_the_contract(capsys):
-    """A failure means that a promised option is missing from the help."""
-    assert run(["--help"]) == 0
-    said = capsys.readouterr().out
-    for option in [
-        "strip",
-        "columns",
-        "sheets",
-        "ridges",
-        "axis",
-        "fit",
-        "window",
-        "pixel-size",
-        "fps",
-        "timestamps",
-        "frames",
-        "rotate",
-        "config",
-        "out",
-        "overwrite",
-        "quiet",
-        "verbose",
-    ]:
-        assert f"--{option}" in said
-
-
 def test_the_checkout_s_cli_runs_as_a_process(video):
-    """A failure means that `python cli.py` or its exit status is broken."""
+    """A failure means that `python cli.py` or its exit status is broken, or pictures empty."""
     root = Path(__file__).parents[2]
     done = subprocess.run(
         [sys.executable, str(root / "cli.py"), str(video)],
@@ -246,6 +194,8 @@ def test_the_checkout_s_cli_runs_as_a_process(video):
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert done.stdout.count("\n") == len(LINES)
+    sizes = {file.name: file.stat().st_size for file in Path("comb_tracks").iterdir()}
+    assert min(sizes[name] for name in ("overview.png", "kymograph.png", "report.html")) > 10_000
 
 
 def test_a_checksum_covers_every_byte_of_the_film(video):

@@ -14,6 +14,8 @@ from vision.command.main import run
 from vision.force import find_stick_slip
 from vision.models import fit_models
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 COLUMNS = [
     "event",
     "t_v_s",
@@ -37,7 +39,7 @@ def force(file: Path, *options: str) -> int:
 
 @pytest.fixture(scope="module")
 def test() -> Test:
-    return realistic(d1=17.5, noise=0.2)
+    return realistic(d1=15.5, noise=0.2)
 
 
 @pytest.fixture
@@ -77,7 +79,7 @@ def test_run_folder(file: Path, test: Test, capsys: pytest.CaptureFixture[str]) 
     assert facts["parameters"]["d0"] == {"value": 13, "how": "given"}
     assert facts["force"]["separation_from"] == "displacement"
     assert len(facts["inputs"][0]["sha256"]) == 64
-    assert (folder / "force.png").stat().st_size > 10_000
+    assert (folder / "force.png").is_file()
     assert "μ 0.89" in capsys.readouterr().out
 
 
@@ -86,6 +88,8 @@ def test_an_existing_run_is_kept(file: Path, capsys: pytest.CaptureFixture[str])
     assert force(file, "--d0", "13", "--quiet") == 0
     assert force(file, "--d0", "13", "--quiet") == 2
     assert "--overwrite" in capsys.readouterr().err
+    lines = file.read_text(encoding="utf-8-sig").splitlines()
+    file.write_text("\n".join(lines[: len(lines) // 3]), encoding="utf-8-sig")
     assert force(file, "--d0", "13", "--quiet", "--overwrite", "--detection-limit") == 0
     facts = json.loads(Path("pull_force/run.json").read_text(encoding="utf-8"))
     assert 0.2 < facts["detection_limit"]["limit_N"] < 3

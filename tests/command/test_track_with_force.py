@@ -10,6 +10,8 @@ import xarray as xr
 
 from vision.command.main import run
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 PAPER = Path(__file__).parents[2] / "fixtures" / "paper"
 VIDEO = [
     str(PAPER / "video.avi"),

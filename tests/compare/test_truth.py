@@ -7,9 +7,8 @@ import pytest
 import vision
 from tests.compare.scenes import campaign, events, write_campaign, write_run
 from vision.comparison import CompareSettings
-from vision.comparison.irregular import find_irregular
 from vision.comparison.tests import read_tests
-from vision.comparison.trends import find_trends
+from vision.comparison.trends import find_irregular, find_trends
 from vision.models import equations
 from vision.sample import Sample
 
@@ -152,6 +151,72 @@ def test_one_friction_coefficient_for_four_velocities(tmp_path):
     assert joint.at_limit == ()
     assert joint.disagreement < 4
     assert joint.amplitude.value == pytest.approx(0.34, abs=3 * joint.amplitude.error)
+
+
+def measured_wrongly(folder, rng, *, stated):
+    """Four tests of one sheet that is 2 % thicker or thinner than told, each with a d0 off by 0.1 mm."""
+    folders = []
+    errors = {"input_errors": {"thickness_mm": 0.002, "d0_mm": 0.1}} if stated else {}
+    true = Sample(thickness_mm=0.1 + 0.002 * rng.standard_normal())
+    for k in range(4):
+        made = events(sample=true, step=0.15, seed=int(rng.integers(1 << 30)))
+        made[["d_v_mm", "d_p_mm"]] += 0.1 * rng.standard_normal()
+        folders.append(write_run(folder / str(k), made, models=errors))
+    return vision.compare(folders).joint[0]
+
+
+def test_errors_of_the_geometry_and_of_d0_are_in_that_of_the_joint_mu(tmp_path):
+    """A failure means a joint μ that is stated ten times better than thickness and d0 are known."""
+    off = {}
+    for stated in (True, False):
+        rng = np.random.default_rng(5)
+        joint = [measured_wrongly(tmp_path / f"{stated}{k}", rng, stated=stated).mu for k in range(10)]
+        total = [np.hypot(one.error, np.nan_to_num(one.systematic_error)) for one in joint]
+        off[stated] = np.array([one.value - 0.89 for one in joint]) / total
+        if stated:
+            shared = np.array([one.systematic_error for one in joint])
+            own = np.array([one.error for one in joint])
+    assert shared == pytest.approx(0.0178, rel=0.1)  # μ ε is what the peaks give
+    assert (own < 0.01).all()  # d0: 0.0067 each, halved by four tests, or the scatter that it leaves
+    assert 0.6 < np.sqrt(np.mean(off[True] ** 2)) < 1.6  # 10 draws
+    assert np.sqrt(np.mean(off[False] ** 2)) > 2  # scatter between the tests shows d0, nothing the thickness
+
+
+def three_samples(rng, *, apart, slope=0.0):
+    """(table, shared): nine tests of three samples whose thickness is known to 2 %; with `apart` each sample
+    has its own range of n_test."""
+    n_test = np.array([9, 11, 13, 16, 18, 20, 23, 25, 27.0])
+    order = np.arange(9) if apart else rng.permutation(9)
+    n_test = n_test[order]
+    shared = np.kron(np.eye(3), np.ones(3)) * 0.0178
+    mu = 0.87 + slope * (n_test - 18) + 0.002 * rng.standard_normal(9) + rng.standard_normal(3) @ shared
+    names = {"N_hat_N": np.nan, "N_hat_err_N": 1.0, "Lambda_hat_mm": np.nan, "Lambda_hat_err_mm": 1.0}
+    columns = {"n_test": n_test, "RH_percent": rng.uniform(28, 55, 9), "mu": mu, "mu_err": 0.002}
+    return pd.DataFrame(columns | names), {"mu": shared}
+
+
+def test_samples_of_unlike_thickness_make_no_trend():
+    """A failure means that an error of the geometry, which a whole sample shares, is taken for ageing."""
+    rng, settings = np.random.default_rng(11), CompareSettings(draws=300)
+    claims = {True: 0, False: 0}
+    for _ in range(60):
+        table, shared = three_samples(rng, apart=True)
+        for known in claims:
+            found = find_trends(table, settings, shared=shared if known else None)
+            claims[known] += next(t for t in found if (t.quantity, t.predictor) == ("mu", "n_test")).claimed
+    assert claims[True] <= 6
+    assert claims[False] > 15
+
+
+def test_a_trend_within_the_samples_is_claimed_all_the_same():
+    """A failure means that the errors of the geometry hide what they cannot have made."""
+    rng, settings = np.random.default_rng(12), CompareSettings(draws=300)
+    claims = 0
+    for _ in range(20):
+        table, shared = three_samples(rng, apart=False, slope=0.006)
+        found = find_trends(table, settings, shared=shared)
+        claims += next(t for t in found if (t.quantity, t.predictor) == ("mu", "n_test")).claimed
+    assert claims >= 12
 
 
 def test_offsets_beyond_the_limit_are_said(tmp_path):

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from vision.deformation.creep import frames_of_sticks
-from vision.deformation.pixel_locking import correct_pixel_locking, pixel_locking_slope
+from vision.deformation.creep import correct_pixel_locking, frames_of_sticks, pixel_locking_slope
 from vision.deformation.settings import DeformationSettings
 
 SETTINGS = DeformationSettings()

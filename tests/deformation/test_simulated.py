@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from vision.deformation import horizontal_deformation
-from vision.experiment import preset, profiles, with_settings
-from vision.experiment.force_file import force_recording, write_force
+from vision.experiment import force_recording, preset, profiles, with_settings, write_force
 from vision.experiment.scene import make_scene
 from vision.force import find_stick_slip
 from vision.force.recording import read_force

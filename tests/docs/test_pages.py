@@ -20,7 +20,7 @@ def test_the_pages_build_without_warnings_and_hold_every_name_of_the_pipeline(tm
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=600,
     )
     assert done.returncode == 0, done.stderr
     page = (tmp_path / "pages" / "api.html").read_text(encoding="utf-8")

@@ -10,8 +10,7 @@ import pytest
 import xarray as xr
 
 import vision
-from vision.experiment import preset, profiles, with_settings
-from vision.experiment.force_file import force_recording, write_force
+from vision.experiment import force_recording, preset, profiles, with_settings, write_force
 from vision.experiment.scene import Scene, make_scene
 from vision.models import equations
 from vision.sheets import track_sheets

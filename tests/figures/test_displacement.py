@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from tests.scenes.report_data import make_tracks, sawtooth
-from vision.figures.displacement import origin_px, outer_less_inner_px, outward_px
-from vision.figures.video import outer_inner_figure, tracks_figure
+from vision.figures.positions import (
+    origin_px,
+    outer_inner_figure,
+    outer_less_inner_px,
+    outward_px,
+    tracks_figure,
+)
 
 SHEETS, JUMP_PX = 12, 4.0
 

@@ -12,10 +12,9 @@ from matplotlib.figure import Figure as Page
 from matplotlib.font_manager import FontProperties, findfont, get_font
 
 from tests.scenes.report_data import make_tracks, sawtooth
-from vision.figures import figures_of
+from vision.figures import figures_of, noise_figure, space_time_figure, tracks_figure
 from vision.figures.drawing import label_step, picture_style
 from vision.figures.force import clocks_figure
-from vision.figures.video import noise_figure, space_time_figure, tracks_figure
 
 
 def test_the_same_figure_gives_the_same_file(tmp_path):
@@ -56,7 +55,7 @@ def test_pyplot_is_not_imported_unless_it_is_used():
 import sys
 import numpy as np
 from tests.scenes.report_data import make_tracks, sawtooth
-from vision.figures.video import tracks_figure
+from vision.figures import tracks_figure
 figure = tracks_figure(make_tracks(sawtooth(30, 4)))
 assert "matplotlib" not in sys.modules
 figure.plot()

@@ -19,7 +19,7 @@ from vision.figures import (
 )
 from vision.figures.deformation import shells_figure
 from vision.figures.force import clocks_figure
-from vision.figures.video import tracks_figure
+from vision.figures.positions import tracks_figure
 
 
 def test_tables_hold_the_drawn_numbers(pulled):

@@ -7,8 +7,8 @@ import pytest
 
 from tests.scenes.report_data import make_tracks, sawtooth
 from vision.figures import figures_of, force_overview_figure
-from vision.figures.displacement import outward_px
 from vision.figures.force import ZOOMED_EVENTS, clocks_figure, force_figure, sticks_figure
+from vision.figures.positions import outward_px
 from vision.report.text import methods
 
 JUMP_PX = 4.0

@@ -9,10 +9,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure as Page
 
-from vision.figures import decimate, kymograph_figure, video
+from vision.figures import decimate, kymograph_figure, spacetime
 from vision.figures.drawing import MOST_LINES
+from vision.figures.spacetime import grey_limits
 from vision.figures.style import MISSING
-from vision.figures.video import grey_limits
 
 
 def draw_kymograph(ax, diagram, *, slips_s=None):
@@ -129,7 +129,7 @@ def test_a_gap_in_time_stays_empty(ax):
 
 def test_long_recordings_are_averaged_not_thinned(monkeypatch):
     """A failure means that most rows of a long recording are not in the picture at all."""
-    monkeypatch.setattr(video, "MOST_ROWS", 20)
+    monkeypatch.setattr(spacetime, "MOST_ROWS", 20)
     monkeypatch.setattr(decimate, "_ROWS_AT_ONCE", 3)
     diagram = diagram_of(60)
     diagram[9:12] = np.nan

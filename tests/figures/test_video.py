@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from tests.scenes.report_data import make_profile, make_tracks, sawtooth
-from vision.figures import overview
-from vision.figures.video import (
-    MOST_POINTS,
+from vision.figures import (
     frame_figure,
     noise_figure,
+    overview,
     pixel_locking_figure,
     space_time_figure,
     tracks_figure,
 )
+from vision.figures.positions import MOST_POINTS
 
 JUMP_PX = 4.0
 
@@ -95,7 +95,7 @@ def test_the_noise_of_each_sheet_is_that_of_the_tables(tracks):
     """A failure means that noise is shown for the wrong sheet or in the wrong unit."""
     tracks = tracks.assign(x_noise_px=("sheet", np.arange(10) / 100))
     figure = noise_figure(tracks, pixel_size_um=10.0)
-    measured = by_label(figure)["measured"]
+    measured = by_label(figure)["from frame to frame"]
     assert measured.x.tolist() == [-5, -4, -3, -2, -1, 1, 2, 3, 4, 5]
     np.testing.assert_allclose(measured.y, np.arange(10) / 10)
 

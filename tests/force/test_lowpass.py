@@ -8,13 +8,11 @@ import pytest
 
 from tests.scenes.sawtooth import Test, plain, realistic, recording
 from vision.errors import InputError
-from vision.experiment import simulate_pull, with_settings
-from vision.experiment.force_file import force_recording
-from vision.experiment.presets import preset
+from vision.experiment import force_recording, preset, simulate_pull, with_settings
 from vision.force import find_stick_slip, read_force
-from vision.force.corners import find_corners
 from vision.force.lowpass import deconvolve_lowpass, estimate_lowpass
 from vision.force.slips import find_slips
+from vision.force.sticks import find_corners
 from vision.models import fit_models
 
 FAST = {"speed": 10.0, "rate": 2000.0, "noise": 0.05, "d1": 13.8, "slip_s": 0.005}

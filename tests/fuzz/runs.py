@@ -17,7 +17,7 @@ from tests.fuzz.cases import SECONDS, Failure, HangError, alarm
 from tests.fuzz.mutations import mutated
 from tests.scenes.comb_video import frames_of, write_video
 from tests.scenes.comb_video import positions as truth
-from vision.command.failures import outcome
+from vision.command.console import outcome
 from vision.command.main import run as track
 from vision.command.review import settings_of_run
 from vision.review import tracks_file

@@ -29,7 +29,7 @@ FRAMES = {"old": 150, "new": 200}
 SHEETS = 8
 FILES = ("run.json", "tracks.csv", "tracks.nc", "sheets.csv", "kymograph.tif", "overview.png", "figures.npz")
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-LIMIT_S = 60
+LIMIT_S = 300
 
 
 def without_pictures():

@@ -187,6 +187,24 @@ def test_doubtful_units_are_said() -> None:
     assert not any("units" in line for line in fit(made).warnings)
 
 
+def test_centimetres_that_nobody_declared_are_refused() -> None:
+    """A failure means μ with a small error from a file that states no unit and whose numbers contradict mm.
+
+    In a file that says mm it is a warning: the header may be right, and another thing wrong.
+    """
+    made = events()
+    shorter = {name: 13 + 0.1 * (made[name] - 13) for name in ("d_v_mm", "d_p_mm")}
+    stiffness = {name: 10 * made[name] for name in ("K_N_per_mm", "K_err_N_per_mm")}
+    read = made.assign(**shorter, **stiffness)
+    assumed = MADE.assign_attrs(notes=['"displacement" has no unit: displacement taken in mm'])
+    with pytest.raises(InputError, match=r"in cm it agrees \(μ = 0.89.*displacement=NAME:cm"):
+        fit_models(assumed, read)
+    found = fit_models(MADE, read)
+    assert any("in cm it agrees" in line for line in found.warnings)
+    for right in (fit_models(assumed, made), fit_models(assumed, made.assign(F_p_N=made["F_p_N"] + 20))):
+        assert not any("agrees" in line for line in right.warnings)
+
+
 def test_peaks_that_do_not_fall_with_separation_are_refused() -> None:
     """A failure means a traceback where the friction coefficient is not determined."""
     made = events()

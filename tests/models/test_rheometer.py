@@ -129,12 +129,12 @@ def test_missing_and_binary_files(tmp_path: Path) -> None:
 
 def test_long_lines_of_rubbish_take_no_time(tmp_path: Path) -> None:
     """A failure means a pattern that backtracks exponentially."""
-    start = time.perf_counter()
+    start = time.process_time()
     for times in (100, 20_000):
         rubbish = "Torque [mN·m], " + "((((" * times + "_in_in_in" * times + "\n" + "1,2,3" * times
         with pytest.raises(InputError):
             read_rheometer(_write(tmp_path / "t.csv", rubbish, ""))
-    assert time.perf_counter() - start < 5
+    assert time.process_time() - start < 60  # 0.1 s here
 
 
 def _without_torque(text: str) -> str:

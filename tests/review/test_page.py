@@ -14,7 +14,7 @@ import pytest
 import xarray as xr
 
 from tests.scenes import doubted as scene
-from tests.scenes.browser import chromium
+from tests.scenes.browser import PATIENCE_MS, chromium
 from tests.scenes.reviewed import SETTINGS
 from tests.scenes.served import Served, Started
 from vision.command.review import settings_of_run
@@ -23,7 +23,6 @@ from vision.review.session import Session
 from vision.run import Origin, Parameter, write_run
 from vision.run.reading import read_run
 
-PATIENCE_MS = 60_000  # the machine may be busy
 SHOTS = os.environ.get("SHEETVISION_SCREENSHOTS")
 
 

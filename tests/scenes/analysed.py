@@ -14,8 +14,7 @@ import xarray as xr
 
 from vision.clock import Clock
 from vision.deformation import horizontal_deformation
-from vision.experiment import Camera, Experiment, profiles
-from vision.experiment.force_file import force_recording, write_force
+from vision.experiment import Camera, Experiment, force_recording, profiles, write_force
 from vision.experiment.scene import make_scene
 from vision.force import find_stick_slip
 from vision.force.recording import read_force

@@ -13,6 +13,8 @@ import pytest
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 REQUIRED = os.environ.get("SHEETVISION_BROWSER") == "required"  # set by .ci/run where Chromium is installed
 
+PATIENCE_MS = 120_000  # on a machine that does much else
+
 
 @contextmanager
 def chromium() -> Iterator[Any]:
@@ -25,7 +27,7 @@ def chromium() -> Iterator[Any]:
         _without("no chromium on this machine: apt-get install chromium")
     with sync_playwright() as driver:
         options = ["--no-sandbox", "--disable-background-networking"]
-        opened = driver.chromium.launch(executable_path=CHROMIUM, args=options)
+        opened = driver.chromium.launch(executable_path=CHROMIUM, args=options, timeout=PATIENCE_MS)
         yield opened
         opened.close()
 

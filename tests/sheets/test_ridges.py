@@ -5,7 +5,8 @@ import pytest
 from scipy.signal import find_peaks
 
 from tests.scenes.combs import CONTRAST, comb, ridges, strip
-from vision.sheets.ridges import describe_ridges, find_maxima, find_ridges, profile_noise
+from vision.sheets.ridges import describe_ridges, find_ridges, profile_noise
+from vision.signals import find_maxima
 
 FRAMES, SHEETS, PITCH, FWHM = 40, 16, 20.0, 7.0
 
@@ -79,13 +80,13 @@ def test_maxima_are_those_of_scipy(seed):
     if seed % 2:
         line += rng.normal(0, 1, length).astype(np.float32)
     reach, widest, least = int(rng.integers(4, 40)), int(rng.integers(1, 8)), rng.uniform(0.1, 3)
-    whole = find_maxima(line, least_prominence=least, reach_px=length)
-    near = find_maxima(line, least_prominence=least, reach_px=reach, widest_px=widest)
+    whole = find_maxima(line, least_prominence=least, reach=length)
+    near = find_maxima(line, least_prominence=least, reach=reach, widest=widest)
     for found, limits in ((whole, {}), (near, {"wlen": 2 * reach + 1, "plateau_size": (1, widest)})):
         at, facts = find_peaks(line, prominence=least, width=0.0, rel_height=0.5, **limits)
         np.testing.assert_array_equal(found.at, at)
         np.testing.assert_array_equal(found.prominence, facts["prominences"])
-        np.testing.assert_allclose(found.width_px, facts["widths"], atol=1e-11)
+        np.testing.assert_allclose(found.width, facts["widths"], atol=1e-11)
 
 
 @pytest.mark.parametrize("sheets", [3, 4, 5])

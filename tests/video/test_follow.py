@@ -25,9 +25,33 @@ QUICK = VideoSettings(
     follow_give_up_s=1.0,
     follow_first=20,
     follow_margin=8,
-    follow_tell_s=0.1,
+    follow_tell_s=0.0,
 )
 COUNT = 200
+PATIENCE_S = 120  # on a machine that does much else
+
+
+class Clock:
+    """The follower's seconds, which stand while the camera writes: a pause of a busy machine ends no film."""
+
+    def __init__(self):
+        self._shown, self._looked, self.stands = 0.0, time.monotonic(), lambda: False
+
+    def monotonic(self):
+        now, stands = time.monotonic(), self.stands()
+        self._shown += 0.0 if stands else now - self._looked
+        self._looked = now
+        return self._shown
+
+    def time(self):
+        return time.time()
+
+
+@pytest.fixture(autouse=True)
+def clock(monkeypatch):
+    made = Clock()
+    monkeypatch.setattr("vision.video.follow.time", made)
+    return made
 
 
 @pytest.fixture(scope="module")
@@ -82,11 +106,13 @@ GROWING = {
 }
 
 
-def copy_slowly(source, target, *, pieces=12, pause_s=0.04):
-    """As a camera writes: pieces that end anywhere inside a frame."""
+def copy_slowly(source, target, seen=None, *, pieces=12, pause_s=0.04):
+    """As a camera writes: pieces that end anywhere inside a frame; half of them once the first was seen."""
     data = source.read_bytes()
     with target.open("wb", buffering=0) as out:
-        for part in np.array_split(np.frombuffer(data, np.uint8), pieces):
+        for n, part in enumerate(np.array_split(np.frombuffer(data, np.uint8), pieces)):
+            if n == pieces // 2 and seen is not None:
+                assert seen.wait(PATIENCE_S)
             out.write(part.tobytes())
             time.sleep(pause_s)
 
@@ -97,10 +123,11 @@ def write_images(frames, folder):
         time.sleep(0.002)
 
 
-def followed(path, write, *arguments, follow=None, **how):
+def followed(clock, path, write, *arguments, follow=None, **how):
     """The strip of a recording that another thread writes meanwhile."""
     follow = follow or Follow()
     writer = threading.Thread(target=write, args=arguments)
+    clock.stands = writer.is_alive
     writer.start()
     try:
         video = await_video(path, lambda: open_video(path, **how), follow, QUICK)
@@ -118,44 +145,47 @@ def same(strip, whole):
 
 
 @pytest.mark.parametrize("name", GROWING)
-def test_a_growing_film_gives_what_the_whole_one_gives(name, tmp_path, frames):
+def test_a_growing_film_gives_what_the_whole_one_gives(name, clock, tmp_path, frames):
     """A failure means that frames are lost, doubled or half-written where the file was opened again."""
     (tmp_path / "whole").mkdir()
     whole = GROWING[name](tmp_path / "whole" / name, frames)
     target = tmp_path / name
     if whole.with_suffix(".cih").exists():
         shutil.copy(whole.with_suffix(".cih"), tmp_path)
-    strip = followed(target, copy_slowly, whole, target)
+    strip = followed(clock, target, copy_slowly, whole, target)
     shutil.copy(whole, target)
     same(strip, strip_profile(open_video(target), ROWS))
     assert strip.sizes["frame"] == COUNT
 
 
-def test_a_growing_folder_gives_what_the_whole_one_gives(tmp_path, frames):
+def test_a_growing_folder_gives_what_the_whole_one_gives(clock, tmp_path, frames):
     """A failure means that images which came out of order count as lost."""
-    strip = followed(tmp_path, write_images, frames, tmp_path)
+    strip = followed(clock, tmp_path, write_images, frames, tmp_path)
     same(strip, strip_profile(open_video(tmp_path), ROWS))
     assert (strip["status"] == "ok").all()
 
 
-def test_it_ends_when_told_with_what_there_is_and_says_so(tmp_path, frames):
+def test_it_ends_when_told_with_what_there_is_and_says_so(clock, tmp_path, frames):
     """A failure means that Ctrl-C loses the run, or that a part of a film passes for all of it."""
     whole = write_avi(tmp_path / "whole.avi", frames)
     follow = Follow(seen=lambda last, behind: follow.stop.set())
-    strip = followed(tmp_path / "a.avi", copy_slowly, whole, tmp_path / "a.avi", follow=follow)
+    film = tmp_path / "a.avi"
+    strip = followed(clock, film, copy_slowly, whole, film, follow.stop, follow=follow)
     assert 0 < strip.sizes["frame"] < COUNT
     last = strip.sizes["frame"] - 1
     assert any(f"followed up to frame {last};" in line for line in StripMetadata.of(strip).warnings)
 
 
-def test_the_last_frames_can_be_looked_at_meanwhile(tmp_path, frames):
+def test_the_last_frames_can_be_looked_at_meanwhile(clock, tmp_path, frames):
     """A failure means that the live state shows other frames than the last."""
-    whole, seen = write_avi(tmp_path / "whole.avi", frames), []
+    whole, seen, first = write_avi(tmp_path / "whole.avi", frames), [], threading.Event()
 
     def look(last, behind):
         seen.append(last(10))
+        first.set()
 
-    strip = followed(tmp_path / "a.avi", copy_slowly, whole, tmp_path / "a.avi", follow=Follow(seen=look))
+    film = tmp_path / "a.avi"
+    strip = followed(clock, film, copy_slowly, whole, film, first, follow=Follow(seen=look))
     assert len(seen) >= 2
     assert seen[-1].values.tobytes() == strip.values[-10:].tobytes()
     for one in seen:
@@ -163,38 +193,46 @@ def test_the_last_frames_can_be_looked_at_meanwhile(tmp_path, frames):
         assert one.values.tobytes() == strip.values[at].tobytes()
 
 
-def test_a_part_of_a_film_is_followed_to_its_end(tmp_path, frames):
+def test_a_part_of_a_film_is_followed_to_its_end(clock, tmp_path, frames):
     """A failure means that `frames` is forgotten, or waits for the camera to end."""
     whole = write_avi(tmp_path / "whole.avi", frames)
     how = {"frames": slice(10, 60)}
-    strip = followed(tmp_path / "a.avi", copy_slowly, whole, tmp_path / "a.avi", **how)
+    strip = followed(clock, tmp_path / "a.avi", copy_slowly, whole, tmp_path / "a.avi", **how)
     assert (strip["frame"].values[0], strip["frame"].values[-1]) == (10, 59)
 
 
-def test_a_film_that_is_rewritten_is_one_line(tmp_path, frames):
+def test_a_film_that_is_rewritten_is_one_line(clock, tmp_path, frames):
     """A failure means that frames of two recordings are joined."""
-    path = write_avi(tmp_path / "a.avi", frames[:100])
+    path, seen = write_avi(tmp_path / "a.avi", frames[:100]), threading.Event()
+    follow = Follow(seen=lambda last, behind: seen.set())
 
     def rewrite():
-        time.sleep(0.3)
+        assert seen.wait(PATIENCE_S)
         other = write_avi(tmp_path / "b.avi", frames[::-1])
         path.write_bytes(other.read_bytes())  # the same file with other frames
 
     with pytest.raises(InputError, match="only grows while it is followed"):
-        followed(path, rewrite)
+        followed(clock, path, rewrite, follow=follow)
 
 
-@pytest.mark.parametrize("text", [None, b"no film"])
-def test_what_never_becomes_a_film_is_refused(text, tmp_path):
-    """A failure means that a wrong name waits for ever."""
-    path = tmp_path / "a.avi"
-    if text is not None:
-        path.write_bytes(text)
-        os.utime(path, (0, 0))
-    began = time.monotonic()
+def test_what_never_becomes_a_film_is_refused(clock, tmp_path):
+    """A failure means that a wrong name waits for ever, or that an old file is waited for."""
+    path, tried = tmp_path / "a.avi", []
+
+    def opened():
+        tried.append(clock.monotonic())
+        assert len(tried) < 2000
+        return open_video(path)
+
     with pytest.raises(InputError):
-        await_video(path, lambda: open_video(path), Follow(), QUICK)
-    assert time.monotonic() - began < (3 if text is None else 0.5)
+        await_video(path, opened, Follow(), QUICK)
+    assert tried[-1] - tried[0] > 0.9 * QUICK.follow_give_up_s
+    path.write_bytes(b"no film")
+    os.utime(path, (0, 0))
+    tried.clear()
+    with pytest.raises(InputError):
+        await_video(path, opened, Follow(), QUICK)
+    assert len(tried) == 1
 
 
 @pytest.mark.parametrize("sizes", [[3], [8], [9], [5, 5, 5], [1] * 20, [30, 2, 2], [2, 30]])
@@ -208,13 +246,22 @@ def test_the_last_frames_are_held_back(sizes):
     assert kept == list(range(max(0, sum(sizes) - 8)))
 
 
-def test_what_cannot_be_read_until_it_is_closed_is_waited_for_and_told(tmp_path, frames):
+def test_what_cannot_be_read_until_it_is_closed_is_waited_for_and_told(clock, tmp_path, frames):
     """A failure means that an MP4 is refused while the camera writes it, or that nobody knows what is waited
     for."""
-    whole, said = GROWING["h264.mp4"](tmp_path / "whole.mp4", frames), []
-    strip = followed(
-        tmp_path / "a.mp4", copy_slowly, whole, tmp_path / "a.mp4", follow=Follow(waiting=said.append)
-    )
+    whole = GROWING["h264.mp4"](tmp_path / "whole.mp4", frames).read_bytes()
+    film, said, told = tmp_path / "a.mp4", [], threading.Event()
+    film.write_bytes(whole[: len(whole) // 2])
+
+    def tell(reason):
+        said.append(reason)
+        told.set()
+
+    def close():
+        assert told.wait(PATIENCE_S)
+        film.write_bytes(whole)
+
+    strip = followed(clock, film, close, follow=Follow(waiting=tell))
     assert strip.sizes["frame"] == COUNT
     assert len(said) == 1
     assert "index (moov), which is written when the recording is closed" in said[0]

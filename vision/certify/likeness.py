@@ -25,16 +25,18 @@ from vision.certify.settings import CertifySettings
 from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings, mad_sigma, nan_median
+from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.subpixel import position_noise
 from vision.sheets.tracks import BETWEEN_FRAMES
 
 LEAST_FRAMES = 30
 BEYOND = 3.5  # half widths of the outermost ridge from its middle, beyond which nothing moves with it
 FAR_PX = 1e4
+LINE = 3  # sheets over which motion is continued beyond the last that is known
+LEAST_LEFT = 0.2  # of the noise, where pieces are too short for the smooth motion to leave any
 LEAST_SHARING = 5  # sheets from which what all do together is told from what each does
 
 CLIPPED_GREY, CLIPPED_SHARE = 0.5, 1e-3  # from the brightest pixel, and share of all pixels there, if clipped
-LEAST_LEFT = 0.2  # of the noise, where pieces are too short for the smooth motion to leave any
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,9 @@ class Likeness:
     rigid_px
         Half width of the part of M that moves with each sheet, (sheet,).
     motion_px
-        Smooth positions, (frame, sheet), columns of the strip; frames in which they are truth.
+        Smooth positions, (frame, sheet), columns of the strip; the truth of films.
+    smooth
+        Where that is so, (frame, sheet): elsewhere they are as measured.
     common_px
         What all sheets do together in single frames, a part of it, (frame,).
     gain
@@ -89,6 +93,7 @@ class Likeness:
     rest_px: Floats
     rigid_px: Floats
     motion_px: Floats
+    smooth: Bools
     common_px: Floats
     gain: Floats
     residual: Floats32
@@ -247,6 +252,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
         rest_px=rest,
         rigid_px=rigid,
         motion_px=motion,
+        smooth=left > 0,
         common_px=common,
         gain=gain,
         residual=np.zeros((1, width), np.float32),
@@ -269,9 +275,11 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     )
     edges = np.union1d(slips, 1 + np.flatnonzero(np.diff(likeness.part)))
     slow = _slow_part(residual, frame, edges, len(motion), settings.slow_frames)
-    residual = _undisturbed(residual - slow[frame], disturbed[frame])
+    as_measured = _around(left == 0, motion, width)  # the noise of positions is in the motion there
+    residual = _undisturbed(residual - slow[frame], (disturbed | as_measured)[frame])
     # The smooth motion and the mean picture have taken up a part of the noise.
-    share = max(float(left[usable].mean()) * (1 - 1 / int(usable.sum())), LEAST_LEFT)
+    smooth = left[usable][left[usable] > 0]
+    share = float(smooth.mean()) * (1 - 1 / int(usable.sum())) if smooth.size else LEAST_LEFT
     return replace(likeness, residual=residual / np.float32(np.sqrt(share)), slow=slow)
 
 
@@ -356,8 +364,7 @@ def find_slips(x_px: Floats, settings: CertifySettings) -> Ints:
     step = step - nan_median(step, axis=1)[:, None]
     with np.errstate(invalid="ignore"):
         noise = nan_median(np.abs(step - nan_median(step)))
-    size = nan_median(((step / np.maximum(noise, 1e-6)) ** 2), axis=1) ** 0.5
-    size = np.nan_to_num(size)
+    size = np.nan_to_num(nan_median(np.abs(step) / np.maximum(noise, 1e-6), axis=1))
     limit = np.median(size) + settings.step_errors * max(
         float(mad_sigma(size)), 0.05 * float(np.median(size))
     )
@@ -372,47 +379,47 @@ def smooth_motion(
     chained: bool = False,
     pulled: Bools | None = None,
 ) -> tuple[Floats, Floats, Floats]:
-    """Positions without noise, (frame, sheet), what all sheets share of them in single frames, and the share
-    of the noise's variance not in them, both (frame,).
+    """Positions without noise, (frame, sheet), what all sheets share of them in single frames, (frame,), and
+    the share of the noise's variance not in them, (frame, sheet): 0 where positions are as measured.
 
-    Between slips a cubic (a parabola in short pieces) through as many frames as it fits, plus what all sheets
-    do together in each frame. It is a cubic in the sheets' own time, see `own_time`. Codecs that chain frames
-    make steps that are no motion: fits are kept. Positions that are `pulled` aside are no motion either:
-    there a sheet moves as those around it.
+    Between slips a cubic (a parabola in short pieces) through as many frames as it fits each sheet, plus what
+    all sheets do together in each frame; where none fits, as measured. It is a cubic in the sheets' own time,
+    see `own_time`. Codecs that chain frames make steps that are no motion: fits are kept. Positions that are
+    `pulled` aside are no motion either: there a sheet moves as those around it.
     """
     frames, sheets = x_px.shape
     x_px, raw = (x_px, x_px) if pulled is None else (np.where(pulled, np.nan, x_px), x_px)
-    filled, left = _filled(x_px, raw), np.zeros(frames)
+    filled, left = _filled(x_px, raw), np.zeros(x_px.shape)
     motion, blurred = filled.copy(), _beside(slips, frames)
     noise = np.nan_to_num(position_noise(x_px), nan=np.inf)
     time = own_time(x_px, slips, settings)
     edges = np.unique(np.concatenate([[0, frames], slips]))
     waiting = []
     for start, stop in pairwise(edges):
-        waiting += np.array_split(
-            np.arange(start, stop), max(1, round((stop - start) / settings.longest_piece))
-        )
+        parts = max(1, round((stop - start) / settings.longest_piece))
+        waiting += [(piece, np.arange(sheets)) for piece in np.array_split(np.arange(start, stop), parts)]
     while waiting:
-        piece = waiting.pop()
+        piece, which = waiting.pop()
         sharp = piece[~blurred[piece]]
-        if piece.size < settings.least_piece:
+        if piece.size < settings.least_piece or not which.size:
             continue
         degree = 3 if piece.size >= 2 * settings.least_piece else 2
         span = max(time[piece[-1]] - time[piece[0]], 1.0)
         basis = np.polynomial.legendre.legvander(2 * (time[piece] - time[piece[0]]) / span - 1, degree)
         inner = basis[~blurred[piece]]
-        fitted = basis @ np.linalg.lstsq(inner, filled[sharp], rcond=None)[0]
-        off = (filled[piece] - fitted)[~blurred[piece]]
-        if sheets >= LEAST_SHARING:
+        measured = filled[np.ix_(piece, which)]
+        fitted = basis @ np.linalg.lstsq(inner, measured[~blurred[piece]], rcond=None)[0]
+        off = (measured - fitted)[~blurred[piece]]
+        if which.size >= LEAST_SHARING:
             off = off - np.median(off, axis=1)[:, None]
-        if not chained and np.median(np.sqrt((off**2).mean(axis=0)) / noise) > settings.misfit:
-            waiting += np.array_split(piece, 2)
-            continue
-        motion[piece] = fitted
-        left[sharp] = 1 - (np.linalg.qr(inner)[0] ** 2).sum(axis=1)
+        fits = chained | (np.sqrt((off**2).mean(axis=0)) < settings.misfit * noise[which])
+        motion[np.ix_(piece, which[fits])] = fitted[:, fits]
+        left[np.ix_(sharp, which[fits])] = 1 - (np.linalg.qr(inner)[0] ** 2).sum(axis=1)[:, None]
+        waiting += [(half, which[~fits]) for half in np.array_split(piece, 2)]
     common = np.nan_to_num(nan_median(x_px - motion, axis=1)) if sheets >= LEAST_SHARING else np.zeros(frames)
     shared = 1 - 1.57 / sheets if sheets >= LEAST_SHARING else 1.0  # a median's variance is π/2 of a mean's
-    return motion + common[:, None], common, left * shared
+    motion += np.where(left > 0, common[:, None], 0.0)
+    return motion, common, left * shared
 
 
 def own_time(x_px: Floats, slips: Ints, settings: CertifySettings) -> Floats:
@@ -447,10 +454,17 @@ def own_time(x_px: Floats, slips: Ints, settings: CertifySettings) -> Floats:
 def _filled(x_px: Floats, raw_px: Floats) -> Floats:
     """Gaps filled with what the sheets around do; where none is seen by straight lines in time, ends held."""
     place = nan_median(raw_px)
-    moved, sheet = x_px - place, np.arange(x_px.shape[1])
+    filled = np.where(np.isfinite(x_px), x_px, said_by_neighbours(x_px))
+    moved, sheet = filled - place, np.arange(x_px.shape[1])
     known = np.isfinite(moved)
     for t in np.flatnonzero(~known.all(axis=1) & known.any(axis=1)):
-        moved[t] = np.interp(sheet, sheet[known[t]], moved[t, known[t]])
+        there = sheet[known[t]]
+        here = moved[t, there]
+        moved[t] = np.interp(sheet, there, here)
+        for outer, inner in ((0, LINE), (-1, -1 - LINE)) if there.size > LINE else ():
+            slope = (here[inner] - here[outer]) / (there[inner] - there[outer])
+            beyond = (sheet < there[0]) if outer == 0 else (sheet > there[-1])
+            moved[t, beyond] = here[outer] + slope * (sheet[beyond] - there[outer])
     filled, frame = place + moved, np.arange(len(x_px))
     for column in filled.T:
         there = np.isfinite(column)

@@ -28,9 +28,10 @@ class CertifySettings:
     """Frames over which the motion is a cubic.  Longer takes motion for noise; shorter noise for motion
     (made up for by the degrees of freedom, which fails where they are few)."""
 
-    misfit: float = 4.0
-    """Scatter about the smooth motion, over that from frame to frame, from which a piece is cut in half.
-    Smaller takes slow noise for motion; larger takes fast motion, such as ringing, for noise."""
+    misfit: float = 1.6
+    """Scatter of a sheet about its smooth motion, over that from frame to frame, from which its piece is
+    halved.  Smaller takes slow noise for motion; larger takes motion of its own (ringing, slips of single
+    sheets) for noise."""
 
     least_piece: int = 8
     """Frames between two slips from which a polynomial is fitted; shorter pieces are left as measured."""

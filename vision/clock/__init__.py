@@ -1,9 +1,8 @@
 """The camera's clock against the testing machine's."""
 
 from vision.clock.clock import Candidate, Clock, clock_from_column, synchronise
-from vision.clock.force_slips import force_slips
 from vision.clock.settings import ClockSettings
-from vision.clock.video_slips import video_slips
+from vision.clock.slips import force_slips, video_slips
 
 __all__ = [
     "Candidate",

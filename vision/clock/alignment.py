@@ -13,10 +13,11 @@ from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
-import scipy
+from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.clock.settings import ClockSettings
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints
+from vision.signals import running_median
 
 _CORRELATIONS = (0.3, 0.5, 0.7, 0.9)  # between the sizes that the two instruments measure; equally likely
 _ERROR_SCALES = (1.0, 1.4, 2.0)  # by which stated errors of slips may be too small
@@ -64,9 +65,7 @@ def off_trend(values: Floats, settings: ClockSettings) -> Floats:
     slope, level = _theil_sen(values)
     away = values - level - slope * np.arange(len(values))
     window = settings.size_trend_slips
-    return np.asarray(
-        away - scipy.ndimage.median_filter(away, window, mode="nearest") if len(away) >= 2 * window else away
-    )
+    return away - running_median(away, window) if len(away) >= 2 * window else away
 
 
 def _theil_sen(values: Floats) -> tuple[float, float]:
@@ -362,7 +361,8 @@ def _votes(
 
 def _summits(score: Floats, most: int) -> Ints:
     """The highest bins that no neighbour within two exceeds."""
-    top = np.flatnonzero((score == scipy.ndimage.maximum_filter1d(score, 5)) & np.isfinite(score))
+    highest = sliding_window_view(np.pad(score, 2, "edge"), 5).max(axis=1)
+    top = np.flatnonzero((score == highest) & np.isfinite(score))
     if not len(top):
         return np.array([int(np.argmax(score))])
     return top[np.argsort(-score[top], kind="stable")[:most]]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 
 from vision.clock.alignment import CandidateClocks, ClockFits, SlipSizes, SlipTrains, fit_clocks
 from vision.clock.ambiguity import Alignments, align
-from vision.clock.force_slips import force_slips
 from vision.clock.settings import ClockSettings
-from vision.clock.video_slips import video_slips
+from vision.clock.slips import force_slips, video_slips
 from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata
 from vision.errors import InputError
 from vision.escaping import html_table
@@ -123,18 +122,6 @@ class Clock:
             rows["margin"] = f"{self.margin:.1f} in log-likelihood"
         rows |= {f"warning {k}": line for k, line in enumerate(self.warnings, 1)}
         return html_table("camera's clock to force clock", rows)
-
-    def to_json(self) -> dict[str, Any]:
-        """What `clock.json` holds; numbers that are not known are null."""
-        return {name: _plain(value) for name, value in asdict(self).items()}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 # --- synchronise --------------------------------------------------------------------------------------------

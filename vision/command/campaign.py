@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter as Option
 
-from vision.command.console import complain, say
-from vision.command.failures import outcome
+from vision.command.console import complain, outcome, say
 from vision.command.options import (
     GROUPS,
     Flag,

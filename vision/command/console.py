@@ -1,16 +1,20 @@
-"""What is shown on standard output and standard error, also where nobody reads it."""
+"""Standard output and standard error, also where nobody reads them; an exception becomes one line."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+import tempfile
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from io import TextIOWrapper
-from typing import TextIO
+from typing import Any, TextIO
+
+from cyclopts import CycloptsError, UnusedCliTokensError
 
 from vision.command.options import option_names
-from vision.errors import with_options
+from vision.errors import InputError, with_options
 
 
 def hold_streams() -> None:
@@ -56,6 +60,15 @@ def complain(message: str) -> None:
     _print([f"track: {message}"], sys.stderr)
 
 
+def conclude(lines: Iterable[str], warnings: Sequence[str], *, quiet: bool) -> int:
+    """A command's warnings and, unless it is quiet, its summary; the exit status, 1 with a warning."""
+    for line in warnings:
+        complain(f"warning: {line}")
+    if not quiet:
+        say(lines)
+    return 1 if warnings else 0
+
+
 def _print(lines: Iterable[str], stream: TextIO | None) -> OSError | None:
     """Lines to a stream, with options in place of arguments; the error if the stream does not take them."""
     if stream is None:
@@ -93,3 +106,51 @@ def frame_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[[int,
             bar.update(task, completed=done, total=total)
 
         yield show
+
+
+# --- exceptions ---------------------------------------------------------------------------------------------
+
+
+def outcome(work: Callable[[], Any]) -> tuple[int, str]:
+    """Exit status of some work and what went wrong, "" for nothing; Ctrl-C passes.
+
+    0 or what the work returns: done.  2: input that cannot be used.  3: an error that nobody foresaw, with
+    its details in a file that the line names.
+    """
+    try:
+        status = work()
+    except (InputError, CycloptsError, OSError, MemoryError) as error:
+        return 2, _one_line(error)
+    except Exception as error:
+        return 3, _unforeseen(error)
+    return (status if isinstance(status, int) else 0), ""
+
+
+def _unforeseen(error: Exception) -> str:
+    what = " ".join(f"{type(error).__name__}: {error}".split())
+    try:
+        with tempfile.NamedTemporaryFile("w", prefix="track-", suffix=".txt", delete=False) as file:
+            file.write("".join(traceback.format_exception(error)))
+    except OSError:
+        return f"a failure that nobody foresaw ({what}); its details could not be written"
+    return f"a failure that nobody foresaw ({what}); please report it with {file.name}"
+
+
+def _one_line(error: Exception) -> str:
+    """What went wrong, where, and what to do."""
+    if isinstance(error, UnusedCliTokensError):
+        extra = " ".join(error.unused_tokens or ())
+        error = InputError(
+            extra, "one input", "more", "quote a glob of images; track --help lists the options"
+        )
+    elif isinstance(error, CycloptsError):
+        return " ".join(str(error).split()) + " (track --help lists the options)"
+    elif isinstance(error, OSError):
+        about = error.filename if isinstance(error.filename, str) else "the recording"
+        found = (error.strerror or str(error)).lower()
+        error = InputError(about, "a file or folder that can be used", found, "check the path and its rights")
+    elif isinstance(error, MemoryError):
+        error = InputError(
+            "the recording", "enough memory", "not enough memory", "take a part of it (`frames`)"
+        )
+    return str(error)

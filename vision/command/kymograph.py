@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time as clock
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter as Option
 
-from vision.command.console import complain, frame_progress, say
+from vision.command.console import conclude, frame_progress
 from vision.command.options import (
     Flag,
     VideoOptions,
     merged,
+    parameters_given,
     parse_length,
     parse_pixel_size,
     parse_range,
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from vision.numeric import Floats
     from vision.pipeline import Settings
-    from vision.run import Parameter
 
 PAPER_WIDTH_UM = 200.0
 MARK = "diagrams"  # of run.json: tells a folder of diagrams from a run
@@ -108,7 +107,9 @@ def kymograph(
     started = clock.perf_counter()
     window, reading = window or WindowOptions(), reading or VideoOptions()
     options = _space_time_options(window)
-    from vision.run import check_mark, check_target, is_run
+    from vision.figures import kymograph_figure
+    from vision.run import Origin, check_mark, check_target, is_run, run_folder, write_json
+    from vision.run.tiff import write_space_time_tif
 
     target = out or Path(f"{run_name(video_or_run)}_kymograph")
     check_target(target, overwrite=overwrite)
@@ -123,13 +124,26 @@ def kymograph(
         source = _from_video(video_or_run, settings_of(parameters), track=wanted, quiet=quiet)
     diagrams = _diagrams(source, **options)
     warnings = [*source.warnings, *_warnings(diagrams)]
-    facts = _facts(window, parameters, source, diagrams, warnings)
-    files = _write(target, overwrite, picture, source, diagrams, facts, started)
-    for line in warnings:
-        complain(f"warning: {line}")
-    if not quiet:
-        say(_summary(target, files, source, diagrams))
-    return 1 if warnings else 0
+    slips, chosen = _slips_shown(source, diagrams[0]), parameters | parameters_given(vars(window))
+    facts = Origin(command=command_line(), inputs=source.files, parameters=chosen).facts()
+    facts |= {MARK: [_about(diagram) for diagram in diagrams], "slips": slips, "warnings": warnings}
+    names = [f"kymograph_{d.attrs.get('sheet', 'strip').replace(':', '')}.tif" for d in diagrams]
+    figure = kymograph_figure(diagrams, slips_s=source.slips_s, slips_from=source.slips_from)
+    size = source.pixel_size_um
+    with run_folder(target, overwrite=overwrite) as folder:
+        for name, diagram in zip(names, diagrams, strict=True):
+            write_space_time_tif(diagram, folder / name, pixel_size_um=size)
+        figure.save(folder / f"kymograph.{picture}")
+        facts["seconds"] = {"total": clock.perf_counter() - started}
+        write_json(facts, folder / "run.json")
+    rows, columns = diagrams[0].shape
+    scale = "" if size is None else f", {size:g} µm per px"
+    lines = [
+        f"diagrams   {len(diagrams)} of {rows} frames x {columns} px{scale}",
+        f"slips      {slips}",
+        f"results    {target}/: {', '.join([*names, f'kymograph.{picture}'])}",
+    ]
+    return conclude(lines, warnings, quiet=quiet)
 
 
 def _space_time_options(window: WindowOptions) -> dict[str, Any]:
@@ -154,6 +168,7 @@ def _from_run(folder: Path, reading: VideoOptions) -> Source:
     InputError
         For options that only a video takes, for columns that the run does not have, and for a damaged run.
     """
+    from vision.figures import slip_times
     from vision.run import read_run, read_strip, slip_times_s
 
     given = [name for name, value in vars(reading).items() if value is not None and name not in OF_A_RUN]
@@ -164,7 +179,7 @@ def _from_run(folder: Path, reading: VideoOptions) -> Source:
     strip = read_strip(run)
     columns, size = parse_range(reading.columns, "--columns"), parse_pixel_size(reading.pixel_size)
     files = ("kymograph.tif", "tracks.nc", "events.csv", "clock.json")
-    slips_s, slips_from = _slips(run.tracks, slip_times_s(run))
+    slips_s, slips_from = slip_times(run.tracks, slip_times_s(run))
     return Source(
         strip=strip if columns is None else _cut(strip, columns, folder),
         tracks=run.tracks,
@@ -188,6 +203,7 @@ def _cut(strip: xr.DataArray, columns: slice, folder: Path) -> xr.DataArray:
 def _from_video(path: Path, settings: Settings, *, track: bool, quiet: bool) -> Source:
     """A video's strip, and its sheets where windows around them are wanted."""
     from vision.data import warnings_of
+    from vision.figures import slip_times
     from vision.pipeline import analyse, open_recording
     from vision.video import strip_profile
 
@@ -202,29 +218,7 @@ def _from_video(path: Path, settings: Settings, *, track: bool, quiet: bool) -> 
             tracks, warnings = None, tuple(warnings_of(strip))
     given = () if settings.timestamps is None else (settings.timestamps,)
     assert strip is not None
-    return Source(strip, tracks, *_slips(tracks, None), settings.pixel_size_um, (path, *given), warnings)
-
-
-def _slips(tracks: xr.Dataset | None, force_s: Floats | None) -> tuple[Floats | None, str]:
-    """Times of slips and where they come from: the force where its clock is sure, else the sheets' common
-    outward steps.
-
-    None where the axis was only guessed from the sheets' places: which way is outward is not known then.
-    """
-    from vision.clock import video_slips
-    from vision.data import TrackMetadata
-
-    if force_s is not None:
-        return force_s, "the force"
-    if tracks is None:
-        return None, ""
-    found = TrackMetadata.of(tracks)
-    if found.axis_how == "geometry" and math.isnan(found.axis_low_px):
-        return None, ""
-    try:
-        return video_slips(tracks)["time_s"].to_numpy(), "the sheets' common steps"
-    except InputError:  # too few frames, or none with a time: nothing to mark
-        return None, ""
+    return Source(strip, tracks, *slip_times(tracks), settings.pixel_size_um, (path, *given), warnings)
 
 
 def _diagrams(
@@ -260,28 +254,6 @@ def _warnings(diagrams: list[xr.DataArray]) -> list[str]:
     return lines
 
 
-def _facts(
-    window: WindowOptions,
-    parameters: dict[str, Parameter],
-    source: Source,
-    diagrams: list[xr.DataArray],
-    warnings: list[str],
-) -> dict[str, Any]:
-    """Everything run.json holds but the timings."""
-    from vision.run import Origin, Parameter
-
-    chosen = {
-        name: Parameter(value, "default" if value in (None, (), False) else "given")
-        for name, value in vars(window).items()
-    }
-    origin = Origin(command=command_line(), inputs=source.files, parameters={**parameters, **chosen})
-    return origin.facts() | {
-        MARK: [_about(diagram) for diagram in diagrams],
-        "slips": _slips_shown(source, diagrams[0]),
-        "warnings": warnings,
-    }
-
-
 def _about(diagram: xr.DataArray) -> dict[str, Any]:
     """What one diagram shows."""
     from vision.run.tiff import frame_step_s
@@ -306,38 +278,3 @@ def _slips_shown(source: Source, diagram: xr.DataArray) -> str:
     half = frame_step_s(times) / 2
     seen = (source.slips_s >= times[0] - half) & (source.slips_s <= times[-1] + half)
     return f"{seen.sum()} in the part shown, from {source.slips_from}"
-
-
-def _write(
-    target: Path,
-    overwrite: bool,
-    picture: str,
-    source: Source,
-    diagrams: list[xr.DataArray],
-    facts: dict[str, Any],
-    started: float,
-) -> list[str]:
-    """The folder, whole; names of the files in it."""
-    from vision.figures import kymograph_figure
-    from vision.run import run_folder, write_json
-    from vision.run.tiff import write_space_time_tif
-
-    names = [f"kymograph_{d.attrs.get('sheet', 'strip').replace(':', '')}.tif" for d in diagrams]
-    figure = kymograph_figure(diagrams, slips_s=source.slips_s, slips_from=source.slips_from)
-    with run_folder(target, overwrite=overwrite) as folder:
-        for name, diagram in zip(names, diagrams, strict=True):
-            write_space_time_tif(diagram, folder / name, pixel_size_um=source.pixel_size_um)
-        figure.save(folder / f"kymograph.{picture}")
-        seconds = {"total": clock.perf_counter() - started}
-        write_json({**facts, "seconds": seconds}, folder / "run.json")
-    return [*names, f"kymograph.{picture}"]
-
-
-def _summary(target: Path, files: list[str], source: Source, diagrams: list[xr.DataArray]) -> list[str]:
-    rows, columns = diagrams[0].shape
-    size = "" if source.pixel_size_um is None else f", {source.pixel_size_um:g} µm per px"
-    return [
-        f"diagrams   {len(diagrams)} of {rows} frames x {columns} px{size}",
-        f"slips      {_slips_shown(source, diagrams[0])}",
-        f"results    {target}/: {', '.join(files)}",
-    ]

@@ -14,18 +14,11 @@ from typing import Any
 from cyclopts import App
 
 from vision.command.campaign import campaign, campaign_job, campaign_pool
-from vision.command.certify import certify
-from vision.command.compare import compare
-from vision.command.console import complain, hold_streams, silence_libraries
-from vision.command.export import export
-from vision.command.failures import outcome
-from vision.command.figures import figures
-from vision.command.force import force
-from vision.command.friction import friction
+from vision.command.console import complain, hold_streams, outcome, silence_libraries
+from vision.command.finished import certify, compare, export, figures, overlay
 from vision.command.kymograph import kymograph
-from vision.command.modulus import modulus
-from vision.command.overlay import overlay
 from vision.command.preview import preview
+from vision.command.recordings import force, friction, modulus
 from vision.command.review import review
 from vision.command.simulate import simulate
 from vision.command.track import track
@@ -65,7 +58,7 @@ def make_app() -> App:
         suppress_keyboard_interrupt=False,
     )
     app.default(track)
-    others = (
+    on_films = (
         preview,
         overlay,
         force,
@@ -78,7 +71,7 @@ def make_app() -> App:
         review,
         campaign,
     )
-    for command in (*others, friction, modulus):
+    for command in (*on_films, friction, modulus):
         app.command(command, help_format="markdown")
     app.command(campaign_job, show=False)  # for the Snakefile
     app.command(campaign_pool, show=False)

@@ -7,6 +7,7 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -41,63 +42,6 @@ Flag = Annotated[bool, Option(negative="", show_default=False)]
 MOST_CONFIG_BYTES = 1 << 20
 MOST_LETTERS = 4000  # of a value: longer than any name of a file
 UM_PER = {"mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Greek mu
-_OPTION_OF = {
-    "rows": "--strip",
-    "columns": "--columns",
-    "strips": "--strips",
-    "sheets": "--sheets",
-    "ridges": "--ridges",
-    "axis_px": "--axis",
-    "fit": "--fit",
-    "window_px": "--window",
-    "corrections": "--corrections",
-    "pixel_size_um": "--pixel-size",
-    "pitch_um": "--pitch",
-    "fps": "--fps",
-    "timestamps": "--timestamps",
-    "frames": "--frames",
-    "rotate": "--rotate",
-    "speed_mm_min": "--speed",
-    "d0_mm": "--d0",
-    "force_columns": "--force-columns",
-    "force_threshold_N": "--force-threshold",
-    "threshold_N": "--force-threshold",
-    "force_lowpass_s": "--force-lowpass",
-    "lowpass_s": "--force-lowpass",
-    "d0_err_mm": "--d0",
-    "fit_range_mm": "--fit-range",
-    "mu": "--fix-mu",
-    "modulus_GPa": "--fix-yeff",
-    "machine_stiffness_N_per_mm": "--machine-stiffness",
-    "offset_s": "--offset",
-    "threshold": "--threshold",
-    "common_mode": "--common-mode",
-    "sheets_per_block": "--sheets-per-block",
-    "thickness_mm": "--thickness",
-    "width_mm": "--width",
-    "length_mm": "--length",
-    "t_star_N": "--t-star",
-    "time_s": "--time",
-    "width_um": "--width",
-    "width_px": "--width",
-    "sheet": "--sheet",
-    "film": "--film",
-    "runs": "RUN…",
-    "table": "--table",
-    "main_sample": "--main-sample",
-    "out": "--out",
-    "overwrite": "--overwrite",
-    "executor": "--executor",
-    "profile": "--profile",
-    "watch": "--watch",
-    "resume": "--resume",
-    "follow": "--follow",
-}
-
-
-def option_names() -> Mapping[str, str]:
-    """The library's argument names and the options that set them, for `vision.errors.with_options`."""
-    return _OPTION_OF
 
 
 @Option(name="*")
@@ -220,6 +164,38 @@ class RunOptions:
 
 
 GROUPS = (VideoOptions, ForceOptions, SampleOptions, TestOptions)
+# What Python calls otherwise than the command line does.
+_OPTION_OF: Mapping[str, str] = {
+    "rows": "--strip",
+    "axis_px": "--axis",
+    "window_px": "--window",
+    "pixel_size_um": "--pixel-size",
+    "pitch_um": "--pitch",
+    "speed_mm_min": "--speed",
+    "d0_mm": "--d0",
+    "d0_err_mm": "--d0",
+    "force_threshold_N": "--force-threshold",
+    "threshold_N": "--force-threshold",
+    "force_lowpass_s": "--force-lowpass",
+    "lowpass_s": "--force-lowpass",
+    "fit_range_mm": "--fit-range",
+    "mu": "--fix-mu",
+    "modulus_GPa": "--fix-yeff",
+    "machine_stiffness_N_per_mm": "--machine-stiffness",
+    "offset_s": "--offset",
+    "thickness_mm": "--thickness",
+    "width_mm": "--width",
+    "length_mm": "--length",
+    "t_star_N": "--t-star",
+    "clamp_distance_mm": "--clamp-distance",
+    "normal_force_N": "--normal-force",
+    "radius_mm": "--radius",
+    "time_s": "--time",
+    "width_um": "--width",
+    "width_px": "--width",
+    "runs": "RUN…",
+}
+_OF_ONE_COMMAND = ("sheet", "film", "table", "main_sample", "executor", "profile", "watch")
 DEFAULTS: Mapping[str, Any] = {
     "strip": "auto",
     "force_lowpass": "0",
@@ -234,6 +210,29 @@ DEFAULTS: Mapping[str, Any] = {
     "length": 57.0,
     "t_star": 0.003,
 }
+
+
+def flag_of(name: str) -> str:
+    """How a field of a group is typed: pixel_size as --pixel-size."""
+    return f"--{name.replace('_', '-')}"
+
+
+@cache
+def option_names() -> Mapping[str, str]:
+    """The library's argument names and the options that set them, for `vision.errors.with_options`."""
+    same = (*option_fields(), *(field.name for field in fields(RunOptions)), *_OF_ONE_COMMAND)
+    return {name: flag_of(name) for name in same} | dict(_OPTION_OF)
+
+
+def parameters_given(
+    typed: Mapping[str, Any], usual: Mapping[str, Any] | None = None
+) -> dict[str, Parameter]:
+    """Options of a command for run.json: given where they differ from the usual value, else from nothing."""
+    from vision.run.provenance import Parameter
+
+    known = usual or {}
+    same = {name: value == known[name] if name in known else not value for name, value in typed.items()}
+    return {name: Parameter(value, "default" if same[name] else "given") for name, value in typed.items()}
 
 
 def merged(*groups: Any, config: Path | None = None) -> dict[str, Parameter]:
@@ -281,7 +280,7 @@ def _pixel_size(options: Mapping[str, Parameter]) -> dict[str, Parameter]:
     chosen = {
         name: options[name] if options[name].how == how else Parameter(None, "default") for name in SIZES
     }
-    given = [f"--{name.replace('_', '-')}" for name in SIZES if chosen[name].value is not None]
+    given = [flag_of(name) for name in SIZES if chosen[name].value is not None]
     if len(given) > 1:
         raise InputError(" and ".join(given), "one of --pixel-size, --scale and --pitch", f"{len(given)}")
     size = parse_pixel_size(chosen["pixel_size"].value) or parse_scale(chosen["scale"].value)
@@ -328,7 +327,7 @@ def _parsed(path: Path, key: str, value: Any, known: Sequence[str]) -> dict[str,
     app = App(help_flags=(), version_flags=())
     app.default(_collect(group))
     try:
-        tokens = [f"--{name.replace('_', '-')}={str(value)[:MOST_LETTERS]}"]
+        tokens = [f"{flag_of(name)}={str(value)[:MOST_LETTERS]}"]
         parsed = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
         if name in _GEOMETRY.values():
             parse_with_error(getattr(parsed, name), name)
@@ -372,46 +371,48 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
 
     value = {name: parameter.value for name, parameter in parameters.items()}
     columns, corrections = value.get("force_columns"), value.get("corrections")
-    geometry = {
-        name: parse_with_error(value.get(option), _OPTION_OF[name]) for name, option in _GEOMETRY.items()
-    }
+    sizes = {name: parse_with_error(value.get(option), flag_of(option)) for name, option in _GEOMETRY.items()}
+    d0_mm, d0_err_mm = parse_with_error(value.get("d0"), "--d0")
+
+    def from_(least: float, name: str, *, whole: bool = False) -> Any:
+        return number(value.get(name), flag_of(name), least=least, whole=whole)
+
+    sample = Sample(
+        sheets_per_block=value.get("sheets_per_block", 25),
+        **{name: size for name, (size, _) in sizes.items() if size is not None},
+    )
+    given = any(parameters[name].how != "default" for name in _SAMPLE if name in parameters)
     parts = {
         "rows": parse_range(value.get("strip"), "--strip"),
         "columns": parse_range(value.get("columns"), "--columns"),
         "rotate": value.get("rotate"),
         "frames": parse_range(value.get("frames"), "--frames"),
-        "fps": number(value.get("fps"), "--fps", least=1e-9),
+        "fps": from_(1e-9, "fps"),
         "timestamps": value.get("timestamps"),
         "ridges": value.get("ridges"),
-        "sheets": number(value.get("sheets"), "--sheets", least=1, whole=True),
-        "strips": number(value.get("strips"), "--strips", least=2, whole=True),
-        "axis_px": number(value.get("axis"), "--axis", least=-1e6),
+        "sheets": from_(1, "sheets", whole=True),
+        "strips": from_(2, "strips", whole=True),
+        "axis_px": from_(-1e6, "axis"),
         "fit": value.get("fit"),
         "window_px": parse_window(value.get("window")),
         "corrections": read_corrections(corrections) if corrections else None,
         "pixel_size_um": value.get("pixel_size"),
         "pitch_um": parse_pitch(value.get("pitch")),
-        "speed_mm_min": number(value.get("speed"), "--speed", least=1e-9),
-        **dict(zip(("d0_mm", "d0_err_mm"), parse_with_error(value.get("d0"), "--d0"), strict=True)),
+        "speed_mm_min": from_(1e-9, "speed"),
+        "d0_mm": d0_mm,
+        "d0_err_mm": d0_err_mm,
         "force_columns": parse_columns(columns) if columns else None,
-        "force_threshold_N": number(value.get("force_threshold"), "--force-threshold", least=0),
+        "force_threshold_N": from_(0, "force_threshold"),
         "force_lowpass_s": parse_lowpass(value.get("force_lowpass")),
         "fit_range_mm": parse_mm_range(value.get("fit_range"), "--fit-range"),
-        "mu": number(value.get("fix_mu"), "--fix-mu", least=1e-9),
-        "modulus_GPa": number(value.get("fix_yeff"), "--fix-yeff", least=1e-9),
-        "machine_stiffness_N_per_mm": number(
-            value.get("machine_stiffness"), "--machine-stiffness", least=1e-9
-        ),
-        "offset_s": number(value.get("offset"), "--offset", least=-1e12),
-        "threshold": number(value.get("threshold"), "--threshold", least=1e-6),
+        "mu": from_(1e-9, "fix_mu"),
+        "modulus_GPa": from_(1e-9, "fix_yeff"),
+        "machine_stiffness_N_per_mm": from_(1e-9, "machine_stiffness"),
+        "offset_s": from_(-1e12, "offset"),
+        "threshold": from_(1e-6, "threshold"),
         "common_mode": value.get("common_mode") != "off",
-        "sample": Sample(
-            sheets_per_block=value.get("sheets_per_block", 25),
-            **{name: size for name, (size, _) in geometry.items() if size is not None},
-        )
-        if any(parameters[name].how != "default" for name in _SAMPLE if name in parameters)
-        else None,
-        "geometry_err": {name: error for name, (_, error) in geometry.items() if error is not None},
+        "sample": sample if given else None,
+        "geometry_err": {name: error for name, (_, error) in sizes.items() if error is not None},
     }
     return Settings(**{name: part for name, part in parts.items() if part is not None})
 
@@ -452,15 +453,21 @@ def parse_lowpass(text: str | float | None) -> float | Literal["auto"] | None:
     return value
 
 
+def parse_pair(
+    text: str, option: str, wanted: str, *, most: float = math.inf, advice: str = ""
+) -> tuple[float, float]:
+    """`A:B`, two numbers from 0 to `most`, the second larger.  Raises: InputError."""
+    first, _, last = text.partition(":")
+    low, high = _float(first), _float(last)
+    if not 0 <= low < high <= most or high == math.inf:
+        raise InputError(option, wanted, f"'{text}'", advice)
+    return low, high
+
+
 def parse_mm_range(text: str | None, option: str) -> tuple[float, float] | None:
     """`A:B` in mm.  Raises: InputError."""
-    if text is None:
-        return None
-    first, _, last = text.partition(":")
-    ends = _float(first), _float(last)
-    if not 0 <= ends[0] < ends[1] < math.inf:
-        raise InputError(option, "two separations in mm A:B with A < B", f"'{text}'", "write 13.2:17")
-    return ends
+    wanted = "two separations in mm A:B with A < B"
+    return None if text is None else parse_pair(text, option, wanted, advice="write 13.2:17")
 
 
 def parse_window(text: str | None) -> int | Literal["auto"] | None:

@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vision.command.console import complain, say
+from vision.command.console import conclude
 from vision.command.options import Flag, VideoOptions, merged, settings_of
 from vision.command.track import run_name
-from vision.errors import InputError
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -84,14 +83,14 @@ def preview(
     quiet
         No summary.
     """
-    settings = settings_of(merged(reading or VideoOptions(), config=config))
-    target = out or Path(f"{run_name(video)}_preview.png")
-    if out is not None and target.exists() and not overwrite:
-        raise InputError(target, "a new file", "one that exists", "give `overwrite` or another `out`")
     from vision.figures import preview_figure
-    from vision.run import whole_file
+    from vision.run import check_new, whole_file
     from vision.sheets import pixel_size_from_pitch
 
+    settings = settings_of(merged(reading or VideoOptions(), config=config))
+    target = out or Path(f"{run_name(video)}_preview.png")
+    if out is not None:
+        check_new(target, overwrite=overwrite)
     found = look(video, settings)
     size = settings.pixel_size_um
     if settings.pitch_um is not None:
@@ -99,11 +98,7 @@ def preview(
     with whole_file(target) as path:
         preview_figure(found.frame, found.strip, found.tracks, pixel_size_um=size).save(path)
     warnings = _warnings(found)
-    for line in warnings:
-        complain(f"warning: {line}")
-    if not quiet:
-        say([*lines(found, size), f"picture    {target}"])
-    return 1 if warnings else 0
+    return conclude([*lines(found, size), f"picture    {target}"], warnings, quiet=quiet)
 
 
 def look(path: Path, settings: Settings) -> Preview:

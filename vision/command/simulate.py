@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,86 +13,64 @@ from vision.command.options import Flag
 from vision.errors import InputError
 
 
+def _sets(setting: str) -> Any:
+    """An option, not given, for this setting of `vision.experiment`."""
+    return field(default=None, metadata={"setting": setting})
+
+
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class SimulateOptions:
     """The main settings of a synthetic test. What is not given is the preset's."""
 
-    seed: int | None = None
+    seed: int | None = _sets("seed")
     """Same seed, same data."""
-    duration: float | None = None
+    duration: float | None = _sets("camera.duration_s")
     """Length of the video, s."""
-    fps: float | None = None
+    fps: float | None = _sets("camera.fps")
     """Frames per second."""
-    width: int | None = None
+    width: int | None = _sets("camera.width")
     """Columns, px."""
-    height: int | None = None
+    height: int | None = _sets("camera.height")
     """Rows, px."""
-    pixel_size: float | None = None
+    pixel_size: float | None = _sets("camera.pixel_size_um")
     """Micrometres per pixel."""
-    exposure: float | None = None
+    exposure: float | None = _sets("camera.exposure_s")
     """Exposure, ms."""
-    bits: int | None = None
+    bits: int | None = _sets("camera.bits")
     """Bits per pixel, 8 to 16."""
-    speed: float | None = None
+    speed: float | None = _sets("mechanics.speed_mm_min")
     """Speed V of the pull, mm/min."""
-    d0: float | None = None
+    d0: float | None = _sets("mechanics.d0_mm")
     """Separation at the start of the pull, mm."""
-    d_end: float | None = None
+    d_end: float | None = _sets("mechanics.d_end_mm")
     """Separation at its end, mm."""
-    offset: float | None = None
+    offset: float | None = _sets("clocks.offset_s")
     """Force clock at video time 0, s."""
-    sheets: int | None = None
+    sheets: int | None = _sets("sheets.count")
     """Ridges in view."""
-    pitch: float | None = None
+    pitch: float | None = _sets("sheets.pitch_px")
     """Distance between ridges, px."""
-    fwhm: float | None = None
+    fwhm: float | None = _sets("optics.fwhm_px")
     """Ridge width, px."""
-    contrast: float | None = None
+    contrast: float | None = _sets("optics.contrast")
     """Michelson contrast of the ridges."""
-    ridges: Literal["bright", "dark"] | None = None
+    ridges: Literal["bright", "dark"] | None = _sets("optics.polarity")
     """Polarity."""
-    dropped: float | None = None
+    dropped: float | None = _sets("clocks.dropped")
     """Fraction of frames lost."""
-    force_rate: float | None = None
+    force_rate: float | None = _sets("clocks.force_rate_Hz")
     """Force samples per second."""
-    force_layout: Literal["mts", "instron", "zwick", "csv"] | None = None
+    force_layout: Literal["mts", "instron", "zwick", "csv"] | None = _sets("force_file.layout")
     """Layout of force.txt."""
-    force_decimal: Literal[".", ","] | None = None
+    force_decimal: Literal[".", ","] | None = _sets("force_file.decimal")
     """Decimal mark in force.txt."""
-    force_encoding: Literal["utf-8-sig", "utf-8", "latin-1"] | None = None
+    force_encoding: Literal["utf-8-sig", "utf-8", "latin-1"] | None = _sets("force_file.encoding")
     """Encoding of force.txt."""
-    force_unit: Literal["N", "kN"] | None = None
+    force_unit: Literal["N", "kN"] | None = _sets("force_file.unit")
     """Unit of force in force.txt."""
-    video_time: bool | None = None
+    video_time: bool | None = _sets("force_file.video_time")
     """Write the camera's clock as a column of force.txt."""
-
-
-_SETTING = {
-    "seed": "seed",
-    "duration": "camera.duration_s",
-    "fps": "camera.fps",
-    "width": "camera.width",
-    "height": "camera.height",
-    "pixel_size": "camera.pixel_size_um",
-    "bits": "camera.bits",
-    "speed": "mechanics.speed_mm_min",
-    "d0": "mechanics.d0_mm",
-    "d_end": "mechanics.d_end_mm",
-    "offset": "clocks.offset_s",
-    "sheets": "sheets.count",
-    "pitch": "sheets.pitch_px",
-    "fwhm": "optics.fwhm_px",
-    "contrast": "optics.contrast",
-    "ridges": "optics.polarity",
-    "dropped": "clocks.dropped",
-    "force_rate": "clocks.force_rate_Hz",
-    "force_layout": "force_file.layout",
-    "force_decimal": "force_file.decimal",
-    "force_encoding": "force_file.encoding",
-    "force_unit": "force_file.unit",
-    "video_time": "force_file.video_time",
-}
 
 
 def simulate(
@@ -135,7 +113,11 @@ def simulate(
     from vision.experiment import simulate as make
 
     experiment = ready_made(preset)
-    for changes in (settings_from_toml(toml) if toml else {}, _given(options), dict(map(_pair, set_))):
+    for changes in (
+        settings_from_toml(toml) if toml else {},
+        _given(options or SimulateOptions()),
+        dict(map(_pair, set_)),
+    ):
         experiment = with_settings(experiment, changes)
     with frame_progress("drawing", quiet=quiet) as progress:
         test = make(experiment, directory, container=container, overwrite=overwrite, progress=progress)
@@ -153,14 +135,12 @@ def simulate(
     return 0
 
 
-def _given(options: SimulateOptions | None) -> dict[str, Any]:
+def _given(options: SimulateOptions) -> dict[str, Any]:
     """The options that were given, by the names of their settings; milliseconds become seconds."""
-    if options is None:
-        return {}
-    changes = {name: getattr(options, option) for option, name in _SETTING.items()}
+    given = {one.metadata["setting"]: getattr(options, one.name) for one in fields(options)}
     if options.exposure is not None:
-        changes["camera.exposure_s"] = options.exposure / 1000
-    return {name: value for name, value in changes.items() if value is not None}
+        given["camera.exposure_s"] = options.exposure / 1000
+    return {setting: value for setting, value in given.items() if value is not None}
 
 
 def _pair(text: str) -> tuple[str, str]:

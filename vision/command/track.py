@@ -1,17 +1,19 @@
-"""`track VIDEO`: from the file to x(n,t), and with a force recording to the stiff shell."""
+"""`track VIDEO…`: one film, or several in turn; a film that a camera still writes; how every run ends."""
 
 from __future__ import annotations
 
+import glob
 import shlex
+import signal
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from vision.command.console import complain, frame_progress, say
-from vision.command.follow import following
+from vision.command.console import complain, frame_progress, outcome, say
 from vision.command.options import (
     ForceOptions,
     RunOptions,
@@ -25,9 +27,20 @@ from vision.command.options import (
 from vision.errors import InputError
 
 if TYPE_CHECKING:
-    from vision.pipeline import Analysis
-    from vision.run import Checkpoint, Parameter
+    import xarray as xr
 
+    from vision.pipeline import Analysis, Settings
+    from vision.run import Checkpoint, Parameter
+    from vision.video import Follow
+
+SHOWN_EVERY_S = 5.0  # while a film is followed
+FEWEST = 20
+"""Frames from which on something is shown, where more are in the file: fewer tell no noise."""
+RECENT = 100
+"""Frames that are tracked for the line: enough to know the noise to a tenth, few enough to be quick."""
+STILLS = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
+OF_ONE_FILM = ("force", "timestamps", "offset")  # options that cannot be true of several
+HEAD = ("film", "status", "sheets", "frames", "lost", "measured", "noise px", "seconds", "remark")
 REFUSED = ("sticks", "clock", "motion", "shells")  # stages whose input cannot be used: exit status 2
 
 
@@ -68,17 +81,11 @@ def track(
     if len(videos) == 1:
         target = run.out or Path(f"{run_name(videos[0])}_tracks")
         return track_one(videos[0], target, parameters, run)[0]
-    from vision.command.several import targets_of, track_several
-
     if run.follow:
         raise InputError("`follow`", "one video", f"{len(videos)}", "follow each in a terminal of its own")
-    targets = targets_of(videos, run.out, parameters)
+    targets = _targets_of(videos, run.out, parameters)
     settings_of(parameters)  # what fits no film is said once
-    return track_several(
-        targets,
-        lambda film, target: track_one(film, target, parameters, run, one_of_many=True),
-        quiet=run.quiet,
-    )
+    return _track_several(targets, parameters, run)
 
 
 def track_one(
@@ -109,7 +116,7 @@ def track_one(
     checkpoint, sums = Checkpoint(target, resume=run.resume), Checksums(video_files(video) if along else ())
     with checkpoint, sums, resumable(checkpoint):
         if run.follow:
-            with following(settings, quiet=run.quiet) as follow:
+            with _following(settings, quiet=run.quiet) as follow:
                 analysis = analyse(copy or video, force, settings, follow=follow)
         else:
             with frame_progress("reading", quiet=run.quiet) as progress:
@@ -207,3 +214,183 @@ def finish(
         complain(f"{about}a failure that nobody foresaw; the rest is kept; please report it with {details}")
         return 3
     return 2 if refused else 1 if analysis.warnings else 0
+
+
+# --- several films ------------------------------------------------------------------------------------------
+
+
+def _targets_of(
+    videos: Sequence[Path], out: Path | None, parameters: Mapping[str, Parameter]
+) -> dict[Path, Path]:
+    """The run folder of each film: NAME_tracks in the working directory, or in the folder `out`.
+
+    A Photron recording of which both files are named counts once.
+    """
+    from vision.video.photron import PIXELS, is_photron
+
+    if not videos:
+        advice = "track --help lists the options"
+        raise InputError("VIDEO", "a video file, a folder or a quoted glob of images", "none", advice)
+    for video in videos:
+        if not video.exists() and not glob.has_magic(str(video)):
+            raise InputError(video, "a video", "no such file", "check the path; options begin with --")
+    if all(_is_still(video) for video in videos):
+        found = f"{len(videos)} still images"
+        raise InputError(videos[0].parent, "films", found, "quote the glob: track 'frames/*.png'")
+    given = [f"--{name}" for name in OF_ONE_FILM if parameters[name].value is not None]
+    if given:
+        wanted = f"one video with {', '.join(given)}"
+        raise InputError(given[0], wanted, f"{len(videos)} videos", "track campaign takes a table of tests")
+    targets: dict[str, Path] = {}
+    for video in dict.fromkeys(videos):
+        name = run_name(video)
+        other = targets.get(name)
+        if other is not None and is_photron(video) and is_photron(other):
+            targets[name] = video if video.suffix.lower() == PIXELS else other
+        elif other is not None:
+            found = f"{other} and {video}"
+            raise InputError(f"{name}_tracks", "films of different names", found, "track them apart")
+        else:
+            targets[name] = video
+    return {video: (out or Path()) / f"{name}_tracks" for name, video in targets.items()}
+
+
+def _is_still(path: Path) -> bool:
+    """Whether this is one image: a TIFF of several pages is a film."""
+    if path.suffix.lower() not in STILLS or not path.is_file():
+        return False
+    if path.suffix.lower() not in (".tif", ".tiff"):
+        return True
+    from vision.video import open_video
+
+    try:
+        return (open_video(path).expected or 0) == 1
+    except InputError:
+        return False  # it is named when its turn comes
+
+
+def _track_several(targets: Mapping[Path, Path], parameters: dict[str, Parameter], run: RunOptions) -> int:
+    """Every film in turn, and a table of them; the highest of their exit statuses."""
+    rows, worst = [], 0
+    for video, target in targets.items():
+        started = time.perf_counter()
+        found: list[Analysis] = []
+
+        def work(video: Path = video, target: Path = target, found: list[Analysis] = found) -> int:
+            status, analysis = track_one(video, target, parameters, run, one_of_many=True)
+            found.append(analysis)
+            return status
+
+        status, why = outcome(work)
+        if why:
+            complain(why)
+        worst = max(worst, status)
+        rows.append(_row(video, status, found[0] if found else None, why, time.perf_counter() - started))
+    if not run.quiet:
+        say(_table(rows))
+    return worst
+
+
+def _row(video: Path, status: int, found: Analysis | None, why: str, seconds: float) -> tuple[str, ...]:
+    from vision.data import StripMetadata
+    from vision.summary import flag_counts, noise_figures
+
+    if found is None or found.tracks is None:
+        return (video.name, str(status), "", "", "", "", "", f"{seconds:.1f}", why)
+    strip, flags = StripMetadata.of(found.tracks), flag_counts(found.tracks)
+    share = flags.get("ok", 0) / max(1, sum(flags.values()))
+    count = len(found.warnings)
+    return (
+        video.name,
+        str(status),
+        str(found.tracks.sizes["sheet"]),
+        str(strip.frames_read),
+        str(strip.frames_lost),
+        f"{100 * share:.2f} %",
+        f"{noise_figures(found.tracks, None)['measured_px']:.4f}",
+        f"{seconds:.1f}",
+        "" if not count else f"{count} warning{'s' * (count > 1)}",
+    )
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    """Columns of even width, the remark last."""
+    table = [HEAD, *rows]
+    widths = [max(len(row[k]) for row in table) for k in range(len(HEAD) - 1)]
+    lines = []
+    for row in table:
+        first = row[0].ljust(widths[0])
+        rest = "  ".join(cell.rjust(width) for cell, width in zip(row[1:-1], widths[1:], strict=True))
+        lines.append(f"{first}  {rest}  {row[-1]}".rstrip())
+    return lines
+
+
+# --- a film that a camera still writes ----------------------------------------------------------------------
+
+
+@contextmanager
+def _following(settings: Settings, *, quiet: bool) -> Iterator[Follow]:
+    """Follow a growing recording with a line of its state now and then; Ctrl-C ends the following.
+
+    A second Ctrl-C, or one while the results are made, ends the run as always.
+    """
+    from vision.video import Follow
+
+    follow = Follow(
+        seen=None if quiet else _Shown(settings),
+        waiting=None if quiet else lambda reason: complain(f"waiting: {reason}"),
+    )
+    earlier = signal.getsignal(signal.SIGINT)
+
+    def end(number: int, frame: Any) -> None:
+        if callable(earlier) and (follow.stop.is_set() or follow.closed.is_set()):
+            earlier(number, frame)
+        follow.stop.set()
+
+    signal.signal(signal.SIGINT, end)
+    try:
+        yield follow
+    finally:
+        signal.signal(signal.SIGINT, earlier)
+
+
+class _Shown:
+    """Writes the state of the recording to standard error, at most every few seconds."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._next = time.monotonic()
+
+    def __call__(self, last: Callable[[int], xr.DataArray], behind: int | None) -> None:
+        if sys.stderr is None or time.monotonic() < self._next:
+            return
+        strip = last(RECENT)
+        if behind and strip.sizes["frame"] < FEWEST:
+            return
+        line = _state(strip, behind, self._settings)
+        tty = sys.stderr.isatty()
+        sys.stderr.write(f"\r\x1b[K{line}" if tty else f"{line}\n")
+        sys.stderr.flush()
+        self._next = time.monotonic() + SHOWN_EVERY_S
+
+
+def _state(strip: xr.DataArray, behind: int | None, settings: Settings) -> str:
+    """How far the recording is read, and what its last frames show."""
+    from vision.pipeline import track_strip
+    from vision.summary import flag_counts, noise_figures
+
+    frame, time_s = int(strip["frame"].values[-1]), float(strip["time_s"].values[-1])
+    where = f"frame {frame}" + (f", {time_s:.1f} s" if time_s == time_s else "")
+    late = "" if behind is None else f"; {behind} more in the file"
+    try:
+        # Decisions by hand are about the whole film.
+        tracks = track_strip(strip, replace(settings, corrections=()))
+    except InputError as error:
+        return f"{where}{late}; {error}"
+    flags = flag_counts(tracks)
+    lost = sum(count for name, count in flags.items() if name != "ok")
+    noise_px = noise_figures(tracks, None)["measured_px"]
+    share = 100 * lost / max(1, sum(flags.values()))
+    return (
+        f"{where}{late}; {tracks.sizes['sheet']} sheets, noise {noise_px:.4f} px, {share:.1f} % not measured"
+    )

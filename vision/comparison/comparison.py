@@ -10,20 +10,24 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vision.comparison.collapse import Collapse, collapse
-from vision.comparison.irregular import Irregularity, find_irregular
 from vision.comparison.joint import (
+    QUANTITIES,
+    Collapse,
     CompareSettings,
     JointFriction,
     TestFit,
+    collapse,
     common_modulus,
     fit_joint,
     fit_test,
+    shared_shifts,
+    systematic_shifts,
+    with_word,
 )
 from vision.comparison.tests import TractionTest, read_tests
-from vision.comparison.trends import Trend, find_trends
+from vision.comparison.trends import Irregularity, Trend, find_irregular, find_trends
 from vision.errors import InputError
-from vision.figures import Figure, load_figures
+from vision.figures import Figure, both_errors, load_figures, plus_minus
 from vision.figures.compare import Overlay, compare_figures
 from vision.models import Estimate
 
@@ -138,13 +142,16 @@ def compare(
     tests = read.tests
     warnings = list(read.warnings)
     modulus, source = _modulus(tests, main_sample, modulus_GPa, tuning)
-    tests, fits, unfitted = _fits(tests, modulus, tuning)
+    main = None if modulus_GPa is not None else tests[0].sample_name if main_sample is None else main_sample
+    tests, fits, unfitted = _fits(tests, modulus, main, tuning)
     for test, fit in zip(tests, fits, strict=True):
         warnings += [f"{test.run}: {note}" for note in fit.notes if "𝒯0" in note or "misfit" in note]
     if modulus_GPa is None and any(f.scale_mm.value != f.scale_mm.value for f in fits):
         lost = ", ".join(t.run for t, f in zip(tests, fits, strict=True) if np.isnan(f.scale_mm.value))
         warnings.append(f"no Λ̂ with Y_eff = {modulus.value:.3g} GPa: {lost} (`modulus_GPa`, `main_sample`)")
     rows = _table(tests, fits)
+    shared = {name: shared_shifts(tests, fits, name) for name in QUANTITIES}
+    own = {with_word(name, "err"): [fit.own_error(name) for fit in fits] for name in QUANTITIES}
     return Comparison(
         tests=tests,
         fits=fits,
@@ -154,7 +161,7 @@ def compare(
         joint=_joint(tests, fits, tuning),
         collapse=collapse(tests, fits, modulus),
         irregular=tuple(find_irregular(test, tuning) for test in tests),
-        trends=find_trends(rows, tuning),
+        trends=find_trends(rows.assign(**own), tuning, shared=shared),
         failures=(*read.failures, *unfitted),
         warnings=tuple(warnings),
     )
@@ -182,14 +189,15 @@ def _modulus(
 
 
 def _fits(
-    tests: Sequence[TractionTest], modulus: Estimate, tuning: CompareSettings
+    tests: Sequence[TractionTest], modulus: Estimate, main: str | None, tuning: CompareSettings
 ) -> tuple[tuple[TractionTest, ...], tuple[TestFit, ...], list[str]]:
     """The tests that can be fitted, their fits, and one line for each of the others."""
     done: dict[TractionTest, TestFit] = {}
     errors = []
     for test in tests:
         try:
-            done[test] = fit_test(test, modulus, tuning)
+            fit = fit_test(test, modulus, tuning)
+            done[test] = systematic_shifts(test, fit, modulus, test.sample_name == main)
         except InputError as error:
             errors.append(error)
     if not done:
@@ -205,19 +213,13 @@ def _table(tests: Sequence[TractionTest], fits: Sequence[TestFit]) -> pd.DataFra
             "V_mm_min": test.speed_mm_min,
             "n_test": test.n_test,
             "RH_percent": test.humidity_percent,
-            "mu": fit.mu.value,
-            "mu_err": fit.mu.error,
-            "T0_N": fit.t0_N.value,
-            "T0_err_N": fit.t0_N.error,
-            "A": fit.amplitude.value,
-            "A_err": fit.amplitude.error,
-            "N_hat_N": fit.n_hat_N.value,
-            "N_hat_err_N": fit.n_hat_N.error,
-            "Lambda_hat_mm": fit.scale_mm.value,
-            "Lambda_hat_err_mm": fit.scale_mm.error,
+            **{
+                column: number
+                for name, one in fit.values.items()
+                for column, number in ((name, one.value), (with_word(name, "err"), one.error))
+            },
             "chi2_dof": fit.chi2_dof,
-            "N_hat_systematic_N": fit.n_hat_N.systematic_error,
-            "Lambda_hat_systematic_mm": fit.scale_mm.systematic_error,
+            **{with_word(name, "systematic"): fit.systematic_error(name) for name in fit.values},
             "T_C": test.temperature_C,
             "events": len(test.events),
             "events_used": int(fit.used.sum()),
@@ -246,7 +248,7 @@ def _overlay(found: Comparison) -> Overlay:
     """What the figures draw, as plain tables."""
     main = found.joint[0] if found.joint else None
     mu = found.fits[0].mu if main is None else main.mu
-    amplitude = found.fits[0].amplitude if main is None else main.amplitude
+    amplitude = found.fits[0].values["A"] if main is None else main.amplitude
     return Overlay(
         events=found.events(),
         table=found.table,
@@ -279,3 +281,53 @@ def _sticks(tests: Sequence[TractionTest]) -> tuple[tuple[float, Figure], ...]:
         if "sticks" in named:
             chosen[test.speed_mm_min] = named["sticks"]
     return tuple(sorted(chosen.items(), key=lambda item: item[0]))
+
+
+# --- in words ---
+
+DISAGREE = 4.0  # χ²/dof from which tests do not share one μ
+MOST_LINES = 6  # of tests with a change point
+
+
+def summary_lines(found: Comparison) -> list[str]:
+    """The joint μ, Y_eff, the collapse, change points and trends."""
+    lines = [joint_line(one) for one in found.joint]
+    source = ", ".join(found.modulus_from[:3]) + (" …" if len(found.modulus_from) > 3 else "")
+    lines.append(f"Y_eff {plus_minus(found.modulus)} GPa held fixed ({source})")
+    if found.collapse is not None:
+        c = found.collapse
+        lines.append(
+            f"collapse: rms {c.rms_after:.2g} sheets, {c.rms_before:.2g} with one Λ̂ for all; "
+            f"noise {c.rms_noise:.2g}"
+        )
+    changed = [one for one in found.irregular if np.isfinite(one.change_mm)]
+    for one in changed[:MOST_LINES]:
+        place = plus_minus(Estimate(one.change_mm, one.change_err_mm))
+        lines.append(f"{one.run}: stick-slip turns irregular at d_v = {place} mm")
+    if not changed:
+        lines.append("stick-slip turns irregular in no test")
+    claimed = [t for t in found.trends if t.claimed]
+    for t in claimed:
+        partial = np.isfinite(t.partial_slope)
+        slope = Estimate(*((t.partial_slope, t.partial_slope_err) if partial else (t.slope, t.slope_err)))
+        held = ", the other held fixed" if partial else ""
+        lines.append(f"{t.quantity} with {t.predictor}: {plus_minus(slope)}{held} (p {t.p_adjusted:.2g})")
+    looked = [t for t in found.trends if not t.reason]
+    if doubtful := [f"{t.quantity} with {t.predictor}" for t in looked if not t.beyond_systematic]:
+        lines.append(f"no more than errors of the geometry may give: {', '.join(doubtful)}")
+    if looked and not claimed:
+        lines.append(f"no trend among the {len(looked)} looked for")
+    return lines
+
+
+def joint_line(one: JointFriction) -> str:
+    """One μ of several tests, and whether they share it."""
+    whose = one.sample or "all tests"
+    line = f"{whose}: one μ for {len(one.runs)} tests {both_errors(one.mu)}"
+    if np.isfinite(one.amplitude.value):
+        line += f", A {plus_minus(one.amplitude)}"
+    if one.disagreement > DISAGREE:
+        line += f"; the tests differ by more than their errors (χ²/dof {one.disagreement:.3g})"
+    if one.at_limit:
+        line += f"; 𝒯0 at its limit in {', '.join(one.at_limit)}"
+    return line

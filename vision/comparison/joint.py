@@ -3,9 +3,8 @@
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -14,11 +13,27 @@ import scipy
 from vision.comparison.tests import TractionTest
 from vision.errors import InputError
 from vision.models import Estimate, equations
+from vision.models.single_fits import (
+    LARGEST_SCALE,
+    fit_drops,
+    fit_peaks,
+    fit_stiffness,
+    stiffness_errors,
+    with_friction,
+)
 from vision.numeric import Bools, Floats
 from vision.sample import Sample
 
-MU_RANGE = 0.05, 5.0  # looked through; a fit at either end is none
+MU_RANGE = 0.05, 5.0  # a fit beyond is none
 MISFIT = 3.0  # χ²/dof from which it is said
+FAILURES = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)  # of a fit to strange events
+QUANTITIES = ("mu", "T0_N", "A", "N_hat_N", "Lambda_hat_mm")  # columns of tests.csv
+
+
+def with_word(name: str, word: str) -> str:
+    """N_hat_err_N from N_hat_N: the unit comes last."""
+    stem, unit = next(((name.removesuffix(u), u) for u in ("_N", "_mm") if name.endswith(u)), (name, ""))
+    return f"{stem}_{word}{unit}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,16 +61,16 @@ class TestFit:
 
     Parameters
     ----------
-    mu, t0_N
-        From the peak forces.
-    amplitude
-        A.
-    scale_mm, n_hat_N
-        Λ̂ and N̂ from K; their systematic error is that of Y_eff.
+    values
+        μ, 𝒯0, A, N̂ and Λ̂ by their names in tests.csv, with standard errors; N̂ and Λ̂ are NaN where K is not
+        that of M_eff sheets with this Y_eff.
+    shifts
+        Source of a systematic error to by how much it moves each of them (one standard error of the source):
+        "d0" is the test's own, "Y_eff" all tests share, others belong to the sample.
     chi2_dof
         Squared deviation from the models over that between neighbouring events, mean of the three fits.
     peak_scatter
-        Standard deviation of the peaks about the fit, as a share of them.
+        Root mean square deviation of the peaks from the fit, as a share of them.
     used
         Which events.
     notes
@@ -63,15 +78,31 @@ class TestFit:
     """
 
     __test__ = False
-    mu: Estimate
-    t0_N: Estimate
-    amplitude: Estimate
-    scale_mm: Estimate
-    n_hat_N: Estimate
+    values: Mapping[str, Estimate]
+    shifts: Mapping[str, Mapping[str, float]]
     chi2_dof: float
     peak_scatter: float
     used: Bools = field(repr=False)
     notes: tuple[str, ...] = ()
+
+    @property
+    def mu(self) -> Estimate:
+        """Friction coefficient."""
+        return self.values["mu"]
+
+    @property
+    def scale_mm(self) -> Estimate:
+        """Λ̂."""
+        return self.values["Lambda_hat_mm"]
+
+    def own_error(self, name: str) -> float:
+        """Error of a quantity that is the test's own: that of the fit, and that of d0."""
+        return float(np.hypot(self.values[name].error, self.shifts.get("d0", {}).get(name, 0.0)))
+
+    def systematic_error(self, name: str) -> float:
+        """All shifts together; NaN where there are none."""
+        found = [moved[name] for moved in self.shifts.values()]
+        return float(np.linalg.norm(found)) if found else float("nan")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,14 +116,15 @@ class JointFriction:
     runs
         Which tests.
     mu
-        The common friction coefficient.
+        The common friction coefficient. Its error holds what differs from test to test: noise, each test's
+        d0, and what the tests' own μ differ by beyond that; the systematic one is that of the geometry, which
+        all tests of a sample share.
     t0_N
         Offset of each test.
     at_limit
         Runs whose offset is as large as it may be.
     disagreement
-        χ²/dof of the tests' own μ about the common one. What they differ by beyond their errors is in the
-        error of `mu`.
+        χ²/dof of the tests' own μ about the common one.
     amplitude
         A, the weighted mean of the slow tests.
     """
@@ -118,6 +150,9 @@ def usable_range(test: TractionTest) -> Bools:
     return used if used.sum() >= 6 else np.ones(d.size, bool)
 
 
+# --- one test -----------------------------------------------------------------------------------------------
+
+
 def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings | None = None) -> TestFit:
     r"""μ, 𝒯0 and A of one test with T* fixed, Λ̂ and N̂ with Y_eff fixed.
 
@@ -140,188 +175,112 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings | 
     .. math:: F_p = \mathcal T(d_p; \mu) + \mathcal T_0, \quad \Delta F = A\, \mathcal N(d_v; \mu), \quad
         K = M \sqrt{1 - d_v/\hat\Lambda}\; \epsilon W Y_\mathrm{eff} / L
 
-    K knows μ only through Λ̂, so Λ̂ alone is fitted and N̂ follows with the errors of both. Peaks and drops
-    are weighted by a share of the model, K by its own error. Standard errors are White's, times √(χ²/dof)
-    where the models misfit. Source: publication, section on the effective number of sheets.
+    K knows μ only through Λ̂, so Λ̂ alone is fitted and N̂ follows with the errors of both. The weights and
+    errors are those of `fit_models`. Source: publication, section on the effective number of sheets.
     """
     tuning = settings or CompareSettings()
     used = usable_range(test)
-    d_v, d_p = test.column("d_v_mm")[used], test.column("d_p_mm")[used]
-    mu, t0, scatter, misfit_p = _fit_peaks(d_p, test.column("F_p_N")[used], test.sample)
-    if not (MU_RANGE[0] * 1.1 < mu.value < MU_RANGE[1] / 1.1 and mu.value > 2 * mu.error):
+    events = test.events[used]
+    try:
+        values, chi2, scatter = _fit(events, test.sample, modulus.value)
+    except FAILURES as error:
+        wanted = "events that follow the publication's models"
+        raise InputError(test.folder, wanted, f"others ({error})", "check `d0_mm`") from error
+    mu, t0 = values["mu"], values["T0_N"]
+    if not (MU_RANGE[0] < mu.value < MU_RANGE[1] and mu.value > 2 * mu.error):
         found = f"others (μ = {mu.value:.3g} ± {mu.error:.2g})"
         raise InputError(test.folder, "peak forces that fall with d as Eq. 1 does", found, "check `d0_mm`")
-    amplitude, misfit_d = _fit_drops(d_v, test.column("dF_N")[used], mu, test.sample)
-    k, sigma = test.column("K_N_per_mm")[used], stiffness_errors(test)[used]
-    scale, misfit_k = fit_scale(d_v, k, sigma, modulus, test.sample)
     notes = []
     if abs(t0.value) > tuning.t0_limit_N:
         notes.append(f"offset 𝒯0 = {t0.value:.3g} N lies beyond ±{tuning.t0_limit_N:g} N")
     if test.speed_mm_min > 1.05 * tuning.slow_mm_min:
         notes.append(f"A, N̂ and Λ̂ are defined for V up to {tuning.slow_mm_min:g} mm/min")
-    if not np.isfinite(scale.value):
+    if not np.isfinite(values["Lambda_hat_mm"].value):
         notes.append("K is not that of M_eff sheets with this Y_eff: no Λ̂")
-    chi2 = float(np.nanmean([misfit_p, misfit_d, misfit_k]))
     if chi2 > MISFIT:
         notes.append(f"the models misfit: χ²/dof = {chi2:.3g}, errors scaled")
-    left = int((~used).sum())
-    if left:
+    if left := int((~used).sum()):
         notes.append(f"{left} events before the largest peaks or outside the run's fit range left out")
     return TestFit(
-        mu=mu,
-        t0_N=t0,
-        amplitude=amplitude,
-        scale_mm=scale,
-        n_hat_N=_n_hat(mu, scale, test.sample),
-        chi2_dof=chi2,
-        peak_scatter=scatter,
-        used=used,
-        notes=tuple(notes),
+        values=values, shifts={}, chi2_dof=chi2, peak_scatter=scatter, used=used, notes=tuple(notes)
     )
 
 
-# --- peaks --------------------------------------------------------------------------------------------------
-
-
-def _fit_peaks(d: Floats, peak: Floats, sample: Sample) -> tuple[Estimate, Estimate, float, float]:
-    """(μ, 𝒯0, scatter of the peaks as a share of them, χ²/dof)."""
-    floor = 1e-3 * float(np.abs(peak).max()) or 1.0
-    width = np.maximum(np.abs(peak), floor)
-    mu, t0 = 0.5, 0.0
-    for _ in range(3):
-        mu = _best(partial(_offset_misfit, d=d, peak=peak, width=width, sample=sample), *MU_RANGE)
-        model = equations.traction(d, mu=mu, sample=sample)
-        t0 = float(np.average(peak - model, weights=width**-2))
-        width = np.maximum(np.abs(model + t0), floor)
-    slope = _traction_slope(d, mu, sample)
-    jacobian = np.column_stack([slope, np.ones(d.size)]) / width[:, np.newaxis]
-    residual = (model + t0 - peak) / width
-    covariance, misfit = _white(jacobian, residual)
-    errors = np.sqrt(np.diag(covariance))
-    scatter = float(np.sqrt(np.sum(residual**2) / max(d.size - 2, 1)))
-    return Estimate(mu, float(errors[0])), Estimate(t0, float(errors[1])), scatter, misfit
-
-
-def _offset_misfit(mu: float, d: Floats, peak: Floats, width: Floats, sample: Sample) -> float:
-    """Squared deviation with the best offset."""
-    rest = peak - equations.traction(d, mu=mu, sample=sample)
-    rest = rest - np.average(rest, weights=width**-2)
-    return float(np.sum((rest / width) ** 2))
-
-
-def _traction_slope(d: Floats, mu: float, sample: Sample) -> Floats:
-    step = 1e-5
-    high, low = (equations.traction(d, mu=mu + s, sample=sample) for s in (step, -step))
-    return np.asarray((high - low) / (2 * step))
-
-
-def _best(misfit: Callable[[float], float], low: float, high: float) -> float:
-    """The least of a misfit over a positive parameter: a grid, then refined between its neighbours."""
-    grid = np.geomspace(low, high, 60)
-    with np.errstate(all="ignore"):
-        values = np.nan_to_num([misfit(float(q)) for q in grid], nan=np.inf)
-        at = int(np.argmin(values))
-        bounds = float(grid[max(at - 1, 0)]), float(grid[min(at + 1, grid.size - 1)])
-        found = scipy.optimize.minimize_scalar(
-            misfit, bounds=bounds, method="bounded", options={"xatol": 1e-9}
-        )
-    return float(found.x)
-
-
-def _white(jacobian: Floats, residual: Floats) -> tuple[Floats, float]:
-    """White's covariance, scaled where the model misfits, and χ²/dof against neighbouring events."""
-    points, free = residual.size, max(residual.size - jacobian.shape[1], 1)
-    bread = np.linalg.pinv(jacobian.T @ jacobian)
-    meat = jacobian.T @ (jacobian * residual[:, np.newaxis] ** 2)
-    neighbours = float(np.sum(np.diff(residual) ** 2) / (2 * max(points - 1, 1)))
-    misfit = float(np.sum(residual**2) / free / neighbours) if neighbours > 0 else 1.0
-    return bread @ meat @ bread * (points / free) * max(misfit, 1.0), misfit
-
-
-# --- drops and stiffness ------------------------------------------------------------------------------------
-
-
-def _fit_drops(d: Floats, drop: Floats, mu: Estimate, sample: Sample) -> tuple[Estimate, float]:
-    """A with the error of μ carried into it."""
-
-    def share(m: float) -> Floats:
-        return np.asarray(drop / equations.total_normal_force(d, mu=m, sample=sample))
-
-    ratio = share(mu.value)
-    value = float(ratio.mean())
-    covariance, misfit = _white(np.ones((d.size, 1)), ratio / value - 1)
-    step = max(1e-5, 0.1 * mu.error) if np.isfinite(mu.error) else 1e-5
-    slope = (float(share(mu.value + step).mean()) - float(share(mu.value - step).mean())) / (2 * step)
-    error = np.hypot(value * np.sqrt(covariance[0, 0]), slope * mu.error)
-    return Estimate(value, float(error)), misfit
-
-
-def stiffness_errors(test: TractionTest) -> Floats:
-    """Errors of K, each added to half the usual one: one luckily small error must not outweigh the rest."""
-    error = np.full(len(test.events), np.nan)
-    if "K_err_N_per_mm" in test.events:
-        error = test.column("K_err_N_per_mm")
-    known: Bools = np.isfinite(error) & (error > 0)
-    usual = (
-        float(np.median(error[known])) if known.any() else 0.05 * float(np.median(test.column("K_N_per_mm")))
-    )
-    return np.hypot(np.where(known, error, usual), 0.5 * usual)
-
-
-def fit_scale(
-    d: Floats, k: Floats, sigma: Floats, modulus: Estimate, sample: Sample
-) -> tuple[Estimate, float]:
-    """Λ̂ in mm from K with Y_eff fixed, and χ²/dof; the systematic error is that of Y_eff.
-
-    NaN where K exceeds what all sheets together have, or where no Λ̂ within reach fits.
-    """
-    value, misfit, error = _scale_at(d, k, sigma, modulus.value, sample)
-    systematic = float("nan")
-    if np.isfinite(modulus.error) and np.isfinite(value):
-        ends = [_scale_at(d, k, sigma, modulus.value + s * modulus.error, sample)[0] for s in (-1, 1)]
-        systematic = abs(ends[1] - ends[0]) / 2
-    return Estimate(value, error, systematic), misfit
-
-
-def _scale_at(
-    d: Floats, k: Floats, sigma: Floats, modulus: float, sample: Sample
-) -> tuple[float, float, float]:
-    """(Λ̂, χ²/dof, error)."""
-    nan = float("nan")
-    full = sample.sheets_per_block * float(equations.sheet_stiffness(modulus_GPa=modulus, sample=sample))
-    if not full > 0:
-        return nan, nan, nan
-
-    def model(inverse: float) -> Floats:
-        return np.asarray(full * np.sqrt(np.maximum(1 - inverse * d, 0)))
-
-    low, high = 1e-3 / float(d.max()), 2.0 / float(d.min())
-    inverse = _best(lambda q: float(np.sum(((model(q) - k) / sigma) ** 2)), low, high)
-    if not 1.01 * low < inverse < 0.99 * high:
-        return nan, nan, nan
-    inside = 1 - inverse * d > 1e-9
-    slope = np.where(inside, -full * d / (2 * np.sqrt(np.maximum(1 - inverse * d, 1e-9))), 0.0)
-    covariance, misfit = _white((slope / sigma)[:, np.newaxis], (model(inverse) - k) / sigma)
-    return 1 / inverse, misfit, float(np.sqrt(covariance[0, 0])) / inverse**2
+def _fit(events: pd.DataFrame, sample: Sample, modulus: float) -> tuple[dict[str, Estimate], float, float]:
+    """(`QUANTITIES`, χ²/dof, scatter of the peaks as a share of them)."""
+    nothing = Estimate(float("nan"), float("nan"))
+    with np.errstate(all="ignore"):  # fits may stray; what comes out is checked
+        peaks = fit_peaks(events, sample, False, {})
+        mu = peaks.estimate(0)
+        drops = with_friction(lambda m: fit_drops(events, sample, max(m, 1e-3)), mu)
+        stiffness = fit_stiffness(events, sample, {"modulus_GPa": modulus})
+        scale = stiffness.estimate(0)
+        if not scale.value < 0.999 * LARGEST_SCALE * float(events["d_v_mm"].max()):
+            scale = nothing
+        found = {
+            "mu": mu,
+            "T0_N": peaks.estimate(1),
+            "A": drops.estimate(0),
+            "N_hat_N": _n_hat(mu, scale, sample),
+            "Lambda_hat_mm": scale,
+        }
+        chi2 = float(np.nanmean([fit.goodness.chi2_dof for fit in (peaks, drops, stiffness)]))
+    return found, chi2, peaks.goodness.scatter
 
 
 def _n_hat(mu: Estimate, scale: Estimate, sample: Sample) -> Estimate:
-    r"""N̂ = T*/(2μ) (exp(2μεM²/Λ̂) − 1), with the errors of μ and Λ̂, which come from different numbers."""
+    r"""N̂ = T*/(2μ) (exp(α) − 1) with α = 2μεM²/Λ̂, and the errors of μ and Λ̂, which are independent."""
+    alpha = 2 * mu.value * sample.thickness_mm * sample.sheets_per_block**2 / scale.value
+    value = sample.t_star_N / (2 * mu.value) * float(np.expm1(alpha))
+    by_alpha = sample.t_star_N / (2 * mu.value) * alpha * float(np.exp(alpha))  # times dα/α
+    by_mu, by_scale = (by_alpha - value) / mu.value, by_alpha / scale.value
+    return Estimate(value, float(np.hypot(by_mu * mu.error, by_scale * scale.error)))
 
-    def n_hat(m: float, length: float) -> float:
-        exponent = 2 * m * sample.thickness_mm * sample.sheets_per_block**2 / length
-        return float(sample.t_star_N / (2 * m) * np.expm1(min(exponent, 700.0)))
 
-    if not np.isfinite(scale.value):
-        return Estimate(float("nan"), float("nan"))
-    step_m, step_l = 1e-5 * mu.value, 1e-5 * scale.value
-    by_mu = (n_hat(mu.value + step_m, scale.value) - n_hat(mu.value - step_m, scale.value)) / (2 * step_m)
-    by_scale = (n_hat(mu.value, scale.value + step_l) - n_hat(mu.value, scale.value - step_l)) / (2 * step_l)
-    return Estimate(
-        n_hat(mu.value, scale.value),
-        float(np.hypot(by_mu * mu.error, by_scale * scale.error)),
-        abs(by_scale) * scale.systematic_error,
-    )
+def systematic_shifts(test: TractionTest, fit: TestFit, modulus: Estimate, main: bool) -> TestFit:
+    """The fit with what each error of d0, the geometry and Y_eff moves it by.
+
+    Parameters
+    ----------
+    test, fit
+        Of `fit_test`.
+    modulus
+        Y_eff; its systematic error is that of the main sample's geometry.
+    main
+        Whether the test is of the main sample: there K fixes Y_eff times the geometry, whose errors leave
+        Λ̂ as it is.
+    """
+    events, sample = test.events[fit.used], test.sample
+    shifts: dict[str, dict[str, float]] = {}
+
+    def source(name: str, relative: float = 0.0, d_mm: float = 0.0) -> None:
+        if not (np.isfinite(relative + d_mm) and relative + d_mm > 0):
+            return
+        other, y = sample, modulus.value
+        if name in _GEOMETRY:
+            other = replace(sample, **{name: getattr(sample, name) * (1 + relative)})
+            y *= (1 + relative) ** (-_GEOMETRY[name] if main else 0)
+        else:
+            y *= 1 + relative
+        shifted = events.assign(d_v_mm=events["d_v_mm"] + d_mm, d_p_mm=events["d_p_mm"] + d_mm)
+        try:
+            moved, *_ = _fit(shifted, other, y)
+        except FAILURES:
+            shifts[name] = dict.fromkeys(QUANTITIES, float("nan"))
+            return
+        shifts[name] = {q: moved[q].value - fit.values[q].value for q in QUANTITIES}
+
+    source("Y_eff", modulus.error / modulus.value)
+    if not main:
+        source("main_sample", modulus.systematic_error / modulus.value)
+    source("d0", d_mm=test.errors.get("d0_mm", float("nan")))
+    for name in _GEOMETRY:
+        source(name, test.errors.get(name, float("nan")) / getattr(sample, name))
+    return replace(fit, shifts=shifts)
+
+
+_GEOMETRY = {"thickness_mm": 1, "width_mm": 1, "length_mm": -1, "t_star_N": 0}
+"""Power with which each enters K of one sheet."""
 
 
 def common_modulus(
@@ -330,39 +289,29 @@ def common_modulus(
     """Y_eff of the main sample in GPa, the weighted mean of its slow tests, and which runs these are.
 
     The run's own fit is used where it has one, else Λ̂ and Y_eff are fitted here. The error holds how far the
-    tests disagree.
+    tests disagree; the systematic one is that of ε, W and L, NaN where none of their errors is known.
     """
     tuning = settings or CompareSettings()
     mine = [test for test in tests if test.sample_name == main]
     slow = [test for test in mine if not test.speed_mm_min > 1.05 * tuning.slow_mm_min] or mine
-    found = [_own_modulus(test) for test in slow]
-    value, error, _ = weighted_mean(found)
-    return Estimate(value, error), tuple(test.run for test in slow)
+    value, error, _ = weighted_mean([_own_modulus(test) for test in slow])
+    relative = [
+        slow[0].errors[name] / getattr(slow[0].sample, name)
+        for name, power in _GEOMETRY.items()
+        if power and name in slow[0].errors
+    ]
+    systematic = value * float(np.linalg.norm(relative)) if relative else float("nan")
+    return Estimate(value, error, systematic), tuple(test.run for test in slow)
 
 
 def _own_modulus(test: TractionTest) -> Estimate:
     if np.isfinite(test.modulus_GPa) and test.modulus_err_GPa > 0:
         return Estimate(test.modulus_GPa, test.modulus_err_GPa)
-    used = usable_range(test)
-    d, k, sigma = test.column("d_v_mm")[used], test.column("K_N_per_mm")[used], stiffness_errors(test)[used]
-    one = float(equations.sheet_stiffness(modulus_GPa=1.0, sample=test.sample)) * test.sample.sheets_per_block
-
-    def shape(inverse: float) -> Floats:
-        return np.asarray(one * np.sqrt(np.maximum(1 - inverse * d, 0)))
-
-    def modulus(s: Floats) -> float:
-        return float(np.sum(k * s / sigma**2) / max(np.sum((s / sigma) ** 2), 1e-300))
-
-    def misfit(inverse: float) -> float:
-        s = shape(inverse)
-        return float(np.sum(((modulus(s) * s - k) / sigma) ** 2))
-
-    inverse = _best(misfit, 1e-3 / float(d.max()), 1.05 / float(d.max()))
-    s = shape(inverse)
-    value = modulus(s)
-    slope = np.where(s > 0, -value * one**2 * d / (2 * np.maximum(s, 1e-9)), 0.0)
-    covariance, _ = _white(np.column_stack([slope, s]) / sigma[:, np.newaxis], (value * s - k) / sigma)
-    return Estimate(value, float(np.sqrt(covariance[1, 1])))
+    try:
+        with np.errstate(all="ignore"):
+            return fit_stiffness(test.events[usable_range(test)], test.sample, {}).estimate(1)
+    except FAILURES:
+        return Estimate(float("nan"), float("nan"))
 
 
 def weighted_mean(parts: Sequence[Estimate]) -> tuple[float, float, float]:
@@ -385,12 +334,12 @@ def fit_joint(
     sample: str,
     settings: CompareSettings | None = None,
 ) -> JointFriction:
-    """One μ for several tests of one sample, each with an offset 𝒯0 of its own within ±10 N.
+    """One μ for several tests, each with an offset 𝒯0 of its own within ±10 N.
 
     Parameters
     ----------
     tests, fits
-        Of one geometry.
+        Which tests, and what each gives.
     sample
         Name.
     settings
@@ -400,7 +349,7 @@ def fit_joint(
     parts = []
     for test, fit in zip(tests, fits, strict=True):
         d, peak = test.column("d_p_mm")[fit.used], test.column("F_p_N")[fit.used]
-        model = equations.traction(d, mu=fit.mu.value, sample=test.sample) + fit.t0_N.value
+        model = equations.traction(d, mu=fit.mu.value, sample=test.sample) + fit.values["T0_N"].value
         floor = 1e-3 * float(np.abs(peak).max()) or 1.0
         parts.append((d, peak, fit.peak_scatter * np.maximum(np.abs(model), floor), test.sample))
 
@@ -410,33 +359,147 @@ def fit_joint(
         t0 = float(np.clip(np.average(off, weights=width**-2), -tuning.t0_limit_N, tuning.t0_limit_N))
         return (off - t0) / width, t0
 
-    mu = _best(lambda m: sum(float(np.sum(rest(m, part)[0] ** 2)) for part in parts), *MU_RANGE)
+    def misfit(mu: float) -> float:
+        return sum(float(np.sum(rest(mu, part)[0] ** 2)) for part in parts)
+
+    own = np.array([fit.mu.value for fit in fits])
+    reach = 0.9 * own.min(), 1.1 * own.max()
+    mu = float(
+        scipy.optimize.minimize_scalar(misfit, bounds=reach, method="bounded", options={"xatol": 1e-9}).x
+    )
     offsets = [rest(mu, part)[1] for part in parts]
     bound = [abs(t0) >= tuning.t0_limit_N for t0 in offsets]
-    slopes = []
-    for part, held in zip(parts, bound, strict=True):
-        d, _, width, geometry = part
-        slope = _traction_slope(d, mu, geometry)
-        slopes.append((slope - (0.0 if held else np.average(slope, weights=width**-2))) / width)
-    misfit = float(np.mean([max(fit.chi2_dof, 1.0) for fit in fits]))
-    own_error = (misfit / float(np.sum(np.concatenate(slopes) ** 2))) ** 0.5
-    own = [fit.mu for fit in fits]
-    spread = [((one.value - mu) / one.error) ** 2 for one in own if one.error > 0]
-    disagreement = float(np.sum(spread) / max(len(spread) - 1, 1))
-    between = np.var([one.value for one in own], ddof=1) - np.mean([one.error**2 for one in own])
-    error = float(np.sqrt(own_error**2 + max(float(between), 0.0) / len(own)))
+    step = 1e-5
+    information = np.array(
+        [
+            # of μ in each test, beside its offset
+            np.sum((rest(mu + step, part)[0] - rest(mu - step, part)[0]) ** 2) / (2 * step) ** 2
+            for part in parts
+        ]
+    )
+    share = information / information.sum()
+    widening = float(np.mean([max(fit.chi2_dof, 1.0) for fit in fits]))
+    by_d0 = np.array([fit.shifts.get("d0", {}).get("mu", 0.0) for fit in fits])
+    errors = np.array([fit.own_error("mu") for fit in fits])
+    between = float(np.var(own, ddof=1) - np.mean(errors**2))
+    variance = widening / information.sum() + np.sum((share * by_d0) ** 2) + max(between, 0.0) / own.size
     slow = [
-        fit.amplitude
+        fit.values["A"]
         for test, fit in zip(tests, fits, strict=True)
         if not test.speed_mm_min > 1.05 * tuning.slow_mm_min
     ]
-    amplitude, amplitude_error, _ = weighted_mean(slow)
     return JointFriction(
         sample=sample,
         runs=tuple(test.run for test in tests),
-        mu=Estimate(mu, error),
+        mu=Estimate(mu, float(np.sqrt(variance)), _together(shared_shifts(tests, fits, "mu"), share)),
         t0_N=tuple(offsets),
         at_limit=tuple(test.run for test, held in zip(tests, bound, strict=True) if held),
-        disagreement=disagreement,
-        amplitude=Estimate(amplitude, amplitude_error),
+        disagreement=float(np.sum(((own - mu) / errors) ** 2) / (own.size - 1)),
+        amplitude=Estimate(*weighted_mean(slow)[:2]),
     )
+
+
+def shared_shifts(tests: Sequence[TractionTest], fits: Sequence[TestFit], quantity: str) -> Floats:
+    """By how much each source that several tests share moves a quantity of each of them, (source, test).
+
+    Errors of the geometry are shared by the tests of one sample, those of Y_eff by all; d0 by none.
+    """
+    found: dict[tuple[str, str], Floats] = {}
+    for k, (test, fit) in enumerate(zip(tests, fits, strict=True)):
+        for source, moved in fit.shifts.items():
+            if source != "d0":
+                whose = test.sample_name if source in _GEOMETRY else ""
+                found.setdefault((source, whose), np.zeros(len(fits)))[k] = moved[quantity]
+    return np.array(list(found.values())).reshape(-1, len(fits))
+
+
+def _together(shifts: Floats, share: Floats) -> float:
+    """What the shared sources move a weighted mean by, together; NaN where there are none."""
+    return float(np.linalg.norm(shifts @ share)) if len(shifts) else float("nan")
+
+
+# --- the collapse ---
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collapse:
+    """How well the tests fall on the master curve.
+
+    Parameters
+    ----------
+    table
+        One row an event: ``run``, ``d_v_mm``, ``d_hat``, ``sheets`` (K/K_eff) and its error, ``model``.
+    common_scale_mm
+        The one Λ̂ that fits all tests best.
+    rms_before, rms_after
+        Root mean square distance of K/K_eff, in sheets, from the master curve with the one Λ̂, and with each
+        test's own.
+    rms_noise
+        What the scatter between neighbouring events alone gives.
+    """
+
+    table: pd.DataFrame
+    common_scale_mm: float
+    rms_before: float
+    rms_after: float
+    rms_noise: float
+
+
+def collapse(tests: Sequence[TractionTest], fits: Sequence[TestFit], modulus: Estimate) -> Collapse | None:
+    r"""K/K_eff against d̂ = d_v/Λ̂ with M√(1 − d̂), for the tests that have a Λ̂; None where none has.
+
+    The distance before is that with one Λ̂ for all: what their differences cost.
+    """
+    parts = []
+    for test, fit in zip(tests, fits, strict=True):
+        if not np.isfinite(fit.scale_mm.value):
+            continue
+        one = float(equations.sheet_stiffness(modulus_GPa=modulus.value, sample=test.sample))
+        d = test.column("d_v_mm")[fit.used]
+        sheets = test.column("K_N_per_mm")[fit.used] / one
+        d_hat = d / fit.scale_mm.value
+        noise = np.diff(sheets - equations.effective_sheets(d_hat, sample=test.sample))
+        parts.append(
+            pd.DataFrame(
+                {
+                    "run": test.run,
+                    "d_v_mm": d,
+                    "d_hat": d_hat,
+                    "sheets": sheets,
+                    "sheets_err": stiffness_errors(test.events[fit.used]) / one,
+                    "model": equations.effective_sheets(d_hat, sample=test.sample),
+                    "sheets_per_block": test.sample.sheets_per_block,
+                    "noise": float(np.sqrt(np.mean(noise**2) / 2)),
+                }
+            )
+        )
+    if not parts:
+        return None
+    table = pd.concat(parts, ignore_index=True)
+    scale = _common_scale(tests, fits, modulus)
+    block = table["sheets_per_block"].to_numpy(float)
+    before = block * np.sqrt(np.maximum(1 - table["d_v_mm"].to_numpy(float) / scale, 0))
+    return Collapse(
+        table=table,
+        common_scale_mm=scale,
+        rms_before=_rms(table["sheets"].to_numpy(float) - before),
+        rms_after=_rms((table["sheets"] - table["model"]).to_numpy(float)),
+        rms_noise=_rms(table["noise"].to_numpy(float)),
+    )
+
+
+def _common_scale(tests: Sequence[TractionTest], fits: Sequence[TestFit], modulus: Estimate) -> float:
+    """One Λ̂ for all events; tests of one geometry are fitted together, others averaged by their events."""
+    groups: dict[Sample, list[pd.DataFrame]] = {}
+    for test, fit in zip(tests, fits, strict=True):
+        if np.isfinite(fit.scale_mm.value):
+            groups.setdefault(test.sample, []).append(test.events[fit.used])
+    together = {sample: pd.concat(parts, ignore_index=True) for sample, parts in groups.items()}
+    held = {"modulus_GPa": modulus.value}
+    with np.errstate(all="ignore"):
+        scales = [fit_stiffness(events, sample, held).value[0] for sample, events in together.items()]
+    return float(np.average(scales, weights=[len(events) for events in together.values()]))
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))

@@ -57,6 +57,8 @@ class TractionTest:
         Separations over which the run's own fits were made; None where it has none.
     modulus_GPa, modulus_err_GPa
         Y_eff of the run's own fit; NaN where it has none.
+    errors
+        Standard errors of d0 and the geometry that the run was given, by ``d0_mm`` or field of the sample.
     """
 
     run: str
@@ -71,6 +73,7 @@ class TractionTest:
     fit_range_mm: tuple[float, float] | None
     modulus_GPa: float
     modulus_err_GPa: float
+    errors: Mapping[str, float]
 
     def column(self, name: str) -> Floats:
         """One column of the events."""
@@ -283,6 +286,11 @@ def _read_test(folder: Path, name: str, row: Mapping[str, Any], warnings: list[s
         fit_range_mm=_pair(models.get("fit_range_mm")),
         modulus_GPa=_number(modulus.get("value")),
         modulus_err_GPa=_number(modulus.get("error")),
+        errors={
+            name: error
+            for name, value in (models.get("input_errors") or {}).items()
+            if (error := _number(value)) > 0
+        },
     )
 
 

@@ -21,12 +21,13 @@ from vision.deformation.creep import (
     Creep,
     LateSlips,
     StickFrames,
+    correct_pixel_locking,
     find_late_slips,
     fit_creep,
     frames_of_sticks,
+    pixel_locking_slope,
 )
 from vision.deformation.noise import ErrorModel, Noise, fixed_pattern_px, measure_noise
-from vision.deformation.pixel_locking import correct_pixel_locking, pixel_locking_slope
 from vision.deformation.settings import DeformationSettings
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Ints, nan_median

@@ -1,10 +1,8 @@
 """A synthetic traction test with known truth: mechanics, sheets, optics, camera, clocks."""
 
-from vision.experiment.force_file import force_recording, write_force
 from vision.experiment.images import frame_blocks, profiles
 from vision.experiment.mechanics import Pull, simulate_pull
-from vision.experiment.presets import preset
-from vision.experiment.scene import Scene, make_scene
+from vision.experiment.scene import Scene, make_scene, truth_of
 from vision.experiment.settings import (
     Camera,
     Clocks,
@@ -14,11 +12,11 @@ from vision.experiment.settings import (
     Mechanics,
     Optics,
     Sheets,
+    preset,
     settings_from_toml,
     with_settings,
 )
-from vision.experiment.simulate import SimulatedTest, simulate
-from vision.experiment.truth import truth_of
+from vision.experiment.simulate import SimulatedTest, force_recording, simulate, write_force
 
 __all__ = [
     "Camera",

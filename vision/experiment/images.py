@@ -17,9 +17,8 @@ from scipy.sparse import coo_array, csr_array
 
 from vision.data import STRIP, StripMetadata, record
 from vision.experiment.mechanics import random_stream
-from vision.experiment.scene import Scene, make_scene, strip_slice
+from vision.experiment.scene import Scene, make_scene, strip_slice, truth_of
 from vision.experiment.settings import Camera, Experiment
-from vision.experiment.truth import truth_of
 from vision.numeric import Floats, Floats32, Ints, Pixels
 
 Progress = Callable[[int, int | None], None]

@@ -31,15 +31,9 @@ from vision.figures.force import (
     stiffness_figure,
 )
 from vision.figures.labels import both_errors, percent, plus_minus, signed
-from vision.figures.preview import preview_figure
-from vision.figures.video import (
-    frame_figure,
-    kymograph_figure,
-    noise_figure,
-    pixel_locking_figure,
-    space_time_figure,
-    tracks_figure,
-)
+from vision.figures.positions import noise_figure, pixel_locking_figure, tracks_figure
+from vision.figures.spacetime import kymograph_figure, slip_times, space_time_figure
+from vision.figures.video import frame_figure, preview_figure
 
 __all__ = [
     "FIGURES",
@@ -73,6 +67,7 @@ __all__ = [
     "sections_of",
     "shells_figure",
     "signed",
+    "slip_times",
     "space_time_figure",
     "stick_figure",
     "sticks_figure",

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeGuard
+from typing import Any, Protocol
 
-import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.clock import Clock, video_slips
-from vision.data import TrackMetadata
-from vision.errors import InputError
-from vision.figures import deformation, force, publication, video
+from vision.clock import Clock
+from vision.figures import deformation, force, positions, spacetime, video
 from vision.figures.figure import Figure
 from vision.figures.labels import load_unit
 from vision.models import ModelFits
@@ -30,67 +26,54 @@ class Results(Protocol):
     @property
     def strip(self) -> xr.DataArray | None:
         """I(x, t), from `strip_profile`."""
-        ...
 
     @property
     def tracks(self) -> xr.Dataset | None:
         """x(n, t), from `track_sheets`."""
-        ...
 
     @property
     def frame(self) -> Pixels | None:
         """One whole frame (rows, columns), any depth."""
-        ...
 
     @property
     def force(self) -> xr.Dataset | None:
         """The force recording, from `read_force`."""
-        ...
 
     @property
     def sticks(self) -> pd.DataFrame | None:
         """Stick-slip events, from `find_stick_slip`."""
-        ...
 
     @property
     def fits(self) -> ModelFits | None:
         """The models, from `fit_models`."""
-        ...
 
     @property
     def clock(self) -> Clock | None:
         """From `synchronise`."""
-        ...
 
     @property
     def motion(self) -> xr.Dataset | None:
         """Deformation of every sheet in every stick phase, from `horizontal_deformation`."""
-        ...
 
     @property
     def shells(self) -> pd.DataFrame | None:
         """One row per event and side, from `classify_shells`."""
-        ...
 
     @property
     def threshold(self) -> float:
         """σ_x over stick length below which a sheet counts as stiff."""
-        ...
 
     @property
     def pixel_size_um(self) -> float | None:
         """µm per pixel; without it lengths are in px."""
-        ...
 
     @property
     def reasons(self) -> Mapping[str, str]:
         """Why a part is None, by its name above."""
-        ...
 
     @property
     def warnings(self) -> Sequence[str]:
         """What the reader must know."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -103,18 +86,21 @@ class CatalogueEntry:
         Heading of the report under which it stands; "" for figures that the report does not show, because
         their panels are figures of their own there.
     build
-        The figure of these results; None where they lack what it shows.
+        The figure of results that have what it needs; None where there is still nothing to show.
+    needs
+        Parts of the results without which there is no such figure (`_has`).
     paper
         Number of the publication's figure that it corresponds to, "" for none.
     """
 
     section: str
-    build: Callable[[Results], Figure | None]
+    build: Callable[[Any], Figure | None]
+    needs: tuple[str, ...] = ()
     paper: str = ""
 
     def make(self, results: Results) -> Figure | None:
         """The figure, with the publication's number in its caption; None where the results lack its data."""
-        figure = self.build(results)
+        figure = self.build(results) if all(_has(results, part) for part in self.needs) else None
         if figure is None or not self.paper:
             return figure
         return replace(figure, caption=f"{figure.caption} Compare figure {self.paper} of the publication.")
@@ -183,197 +169,157 @@ def kymograph(figures: Iterable[Figure]) -> Figure | None:
             return Figure(
                 name="kymograph",
                 title=panel.title,
-                caption=video.KYMOGRAPH_CAPTION,
+                caption=spacetime.KYMOGRAPH_CAPTION,
                 panels=(panel,),
                 width_in=13.0,
             )
     return None
 
 
-def _frame(r: Results) -> Figure | None:
-    return None if r.frame is None or r.tracks is None else video.frame_figure(r.frame, r.tracks)
-
-
-def _space_time(r: Results) -> Figure | None:
-    if r.strip is None or r.tracks is None:
-        return None
-    slips_s, slips_from = slip_times(r)
-    return video.space_time_figure(
-        r.strip, r.tracks, pixel_size_um=r.pixel_size_um, slips_s=slips_s, slips_from=slips_from
-    )
-
-
 def slip_times(r: Results) -> tuple[Floats | None, str]:
-    """Times of the slips on the camera's clock, s, and what they are from.
-
-    Those of the force where its clock is sure, else the common outward steps of the sheets; None where
-    neither is known: with an axis that was only guessed from the sheets' places, outward is not known.
-    """
-    if r.sticks is not None and len(r.sticks) and r.clock is not None and r.clock.status != "ambiguous":
-        return np.sort(r.clock.to_video_s(r.sticks["t_p_s"].to_numpy(float))), "the force"
-    if r.tracks is None:
-        return None, ""
-    found = TrackMetadata.of(r.tracks)
-    if found.axis_how == "geometry" and math.isnan(found.axis_low_px):
-        return None, ""
-    try:
-        return video_slips(r.tracks)["time_s"].to_numpy(float), "the sheets' common steps"
-    except InputError:  # too few frames, or none with a time: nothing to mark
-        return None, ""
+    """Times of the slips on the camera's clock, s, and what they are from."""
+    if r.sticks is None or not len(r.sticks) or r.clock is None or r.clock.status == "ambiguous":
+        return spacetime.slip_times(r.tracks)
+    return spacetime.slip_times(r.tracks, r.clock.to_video_s(r.sticks["t_p_s"].to_numpy(float)))
 
 
-def _tracks(r: Results) -> Figure | None:
-    return None if r.tracks is None else video.tracks_figure(r.tracks, pixel_size_um=r.pixel_size_um)
+def _has(r: Results, part: str) -> bool:
+    """Whether the results hold this part, and something in it; "separation": events with a known one."""
+    if part == "separation":
+        return r.sticks is not None and bool(r.sticks["d_v_mm"].notna().any())
+    if part == "motion":
+        return r.motion is not None and r.motion.sizes["event"] > 0
+    if part == "shells":
+        return r.shells is not None and bool(r.shells["stiff_sheets"].notna().any())
+    return getattr(r, part) is not None
 
 
-def _outer_inner(r: Results) -> Figure | None:
-    return None if r.tracks is None else video.outer_inner_figure(r.tracks, pixel_size_um=r.pixel_size_um)
-
-
-def _noise(r: Results) -> Figure | None:
-    return None if r.tracks is None else video.noise_figure(r.tracks, pixel_size_um=r.pixel_size_um)
-
-
-def _pixel_locking(r: Results) -> Figure | None:
-    return None if r.tracks is None else video.pixel_locking_figure(r.tracks)
-
-
-def _force(r: Results) -> Figure | None:
-    return None if r.force is None else force.force_figure(r.force, r.sticks, r.fits)
-
-
-def _clocks(r: Results) -> Figure | None:
-    if r.force is None or r.tracks is None or r.clock is None:
-        return None
-    return force.clocks_figure(r.force, r.tracks, r.clock, r.sticks, pixel_size_um=r.pixel_size_um)
-
-
-def _clock_residuals(r: Results) -> Figure | None:
-    if r.force is None or r.tracks is None or r.clock is None or r.sticks is None:
-        return None
-    return force.clock_residuals_figure(r.force, r.tracks, r.clock, r.sticks)
-
-
-def _sticks(r: Results) -> Figure | None:
-    return None if r.force is None or not _separated(r.sticks) else force.sticks_figure(r.force, r.sticks)
-
-
-def _force_drop(r: Results) -> Figure | None:
-    if r.force is None or not _separated(r.sticks):
-        return None
-    return force.force_drop_figure(r.sticks, r.fits, unit=load_unit(r.force))
-
-
-def _stiffness(r: Results) -> Figure | None:
-    if r.force is None or not _separated(r.sticks):
-        return None
-    return force.stiffness_figure(r.sticks, r.fits, unit=load_unit(r.force))
-
-
-def _stiffness_residuals(r: Results) -> Figure | None:
-    if r.force is None or r.fits is None or not _separated(r.sticks):
-        return None
-    return force.stiffness_residuals_figure(r.sticks, r.fits, unit=load_unit(r.force))
-
-
-def _stick(r: Results) -> Figure | None:
-    if r.tracks is None or r.clock is None or r.motion is None or not r.motion.sizes["event"]:
-        return None
-    return deformation.stick_figure(r.tracks, r.motion, r.clock)
-
-
-def _deformation(r: Results) -> Figure | None:
-    if r.motion is None or not r.motion.sizes["event"]:
-        return None
-    return deformation.deformation_figure(r.motion, threshold=r.threshold)
-
-
-def _shells(r: Results) -> Figure | None:
-    if r.shells is None or not r.shells["stiff_sheets"].notna().any():
-        return None
-    return deformation.shells_figure(r.shells, r.fits)
-
-
-def _force_insets(r: Results) -> Figure | None:
-    if r.force is None or not _separated(r.sticks):
-        return None
-    return publication.force_insets_figure(r.force, r.sticks, r.fits)
-
-
-def _single_sheets(r: Results) -> Figure | None:
-    slips_s, slips_from = slip_times(r)
-    if r.strip is None or r.tracks is None or slips_s is None:
-        return None
-    return publication.single_sheets_figure(
-        r.strip, r.tracks, slips_s, pixel_size_um=r.pixel_size_um, slips_from=slips_from
+def _space_time(r: Any) -> Figure:
+    slips_s, source = slip_times(r)
+    size = r.pixel_size_um
+    return spacetime.space_time_figure(
+        r.strip, r.tracks, pixel_size_um=size, slips_s=slips_s, slips_from=source
     )
 
 
-def _mean_deformation(r: Results) -> Figure | None:
-    if r.motion is None or not r.motion.sizes["event"]:
+def _single_sheets(r: Any) -> Figure | None:
+    slips_s, source = slip_times(r)
+    if slips_s is None:
         return None
-    return publication.mean_deformation_figure(r.motion, threshold=r.threshold)
+    size = r.pixel_size_um
+    return spacetime.single_sheets_figure(r.strip, r.tracks, slips_s, pixel_size_um=size, slips_from=source)
 
 
-def _intensity(r: Results) -> Figure | None:
-    if r.strip is None or r.tracks is None:
-        return None
-    return publication.intensity_figure(r.strip, r.tracks, slip_times(r)[0])
+def _overview(r: Any) -> Figure | None:
+    made = (FIGURES[name].make(r) for name in ("frame", "space_time", "tracks"))
+    return overview(figure for figure in made if figure is not None)
 
 
-def _overview(r: Results) -> Figure | None:
-    return overview(figure for make in (_frame, _space_time, _tracks) if (figure := make(r)) is not None)
-
-
-def _kymograph(r: Results) -> Figure | None:
-    if r.strip is None:
-        return None
-    return video.kymograph_figure([r.strip], pixel_size_um=r.pixel_size_um)
-
-
-def _force_overview(r: Results) -> Figure | None:
-    if r.force is None or r.sticks is None:
-        return None
-    return force.force_overview_figure(r.force, r.sticks, r.fits)
-
-
-def _separated(sticks: pd.DataFrame | None) -> TypeGuard[pd.DataFrame]:
-    """Whether there are events with a known separation."""
-    return sticks is not None and bool(sticks["d_v_mm"].notna().any())
-
-
+_CAMERA = "What the camera saw"
+_POSITIONS = "Positions of the sheets"
+_TRUST = "Can the positions be trusted?"
+_CLOCKS = "The two clocks"
+_STICKS = "Stick phases"
+_SHELL = "Deformation and the stiff shell"
+# name: heading of the report, how it is made, what it needs, the publication's figure
 FIGURES: Mapping[str, CatalogueEntry] = {
-    "frame": CatalogueEntry("What the camera saw", _frame, "7a"),
-    "space_time": CatalogueEntry("What the camera saw", _space_time),
-    "tracks": CatalogueEntry("Positions of the sheets", _tracks),
-    "outer_inner": CatalogueEntry("Positions of the sheets", _outer_inner),
-    "noise": CatalogueEntry("Can the positions be trusted?", _noise),
-    "pixel_locking": CatalogueEntry("Can the positions be trusted?", _pixel_locking),
-    "force": CatalogueEntry("Traction force", _force, "2"),
-    "clocks": CatalogueEntry("The two clocks", _clocks),
-    "clock_residuals": CatalogueEntry("The two clocks", _clock_residuals),
-    "sticks": CatalogueEntry("Stick phases", _sticks, "4"),
-    "force_drop": CatalogueEntry("Stick phases", _force_drop, "5"),
-    "stiffness": CatalogueEntry("Stick phases", _stiffness, "6"),
-    "stiffness_residuals": CatalogueEntry("Stick phases", _stiffness_residuals),
-    "stick": CatalogueEntry("Deformation and the stiff shell", _stick, "7d"),
-    "deformation": CatalogueEntry("Deformation and the stiff shell", _deformation, "8"),
-    "shells": CatalogueEntry("Deformation and the stiff shell", _shells),
-    "force_insets": CatalogueEntry("", _force_insets, "2"),
-    "single_sheets": CatalogueEntry("", _single_sheets, "7b and c"),
-    "mean_deformation": CatalogueEntry("", _mean_deformation, "8"),
-    "intensity": CatalogueEntry("", _intensity, "12"),
+    "frame": CatalogueEntry(
+        _CAMERA, lambda r: video.frame_figure(r.frame, r.tracks), ("frame", "tracks"), paper="7a"
+    ),
+    "space_time": CatalogueEntry(_CAMERA, _space_time, ("strip", "tracks")),
+    "tracks": CatalogueEntry(
+        _POSITIONS,
+        lambda r: positions.tracks_figure(r.tracks, pixel_size_um=r.pixel_size_um),
+        ("tracks",),
+    ),
+    "outer_inner": CatalogueEntry(
+        _POSITIONS,
+        lambda r: positions.outer_inner_figure(r.tracks, pixel_size_um=r.pixel_size_um),
+        ("tracks",),
+    ),
+    "noise": CatalogueEntry(
+        _TRUST, lambda r: positions.noise_figure(r.tracks, pixel_size_um=r.pixel_size_um), ("tracks",)
+    ),
+    "pixel_locking": CatalogueEntry(_TRUST, lambda r: positions.pixel_locking_figure(r.tracks), ("tracks",)),
+    "force": CatalogueEntry(
+        "Traction force", lambda r: force.force_figure(r.force, r.sticks, r.fits), ("force",), paper="2"
+    ),
+    "clocks": CatalogueEntry(
+        _CLOCKS,
+        lambda r: force.clocks_figure(r.force, r.tracks, r.clock, r.sticks, pixel_size_um=r.pixel_size_um),
+        ("force", "tracks", "clock"),
+    ),
+    "clock_residuals": CatalogueEntry(
+        _CLOCKS,
+        lambda r: force.clock_residuals_figure(r.force, r.tracks, r.clock, r.sticks),
+        ("force", "tracks", "clock", "sticks"),
+    ),
+    "sticks": CatalogueEntry(
+        _STICKS, lambda r: force.sticks_figure(r.force, r.sticks), ("force", "separation"), paper="4"
+    ),
+    "force_drop": CatalogueEntry(
+        _STICKS,
+        lambda r: force.force_drop_figure(r.sticks, r.fits, unit=load_unit(r.force)),
+        ("force", "separation"),
+        paper="5",
+    ),
+    "stiffness": CatalogueEntry(
+        _STICKS,
+        lambda r: force.stiffness_figure(r.sticks, r.fits, unit=load_unit(r.force)),
+        ("force", "separation"),
+        paper="6",
+    ),
+    "stiffness_residuals": CatalogueEntry(
+        _STICKS,
+        lambda r: force.stiffness_residuals_figure(r.sticks, r.fits, unit=load_unit(r.force)),
+        ("force", "separation", "fits"),
+    ),
+    "stick": CatalogueEntry(
+        _SHELL,
+        lambda r: deformation.stick_figure(r.tracks, r.motion, r.clock),
+        ("tracks", "clock", "motion"),
+        paper="7d",
+    ),
+    "deformation": CatalogueEntry(
+        _SHELL,
+        lambda r: deformation.deformation_figure(r.motion, threshold=r.threshold),
+        ("motion",),
+        paper="8",
+    ),
+    "shells": CatalogueEntry(_SHELL, lambda r: deformation.shells_figure(r.shells, r.fits), ("shells",)),
+    "force_insets": CatalogueEntry(
+        "",
+        lambda r: force.force_insets_figure(r.force, r.sticks, r.fits),
+        ("force", "separation"),
+        paper="2",
+    ),
+    "single_sheets": CatalogueEntry("", _single_sheets, ("strip", "tracks"), paper="7b and c"),
+    "mean_deformation": CatalogueEntry(
+        "",
+        lambda r: deformation.mean_deformation_figure(r.motion, threshold=r.threshold),
+        ("motion",),
+        paper="8",
+    ),
+    "intensity": CatalogueEntry(
+        "",
+        lambda r: video.intensity_figure(r.strip, r.tracks, slip_times(r)[0]),
+        ("strip", "tracks"),
+        paper="12",
+    ),
     "overview": CatalogueEntry("", _overview),
-    "kymograph": CatalogueEntry("", _kymograph),
-    "force_overview": CatalogueEntry("", _force_overview),
+    "kymograph": CatalogueEntry(
+        "", lambda r: spacetime.kymograph_figure([r.strip], pixel_size_um=r.pixel_size_um), ("strip",)
+    ),
+    "force_overview": CatalogueEntry(
+        "", lambda r: force.force_overview_figure(r.force, r.sticks, r.fits), ("force", "sticks")
+    ),
 }
 """Figures by name, in reading order."""
 
 
 def missing_parts(results: Results) -> list[str]:
     """What cannot be shown and why, one sentence each; arguments stand in backticks."""
-    r = results
-    return list(_missing_from_video(r)) + list(_missing_from_force(r))
+    return [*_missing_from_video(results), *_missing_from_force(results)]
 
 
 def _missing_from_video(r: Results) -> Iterator[str]:
@@ -393,7 +339,7 @@ def _missing_from_force(r: Results) -> Iterator[str]:
         return
     if r.sticks is None or not len(r.sticks):
         yield f"Stick phases: {r.reasons.get('sticks', 'none were found in the force recording.')}"
-    elif not _separated(r.sticks):
+    elif not _has(r, "separation"):
         yield "Stick lengths and stiffness: the separation is not known (`speed_mm_min`, `d0_mm`)."
     if r.fits is None:
         yield f"Model curves: {r.reasons.get('fits', 'the models were not fitted.')}"
@@ -402,13 +348,13 @@ def _missing_from_force(r: Results) -> Iterator[str]:
     if r.clock is None:
         default = "the clocks of camera and testing machine were not matched."
         yield f"Deformation and shells: {r.reasons.get('clock', default)}"
-    elif r.motion is None or not r.motion.sizes["event"]:
+    elif not _has(r, "motion"):
         default = (
             "the clocks are ambiguous, so no stick phase can be placed in the video (give `offset_s`)."
             if r.clock.status == "ambiguous"
             else "no stick phase was measured inside the video."
         )
         yield f"Deformation and shells: {r.reasons.get('motion', default)}"
-    elif r.shells is None or not np.isfinite(r.shells["stiff_sheets"].astype(float)).any():
+    elif not _has(r, "shells"):
         default = "too few sheets have a known deformation."
         yield f"Size of the stiff shell: {r.reasons.get('shells', default)}"

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from vision.figures.figure import Figure, Ink, Panel, Range, Series
-from vision.figures.labels import plus_minus
+from vision.figures.figure import Figure, Panel, Range, Series
+from vision.figures.labels import from_zero, plus_minus
 from vision.figures.style import DATA, MODEL, OTHER_MODEL, PEAK, QUIET, VALLEY, ordered_inks
 from vision.models import Estimate, equations
 from vision.numeric import Floats
@@ -73,7 +73,15 @@ class Overlay:
 
 def compare_figures(overlay: Overlay) -> list[Figure]:
     """Every figure that these tests allow, in reading order."""
-    return [figure for make in COMPARE_FIGURES.values() for figure in make(overlay)]
+    single = (peaks_figure, drops_figure, stiffnesses_figure)
+    made = [
+        *(make(overlay) for make in single),
+        *sticks_figures(overlay),
+        collapse_figure(overlay),
+        irregular_figure(overlay),
+        *trends_figures(overlay),
+    ]
+    return [figure for figure in made if figure is not None]
 
 
 def compare_sections(figures: Iterable[Figure]) -> list[tuple[str, list[Figure]]]:
@@ -110,16 +118,15 @@ def peaks_figure(o: Overlay) -> Figure:
     offset = o.table.set_index("run")["T0_N"]
     events = o.events.assign(y=o.events["F_p_N"] - o.events["run"].map(offset))
     d = _span(events, "d_p_mm")
-    eq1 = _curve("Eq. 1", d, equations.traction(d, mu=o.mu.value, sample=o.sample), MODEL)
-    whose = f"fitted jointly to {o.joint_name or 'all tests'}" if o.joint_name else "of the first test"
-    return _one(
+    eq1 = Series.model("Eq. 1", d, equations.traction(d, mu=o.mu.value, sample=o.sample), MODEL)
+    series = (*_by_velocity(events, "d_p_mm", "y"), eq1)
+    whose = f"fitted jointly to {o.joint_name}" if o.joint_name else "of the first test"
+    return Figure.of(
         "peaks",
-        "Peak forces at all velocities",
+        Panel(x_label="d_p (mm)", y_label="F_p − T_0 (N)", series=series),
         f"Peak force of every event less its test's offset T_0. Dashed: Eq. 1 with μ = {plus_minus(o.mu)}, "
         f"{whose}, T* = {1000 * o.sample.t_star_N:g} mN.",
-        Panel(
-            x_label="d_p (mm)", y_label="F_p − T_0 (N)", series=(*_by_velocity(events, "d_p_mm", "y"), eq1)
-        ),
+        title="Peak forces at all velocities",
     )
 
 
@@ -130,22 +137,20 @@ def drops_figure(o: Overlay) -> Figure:
     model = ""
     if np.isfinite(o.amplitude.value):
         drop = equations.stick_slip_amplitude(d, mu=o.mu.value, prefactor=o.amplitude.value, sample=o.sample)
-        series = (*series, _curve("A × normal force", d, drop, MODEL))
+        series = (*series, Series.model("A × normal force", d, drop, MODEL))
         model = f" Dashed: A times the total normal force, A = {plus_minus(o.amplitude)} (slow tests)."
-    return _one(
+    return Figure.of(
         "drops",
-        "Stick-slip amplitudes at all velocities",
+        Panel(x_label="d_v (mm)", y_label="ΔF (N)", y_range=_above_zero(o.events["dF_N"]), series=series),
         f"ΔF = F_p − F_v of every event against the separation at its valley.{model}",
-        Panel(x_label="d_v (mm)", y_label="ΔF (N)", y_range=_from_zero(o.events["dF_N"]), series=series),
+        title="Stick-slip amplitudes at all velocities",
     )
 
 
-def stiffness_panel(o: Overlay) -> Panel:
+def stiffnesses_figure(o: Overlay) -> Figure:
     """K against d_v of all velocities, with M_eff K_eff and (L + d)⁻¹."""
     d = _span(o.events, "d_v_mm")
-    scale = (
-        float(np.nanmedian(o.table["Lambda_hat_mm"])) if o.table["Lambda_hat_mm"].notna().any() else np.nan
-    )
+    scale = float(o.table["Lambda_hat_mm"].median())
     series = _by_velocity(o.events, "d_v_mm", "K_N_per_mm")
     if np.isfinite(scale):
         one = equations.sheet_stiffness(modulus_GPa=o.modulus.value, sample=o.sample)
@@ -153,22 +158,16 @@ def stiffness_panel(o: Overlay) -> Panel:
         longer = k[0] * (o.sample.length_mm + d[0]) / (o.sample.length_mm + d)
         series = (
             *series,
-            _curve("M_eff K_eff, median Λ̂", d, k, MODEL),
+            Series.model("M_eff K_eff, median Λ̂", d, k, MODEL),
             Series(label="∝ (L + d)⁻¹", x=d, y=longer, ink=OTHER_MODEL, width=2.0),
         )
-    return Panel(
-        x_label="d_v (mm)", y_label="K (N/mm)", y_range=_from_zero(o.events["K_N_per_mm"]), series=series
-    )
-
-
-def stiffnesses_figure(o: Overlay) -> Figure:
-    """K against d_v of all velocities."""
-    return _one(
+    y_range = _above_zero(o.events["K_N_per_mm"])
+    return Figure.of(
         "stiffnesses",
-        "Stiffness at all velocities",
+        Panel(x_label="d_v (mm)", y_label="K (N/mm)", y_range=y_range, series=series),
         "K of every event, the slope of the central part of its stick. Dashed: M_eff K_eff with the median Λ̂ "
         f"of the tests and Y_eff = {plus_minus(o.modulus)} GPa. Solid: lengthening alone.",
-        stiffness_panel(o),
+        title="Stiffness at all velocities",
     )
 
 
@@ -181,10 +180,10 @@ def _by_velocity(events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
         mine = events[(speeds == v) | (speeds.isna() & np.isnan(v))]
         label = "V unknown" if np.isnan(v) else f"V = {v:g} mm/min"
         part = mine[mine["used"]].sort_values(x)
-        series.append(_points(label, part[x], part[y], ink, hollow=k % 2 == 1))
+        series.append(Series.points(label, part[x], part[y], ink, hollow=k % 2 == 1))
     if not events["used"].all():
         rest = events[~events["used"]].sort_values(x)
-        series.append(_points("not used", rest[x], rest[y], QUIET, hollow=True))
+        series.append(Series.points("not used", rest[x], rest[y], QUIET, hollow=True))
     return tuple(series)
 
 
@@ -200,7 +199,12 @@ def sticks_figures(o: Overlay) -> list[Figure]:
         "ΔF and Λ_st."
     )
     made = [
-        _one(f"sticks_V{v:g}".replace(".", "p"), f"Stick-slip events at V = {v:g} mm/min", caption, panel)
+        Figure.of(
+            f"sticks_V{v:g}".replace(".", "p"),
+            panel,
+            caption,
+            title=f"Stick-slip events at V = {v:g} mm/min",
+        )
         for v, panel in panels
     ]
     if len(panels) > 1:
@@ -225,12 +229,10 @@ def collapse_figure(o: Overlay) -> Figure | None:
     stiffness = o.events.loc[o.events["used"], ["run", "sample", "V_mm_min", "d_v_mm", "K_N_per_mm"]]
     d_hat = np.linspace(min(0.999, float(named["d_hat"].min())), 1.0, CURVE_POINTS)
     blocks = sorted(named["sheets_per_block"].unique())
+    several = len(blocks) > 1
     masters = tuple(
-        _curve(
-            "M √(1 − d̂)" if len(blocks) == 1 else f"M √(1 − d̂), M = {m:g}",
-            d_hat,
-            m * np.sqrt(1 - d_hat),
-            MODEL,
+        Series.model(
+            f"M √(1 − d̂), M = {m:g}" if several else "M √(1 − d̂)", d_hat, m * np.sqrt(1 - d_hat), MODEL
         )
         for m in blocks
     )
@@ -241,13 +243,8 @@ def collapse_figure(o: Overlay) -> Figure | None:
     )
     top = 1.05 * float(np.nanquantile(named["sheets"], 0.999))
     before, after, noise = o.rms
-    return _one(
+    return Figure.of(
         "collapse",
-        "Stiffness in units of one sheet against the reduced separation",
-        "K/K_eff of every event against d̂ = d_v/Λ̂, Λ̂ of each test with Y_eff = "
-        f"{plus_minus(o.modulus)} GPa held fixed. Dashed: the master curve. Root mean square distance from "
-        f"it: {before:.3g} sheets with one Λ̂ for all tests, {after:.3g} with each test's own; neighbouring "
-        f"events alone scatter by {noise:.3g}. Inset: K against d_v.",
         Panel(
             x_label="d̂ = d_v / Λ̂",
             y_label="K / K_eff (sheets)",
@@ -256,6 +253,11 @@ def collapse_figure(o: Overlay) -> Figure | None:
             inset=inset,
             aspect=0.75,
         ),
+        "K/K_eff of every event against d̂ = d_v/Λ̂, Λ̂ of each test with Y_eff = "
+        f"{plus_minus(o.modulus)} GPa held fixed. Dashed: the master curve. Root mean square distance from "
+        f"it: {before:.3g} sheets with one Λ̂ for all tests, {after:.3g} with each test's own; neighbouring "
+        f"events alone scatter by {noise:.3g}. Inset: K against d_v.",
+        title="Stiffness in units of one sheet against the reduced separation",
     )
 
 
@@ -271,7 +273,7 @@ def _by_test(events: pd.DataFrame, x: str, y: str, *, label: bool = True) -> tup
     for k, (name, ink) in enumerate(zip(names, ordered_inks(len(names)), strict=True)):
         part = events[key == name].sort_values(x)
         shown = (str(name) or "sample not named") if label else ""
-        series.append(_points(shown, part[x], part[y], ink, hollow=k % 2 == 1))
+        series.append(Series.points(shown, part[x], part[y], ink, hollow=k % 2 == 1))
     return tuple(series)
 
 
@@ -299,18 +301,18 @@ def irregular_figure(o: Overlay) -> Figure | None:
             place = plus_minus(Estimate(one["change_mm"], one["change_err_mm"]))
             said.append(f"{one['run']}: {place} mm")
     found = f"Vertical: where it rises for good ({'; '.join(said[:6])})." if said else "No test has a change."
-    return _one(
+    return Figure.of(
         "irregular",
-        "Regularity of stick-slip",
-        "Coefficient of variation of ΔF over a running window of events, about ΔF's own smooth course. "
-        f"{found}",
         Panel(
             x_label="d_v (mm)",
             y_label="variation of ΔF",
             series=tuple(series),
             x_lines=tuple(lines),
-            y_range=(0.0, 1.1 * max(float(np.nanmax(one["variation"])) for one in known)),
+            y_range=from_zero(*(one["variation"] for one in known)),
         ),
+        "Coefficient of variation of ΔF over a running window of events, about ΔF's own smooth course. "
+        f"{found}",
+        title="Regularity of stick-slip",
     )
 
 
@@ -327,7 +329,7 @@ def trends_figures(o: Overlay) -> list[Figure]:
                 said = " ".join(_said(o, quantity, predictor) for quantity in quantities)
                 caption = f"Values of every test with standard errors, and weighted lines. {said}"
                 name = f"trend_{'scale' if len(quantities) == 1 else 'fits'}_{predictor.partition('_')[0]}"
-                made.append(_one(name, f"{title} against {what}", caption, panel))
+                made.append(Figure.of(name, panel, caption, title=f"{title} against {what}"))
     if len(made) > 1:
         parts = tuple(replace(figure.panel, title=figure.title) for figure in made)
         caption = " ".join(f"({figure.title}) {figure.caption}" for figure in made)
@@ -346,22 +348,13 @@ def _trend_panel(o: Overlay, quantities: Sequence[str], predictor: str, what: st
         if known.empty or known[predictor].nunique() < 2:
             continue
         x, y, error = (known[name].to_numpy(float) for name in (predictor, quantity, error_name))
-        axis: Any = "right" if k else "left"
-        series.append(
-            Series(
-                label=short, x=x, y=y, low=y - error, high=y + error, ink=ink, look="points", hollow=k == 1,
-                axis=axis,
-            )
-        )  # fmt: skip
+        look: dict[str, Any] = {"ink": ink, "axis": "right" if k else "left"}
+        series.append(Series.points(short, x, y, error=error, hollow=k == 1, **look))
         trend = _trend_of(o, quantity, predictor)
         if trend is not None and np.isfinite(trend["slope"]):
-            ends = np.array([x[0], x[-1]])
-            series.append(
-                Series(
-                    label="", x=ends, y=trend["intercept"] + trend["slope"] * ends, ink=ink, axis=axis,
-                    dashed=not trend["claimed"],
-                )
-            )  # fmt: skip
+            ends = x[[0, -1]]
+            line = trend["intercept"] + trend["slope"] * ends
+            series.append(Series(label="", x=ends, y=line, dashed=not trend["claimed"], **look))
     if not series or (len(quantities) > 1 and not any(s.axis == "right" for s in series)):
         return None
     second = _QUANTITY[quantities[1]][0] if len(quantities) > 1 else ""
@@ -371,10 +364,8 @@ def _trend_panel(o: Overlay, quantities: Sequence[str], predictor: str, what: st
 
 
 def _trend_of(o: Overlay, quantity: str, predictor: str) -> Mapping[str, Any] | None:
-    for trend in o.trends:
-        if (trend["quantity"], trend["predictor"]) == (quantity, predictor):
-            return trend
-    return None
+    wanted = (quantity, predictor)
+    return next((one for one in o.trends if (one["quantity"], one["predictor"]) == wanted), None)
 
 
 def _said(o: Overlay, quantity: str, predictor: str) -> str:
@@ -394,40 +385,10 @@ def _said(o: Overlay, quantity: str, predictor: str) -> str:
 # --- parts --------------------------------------------------------------------------------------------------
 
 
-def _one(name: str, title: str, caption: str, panel: Panel) -> Figure:
-    return Figure(name=name, title=title, caption=caption, panels=(panel,))
-
-
-def _points(label: str, x: pd.Series, y: pd.Series, ink: Ink, *, hollow: bool = False) -> Series:
-    values = x.to_numpy(float), y.to_numpy(float)
-    return Series(label=label, x=values[0], y=values[1], ink=ink, look="points", hollow=hollow)
-
-
-def _curve(label: str, x: Floats, y: Floats, ink: Ink) -> Series:
-    return Series(label=label, x=x, y=np.asarray(y, float), ink=ink, dashed=True, width=2.0)
-
-
 def _span(events: pd.DataFrame, column: str) -> Floats:
     used = events.loc[events["used"], column]
     return np.linspace(float(used.min()), float(used.max()), CURVE_POINTS)
 
 
-def _from_zero(values: pd.Series) -> Range | None:
-    known = values.to_numpy(float)
-    return (0.0, 1.25 * float(np.nanquantile(known, 0.99))) if np.isfinite(known).any() else None
-
-
-def _some(figure: Figure | None) -> list[Figure]:
-    return [] if figure is None else [figure]
-
-
-COMPARE_FIGURES: Mapping[str, Callable[[Overlay], list[Figure]]] = {
-    "peaks": lambda o: [peaks_figure(o)],
-    "drops": lambda o: [drops_figure(o)],
-    "stiffnesses": lambda o: [stiffnesses_figure(o)],
-    "sticks": sticks_figures,
-    "collapse": lambda o: _some(collapse_figure(o)),
-    "irregular": lambda o: _some(irregular_figure(o)),
-    "trends": trends_figures,
-}
-"""Figures of several tests by name, in reading order."""
+def _above_zero(values: pd.Series) -> Range | None:
+    return from_zero(values.to_numpy(float), share=0.98)

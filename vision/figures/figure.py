@@ -79,6 +79,18 @@ class Series:
     axis: Literal["left", "right"] = "left"
     sheet: tuple[int, int] | None = None
 
+    @classmethod
+    def points(cls, label: str, x: Any, y: Any, ink: Ink, error: Any = None, **look: Any) -> Series:
+        """Points, with their standard errors where these are given."""
+        x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+        bars = {} if error is None else {"low": y - np.asarray(error), "high": y + np.asarray(error)}
+        return cls(**{"label": label, "x": x, "y": y, "ink": ink, "look": "points"} | bars | look)
+
+    @classmethod
+    def model(cls, label: str, x: Floats, y: Any, ink: Ink) -> Series:
+        """The curve of a model: wide and dashed."""
+        return cls(label=label, x=x, y=np.asarray(y, np.float64), ink=ink, dashed=True, width=2.0)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Image:
@@ -261,6 +273,11 @@ class Figure:
     columns: int = 1
     width_in: float = 6.0
     notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, name: str, panel: Panel, caption: str, *, title: str = "", **rest: Any) -> Figure:
+        """A figure of one panel, under the panel's title unless another is given."""
+        return cls(name=name, title=title or panel.title, caption=caption, panels=(panel,), **rest)
 
     @property
     def panel(self) -> Panel:

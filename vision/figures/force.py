@@ -1,4 +1,4 @@
-"""Figures of the force recording: F(d), single sticks, their amplitude and stiffness, and the two clocks."""
+"""Figures of the force recording: F(d), single sticks, their amplitude and stiffness, the two clocks."""
 
 from __future__ import annotations
 
@@ -12,11 +12,19 @@ from vision.clock import Clock, force_slips, video_slips
 from vision.data import StickMetadata
 from vision.errors import InputError
 from vision.figures.decimate import minmax_by_x, minmax_decimate
-from vision.figures.displacement import outward_px
 from vision.figures.figure import Arrow, Figure, Ink, Panel, Range, Series
-from vision.figures.labels import displacement_unit, load_label, load_unit, plus_minus, signed, time_axis
+from vision.figures.labels import (
+    displacement_unit,
+    from_zero,
+    load_label,
+    load_unit,
+    plus_minus,
+    signed,
+    time_axis,
+)
+from vision.figures.positions import outward_px
 from vision.figures.style import DATA, MODEL, OTHER_MODEL, PEAK, QUIET, VALLEY, ordered_inks
-from vision.force.recording import good_samples
+from vision.force import good_samples
 from vision.models import ModelFits, equations
 from vision.numeric import Floats
 
@@ -26,6 +34,9 @@ SHOWN_STICKS = 5
 DOTS = 12  # that mark the part of a stick over which K is taken
 FIRST_STICKS = 10  # that the page shows of the clocks at first
 ZOOMED_EVENTS = 6  # of the overview's second panel
+INSET_POINTS = 4000
+INSET_STICKS = 5  # shown of the early and of the late part of the test
+EARLY, LATE = 0.1, 0.85  # of the events: where the insets of F(d) are taken
 CURVE_POINTS = 300
 SAME_SLIP = 0.25  # of the time from slip to slip: farther apart, two slips are not the same one
 SHOWN_FLAGS = frozenset({"ok", "slow", "negative", "oscillation", "cycles"})  # measured whole
@@ -49,21 +60,19 @@ def force_figure(
     fits
         From `fit_models`.
     """
-    good = measurable(force)
+    good = good_samples(force)
     d, time = good["d_mm"].to_numpy(), good["time_s"].to_numpy()
     known = bool(np.isfinite(d).any())
     x, y = minmax_by_x(d if known else time, good["load_N"].to_numpy(), bins=BINS)
     series = [Series(label="F", x=x, y=y, ink=QUIET, width=0.8)]
     if sticks is not None and len(sticks):
         at_p, at_v = ("d_p_mm", "d_v_mm") if known else ("t_p_s", "t_v_s")
-        series += [
-            _points(sticks, at_p, "F_p_N", "peaks", PEAK),
-            _points(sticks, at_v, "F_v_N", "valleys", VALLEY),
-        ]
+        series.append(_points(sticks, at_p, "F_p_N", "peaks", PEAK))
+        series.append(_points(sticks, at_v, "F_v_N", "valleys", VALLEY, hollow=True))
     model = ""
     if fits is not None and known:
         d_model = np.linspace(*fits.d_mm, CURVE_POINTS)
-        series.append(_curve("Eq. 1 + T_0", d_model, fits.peak_force_N(d_model), MODEL))
+        series.append(Series.model("Eq. 1 + T_0", d_model, fits.peak_force_N(d_model), MODEL))
         model = (
             f" Dashed: Eq. 1 fitted to the peaks, μ = {plus_minus(fits.mu)} with T* "
             f"= {1000 * fits.t_star_N.value:g} mN and an offset T_0 = {plus_minus(fits.t0_N)} N."
@@ -74,15 +83,12 @@ def force_figure(
         y_label=load_label("F", load_unit(force)),
         series=tuple(series),
     )
-    return Figure(
-        name="force",
-        title=panel.title,
-        caption=(
-            "Traction force as recorded (minimum and maximum of each small step), with the peaks (filled) "
-            "and valleys (hollow) of the stick phases, from lines fitted to each stick and extended to "
-            f"its ends.{model}"
-        ),
-        panels=(panel,),
+    return Figure.of(
+        "force",
+        panel,
+        "Traction force as recorded (minimum and maximum of each small step), with the peaks (filled) and "
+        "valleys (hollow) of the stick phases, from lines fitted to each stick and extended to its ends."
+        f"{model}",
     )
 
 
@@ -104,7 +110,7 @@ def clocks_figure(
     time = clock.to_force_s(time_axis(tracks)[0])
     scale, unit = displacement_unit(pixel_size_um)
     t_video, opened = minmax_decimate(time, outward_px(tracks)[:, None] * scale, most=MOST_SAMPLES)
-    good = measurable(force)
+    good = good_samples(force)
     margin = 0.1 * float(time[-1] - time[0])
     near = (good["time_s"] > time[0] - margin) & (good["time_s"] < time[-1] + margin)
     part = good.isel(time_s=np.flatnonzero(near.to_numpy())) if near.any() else good
@@ -122,16 +128,13 @@ def clocks_figure(
         ),
     )
     ambiguous = "The clocks are ambiguous: this alignment is only the likeliest."
-    return Figure(
-        name="clocks",
+    return Figure.of(
+        "clocks",
+        panel,
+        "Force (solid, left axis, above) and mean outward displacement of all sheets (dashed, right axis, "
+        f"below) on the force clock, t(force) = {clock.offset_s:.4f} s + (1 {signed(clock.drift_ppm)} ppm) "
+        f"t(video). Zoom in to one slip: the steps must coincide. {_agreement(clock)}",
         title="Clock check: force and sheets on one time axis",
-        caption=(
-            "Force (solid, left axis, above) and mean outward displacement of all sheets (dashed, right "
-            f"axis, below) on the force clock, t(force) = {clock.offset_s:.4f} s + (1 "
-            f"{signed(clock.drift_ppm)} ppm) t(video). Zoom in to one slip: the steps must coincide. "
-            f"{_agreement(clock)}"
-        ),
-        panels=(panel,),
         notes=(ambiguous,) if clock.status == "ambiguous" else (),
     )
 
@@ -161,29 +164,19 @@ def clock_residuals_figure(
         y_label="video − force (ms)",
         series=(
             Series(label="", x=at, y=np.zeros(at.size), ink=QUIET, width=0.8),
-            Series(
-                label="slips",
-                x=at,
-                y=residual,
-                ink=DATA,
-                look="points",
-                low=residual - error,
-                high=residual + error,
-            ),
+            Series.points("slips", at, residual, DATA, error),
         ),
         y_range=(-reach, reach),
         aspect=0.25,
     )
-    return Figure(
-        name="clock_residuals",
+    return Figure.of(
+        "clock_residuals",
+        panel,
+        "Time of each slip in the video, taken to the force clock, less that of the nearest slip in the "
+        f"force, with the standard error of the former; {at.size} of {there.size} slips of the video are "
+        f"within {SAME_SLIP:g} of a stick from one in the force. A trend would be a drift that the clock "
+        "does not take up, one level all along a wrong offset.",
         title="Residuals of the clocks",
-        caption=(
-            "Time of each slip in the video, taken to the force clock, less that of the nearest slip in the "
-            f"force, with the standard error of the former; {at.size} of {there.size} slips of the video are "
-            f"within {SAME_SLIP:g} of a stick from one in the force. A trend would be a drift that the clock "
-            "does not take up, one level all along a wrong offset."
-        ),
-        panels=(panel,),
     )
 
 
@@ -218,7 +211,7 @@ def _some_sticks(t_video: Floats, sticks: pd.DataFrame | None) -> Range | None:
 def sticks_figure(force: xr.Dataset, sticks: pd.DataFrame) -> Figure:
     """F − F_v against d − d_v for a few stick-slip events from first to last."""
     chosen = _spread(sticks)
-    good = measurable(force)
+    good = good_samples(force)
     time, d, load = (good[name].to_numpy().astype(float) for name in ("time_s", "d_mm", "load_N"))
     t_v, t_p, slip, d_v, f_v = (
         chosen[name].to_numpy(float) for name in ("t_v_s", "t_p_s", "slip_time_s", "d_v_mm", "F_v_N")
@@ -251,16 +244,14 @@ def sticks_figure(force: xr.Dataset, sticks: pd.DataFrame) -> Figure:
         panel = replace(
             panel, x_range=(float(x.min()) - 0.02 * beside, beside), y_range=(min(float(y.min()), 0.0), above)
         )
-    return Figure(
-        name="sticks",
+    return Figure.of(
+        "sticks",
+        panel,
+        "Force above the valley against separation beyond the valley, samples as recorded, for events from "
+        "the beginning to the end of the test; later ones brighter. Dots: the central "
+        f"{100 * part:.0f} %, whose slope is K; arrows: the height ΔF and the length Λ_st of the first. "
+        "A drop at the very start is the end of the slip before.",
         title="Single stick-slip events",
-        caption=(
-            "Force above the valley against separation beyond the valley, samples as recorded, for "
-            "events from the beginning to the end of the test; later ones brighter. Dots: the central "
-            f"{100 * part:.0f} %, whose slope is K; arrows: the height ΔF and the length Λ_st of the first. "
-            "A drop at the very start is the end of the slip before."
-        ),
-        panels=(panel,),
     )
 
 
@@ -272,9 +263,7 @@ def _central_parts(chosen: pd.DataFrame, curves: tuple[Series, ...], part: float
         inside = inside[:: max(1, inside.size // DOTS)]
         if inside.size:
             label = "" if dots else "K is taken here"
-            dots.append(
-                Series(label=label, x=curve.x[inside], y=curve.y[inside], ink=curve.ink, look="points")
-            )
+            dots.append(Series.points(label, curve.x[inside], curve.y[inside], curve.ink))
     return tuple(dots)
 
 
@@ -305,26 +294,20 @@ def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, un
             prefactor=fits.amplitude.value,
             sample=replace(fits.sample, t_star_N=fits.t_star_N.value),
         )
-        series.append(_curve("A × normal force", d, drop, MODEL))
-        model = (
-            " Dashed: A times the normal force summed over the sheets (Eq. 2), A = "
-            f"{plus_minus(fits.amplitude)}."
-        )
+        series.append(Series.model("A × normal force", d, drop, MODEL))
+        amplitude = plus_minus(fits.amplitude)
+        model = f" Dashed: A times the normal force summed over the sheets (Eq. 2), A = {amplitude}."
     panel = Panel(
         title="Stick-slip amplitude",
         x_label="d_v (mm)" if known else "t_v (s, force clock)",
         y_label=load_label("ΔF", unit),
-        y_range=_from_zero(sticks["dF_N"]),
+        y_range=from_zero(sticks["dF_N"].to_numpy(float), share=0.98),
         series=tuple(series),
         placeholder="no events",
     )
-    return Figure(
-        name="force_drop",
-        title=panel.title,
-        caption=f"ΔF = F_p − F_v of every event against the {'separation' if known else 'time'} at its "
-        f"valley.{model}",
-        panels=(panel,),
-    )
+    against = "separation" if known else "time"
+    caption = f"ΔF = F_p − F_v of every event against the {against} at its valley.{model}"
+    return Figure.of("force_drop", panel, caption)
 
 
 def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: str = "N") -> Figure:
@@ -339,7 +322,7 @@ def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, uni
         stiffness = fits.stiffness_N_per_mm(d)
         length = fits.sample.length_mm
         longer = stiffness[0] * (length + d[0]) / (length + d)
-        series.append(_curve("M_eff K_eff", d, stiffness, MODEL))
+        series.append(Series.model("M_eff K_eff", d, stiffness, MODEL))
         series.append(Series(label="∝ (L + d)⁻¹", x=d, y=longer, ink=OTHER_MODEL, width=2.0))
         model = (
             f" Dashed: M_eff K_eff with N̂ = {plus_minus(fits.n_hat_N)} N and "
@@ -350,16 +333,12 @@ def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, uni
         title="Stiffness of the sample",
         x_label="d_v (mm)",
         y_label=_stiffness_label("K", unit),
-        y_range=_from_zero(sticks["K_N_per_mm"]),
+        y_range=from_zero(sticks["K_N_per_mm"].to_numpy(float), share=0.98),
         series=tuple(series),
         placeholder="d is not known",
     )
-    return Figure(
-        name="stiffness",
-        title=panel.title,
-        caption=f"K from the slope of the central half of every stick, with its standard error.{model}",
-        panels=(panel,),
-    )
+    caption = f"K from the slope of the central half of every stick, with its standard error.{model}"
+    return Figure.of("stiffness", panel, caption)
 
 
 def _stiffness_label(name: str, unit: str) -> str:
@@ -374,14 +353,8 @@ def stiffness_residuals_figure(sticks: pd.DataFrame, fits: ModelFits, *, unit: s
     measured = _points(sticks, "d_v_mm", "K_N_per_mm", "K", DATA, error="K_err_N_per_mm")
     if not measured.x.size or measured.low is None or measured.high is None:
         return None
-    model = fits.stiffness_N_per_mm(measured.x)
-    points = replace(
-        measured,
-        label="K − M_eff K_eff",
-        y=measured.y - model,
-        low=measured.low - model,
-        high=measured.high - model,
-    )
+    residual = measured.y - fits.stiffness_N_per_mm(measured.x)
+    points = Series.points("K − M_eff K_eff", measured.x, residual, DATA, measured.high - measured.y)
     line = Series(label="", x=measured.x, y=np.zeros(measured.x.size), ink=MODEL, dashed=True)
     reach = 1.3 * float(np.nanquantile(np.abs(points.y), 0.98)) or 1.0
     panel = Panel(
@@ -391,14 +364,12 @@ def stiffness_residuals_figure(sticks: pd.DataFrame, fits: ModelFits, *, unit: s
         series=(line, points),
         aspect=0.25,
     )
-    return Figure(
-        name="stiffness_residuals",
+    return Figure.of(
+        "stiffness_residuals",
+        panel,
+        "K of every stick less M_eff K_eff at its d_v, with K's standard error. What is not spread evenly "
+        "about zero the model does not describe.",
         title="Stiffness less its model",
-        caption=(
-            "K of every stick less M_eff K_eff at its d_v, with K's standard error. What is not spread "
-            "evenly about zero the model does not describe."
-        ),
-        panels=(panel,),
     )
 
 
@@ -444,7 +415,7 @@ def _zoom(force: xr.Dataset, sticks: pd.DataFrame) -> Panel:
     series: tuple[Series, ...] = ()
     if len(some):
         margin = 0.15 * (t_p[-1] - t_v[0])
-        good = measurable(force)
+        good = good_samples(force)
         time = good["time_s"].to_numpy()
         near = (time > t_v[0] - margin) & (time < t_p[-1] + margin)
         at, load = minmax_decimate(
@@ -455,47 +426,93 @@ def _zoom(force: xr.Dataset, sticks: pd.DataFrame) -> Panel:
         series = (
             Series(label="F", x=at, y=load[:, 0], ink=QUIET, width=0.8),
             Series(label="stick phases", x=lines_t, y=lines_f, ink=MODEL),
-            Series(label="peaks", x=t_p, y=f_p, ink=PEAK, look="points"),
-            Series(label="valleys", x=t_v, y=f_v, ink=VALLEY, look="points", hollow=True),
+            Series.points("peaks", t_p, f_p, PEAK),
+            Series.points("valleys", t_v, f_v, VALLEY, hollow=True),
         )
     return Panel(
         title=title,
-        x_label="t (s)",
+        x_label="t (s, force clock)",
         y_label=load_label("F", load_unit(force)),
         series=series,
         placeholder="no events",
     )
 
 
+def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits | None = None) -> Figure:
+    """F(d) of the whole test, its initial elastic rise, and some early and late stick-slip events."""
+    whole = force_figure(force, sticks, fits).panel
+    usable = sticks[sticks["d_v_mm"].notna()]
+    first, last = int(EARLY * len(usable)), int(LATE * len(usable))
+    panels = [replace(whole, title="Whole test", aspect=0.6), _initial_rise(force, usable)]
+    for start, title in ((first, "Early stick-slip events"), (last, "Late stick-slip events")):
+        panels.append(_some_events(force, usable.iloc[start : start + INSET_STICKS], title))
+    return Figure(
+        name="force_insets",
+        title="Traction force and stages of the test",
+        caption=(
+            "Traction force against separation with the fit of Eq. 1 to the peaks; the first rise of the "
+            "force, events of an early and of a late stage of the test (peaks filled, valleys hollow)."
+        ),
+        panels=tuple(panels),
+        columns=2,
+        width_in=13.0,
+    )
+
+
+def _initial_rise(force: xr.Dataset, sticks: pd.DataFrame) -> Panel:
+    """From the first sample to a little beyond the first slip."""
+    end = float(sticks["t_p_s"].iloc[0]) if len(sticks) else np.inf
+    return _part(force, (-np.inf, end), (), "Initial response")
+
+
+def _some_events(force: xr.Dataset, some: pd.DataFrame, title: str) -> Panel:
+    if some.empty:
+        return _part(force, (np.inf, np.inf), (), title)
+    start, end = float(some["t_v_s"].iloc[0]), float(some["t_p_s"].iloc[-1])
+    margin = 0.1 * (end - start)
+    peaks = Series.points("peaks", some["d_p_mm"], some["F_p_N"], PEAK)
+    valleys = Series.points("valleys", some["d_v_mm"], some["F_v_N"], VALLEY, hollow=True)
+    return _part(force, (start - margin, end + margin), (peaks, valleys), title)
+
+
+def _part(force: xr.Dataset, time_s: Range, series: tuple[Series, ...], title: str) -> Panel:
+    """F(d) of a part of the recording."""
+    good = good_samples(force)
+    keep = (good["time_s"].to_numpy() >= time_s[0]) & (good["time_s"].to_numpy() <= time_s[1])
+    d = np.maximum.accumulate(good["d_mm"].to_numpy()[keep])  # recorded in steps, which may fall back by one
+    at, load = minmax_decimate(d, good["load_N"].to_numpy()[keep, None], most=INSET_POINTS)
+    return Panel(
+        title=title,
+        x_label="d (mm)",
+        y_label=load_label("F", load_unit(force)),
+        series=(Series(label="F", x=at, y=load[:, 0], ink=QUIET, width=0.9), *series),
+        placeholder="no events",
+        aspect=0.6,
+    )
+
+
 # --- series -------------------------------------------------------------------------------------------------
 
 
-def measurable(force: xr.Dataset) -> xr.Dataset:
-    """The samples without a flag."""
-    return good_samples(force) if "flag" in force else force
-
-
 def _points(
-    sticks: pd.DataFrame, x: str, y: str, label: str, ink: Ink, *, error: str | None = None
+    sticks: pd.DataFrame,
+    x: str,
+    y: str,
+    label: str,
+    ink: Ink,
+    *,
+    error: str | None = None,
+    hollow: bool = False,
 ) -> Series:
     """The events that were measured whole, in order of x."""
-    usable = _whole(sticks)
-    usable = usable[usable[x].notna() & usable[y].notna()].sort_values(x)
-    place, value = usable[x].to_numpy(float), usable[y].to_numpy(float)
-    spread = None if error is None else usable[error].to_numpy(float)
-    low, high = (None, None) if spread is None else (value - spread, value + spread)
-    hollow = label == "valleys"
-    return Series(label=label, x=place, y=value, ink=ink, look="points", low=low, high=high, hollow=hollow)
+    usable = _whole(sticks).dropna(subset=[x, y]).sort_values(x)
+    return Series.points(label, usable[x], usable[y], ink, error and usable[error], hollow=hollow)
 
 
 def _whole(sticks: pd.DataFrame) -> pd.DataFrame:
     """Events without a flag, or with one that only says how or what they are."""
     known = [set(str(flag).split("+")) <= SHOWN_FLAGS for flag in sticks["flag"]]
     return sticks[np.asarray(known, dtype=bool)]
-
-
-def _curve(label: str, x: Floats, y: Floats, ink: Ink) -> Series:
-    return Series(label=label, x=x, y=y, ink=ink, dashed=True, width=2.0)
 
 
 def _spread(sticks: pd.DataFrame) -> pd.DataFrame:
@@ -509,10 +526,3 @@ def _spread(sticks: pd.DataFrame) -> pd.DataFrame:
     d = np.maximum.accumulate(usable["d_v_mm"].to_numpy(float))
     places = np.searchsorted(d, np.linspace(d[0], d[-1], SHOWN_STICKS))
     return usable.iloc[np.unique(places)]
-
-
-def _from_zero(values: pd.Series) -> Range | None:
-    """From 0 to above the largest value but for a few outliers; None without values."""
-    known = values.to_numpy(float)
-    known = known[np.isfinite(known)]
-    return (0.0, 1.25 * float(np.quantile(known, 0.98))) if known.size and known.max() > 0 else None

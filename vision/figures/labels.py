@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Protocol
 
 import numpy as np
 import xarray as xr
 from markupsafe import Markup, escape
 
 from vision.data import StripMetadata
+from vision.models import Estimate
 from vision.numeric import Floats
 
 # --- symbols: σ_x, Λ_st and M_eff are written so in the program and in tables -------------------------------
@@ -41,21 +41,7 @@ def to_mathtext(text: str) -> str:
 # --- numbers ------------------------------------------------------------------------------------------------
 
 
-class HasError(Protocol):
-    """A value with its standard error, NaN where there is none."""
-
-    @property
-    def value(self) -> float:
-        """The value."""
-        ...
-
-    @property
-    def error(self) -> float:
-        """Its standard error."""
-        ...
-
-
-def plus_minus(estimate: HasError) -> str:
+def plus_minus(estimate: Estimate) -> str:
     """A value and its standard error, rounded to the error's second digit; four digits without an error."""
     value, error = estimate.value, estimate.error
     if not math.isfinite(error) or error <= 0:
@@ -64,16 +50,7 @@ def plus_minus(estimate: HasError) -> str:
     return f"{value:.{digits}f} ± {error:.{digits}f}".replace("-", "−")
 
 
-class HasBothErrors(HasError, Protocol):  # noqa: N818 (no exception)
-    """A value with its standard and its systematic error, NaN where there is none."""
-
-    @property
-    def systematic_error(self) -> float:
-        """Its systematic error."""
-        ...
-
-
-def both_errors(estimate: HasBothErrors) -> str:
+def both_errors(estimate: Estimate) -> str:
     """A value with its statistical and its systematic error; without the latter where it is not known."""
     systematic = estimate.systematic_error
     if not math.isfinite(systematic):
@@ -133,6 +110,15 @@ def position_unit(pixel_size_um: float | None, width_px: float) -> tuple[float, 
     if pixel_size_um is None or pixel_size_um * width_px < UM_PER_MM:
         return displacement_unit(pixel_size_um)
     return pixel_size_um / UM_PER_MM, "mm"
+
+
+def from_zero(*values: Floats, share: float = 1.0) -> tuple[float, float] | None:
+    """Range of an axis from 0 to above this share of the values; None where none is above 0."""
+    known = np.concatenate([np.asarray(part, np.float64).ravel() for part in values])
+    known = known[np.isfinite(known)]
+    room = 1.15 if share == 1 else 1.25  # for the outliers
+    top = room * float(np.quantile(known, share)) if known.size else 0.0
+    return (0.0, top) if top > 0 else None
 
 
 def load_unit(force: xr.Dataset) -> str:

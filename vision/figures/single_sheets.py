@@ -13,7 +13,13 @@ from vision.figures.figure import Band, Figure, Panel, Range, Series
 from vision.figures.labels import plus_minus
 from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, ordered_inks
 from vision.models import Estimate
-from vision.models.friction import PUBLISHED_FRICTION, DiscFriction, StaticFriction, threshold_curves
+from vision.models.friction import (
+    PUBLISHED_FRICTION,
+    DiscFriction,
+    StaticFriction,
+    friction_table,
+    threshold_curves,
+)
 from vision.models.modulus import CyclesMetadata, clamp_distance, mean_over_cycles
 from vision.numeric import Floats
 from vision.sample import Sample
@@ -82,11 +88,7 @@ def _angle_panel(
         at, height = minmax_decimate(angle, curve["mu"].to_numpy(float)[:, None], most=MOST_POINTS)
         series.append(Series(label=f"{one.N_N:.3g} N", x=at, y=height[:, 0], ink=ink, width=0.9))
         if np.isfinite(one.mu_s):
-            low, high = (np.array([one.mu_s + sign * one.mu_s_err]) for sign in (-1, 1))
-            x, y = np.array([one.peak_deg]), np.array([one.mu_s])
-            series.append(
-                Series(label="", x=x, y=y, low=low, high=high, ink=MODEL, look="points", hollow=True)
-            )
+            series.append(Series.points("", [one.peak_deg], [one.mu_s], MODEL, [one.mu_s_err], hollow=True))
             top = max(top, one.mu_s)
     last = max((float(s.x.max()) for s in series if s.x.size), default=1.0)
     return Panel(
@@ -103,30 +105,18 @@ def _angle_panel(
 
 
 def _coefficient_panel(measured: Sequence[DiscFriction], law: StaticFriction | None, mu: float) -> Panel:
-    load = np.array([one.N_N for one in measured])
-    order = np.argsort(load)
-    series: list[Series] = []
-    for name, label, ink, hollow in (("mu_s", "μ static", PEAK, False), ("mu_d", "μ dynamic", DATA, True)):
-        value = np.array([getattr(one, name) for one in measured])[order]
-        error = np.array([getattr(one, f"{name}_err") for one in measured])[order]
-        series.append(
-            Series(
-                label=label,
-                x=load[order],
-                y=value,
-                low=value - error,
-                high=value + error,
-                ink=ink,
-                look="points",
-                hollow=hollow,
-            )
-        )
+    table = friction_table(measured).sort_values("N_N")
+    load = table["N_N"].to_numpy(float)
+    series = [
+        Series.points("μ static", load, table["mu_s"], PEAK, table["mu_s_err"]),
+        Series.points("μ dynamic", load, table["mu_d"], DATA, table["mu_d_err"], hollow=True),
+    ]
     at = np.geomspace(0.7 * load.min(), 1.3 * load.max(), CURVE_POINTS)
     if law is not None:
         series.append(Series(label="a(1 + b/N)", x=at, y=law.mu_s(at), ink=MODEL))
     constant = np.full(2, mu)
     series.append(Series(label=f"μ = {mu:g}", x=at[[0, -1]], y=constant, ink=QUIET, dashed=True))
-    top = max(mu, float(np.nanmax([*(s.y for s in series[0:2] if np.isfinite(s.y).any()), [mu] * load.size])))
+    top = float(np.nanmax([mu, *table["mu_s"], *table["mu_d"]]))
     return Panel(
         title="Static and dynamic coefficient",
         x_label="N (N)",
@@ -152,8 +142,7 @@ def _threshold_panel(law: StaticFriction | None, mu: float) -> Panel:
     ]
     crossing = shown.crossing_N(mu)
     if np.isfinite(crossing):
-        x, y = np.array([crossing]), np.array([mu * crossing])
-        series.append(Series(label=f"equal at {crossing:.3f} N", x=x, y=y, ink=PEAK, look="points"))
+        series.append(Series.points(f"equal at {crossing:.3f} N", [crossing], [mu * crossing], PEAK))
     return Panel(
         title="Thresholds over the loads in the blocks",
         x_label="N (N)",
@@ -261,17 +250,7 @@ def _moduli(cycles: pd.DataFrame) -> Panel:
         mean = mean_over_cycles(cycles, f"{name}_GPa")
         text = f"{label}: {plus_minus(Estimate(mean.value, mean.error))} GPa"
         series += [
-            Series(
-                label=text,
-                x=number,
-                y=value,
-                low=value - error,
-                high=value + error,
-                ink=ink,
-                look="points",
-                hollow=hollow,
-                shift=shift,
-            ),
+            Series.points(text, number, value, ink, error, hollow=hollow, shift=shift),
             Series(label="", x=ends, y=np.full(2, mean.value), ink=ink, dashed=True, width=0.8),
         ]
     return Panel(

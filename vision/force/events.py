@@ -11,7 +11,6 @@ import xarray as xr
 
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
 from vision.errors import InputError
-from vision.force.corners import Corners, find_corners
 from vision.force.lines import fit_broken_lines
 from vision.force.lowpass import SlipTransients, deconvolve_lowpass, estimate_lowpass
 from vision.force.recording import is_compression
@@ -24,7 +23,7 @@ from vision.force.regime import (
 )
 from vision.force.settings import DEFAULTS, ForceSettings
 from vision.force.slips import Slips, find_slips, stick_middles
-from vision.force.sticks import Signal, measure_sticks
+from vision.force.sticks import Corners, Signal, find_corners, measure_sticks
 from vision.numeric import Bools, Floats, nan_median
 
 _STICKS_FOR_KNEES = 60  # looked at, from first to last, to tell whether sticks have two slopes
@@ -104,9 +103,9 @@ def find_stick_slip(
             "lower `threshold_N` if smaller drops are slips",
         )
     _check_lowpass(lowpass_s, slips.period * signal.interval_s, metadata.source)
-    chain = _chain(signal, slips, lowpass_s, two_slopes, settings)
-    corners, tau, found, regime = chain.corners, chain.samples, chain.found, chain.regime
-    unloading = is_unloading(signal.travel, chain.extremes)
+    shown = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
+    corners, tau, found, regime = shown.corners, shown.samples, shown.found, shown.regime
+    unloading = is_unloading(signal.travel, shown.extremes)
     if unloading.all():
         raise InputError(
             metadata.source,
@@ -114,12 +113,12 @@ def find_stick_slip(
             f"{unloading.size} falls, all while it goes back: push–pull cycles",
         )
     compliance = 1 / (machine_stiffness_N_per_mm or np.inf)
-    events = measure_sticks(signal, corners, chain.extremes, tau, chain.bent, compliance, settings)
+    events = measure_sticks(signal, corners, shown.extremes, tau, shown.bent, compliance, settings)
     if found.samples and not tau:
-        events = _with_bias(events, signal, slips, chain.bent, compliance, found.samples, settings)
+        events = _with_bias(events, signal, slips, shown.bent, compliance, found.samples, settings)
     response = tau or (found.samples if found.proven else 0.0)
     events = events.assign(
-        flag=_with_doubts(events, regime.name, unloading, response * signal.interval_s, signal, settings)
+        flag=_all_flags(events, regime.name, unloading, response * signal.interval_s, signal, settings)
     )
     first, last = np.interp(corners.peak[[0, -1]], np.arange(signal.time.size), signal.time)
     events.attrs |= StickMetadata(
@@ -129,12 +128,12 @@ def find_stick_slip(
         period_samples=slips.period,
         spikes=int(signal.is_spike.sum()),
         lowpass_s=tau * signal.interval_s,
-        lowpass_how=chain.how,
+        lowpass_how=shown.how,
         lowpass_proposed_s=found.samples * signal.interval_s if found.samples and not tau else float("nan"),
         lowpass_proven=found.proven,
         lowpass_dF_share=events.attrs.get("lowpass_dF_share", 0.0),
         lowpass_K_share=events.attrs.get("lowpass_K_share", 0.0),
-        two_slopes=bool(chain.bent),
+        two_slopes=bool(shown.bent),
         regime=regime.name,
         fall_over_rise=regime.fall_over_rise,
         line_share=regime.line_share,
@@ -171,7 +170,7 @@ def _check_lowpass(lowpass_s: float | str, period_s: float, source: str) -> None
 
 
 @dataclass(frozen=True)
-class _Chain:
+class _SlipAnalysis:
     """Corners and recorded extremes, the low-pass corrected for in samples (how: `StickMetadata`) and the one
     found, the kind of motion, and whether sticks have knees."""
 
@@ -184,13 +183,13 @@ class _Chain:
     how: str
 
 
-def _chain(
+def _analyse_slips(
     signal: Signal,
     slips: Slips,
     lowpass_s: float | str,
     two_slopes: bool | None,
     settings: ForceSettings,
-) -> _Chain:
+) -> _SlipAnalysis:
     """What the recording shows, and what of the load cell's low-pass is to be corrected."""
     given = 0.0 if isinstance(lowpass_s, str) else lowpass_s / signal.interval_s
     bent = _have_knees(signal, slips, given, settings) if two_slopes is None else two_slopes
@@ -211,7 +210,7 @@ def _chain(
         tau, how = (found.samples, "found") if found.proven else (0.0, "doubtful")
     if tau:
         corners = _corners(signal, slips, bent, tau, settings)
-    return _Chain(corners, extremes, regime, bent, found, tau, how)
+    return _SlipAnalysis(corners, extremes, regime, bent, found, tau, how)
 
 
 def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSettings) -> bool:
@@ -300,21 +299,17 @@ def _with_bias(
         "stick_length_um": "stick_length_err_um",
         "K_N_per_mm": "K_err_N_per_mm",
     }
-    changed = {}
-    for value, error in pairs.items():
-        bias = np.nan_to_num(other[value].to_numpy(float) - events[value].to_numpy(float))
-        # One and the same bias in all events: added, not in squares.
-        changed[error] = events[error] + np.abs(np.where(np.isfinite(events[value]), bias, 0.0))
-    biased = events.assign(**changed)
-    for name in ("dF", "K"):
-        column = "dF_N" if name == "dF" else "K_N_per_mm"
-        ratio = (other[column] / events[column] - 1).to_numpy(float)
-        known = ratio[np.isfinite(ratio)]
-        biased.attrs[f"lowpass_{name}_share"] = float(np.median(known)) if known.size else 0.0
+    # One and the same bias in all events: added, not in squares.
+    bias = {value: (other[value] - events[value]).abs().fillna(0.0) for value in pairs}
+    biased = events.assign(**{error: events[error] + bias[value] for value, error in pairs.items()})
+    for name, value in (("dF", "dF_N"), ("K", "K_N_per_mm")):
+        ratio = (other[value] / events[value] - 1).to_numpy(float)
+        share = float(nan_median(np.where(np.isfinite(ratio), ratio, np.nan)))
+        biased.attrs[f"lowpass_{name}_share"] = share if np.isfinite(share) else 0.0
     return biased
 
 
-def _with_doubts(
+def _all_flags(
     events: pd.DataFrame,
     regime: str,
     unloading: Bools,
@@ -344,19 +339,18 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal) -> list[str]
         low, high = np.percentile(signal.clean, [1, 99])
         lines.append(
             f"an oscillation, no stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises, "
-            f"sticks are not straight, {100 * regime.line_share:.0f} % of the variance is one line of the "
-            f"spectrum; it swings by {high - low:.3g} (1 to 99 % of the samples)"
+            f"{100 * regime.line_share:.0f} % of the variance is at one frequency; swings by {high - low:.3g}"
         )
     elif regime.name == "cycles":
         lines.append(
             f"no stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises and are as "
-            "straight; these look like cycles of loading and unloading"
+            "straight, as in cycles of loading and unloading"
         )
     step, stick = 1e3 * _step(signal.travel), float(nan_median(events["stick_length_um"].to_numpy(float)))
     if step > _COARSE * stick:
         lines.append(
-            f"the displacement is recorded in steps of {step:.3g} µm, sticks last {stick:.3g} µm: "
-            "lengths and K are not resolved"
+            f"lengths and K are not resolved: the displacement has steps of {step:.3g} µm, "
+            f"sticks last {stick:.3g} µm"
         )
     flags = events["flag"].str.split("+")
     for word, meaning in (

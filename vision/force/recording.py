@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-import scipy
 import xarray as xr
 
 from vision.data import FORCE, ForceMetadata, record
@@ -15,6 +14,7 @@ from vision.force.columns import Column, Role, Table, find_columns
 from vision.force.files import read_tables
 from vision.force.settings import DEFAULTS, ForceSettings
 from vision.numeric import Bools, Floats, Strings, mad_sigma
+from vision.signals import running_median
 
 _LEAST_SAMPLES = 10
 _STARTS_NEAR_ZERO = 0.05  # of the whole travel: a machine's zero is set by hand
@@ -340,7 +340,7 @@ def find_spikes(y: Floats, sigma: float, *, settings: ForceSettings = DEFAULTS) 
     -------
     Which samples are spikes, and the signal with the median in their place.
     """
-    middle = scipy.ndimage.median_filter(y, size=5, mode="nearest")
+    middle = running_median(y, 5)
     # The corner of a steep sawtooth also lies off the median, by at most two rises between samples.
     rise = 2.0 * float(np.median(np.abs(np.diff(middle))))
     is_spike = np.abs(y - middle) > settings.spike_sigmas * sigma + rise

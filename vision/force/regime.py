@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from vision.force.lines import flat_ranges
 from vision.force.settings import ForceSettings
 from vision.numeric import Bools, Floats, Ints
+from vision.signals import running_mean
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,7 @@ def find_extremes(y: Floats, middle: Floats, length: Floats) -> Extremes:
     start = np.minimum(np.floor(bounds[:-1]).astype(np.int64), here)
     stop = np.maximum(np.ceil(bounds[1:]).astype(np.int64), here)
     width = 2 * (np.nan_to_num(length) / 48).astype(np.int64) + 1
-    smooth = {
-        int(w): scipy.ndimage.uniform_filter1d(y, int(w), mode="nearest") for w in np.unique(_octaves(width))
-    }
+    smooth = {int(w): running_mean(y, int(w)) for w in np.unique(_octaves(width))}
     peak, high, highest = _largest(y, smooth, _octaves(width), start, here + 1, 1)
     valley, low, lowest = _largest(-y, smooth, _octaves(width), here, stop + 1, -1)
     return Extremes(peak, valley, high, -low, highest, -lowest, width)

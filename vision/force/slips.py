@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from vision.force.lines import LEAST_FOR_KNEE, Lines, bend_squares, fit_lines
 from vision.force.settings import DEFAULTS, ForceSettings
 from vision.numeric import Bools, Floats, Ints
+from vision.signals import apart, find_maxima, running_median
 
 
 @dataclass(frozen=True)
@@ -111,14 +110,8 @@ def _peaks(y: Floats, half: Ints, sigma: float, settings: ForceSettings) -> Ints
     Prominence, not height: the filter's level on a stick follows the stiffness and the filter's width.
     """
     standard = np.nan_to_num(_step(y, half) / (sigma * np.sqrt(2.0 / half)), nan=-np.inf)
-    narrowest, reach = max(int(half.min()), 1), 16 * int(half.max())
-    with warnings.catch_warnings():
-        # A load that holds still leaves a level filter: no peak, and nothing to warn of.
-        warnings.filterwarnings("ignore", "some peaks have a prominence of 0", RuntimeWarning)
-        found, _ = scipy.signal.find_peaks(
-            standard, prominence=settings.candidate_sigmas, distance=narrowest, wlen=reach
-        )
-    return np.asarray(found, dtype=np.int64)
+    found = find_maxima(standard, least_prominence=settings.candidate_sigmas, reach=8 * int(half.max()))
+    return apart(found.at, standard[found.at], max(int(half.min()), 1))
 
 
 def _edges(y: Floats, period: Floats, sigma: float, settings: ForceSettings) -> Ints:
@@ -143,7 +136,7 @@ def _local_period(edge: Ints, size: int) -> Floats:
     """The same from drops already found: a running median of nine spacings."""
     if edge.size < 3:
         return np.full(size, max(size / 3, 1.0))
-    spacing = scipy.ndimage.median_filter(np.diff(edge).astype(float), size=9, mode="nearest")
+    spacing = running_median(np.diff(edge), 9)
     return _spread(0.5 * (edge[1:] + edge[:-1]), spacing, size)
 
 

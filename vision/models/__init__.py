@@ -1,6 +1,6 @@
 """The equations of the paper, and the fits to them."""
 
 from vision.models.fits import fit_models
-from vision.models.results import Estimate, Goodness, ModelFits
+from vision.models.single_fits import Estimate, Goodness, ModelFits
 
 __all__ = ["Estimate", "Goodness", "ModelFits", "fit_models"]

@@ -7,17 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-import scipy
 import xarray as xr
 
 from vision.data import FORCE, ForceMetadata
 from vision.errors import InputError
 from vision.models import equations
 from vision.models.bending import bending_length_mm
-from vision.models.results import Estimate, ModelFits
 from vision.models.single_fits import (
     LARGEST_SCALE,
+    Estimate,
     Fit,
+    ModelFits,
     fit_drops,
     fit_peaks,
     fit_stiffness,
@@ -27,6 +27,7 @@ from vision.models.single_fits import (
 )
 from vision.numeric import NORMAL_MEDIAN, Floats
 from vision.sample import PUBLISHED, Sample
+from vision.signals import running_median
 
 _LEAST_EVENTS = 6
 _DEGENERATE = 0.98  # correlation from which two parameters are better read together
@@ -37,6 +38,7 @@ _LARGEST_OFFSET_N = 10.0  # limits of T0 in the publication: what a load cell's 
 _CLOSEST_MM = 1e-4  # from event to event: no crosshead tells less
 _STIFFEST_GPA = 1000.0  # diamond: no sheet is stiffer
 _LIKELY_GPA = (0.1, 30.0)  # sheets of paper, polymers and wood, with room on both sides
+_CONTRADICTS = 3.0  # χ²/dof of peaks that are not those of Eq. 1
 _GEOMETRY = ("thickness_mm", "width_mm", "length_mm", "t_star_N")
 
 
@@ -118,9 +120,17 @@ def fit_models(
         left_out = {"flagged": len(sticks) - len(whole)} | left_out
         lowpass = {name: float(sticks.attrs.get(name, 0.0)) for name in _LOWPASS}
         fits = _with_systematics(fits, force, events, free_t_star, held, errors, lowpass)
+        misread = _misread_lengths(fits, whole, held, force)
     notes, warnings = _remarks(fits, force, left_out, fit_range_mm is not None)
-    warnings = (doubt, *warnings) if doubt else warnings
-    return replace(fits, left_out=left_out, notes=(*fits.notes, *notes), warnings=warnings)
+    warnings = (*(line for line in (doubt, misread) if line), *warnings)
+    d0_err = ForceMetadata.of(force).d0_err_mm
+    return replace(
+        fits,
+        left_out=left_out,
+        input_errors=errors | ({"d0_mm": d0_err} if np.isfinite(d0_err) else {}),
+        notes=(*fits.notes, *notes),
+        warnings=warnings,
+    )
 
 
 def _held(mu: float | None, modulus_GPa: float | None) -> dict[str, float]:
@@ -178,6 +188,33 @@ def _doubtful_units(events: pd.DataFrame, sample: Sample, force: xr.Dataset) -> 
     if least > _STIFFEST_GPA:
         raise InputError("model fits", f"sheets of less than {_STIFFEST_GPA:g} GPa", found, _read_as(force))
     return "" if _LIKELY_GPA[0] < least < _LIKELY_GPA[1] else f"{found} or more: {_read_as(force)}"
+
+
+def _misread_lengths(
+    fits: ModelFits, events: pd.DataFrame, held: Mapping[str, float], force: xr.Dataset
+) -> str:
+    """One line where Eq. 1 fits only if the displacement is in another unit than mm; "" elsewhere.
+
+    Raises: InputError where the file states no unit, so that mm was a guess.
+    """
+    facts, chi2 = ForceMetadata.of(force), fits.goodness["peaks"].chi2_dof
+    if not (chi2 > _CONTRADICTS and abs(fits.t0_N.value) > _LARGEST_OFFSET_N and np.isfinite(facts.d0_mm)):
+        return ""
+    for unit, mm in (("cm", 10.0), ("inch", 25.4), ("m", 1000.0)):
+        lengths = {name: facts.d0_mm + mm * (events[name] - facts.d0_mm) for name in ("d_v_mm", "d_p_mm")}
+        read = events.assign(**lengths, K_N_per_mm=events["K_N_per_mm"] / mm)
+        try:
+            peaks = fit_peaks(_chosen(read, fits.sample, held, None)[0], fits.sample, False, held)
+        except (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError):
+            continue
+        if peaks.goodness.chi2_dof < _CONTRADICTS and abs(peaks.value[1]) < _LARGEST_OFFSET_N:
+            found = f"𝒯0 = {fits.t0_N.value:.3g} N and χ²/dof {chi2:.3g} with displacement in mm; in {unit} "
+            found += f"it agrees (μ = {peaks.value[0]:.3g}, 𝒯0 = {peaks.value[1]:.2g} N)"
+            if any("displacement taken in" in note for note in facts.notes):
+                advice = f"the file states no unit: give `force_columns` displacement=NAME:{unit}"
+                raise InputError("model fits", "peaks that agree with Eq. 1", found, advice)
+            return f"the unit of the displacement contradicts Eq. 1: {found}"
+    return ""
 
 
 def _usable(sticks: pd.DataFrame, sample: Sample, force: xr.Dataset) -> pd.DataFrame:
@@ -243,7 +280,7 @@ def _chosen(
 
 def _maximum(peaks: Floats) -> int:
     """Where the peaks, smoothed over seven, are largest; 0 where scatter alone may have put it there."""
-    smooth = scipy.ndimage.median_filter(peaks, size=min(7, peaks.size), mode="reflect")
+    smooth = running_median(peaks, min(7, peaks.size), ends="symmetric")
     top = int(np.argmax(smooth))
     scatter = float(np.median(np.abs(np.diff(peaks)))) / (NORMAL_MEDIAN * np.sqrt(2))
     risen = smooth[top] - np.median(peaks[: max(min(3, top), 1)])
@@ -497,7 +534,7 @@ def _remarks(
         if good.chi2_dof > usual_chi2(good.points):
             line = f"the model does not follow the {name} (χ²/dof {good.chi2_dof:.3g}): "
             line += f"errors widened {np.sqrt(good.chi2_dof):.2g} times"
-            (warnings if good.chi2_dof > 3 else notes).append(line)
+            (warnings if good.chi2_dof > _CONTRADICTS else notes).append(line)
     if abs(fits.t0_N.value) > _LARGEST_OFFSET_N:
         warnings.append(
             f"𝒯0 = {fits.t0_N.value:.3g} N lies beyond the ±{_LARGEST_OFFSET_N:g} N of a load cell's zero: "

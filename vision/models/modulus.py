@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
-import scipy
 import xarray as xr
 from numpy.typing import ArrayLike
 
@@ -21,6 +20,7 @@ from vision.data import FORCE, Metadata, Schema, Variable, record
 from vision.errors import InputError
 from vision.numeric import Floats, Ints
 from vision.sample import Sample
+from vision.signals import find_maxima, running_mean
 
 STRIP = Sample(length_mm=16.8)
 """The publication's single sheet between its clamps: ε = 0.1, W = 45, L = 16.8 mm."""
@@ -121,7 +121,7 @@ def turning_points(displacement: ArrayLike, *, settings: ModulusSettings = Modul
     turns = _turns(raw, settings.least_reversal)
     if turns.size > 2:  # smoothed again in proportion to the branches found
         width = max(int(settings.smoothing * float(np.median(np.diff(turns)))), 1)
-        turns = _turns(scipy.ndimage.uniform_filter1d(raw, width, mode="nearest"), settings.least_reversal)
+        turns = _turns(running_mean(raw, width), settings.least_reversal)
     return turns
 
 
@@ -129,9 +129,9 @@ def _turns(values: Floats, least: float) -> Ints:
     prominence = least * float(np.ptp(values))
     # Ends count as turning points of their own: padding makes them none.
     padded = np.concatenate([[values.min()], values, [values.min()]])
-    high, _ = scipy.signal.find_peaks(padded, prominence=prominence)
+    high = find_maxima(padded, least_prominence=prominence, reach=padded.size).at
     padded = np.concatenate([[values.max()], values, [values.max()]])
-    low, _ = scipy.signal.find_peaks(-padded, prominence=prominence)
+    low = find_maxima(-padded, least_prominence=prominence, reach=padded.size).at
     inner = np.union1d(high, low).astype(np.int64) - 1
     inner = inner[(inner > 0) & (inner < values.size - 1)]
     # The noise beside an end is as low or high as the end itself: not a turn of its own.
@@ -406,7 +406,7 @@ def _clean(
     facts = CyclesMetadata(source=source, clamp_distance_from=how, notes=notes, warnings=warnings)
     turns = turning_points(delta, settings=settings)
     width = max(int(settings.smoothing * float(np.median(np.diff(turns)))), 1)
-    smooth = scipy.ndimage.uniform_filter1d(load, width, mode="nearest")
+    smooth = running_mean(load, width)
     return _Cycles(at, delta - load / machine_N_per_mm, load, smooth, turns), facts
 
 

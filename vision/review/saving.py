@@ -29,7 +29,7 @@ from vision.review.editing import Before, usual_places
 from vision.review.positions import Positions, read_positions
 from vision.run.folder import clean_up, put_in_place
 from vision.run.provenance import Origin, Parameter, plain
-from vision.run.reading import input_of, parameters_of, read_run, read_strip, read_table_of, tracks_of
+from vision.run.reading import input_of, parameters_of, read_run, read_strip, read_table, tracks_of
 from vision.run.writing import write_run
 from vision.sheets.corrections import Correction, Decisions
 from vision.video import Video
@@ -405,7 +405,7 @@ def _of_deformation(before: Path, after: Path, old: Ints, new: Ints) -> dict[str
     """How σ_x/Λ_st of the sheets in both runs, and the shells, differ."""
     names = ("deformation", "shells")
     (sheets, shells), (sheets_new, shells_new) = (
-        [read_table_of(folder, name) for name in names] for folder in (before, after)
+        [read_table(folder, name) for name in names] for folder in (before, after)
     )
     if sheets is None or sheets_new is None or shells is None or shells_new is None:
         return {"ratios": None, "shells": None}

@@ -27,6 +27,7 @@ from vision.review.saving import Job, Saver, Trial, pack, unpack
 from vision.review.stored import Found, claim, decided_clock
 from vision.review.tracks_file import Stored, read_tracks
 from vision.run.folder import whole_file
+from vision.run.provenance import plain
 from vision.run.writing import CORRECTIONS
 from vision.sheets.corrections import (
     KEYS,
@@ -336,7 +337,7 @@ class Session:
                 "sheets": self.sheets(),
                 "doubts": self.doubts(),
                 "sticks": self.sticks(),
-                "clock": None if self.clock is None else self.clock.to_json(),
+                "clock": plain(self.clock),
                 "tiles": {
                     "levels": self.tiles.levels,
                     "columns": self.tiles.settings.columns,

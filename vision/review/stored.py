@@ -14,7 +14,7 @@ from vision.clock import Candidate, Clock
 from vision.errors import InputError
 from vision.run.folder import MARK, lock_open_file
 from vision.run.provenance import Parameter
-from vision.run.reading import AGAIN, parameters_of, read_json, read_table_of
+from vision.run.reading import AGAIN, parameters_of, read_json, read_table
 from vision.sheets.corrections import Correction, correction_of
 
 COLUMNS = ("event", "t_v_s", "t_p_s", "stick_length_um")
@@ -95,7 +95,7 @@ def _stamp(folder: Path) -> tuple[int, int, int]:
 
 def _events(folder: Path) -> pd.DataFrame | None:
     """The stick-slip events; None where the run has none."""
-    table = read_table_of(folder, "events")
+    table = read_table(folder, "events")
     absent = [] if table is None else [column for column in COLUMNS if column not in table]
     if absent:
         found = f"no {', '.join(absent)}"

@@ -2,7 +2,7 @@
 
 from vision.run.checkpoint import Checkpoint
 from vision.run.export import export_run
-from vision.run.folder import check_target, run_folder, whole_file
+from vision.run.folder import check_new, check_target, run_folder, whole_file
 from vision.run.provenance import (
     Checksums,
     Origin,
@@ -22,6 +22,7 @@ __all__ = [
     "Parameter",
     "RunFolder",
     "check_mark",
+    "check_new",
     "check_target",
     "describe_input",
     "export_run",

@@ -17,7 +17,7 @@ from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.escaping import harmless, harmless_table
 from vision.files import reading
-from vision.run.folder import check_target, run_folder, whole_file
+from vision.run.folder import check_new, check_target, run_folder, whole_file
 from vision.run.provenance import write_json
 from vision.run.reading import AGAIN, RunFolder, check_mark, read_json, read_table, tracks_of
 from vision.run.tables import sheets_table, tracks_table
@@ -51,15 +51,20 @@ def export_run(run: RunFolder, to: Format, *, out: Path | None = None, overwrite
     Raises: InputError for a target that exists (without overwrite), lies in the run itself, is another run or
     cannot be written, for a package that is not installed, or for a run without what the format holds.
     """
-    _check_package(to)
-    name = run.folder.resolve().name
-    target = out or Path(f"{name}{ENDINGS.get(to, f'_{to}')}")
-    _check_outside(run, target)
+    package = NEEDS.get(to)
+    if package and importlib.util.find_spec(package) is None:
+        advice = "install it: pip install 'sheetvision[export]'"
+        raise InputError(f"the format {to}", f"the package {package}", "none", advice)
+    target = out or Path(f"{run.folder.resolve().name}{ENDINGS.get(to, f'_{to}')}")
+    if target.resolve().is_relative_to(run.folder.resolve()):
+        raise InputError(target, "a place outside the run folder", "one inside", "give another `out`")
     with reading(run.folder, "a run folder as track writes it", AGAIN):  # damaged tables show only in use
         if to not in ENDINGS:
             _write_folder(run, to, target, overwrite=overwrite)
             return Exported(target)
-        _check_file(target, overwrite=overwrite)
+        if target.is_dir():
+            raise InputError(target, "a file to write", "a folder", "give another `out`")
+        check_new(target, overwrite=overwrite)
         with whole_file(target) as path:
             return Exported(target, tuple(_write_file(run, to, path)))
 
@@ -68,12 +73,11 @@ def _write_folder(run: RunFolder, to: Format, target: Path, *, overwrite: bool) 
     check_target(target, overwrite=overwrite)
     check_mark(target, MARK)
     tables = all_tables(run)
+    rows = {name: len(table) for name, table in tables.items()}
+    facts = {**run.facts, MARK: {"to": to, "from": str(run.folder), "rows": rows}}
     with run_folder(target, overwrite=overwrite) as folder:
         (write_csv if to == "csv" else write_parquet)(tables, folder)
-        rows = {name: len(table) for name, table in tables.items()}
-        write_json(
-            {**run.facts, MARK: {"to": to, "from": str(run.folder), "rows": rows}}, folder / "run.json"
-        )
+        write_json(facts, folder / "run.json")
 
 
 def _write_file(run: RunFolder, to: Format, path: Path) -> list[str]:
@@ -86,25 +90,6 @@ def _write_file(run: RunFolder, to: Format, path: Path) -> list[str]:
         table = trackpy_table(run) if to == "trackpy" else napari_table(run)
         harmless_table(table).to_csv(path, index=False, lineterminator="\n")
     return []
-
-
-def _check_package(to: str) -> None:
-    package = NEEDS.get(to)
-    if package and importlib.util.find_spec(package) is None:
-        advice = "install it: pip install 'sheetvision[export]'"
-        raise InputError(f"the format {to}", f"the package {package}", "none", advice)
-
-
-def _check_outside(run: RunFolder, target: Path) -> None:
-    if target.resolve().is_relative_to(run.folder.resolve()):
-        raise InputError(target, "a place outside the run folder", "one inside", "give another `out`")
-
-
-def _check_file(target: Path, *, overwrite: bool) -> None:
-    if target.is_dir():
-        raise InputError(target, "a file to write", "a folder", "give another `out`")
-    if target.exists() and not overwrite:
-        raise InputError(target, "a new file", "one that exists", "give `overwrite` or another `out`")
 
 
 def all_tables(run: RunFolder) -> dict[str, pd.DataFrame]:
@@ -126,7 +111,7 @@ def all_tables(run: RunFolder) -> dict[str, pd.DataFrame]:
 
 def event_tables(run: RunFolder) -> dict[str, pd.DataFrame]:
     """The tables that a force recording adds to a run."""
-    found = {name: read_table(run, name) for name in PER_EVENT}
+    found = {name: read_table(run.folder, name) for name in PER_EVENT}
     return {name: table for name, table in found.items() if table is not None}
 
 
@@ -155,7 +140,8 @@ def trackpy_table(run: RunFolder) -> pd.DataFrame:
     table = table[table["flag"].isin(("ok", "blurred"))].rename(
         columns={"x_px": "x", "x_err_px": "ep", "index": "particle"}
     )
-    table["y"] = _strip_middle_px(tracks)
+    strip = StripMetadata.of(tracks)
+    table["y"] = (strip.strip_z0 + strip.strip_z1 - 1) / 2
     names = ["x", "y", "frame", "particle", "ep", "time_s", "side", "n"]
     return table[names].reset_index(drop=True)
 
@@ -189,11 +175,6 @@ def _flat(facts: Mapping[str, Any], above: str) -> list[tuple[str, str]]:
             text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
             pairs.append((f"{above}{name}", text))
     return pairs
-
-
-def _strip_middle_px(tracks: xr.Dataset) -> float:
-    strip = StripMetadata.of(tracks)
-    return (strip.strip_z0 + strip.strip_z1 - 1) / 2
 
 
 def write_csv(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:

@@ -43,10 +43,15 @@ def check_target(target: Path, *, overwrite: bool) -> None:
         raise InputError(target, "a place that can be written", f"{parent} is not", "give another `out`")
 
 
+def check_new(target: Path, *, overwrite: bool, kind: str = "file") -> None:
+    """Refuse to write over something, unless that is asked for.  Raises: InputError."""
+    if target.exists() and not overwrite:
+        raise InputError(target, f"a new {kind}", "one that exists", "give `overwrite` or another `out`")
+
+
 def _check_earlier(target: Path, *, overwrite: bool) -> None:
     """Only a run folder of one's own may be replaced, and only if asked for."""
-    if not overwrite:
-        raise InputError(target, "a new folder", "one that exists", "give `overwrite` or another `out`")
+    check_new(target, overwrite=overwrite, kind="folder")
     if not (target.is_dir() and (not any(target.iterdir()) or (target / MARK).is_file())):
         raise InputError(
             target, "a run folder to overwrite", "something else (no run.json in it)", "give another `out`"

@@ -123,13 +123,8 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
-def read_table(run: RunFolder, name: str) -> pd.DataFrame | None:
-    """One of the run's CSV tables; None where the run has none.  Raises: InputError for a damaged one."""
-    return read_table_of(run.folder, name)
-
-
-def read_table_of(folder: Path, name: str) -> pd.DataFrame | None:
-    """`read_table` for a folder whose tracks need not be read."""
+def read_table(folder: Path, name: str) -> pd.DataFrame | None:
+    """A CSV table of a run folder; None where it has none.  Raises: InputError for a damaged one."""
     path = folder / f"{name}.csv"
     if not path.exists():
         return None
@@ -206,7 +201,7 @@ def slip_times_s(run: RunFolder) -> Floats | None:
     None where the run has no events, or its clocks are ambiguous: a slip in the wrong place is worse than
     none.
     """
-    events, clock = read_table(run, "events"), run.folder / "clock.json"
+    events, clock = read_table(run.folder, "events"), run.folder / "clock.json"
     if events is None or not clock.exists():
         return None
     facts = read_json(clock)

@@ -1,9 +1,7 @@
 """I(x, t) becomes x(n, t): ridges, subpixel fits, identities, numbering."""
 
 from vision.sheets.corrections import Correction, doubtful_stretches, read_corrections
-from vision.sheets.heights import with_heights
 from vision.sheets.reference import wide_spacings
-from vision.sheets.scale import pixel_size_from_pitch
 from vision.sheets.settings import TrackingSettings
 from vision.sheets.subpixel import (
     FitChoice,
@@ -16,7 +14,7 @@ from vision.sheets.subpixel import (
     sliding_vertex,
     template_shift,
 )
-from vision.sheets.tracks import track_sheets
+from vision.sheets.tracks import pixel_size_from_pitch, track_sheets, with_heights
 
 __all__ = [
     "Correction",

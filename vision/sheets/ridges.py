@@ -18,6 +18,7 @@ from vision.data import TrackMetadata
 from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints
 from vision.sheets.settings import DEFAULT, TrackingSettings
+from vision.signals import find_maxima
 
 Polarity = Literal["bright", "dark"]
 
@@ -227,7 +228,7 @@ def _measure_within(
     walled = np.pad(line, ((0, 0), (1, 1)), constant_values=line.min())
     floor = _noise_floor(noise, sigma, settings)
     reach = walled.shape[1] if reach_px is None else reach_px
-    at, prominence, widths = find_maxima(walled.ravel(), least_prominence=floor, reach_px=reach)
+    at, prominence, widths = find_maxima(walled.ravel(), least_prominence=floor, reach=reach)
     frame = at // walled.shape[1]
     upper = float(np.quantile(prominence, 0.9)) if len(prominence) else np.inf
     strength = np.where(prominence >= 0.3 * upper, prominence, 0.0)
@@ -324,8 +325,8 @@ def _find_block(profile: Floats32, start: int, comb: RidgeComb, settings: Tracki
     at, prominence, widths = find_maxima(
         walled.ravel(),
         least_prominence=threshold,
-        reach_px=reach_px,
-        widest_px=reach_px,  # a wider plateau is flat background, whose prominence is not defined
+        reach=reach_px,
+        widest=reach_px,  # a wider plateau is flat background, whose prominence is not defined
     )
     frame, x = np.divmod(at, walled.shape[1])
     fwhm = np.sqrt(np.maximum(widths**2 - (FWHM * smoothing_px) ** 2, 0.25))
@@ -350,114 +351,3 @@ def _padded(parts: list[_Peaks], frames: int) -> Ridges:
         return table
 
     return Ridges(spread(x), spread(contrast), spread(fwhm))
-
-
-# --- maxima of a line ---------------------------------------------------------------------------------------
-
-
-class Maxima(NamedTuple):
-    """Local maxima from left to right, all (K,).
-
-    Parameters
-    ----------
-    at
-        Place; of a plateau its middle, rounded down.
-    prominence
-        Height above the higher of the lowest points on both sides, each within reach and before anything
-        higher.
-    width_px
-        At half the prominence.
-    """
-
-    at: Ints
-    prominence: Floats
-    width_px: Floats
-
-
-def find_maxima(
-    line: Floats32, *, least_prominence: float, reach_px: int, widest_px: int | None = None
-) -> Maxima:
-    """Maxima of a line that rise above their surroundings.
-
-    Parameters
-    ----------
-    line
-        Values without NaN.
-    least_prominence
-        Above 0; maxima of less are left out.
-    reach_px
-        How far to either side the surroundings extend.
-    widest_px
-        Longest plateau.
-
-    Returns
-    -------
-    Maxima
-
-    Notes
-    -----
-    The same as `scipy.signal.find_peaks` with a window of ``2 reach_px + 1`` and ``rel_height=0.5``. That
-    module loads `scipy.stats` and with it most of SciPy, which takes longer than tracking a thousand frames.
-    Between two neighbouring extrema a line only rises or only falls, so that it is enough to go from one
-    minimum to the next.
-    """
-    ends = np.append(np.flatnonzero(line[1:] != line[:-1]), len(line) - 1)  # of runs of equal values
-    level = line[ends]
-    rises = level[1:] > level[:-1]
-    top = 1 + np.flatnonzero(rises[:-1] & ~rises[1:])
-    dip = np.flatnonzero(np.append(True, ~rises) & np.append(rises, True))  # before and after each maximum
-    starts = np.where(dip > 0, ends[dip - 1] + 1, 0)
-    at = (ends[top - 1] + 1 + ends[top]) // 2
-    some = np.arange(len(top))
-    if widest_px is not None:
-        some = some[ends[top] - ends[top - 1] <= widest_px]
-    ground = _Ground(line, at, level[top], level[dip], reach_px)
-    left = ground.lowest(some, ends[dip], to_right=False)
-    high = level[top[some]] - left >= least_prominence
-    some, left = some[high], left[high]
-    right = ground.lowest(some, starts, to_right=True)
-    prominence = level[top[some]] - np.maximum(left, right)
-    some, prominence = some[prominence >= least_prominence], prominence[prominence >= least_prominence]
-    half = line[at[some]] - 0.5 * prominence
-    width = _to_half(line, at[some], half, -1) + _to_half(line, at[some], half, 1)
-    return Maxima(at[some], prominence, width)
-
-
-class _Ground(NamedTuple):
-    """A line with its maxima (K,) and the minima around them (K + 1,)."""
-
-    line: Floats32
-    at: Ints
-    height: Floats32
-    depth: Floats32
-    reach_px: int
-
-    def lowest(self, maxima: Ints, place: Ints, *, to_right: bool) -> Floats:
-        """Lowest value on one side of the maxima, within reach and before anything higher.
-
-        place: of the minima, at the end from which they are reached.
-        """
-        step, last = (1 if to_right else -1), len(self.at) - 1
-        on, dip = np.arange(len(maxima)), maxima + to_right
-        here, height = self.at[maxima], self.height[maxima]
-        low = height.astype(np.float64)
-        while len(on):
-            inside = np.abs(place[dip] - here) <= self.reach_px
-            seen = self.depth[dip]
-            seen[~inside] = self.line[here[~inside] + step * self.reach_px]
-            low[on] = np.minimum(low[on], seen)
-            beyond = dip if to_right else dip - 1  # the next maximum
-            further = inside & (beyond >= 0) & (beyond <= last)
-            further &= self.height[np.clip(beyond, 0, last)] <= height
-            on, dip, here, height = on[further], dip[further] + step, here[further], height[further]
-        return low
-
-
-def _to_half(line: Floats32, at: Ints, half: Floats, step: int) -> Floats:
-    """Distance from the maxima to where the line falls to `half`, on one side."""
-    here, on = at.copy(), np.arange(len(at))
-    while len(on):
-        here[on] += step
-        on = on[line[here[on]] > half[on]]
-    inner, outer = line[here - step].astype(np.float64), line[here].astype(np.float64)
-    return np.asarray(np.abs(here - at) - (half - outer) / (inner - outer), np.float64)

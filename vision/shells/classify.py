@@ -12,9 +12,7 @@ import xarray as xr
 from vision.data import MOTION, ShellMetadata, record
 from vision.errors import InputError
 from vision.numeric import Floats
-from vision.shells.profile import LEAST_ERROR, Side, breakpoint_n, isotonic
-from vision.shells.settings import ShellSettings
-from vision.shells.sizes import shell_sizes
+from vision.shells.sizes import LEAST_ERROR, ShellSettings, Side, breakpoint_n, isotonic, shell_sizes
 
 _LEAST_SHEETS = 3  # with a ratio, on one side: fewer are no profile
 

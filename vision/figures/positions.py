@@ -1,0 +1,315 @@
+"""Figures of x(n, t): displacement from one origin, deformation, noise and pixel locking."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+
+from vision.figures.decimate import minmax_decimate
+from vision.figures.figure import Band, Figure, Ink, Panel, Series
+from vision.figures.labels import displacement_unit, from_zero, time_axis
+from vision.figures.style import DATA, MODEL, PEAK, VALLEY, sheet_inks
+from vision.numeric import Bools, Floats, Ints, nan_median
+
+MOST_POINTS = 1600  # of one sheet
+MOST_POSITIONS = 150_000  # of all sheets together
+FEW_FRAMES = 60  # of which every position is shown as a dot
+BINS = 20  # of a pixel
+ORIGIN_FRAMES = 20
+"""Frames whose median is the origin: the noise of an origin is a quarter of that of a position. More would
+reach into the motion of the first stick."""
+MOST_SHEETS = 0.9
+"""Share of the sheets that a stretch must show. More would wait for sheets that come into view late, while
+the others already move; fewer would place many sheets by their neighbours."""
+LEAST_FOUND = 0.95
+"""Share of the frames in which a sheet must have a position to count in a mean over sheets: a sheet that
+comes and goes would shift the mean, a mean over too few sheets is noisier."""
+
+
+def tracks_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Figure:
+    """x(n, t) less each sheet's first position, in µm where the pixel size is known, else px.
+
+    The origin is that of `origin_px`.
+    """
+    at, x_px = decimated_tracks(tracks)
+    scale, unit = displacement_unit(pixel_size_um)
+    displacement = (x_px - origin_px(tracks)) * scale
+    frames = tracks.sizes["frame"]
+    decimated = (
+        f" The lines show the minimum and maximum position in each of {len(at) // 2} intervals of the "
+        f"{frames} frames, so that no slip is lost; tracks.csv holds every frame."
+        if len(at) < frames
+        else ""
+    )
+    panel = Panel(
+        title="Displacement of every sheet",
+        x_label=time_axis(tracks)[1],
+        y_label=f"x − x(start) ({unit})",
+        series=sheet_series(tracks, at, displacement, inks=sheet_inks(tracks)),
+        placeholder="no positions",
+        aspect=0.4,
+    )
+    return Figure.of(
+        "tracks",
+        panel,
+        "Position of each sheet less its median over the first frames in which most sheets were measured, so "
+        "that a gap later on shifts no curve. Left sheets are dashed and blue, right ones solid and orange; "
+        f"the tone changes steadily from the centre outwards.{decimated}",
+        title="x(n,t): displacement of every sheet",
+    )
+
+
+def outer_inner_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Figure | None:
+    """Deformation alone: the outer third of a side's sheets less the inner third; None for few sheets."""
+    scale, unit = displacement_unit(pixel_size_um)
+    curves = outer_less_inner_px(tracks)
+    if not curves:
+        return None
+    at, y = minmax_decimate(
+        time_axis(tracks)[0], np.stack(list(curves.values()), axis=1) * scale, most=MOST_POINTS
+    )
+    series = tuple(
+        Series(
+            label="left side" if which < 0 else "right side",
+            x=at,
+            y=column,
+            ink=DATA if which < 0 else PEAK,
+            dashed=which < 0,
+            width=1.0,
+        )
+        for which, column in zip(curves, y.T, strict=True)
+    )
+    panel = Panel(
+        title="Outer less inner sheets",
+        x_label=time_axis(tracks)[1],
+        y_label=f"outer − inner ({unit})",
+        series=series,
+        placeholder="no frame with all of these sheets",
+        aspect=0.25,
+    )
+    return Figure.of(
+        "outer_inner",
+        panel,
+        "Mean outward displacement of the outer third of the sheets of a side less that of its inner third: "
+        "motion of the camera and of the sample as a whole drops out, deformation is left. Empty where a "
+        "sheet that is otherwise there has no position.",
+    )
+
+
+def noise_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Figure:
+    """Noise of every sheet's position in time and between sheets, and the error that is stated."""
+    scale, unit = displacement_unit(pixel_size_um)
+    numbers, order = signed_number(tracks)
+    measured = tracks["x_noise_px"].values[order] * scale
+    unknown = np.full(order.size, np.nan)
+    scatter = (tracks["x_scatter_px"].values[order] if "x_scatter_px" in tracks else unknown) * scale
+    stated = nan_median(tracks["x_err_px"].values)[order] * scale
+    panel = Panel(
+        x_label="side · n (left negative)",
+        y_label=f"noise of x ({unit})",
+        series=(
+            Series.points("from frame to frame", numbers, measured, DATA),
+            Series.points("between sheets", numbers, scatter, VALLEY),
+            Series.points("stated error", numbers, stated, PEAK, hollow=True),
+        ),
+        y_range=from_zero(measured, scatter, stated),
+        whole_numbers=True,
+        aspect=0.4,
+    )
+    return Figure.of(
+        "noise",
+        panel,
+        "Filled: scatter of each sheet's position from frame to frame, from second differences in time, so "
+        "that creep and common motion do not count, and against its neighbours, from fourth differences "
+        "along n. Hollow: the error stated for a position (median over the frames), from the noise of the "
+        "profile, or with a lossy codec from the scatter between sheets. Scatter from frame to frame that is "
+        "larger than the error is motion, or something that the error lacks.",
+        title="Noise of the positions",
+    )
+
+
+def pixel_locking_figure(tracks: xr.Dataset) -> Figure:
+    """Histogram of x modulo one pixel: flat unless the fit locks to whole pixels.
+
+    The band is two standard errors about 1 from the scatter between sheets, each sheet counted as one
+    observation however many frames it was seen in: positions of one sheet are not independent.
+    """
+    x = tracks["x_px"].values
+    density, error = _density_modulo_one(x)
+    centre = (np.arange(BINS) + 0.5) / BINS
+    panel = Panel(
+        x_label="x modulo 1 px",
+        y_label="density over even spread",
+        series=(
+            Series(label="positions", x=centre, y=density, ink=DATA, look="steps"),
+            Series(label="even spread", x=centre, y=np.ones(BINS), ink=MODEL, dashed=True),
+        ),
+        bands=(Band(low=max(0.0, 1 - 2 * error), high=1 + 2 * error, label="± 2 standard errors"),),
+        x_range=(0.0, 1.0),
+        y_range=from_zero(density, np.array([1 + 2 * error])),
+        aspect=0.4,
+    )
+    return Figure.of(
+        "pixel_locking",
+        panel,
+        f"Density of x modulo one pixel over {np.isfinite(x).sum()} positions; 1 is an even spread. A fit "
+        "that locks to whole pixels piles up near 0 and 1 and empties the middle, in all sheets alike. Band: "
+        "two standard errors about 1, from the scatter between sheets; it is wide where the sheets move by "
+        "less than a pixel.",
+        title="Position modulo one pixel (locking check)",
+    )
+
+
+def _density_modulo_one(x_px: Floats) -> tuple[Floats, float]:
+    """Density in each bin over an even one, and its standard error with sheets as the units.
+
+    One error for all bins, the root mean square of theirs: without locking no bin differs from another. For
+    a single sheet it is 1.
+    """
+    frame, sheet = np.nonzero(np.isfinite(x_px))
+    place = np.minimum((x_px[frame, sheet] % 1.0 * BINS).astype(np.int64), BINS - 1)
+    sheets = x_px.shape[1]
+    counts = np.bincount(sheet * BINS + place, minlength=sheets * BINS).reshape(sheets, BINS)
+    seen = counts.sum(axis=1, keepdims=True)
+    total, known = max(1, int(seen.sum())), int((seen > 0).sum())
+    share = counts.sum(axis=0) / total
+    square = ((counts - seen * share) ** 2).sum(axis=0).mean() / total**2
+    error = float(np.sqrt(square * known / (known - 1))) * BINS if known > 1 else 1.0
+    return share * BINS, error
+
+
+def decimated_tracks(tracks: xr.Dataset) -> tuple[Floats, Floats]:
+    """Time and positions (points, sheet) in px, few enough for a page."""
+    each = min(MOST_POINTS, max(200, MOST_POSITIONS // max(1, tracks.sizes["sheet"])))
+    return minmax_decimate(time_axis(tracks)[0], tracks["x_px"].values, most=each)
+
+
+def signed_number(data: xr.Dataset) -> tuple[Floats, Ints]:
+    """side · n in rising order, and the indices of the sheets in that order."""
+    numbers = np.asarray(data["side"].values * data["n"].values, np.float64)
+    order = np.argsort(numbers, kind="stable")
+    return numbers[order], order
+
+
+def sheet_series(
+    tracks: xr.Dataset, at: Floats, y: Floats, *, inks: list[Ink], width: float = 1.0
+) -> tuple[Series, ...]:
+    """One curve a sheet, left ones dashed. at (points,); y (points, sheet), in the order of the tracks."""
+    sides, numbers = tracks["side"].values, tracks["n"].values
+    look: Literal["both", "line"] = "both" if len(at) <= FEW_FRAMES else "line"
+    return tuple(
+        Series(
+            label=f"{'left' if side < 0 else 'right'} {n}",
+            x=at,
+            y=column,
+            ink=ink,
+            look=look,
+            dashed=bool(side < 0),
+            width=width,
+            sheet=(int(side), int(n)),
+        )
+        for side, n, ink, column in zip(sides, numbers, inks, y.T, strict=True)
+    )
+
+
+# --- displacement from one origin, the same in every figure ------------------------------------------------
+
+
+def origin_px(tracks: xr.Dataset) -> Floats:
+    """Position of every sheet in the first stretch in which most sheets were measured, (sheet,) in px.
+
+    Parameters
+    ----------
+    tracks
+        From `vision.track_sheets`.
+
+    Returns
+    -------
+    Medians over up to `ORIGIN_FRAMES` frames, the same frames for all sheets: the first run of frames in
+    which nearly as many sheets as ever have a position. A sheet without one there starts, in its own first
+    frames, at the displacement that its neighbours have in these frames (linear in n). NaN for a sheet that
+    was never found.
+
+    Notes
+    -----
+    A mean or median over all frames depends on which of them have a position: a gap would shift the whole
+    curve against its neighbours'.
+    """
+    x = np.asarray(tracks["x_px"].values, np.float64)
+    known = np.isfinite(x)
+    if not known.any():
+        return np.full(x.shape[1], np.nan)
+    first, last = _first_stretch(known)
+    origin = nan_median(x[first:last])
+    late = np.flatnonzero(~np.isfinite(origin) & known.any(axis=0))
+    placed = np.flatnonzero(np.isfinite(origin))
+    signed = np.asarray(tracks["side"].values * tracks["n"].values, np.float64)
+    for sheet in late:
+        frames = np.flatnonzero(known[:, sheet])[:ORIGIN_FRAMES]
+        moved = nan_median(x[np.ix_(frames, placed)] - origin[placed])
+        seen = np.flatnonzero(np.isfinite(moved))
+        order = seen[np.argsort(signed[placed[seen]])]
+        shift = np.interp(signed[sheet], signed[placed[order]], moved[order]) if order.size else 0.0
+        origin[sheet] = np.median(x[frames, sheet]) - shift
+    return origin
+
+
+def _first_stretch(known: Bools) -> tuple[int, int]:
+    """First and last + 1 of the frames for the origin."""
+    frames, sheets = known.shape
+    length = min(ORIGIN_FRAMES, frames)
+    total = np.concatenate([np.zeros((1, sheets), np.int64), np.cumsum(known, axis=0)])
+    whole = (total[length:] - total[:-length] == length).sum(axis=1)  # sheets with a position throughout
+    if whole.max() == 0:
+        start = int(known.any(axis=1).argmax())
+        return start, min(start + length, frames)
+    start = int((whole >= MOST_SHEETS * whole.max()).argmax())
+    return start, start + length
+
+
+def outward_px(tracks: xr.Dataset, sheets: Ints | None = None) -> Floats:
+    """Mean displacement of sheets away from the axis since the origin, px, (frame,).
+
+    Parameters
+    ----------
+    tracks
+        From `vision.track_sheets`.
+    sheets
+        Indices of those that count; None for all. Only those with a position in most frames are used, or all
+        of them where there is none.
+
+    Returns
+    -------
+    NaN in frames in which one of the sheets used has no position: without it the mean would jump. Where this
+    leaves no frame, the mean over the sheets that have one.
+    """
+    chosen = np.arange(tracks.sizes["sheet"]) if sheets is None else sheets
+    x = np.asarray(tracks["x_px"].values, np.float64)[:, chosen]
+    found = np.isfinite(x).mean(axis=0)
+    steady = found >= min(LEAST_FOUND, float(found.max(initial=0.0)))
+    outward = (x - origin_px(tracks)[chosen]) * tracks["side"].values[chosen]
+    whole = np.asarray(outward[:, steady].mean(axis=1)) if steady.any() else np.full(len(x), np.nan)
+    if np.isfinite(whole).any():
+        return whole
+    known = np.isfinite(outward)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(known, outward, 0).sum(axis=1) / known.sum(axis=1))
+
+
+def outer_less_inner_px(tracks: xr.Dataset) -> dict[int, Floats]:
+    """Outward displacement of the outer third of the sheets less that of the inner third, by side, px.
+
+    Motion of the camera and of the whole sample is in both thirds and drops out; what is left is deformation.
+    A side with fewer than three sheets is left out.
+    """
+    n, side = np.asarray(tracks["n"].values), np.asarray(tracks["side"].values)
+    curves = {}
+    for which in (-1, 1):
+        mine = np.flatnonzero(side == which)
+        third = mine.size // 3
+        if third:
+            ordered = mine[np.argsort(n[mine])]
+            curves[which] = outward_px(tracks, ordered[-third:]) - outward_px(tracks, ordered[:third])
+    return curves

@@ -1,0 +1,178 @@
+"""Maxima, running medians and running means of a line of values.
+
+`scipy.signal` and `scipy.ndimage` have the same. They are not used: the first loads `scipy.stats` and with it
+most of SciPy, which takes longer than tracking a thousand frames; the second takes half as long.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from vision.numeric import Floats, Ints
+
+WINDOWS_AT_ONCE = 65_536  # of a running median: more take more memory, and no less time
+
+
+def running_median(
+    values: NDArray[np.floating], size: int, *, ends: Literal["edge", "symmetric"] = "edge"
+) -> Floats:
+    """Median of `size` values around each; the upper one of the two in the middle where `size` is even.
+
+    Parameters
+    ----------
+    values
+        (samples,), without NaN.
+    size
+        Of the window, in samples.
+    ends
+        What stands beyond the ends: the last value there, or the line mirrored.
+    """
+    padded = np.pad(np.asarray(values, np.float64), (size // 2, (size - 1) // 2), ends)
+    windows, middle = sliding_window_view(padded, size), size // 2
+    parts = [
+        np.partition(windows[start : start + WINDOWS_AT_ONCE], middle, axis=1)[:, middle]
+        for start in range(0, len(windows), WINDOWS_AT_ONCE)
+    ]
+    return np.concatenate(parts) if parts else np.empty(0)
+
+
+def running_mean(values: NDArray[np.floating], size: int) -> Floats:
+    """Mean of `size` values around each; beyond the ends stands the last value there."""
+    padded = np.pad(np.asarray(values, np.float64), (size // 2 + 1, (size - 1) // 2), "edge")
+    level = padded.mean()  # sums of what is left lose fewer digits
+    total = np.cumsum(padded - level)
+    return np.asarray(level + (total[size:] - total[:-size]) / size, np.float64)
+
+
+class Maxima(NamedTuple):
+    """Local maxima from left to right, all (K,).
+
+    Parameters
+    ----------
+    at
+        Place; of a plateau its middle, rounded down.
+    prominence
+        Height above the higher of the lowest points on both sides, each within reach and before anything
+        higher.
+    width
+        At half the prominence.
+    """
+
+    at: Ints
+    prominence: Floats
+    width: Floats
+
+
+def find_maxima(
+    line: NDArray[np.floating], *, least_prominence: float, reach: int, widest: int | None = None
+) -> Maxima:
+    """Maxima of a line that rise above their surroundings.
+
+    Parameters
+    ----------
+    line
+        Values without NaN.
+    least_prominence
+        Above 0; maxima of less are left out.
+    reach
+        How far to either side the surroundings extend.
+    widest
+        Longest plateau.
+
+    Returns
+    -------
+    Maxima
+
+    Notes
+    -----
+    The same as `scipy.signal.find_peaks` with a window of ``2 reach + 1`` and ``rel_height=0.5``.
+    Between two neighbouring extrema a line only rises or only falls, so that it is enough to go from one
+    minimum to the next.
+    """
+    ends = np.append(np.flatnonzero(line[1:] != line[:-1]), len(line) - 1)  # of runs of equal values
+    level = line[ends]
+    rises = level[1:] > level[:-1]
+    top = 1 + np.flatnonzero(rises[:-1] & ~rises[1:])
+    dip = np.flatnonzero(np.append(True, ~rises) & np.append(rises, True))  # before and after each maximum
+    starts = np.where(dip > 0, ends[dip - 1] + 1, 0)
+    at = (ends[top - 1] + 1 + ends[top]) // 2
+    some = np.arange(len(top))
+    if widest is not None:
+        some = some[ends[top] - ends[top - 1] <= widest]
+    ground = _Ground(line, at, level[top], level[dip], reach)
+    left = ground.lowest(some, ends[dip], to_right=False)
+    high = level[top[some]] - left >= least_prominence
+    some, left = some[high], left[high]
+    right = ground.lowest(some, starts, to_right=True)
+    prominence = level[top[some]] - np.maximum(left, right)
+    some, prominence = some[prominence >= least_prominence], prominence[prominence >= least_prominence]
+    half = line[at[some]] - 0.5 * prominence
+    with np.errstate(invalid="ignore"):  # a line may end in -inf
+        width = _to_half(line, at[some], half, -1) + _to_half(line, at[some], half, 1)
+    return Maxima(at[some], prominence, width)
+
+
+class _Ground(NamedTuple):
+    """A line with its maxima (K,) and the minima around them (K + 1,)."""
+
+    line: NDArray[np.floating]
+    at: Ints
+    height: NDArray[np.floating]
+    depth: NDArray[np.floating]
+    reach: int
+
+    def lowest(self, maxima: Ints, place: Ints, *, to_right: bool) -> Floats:
+        """Lowest value on one side of the maxima, within reach and before anything higher.
+
+        place: of the minima, at the end from which they are reached.
+        """
+        step, last = (1 if to_right else -1), len(self.at) - 1
+        on, dip = np.arange(len(maxima)), maxima + to_right
+        here, height = self.at[maxima], self.height[maxima]
+        low = height.astype(np.float64)
+        while len(on):
+            inside = np.abs(place[dip] - here) <= self.reach
+            seen = self.depth[dip]
+            seen[~inside] = self.line[here[~inside] + step * self.reach]
+            low[on] = np.minimum(low[on], seen)
+            beyond = dip if to_right else dip - 1  # the next maximum
+            further = inside & (beyond >= 0) & (beyond <= last)
+            further &= self.height[np.clip(beyond, 0, last)] <= height
+            on, dip, here, height = on[further], dip[further] + step, here[further], height[further]
+        return low
+
+
+def _to_half(line: NDArray[np.floating], at: Ints, half: Floats, step: int) -> Floats:
+    """Distance from the maxima to where the line falls to `half`, on one side."""
+    here, on = at.copy(), np.arange(len(at))
+    while len(on):
+        here[on] += step
+        on = on[line[here[on]] > half[on]]
+    inner, outer = line[here - step].astype(np.float64), line[here].astype(np.float64)
+    return np.asarray(np.abs(here - at) - (half - outer) / (inner - outer), np.float64)
+
+
+def apart(at: Ints, height: NDArray[np.floating], least: float) -> Ints:
+    """Maxima that are at least so far apart: of those that are closer the highest stay.
+
+    Parameters
+    ----------
+    at
+        Places in rising order.
+    height
+        Of each.
+    least
+        Smallest distance.
+    """
+    kept, near = np.ones(len(at), np.bool_), np.diff(at) < least
+    crowded = np.flatnonzero(np.r_[near, False] | np.r_[False, near])  # few: the others need no loop
+    for k in crowded[np.argsort(-height[crowded], kind="stable")]:
+        if kept[k]:
+            low, high = np.searchsorted(at, [at[k] - least + 1, at[k] + least])
+            kept[low:high] = False
+            kept[k] = True
+    return at[kept]
