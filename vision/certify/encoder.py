@@ -163,7 +163,8 @@ class Encoder:
         """What makes the encoder write like the recording."""
         q = str(self.quantiser)
         options = {
-            "h264": {"crf": q, "preset": self.preset, "threads": "1"},
+            # x264's assembly reads beyond its buffers: with it, the same film takes other bits each time
+            "h264": {"crf": q, "preset": self.preset, "threads": "1", "x264-params": "asm=0"},
             "hevc": {"crf": q, "x265-params": "log-level=none:pools=1:frame-threads=1"},
             "vp9": {"crf": q, "b": "0", "cpu-used": "4"},
             "av1": {"crf": q, "preset": "8"},
