@@ -1,0 +1,32 @@
+"""Running medians and means, and maxima that are apart, against SciPy's."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.signal import find_peaks
+
+from vision.signals import apart, find_maxima, running_mean, running_median
+
+
+@pytest.mark.parametrize("size", [1, 2, 5, 6, 9])
+@pytest.mark.parametrize("samples", [9, 70_000])  # less, and more, than is taken at once
+def test_running_median_and_mean_are_those_of_scipy(samples, size):
+    """A failure means that spikes are looked for, and loads smoothed, by another rule than the stated one."""
+    line = np.random.default_rng(size).normal(5, 1, samples)
+    np.testing.assert_array_equal(
+        running_median(line, size), ndimage.median_filter(line, size, mode="nearest")
+    )
+    mirrored = ndimage.median_filter(line, size, mode="reflect")
+    np.testing.assert_array_equal(running_median(line, size, ends="symmetric"), mirrored)
+    mean = ndimage.uniform_filter1d(line, size, mode="nearest")
+    np.testing.assert_allclose(running_mean(line, size), mean, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_maxima_apart_are_those_of_scipy(seed):
+    """A failure means that one slip is counted twice, or that two are taken for one."""
+    line = np.random.default_rng(seed).normal(0, 1, 400).cumsum()
+    found = find_maxima(line, least_prominence=1e-9, reach=line.size)
+    expected, _ = find_peaks(line, distance=7)
+    np.testing.assert_array_equal(apart(found.at, line[found.at], 7), expected)
+    assert len(expected) < len(found.at)
