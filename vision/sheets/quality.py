@@ -100,9 +100,9 @@ def motion_blur(
     :math:`\min(p, 1-p)\,D`: the loss of height times the jump. D is the difference between the frames on
     both sides. Where ridge and jump are about equally wide the two parts merge, the ridge grows wider, and
     the fit is less far off. Where the jump is about a pitch the second part lies on a neighbour's first and
-    nothing is lower: there sheets of the same frame that moved less tell p. Blurred are ridges wider or lower
-    than usual by more than their scatter in a frame in which they moved by more than a fraction of their
-    width.
+    nothing is lower: there sheets of the same frame that moved otherwise tell p. Blurred are ridges wider or
+    lower than usual by more than their scatter in a frame in which they moved by more than a fraction of
+    their width.
     """
     moved = np.zeros_like(x_px)
     moved[1:-1] = np.nan_to_num(np.abs(x_px[2:] - x_px[:-2]))
@@ -120,7 +120,8 @@ def motion_blur(
     )  # too little to be flagged, not too little to matter
     loss = np.clip(1 - np.exp(-np.nan_to_num(lower - nan_median(lower))), 0.0, 0.5)
     apart = moved / comb.fwhm_px
-    over = fast & (moved > settings.blur_overlap * comb.pitch_px)
+    pitches = np.maximum(np.rint(moved / comb.pitch_px), 1.0)
+    over = fast & (np.abs(moved - pitches * comb.pitch_px) < settings.blur_overlap * comb.fwhm_px)
     telling = fast & ~over & (apart > 0.5)
     told = nan_quantile(np.where(telling, loss, np.nan), 0.75, axis=1)[:, None]
     most = nan_quantile(np.where(telling, excess, np.nan), 0.75, axis=1)[:, None]

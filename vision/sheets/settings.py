@@ -254,9 +254,10 @@ class TrackingSettings:
     """Error of a blurred position, in terms of lost height times motion; test_quality.py holds it to cover 62
     to 74 of 100 truths."""
 
-    blur_overlap: float = 0.6
-    """Motion between frames, in pitches, from which a ridge may be drawn over its neighbour, and the other
-    sheets tell its blur. Larger calls sheets in fast slips ok that are off by pixels; test_quality.py."""
+    blur_overlap: float = 1.4
+    """Widths by which a motion may differ from whole pitches for a ridge to be drawn over another, so that
+    other sheets tell its blur. Smaller calls sheets in fast slips ok that are off by pixels;
+    test_quality.py."""
 
     distortion_sigmas: float = 5.0
     """Times its usual scatter by which a position must depend on a slope of the light for the ridge to be
