@@ -7,9 +7,10 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import anyio
+import anyio.to_thread
 import cv2
 from starlette.applications import Starlette
-from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
@@ -23,6 +24,8 @@ from vision.review.session import Session
 from vision.run.provenance import plain
 
 MOST_POINTS = 20_000  # of a curve
+AT_ONCE = 4
+"""Questions answered at a time. More are no faster on a few cores, and each thread keeps memory."""
 WINDOW_GONE_S = 6.0  # a window that has not asked for so long is closed; pages ask every two seconds
 
 
@@ -64,6 +67,7 @@ class Api:
 
     def __init__(self, session: Session, stop: Callable[[], None]) -> None:
         self.session, self._stop = session, stop
+        self._threads = anyio.CapacityLimiter(AT_ONCE)
         self._windows = Windows()
 
     def routes(self) -> list[Route]:
@@ -98,10 +102,22 @@ class Api:
             "/api/leave": self.leave,
             "/api/quit": self.quit,
         }
-        routes = [Route(path, _threaded(work), methods=["GET"]) for path, work in get.items()]
+        routes = [Route(path, self._threaded(work), methods=["GET"]) for path, work in get.items()]
         return routes + [
-            Route(path, _threaded(work, body=True), methods=["POST"]) for path, work in post.items()
+            Route(path, self._threaded(work, body=True), methods=["POST"]) for path, work in post.items()
         ]
+
+    def _threaded(self, work: Callable[..., Response], *, body: bool = False) -> Callable[[Request], Any]:
+        """A function that waits for files and arrays, off the event loop; InputError becomes an answer."""
+
+        async def answer(request: Request) -> Response:
+            given = [await _body_of(request)] if body else []
+            try:
+                return await anyio.to_thread.run_sync(work, request, *given, limiter=self._threads)
+            except InputError as error:
+                return refused(422, with_options(str(error), {}))
+
+        return answer
 
     # --- what is shown --------------------------------------------------------------------------------------
 
@@ -249,19 +265,6 @@ def _tried(work: Callable[[], Mapping[str, Any]]) -> Response:
         return _json(work())
     except InputError as error:
         return _json({"refused": with_options(str(error), {})})
-
-
-def _threaded(work: Callable[..., Response], *, body: bool = False) -> Callable[[Request], Any]:
-    """A function that waits for files and arrays, off the event loop; InputError becomes an answer."""
-
-    async def answer(request: Request) -> Response:
-        given = [await _body_of(request)] if body else []
-        try:
-            return await run_in_threadpool(work, request, *given)
-        except InputError as error:
-            return refused(422, with_options(str(error), {}))
-
-    return answer
 
 
 async def _body_of(request: Request) -> Mapping[str, Any]:

@@ -152,10 +152,12 @@ class Tiles:
             step = self.settings.factor**self.settings.first_kept
             if self._kept or self.levels <= self.settings.first_kept:
                 return
-            made = [self._first_level(step)]
-            while len(made) < self.levels - self.settings.first_kept:
-                made.append(_extremes(made[-1], self.settings.factor, bright=self.bright))
-            self._kept = [self._grey(level) for level in made]
+            level = self._first_level(step)
+            kept = [self._grey(level)]
+            while len(kept) < self.levels - self.settings.first_kept:
+                level = _extremes(level, self.settings.factor, bright=self.bright)
+                kept.append(self._grey(level))
+            self._kept = kept
 
     def _first_level(self, step: int) -> Floats32:
         """Extremes of every `step` frames, read in parts by two threads."""
