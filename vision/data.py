@@ -287,7 +287,8 @@ class TrackMetadata(Metadata):
     wide_spacings
         Where a sheet may have been overlooked: "748 px (1.9 pitches)".
     scene_changes
-        Where the picture changes for good: "60 (all sheets displaced by 37.0 px)".
+        Where the picture changes for good: the first frame of the new scene (``frame``), by how much all
+        sheets are displaced (``moved_px``), change of the logarithm of their brightness (``brightness``).
     ridges_beyond
         Ridges like the sheets that continue the comb beyond the number that was given.
     corrections_applied
@@ -310,7 +311,7 @@ class TrackMetadata(Metadata):
     least_margin: float = math.nan
     ridges_dropped: int = 0
     wide_spacings: Sequence[str] = field(default_factory=list)
-    scene_changes: Sequence[str] = field(default_factory=list)
+    scene_changes: Sequence[Mapping[str, float]] = field(default_factory=list)
     ridges_beyond: int = 0
     corrections_applied: int = 0
 

@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -27,7 +27,7 @@ from vision.data import ForceMetadata, warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import InputError, known_as
 from vision.escaping import html_table
-from vision.figures import FIGURES, Figure
+from vision.figures.catalogue import Plots, figure_named
 from vision.force import ForceSettings, find_stick_slip, read_force
 from vision.models import ModelFits, fit_models
 from vision.models.modulus import cycles_seen
@@ -57,9 +57,6 @@ from vision.video import (
     strip_profile,
     strip_profiles,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 Progress = Callable[[int, int | None], None]
 Result = TypeVar("Result")
@@ -240,31 +237,8 @@ class Analysis:
         text = html_table("analysis", found)
         if self.tracks is None:
             return text
-        picture = base64.b64encode(_figure(self, "tracks").png()).decode()
+        picture = base64.b64encode(figure_named(self, "tracks").png()).decode()
         return f'{text}<img style="max-width:40em" alt="x(n,t)" src="data:image/png;base64,{picture}">'
-
-
-class Plots:
-    """The figures of an analysis as functions: ``plot.NAME(ax=None)``."""
-
-    def __init__(self, analysis: Analysis) -> None:
-        self._analysis = analysis
-
-    def __getattr__(self, name: str) -> Callable[..., Axes]:
-        if name not in FIGURES:
-            raise AttributeError(f"no figure '{name}'; there are {', '.join(FIGURES)}")
-        return _figure(self._analysis, name).plot
-
-    def __dir__(self) -> list[str]:
-        return list(FIGURES)
-
-
-def _figure(analysis: Analysis, name: str) -> Figure:
-    figure = FIGURES[name].make(analysis)
-    if figure is None:
-        reasons = "; ".join(analysis.reasons.values())
-        raise InputError(f"the figure {name}", "an analysis that has its data", reasons or "one without")
-    return figure
 
 
 def analyse(
@@ -310,7 +284,10 @@ def analyse(
         For a video or force recording that cannot be read, or a video without ridges.
     """
     chosen = settings or Settings()
-    _check_choices(chosen, follow)
+    if chosen.strips != 1 and follow is not None:
+        raise InputError("`strips` and `follow`", "one of the two", "both", "track again when it is complete")
+    if chosen.pitch_um is not None and chosen.pixel_size_um is not None:
+        raise InputError("`pitch_um` and `pixel_size_um`", "one of the two", "both")
     stage = _Stages()
     # A force file that is not understood is refused before the long work of reading a video.
     machine = None if force is None else stage.must("reading force", lambda: open_force(force, chosen))
@@ -323,7 +300,9 @@ def analyse(
                 "reading",
                 lambda: _upright(film, chosen, lambda: _strip(film, chosen, progress, log, follow)),
             )
-        recording = _grown(film, chosen, follow)
+        if follow is not None:  # it has grown
+            with suppress(InputError):
+                recording = open_recording(film.path, chosen)
         frame = stage.must("first frame", lambda: reference_frame(film))
     if strip is not None:
         if tracks is None:
@@ -357,14 +336,6 @@ def analyse(
         seconds=stage.seconds,
     )
     return replace(analysis, warnings=_warnings(analysis))
-
-
-def _check_choices(chosen: Settings, follow: Follow | None) -> None:
-    """InputError for choices that exclude each other."""
-    if chosen.strips != 1 and follow is not None:
-        raise InputError("`strips` and `follow`", "one of the two", "both", "track again when it is complete")
-    if chosen.pitch_um is not None and chosen.pixel_size_um is not None:
-        raise InputError("`pitch_um` and `pixel_size_um`", "one of the two", "both")
 
 
 def _kept(earlier: Analysis | None, chosen: Settings, *, film: bool) -> Analysis:
@@ -463,14 +434,6 @@ def open_recording(video: Video | str | Path, chosen: Settings, follow: Follow |
     return await_video(video, opened, follow, chosen.tuning.video)
 
 
-def _grown(film: Video, chosen: Settings, follow: Follow | None) -> Video:
-    """The recording as it is now: one that was followed has grown."""
-    if follow is not None:
-        with suppress(InputError):
-            return open_recording(film.path, chosen)
-    return film
-
-
 def _strip(
     video: Video,
     chosen: Settings,
@@ -480,27 +443,16 @@ def _strip(
 ) -> tuple[xr.DataArray, xr.DataArray | None]:
     """I(x, t) of the strip, and of its parts where they are asked for."""
     _check_lengths(chosen, video.shape[1])
-    rows, settings = _rows(chosen), chosen.tuning.video
+    decided, settings = last_of(chosen.corrections, "strip"), chosen.tuning.video
+    rows = chosen.rows if decided is None or decided.rows is None else slice(*decided.rows)
     if chosen.strips != 1:
         return strip_profiles(
             video, chosen.strips, rows, columns=chosen.columns, progress=progress, settings=settings
         )
     whole = strip_profile(
-        video,
-        rows,
-        columns=chosen.columns,
-        progress=progress,
-        settings=settings,
-        log=log,
-        follow=follow,
+        video, rows, columns=chosen.columns, progress=progress, settings=settings, log=log, follow=follow
     )
     return whole, None
-
-
-def _rows(chosen: Settings) -> slice | None:
-    """The strip's rows as decided by hand, else as asked for."""
-    decided = last_of(chosen.corrections, "strip")
-    return chosen.rows if decided is None or decided.rows is None else slice(*decided.rows)
 
 
 def _check_lengths(chosen: Settings, width_px: int) -> None:
@@ -626,11 +578,6 @@ def _shells(motion: xr.Dataset, fits: ModelFits | None, chosen: Settings) -> pd.
     )
 
 
-def _fits_are_expected(force: xr.Dataset) -> bool:
-    """Without d0, or with a force over a weight, nobody asked for the models."""
-    return math.isfinite(ForceMetadata.of(force).d0_mm) and force["load_N"].attrs["units"] == "N"
-
-
 def _warnings(found: Analysis) -> tuple[str, ...]:
     """What matters for the results, in the order of the stages, each once."""
     lines: list[str] = []
@@ -643,7 +590,11 @@ def _warnings(found: Analysis) -> tuple[str, ...]:
     if found.force is not None:
         lines += warnings_of(found.force, found.sticks)
         lines += filter(None, [cycles_seen(found.force)])
-        if "fits" in found.reasons and _fits_are_expected(found.force):
+        # Without d0, or with a force over a weight, nobody asked for the models.
+        expected = (
+            math.isfinite(ForceMetadata.of(found.force).d0_mm) and found.force["load_N"].attrs["units"] == "N"
+        )
+        if "fits" in found.reasons and expected:
             lines.append(f"no model fits: {found.reasons['fits']}")
     lines += found.fits.warnings if found.fits else ()
     lines += found.clock.warnings if found.clock else ()

@@ -99,10 +99,12 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     if tracks.sizes["frame"] >= STILL_FRAMES and not (tracks["x_noise_px"].values > 0).any():
         lines.append("no frame differs from the one before: neither motion nor noise can be measured")
     for change in TrackMetadata.of(tracks).scene_changes:
-        frame = change.split()[0]
+        frame = change["frame"]
         lines.append(
-            f"the picture changes for good at frame {change}: a cut, or the camera or the light was moved;"
-            f" sheets before and after may be others: give `frames` as 0:{frame} or {frame}:"
+            f"the picture changes for good at frame {frame} (all sheets displaced by"
+            f" {change['moved_px']:.0f} px, their brightness changed by {100 * change['brightness']:.0f} %):"
+            " a cut, or the camera or the light was moved; sheets before and after may be others: give"
+            f" `frames` as 0:{frame} or {frame}:"
         )
     if wide := TrackMetadata.of(tracks).wide_spacings:
         where = ", ".join(wide)

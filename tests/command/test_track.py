@@ -85,12 +85,14 @@ def test_the_run_folder_holds_the_truth_in_the_contract_s_columns(video, capsys)
 
 def test_tracks_nc_holds_the_same_as_tracks_csv(video):
     """A failure means that MATLAB or xarray users see other numbers than spreadsheet users."""
-    assert run([str(video), "--quiet"]) == 0
+    assert run([str(video), "--quiet", "--pixel-size", "10"]) == 0
     table = pd.read_csv("comb_tracks/tracks.csv")
     with xr.open_dataset("comb_tracks/tracks.nc", engine="h5netcdf") as data:
         assert data.x_px.dims == ("frame", "sheet")
         np.testing.assert_allclose(data.x_px.values.ravel(), table.x_px, atol=1e-4)
-        assert data.x_px.attrs["units"] == "px"
+        np.testing.assert_allclose(data.x_err_px.values.ravel(), table.x_err_px, atol=1e-5)
+        np.testing.assert_allclose(data.x_um.values, 10 * data.x_px.values)
+        assert (data.x_px.attrs["units"], data.x_um.attrs["units"]) == ("px", "um")
         assert data.x_px.attrs["long_name"]
         assert (data.flag.astype(str).values == "ok").all()
         assert data.attrs["fit"] == "sliding"

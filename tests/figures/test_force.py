@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from tests.scenes.report_data import make_tracks, sawtooth
+from vision.clock import video_slips
 from vision.figures import figures_of, force_overview_figure
-from vision.figures.force import ZOOMED_EVENTS, clocks_figure, force_figure, sticks_figure
+from vision.figures.force import (
+    ZOOMED_EVENTS,
+    clock_residuals_figure,
+    clocks_figure,
+    force_figure,
+    sticks_figure,
+)
 from vision.figures.positions import outward_px
 from vision.report.text import methods
 
@@ -72,6 +79,21 @@ def test_force_and_sheets_step_together_on_the_force_clock(pulled):
     shifted = clocks_figure(pulled.force, pulled.tracks, late, pulled.sticks).panel.series[1]
     wrong = _slip_times(shifted.x, shifted.y, 0.2)
     assert np.abs(wrong[:, None] - drop).min(axis=1).max() > 0.1
+
+
+def test_residuals_of_the_clocks_are_in_ms_and_grow_with_the_offset(pulled):
+    """A failure means residuals of the wrong sign or unit, beside errors in another."""
+
+    def points(later_s):
+        clock = replace(pulled.clock, offset_s=pulled.clock.offset_s + later_s)
+        figure = clock_residuals_figure(pulled.force, pulled.tracks, clock, pulled.sticks)
+        return by_label(figure)["slips"]
+
+    now, late = points(0.0), points(0.01)
+    assert np.abs(now.y).max() < 1000 * 1.5 / 60
+    np.testing.assert_allclose(late.y - now.y, 10.0, atol=1e-6)
+    error = 1000 * video_slips(pulled.tracks)["error_s"].to_numpy()
+    np.testing.assert_allclose(now.high - now.y, error[: now.y.size], rtol=1e-6)
 
 
 def _slip_times(time, value, least):

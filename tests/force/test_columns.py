@@ -33,6 +33,30 @@ def test_one_column_with_units_in_each_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("time", "load", "length"),
+    [
+        (("s", 1), ("N", 1), ("mm", 1)),
+        (("ms", 1e-3), ("kN", 1e3), ("cm", 10)),
+        (("µs", 1e-6), ("MN", 1e6), ("m", 1e3)),
+        (("min", 60), ("mN", 1e-3), ("µm", 1e-3)),
+        (("h", 3600), ("daN", 10), ("nm", 1e-6)),
+        (("sec", 1), ("lbf", 4.4482216), ("in", 25.4)),
+        (("seconds", 1), ("kgf", 9.80665), ("ft", 304.8)),
+        (("msec", 1e-3), ("gf", 9.80665e-3), ("inches", 25.4)),
+    ],
+)
+def test_units_become_s_N_and_mm(time, load, length, tmp_path: Path) -> None:
+    """A failure means a recording in this unit is a thousand times too strong, or too long."""
+    head = f"Time ({time[0]});Load ({load[0]});Crosshead ({length[0]})\n"
+    values = (TIME / time[1], LOAD / load[1], PULL / length[1])
+    body = "".join(";".join(f"{v:.12g}" for v in row) + "\n" for row in zip(*values, strict=True))
+    force = read_force(written(tmp_path, head + body))
+    np.testing.assert_allclose(force["time_s"], TIME, atol=1e-9)
+    np.testing.assert_allclose(force["load_N"], LOAD, rtol=1e-6)
+    np.testing.assert_allclose(force["crosshead_mm"], PULL, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize(
     ("text", "message"),
     [
         (

@@ -113,6 +113,13 @@ def test_d0_is_added_to_the_crossheads_change(tmp_path: Path, start: float, said
     assert not any("starts at" in line for line in read_force(path, d0_mm=0.0).attrs["warnings"])
 
 
+def test_without_a_crosshead_the_pull_begins_with_the_recording(tmp_path: Path) -> None:
+    """A failure means that a clock which starts at 100 s puts d off by what the machine did not travel."""
+    path = written(tmp_path, "time (s),load (N)\n" + rows(100 + TIME, LOAD, sep=","))
+    force = read_force(path, speed_mm_min=3.0, d0_mm=13.0)
+    np.testing.assert_allclose(force["d_mm"], 13 + 3 / 60 * (TIME - TIME[0]), atol=1e-9)
+
+
 def test_the_error_of_d0_travels_with_the_recording(tmp_path: Path) -> None:
     """A failure means the fits do not know how well d0 is known."""
     path = crosshead_file(tmp_path, np.linspace(0, 5, 200))

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tests.compare.scenes import events, write_run
 from tests.fuzz.cases import SECONDS, Failure, HangError, alarm
 from tests.fuzz.mutations import mutated
 from tests.scenes.comb_video import frames_of, write_video
 from tests.scenes.comb_video import positions as truth
+from tests.scenes.comparison import events, write_run
 from vision.command.console import outcome
 from vision.command.main import run as track
 from vision.command.review import settings_of_run

@@ -166,7 +166,7 @@ def test_recordings_that_cannot_be_fitted_are_refused(force: xr.Dataset, message
         (1e-3, 1, "events at least 0.1 µm apart"),  # m taken for mm
         (0.1, 100, "sheets of less than 1000 GPa"),  # cm and cN
         (25.4, 1, "between 0 and 57 mm.*units of displacement and load"),
-        (1, 1e-3, "friction coefficient.*units of displacement and load"),  # kN taken for N
+        (1, 1e-3, "offset 𝒯0.*units of displacement and load"),  # kN taken for N
     ],
 )
 def test_a_wrong_unit_is_named(length: float, load: float, message: str) -> None:
@@ -190,7 +190,7 @@ def test_doubtful_units_are_said() -> None:
 def test_centimetres_that_nobody_declared_are_refused() -> None:
     """A failure means μ with a small error from a file that states no unit and whose numbers contradict mm.
 
-    In a file that says mm it is a warning: the header may be right, and another thing wrong.
+    The option that states the unit is named only where the file does not.
     """
     made = events()
     shorter = {name: 13 + 0.1 * (made[name] - 13) for name in ("d_v_mm", "d_p_mm")}
@@ -199,8 +199,8 @@ def test_centimetres_that_nobody_declared_are_refused() -> None:
     assumed = MADE.assign_attrs(notes=['"displacement" has no unit: displacement taken in mm'])
     with pytest.raises(InputError, match=r"in cm it agrees \(μ = 0.89.*displacement=NAME:cm"):
         fit_models(assumed, read)
-    found = fit_models(MADE, read)
-    assert any("in cm it agrees" in line for line in found.warnings)
+    with pytest.raises(InputError, match=r"in cm it agrees \(μ = 0.89, 𝒯0 = \S+ N\)$"):
+        fit_models(MADE, read)
     for right in (fit_models(assumed, made), fit_models(assumed, made.assign(F_p_N=made["F_p_N"] + 20))):
         assert not any("agrees" in line for line in right.warnings)
 
@@ -369,6 +369,12 @@ def test_another_sample() -> None:
     wrong = fit(made)
     assert abs(wrong.mu.value - 0.89) > 0.03
     assert abs(wrong.modulus_GPa.value - 3.8) > 0.5
+
+
+def test_a_geometry_that_contradicts_the_peaks_is_refused() -> None:
+    """A failure means μ = 0.128 ± 0.001 and 𝒯0 = −1e45 N from sheets told to be 10 mm thick."""
+    with pytest.raises(InputError, match="an offset 𝒯0 of"):
+        fit(events(), Sample(thickness_mm=10.0))
 
 
 def test_what_limits_the_result_is_said() -> None:

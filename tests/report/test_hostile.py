@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.compare.scenes import campaign, write_campaign
 from tests.scenes.comb_video import frames_of, positions, write_video
+from tests.scenes.comparison import campaign, write_campaign
 from vision.certify import CertifySettings, certify, write_certificate
 from vision.command.main import run
 from vision.figures import load_figures, save_figures

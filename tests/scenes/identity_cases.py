@@ -155,7 +155,53 @@ def _() -> Case:
     return Case(x, strip(ridges(x)))
 
 
+@case("comb comes in from outside the picture")
+def _() -> Case:
+    x = comb(200, per_side=12, axis_px=290, slip=0.4) + np.maximum(0, 500 - 4.0 * np.arange(200))[:, None]
+    return Case(x, strip(ridges(x, width=580, contrast=brightness(24)), snr=80), least_found=0.97)
+
+
+@case("sheets leave the picture and come back")
+def _() -> Case:
+    x = comb(FRAMES, per_side=14, axis_px=300, slip=0.4)
+    x += 70 * np.sin(np.linspace(0, 2 * np.pi, FRAMES))[:, None]
+    return Case(x, strip(ridges(x, width=600, contrast=brightness(28))), least_found=0.99)
+
+
+@case("pitch grows twofold along the comb")
+def _() -> Case:
+    u = np.linspace(-1, 1, 31)
+    x = 330 + np.cumsum(13 + 7 * (u + 1)) - 310
+    x = x - 8 * np.sign(u) * np.abs(u) ** 2.3 * ((np.arange(FRAMES) / 25) % 1 - 0.5)[:, None]
+    return Case(x, strip(ridges(x, width=700, fwhm_px=6, contrast=brightness(31))), pitch_px=13)
+
+
+@case("camera shakes by a pitch from frame to frame")
+def _() -> Case:
+    x = comb(FRAMES, per_side=12, axis_px=300, slip=0.4)
+    x += np.random.default_rng(4).uniform(-20, 20, (FRAMES, 1))
+    return Case(x, strip(ridges(x, width=600, contrast=brightness(24))), least_found=0.97)
+
+
 # light
+
+
+@case("a light moves along the comb and the sheets' brightness changes")
+def _() -> Case:
+    x, t = comb(200, per_side=13, axis_px=310, slip=0.6), np.arange(200)[:, None] / 200
+    height = brightness(26, 91) * (1 - t) + brightness(26, 92) * t
+    height = height * (0.4 + np.exp(-(((x - 100 - 400 * t) / 150) ** 2)))
+    return Case(x, strip(ridges(x, width=620, contrast=height), snr=80), least_found=0.85)
+
+
+@case("two hands, one from either side")
+def _() -> Case:
+    x, t = comb(200, per_side=13, axis_px=300, slip=0.5), np.arange(200)[:, None]
+    column, reach = np.arange(600), 140 * np.maximum(0, np.sin(np.stack([t / 11, t / 17 + 2])))
+    left, right = 20 + reach[0], 580 - reach[1]
+    light = np.where((column < left) | (column > right), -0.5, ridges(x, width=600, contrast=brightness(26)))
+    seen = (x > left + 8) & (x < right - 8)
+    return Case(x, strip(light, snr=80), seen=seen, least_found=0.95)
 
 
 @case("flicker, vibration and drift at SNR 40")

@@ -22,7 +22,7 @@ from vision.review.server import make_app, serve
 from vision.review.session import Session
 
 PROJECT = Path(__file__).parents[2]
-PATIENCE_S = 60.0  # the machine may be busy
+PATIENCE_S = 120.0  # the machine may be busy
 
 
 def app_of(session: Session, *, port: int, token: str, stop: Callable[[], None] = lambda: None) -> ASGIApp:

@@ -5,6 +5,8 @@ import pytest
 from scipy.signal import find_peaks
 
 from tests.scenes.combs import CONTRAST, comb, ridges, strip
+from vision.errors import InputError
+from vision.sheets import track_sheets
 from vision.sheets.ridges import describe_ridges, find_ridges, profile_noise
 from vision.signals import find_maxima
 
@@ -100,3 +102,14 @@ def test_ridges_on_a_lit_base_are_not_one_wide_ridge(sheets):
     assert found.count == sheets
     assert found.pitch_px == pytest.approx(PITCH, abs=1)
     assert found.fwhm_px < 10
+
+
+@pytest.mark.parametrize("pitch", [2.6, 3.5])
+def test_a_comb_that_is_too_fine_is_refused_for_that(pitch):
+    """A failure means that who filmed it from too far away is sent to look at rows and rotation."""
+    fine = comb(60, per_side=20, pitch_px=pitch, axis_px=100, slip=0.3)
+    picture = strip(ridges(fine, width=200, fwhm_px=pitch / 2))
+    with pytest.raises(InputError, match=f"a pattern of {pitch} px"):
+        track_sheets(picture)
+    with pytest.raises(InputError, match="none above the noise"):
+        track_sheets(strip(np.zeros((60, 200))))

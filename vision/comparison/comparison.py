@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -139,7 +139,7 @@ def compare(
     """
     tuning = settings or CompareSettings()
     read = read_tests(runs, table)
-    tests = read.tests
+    tests = _sharing_geometry(read.tests)
     warnings = list(read.warnings)
     modulus, source = _modulus(tests, main_sample, modulus_GPa, tuning)
     main = None if modulus_GPa is not None else tests[0].sample_name if main_sample is None else main_sample
@@ -165,6 +165,17 @@ def compare(
         failures=(*read.failures, *unfitted),
         warnings=tuple(warnings),
     )
+
+
+def _sharing_geometry(tests: Sequence[TractionTest]) -> tuple[TractionTest, ...]:
+    """Errors of the geometry belong to the sample, whichever of its runs they were given with."""
+    errors: dict[str, dict[str, float]] = {}
+    for test in tests:
+        of_sample = errors.setdefault(test.sample_name, {})
+        for name, error in test.errors.items():
+            if name != "d0_mm":
+                of_sample[name] = max(error, of_sample.get(name, 0.0))
+    return tuple(replace(test, errors={**test.errors, **errors[test.sample_name]}) for test in tests)
 
 
 def _modulus(

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock
+from vision.errors import InputError
 from vision.figures import deformation, force, positions, spacetime, video
 from vision.figures.figure import Figure
 from vision.figures.labels import load_unit
 from vision.models import ModelFits
 from vision.numeric import Floats, Pixels
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 class Results(Protocol):
@@ -348,3 +352,27 @@ def _missing_from_force(r: Results) -> Iterator[str]:
     elif not _has(r, "shells"):
         default = "too few sheets have a known deformation."
         yield f"Size of the stiff shell: {r.reasons.get('shells', default)}"
+
+
+class Plots:
+    """The figures of some results as functions: ``plot.NAME(ax=None)``."""
+
+    def __init__(self, results: Results) -> None:
+        self._results = results
+
+    def __getattr__(self, name: str) -> Callable[..., Axes]:
+        if name not in FIGURES:
+            raise AttributeError(f"no figure '{name}'; there are {', '.join(FIGURES)}")
+        return figure_named(self._results, name).plot
+
+    def __dir__(self) -> list[str]:
+        return list(FIGURES)
+
+
+def figure_named(results: Results, name: str) -> Figure:
+    """One figure by its name.  Raises: InputError where the results lack its data."""
+    figure = FIGURES[name].make(results)
+    if figure is None:
+        reasons = "; ".join(results.reasons.values())
+        raise InputError(f"the figure {name}", "an analysis that has its data", reasons or "one without")
+    return figure

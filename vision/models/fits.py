@@ -121,6 +121,9 @@ def fit_models(
         lowpass = {name: float(sticks.attrs.get(name, 0.0)) for name in _LOWPASS}
         fits = _with_systematics(fits, force, events, free_t_star, held, errors, lowpass)
         misread = _misread_lengths(fits, whole, held, force)
+        if abs(fits.t0_N.value) > float(events["F_p_N"].abs().max()):
+            reason = f"an offset 𝒯0 of {fits.t0_N.value:.2g} N, larger than the peaks"
+            raise _undetermined(reason, misread or doubt)
     notes, warnings = _remarks(fits, force, left_out, fit_range_mm is not None)
     warnings = (*(line for line in (doubt, misread) if line), *warnings)
     d0_err = ForceMetadata.of(force).d0_err_mm

@@ -366,7 +366,7 @@ def _tried(path: Path, block: _Block) -> None:
     try:
         _rotation(path, block)
     except InputError as error:
-        block.problem = str(error).removeprefix(f"{path}: ")
+        block.problem = str(error).removeprefix(f"{path}: expected ").replace("; found ", ", but ", 1)
 
 
 def _rotation(path: Path, block: _Block) -> None:

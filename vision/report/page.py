@@ -294,11 +294,11 @@ def budget_table(results: Results) -> FactsTable:
     quantities = [name for name in QUANTITIES if name in budget.values]
     heads = ("", *(" in ".join(filter(None, QUANTITIES[name])) for name in quantities))
     rows = [("value", *(_digits(budget.values[name]) for name in quantities))]
-    rows.append(("statistical error", *(_digits(budget.statistical[name]) for name in quantities)))
+    rows.append(("statistical error", *(_two_digits(budget.statistical[name]) for name in quantities)))
     for source, parts in budget.sources.items():
-        cells = ("" if name not in parts else _digits(parts[name], "not known") for name in quantities)
+        cells = ("" if name not in parts else _two_digits(parts[name], "not known") for name in quantities)
         rows.append((SOURCES.get(source, source), *cells))
-    rows.append(("systematic error", *(_digits(budget.total(name)) for name in quantities)))
+    rows.append(("systematic error", *(_two_digits(budget.total(name)) for name in quantities)))
     note = (
         "The last row is the root of the sum of squares of what is known. Statistical errors of a place, of "
         "K and of σ_x/Λ_st are medians of those of single positions, events and sheets. What moves a sheet's "
@@ -338,6 +338,10 @@ def _digits(value: float | None, unknown: str = "—", *, places: int | None = N
     if value is None or not np.isfinite(value):
         return unknown
     return (f"{value:.4g}" if places is None else f"{value:.{places}f}").replace("-", "−")
+
+
+def _two_digits(error: float | None, unknown: str = "—") -> str:
+    return unknown if error is None or not np.isfinite(error) else f"{error:.2g}"
 
 
 def provenance(facts: Mapping[str, Any]) -> list[FactsTable]:

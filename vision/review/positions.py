@@ -193,5 +193,4 @@ def _codes(stored: Stored, name: str, words: Sequence[str]) -> Codes:
     if name not in stored.arrays:
         return np.zeros(stored.arrays["x_px"].shape, np.uint8)
     place = [words.index(word) if word in words else 0 for word in stored.words[name]]
-    codes: Codes = np.array([*place, 0], np.uint8)[stored.arrays[name]]
-    return codes
+    return np.take(np.array([*place, 0], np.uint8), stored.arrays[name])

@@ -69,7 +69,10 @@ def said_by_neighbours(x_px: Floats) -> Floats:
 
 
 def places_in_comb(x_px: Floats) -> Floats:
-    """Each sheet's median position less the comb's motion, (N,), also of sheets seen for a short time."""
+    """Each sheet's median position less the comb's motion, (N,).
+
+    Right for sheets, too, that were in view only while the comb stood aside.
+    """
     place = nan_median(x_px)
     for _ in range(3):
         place = nan_median(x_px - nan_median(x_px - place, axis=1)[:, None])

@@ -171,7 +171,8 @@ def distortion(
     Of the residual only the odd part counts: widths differ, and move nothing. Each is split into the sheet's
     own mean, which is compared with the other sheets', and what differs from it in a frame. What all sheets
     of a frame have in common (blur, exposure) is left out. Where ridges are lopsided by themselves, each in
-    its own way, the mean residual says nothing.
+    its own way, the mean residual says nothing. Where the change of s is usually by far larger than noise
+    makes it, something moves over the whole comb (its own reflection), and what is usual is an error, too.
     """
     if comb.fwhm_px < settings.distortion_least_px:
         return np.zeros_like(x_px)
@@ -194,11 +195,15 @@ def distortion(
     odd = np.sqrt(2 * ((own - nan_median(own)) ** 2).mean(axis=-1))
     floor, sigmas, times = settings.distortion_floor, settings.distortion_sigmas, settings.distortion_residual
     off = np.abs(slant - usual)
-    within = nan_median((off / err_px).ravel()) / NORMAL_MEDIAN * err_px
+    usual_off = float(nan_median((off / err_px).ravel())) / NORMAL_MEDIAN
+    everywhere = usual_off > settings.distortion_everywhere * _slant_noise(shape)
+    within = (0.0 if everywhere else usual_off) * err_px
     apart = np.abs(usual - nan_median(usual))
     between = nan_median(apart) / NORMAL_MEDIAN
     shifted = _beyond(off, np.fmax(sigmas * within, floor)) + _beyond(apart, np.fmax(sigmas * between, floor))
     rough = _beyond(unlike, np.fmax(times * nan_median(unlike), floor))
+    if everywhere:
+        shifted = np.fmax(shifted, usual_off * err_px)
     if nan_median(odd) < settings.lopsided:
         rough = rough + _beyond(odd, np.fmax(times * nan_median(odd), floor))
     size = np.hypot(shifted, settings.distortion_error * rough)
@@ -227,12 +232,24 @@ def _around(bright: Floats32, x_px: Floats, rows: Ints, half: int) -> Floats:
     return np.asarray(sum(w * pixels[..., i : i + width] for i, w in enumerate(weights)), np.float64)
 
 
+def _bases(shape: Floats) -> tuple[Floats, Floats]:
+    """Level, shape and its slope, (u, 3); the same and a slope of the light, (u, 4)."""
+    upright = np.stack([np.ones_like(shape), shape, np.gradient(shape)], axis=1)
+    return upright, np.column_stack([upright, np.arange(len(shape)) - len(shape) // 2])
+
+
+def _slant_noise(shape: Floats) -> float:
+    """Scatter that white noise gives the change of the shift where a slope is fitted too, over that of the
+    shift itself."""
+    shift, sloping = (np.linalg.pinv(basis)[2] for basis in _bases(shape))
+    return float(np.linalg.norm(sloping - shift) / np.linalg.norm(shift))
+
+
 def _shape_fit(pixels: Floats, shape: Floats) -> tuple[Floats, Floats]:
     """Change of the shift, px, where a slope is fitted too, (…,), and the odd part of the residual without it
     in terms of the shape's slope, (…, u)."""
-    rise, place = np.gradient(shape), np.arange(len(shape)) - len(shape) // 2
-    upright = np.stack([np.ones_like(shape), shape, rise], axis=1)
-    sloping = np.column_stack([upright, place])
+    upright, sloping = _bases(shape)
+    rise = upright[:, 2]
     first, second = (pixels @ np.linalg.pinv(basis).T for basis in (upright, sloping))
     with np.errstate(divide="ignore", invalid="ignore"):
         change = second[..., 2] / second[..., 1] - first[..., 2] / first[..., 1]

@@ -126,13 +126,11 @@ def build_reference(
     Raises
     ------
     InputError
-        Where there is no candidate at all, or fewer ridges than `sheets`, not counting specks far outside the
-        comb; or no ridge that most frames show.
+        For fewer ridges than `sheets`, not counting specks far outside the comb; or no ridge that most frames
+        show.
     """
     chosen = _representative(frames)
     some, weight, carried = candidates.take(chosen), frames[chosen].astype(np.float64), carried_px[chosen]
-    if not np.isfinite(some.x_px).any():
-        raise InputError(source, "upright ridges", "none in any frame", "check `rows`, `rotate` and `ridges`")
     reference = _seed(candidates, frames, carried_px, comb.pitch_px)
     for _ in range(REVISIONS):
         filled = _filled(reference, comb.pitch_px)

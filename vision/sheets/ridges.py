@@ -26,6 +26,8 @@ FWHM = 2.3548  # of a Gaussian, in standard deviations
 SAMPLE_FRAMES = 48
 FRAMES_PER_BLOCK = 256
 FEW_RIDGES = 3
+LEAST_PITCH_PX = 4
+LONGEST_WAVE = 0.02  # per px: longer ones are uneven light
 REACHES_PX = (6, 12, 24, 48)  # surroundings in which few ridges are looked for
 
 
@@ -145,10 +147,21 @@ def describe_ridges(
     measured = (_measure(sample, name, noise, sheets, settings) for name in names)
     found = [comb for comb in measured if comb is not None]
     if not found:
-        raise InputError(
-            source, "upright ridges", "no ridge above the noise", "check `rows`, `rotate` and `ridges`"
-        )
+        raise no_ridges(sample, source)
     return _likelier(found[0], found[1], settings) if len(found) == 2 else found[0]
+
+
+def no_ridges(profile: Floats32, source: str) -> InputError:
+    """The refusal of a strip without ridges; where its strongest wave is too short to be told, it says so."""
+    sample = _sample(profile).astype(np.float64)
+    power = (np.abs(np.fft.rfft(sample - sample.mean(axis=1, keepdims=True))) ** 2).mean(axis=0)
+    waves = np.fft.rfftfreq(sample.shape[1])
+    power[waves < LONGEST_WAVE] = 0.0
+    wave = waves[np.argmax(power)]
+    if wave >= 1 / LEAST_PITCH_PX and power.max() > 20 * np.median(power[power > 0]):
+        found, advice = f"a pattern of {1 / wave:.1f} px", "film it larger, or with more pixels"
+        return InputError(source, f"ridges more than {LEAST_PITCH_PX} px apart", found, advice)
+    return InputError(source, "upright ridges", "none above the noise", "check `rows`, `rotate` and `ridges`")
 
 
 def profile_noise(profile: Floats32) -> float:

@@ -263,6 +263,11 @@ class TrackingSettings:
     distorted. Larger lets pulled ones pass as ok, smaller flags noise; test_quality.py puts a highlight and a
     shadow beside a ridge."""
 
+    distortion_everywhere: float = 2.0
+    """Times the change of a position with a slope of the light that noise predicts, above which all ridges
+    are distorted. It is 0.7 to 1.1 in films that are clean, soft or dirty, and 14 under a moving reflection
+    (test_quality.py): larger overlooks that, smaller takes the texture of the paper for it."""
+
     distortion_floor: float = 0.05
     """Least such difference, px: where noise is small, less does not matter."""
 

@@ -195,7 +195,7 @@ def template_shift(
     for which in np.unique(shape[usable]):
         mine = np.flatnonzero(usable & (shape == which))
         fraction = position[mine] - centre[mine]
-        position[mine], err[mine] = _match(pixels[mine], offsets, fraction, centre[mine])
+        position[mine], err[mine] = _match(pixels[mine], fraction, centre[mine])
     return FittedPositions(np.where(np.isfinite(err), position, np.nan), err)
 
 
@@ -255,15 +255,13 @@ def _cubic_zero(four: Floats) -> tuple[Floats, Floats]:
     return t, (3 * cubic[0] * t + 2 * cubic[1]) * t + cubic[2]
 
 
-def _match(
-    pixels: Floats, offsets: NDArray[np.integer], fraction: Floats, centre: Ints
-) -> tuple[Floats, Floats]:
+def _match(pixels: Floats, fraction: Floats, centre: Ints) -> tuple[Floats, Floats]:
     """Positions of one sheet's ridges against their mean shape, and their error per grey level of noise."""
     step = np.zeros_like(fraction)
     err = np.full_like(fraction, np.nan)
     for _ in range(2):
         try:
-            mean, rise = _mean_shape(offsets - (fraction + step)[:, None], pixels, offsets[0] - 0.5)
+            mean, rise = _mean_shape(fraction + step, pixels)
         except np.linalg.LinAlgError:
             return fraction + centre, err
         more, err = _gauss_newton(pixels, mean, rise)
@@ -278,27 +276,44 @@ _PIECES = np.array([[1, -3, 3, -1], [4, 0, -6, 3], [1, 3, 3, -3], [0, 0, 0, 1]])
 """The four cubic B-splines over one cell of even knots: coefficients of 1, t, t², t³ for t from 0 to 1."""
 
 
-def _mean_shape(place: Floats, pixels: Floats, first: float) -> tuple[Floats, Floats]:
-    """Value and slope at `place` of the least-squares cubic spline through all pixels; a knot at every pixel.
+def _mean_shape(shift_px: Floats, pixels: Floats) -> tuple[Floats, Floats]:
+    """Value and slope of one sheet's mean shape at each pixel: a least-squares cubic spline through all.
 
-    place, pixels: both (ridges, pixels); the knots begin at `first` and end as far beyond its last pixel.
+    shift_px: by how much each ridge is shifted, (ridges,). pixels: (ridges, pixels). Knots stand between the
+    pixels of a ridge that is not shifted. All pixels of a ridge lie at the same place between two knots, so
+    that sums over ridges are products of matrices. Beyond the knots the outermost cells go on.
     """
-    cells = place.shape[1]
-    cell = np.clip(np.floor(place - first), 0, cells - 1).astype(np.int64)
-    t = place - first - cell  # beyond the knots the outermost cells go on
-    inside = np.clip(t, 0.0, 1.0).ravel()
-    powers = np.stack([np.ones_like(inside), inside, inside**2, inside**3])
-    splines, flat = _PIECES @ powers, cell.ravel()
+    cells = pixels.shape[1]
     normal, right = np.zeros((cells + 3, cells + 3)), np.zeros(cells + 3)
-    row = np.arange(cells)
-    for i in range(4):
-        right[row + i] += np.bincount(flat, splines[i] * pixels.ravel(), cells)
-        for j in range(4):
-            normal[row + i, row + j] += np.bincount(flat, splines[i] * splines[j], cells)
+    at = 0.5 - np.clip(shift_px, -cells, cells)  # of the first pixel among the knots
+    whole = np.floor(at)
+    kinds = np.unique(whole[np.isfinite(whole)])
+    groups = [(whole == first, np.arange(cells) + int(first)) for first in kinds]
+    place, four = at - whole, np.arange(4)
+    for mine, column in groups:
+        cell = np.clip(column, 0, cells - 1)
+        powers = place[mine, None] ** four
+        blocks = np.tile(powers.T @ powers, (cells, 1, 1))  # (cell, 4, 4)
+        loads = pixels[mine].T @ powers
+        for beyond in np.flatnonzero(cell != column):  # these pixels count at the outermost knot
+            end = (np.sign(column[beyond]) > 0) ** four.astype(float)
+            blocks[beyond], loads[beyond] = mine.sum() * np.outer(end, end), pixels[mine, beyond].sum() * end
+        row = cell[:, None] + four
+        np.add.at(normal, (row[:, :, None], row[:, None, :]), _PIECES @ blocks @ _PIECES.T)
+        np.add.at(right, row, loads @ _PIECES.T)
     found = np.linalg.solve(normal, right)
-    cubic = np.stack([found[row + i] for i in range(4)], axis=1) @ _PIECES
-    a, b, c, d = (cubic[:, k][cell] for k in range(4))
-    return ((d * t + c) * t + b) * t + a, (3 * d * t + 2 * c) * t + b
+    cubic = found[np.arange(cells)[:, None] + four] @ _PIECES
+    mean, rise = np.full_like(pixels, np.nan), np.full_like(pixels, np.nan)
+    for mine, column in groups:
+        cell = np.clip(column, 0, cells - 1)
+        powers = place[mine, None] ** four
+        mean[mine] = powers @ cubic[cell].T
+        rise[mine] = powers[:, :3] @ (cubic[cell, 1:] * four[1:]).T
+        for beyond in np.flatnonzero(cell != column):
+            powers = (place[mine, None] + column[beyond] - cell[beyond]) ** four
+            mean[mine, beyond] = powers @ cubic[cell[beyond]]
+            rise[mine, beyond] = powers[:, :3] @ (cubic[cell[beyond], 1:] * four[1:])
+    return mean, rise
 
 
 def _gauss_newton(pixels: Floats, mean: Floats, rise: Floats) -> tuple[Floats, Floats]:

@@ -18,7 +18,6 @@ from vision.sheets.identities import Identities, identify_sheets
 from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.quality import (
-    SceneChange,
     distortion,
     motion_blur,
     repeated_frames,
@@ -28,7 +27,7 @@ from vision.sheets.quality import (
 )
 from vision.sheets.recovery import Detections, assign_detections
 from vision.sheets.reference import wide_spacings
-from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges
+from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges, no_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import (
     FitChoice,
@@ -122,6 +121,8 @@ def track_sheets(
     comb = describe_ridges(profile, polarity=ridges, sheets=sheets, source=facts.source, settings=settings)
     window = choose_window(comb, window_px, settings=settings)
     candidates = find_ridges(profile, comb, settings=settings)
+    if not candidates.count.any():
+        raise no_ridges(profile, facts.source)
     identities = identify_sheets(
         candidates, comb, width_px=profile.shape[1], sheets=sheets, source=facts.source, settings=settings
     )
@@ -164,7 +165,7 @@ def track_sheets(
         metadata,
         fit_asked=fit,
         corrections_applied=len(corrections),
-        scene_changes=[_in_words(change, int(number[change.frame])) for change in changes],
+        scene_changes=[change._asdict() | {"frame": int(number[change.frame])} for change in changes],
     )
     return record(
         _dataset(strip, found, metadata),
@@ -238,13 +239,6 @@ class _Found:
             ridges_beyond=reference.beyond,
             wide_spacings=[f"{x + self.origin_px:.0f} px ({size:.1f} pitches)" for x, size in gaps],
         )
-
-
-def _in_words(change: SceneChange, frame: int) -> str:
-    return (
-        f"{frame} (all sheets displaced by {change.moved_px:.0f} px, their brightness changed by"
-        f" {100 * change.brightness:.0f} %)"
-    )
 
 
 def _check(profile: Floats32, source: str) -> None:

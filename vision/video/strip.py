@@ -280,7 +280,8 @@ def _blocks(
         margin = 0 if whole else settings.follow_margin
         stop = None if now.stop is None else now.stop + margin
         rest = replace(now, first=video.first + store.count - again, stop=stop)
-        blocks = held_back(prefetch(rest.blocks(rows, columns)), margin)
+        read = prefetch(rest.blocks(rows, columns))
+        blocks = held_back(read if whole else _readable(read), margin)
         for block in _continued(now, blocks, store.copy(store.count - again, store.count)):
             yield now, block
             if follow.stop.is_set():
@@ -288,6 +289,12 @@ def _blocks(
         if whole or store.count == wanted:
             follow.closed.set()
             return
+
+
+def _readable(blocks: Iterator[Block]) -> Iterator[Block]:
+    """The blocks before one that cannot be read yet, as of an MP4 that has grown by half a part meanwhile."""
+    with contextlib.suppress(InputError):
+        yield from blocks
 
 
 def _continued(video: Video, blocks: Iterator[Block], known: FramesRead) -> Iterator[Block]:

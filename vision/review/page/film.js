@@ -122,6 +122,7 @@ export class Film {
     const apart = xs.slice(1).map((x, i) => x - xs[i]).sort((a, b) => a - b)[xs.length >> 1] ?? width;
     const every = Math.max(1, Math.ceil(width / apart)); // the same on both sides, from the axis outwards
     for (const spot of spots) {
+      if (Math.min(spot.x - s.left, s.left + s.plotWidth - spot.x) < 0.4 * width) continue; // it would be cut off
       if (!spot.chosen && ((spot.sheet.n - 1) % every || (chosen && Math.abs(spot.x - chosen.x) < width))) continue;
       s.font(spot.chosen ? 1.15 : 1, spot.chosen ? "bold" : "");
       edged(c, spot.sheet.n, spot.x, y, spot.chosen ? ON_GREY.chosen : spot.sheet.side < 0 ? ON_GREY.left : ON_GREY.right);

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 import vision
-from tests.compare.scenes import events, write_run
+from tests.scenes.comparison import events, write_run
 from vision.errors import InputError
 
 STRANGE = {

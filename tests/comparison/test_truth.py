@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 import vision
-from tests.compare.scenes import campaign, events, write_campaign, write_run
+from tests.scenes.comparison import campaign, events, write_campaign, write_run
 from vision.comparison import CompareSettings
 from vision.comparison.tests import read_tests
 from vision.comparison.trends import find_irregular, find_trends

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import vision
-from tests.compare.scenes import campaign, events, write_campaign, write_run
+from tests.scenes.comparison import campaign, events, write_campaign, write_run
 from vision.command.main import run
 from vision.errors import InputError
 from vision.experiment import Experiment, force_recording, with_settings, write_force
