@@ -170,7 +170,7 @@ def apart(at: Ints, height: NDArray[np.floating], least: float) -> Ints:
     """
     kept, near = np.ones(len(at), np.bool_), np.diff(at) < least
     crowded = np.flatnonzero(np.r_[near, False] | np.r_[False, near])  # few: the others need no loop
-    for k in crowded[np.argsort(-height[crowded], kind="stable")]:
+    for k in crowded[np.argsort(height[crowded], kind="stable")[::-1]]:
         if kept[k]:
             low, high = np.searchsorted(at, [at[k] - least + 1, at[k] + least])
             kept[low:high] = False
