@@ -206,10 +206,6 @@ class TrackingSettings:
     """Times its own scatter by which a sheet leaves what its neighbours say before another ridge is
     looked for. Larger lets hops pass, smaller doubts sheets that move by themselves."""
 
-    excursion_pitches: float = 0.4
-    """Pitches by which a part of the comb stands away for a few frames to be an excursion;
-    test_neighbours.py. Larger misses jumps of an uneven comb, smaller takes motion for misreadings."""
-
     anchor_nats: float = 9.0
     """Log-likelihood ratio by which the pattern must exclude other numberings for a doubt to end. Larger
     keeps doubts that the pattern has settled, smaller ends them on equal sheets ("cropped combs")."""
