@@ -149,8 +149,8 @@ class TrackingSettings:
     combs" at 0.125)."""
 
     stay_cost: float = 4.0
-    """Cost for the whole comb to have moved by half a pitch or more. Larger denies jumps ("cropped combs" at
-    8), smaller finds some where nothing moved."""
+    """Cost for the whole comb to have moved by half a pitch; half as much for each further pitch. Larger
+    denies jumps ("cropped combs" at 8), smaller finds some where nothing moved."""
 
     covered_cost: float = 3.0
     """Cost of not finding a sheet beside another one that is not found: what covers sheets covers several.
