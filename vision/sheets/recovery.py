@@ -247,7 +247,9 @@ def _after_jumps(
     worse = np.maximum(misfit / max(usual, settings.least_misfit**2), 1.0)
     whole = nan_median(identities.margin, axis=1)  # of the comb; single sheets may be less certain
     worse, whole = (
-        (np.bincount(stay, np.nan_to_num(values)) / np.bincount(stay, np.isfinite(whole)))[stay]
+        (np.bincount(stay, np.nan_to_num(values)) / np.maximum(np.bincount(stay, np.isfinite(whole)), 1))[
+            stay
+        ]
         for values in (np.where(np.isfinite(whole), worse, 0.0), whole)
     )
     doubt = np.asarray((away & (whole < least * worse))[:, None] & np.isfinite(x), bool)
