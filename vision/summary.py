@@ -158,7 +158,7 @@ def consistency_warnings(
             f" changes every n: give `sheets` as {found.sheets + found.ridges_beyond} or leave it out"
         )
     snr, share = tracks["snr"].values, tracks["found"].values
-    weak = np.flatnonzero((snr < WEAK_SNR * np.nanmedian(snr)) | (share < RARELY))
+    weak = np.flatnonzero((snr < WEAK_SNR * nan_median(snr)) | (share < RARELY))
     if len(weak) and found.sheets > 1:
         which = ", ".join(str(k) for k in weak[:6]) + (" …" if len(weak) > 6 else "")
         lines.append(

@@ -1,10 +1,9 @@
-"""Identities held against the sheets around, against the frames around, and against the comb's own pattern.
+"""Identities held against the sheets around, and against the comb's own pattern.
 
 The alignment decides which ridge is which sheet; what it decided is tested here with what it did not use.
 `neighbour_residual` says how far each sheet leaves what its neighbours say; `hops` finds sheets that have
-gone over to another ridge, `excursions` groups of sheets that jump away and come straight back, and
-`anchored` the frames in which spacings, brightnesses and widths fit one numbering only, so that an
-earlier doubt ends.
+gone over to another ridge, and `anchored` the frames in which spacings, brightnesses and widths fit one
+numbering only, so that an earlier doubt ends.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from vision.sheets.settings import DEFAULT, TrackingSettings
 
 PAIRS = 3  # neighbours on either side that a sheet is compared with
 LINES = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))  # at the ends; one wrong sheet is never in the majority
-AROUND = 7  # frames before and after that an excursion (up to three frames) is compared with
 SHIFTS = (-2, -1, 1, 2)  # other numberings that the pattern must exclude
 TERM_LIMIT = 4.0  # nats: no single spacing, brightness or width decides a numbering
 
@@ -144,39 +142,6 @@ def hops(residual: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
     padded = np.pad(size, ((0, 0), (PAIRS, PAIRS)), constant_values=np.nan)
     around = [padded[:, i : i + size.shape[1]] for i in range(2 * PAIRS + 1)]
     return np.asarray((size > least) & (size >= np.fmax.reduce(around)), bool)
-
-
-def excursions(x_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> tuple[Bools, Floats]:
-    """Sheets that jump away from the comb for a few frames and come back, and where they should have been.
-
-    A slip moves sheets for good, vibration moves all of them; a part of the comb that stands about a pitch
-    away for one to three frames and as before after that was misread, unless its looks prove otherwise.
-
-    Parameters
-    ----------
-    x_px
-        Positions (frame, N), NaN where missing.
-    comb
-        Pitch of the ridges.
-    settings
-        What counts as away.
-
-    Returns
-    -------
-    away, place_px
-        Both (frame, N).
-    """
-    frames = len(x_px)
-    padded = np.pad(x_px, ((AROUND, AROUND), (0, 0)), constant_values=np.nan)
-    before = nan_median(np.stack([padded[i : i + frames] for i in range(AROUND)]))
-    after = nan_median(np.stack([padded[i : i + frames] for i in range(AROUND + 1, 2 * AROUND + 1)]))
-    middle = (before + after) / 2
-    common = nan_median(x_px - middle, axis=1)[:, None]  # the whole comb, vibration included
-    least = settings.excursion_pitches * comb.pitch_px
-    gone, back = x_px - before - common, x_px - after - common
-    away = (np.minimum(np.abs(gone), np.abs(back)) > least) & (gone * back > 0)
-    away &= np.abs(before - after) < 0.8 * np.minimum(np.abs(gone), np.abs(back))
-    return np.asarray(away, bool), np.asarray(middle + common, np.float64)
 
 
 def anchored(

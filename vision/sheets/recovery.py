@@ -12,7 +12,7 @@ import numpy as np
 
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median
 from vision.sheets.identities import Identities, fill_rows
-from vision.sheets.neighbours import anchored, excursions, hops, neighbour_residual, places_in_comb, torn
+from vision.sheets.neighbours import anchored, hops, neighbour_residual, places_in_comb, torn
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
@@ -86,7 +86,7 @@ def assign_detections(
     table = [np.where(paired, values, np.nan) for values in table]
     why = _doubts(table[0], table[1], identities, comb, profile.shape[1], settings)
     why = _settled(why, table, comb, settings)
-    table, why = _other_ridges(ridges, identities, table, why, comb, settings)
+    table, why = _other_ridges(ridges, table, why, comb, settings)
     withheld = np.where(why != "", table[0], np.nan)
     doubtful = why != ""
     start, contrast, fwhm = (np.where(doubtful, np.nan, values) for values in table)
@@ -120,7 +120,6 @@ DOUBTS = {
     "jump": "after a jump by whole pitches",
     "looks": "pitches away from the usual place, and the sheets look unlike themselves",
     "hop": "away from where the neighbours say, on another ridge",
-    "excursion": "a jump away and back within a few frames",
 }
 """What `Detections.why` means."""
 
@@ -157,26 +156,20 @@ def _settled(why: Strings, table: list[Floats], comb: RidgeComb, settings: Track
 
 def _other_ridges(
     ridges: Ridges,
-    identities: Identities,
     table: list[Floats],
     why: Strings,
     comb: RidgeComb,
     settings: TrackingSettings,
 ) -> tuple[list[Floats], Strings]:
-    """Sheets that hopped to another ridge or jumped away and back: the ridge in the right place where
-    there is one that no other sheet has, else a doubt."""
-    x = np.where(why == "", table[0], np.nan)
-    away, place = excursions(x, comb, settings)
-    certain = identities.margin >= settings.stay_cost + 2 * settings.crossing_cost + 1.0
-    away &= ~certain
-    table, why = _moved_to(ridges, table, why, away, place, "excursion", comb, settings)
+    """Sheets that hopped to another ridge: the ridge in the right place where no other sheet has it, else a
+    doubt."""
     for _ in range(HOP_PASSES):
         x = np.where(why == "", table[0], np.nan)
         residual = neighbour_residual(x)
         off = hops(residual, comb, settings)
         if not off.any():
             break
-        table, why = _moved_to(ridges, table, why, off, x - residual, "hop", comb, settings)
+        table, why = _moved_to(ridges, table, why, off, x - residual, comb, settings)
     return table, why
 
 
@@ -186,7 +179,6 @@ def _moved_to(
     why: Strings,
     off: Bools,
     place: Floats,
-    reason: str,
     comb: RidgeComb,
     settings: TrackingSettings,
 ) -> tuple[list[Floats], Strings]:
@@ -208,7 +200,7 @@ def _moved_to(
     free = ~(taken[frame] == there[:, None]).any(axis=1)
     take = near & alike & free
     take &= _unshared(frame, there, take)
-    why[frame[~take], sheet[~take]] = reason
+    why[frame[~take], sheet[~take]] = "hop"
     for values, of_ridges in zip(table, (ridges.x_px, ridges.contrast, ridges.fwhm_px), strict=True):
         values[frame[take], sheet[take]] = of_ridges[frame[take], best[take]]
     return table, why
@@ -255,7 +247,9 @@ def _after_jumps(
     worse = np.maximum(misfit / max(usual, settings.least_misfit**2), 1.0)
     whole = nan_median(identities.margin, axis=1)  # of the comb; single sheets may be less certain
     worse, whole = (
-        (np.bincount(stay, np.nan_to_num(values)) / np.bincount(stay, np.isfinite(whole)))[stay]
+        (np.bincount(stay, np.nan_to_num(values)) / np.maximum(np.bincount(stay, np.isfinite(whole)), 1))[
+            stay
+        ]
         for values in (np.where(np.isfinite(whole), worse, 0.0), whole)
     )
     doubt = np.asarray((away & (whole < least * worse))[:, None] & np.isfinite(x), bool)

@@ -149,8 +149,8 @@ class TrackingSettings:
     combs" at 0.125)."""
 
     stay_cost: float = 4.0
-    """Cost for the whole comb to have moved by half a pitch or more. Larger denies jumps ("cropped combs" at
-    8), smaller finds some where nothing moved."""
+    """Cost for the whole comb to have moved by half a pitch; half as much for each further pitch. Larger
+    denies jumps ("cropped combs" at 8), smaller finds some where nothing moved."""
 
     covered_cost: float = 3.0
     """Cost of not finding a sheet beside another one that is not found: what covers sheets covers several.
@@ -205,10 +205,6 @@ class TrackingSettings:
     leave_sigmas: float = 8.0
     """Times its own scatter by which a sheet leaves what its neighbours say before another ridge is
     looked for. Larger lets hops pass, smaller doubts sheets that move by themselves."""
-
-    excursion_pitches: float = 0.4
-    """Pitches by which a part of the comb stands away for a few frames to be an excursion;
-    test_neighbours.py. Larger misses jumps of an uneven comb, smaller takes motion for misreadings."""
 
     anchor_nats: float = 9.0
     """Log-likelihood ratio by which the pattern must exclude other numberings for a doubt to end. Larger

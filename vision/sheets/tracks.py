@@ -294,8 +294,9 @@ def _errors(
     predicted = nan_median(np.where(np.isfinite(new), err, np.nan))
     measured = np.where(np.isfinite(scatter_px), scatter_px, np.fmax(noise_px, predicted))
     between_frames = codec in BETWEEN_FRAMES
-    if between_frames:  # one quantiser for all sheets
-        measured = np.full_like(measured, np.sqrt(np.mean(measured[np.isfinite(measured)] ** 2)))
+    known = np.isfinite(measured)
+    if between_frames and known.any():  # one quantiser for all sheets
+        measured = np.full_like(measured, np.sqrt(np.mean(measured[known] ** 2)))
     if codec in LOSSY:
         measured = np.hypot(measured, shared_error(new, between_frames=between_frames))
     else:
