@@ -51,9 +51,9 @@ def plus_minus(estimate: Estimate) -> str:
 
 
 def both_errors(estimate: Estimate) -> str:
-    """A value with its statistical and its systematic error; without the latter where it is not known."""
+    """A value with its statistical and its systematic error; without the latter where none is known."""
     systematic = estimate.systematic_error
-    if not math.isfinite(systematic):
+    if not math.isfinite(systematic) or systematic == 0:
         return plus_minus(estimate)
     smallest = min([e for e in (estimate.error, systematic) if math.isfinite(e) and e > 0], default=math.nan)
     if not math.isfinite(smallest):
