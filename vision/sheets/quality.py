@@ -49,7 +49,10 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
     that change at all. Noise alone makes a frame differ from the one before by √2 of its standard deviation,
     within a few per cent; a frame that changes by much less repeats the one before.
     """
-    change = np.sqrt(np.mean(np.diff(profile.astype(np.float64), axis=0) ** 2, axis=1))
+    change = np.empty(max(0, len(profile) - 1))
+    for start in range(0, len(change), FRAMES_PER_BLOCK):
+        step = np.diff(profile[start : start + FRAMES_PER_BLOCK + 1], axis=0)
+        change[start : start + len(step)] = np.sqrt(np.square(step).mean(axis=1, dtype=np.float64))
     moving = change[np.isfinite(change) & (change > 0)]
     frozen = np.zeros(len(profile), bool)
     # a drawing without noise, or a still: nothing says that a frame should have changed
