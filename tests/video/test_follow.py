@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from tests.scenes.films import comb, write_avi, write_encoded
+from tests.scenes.films import comb, write_avi, write_cine, write_encoded
 from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.video import Follow, VideoSettings, await_video, open_video, strip_profile
@@ -101,6 +101,7 @@ GROWING = {
     "pages.tif": stack,
     "lzw.tif": lambda path, frames: stack(path, frames, compression="lzw"),
     "a.mraw": photron,
+    "a.cine": lambda path, frames: write_cine(path, frames, real_bits=8),
     "h264.mp4": film("libx264", "yuv420p"),  # cannot be read until it is closed
     "parts.mp4": fragmented,
 }
