@@ -118,9 +118,8 @@ def motion_blur(
     sampled = 0.7 / comb.fwhm_px**2  # height that a ridge between two pixels loses
     excess = np.maximum(_excess(lower, sampled), _excess(wider, sampled))
     blurred = fast & (excess > settings.blur_sigmas)
-    suspect = fast & (
-        excess > 0.5 * settings.blur_sigmas
-    )  # too little to be flagged, not too little to matter
+    # too little to be flagged, not too little to matter
+    suspect = fast & (excess > 0.5 * settings.blur_sigmas)
     loss = np.clip(1 - np.exp(-np.nan_to_num(lower - nan_median(lower))), 0.0, 0.5)
     apart = moved / comb.fwhm_px
     pitches = np.maximum(np.rint(moved / comb.pitch_px), 1.0)
