@@ -48,6 +48,13 @@ def test_whatever_a_parser_does_is_one_line(parser, found, seconds, matlab, monk
     assert "\n" not in str(caught.value)
 
 
+def test_folders_that_an_import_puts_first_for_a_while_do_not_matter(matlab, monkeypatch):
+    """A failure means that a sound file is refused now and then: OpenCV does this while it is imported."""
+    (matlab.parent / "typing.py").write_text("raise ImportError('not the one of Python')")
+    monkeypatch.setattr(sys, "path", [str(matlab.parent), *sys.path])
+    try_out(matlab, "MATLAB", "a .mat file")
+
+
 def test_modules_beside_the_data_are_not_run(matlab, monkeypatch):
     """A failure means that opening a folder of someone's data runs their code."""
     monkeypatch.chdir(matlab.parent)

@@ -21,6 +21,9 @@ for a file whose disk does not answer."""
 MEMORY_BYTES, MEMORY_PER_BYTE = 2 << 30, 4
 """Address space of the process, and what is added for the file's size. The libraries reserve half a GiB; more
 lets a damaged length take what other programs need."""
+PACKAGES = tuple(place for place in sys.path if place)
+"""Where the process finds packages. Not as it is later: while OpenCV is imported, in another thread perhaps,
+its own folders come first, and one of them holds a `typing` that is not Python's."""
 
 # Reads every value of a file and keeps none. The names come from the caller, the path from the command line.
 _PARSERS = {
@@ -93,8 +96,7 @@ def run_parser(path: Path, parser: str, wanted: str, *, seconds: float | None = 
     size = check_regular(path, wanted).st_size
     seconds = SECONDS + SECONDS_PER_BYTE * size if seconds is None else seconds
     memory = MEMORY_BYTES + MEMORY_PER_BYTE * size
-    modules = [place for place in sys.path if place]
-    task = json.dumps([os.path.abspath(path), modules, int(seconds) + 1, memory, parser])  # noqa: PTH100
+    task = json.dumps([os.path.abspath(path), PACKAGES, int(seconds) + 1, memory, parser])  # noqa: PTH100
     quiet = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # each thread would reserve memory
     child = subprocess.Popen(
         [sys.executable, "-I", "-c", _CHILD],

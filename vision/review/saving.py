@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from vision.clock import Clock
 from vision.errors import InputError
+from vision.isolation import PACKAGES
 from vision.numeric import Floats, Floats32, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.review.editing import Before, usual_places
@@ -206,7 +207,7 @@ class Saver:
             if self._cancelled:
                 child.kill()
             with contextlib.suppress(BrokenPipeError):  # it was killed
-                pickle.dump((sys.path, os.getpid()), child.stdin)
+                pickle.dump((PACKAGES, os.getpid()), child.stdin)
                 pickle.dump(job, child.stdin)
             with contextlib.suppress(BrokenPipeError):
                 child.stdin.close()
