@@ -246,11 +246,11 @@ def _after_jumps(
     stay = np.r_[0, np.cumsum(away[1:] != away[:-1])]
     worse = np.maximum(misfit / max(usual, settings.least_misfit**2), 1.0)
     whole = nan_median(identities.margin, axis=1)  # of the comb; single sheets may be less certain
+    known = np.isfinite(whole)
+    frames = np.maximum(np.bincount(stay, known), 1)
     worse, whole = (
-        (np.bincount(stay, np.nan_to_num(values)) / np.maximum(np.bincount(stay, np.isfinite(whole)), 1))[
-            stay
-        ]
-        for values in (np.where(np.isfinite(whole), worse, 0.0), whole)
+        (np.bincount(stay, np.nan_to_num(values)) / frames)[stay]
+        for values in (np.where(known, worse, 0.0), whole)
     )
     doubt = np.asarray((away & (whole < least * worse))[:, None] & np.isfinite(x), bool)
     return doubt, np.asarray(worse > settings.unlike_itself, bool)

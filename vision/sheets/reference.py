@@ -10,13 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, mad_sigma, nan_median
 from vision.sheets.alignment import Candidates, ExpectedSheets, align
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
+from vision.signals import running_median
 
 REVISIONS = 4  # of the reference comb, at most; it usually settles after two
 LISTS_USED = 384  # candidate lists: the longest, and others spread over the recording
@@ -347,13 +347,8 @@ def _local_pitch(x_px: Floats, pitch_px: float) -> Floats:
     """Median spacing of the nine entries around each, within a quarter of the pitch."""
     if len(x_px) < 6:
         return np.full(len(x_px), pitch_px)
-    smooth = _running_median(np.diff(x_px))
+    smooth = running_median(np.diff(x_px), 9)
     return np.asarray(np.clip(np.r_[smooth, smooth[-1]], 0.75 * pitch_px, 1.25 * pitch_px), np.float64)
-
-
-def _running_median(values: Floats) -> Floats:
-    """Median of the nine values around each; the outermost are repeated."""
-    return np.asarray(np.median(sliding_window_view(np.pad(values, 4, mode="edge"), 9), axis=1), np.float64)
 
 
 def _best_chain(score: Floats, cost: Floats) -> Ints:
@@ -477,7 +472,7 @@ def wide_spacings(x_px: Floats, *, settings: TrackingSettings = DEFAULT) -> tupl
     spacing = np.diff(x_px)
     if spacing.size < 8:
         return np.empty(0), np.empty(0)
-    size = spacing / _running_median(spacing)
+    size = spacing / running_median(spacing, 9)
     log = np.log(size)
     scatter = float(mad_sigma(log))
     wide = log > max(np.log(settings.wide_pitches), 3.0 * scatter)  # an uneven comb has wide spacings anyway
