@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.scenes.combs import comb, ridges, strip
-from vision.sheets import track_sheets
+from vision.sheets import TrackingSettings, track_sheets
 from vision.sheets.identities import Identities, identify_sheets
 from vision.sheets.recovery import assign_detections
 from vision.sheets.ridges import describe_ridges, find_ridges
@@ -32,6 +32,20 @@ def test_a_sheet_that_fades_is_found_on_a_second_look_and_one_that_is_gone_is_mi
     at = (slice(60, 80), 5)
     assert (flags(truth(), contrast=faded(0.25))[at] == "ok").all()
     assert (flags(truth(), contrast=faded(0.0))[at] == "missing").all()
+
+
+def test_sheets_that_touch_are_one_ridge():
+    """One sheet leans against its neighbour and comes back, against what all others do: a failure means that
+    the middle of both is called the place of one. Without the rule about the ridge's height it is."""
+    x = comb(120, per_side=8, axis_px=200)
+    touching = np.arange(40, 80)
+    x[touching, 9] = x[touching, 8] + 2.5
+    picture = strip(ridges(x, width=400))
+    for height, honest in ((TrackingSettings().merged_height, True), (np.inf, False)):
+        tracks = track_sheets(picture, settings=TrackingSettings(merged_height=height))
+        off = np.abs(tracks.x_px.values - x) > np.fmax(5 * tracks.x_err_px.values, 0.5)
+        assert (not (off & (tracks.flag.values == "ok")).any()) is honest
+    assert (tracks.flag.values[touching][:, [7, 10]] == "ok").all()
 
 
 @pytest.mark.parametrize(("away_px", "flag"), [(3.0, "merged"), (10.0, "missing")])

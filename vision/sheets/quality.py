@@ -467,4 +467,4 @@ def _deviation(values: Floats) -> Floats:
 
 def _deviation_of_all(values: Floats) -> float:
     """The same of all values; 0 where nothing is known."""
-    return float(np.nan_to_num(_deviation(values.ravel())))
+    return float(np.nan_to_num(_deviation(values.ravel()))) if values.size else 0.0

@@ -97,7 +97,7 @@ def assign_detections(
     strange &= np.isnan(table[0])  # a second look may find no more than a ridge that happens to be near
     start, contrast, fwhm = (np.where(strange, np.nan, values) for values in (start, contrast, fwhm))
     flag = np.where(np.isfinite(start), "ok", "missing").astype("<U8")
-    flag[_merged(start, expected, comb, settings)] = "merged"
+    flag[_merged(start, contrast, expected, comb, settings)] = "merged"
     half = comb.fwhm_px / 2
     outside = (expected < half) | (expected > profile.shape[1] - 1 - half)
     flag[(flag != "ok") & outside] = "edge"
@@ -307,11 +307,16 @@ def _unshared(frame: Ints, x: Floats, keep: Bools) -> Bools:
     return alone
 
 
-def _merged(start: Floats, expected: Floats, comb: RidgeComb, settings: TrackingSettings) -> Bools:
-    """Missing sheets that must be within a ridge's width of a neighbour that is detected, and those
-    neighbours."""
-    gone = np.isnan(start) & np.isfinite(expected)
-    apart = np.abs(np.diff(np.where(gone, expected, start), axis=1))
-    pair = (apart < settings.merged_widths * comb.fwhm_px) & (gone[:, 1:] ^ gone[:, :-1])
+def _merged(
+    start: Floats, contrast: Floats, expected: Floats, comb: RidgeComb, settings: TrackingSettings
+) -> Bools:
+    """Missing sheets and the detected neighbours that they have become one ridge with: where they must be
+    within a ridge's width of each other, or where the neighbour is as high as more than one sheet."""
+    missing = np.isnan(start)
+    apart = np.abs(np.diff(np.where(missing, expected, start), axis=1))
+    height = contrast / nan_median(contrast)
+    double = height > settings.merged_height * nan_median(height, axis=1)[:, None]  # of which: exposure
+    pair = (apart < settings.merged_widths * comb.fwhm_px) | double[:, 1:] | double[:, :-1]
+    pair &= missing[:, 1:] ^ missing[:, :-1]
     none = np.zeros((len(start), 1), bool)
     return np.asarray(np.hstack([pair, none]) | np.hstack([none, pair]), bool)

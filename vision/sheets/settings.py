@@ -218,6 +218,10 @@ class TrackingSettings:
     """Two sheets nearer to each other than this, in ridge widths, are one ridge: the resolution of two
     Gaussians."""
 
+    merged_height: float = 1.15
+    """Times its usual height from which a ridge beside a missing sheet is both of them. Larger passes sheets
+    that touch, smaller withholds ridges that merely brighten (test_sheets_that_touch_are_one_ridge)."""
+
     # --- frames, blur and distortion (quality.py) ---
 
     frozen_fraction: float = 0.3
