@@ -77,8 +77,7 @@ class EncodedReader:
 
     def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
         """The key frame at or before each number; each key frame once."""
-        seen: set[int | None] = set()
-        entered: set[int | None] = set()  # a packet costs little, its frame all cores for a while
+        entered: set[int | None] = set()
         with open_container(self._path) as container:
             stream = _video_stream(container, self._path)
             rate = self.facts.playback_fps or 1 / float(stream.time_base or 1)
@@ -89,11 +88,8 @@ class EncodedReader:
                 if packet is None or (packet.pos is not None and packet.pos in entered):
                     continue
                 entered.add(packet.pos)
-                _enter(container, stream, time_s)
-                frame = next((frame for _, frame in _decoded(container, stream) if frame is not None), None)
-                if frame is not None and frame.pts not in seen:
-                    seen.add(frame.pts)
-                    yield self._checked(grey_plane(frame))
+                frames = _frames_of(packet, stream) or _frames_of(None, stream)  # no later frame is decoded
+                yield from (self._checked(grey_plane(frame)) for frame in frames[:1])
 
     def from_key_frame(self, time_s: float) -> Iterator[tuple[float, Pixels]]:
         """Readable frames with their times by the container, from the key frame at or before `time_s` on.

@@ -535,12 +535,16 @@ def lean_px(bands: NDArray[np.floating]) -> float:
 
 def _lean_of_stack(bands: NDArray[np.floating]) -> float:
     """Lean from the first band to the last: the best trial, refined by a parabola through its neighbours."""
-    spectrum = np.fft.rfft(bands - bands.mean(axis=-1, keepdims=True), axis=-1)
-    frequency = np.fft.rfftfreq(bands.shape[-1])
-    place = np.linspace(-0.5, 0.5, bands.shape[1])
+    frequency, place = np.fft.rfftfreq(bands.shape[-1]), np.linspace(-0.5, 0.5, bands.shape[1])
     step = 0.5
     trials = np.arange(-12, 12 + step / 2, step)
-    power = np.array([_coherent_power(spectrum, frequency, place * lean) for lean in trials])
+    turn = 2j * np.pi * np.outer(place, frequency)
+    moved = np.fft.rfft(bands - bands.mean(axis=-1, keepdims=True), axis=-1) * np.exp(trials[0] * turn)
+    one_step = np.exp(step * turn)
+    power = np.empty(trials.size)
+    for trial in range(trials.size):  # each moves the bands back by one step more
+        power[trial] = (np.abs(moved.sum(axis=1)) ** 2).sum()
+        moved *= one_step
     inner = power[1:-1]
     peaks = np.flatnonzero((inner >= power[:-2]) & (inner > power[2:])) + 1
     if not peaks.size:
@@ -548,14 +552,6 @@ def _lean_of_stack(bands: NDArray[np.floating]) -> float:
     best = int(peaks[np.argmin(np.abs(trials[peaks]))])
     before, here, after = power[best - 1 : best + 2]
     return float(trials[best] + step * 0.5 * (before - after) / (before - 2 * here + after))
-
-
-def _coherent_power(
-    spectrum: NDArray[np.complexfloating], frequency: NDArray[np.floating], shifts_px: NDArray[np.floating]
-) -> float:
-    """Power of the sum of bands after moving each back by its shift."""
-    phase = np.exp(2j * np.pi * np.outer(shifts_px, frequency)).astype(np.complex64)
-    return float((np.abs(np.einsum("fbk,bk->fk", spectrum, phase)) ** 2).sum())
 
 
 def ridge_width_px(slopes: NDArray[np.floating]) -> float:
