@@ -10,8 +10,8 @@ from tests.scenes.films import comb, write_avi, write_encoded
 from vision.data import STRIP, StripMetadata
 from vision.errors import InputError
 from vision.video import VideoSettings, open_video, reference_frame, strip_profile
-from vision.video.store import ProfileStore
-from vision.video.strip import is_blank, lost_between, prefetch, row_means
+from vision.video.frames import ProfileStore, is_blank, lost_between
+from vision.video.strip import prefetch, row_means
 
 
 @pytest.mark.parametrize(("dtype", "top"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, 1e4)])

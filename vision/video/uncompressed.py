@@ -97,10 +97,8 @@ class MappedReader:
         count = last - first
         if self.offsets[first] < 0:
             nothing = np.zeros((count, rows.stop - rows.start, columns.stop - columns.start), self._native)
-            return Block(nothing, first, _repeated("lost", count))
-        return Block(
-            self._grey(self._stored(first, last, rows)[:, :, columns]), first, _repeated("ok", count)
-        )
+            return Block(nothing, first, repeated("lost", count))
+        return Block(self._grey(self._stored(first, last, rows)[:, :, columns]), first, repeated("ok", count))
 
     def _stored(self, first: int, last: int, rows: slice) -> Pixels:
         """Frames first..last cut to rows, (k, rows, columns) or with channels last, top row first.
@@ -171,7 +169,8 @@ def read_fully(file: BinaryIO, buffer: memoryview, path: Path) -> None:
         done += count
 
 
-def _repeated(status: Status, count: int) -> tuple[Status, ...]:
+def repeated(status: Status, count: int) -> tuple[Status, ...]:
+    """The same status for so many frames."""
     return (status,) * count
 
 

@@ -16,9 +16,8 @@ from vision.errors import InputError
 from vision.escaping import html_table
 from vision.files import Stamp, check_pixels, check_regular, reading
 from vision.numeric import Floats, Ints, Pixels
-from vision.video.cine import is_cine, open_cine
 from vision.video.encoded import open_encoded
-from vision.video.photron import is_photron, open_photron, photron_files
+from vision.video.high_speed import is_cine, is_photron, open_cine, open_photron, photron_files
 from vision.video.reader import Block, Facts, Reader
 from vision.video.stacks import IMAGES, is_tiff, open_sequence, open_stack
 from vision.video.uncompressed import is_avi, open_raw_avi, read_avi_layout
