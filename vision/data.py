@@ -316,9 +316,7 @@ TRACKS = Schema(
     {
         "x_px": Variable(_FRAME_SHEET, "px", "position of the sheet"),
         "x_err_px": Variable(
-            _FRAME_SHEET,
-            "px",
-            "standard error of a displacement: what is the same in all frames is not in it",
+            _FRAME_SHEET, "px", "standard error of a displacement, without what every frame shares"
         ),
         "flag": Variable(_FRAME_SHEET, "", "ok, blurred, or why there is no position"),
         "why": Variable(_FRAME_SHEET, "", "why a doubtful identity is doubted"),
