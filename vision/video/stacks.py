@@ -278,8 +278,8 @@ def open_sequence(path: Path) -> ImagesReader:
     Raises
     ------
     InputError
-        For no images, several kinds or series of them, or none that can be read; while reading, for an image
-        of another size or depth.
+        For no images, several kinds or series of them, or only damaged ones; while reading, for an image of
+        another size or depth.
     """
     found = _image_files(path)
     files, warnings = _numbered(found, path)

@@ -51,7 +51,7 @@ class StripErrors(NamedTuple):
         The same from the outer and the inner half.
     error_px
         RMS displacement of the mean if a tenth of the rows were left out at both ends: what a choice of rows
-        that is as good would change. It is the same in all frames, so it counts among the systematic errors.
+        that is as good would change. It does not vary with time, so it counts among the systematic errors.
     """
 
     halves_px: float
