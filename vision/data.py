@@ -35,14 +35,11 @@ class Variable:
         As in ``attrs["units"]``; "" for text and flags, "1" for a ratio.
     long_name
         What it is, for labels of axes and for netCDF.
-    required
-        Whether a stage needs it.
     """
 
     dims: tuple[str, ...]
     units: str
     long_name: str
-    required: bool = True
 
     @property
     def attrs(self) -> dict[str, str]:
@@ -64,12 +61,15 @@ class Schema:
         Every variable, coordinate and column with its declaration.
     metadata
         The class of the facts in ``attrs`` that later stages need; None where they need none.
+    needs
+        Variables that every stage needs; None for all.
     """
 
     name: str
     made_by: str
     variables: Mapping[str, Variable]
     metadata: type[Metadata] | None = None
+    needs: Sequence[str] | None = None
 
     def __getitem__(self, name: str) -> Variable:
         return self.variables[name]
@@ -82,28 +82,20 @@ class Schema:
         data
             What is given to a stage.
         needs
-            Variables that this stage cannot do without; None for those that are declared as required.
+            Variables that this stage cannot do without; by default those that every stage needs.
 
         Raises
         ------
         InputError
             Names every variable and fact that is not as declared, with what was expected and found.
         """
-        problems = [
-            line
-            for name, declared in self.variables.items()
-            if (line := _problem(data, name, declared, declared.required if needs is None else name in needs))
-        ]
-        if self.metadata is not None:
-            absent = self.metadata.absent(data)
-            problems += [f"attrs['{name}'] is missing" for name in absent]
-        if problems:
-            raise InputError(
-                f"the {self.name}",
-                f"what `{self.made_by}` returns",
-                ", ".join(problems),
-                "pass that on unchanged",
-            )
+        needed = needs or self.needs or list(self.variables)
+        problems = [_problem(data, name, each, name in needed) for name, each in self.variables.items()]
+        absent = [] if self.metadata is None else self.metadata.absent(data)
+        problems += [f"attrs['{name}'] is missing" for name in absent]
+        if found := ", ".join(filter(None, problems)):
+            wanted = f"what `{self.made_by}` returns"
+            raise InputError(f"the {self.name}", wanted, found, "pass that on unchanged")
 
 
 def _problem(data: Data, name: str, declared: Variable, required: bool) -> str:
@@ -241,13 +233,14 @@ STRIP = Schema(
     "strip",
     "vision.strip_profile",
     {
-        "intensity": Variable(("frame", "x"), "grey level", "mean intensity of the strip", required=False),
+        "intensity": Variable(("frame", "x"), "grey level", "mean intensity of the strip"),
         "frame": Variable(("frame",), "", "frame number in the file"),
         "x": Variable(("x",), "px", "column"),
         "time_s": Variable(("frame",), "s", "time of the frame"),
-        "status": Variable(("frame",), "", "ok, blank, corrupt or lost", required=False),
+        "status": Variable(("frame",), "", "ok, blank, corrupt or lost"),
     },
     StripMetadata,
+    needs=("frame", "x", "time_s"),
 )
 
 STRIP_PARTS = Schema(
@@ -323,39 +316,32 @@ TRACKS = Schema(
     {
         "x_px": Variable(_FRAME_SHEET, "px", "position of the sheet"),
         "x_err_px": Variable(
-            _FRAME_SHEET,
-            "px",
-            "standard error of a displacement: what is the same in all frames is not in it",
+            _FRAME_SHEET, "px", "standard error of a displacement, without what every frame shares"
         ),
         "flag": Variable(_FRAME_SHEET, "", "ok, blurred, or why there is no position"),
-        "why": Variable(_FRAME_SHEET, "", "why a doubtful identity is doubted", required=False),
-        "x_withheld_px": Variable(_FRAME_SHEET, "px", "ridge whose identity is doubtful", required=False),
-        "x_expected_px": Variable(
-            _FRAME_SHEET, "px", "where the sheets around say that it must be", required=False
-        ),
-        "x_mean_px": Variable(_SHEET, "px", "median position", required=False),
-        "found": Variable(_SHEET, "1", "fraction of the frames with a position", required=False),
-        "fwhm_px": Variable(_SHEET, "px", "full width of the ridge at half maximum", required=False),
+        "why": Variable(_FRAME_SHEET, "", "why a doubtful identity is doubted"),
+        "x_withheld_px": Variable(_FRAME_SHEET, "px", "ridge whose identity is doubtful"),
+        "x_expected_px": Variable(_FRAME_SHEET, "px", "where the sheets around say that it must be"),
+        "x_mean_px": Variable(_SHEET, "px", "median position"),
+        "found": Variable(_SHEET, "1", "fraction of the frames with a position"),
+        "fwhm_px": Variable(_SHEET, "px", "full width of the ridge at half maximum"),
         "distorted": Variable(
-            _SHEET, "1", "fraction of the positions pulled by dirt, a highlight or an edge", required=False
+            _SHEET, "1", "fraction of the positions pulled by dirt, a highlight or an edge"
         ),
-        "snr": Variable(_SHEET, "1", "contrast over noise", required=False),
-        "x_noise_px": Variable(
-            _SHEET, "px", "measured scatter of the position from frame to frame", required=False
-        ),
+        "snr": Variable(_SHEET, "1", "contrast over noise"),
+        "x_noise_px": Variable(_SHEET, "px", "measured scatter of the position from frame to frame"),
         "x_scatter_px": Variable(
-            _SHEET, "px", "measured scatter of the position between neighbouring sheets", required=False
+            _SHEET, "px", "measured scatter of the position between neighbouring sheets"
         ),
-        "x_predicted_px": Variable(_SHEET, "px", "error predicted from the noise of pixels", required=False),
-        "x_z_px": Variable(("frame", "sheet", "z"), "px", "position in a part of the strip", required=False),
-        "x_z_err_px": Variable(
-            ("frame", "sheet", "z"), "px", "standard error of the position in a part", required=False
-        ),
+        "x_predicted_px": Variable(_SHEET, "px", "error predicted from the noise of pixels"),
+        "x_z_px": Variable(("frame", "sheet", "z"), "px", "position in a part of the strip"),
+        "x_z_err_px": Variable(("frame", "sheet", "z"), "px", "standard error of the position in a part"),
         "time_s": Variable(("frame",), "s", "time of the frame"),
         "side": Variable(_SHEET, "", "-1 left, +1 right of the axis"),
         "n": Variable(_SHEET, "", "sheet number, counted from the centre outwards"),
     },
     TrackMetadata,
+    needs=("x_px", "x_err_px", "flag", "time_s", "side", "n"),
 )
 
 # --- F(t), d(t) ---------------------------------------------------------------------------------------------
@@ -402,12 +388,13 @@ FORCE = Schema(
     {
         "load_N": Variable(_TIME, "N", "load"),
         "d_mm": Variable(_TIME, "mm", "separation distance"),
-        "flag": Variable(_TIME, "", "ok, or what is wrong with the sample", required=False),
+        "flag": Variable(_TIME, "", "ok, or what is wrong with the sample"),
         "time_s": Variable(_TIME, "s", "machine's clock"),
-        "crosshead_mm": Variable(_TIME, "mm", "crosshead", required=False),
-        "video_time_s": Variable(_TIME, "s", "camera's clock", required=False),
+        "crosshead_mm": Variable(_TIME, "mm", "crosshead"),
+        "video_time_s": Variable(_TIME, "s", "camera's clock"),
     },
     ForceMetadata,
+    needs=("load_N", "d_mm", "time_s"),
 )
 
 # --- stick-slip events --------------------------------------------------------------------------------------
@@ -485,29 +472,28 @@ STICKS = Schema(
         "F_p_N": Variable(_EVENT, "N", "force at the peak"),
         "dF_N": Variable(_EVENT, "N", "ΔF = F_p − F_v"),
         "stick_length_um": Variable(_EVENT, "um", "Λ_st = d_p − d_v"),
-        "stick_length_err_um": Variable(_EVENT, "um", "standard error of Λ_st", required=False),
-        "slip_length_um": Variable(_EVENT, "um", "Λ_sl, next d_v − d_p", required=False),
-        "K_N_per_mm": Variable(_EVENT, "N/mm", "stiffness of the stick phase", required=False),
-        "K_err_N_per_mm": Variable(_EVENT, "N/mm", "standard error of K", required=False),
-        "F_v_raw_N": Variable(_EVENT, "N", "lowest load near the valley, spikes aside", required=False),
-        "F_p_raw_N": Variable(_EVENT, "N", "highest load near the peak, spikes aside", required=False),
-        "K30_N_per_mm": Variable(_EVENT, "N/mm", "stiffness over the central 30 %", required=False),
-        "K70_N_per_mm": Variable(_EVENT, "N/mm", "stiffness over the central 70 %", required=False),
-        "F_v_err_N": Variable(_EVENT, "N", "standard error of F_v", required=False),
-        "F_p_err_N": Variable(_EVENT, "N", "standard error of F_p", required=False),
-        "dF_err_N": Variable(_EVENT, "N", "standard error of ΔF", required=False),
-        "K1_N_per_mm": Variable(_EVENT, "N/mm", "stiffness before the knee", required=False),
-        "K2_N_per_mm": Variable(_EVENT, "N/mm", "stiffness after the knee", required=False),
-        "K2_err_N_per_mm": Variable(_EVENT, "N/mm", "standard error of K2", required=False),
-        "knee": Variable(_EVENT, "1", "place of the knee, fraction of the fitted stretch", required=False),
-        "knee_gain": Variable(
-            _EVENT, "1", "squared residuals of one line over those with a knee", required=False
-        ),
-        "slip_time_s": Variable(_EVENT, "s", "duration of the slip", required=False),
-        "samples": Variable(_EVENT, "", "samples in the stick", required=False),
-        "flag": Variable(_EVENT, "", "ok, or what is wrong within the stick", required=False),
+        "stick_length_err_um": Variable(_EVENT, "um", "standard error of Λ_st"),
+        "slip_length_um": Variable(_EVENT, "um", "Λ_sl, next d_v − d_p"),
+        "K_N_per_mm": Variable(_EVENT, "N/mm", "stiffness of the stick phase"),
+        "K_err_N_per_mm": Variable(_EVENT, "N/mm", "standard error of K"),
+        "F_v_raw_N": Variable(_EVENT, "N", "lowest load near the valley, spikes aside"),
+        "F_p_raw_N": Variable(_EVENT, "N", "highest load near the peak, spikes aside"),
+        "K30_N_per_mm": Variable(_EVENT, "N/mm", "stiffness over the central 30 %"),
+        "K70_N_per_mm": Variable(_EVENT, "N/mm", "stiffness over the central 70 %"),
+        "F_v_err_N": Variable(_EVENT, "N", "standard error of F_v"),
+        "F_p_err_N": Variable(_EVENT, "N", "standard error of F_p"),
+        "dF_err_N": Variable(_EVENT, "N", "standard error of ΔF"),
+        "K1_N_per_mm": Variable(_EVENT, "N/mm", "stiffness before the knee"),
+        "K2_N_per_mm": Variable(_EVENT, "N/mm", "stiffness after the knee"),
+        "K2_err_N_per_mm": Variable(_EVENT, "N/mm", "standard error of K2"),
+        "knee": Variable(_EVENT, "1", "place of the knee, fraction of the fitted stretch"),
+        "knee_gain": Variable(_EVENT, "1", "squared residuals of one line over those with a knee"),
+        "slip_time_s": Variable(_EVENT, "s", "duration of the slip"),
+        "samples": Variable(_EVENT, "", "samples in the stick"),
+        "flag": Variable(_EVENT, "", "ok, or what is wrong within the stick"),
     },
     StickMetadata,
+    needs=("event", "t_v_s", "t_p_s", "d_v_mm", "d_p_mm", "F_v_N", "F_p_N", "dF_N", "stick_length_um"),
 )
 
 # --- deformation --------------------------------------------------------------------------------------------
@@ -544,59 +530,44 @@ MOTION = Schema(
     "vision.horizontal_deformation",
     {
         "sigma_x_um": Variable(
-            _EVENT_SHEET,
-            "um",
-            "RMS displacement over the usable frames of the stick, as measured",
-            required=False,
+            _EVENT_SHEET, "um", "RMS displacement over the usable frames of the stick, as measured"
         ),
         "sigma_x_corrected_um": Variable(
-            _EVENT_SHEET,
-            "um",
-            "RMS displacement over the whole stick without noise and camera movement",
-            required=False,
+            _EVENT_SHEET, "um", "RMS displacement over the whole stick without noise and camera movement"
         ),
-        "sigma_x_err_um": Variable(
-            _EVENT_SHEET, "um", "standard error of sigma_x_corrected_um", required=False
-        ),
+        "sigma_x_err_um": Variable(_EVENT_SHEET, "um", "standard error of sigma_x_corrected_um"),
         "sweep_um": Variable(
-            _EVENT_SHEET,
-            "um",
-            "inward movement over the whole stick, fitted line, camera movement taken off",
-            required=False,
+            _EVENT_SHEET, "um", "inward movement over the whole stick, fitted line, camera movement taken off"
         ),
         "ratio": Variable(_EVENT_SHEET, "1", "sigma_x_corrected_um over stick_length_um"),
         "ratio_err": Variable(_EVENT_SHEET, "1", "standard error of ratio"),
         "ratio_signed": Variable(
             _EVENT_SHEET, "1", "ratio before negative values are set to 0; positive inwards"
         ),
-        "frames": Variable(_EVENT_SHEET, "1", "positions used", required=False),
-        "x_hat_px": Variable(_EVENT_SHEET, "px", "mean position over the stick", required=False),
-        "flag": Variable(_EVENT_SHEET, "", "ok, or what is unusual about the measurement", required=False),
-        "stick_length_um": Variable(_EVENT, "um", "stick length", required=False),
+        "frames": Variable(_EVENT_SHEET, "1", "positions used"),
+        "x_hat_px": Variable(_EVENT_SHEET, "px", "mean position over the stick"),
+        "flag": Variable(_EVENT_SHEET, "", "ok, or what is unusual about the measurement"),
+        "stick_length_um": Variable(_EVENT, "um", "stick length"),
         "frames_left_out": Variable(
-            _EVENT, "1", "frames of the stick in whose exposure a slip may lie, left out", required=False
+            _EVENT, "1", "frames of the stick in whose exposure a slip may lie, left out"
         ),
         "effective_frames": Variable(
-            _EVENT, "1", "independent frames that would give the same error of the sweep", required=False
+            _EVENT, "1", "independent frames that would give the same error of the sweep"
         ),
         "drift_um": Variable(
-            _EVENT, "um", "movement of the camera during the stick, to the right, taken off", required=False
+            _EVENT, "um", "movement of the camera during the stick, to the right, taken off"
         ),
-        "noise_um": Variable(
-            _SHEET,
-            "um",
-            "standard deviation of single positions, from the residuals",
-            required=False,
-        ),
+        "noise_um": Variable(_SHEET, "um", "standard deviation of single positions, from the residuals"),
         "event": Variable(_EVENT, "", "event number"),
-        "t_v_s": Variable(_EVENT, "s", "time of the valley", required=False),
-        "t_p_s": Variable(_EVENT, "s", "time of the peak", required=False),
-        "d_v_mm": Variable(_EVENT, "mm", "separation at the valley", required=False),
-        "d_p_mm": Variable(_EVENT, "mm", "separation at the peak", required=False),
+        "t_v_s": Variable(_EVENT, "s", "time of the valley"),
+        "t_p_s": Variable(_EVENT, "s", "time of the peak"),
+        "d_v_mm": Variable(_EVENT, "mm", "separation at the valley"),
+        "d_p_mm": Variable(_EVENT, "mm", "separation at the peak"),
         "side": Variable(_SHEET, "", "-1 left, +1 right of the axis"),
         "n": Variable(_SHEET, "", "sheet number, counted from the centre outwards"),
     },
     MotionMetadata,
+    needs=("ratio", "ratio_err", "ratio_signed", "event", "side", "n"),
 )
 
 # --- shells -------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ class InputError(ValueError):
     """Input or arguments that cannot be used.
 
     The message is one line: what it is about (a file, an argument), what was expected, what was found and
-    what to do. Arguments stand in it by their Python names in backticks, as in "give `pixel_size_um`"; the
+    what to do. Arguments have their Python names in backticks, as in "give `pixel_size_um`"; the
     command shows the same line with its own options in their place (`with_options`) and ends with exit
     status 2.
 

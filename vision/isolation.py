@@ -12,15 +12,6 @@ from pathlib import Path
 from vision.errors import InputError
 from vision.files import check_regular, shortened
 
-SECONDS, SECONDS_PER_BYTE = 8.0, 5e-8
-"""Longest computing time of reading, and what is added for the file's size. Recordings in use take under one
-second, most of which is the start of the process; more waits longer for files that end in a loop."""
-BUSY = 5
-"""Times as long it may take by the clock: on a busy machine a process gets part of a core. More waits longer
-for a file whose disk does not answer."""
-MEMORY_BYTES, MEMORY_PER_BYTE = 2 << 30, 4
-"""Address space of the process, and what is added for the file's size. The libraries reserve half a GiB; more
-lets a damaged length take what other programs need."""
 PACKAGES = tuple(place for place in sys.path if place)
 """Where the process finds packages. Not as it is later: while OpenCV is imported, in another thread perhaps,
 its own folders come first, and one of them holds a `typing` that is not Python's."""
@@ -94,8 +85,10 @@ def try_out(path: Path, kind: str, wanted: str, *, seconds: float | None = None)
 def run_parser(path: Path, parser: str, wanted: str, *, seconds: float | None = None) -> None:
     """`try_out` with other lines of Python, in which `path` is the file's."""
     size = check_regular(path, wanted).st_size
-    seconds = SECONDS + SECONDS_PER_BYTE * size if seconds is None else seconds
-    memory = MEMORY_BYTES + MEMORY_PER_BYTE * size
+    # Recordings in use take under one second, most of which is the start of the process.
+    seconds = 8 + 5e-8 * size if seconds is None else seconds
+    wall_s = 5 * seconds  # on a busy machine a process gets part of a core
+    memory = (2 << 30) + 4 * size  # of address space, of which the libraries reserve half a GiB
     task = json.dumps([os.path.abspath(path), PACKAGES, int(seconds) + 1, memory, parser])  # noqa: PTH100
     quiet = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # each thread would reserve memory
     child = subprocess.Popen(
@@ -106,9 +99,9 @@ def run_parser(path: Path, parser: str, wanted: str, *, seconds: float | None = 
         env=os.environ | quiet,
     )
     try:  # a `with` alone would wait for a process that never ends
-        out, _ = child.communicate(task.encode() + b"\n", timeout=BUSY * seconds)
+        out, _ = child.communicate(task.encode() + b"\n", timeout=wall_s)
     except subprocess.TimeoutExpired:
-        found = f"one whose reading does not end within {BUSY * seconds:g} s"
+        found = f"one whose reading does not end within {wall_s:g} s"
     else:
         found = _found(child.returncode, out, seconds)
     finally:

@@ -61,10 +61,6 @@ from vision.video import (
 Progress = Callable[[int, int | None], None]
 Result = TypeVar("Result")
 
-LEVEL_FRAMES = 8  # looked at for ridges that lie level, where there are no upright ones
-LEVEL_RIDGES = 5  # at least: two or three are seen in any picture
-LEAST_UNMATCHED = 3  # slips on either side: fewer may all have been missed by the other
-
 
 @dataclass(frozen=True, kw_only=True)
 class Tuning:
@@ -110,7 +106,7 @@ class Settings:
         V where no displacement is recorded, the initial separation with its error, and the recording's
         columns by role.
     force_threshold_N, force_lowpass_s, machine_stiffness_N_per_mm
-        Smallest drop that is a slip; the load cell's time constant to be undone (0: as recorded; "auto":
+        Smallest drop that is a slip; the load cell's time constant to correct for (0: as recorded; "auto":
         where it is proven); the machine's own stiffness.
     fit_range_mm, mu, modulus_GPa
         Separations between which the models are fitted; friction coefficient and Y_eff where they are known.
@@ -290,35 +286,30 @@ def analyse(
         raise InputError("`pitch_um` and `pixel_size_um`", "one of the two", "both")
     stage = _Stages()
     # A force file that is not understood is refused before the long work of reading a video.
-    machine = None if force is None else stage.must("reading force", lambda: open_force(force, chosen))
+    machine = None if force is None else stage.must("reading force", open_force, force, chosen)
     recording = None if video is None else open_recording(video, chosen, follow)
     kept = _kept(earlier, chosen, film=recording is not None)
     strip, tracks, clock, frame, parts = kept.strip, kept.tracks, kept.clock, None, None
-    if (film := recording) is not None:
+    if recording is not None:
         if strip is None:
-            strip, parts = stage.must(
-                "reading",
-                lambda: _upright(film, chosen, lambda: _strip(film, chosen, progress, log, follow)),
-            )
+            read = partial(_strip, recording, chosen, progress, log, follow)
+            strip, parts = stage.must("reading", _upright, recording, chosen, read)
         if follow is not None:  # it has grown
             with suppress(InputError):
-                recording = open_recording(film.path, chosen)
-        frame = stage.must("first frame", lambda: reference_frame(film))
+                recording = open_recording(recording.path, chosen)
+        frame = stage.must("first frame", reference_frame, recording)
     if strip is not None:
         if tracks is None:
-            tracks = stage.must(
-                "tracking", lambda: _upright(recording, chosen, lambda: track_strip(strip, chosen, parts))
-            )
+            track = partial(track_strip, strip, chosen, parts)
+            tracks = stage.must("tracking", _upright, recording, chosen, track)
         if chosen.pitch_um is not None:
             chosen = replace(chosen, pixel_size_um=pixel_size_from_pitch(tracks, chosen.pitch_um))
-    sticks = stage.may("sticks", _sticks, machine, settings=chosen, needed=strip is None)
-    fits = stage.may("fits", _fits, machine, sticks, settings=chosen)
+    sticks = stage.may("sticks", _sticks, machine, chosen, needed=strip is None)
+    fits = stage.may("fits", _fits, machine, sticks, chosen)
     if clock is None:
-        clock = stage.may("clock", _clock, tracks, machine, sticks, settings=chosen)
-    motion = stage.may("motion", _motion, tracks, sticks, clock, settings=chosen)
-    shells = stage.may(
-        "shells", lambda moved, settings: _shells(moved, fits, settings), motion, settings=chosen
-    )
+        clock = stage.may("clock", _clock, tracks, machine, sticks, chosen)
+    motion = stage.may("motion", _motion, tracks, sticks, clock, chosen)
+    shells = stage.may("shells", partial(_shells, fits), motion, chosen)
     analysis = Analysis(
         settings=chosen,
         video=recording,
@@ -378,32 +369,27 @@ class _Stages:
         self.reasons: dict[str, str] = {}
         self.failures: dict[str, str] = {}
 
-    def must(self, name: str, work: Callable[[], Result]) -> Result:
+    def must(self, name: str, work: Callable[..., Result], *inputs: Any) -> Result:
         """Without this stage there is nothing: its errors are raised."""
         started = time.perf_counter()
         try:
-            return work()
+            return work(*inputs)
         finally:
             self.seconds[name] = time.perf_counter() - started
 
     def may(
-        self,
-        name: str,
-        work: Callable[..., Result],
-        *inputs: Any,
-        settings: Settings,
-        needed: bool = False,
+        self, name: str, work: Callable[..., Result], *inputs: Any, needed: bool = False
     ) -> Result | None:
         """None where an input is missing, or where the stage ends in an error, which is kept.
 
-        needed: there is nothing before it to be kept, so that its errors are raised.
+        needed: nothing was found before it, so that its errors are raised.
         """
         if any(part is None for part in inputs):
             return None
         if needed:
-            return self.must(name, lambda: work(*inputs, settings))
+            return self.must(name, work, *inputs)
         try:
-            return self.must(name, lambda: work(*inputs, settings))
+            return self.must(name, work, *inputs)
         except InputError as error:
             self.reasons[name] = str(error)
         except Exception as error:  # whatever it is, what was measured before it is kept
@@ -466,7 +452,7 @@ def _check_lengths(chosen: Settings, width_px: int) -> None:
 
 
 def _upright(film: Video | None, chosen: Settings, work: Callable[[], Result]) -> Result:
-    """The result; where a picture shows no upright ridges, whether it shows level ones is said."""
+    """The result; where the picture has no upright ridges, the message tells whether it has level ones."""
     try:
         return work()
     except InputError:
@@ -481,11 +467,11 @@ def _lie_level(film: Video) -> bool:
     turned = replace(film, rotate=(film.rotate + 90) % 360)
     try:
         rows = find_strip(turned).rows
-        pictures = [picture[rows].mean(axis=0, dtype=np.float32) for picture in turned.sample(LEVEL_FRAMES)]
+        pictures = [picture[rows].mean(axis=0, dtype=np.float32) for picture in turned.sample(8)]
         comb = describe_ridges(np.stack(pictures))
     except (InputError, ValueError):  # no ridge either, or no picture
         return False
-    return comb.count >= LEVEL_RIDGES
+    return comb.count >= 5  # two or three are seen in any picture
 
 
 def track_strip(strip: xr.DataArray, chosen: Settings, parts: xr.DataArray | None = None) -> xr.Dataset:
@@ -552,7 +538,7 @@ def _clock(tracks: xr.Dataset, force: xr.Dataset, sticks: pd.DataFrame, chosen: 
 
 def _motion(tracks: xr.Dataset, sticks: pd.DataFrame, clock: Clock, chosen: Settings) -> xr.Dataset:
     seen = min(clock.unmatched_video, clock.unmatched_force)
-    if clock.status == "given" and clock.matched == 0 and seen >= LEAST_UNMATCHED:
+    if clock.status == "given" and clock.matched == 0 and seen >= 3:  # fewer may have been missed
         raise InputError(
             "the clocks",
             "slips that coincide in video and force",
@@ -569,7 +555,7 @@ def _motion(tracks: xr.Dataset, sticks: pd.DataFrame, clock: Clock, chosen: Sett
     )
 
 
-def _shells(motion: xr.Dataset, fits: ModelFits | None, chosen: Settings) -> pd.DataFrame:
+def _shells(fits: ModelFits | None, motion: xr.Dataset, chosen: Settings) -> pd.DataFrame:
     return classify_shells(
         motion,
         threshold=chosen.threshold,

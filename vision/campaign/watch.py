@@ -13,7 +13,7 @@ from vision.campaign.table import PATHS, Row, safe_name
 from vision.errors import InputError
 from vision.files import Stamp
 from vision.video import open_video, video_files
-from vision.video.photron import PIXELS
+from vision.video.high_speed import PIXELS
 
 FILMS = {".avi", ".mp4", ".m4v", ".mkv", ".mov", ".cine", PIXELS, ".tif", ".tiff"}
 

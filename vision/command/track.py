@@ -234,7 +234,7 @@ def _targets_of(
 
     A Photron recording of which both files are named counts once.
     """
-    from vision.video.photron import PIXELS, is_photron
+    from vision.video.high_speed import PIXELS, is_photron
 
     if not videos:
         advice = "track --help lists the options"

@@ -45,9 +45,10 @@ ROTATION = Schema(
         "time_s": Variable(_ROW, "s", "time"),
         "angle_rad": Variable(_ROW, "rad", "deflection angle"),
         "torque_N_m": Variable(_ROW, "N m", "torque"),
-        "normal_force_N": Variable(_ROW, "N", "normal force", required=False),
+        "normal_force_N": Variable(_ROW, "N", "normal force"),
     },
     RotationMetadata,
+    needs=("time_s", "angle_rad", "torque_N_m"),
 )
 
 _TORQUE = {"Nm": 1.0, "mNm": 1e-3, "µNm": 1e-6, "nNm": 1e-9, "Nmm": 1e-3, "cNm": 1e-2, "mNmm": 1e-6}

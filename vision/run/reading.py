@@ -23,8 +23,8 @@ from vision.numeric import Floats, Floats32
 from vision.run.folder import MARK
 from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf
+from vision.video.frames import ProfileStore
 from vision.video.stacks import check_tiff
-from vision.video.store import ProfileStore
 from vision.video.uncompressed import read_fully
 
 AGAIN = "run track again"

@@ -1,9 +1,9 @@
 """A file becomes frames becomes I(x, t)."""
 
 from vision.video.follow import Follow, await_video
+from vision.video.frames import FramesRead, FrameStore
 from vision.video.reader import Block, Facts, Reader
 from vision.video.settings import VideoSettings
-from vision.video.store import FramesRead, FrameStore
 from vision.video.strip import ReadingLog, reference_frame, strip_profile, strip_profiles
 from vision.video.strip_find import Strip, find_strip, measure_strip
 from vision.video.video import FrameClock, Video, open_video, read_timestamps, video_files

@@ -6,7 +6,6 @@ import contextlib
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -31,20 +30,11 @@ from vision.video.reader import (
     shape_text,
 )
 
-_NOT_VIDEO = {"tty", "image2", "txt"}  # containers that swallow any text or picture
-_EBML, _SEGMENT = b"\x1a\x45\xdf\xa3", b"\x18\x53\x80\x67"  # Matroska and WebM
-_REORDERS = 8  # AV_CODEC_PROP_REORDER
-_DROPPED_BYTES = 8  # that a dropped frame takes in an AVI: the head of a chunk
-_LIMITED_RANGE = 1  # AVColorRange: 16..235 of 255
 # What cameras, microscopes and their programs write; no playlists, no lists of other files, no networks.
 _FORMATS = (
     "avi,mov,matroska,webm,asf,flv,mpeg,mpegts,mpegvideo,h264,hevc,m4v,mjpeg,mjpeg_2000,mxf,nut,ogg,cine,ivf,dv,"
     "wtv,yuv4mpegpipe,gif,apng,av1,obu,vc1,rm,swf,gxf,nsv,mpjpeg,r3d,bink,smjpeg"
 )
-_STAMPED = {"matroska", "webm"}  # containers whose times are those of each frame, not of a rate
-_INDEXED = {"mov", "mp4"}  # these hold every frame's time in a table; phones write the camera's own there
-_UNEVEN = 0.1  # of the usual interval between frames, beyond rounding: less is an even rate
-_PACKED_LUMA = {"yuyv422": (0, 2), "uyvy422": (1, 2), "yvyu422": (0, 2)}  # first luma byte, step
 
 
 class EncodedReader:
@@ -76,24 +66,21 @@ class EncodedReader:
         yield from gather_blocks(frames, start=start, rows=rows, columns=columns, dtype=self._dtype)
 
     def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
-        """The key frame at or before each number; each key frame once."""
-        seen: set[int | None] = set()
-        entered: set[int | None] = set()  # a packet costs little, its frame all cores for a while
+        """The key frame at or before each number; each key frame once, and no other frame is decoded."""
+        entered: set[int] = set()
         with open_container(self._path) as container:
             stream = _video_stream(container, self._path)
             rate = self.facts.playback_fps or 1 / float(stream.time_base or 1)
-            for time_s in (number / rate for number in numbers):
-                if not _enter(container, stream, time_s):
+            for number in numbers:
+                if not _enter(container, stream, number / rate, stream.start_time or 0):
                     continue
                 packet = next(_video_packets(container, stream))
-                if packet is None or (packet.pos is not None and packet.pos in entered):
+                if packet is None or packet.pos in entered:
                     continue
-                entered.add(packet.pos)
-                _enter(container, stream, time_s)
-                frame = next((frame for _, frame in _decoded(container, stream) if frame is not None), None)
-                if frame is not None and frame.pts not in seen:
-                    seen.add(frame.pts)
-                    yield self._checked(grey_plane(frame))
+                if packet.pos is not None:
+                    entered.add(packet.pos)
+                frames = _frames_of(packet, stream) or _frames_of(None, stream)
+                yield from (self._checked(grey_plane(frame)) for frame in frames[:1])
 
     def from_key_frame(self, time_s: float) -> Iterator[tuple[float, Pixels]]:
         """Readable frames with their times by the container, from the key frame at or before `time_s` on.
@@ -102,19 +89,14 @@ class EncodedReader:
         """
         with open_container(self._path) as container:
             stream = _video_stream(container, self._path)
-            base = stream.time_base or Fraction(1)
             first = stream.start_time or 0
-            try:
-                container.seek(
-                    int(time_s / base) + (0 if self.facts.times_in_blocks else first), stream=stream
-                )
-            except (av.error.FFmpegError, OSError):
+            if not _enter(container, stream, time_s, 0 if self.facts.times_in_blocks else first):
                 return
             for pts, frame in _decoded(container, stream):
                 if pts is None:
                     return
                 if frame is not None and not frame.is_corrupt:
-                    yield float((pts - first) * base), self._checked(grey_plane(frame))
+                    yield float((pts - first) * (stream.time_base or 1)), self._checked(grey_plane(frame))
 
     def _frames(self, stop: int | None) -> Iterator[Frame]:
         """Every frame number once, in order, up to `stop`."""
@@ -142,13 +124,13 @@ class EncodedReader:
     def _skipped(self, pts: int | None, number: int, stream: av.VideoStream) -> int:
         """Frame numbers a fixed-rate container leaves out before this one (cameras drop frames that way).
 
-        A number behind the end by the header is no number.
+        A number behind the end by the header, or by a file of nothing but dropped frames of 8 bytes, is none.
         """
         if self._fixed_rate is None or pts is None or stream.time_base is None:
             return 0
         place = round(pts * stream.time_base * self._fixed_rate)
         last = self.facts.declared_frames or self.facts.estimated_frames or 0
-        return max(0, place - number) if place < max(last, self._size // _DROPPED_BYTES) else 0
+        return max(0, place - number) if place < max(last, self._size // 8) else 0
 
     def _checked(self, pixels: Pixels) -> Pixels:
         if pixels.shape != self.facts.shape:
@@ -232,7 +214,7 @@ def open_container(path: Path) -> av.container.InputContainer:
     check_regular(path, "a video")
     try:
         container = av.open(
-            _url(path),
+            f"file:{path}",  # a colon in a name, as of a time, would be taken for a protocol's
             options={
                 "protocol_whitelist": "file",
                 "format_whitelist": _FORMATS,
@@ -250,15 +232,10 @@ def open_container(path: Path) -> av.container.InputContainer:
             found = f"a file that is none ({type(error).__name__})"
             advice = "give a recording PyAV, tifffile or OpenCV can read"
         raise InputError(path, "a video", found, advice) from None
-    if container.format.name in _NOT_VIDEO:
+    if container.format.name in ("tty", "image2", "txt"):  # these swallow any text or picture
         container.close()
         raise InputError(path, "a video", "a text file")
     return container
-
-
-def _url(path: Path) -> str:
-    """The name for FFmpeg, with its protocol: a colon in a name, as of a time, would be taken for one."""
-    return f"file:{path}"
 
 
 def _video_stream(container: av.container.InputContainer, path: Path) -> av.VideoStream:
@@ -291,11 +268,11 @@ def _ends_early(path: Path) -> bool:
     """
     with path.open("rb") as file:
         head = file.read(4096)
-    if head[:4] != _EBML:
+    if head[:4] != b"\x1a\x45\xdf\xa3":
         return False
     length, at = _vint(head, 4)
     at += length or 0
-    if length is None or head[at : at + 4] != _SEGMENT:
+    if length is None or head[at : at + 4] != b"\x18\x53\x80\x67":
         return False
     length, at = _vint(head, at + 4)
     return length is not None and at + length > path.stat().st_size
@@ -314,8 +291,9 @@ def _facts(
 ) -> Facts:
     """Facts of a file of so many bytes: it cannot hold more frames than bytes."""
     rate = stream.average_rate
-    kinds = set(container.format.name.split(","))
-    stamped = bool(_STAMPED & kinds) or (bool(_INDEXED & kinds) and _is_uneven(stream))
+    kinds = container.format.name.split(",")
+    # MP4 holds the time of every frame in a table, where phones write the camera's own: uneven ones
+    stamped = "matroska" in kinds or ("mov" in kinds and _is_uneven(stream))
     duration_s = None if container.duration is None else container.duration / av.time_base
     depth_bits, saturation_level, grey = _grey_scale(first)
     estimated = round(duration_s * float(rate)) if rate and duration_s else 0
@@ -338,13 +316,14 @@ def _facts(
 
 
 def _is_uneven(stream: av.VideoStream) -> bool:
-    """Whether the intervals between a container's frames differ: its times are then no mere playback rate."""
+    """Whether the intervals between a container's frames differ by a tenth of the usual one, beyond rounding:
+    its times are then no mere playback rate."""
     ticks = np.array([entry.timestamp for entry in stream.index_entries], np.int64)
     interval = np.diff(np.sort(ticks)).astype(np.float64)
     if interval.size < 2:
         return False
     usual = float(np.median(interval))
-    return bool((np.abs(interval - usual) > max(1.5, _UNEVEN * usual)).any())
+    return bool((np.abs(interval - usual) > max(1.5, 0.1 * usual)).any())
 
 
 def _decoded(
@@ -357,7 +336,8 @@ def _decoded(
     """
     waiting: list[int] = []
     # AVI knows only the times of decoding, which mislead where the order of display is another one
-    timed = container.format.name != "avi" or not stream.codec_context.codec.properties & _REORDERS
+    reorders = stream.codec_context.codec.properties & 8  # AV_CODEC_PROP_REORDER
+    timed = container.format.name != "avi" or not reorders
     for packet in _video_packets(container, stream):
         if timed and packet is not None and packet.pts is not None:
             waiting.append(packet.pts)
@@ -386,11 +366,12 @@ def _frames_of(packet: av.Packet[av.VideoStream] | None, stream: av.VideoStream)
         return []
 
 
-def _enter(container: av.container.InputContainer, stream: av.VideoStream, time_s: float) -> bool:
-    """Go to the key frame at or before `time_s`; False where the file cannot be entered there."""
-    base = stream.time_base or 1
+def _enter(
+    container: av.container.InputContainer, stream: av.VideoStream, time_s: float, origin: int
+) -> bool:
+    """Go to the key frame at or before `time_s` after `origin`; False where there is no way in."""
     try:
-        container.seek(int(time_s / base) + (stream.start_time or 0), stream=stream)
+        container.seek(int(time_s / (stream.time_base or 1)) + origin, stream=stream)
     except (av.error.FFmpegError, OSError):
         return False
     return True
@@ -405,7 +386,8 @@ def grey_plane(frame: av.VideoFrame) -> Pixels:
     item = np.dtype("u1" if bits <= 8 else ">u2" if kind.is_big_endian else "<u2")
     stored = frame.planes[0]
     lines = np.frombuffer(memoryview(stored), item).reshape(-1, stored.line_size // item.itemsize)
-    offset, step = _PACKED_LUMA.get(kind.name, (0, 1))
+    packed = {"yuyv422": (0, 2), "uyvy422": (1, 2), "yvyu422": (0, 2)}
+    offset, step = packed.get(kind.name, (0, 1))  # of luma bytes
     return lines[: frame.height, offset : offset + step * frame.width : step]
 
 
@@ -418,6 +400,6 @@ def _grey_scale(frame: av.VideoFrame) -> tuple[int, float, str]:
         return bits, full_scale(bits), LUMA_RULE
     if kind.name.startswith("gray"):
         return bits, full_scale(bits), AS_STORED
-    if not kind.name.startswith("yuvj") and int(frame.color_range) in (0, _LIMITED_RANGE):
+    if not kind.name.startswith("yuvj") and int(frame.color_range) in (0, 1):
         return bits, float(235 << (bits - 8)), "Y plane as stored, limited range (black 16, white 235 of 255)"
     return bits, full_scale(bits), "Y plane as stored"

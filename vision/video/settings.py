@@ -100,6 +100,12 @@ class VideoSettings:
     """Steps between the last frame and the end that the file states before its end is called missing. Files
     that are whole differ by up to two (test_cut_matroska_is_reported)."""
 
+    # disks and networks that fail
+    answer_s: float = 60.0
+    """Seconds in which nothing is read and nothing computed, after which a recording is given up. Shorter
+    gives up disks that have to start, longer waits for a connection that is lost
+    (test_a_disk_that_never_answers_is_given_up)."""
+
     # interrupted runs
     resume_after_s: float = 10.0
     """Seconds of reading after which what was read is kept for `--resume`. Smaller writes for films that are

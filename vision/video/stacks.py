@@ -38,11 +38,7 @@ from vision.video.uncompressed import MappedReader
 
 IMAGES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"}
 _JPEG = {"jpg", "jpeg", "ojpeg", "jpeg_lossy"}
-_TIFF = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
-_MOST_CHANNELS = 64  # tifffile takes memory for all of them
 _UNIT_S = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-
-_PILLOW = ("PNG", "JPEG", "BMP", "DIB", "MPO", "TIFF")
 
 Pillow.MAX_IMAGE_PIXELS = None  # its warning; `check_pixels` bounds what is decoded
 
@@ -51,7 +47,7 @@ Page = tifffile.TiffPage | tifffile.TiffFrame | None
 
 def is_tiff(head: bytes) -> bool:
     """Whether a file that begins with these bytes is a TIFF or BigTIFF."""
-    return head[:4] in _TIFF
+    return head[:4] in (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 
 
 def open_stack(path: Path) -> Reader:
@@ -79,8 +75,8 @@ def _reader_of_pages(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) 
         raise InputError(path, wanted, found, "convert the stack")
     channels = first.samplesperpixel
     dtype = first.dtype.newbyteorder(tif.byteorder)
-    if not (1 <= channels <= _MOST_CHANNELS):
-        raise InputError(path, f"1 to {_MOST_CHANNELS} values per pixel", str(channels), "export it as grey")
+    if not 1 <= channels <= 64:  # tifffile takes memory for all of them
+        raise InputError(path, "1 to 64 values per pixel", str(channels), "export it as grey")
     check_pixels(path, first.imagelength, first.imagewidth)
     if first.nbytes <= 0:
         raise InputError(path, "pages with pixels", "none", "export it again")
@@ -282,8 +278,8 @@ def open_sequence(path: Path) -> ImagesReader:
     Raises
     ------
     InputError
-        For no images, several kinds or series of them, or none that can be read; while reading, for an image
-        of another size or depth.
+        For no images, several kinds or series of them, or only damaged ones; while reading, for an image of
+        another size or depth.
     """
     found = _image_files(path)
     files, warnings = _numbered(found, path)
@@ -419,7 +415,8 @@ def _tiff_image(file: Path) -> Pixels:
 
 def _other_image(file: Path) -> Pixels | None:
     """A PNG, JPEG or BMP, or what OpenCV reads under such a name; None where it is none."""
-    with Pillow.open(file, formats=_PILLOW) as header:  # reads the header alone
+    formats = ("PNG", "JPEG", "BMP", "DIB", "MPO", "TIFF")
+    with Pillow.open(file, formats=formats) as header:  # reads the header alone
         check_pixels(file, header.height, header.width)
     data = np.fromfile(file, np.uint8)
     pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
@@ -430,12 +427,6 @@ def _other_image(file: Path) -> Pixels | None:
 
 # --- the chain of a TIFF's pages, before a library follows it -----------------------------------------------
 
-MOST_TAGS = 1000
-"""Tags of one page. Microscopes write up to 60; more refuses fewer damaged pages, which take long."""
-MOST_TAG_BYTES = 1 << 26
-"""Bytes that all tags may point to besides the file's own size: shared values would take for ever."""
-_BYTES_OF_TYPE = dict(enumerate((1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 2, 4, 8, 8, 8, 8), 1))
-_WIDTH, _LENGTH, _SAMPLES = 256, 257, 277
 _ADVICE = "copy or export it again"
 
 
@@ -443,6 +434,7 @@ _ADVICE = "copy or export it again"
 class _Form:
     """How a classic or a big TIFF lays out numbers: of tags, one tag, an offset; bytes a tag holds itself."""
 
+    order: str
     count: struct.Struct
     tag: struct.Struct
     offset: struct.Struct
@@ -452,11 +444,11 @@ class _Form:
 def _form(head: bytes) -> tuple[_Form, int]:
     """The layout, and where the first offset stands."""
     order = "<" if head[:2] == b"II" else ">"
-    if struct.unpack_from(f"{order}H", head, 2)[0] == 43:
-        return _Form(
-            struct.Struct(f"{order}Q"), struct.Struct(f"{order}HHQ8s"), struct.Struct(f"{order}Q"), 8
-        ), 8
-    return _Form(struct.Struct(f"{order}H"), struct.Struct(f"{order}HHI4s"), struct.Struct(f"{order}I"), 4), 4
+    big = struct.unpack_from(f"{order}H", head, 2)[0] == 43
+    count, tag, offset = (
+        struct.Struct(order + code) for code in (("Q", "HHQ8s", "Q") if big else ("H", "HHI4s", "I"))
+    )
+    return _Form(order, count, tag, offset, offset.size), offset.size
 
 
 def check_tiff(path: Path, *, frames: bool = True) -> None:
@@ -491,47 +483,43 @@ def check_tiff(path: Path, *, frames: bool = True) -> None:
                 )
             seen.add(place)
             file.seek(place)
-            pointed, shape = _page_facts(file, form, path, number=len(seen) - 1, order=form.tag.format[:1])
+            pointed, shape = _page_facts(file, form, path, number=len(seen) - 1)
             spent += pointed
             if frames and shape is not None:
                 check_pixels(path, *shape)
-            if spent > size + MOST_TAG_BYTES:
+            if spent > size + (1 << 26):  # pages may share values; following all would take for ever
                 raise InputError(path, "a TIFF stack", "tags that point to more than the file holds", _ADVICE)
             place = _unpacked(form.offset, file)
 
 
 def _page_facts(
-    file: BinaryIO, form: _Form, path: Path, *, number: int, order: str
+    file: BinaryIO, form: _Form, path: Path, *, number: int
 ) -> tuple[int, tuple[int, int] | None]:
     """Bytes the tags of the page at the file's place point to, and its rows and values per row.
 
     The place is then behind the tags.
     """
     tags = _unpacked(form.count, file)
-    if tags > MOST_TAGS:
-        wanted = f"at most {MOST_TAGS} tags in page {number}"
-        raise InputError(path, wanted, str(tags), _ADVICE)
+    if tags > 1000:  # microscopes write up to 60; damaged pages of more take long
+        raise InputError(path, f"at most 1000 tags in page {number}", str(tags), _ADVICE)
     data = file.read(tags * form.tag.size)
     size = os.fstat(file.fileno()).st_size
+    bytes_of_type = dict(enumerate((1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 2, 4, 8, 8, 8, 8), 1))
+    numbers = {1: "B", 3: "H", 4: "I", 16: "Q"}  # types of whole numbers
     spent, shape = 0, {}
     for code, kind, count, value in form.tag.iter_unpack(data[: len(data) // form.tag.size * form.tag.size]):
-        held = count * _BYTES_OF_TYPE.get(kind, 1)
+        held = count * bytes_of_type.get(kind, 1)
+        if held > size:
+            found = f"{held} bytes in a file of {size}"
+            raise InputError(path, f"a tag {code} of page {number} that fits in the file", found, _ADVICE)
         if held > form.inside:
-            if held > size:
-                found = f"{held} bytes in a file of {size}"
-                raise InputError(path, f"a tag {code} of page {number} that fits in the file", found, _ADVICE)
             spent += held
-        elif code in (_WIDTH, _LENGTH, _SAMPLES):
-            shape[code] = _number(value, kind, order)
-    if _WIDTH in shape and _LENGTH in shape:
-        return spent, (shape[_LENGTH], shape[_WIDTH] * max(1, shape.get(_SAMPLES, 1)))
+        elif code in (256, 257, 277):  # columns, rows, values per pixel
+            known = kind in numbers
+            shape[code] = struct.unpack_from(form.order + numbers[kind], value)[0] if known else 0
+    if 256 in shape and 257 in shape:
+        return spent, (shape[257], shape[256] * max(1, shape.get(277, 1)))
     return spent, None
-
-
-def _number(value: bytes, kind: int, order: str) -> int:
-    """A whole number of one, two, four or eight bytes; 0 for another type."""
-    code = {1: "B", 3: "H", 4: "I", 16: "Q"}.get(kind)
-    return int(struct.unpack_from(order + code, value)[0]) if code else 0
 
 
 def _unpacked(form: struct.Struct, file: BinaryIO) -> int:

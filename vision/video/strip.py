@@ -1,4 +1,4 @@
-"""I(x, t), the mean of the strip's rows in every frame; blank frames, and frames that were lost."""
+"""I(x, t), the mean of the strip's rows in every frame, from one pass over the recording."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import math
 import queue
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -18,16 +19,17 @@ import xarray as xr
 
 from vision.data import STRIP, STRIP_PARTS, StripMetadata, record
 from vision.errors import InputError
-from vision.numeric import Bools, Floats, Floats32, Ints, Pixels, Strings
+from vision.numeric import Floats32, Pixels, Strings
 from vision.video.follow import Follow, growth, held_back, part_of
+from vision.video.frames import STATUS_TYPE, FramesRead, FrameStore, count_frames, is_blank
 from vision.video.reader import Block
 from vision.video.settings import DEFAULTS, VideoSettings
-from vision.video.store import STATUS_TYPE, FramesRead, FrameStore
 from vision.video.strip_find import Strip, choose_strip, measure_strip
 from vision.video.video import Video, cut
 
 Progress = Callable[[int, int | None], None]
 Item = TypeVar("Item")
+Made = queue.Queue[tuple[Item] | Exception | None]
 
 
 class ReadingLog(Protocol):
@@ -97,19 +99,12 @@ def strip_profile(
 
     Integers are summed exactly; the mean is rounded once, to float32. Source: paper, appendix B.
     """
-    x = cut(columns, video.shape[1], what=f"{video.path}: `columns`")
-    strip = choose_strip(video, rows, columns=x, settings=settings)
-    spans = {name: span and [span.start, span.stop] for name, span in (("rows", rows), ("columns", columns))}
-    assemble = partial(_assembled, strip=strip, columns=x, spans=spans, settings=settings)
-    store = FrameStore(
-        x.stop - x.start,
-        expected=video.estimated,
-        spill_bytes=settings.spill_bytes,
-        folder=None if log is None else log.folder,
-    )
-    for part in () if log is None else log.begin(video, strip.rows, x):
+    plan = _Plan.of(video, rows, columns, settings)
+    folder = None if log is None else log.folder
+    store = FrameStore(plan.width, expected=video.estimated, spill_bytes=settings.spill_bytes, folder=folder)
+    for part in () if log is None else log.begin(video, plan.strip.rows, plan.columns):
         store.append(part)
-    for latest, block in _blocks(video, strip.rows, x, store, settings, follow):
+    for latest, block in _blocks(video, plan, store, follow):
         video = latest
         store.append(_reduced(video, block))
         if log is not None:
@@ -117,16 +112,16 @@ def strip_profile(
         if progress is not None:
             progress(store.count, video.estimated)
         if follow is not None and follow.seen is not None:
-            recent = partial(_recent, assemble, video, store)
+            recent = partial(_recent, plan, video, store)
             follow.seen(recent, None if video.estimated is None else video.estimated - store.count)
     if follow is not None:  # more is known of the strip by now than its first frames tell
-        now = measure_strip(video, strip.rows, columns=x, settings=settings)
-        assemble = partial(assemble, strip=replace(now, how=strip.how))
+        now = measure_strip(video, plan.strip.rows, columns=plan.columns, settings=settings)
+        plan = replace(plan, strip=replace(now, how=plan.strip.how))
         if not follow.closed.is_set():
             last = video.first + store.count - 1
             line = f"{video.path.name}: followed up to frame {last}; later ones are not read"
             video = replace(video, warnings=(*video.warnings, line))
-    return assemble(video, store.all())
+    return plan.assembled(video, store.all())
 
 
 def strip_profiles(
@@ -158,82 +153,83 @@ def strip_profiles(
     InputError
         As `strip_profile`, and for parts of less than two rows.
     """
-    x = cut(columns, video.shape[1], what=f"{video.path}: `columns`")
-    strip = choose_strip(video, rows, columns=x, settings=settings)
-    height, width = strip.rows.stop - strip.rows.start, x.stop - x.start
+    plan = _Plan.of(video, rows, columns, settings)
+    first, height, width = plan.strip.rows.start, plan.strip.rows.stop - plan.strip.rows.start, plan.width
     if not 2 <= strips <= height // 2:
         wanted = f"2 to {height // 2} parts of the strip's {height} rows" if height >= 4 else "4 rows or more"
         raise InputError("`strips`", wanted, f"{strips} of {height} rows")
     edges = np.linspace(0, height, strips + 1).round().astype(int)
     parts = [slice(None), *(slice(*pair) for pair in pairwise(edges))]
     store = FrameStore((1 + strips) * width, expected=video.estimated, spill_bytes=settings.spill_bytes)
-    for block in prefetch(video.blocks(strip.rows, x)):
+    for block in prefetch(video.blocks(plan.strip.rows, plan.columns), video.path, settings):
         each = [_reduced(video, replace(block, pixels=block.pixels[:, part])) for part in parts]
         store.append(replace(each[0], intensity=np.concatenate([part.intensity for part in each], axis=1)))
         if progress is not None:
             progress(store.count, video.estimated)
     read = store.all()
-    spans = {name: span and [span.start, span.stop] for name, span in (("rows", rows), ("columns", columns))}
-    whole = _assembled(
-        video,
-        replace(read, intensity=read.intensity[:, :width]),
-        strip=strip,
-        columns=x,
-        spans=spans,
-        settings=settings,
-    )
+    whole = plan.assembled(video, replace(read, intensity=read.intensity[:, :width]))
     intensity = read.intensity[:, width:].reshape(-1, strips, width).swapaxes(0, 1)
     intensity[:, whole["status"].values != "ok"] = np.nan
-    z = strip.rows.start + (edges[:-1] + edges[1:] - 1) / 2
-    shared = {name: whole[name] for name in ("frame", "x")}
+    z = first + (edges[:-1] + edges[1:] - 1) / 2
     heights = xr.DataArray(
         intensity,
         dims=("z", "frame", "x"),
-        coords={"z": ("z", z, STRIP_PARTS["z"].attrs), **shared},
+        coords={"z": ("z", z, STRIP_PARTS["z"].attrs), "frame": whole["frame"], "x": whole["x"]},
         name="intensity",
         attrs=STRIP_PARTS["intensity"].attrs,
     )
     return whole, record(heights, "strip_profiles", strips=strips)
 
 
-def _assembled(
-    video: Video,
-    read: FramesRead,
-    *,
-    strip: Strip,
-    columns: slice,
-    spans: Mapping[str, list[int] | None],
-    settings: VideoSettings,
-    first: int = 0,
-) -> xr.DataArray:
-    """I(x, t) of frames from `first`, counted from where reading began, with all that `vision.data` wants.
+@dataclass(frozen=True)
+class _Plan:
+    """What is read of every frame, and how much of that was asked for."""
 
-    Raises
-    ------
-    InputError
-        When no frame can be used.
-    """
-    intensity, status, times_s = read.intensity, read.status, read.times_s
-    start = video.first + first
-    blank = is_blank(intensity, status == "ok", saturation_level=video.saturation_level, settings=settings)
-    status[blank] = "blank"
-    intensity[status != "ok"] = np.nan
-    if not (status == "ok").any():
-        raise _nothing_to_see(video, status)
-    numbers = np.arange(start, start + status.size, dtype=np.int64)
-    profile = xr.DataArray(
-        intensity,
-        dims=("frame", "x"),
-        coords={
-            "frame": ("frame", numbers, STRIP["frame"].attrs),
-            "x": ("x", np.arange(columns.start, columns.stop, dtype=np.int64), STRIP["x"].attrs),
-            "time_s": ("frame", times_s, STRIP["time_s"].attrs),
-            "status": ("frame", status, STRIP["status"].attrs),
-        },
-        name="intensity",
-        attrs=STRIP["intensity"].attrs | _metadata(video, strip, status, times_s, settings).attrs(),
-    )
-    return record(profile, "strip_profile", **spans, settings=asdict(settings))
+    strip: Strip
+    columns: slice
+    asked: Mapping[str, list[int] | None]
+    settings: VideoSettings
+
+    @classmethod
+    def of(cls, video: Video, rows: slice | None, columns: slice | None, settings: VideoSettings) -> _Plan:
+        """With the strip that is found where no rows are given.  Raises: InputError."""
+        x = cut(columns, video.shape[1], what=f"{video.path}: `columns`")
+        spans = {"rows": rows, "columns": columns}
+        asked = {name: span and [span.start, span.stop] for name, span in spans.items()}
+        return cls(choose_strip(video, rows, columns=x, settings=settings), x, asked, settings)
+
+    @property
+    def width(self) -> int:
+        return int(self.columns.stop - self.columns.start)
+
+    def assembled(self, video: Video, read: FramesRead, first: int = 0) -> xr.DataArray:
+        """I(x, t) of frames from `first`, counted from where reading began.
+
+        Raises
+        ------
+        InputError
+            When no frame can be used.
+        """
+        intensity, status, settings = read.intensity, read.status, self.settings
+        readable, saturated = status == "ok", video.saturation_level
+        status[is_blank(intensity, readable, saturation_level=saturated, settings=settings)] = "blank"
+        intensity[status != "ok"] = np.nan
+        if not (status == "ok").any():
+            raise _nothing_to_see(video, status)
+        frames = video.first + first + np.arange(status.size, dtype=np.int64)
+        profile = xr.DataArray(
+            intensity,
+            dims=("frame", "x"),
+            coords={
+                "frame": ("frame", frames, STRIP["frame"].attrs),
+                "x": ("x", np.arange(self.columns.start, self.columns.stop), STRIP["x"].attrs),
+                "time_s": ("frame", read.times_s, STRIP["time_s"].attrs),
+                "status": ("frame", status, STRIP["status"].attrs),
+            },
+            name="intensity",
+            attrs=STRIP["intensity"].attrs | _metadata(video, self.strip, read, settings).attrs(),
+        )
+        return record(profile, "strip_profile", **self.asked, settings=asdict(settings))
 
 
 def reference_frame(video: Video) -> Pixels:
@@ -250,29 +246,23 @@ def reference_frame(video: Video) -> Pixels:
     raise InputError(video.path, "at least one frame that shows something", "none")
 
 
-def _recent(
-    assemble: Callable[..., xr.DataArray], video: Video, store: FrameStore, count: int
-) -> xr.DataArray:
+def _recent(plan: _Plan, video: Video, store: FrameStore, count: int) -> xr.DataArray:
     """I(x, t) of the last `count` frames in the store."""
     first = max(0, store.count - count)
-    return assemble(video, store.copy(first, store.count), first=first)
+    return plan.assembled(video, store.copy(first, store.count), first)
 
 
 def _blocks(
-    video: Video,
-    rows: slice,
-    columns: slice,
-    store: FrameStore,
-    settings: VideoSettings,
-    follow: Follow | None,
+    video: Video, plan: _Plan, store: FrameStore, follow: Follow | None
 ) -> Iterator[tuple[Video, Block]]:
     """Blocks behind the frames in the store, with the recording they are from.
 
     A growing recording is opened again and again; its last frames wait until it is closed.
     """
+    rows, columns, settings = plan.strip.rows, plan.columns, plan.settings
     if follow is None:
         rest = replace(video, first=video.first + store.count)
-        yield from ((video, block) for block in prefetch(rest.blocks(rows, columns)))
+        yield from ((video, block) for block in prefetch(rest.blocks(rows, columns), video.path, settings))
         return
     wanted = math.inf if video.stop is None else video.stop - video.first
     for now, whole in growth(video, follow, settings):
@@ -280,7 +270,7 @@ def _blocks(
         margin = 0 if whole else settings.follow_margin
         stop = None if now.stop is None else now.stop + margin
         rest = replace(now, first=video.first + store.count - again, stop=stop)
-        read = prefetch(rest.blocks(rows, columns))
+        read = prefetch(rest.blocks(rows, columns), video.path, settings)
         blocks = held_back(read if whole else _readable(read), margin)
         for block in _continued(now, blocks, store.copy(store.count - again, store.count)):
             yield now, block
@@ -353,11 +343,9 @@ def _nothing_to_see(video: Video, status: Strings) -> InputError:
     return InputError(video.path, "at least one frame that shows something", f"none ({found})", advice)
 
 
-def _metadata(
-    video: Video, strip: Strip, status: Strings, times_s: Floats, settings: VideoSettings
-) -> StripMetadata:
+def _metadata(video: Video, strip: Strip, read: FramesRead, settings: VideoSettings) -> StripMetadata:
     facts, clock = video.facts, video.clock
-    counts = count_frames(video, status, times_s, settings=settings)
+    counts = count_frames(video, read.status, read.times_s, settings=settings)
     return StripMetadata(
         source=str(video.path),
         container=facts.container,
@@ -387,196 +375,47 @@ def _metadata(
     )
 
 
-# --- blank frames -------------------------------------------------------------------------------------------
-
-
-def is_blank(
-    profiles: Floats32,
-    readable: Bools,
-    *,
-    saturation_level: float | None = None,
-    settings: VideoSettings = DEFAULTS,
-) -> Bools:
-    """Which readable frames show nothing of what the others show.
-
-    A frame is blank if its profile is constant or saturated throughout, if its contrast (standard deviation
-    along x) is below `settings.blank_contrast` of the recording's median contrast, or if the frame is
-    brighter than usual and its contrast, relative to its level, is below `settings.bright_contrast` of the
-    median. Dim frames keep their relative contrast and a tenth of the absolute one suffices; motion blur
-    leaves the light's gradient and the edges.
-
-    Parameters
-    ----------
-    profiles
-        Intensity (frame, x), grey levels.
-    readable
-        (frame).
-    saturation_level
-        Grey level of a saturated pixel; None for float.
-    settings
-        See `VideoSettings`.
-
-    Returns
-    -------
-    (frame), False where not readable. Where more than half of a recording is blank, only constant and
-    saturated frames are found.
-    """
-    level, contrast, darkest = np.empty((3, len(profiles)))
-    for start in range(0, len(profiles), 4096):  # in parts: the profiles may exceed memory
-        span = slice(start, start + 4096)
-        level[span] = profiles[span].mean(axis=1, dtype=np.float64)
-        contrast[span] = profiles[span].std(axis=1, dtype=np.float64)
-        darkest[span] = profiles[span].min(axis=1)
-    blank = contrast <= 1e-6 * np.maximum(np.abs(level), 1.0)
-    if saturation_level is not None:
-        blank |= darkest >= settings.saturated * saturation_level
-    usual = readable & ~blank
-    if usual.any():
-        usual_level = float(np.median(level[usual]))
-        usual_contrast = float(np.median(contrast[usual]))
-        blank |= contrast < settings.blank_contrast * usual_contrast
-        flat = contrast * usual_level < settings.bright_contrast * usual_contrast * level
-        blank |= flat & (level > settings.bright_level * usual_level)
-    return np.asarray(blank & readable, bool)
-
-
-# --- frames that are not there ------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class FrameCounts:
-    """Frames `expected` and `read`; `blank` ones are among the read, `corrupt` ones among the others.
-
-    warnings: one line for each kind of frame that is not there.
-    """
-
-    expected: int
-    read: int
-    blank: int
-    corrupt: int
-    warnings: tuple[str, ...]
-
-
-def count_frames(
-    video: Video, status: Strings, times_s: Floats, *, settings: VideoSettings = DEFAULTS
-) -> FrameCounts:
-    """Frames declared and delivered: by number, by the file's stated duration, and by gaps in its times.
-
-    Frames lost between time stamps, or before the end the file states, have no row, yet are counted.
-
-    Parameters
-    ----------
-    video
-        The recording.
-    status, times_s
-        Of every frame that was delivered (frame); s.
-    settings
-        See `VideoSettings`.
-    """
-    name, warnings = video.path.name, []
-    if video.expected is not None and status.size < video.expected:
-        missing = video.expected - status.size
-        found = f"{status.size} of {video.expected} expected frames are in the file"
-        warnings.append(f"{name}: {found}; {missing} are missing")
-    reasons = {"corrupt": "corrupt", "lost": "lost by the camera", "blank": "blank"}
-    for state, reason in reasons.items():
-        which = np.flatnonzero(status == state)
-        if which.size:
-            warnings.append(f"{name}: {which.size} frame(s) {reason}, the first at place {which[0]}")
-    measured = video.clock.kind == "file" or (video.clock.kind == "given" and _uneven(times_s))
-    between, first = lost_between(times_s, settings=settings) if measured else (0, 0)
-    if between:
-        where = f"where its times leap, the first after place {first}"
-        warnings.append(f"{name}: {between} frame(s) lost {where}")
-    beyond = 0
-    if video.duration_s is not None:
-        known = times_s[np.isfinite(times_s)]
-        usual_s = usual_step_s(known)
-        missing_s = video.duration_s - float(known[-1]) if usual_s > 0 else 0.0
-        if missing_s > settings.early_end_steps * usual_s:
-            beyond = round(missing_s / usual_s) - 1  # the last frame itself lasts one step
-            stated = f"the file should last {video.duration_s:.3f} s"
-            warnings.append(
-                f"{name}: {stated}; its last {missing_s:.3f} s are missing, about {beyond} frames"
-            )
-    return FrameCounts(
-        expected=max(status.size, video.expected or 0) + between + beyond,
-        read=int(np.isin(status, ("ok", "blank")).sum()),
-        blank=int((status == "blank").sum()),
-        corrupt=int((status == "corrupt").sum()),
-        warnings=tuple(warnings),
-    )
-
-
-def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> tuple[int, int]:
-    """Frames lost between time stamps, and the place of the frame before the first of them.
-
-    A step over `settings.gap_steps` usual ones counts if the frames after it stay late against the usual
-    rate: a frame that only came late is followed by short steps. Where the rate itself changes the slower
-    part counts as if frames were lost; where more than a fifth is lost too few are counted.
-
-    Parameters
-    ----------
-    times_s
-        s (frame), NaN where unknown.
-    settings
-        See `VideoSettings`.
-
-    Returns
-    -------
-    (0, 0) for none, or fewer than three known times.
-    """
-    places = np.flatnonzero(np.isfinite(times_s))
-    known = times_s[places]
-    usual_s = usual_step_s(known)
-    if not usual_s > 0:
-        return 0, 0
-    steps = np.diff(known) / usual_s - (np.diff(places) - 1)  # frames without a time took theirs
-    late = np.cumsum(np.concatenate([[0.0], steps - 1]))
-    gaps = np.flatnonzero(steps > settings.gap_steps)
-    gaps = gaps[_lasting_delay(late, gaps) > settings.late_steps]
-    lost = int(np.round(steps[gaps] - 1).sum())
-    return (lost, int(places[gaps[0]])) if lost else (0, 0)
-
-
-def usual_step_s(times_s: Floats) -> float:
-    """Time from one frame to the next, s, where nothing is lost; NaN for fewer than three times.
-
-    From the tenth percentile of the time that 20 frames take: rounded times have few distinct steps, and in
-    most of the shorter runs of frames nothing is lost.
-    """
-    if times_s.size < 3:
-        return math.nan
-    lag = min(20, max(1, times_s.size // 4))
-    return float(np.quantile(times_s[lag:] - times_s[:-lag], 0.1)) / lag
-
-
-def _lasting_delay(late: Floats, gaps: Ints) -> Floats:
-    """Median lateness of the nine frames after each gap less that of the nine before it, in usual steps."""
-    reach = np.arange(9)
-    before = np.where(reach <= gaps[:, np.newaxis], late[np.maximum(gaps[:, np.newaxis] - reach, 0)], np.nan)
-    after = gaps[:, np.newaxis] + 1 + reach
-    behind = np.where(after < late.size, late[np.minimum(after, late.size - 1)], np.nan)
-    return np.asarray(np.nanmedian(behind, axis=1) - np.nanmedian(before, axis=1), np.float64)
-
-
-def _uneven(times_s: Floats) -> bool:
-    """Whether times were measured rather than counted from a rate."""
-    steps = np.diff(times_s[np.isfinite(times_s)])
-    return bool(steps.size and np.ptp(steps) > 1e-6 * abs(float(steps.max())))
-
-
 # --- reading ahead ------------------------------------------------------------------------------------------
 
 
-def prefetch(items: Iterator[Item]) -> Iterator[Item]:
+def prefetch(items: Iterator[Item], path: Path, settings: VideoSettings = DEFAULTS) -> Iterator[Item]:
     """The same items in the same order, up to two of them made ahead in one thread.
 
     Decoders release the interpreter lock, so decoding and reducing share two cores. An exception raised by
-    `items` is raised here, at its place in the order. Abandoning the iterator stops the thread.
+    `items` is raised here, at its place in the order. Abandoning the iterator stops the thread, or leaves it
+    behind where it is busy or blocked: Ctrl-C does not wait for it.
+
+    Parameters
+    ----------
+    items
+        Blocks or frames of a recording.
+    path
+        Of the recording, for the message.
+    settings
+        See `VideoSettings.answer_s`.
+
+    Raises
+    ------
+    InputError
+        Where nothing comes and nothing is computed for `settings.answer_s`: a read of a disk or a network
+        that does not answer never returns.
     """
-    ready: queue.Queue[tuple[Item] | Exception | None] = queue.Queue(maxsize=2)
+    ready: Made[Item] = queue.Queue(maxsize=2)
     abandoned = threading.Event()
+    worker = threading.Thread(target=_make_ahead, args=(items, ready, abandoned), daemon=True)
+    worker.start()
+    try:
+        while (entry := _awaited(ready, path, settings.answer_s)) is not None:
+            if isinstance(entry, Exception):
+                raise entry
+            yield entry[0]
+    finally:
+        abandoned.set()
+        worker.join(timeout=0.5)
+
+
+def _make_ahead(items: Iterator[Item], ready: Made[Item], abandoned: threading.Event) -> None:
+    """Put every item into the queue, each in a tuple; last None, or the exception that ended them."""
 
     def hand_over(entry: tuple[Item] | Exception | None) -> None:
         while not abandoned.is_set():
@@ -584,27 +423,27 @@ def prefetch(items: Iterator[Item]) -> Iterator[Item]:
                 ready.put(entry, timeout=0.1)
                 return
 
-    def work() -> None:
-        try:
-            for item in items:
-                hand_over((item,))
-                if abandoned.is_set():
-                    break
-            hand_over(None)
-        except Exception as error:  # whatever it is, the thread that reads is where it is handled
-            hand_over(error)
-        finally:
-            close = getattr(items, "close", None)
-            if close is not None:
-                close()
-
-    worker = threading.Thread(target=work, daemon=True)
-    worker.start()
     try:
-        while (entry := ready.get()) is not None:
-            if isinstance(entry, Exception):
-                raise entry
-            yield entry[0]
+        for item in items:
+            hand_over((item,))
+            if abandoned.is_set():
+                break
+        hand_over(None)
+    except Exception as error:  # whatever it is, the thread that reads is where it is handled
+        hand_over(error)
     finally:
-        abandoned.set()
-        worker.join()
+        close = getattr(items, "close", None)
+        if close is not None:
+            close()
+
+
+def _awaited(ready: Made[Item], path: Path, answer_s: float) -> tuple[Item] | Exception | None:
+    """The next entry; InputError where none comes, and this process computes nothing meanwhile."""
+    while True:
+        computed_s = time.process_time()
+        with contextlib.suppress(queue.Empty):
+            return ready.get(timeout=answer_s)
+        if time.process_time() - computed_s < 0.01 * answer_s:
+            wanted, found = "a disk or network that answers", f"no answer for {answer_s:g} s"
+            advice = "look at the connection, or copy the recording to another disk"
+            raise InputError(path, wanted, found, advice)

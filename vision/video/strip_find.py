@@ -51,7 +51,7 @@ class StripErrors(NamedTuple):
         The same from the outer and the inner half.
     error_px
         RMS displacement of the mean if a tenth of the rows were left out at both ends: what a choice of rows
-        that is as good would change. It is the same in all frames, so it counts among the systematic errors.
+        that is as good would change. It does not vary with time, so it counts among the systematic errors.
     """
 
     halves_px: float
@@ -160,31 +160,23 @@ def best_rows(shifts: RowShifts, ridges_in_segment: float, settings: VideoSettin
     :math:`E` is clearly smaller, and its bias larger than `settings.least_bias_px` and than the noise.
     """
     a, d = shifts.strength, _beside_parabola(shifts)
+    count = len(a)
     weight = np.concatenate([[0.0], np.cumsum(a)])
     moved = np.concatenate([np.zeros((1, d.shape[1])), np.cumsum(a[:, None] * d, axis=0)])
-    count = len(a)
-    least = max(2, count // 4)
-    best, lowest = (0, count), math.inf
-    light = weight[-1]
-    noise, bias = _noise_and_bias(shifts, light, count, moved[-1])
-    if bias < max(settings.least_bias_px**2, settings.significant_rows**2 * noise / shifts.frames):
-        return best
-    whole = math.sqrt(ridges_in_segment * noise + bias)
-    for first in range(count - least + 1):
-        for last in range(first + least, count + 1):
-            light = weight[last] - weight[first]
-            if light <= 0:
-                continue
-            noise, bias = _noise_and_bias(shifts, light, last - first, moved[last] - moved[first])
-            error = math.sqrt(ridges_in_segment * noise + max(0.0, bias - noise / shifts.frames))
-            if error < lowest:
-                best, lowest = (first, last), error
-    return best if lowest < settings.worth_trimming * whole else (0, count)
-
-
-def _noise_and_bias(shifts: RowShifts, light: float, bands: int, moved: Floats) -> tuple[float, float]:
-    """Variance of the noise of the mean of these bands, and its mean squared displacement, px²."""
-    return bands * (shifts.noise_px / light) ** 2, float(((moved / light) ** 2).mean())
+    bands = np.maximum(0, np.arange(count + 1) - np.arange(count + 1)[:, None])  # by first band and end
+    light = weight - weight[:, None]
+    possible = (bands >= max(2, count // 4)) & (light > 0)
+    light = np.where(possible, light, 1.0)
+    noise = bands * (shifts.noise_px / light) ** 2
+    bias = (((moved - moved[:, None]) / light[..., None]) ** 2).mean(axis=-1)
+    error = np.sqrt(ridges_in_segment * noise + np.maximum(0.0, bias - noise / shifts.frames))
+    first, last = np.unravel_index(np.argmin(np.where(possible, error, np.inf)), error.shape)
+    all_noise, all_bias = noise[0, count], bias[0, count]
+    harmless = max(settings.least_bias_px**2, settings.significant_rows**2 * all_noise / shifts.frames)
+    whole = math.sqrt(ridges_in_segment * all_noise + all_bias)
+    if all_bias < harmless or error[first, last] >= settings.worth_trimming * whole:
+        return 0, count
+    return int(first), int(last)
 
 
 def _beside_parabola(shifts: RowShifts) -> Floats:
@@ -233,8 +225,6 @@ def _beyond_noise(shifts: RowShifts, part: NDArray[np.bool_], settings: VideoSet
 
 
 # --- the rows to average ------------------------------------------------------------------------------------
-
-_LARGEST = 1e15  # grey levels: beyond it single precision has no room for squares and their sums
 
 
 @dataclass(frozen=True)
@@ -457,8 +447,8 @@ def _odd_even(frame: Pixels, band_rows: int) -> Floats32:
     """Means of each band's odd and even rows, (2, band, x); rows that fill no band are left out."""
     bands = frame.shape[0] // band_rows
     pixels = np.asarray(frame[: bands * band_rows], np.float32).reshape(bands, band_rows, -1)
-    if frame.dtype.kind == "f":  # a pixel without a value shows no ridge; as NaN it would hide all others
-        pixels = np.where(np.abs(pixels) < _LARGEST, pixels, np.float32(0))
+    if frame.dtype.kind == "f":  # NaN would hide all other pixels; single precision cannot square 1e20
+        pixels = np.where(np.abs(pixels) < 1e15, pixels, np.float32(0))
     return np.stack([pixels[:, 0::2].mean(axis=1), pixels[:, 1::2].mean(axis=1)])
 
 
@@ -535,12 +525,16 @@ def lean_px(bands: NDArray[np.floating]) -> float:
 
 def _lean_of_stack(bands: NDArray[np.floating]) -> float:
     """Lean from the first band to the last: the best trial, refined by a parabola through its neighbours."""
-    spectrum = np.fft.rfft(bands - bands.mean(axis=-1, keepdims=True), axis=-1)
-    frequency = np.fft.rfftfreq(bands.shape[-1])
-    place = np.linspace(-0.5, 0.5, bands.shape[1])
+    frequency, place = np.fft.rfftfreq(bands.shape[-1]), np.linspace(-0.5, 0.5, bands.shape[1])
     step = 0.5
     trials = np.arange(-12, 12 + step / 2, step)
-    power = np.array([_coherent_power(spectrum, frequency, place * lean) for lean in trials])
+    turn = 2j * np.pi * np.outer(place, frequency)
+    moved = np.fft.rfft(bands - bands.mean(axis=-1, keepdims=True), axis=-1) * np.exp(trials[0] * turn)
+    one_step = np.exp(step * turn)
+    power = np.empty(trials.size)
+    for trial in range(trials.size):  # each moves the bands back by one step more
+        power[trial] = (np.abs(moved.sum(axis=1)) ** 2).sum()
+        moved *= one_step
     inner = power[1:-1]
     peaks = np.flatnonzero((inner >= power[:-2]) & (inner > power[2:])) + 1
     if not peaks.size:
@@ -548,14 +542,6 @@ def _lean_of_stack(bands: NDArray[np.floating]) -> float:
     best = int(peaks[np.argmin(np.abs(trials[peaks]))])
     before, here, after = power[best - 1 : best + 2]
     return float(trials[best] + step * 0.5 * (before - after) / (before - 2 * here + after))
-
-
-def _coherent_power(
-    spectrum: NDArray[np.complexfloating], frequency: NDArray[np.floating], shifts_px: NDArray[np.floating]
-) -> float:
-    """Power of the sum of bands after moving each back by its shift."""
-    phase = np.exp(2j * np.pi * np.outer(shifts_px, frequency)).astype(np.complex64)
-    return float((np.abs(np.einsum("fbk,bk->fk", spectrum, phase)) ** 2).sum())
 
 
 def ridge_width_px(slopes: NDArray[np.floating]) -> float:

@@ -27,9 +27,6 @@ from vision.video.reader import (
     shape_text,
 )
 
-_LISTS = {b"RIFF", b"LIST"}
-_SKIPPED_LISTS = {b"INFO", b"odml"}
-_CHUNK = struct.Struct("<4sI")
 _PLAIN = {bytes(4), b"DIB ", b"RGB ", b"RAW "}
 _GREY_BITS = {
     b"Y800": 8,
@@ -97,10 +94,8 @@ class MappedReader:
         count = last - first
         if self.offsets[first] < 0:
             nothing = np.zeros((count, rows.stop - rows.start, columns.stop - columns.start), self._native)
-            return Block(nothing, first, _repeated("lost", count))
-        return Block(
-            self._grey(self._stored(first, last, rows)[:, :, columns]), first, _repeated("ok", count)
-        )
+            return Block(nothing, first, repeated("lost", count))
+        return Block(self._grey(self._stored(first, last, rows)[:, :, columns]), first, repeated("ok", count))
 
     def _stored(self, first: int, last: int, rows: slice) -> Pixels:
         """Frames first..last cut to rows, (k, rows, columns) or with channels last, top row first.
@@ -171,7 +166,8 @@ def read_fully(file: BinaryIO, buffer: memoryview, path: Path) -> None:
         done += count
 
 
-def _repeated(status: Status, count: int) -> tuple[Status, ...]:
+def repeated(status: Status, count: int) -> tuple[Status, ...]:
+    """The same status for so many frames."""
     return (status,) * count
 
 
@@ -298,8 +294,8 @@ def _walk(file: BinaryIO, size: int, path: Path) -> tuple[_Header, list[tuple[in
     while at + 8 <= size:
         file.seek(at)
         head = file.read(12)
-        name, length = _CHUNK.unpack_from(head)
-        if name in _LISTS and head[8:12] not in _SKIPPED_LISTS:
+        name, length = struct.unpack_from("<4sI", head)
+        if name in (b"RIFF", b"LIST") and head[8:12] not in (b"INFO", b"odml"):  # what they hold comes next
             at += 12
             continue
         if name[2:] in (b"db", b"dc") and name[:2] == b"%02d" % header.video:
@@ -349,10 +345,24 @@ def open_raw_avi(path: Path, layout: AviLayout) -> MappedReader:
     if (held < row_bytes * (layout.height - 1) + packed).any():
         found = f"one of {int(held.min())}"
         raise InputError(path, f"frames of {frame_bytes} bytes", found, "a damaged recording")
-    plain = layout.fourcc in _PLAIN
+    plain, whole = layout.fourcc in _PLAIN, layout.offsets.size
+    cut_short = (f"{path.name}: the file ends inside frame {whole}, which is left out",) * layout.cut_short
+    facts = Facts(
+        shape=(layout.height, layout.width),
+        depth_bits=bits,
+        saturation_level=full_scale(bits),
+        declared_frames=max(layout.declared_frames or 0, whole),
+        container="avi",
+        codec="uncompressed",
+        pixel_format=name,
+        decoder="none",
+        grey=LUMA_RULE if channels > 1 or (plain and layout.bits == 8) else AS_STORED,
+        playback_fps=layout.fps,
+        warnings=cut_short,
+    )
     return MappedReader(
         path=path,
-        facts=_avi_facts(path, layout, bits, name, colour=channels > 1 or (plain and layout.bits == 8)),
+        facts=facts,
         offsets=np.where(layout.sizes > 0, layout.offsets, -1),
         row_bytes=row_bytes,
         dtype=np.dtype("u1" if bits == 8 else "<u2"),
@@ -383,21 +393,3 @@ def _grey_levels(layout: AviLayout) -> NDArray[np.uint8] | None:
     colours = layout.palette[:256, 2::-1]
     levels[: len(colours)] = luma(colours[np.newaxis])[0]
     return None if np.array_equal(levels, np.arange(256)) else levels
-
-
-def _avi_facts(path: Path, layout: AviLayout, bits: int, pixel_format: str, *, colour: bool) -> Facts:
-    held = layout.offsets.size
-    cut = (f"{path.name}: the file ends inside frame {held}, which is left out",) * layout.cut_short
-    return Facts(
-        shape=(layout.height, layout.width),
-        depth_bits=bits,
-        saturation_level=full_scale(bits),
-        declared_frames=max(layout.declared_frames or held, held),
-        container="avi",
-        codec="uncompressed",
-        pixel_format=pixel_format,
-        decoder="none",
-        grey=LUMA_RULE if colour else AS_STORED,
-        playback_fps=layout.fps,
-        warnings=cut,
-    )

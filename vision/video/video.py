@@ -16,14 +16,12 @@ from vision.errors import InputError
 from vision.escaping import html_table
 from vision.files import Stamp, check_pixels, check_regular, reading
 from vision.numeric import Floats, Ints, Pixels
-from vision.video.cine import is_cine, open_cine
 from vision.video.encoded import open_encoded
-from vision.video.photron import is_photron, open_photron, photron_files
+from vision.video.high_speed import is_cine, is_photron, open_cine, open_photron, photron_files
 from vision.video.reader import Block, Facts, Reader
 from vision.video.stacks import IMAGES, is_tiff, open_sequence, open_stack
 from vision.video.uncompressed import is_avi, open_raw_avi, read_avi_layout
 
-_MOST_TIMES_BYTES = 1 << 28  # ten million frames
 _SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
 _UNIT = re.compile(r"(?:^|[\s_(\[.,;/-])(s|sec|seconds|ms|us|µs|μs|ns)(?:$|[\s)\],;])", re.IGNORECASE)
 _TIME_NAME = re.compile(r"time|stamp|zeit|temps", re.IGNORECASE)
@@ -418,7 +416,7 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
         For a missing or empty file, or text where a number is due.
     """
     wanted = "a readable file of time stamps"
-    if check_regular(path, wanted).st_size > _MOST_TIMES_BYTES:
+    if check_regular(path, wanted).st_size > 1 << 28:  # ten million frames
         raise InputError(path, wanted, "a far larger file", "check its name")
     try:
         text = path.read_text(encoding="utf-8-sig", errors="replace")

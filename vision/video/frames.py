@@ -1,0 +1,320 @@
+"""Frames as they are read: I(x, t), in memory or in a temporary file; blank frames, and frames lost."""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vision.errors import InputError
+from vision.numeric import Bools, Floats, Floats32, Ints, Strings
+from vision.video.settings import DEFAULTS, VideoSettings
+from vision.video.video import Video
+
+STATUS_TYPE = "<U7"  # ok, blank, corrupt, lost
+
+
+@dataclass(frozen=True)
+class FramesRead:
+    """Consecutive frames: intensity (frame, x), grey levels; status and time of each, s."""
+
+    intensity: Floats32
+    status: Strings
+    times_s: Floats
+
+
+class FrameStore:
+    """All frames read so far, in order.
+
+    Parameters
+    ----------
+    columns, expected, spill_bytes, folder
+        See `ProfileStore`.
+    """
+
+    def __init__(
+        self, columns: int, *, expected: int | None, spill_bytes: int, folder: Path | None = None
+    ) -> None:
+        self._rows = ProfileStore(columns, expected=expected, spill_bytes=spill_bytes, folder=folder)
+        self._marks = np.zeros(1024, [("status", STATUS_TYPE), ("time_s", np.float64)])
+        self.count = 0
+        """Frames so far."""
+
+    def append(self, frames: FramesRead) -> None:
+        """Add frames at the end."""
+        needed = self.count + frames.status.size
+        if needed > self._marks.size:
+            self._marks = np.concatenate(
+                [self._marks, np.zeros(max(needed, self._marks.size), self._marks.dtype)]
+            )
+        new = self._marks[self.count : needed]
+        new["status"], new["time_s"] = frames.status, frames.times_s
+        self._rows.append(frames.intensity)
+        self.count = needed
+
+    def part(self, start: int, stop: int) -> FramesRead:
+        """Frames `start` to before `stop`, not copied."""
+        marks = self._marks[start:stop]
+        return FramesRead(self._rows.rows()[start:stop], marks["status"], marks["time_s"])
+
+    def copy(self, start: int, stop: int) -> FramesRead:
+        """The same, as a copy."""
+        part = self.part(start, stop)
+        return FramesRead(part.intensity.copy(), part.status.copy(), part.times_s.copy())
+
+    def all(self) -> FramesRead:
+        """All frames; the intensity is not copied."""
+        marks = self._marks[: self.count]
+        return FramesRead(self._rows.rows(), marks["status"].copy(), marks["time_s"].copy())
+
+
+class ProfileStore:
+    """I(x, t) as it grows: rows of float32, in memory or in a temporary file.
+
+    Parameters
+    ----------
+    columns
+        Values in a row.
+    expected
+        A guess at the number of rows; more or fewer are fine.
+    spill_bytes
+        Above this size the rows live in a temporary file.
+    folder
+        Where that file lies; that of the system's temporary files if not given.
+
+    Raises
+    ------
+    InputError
+        Where the disk is full.
+    """
+
+    def __init__(
+        self,
+        columns: int,
+        *,
+        expected: int | None,
+        spill_bytes: int = VideoSettings.spill_bytes,
+        folder: Path | None = None,
+    ) -> None:
+        self._columns = columns
+        self._folder = folder
+        self._spill_bytes = spill_bytes
+        self._used = 0
+        most = max(1, 2 * spill_bytes // (4 * columns))  # a damaged header may announce any number
+        self._rows = self._allocate(max(1, min(expected or 1024, most)))
+
+    def append(self, rows: Floats32) -> None:
+        """Add `rows` (k, columns) at the end."""
+        needed = self._used + rows.shape[0]
+        if needed > self._rows.shape[0]:
+            old = self.rows()
+            self._rows = self._allocate(max(needed, 2 * self._rows.shape[0]))
+            self._rows[: self._used] = old
+        self._rows[self._used : needed] = rows
+        self._used = needed
+
+    def rows(self) -> Floats32:
+        """All rows so far, (n, columns), not copied."""
+        return self._rows[: self._used]
+
+    def _allocate(self, capacity: int) -> Floats32:
+        size = capacity * self._columns * 4
+        if size <= self._spill_bytes:
+            return np.empty((capacity, self._columns), np.float32)
+        with tempfile.TemporaryFile(prefix="sheetvision-", dir=self._folder) as file:  # the mapping keeps it
+            try:  # the whole length at once: a mapping that finds the disk full kills the process
+                if hasattr(os, "posix_fallocate"):
+                    os.posix_fallocate(file.fileno(), 0, size)
+                else:
+                    os.truncate(file.fileno(), size)
+            except OSError as error:
+                wanted = f"{size / (1 << 30):.1f} GiB for I(x, t)"
+                found = (error.strerror or str(error)).lower()
+                advice = (
+                    "give another `out`, or `columns`" if self._folder else "set TMPDIR, or give `columns`"
+                )
+                raise InputError(self._folder or tempfile.gettempdir(), wanted, found, advice) from error
+            return np.memmap(file, np.float32, "r+", shape=(capacity, self._columns))
+
+
+# --- blank frames -------------------------------------------------------------------------------------------
+
+
+def is_blank(
+    profiles: Floats32,
+    readable: Bools,
+    *,
+    saturation_level: float | None = None,
+    settings: VideoSettings = DEFAULTS,
+) -> Bools:
+    """Which readable frames show nothing of what the others show.
+
+    A frame is blank if its profile is constant or saturated throughout, if its contrast (standard deviation
+    along x) is below `settings.blank_contrast` of the recording's median contrast, or if the frame is
+    brighter than usual and its contrast, relative to its level, is below `settings.bright_contrast` of the
+    median. Dim frames keep their relative contrast and a tenth of the absolute one suffices; motion blur
+    leaves the light's gradient and the edges.
+
+    Parameters
+    ----------
+    profiles
+        Intensity (frame, x), grey levels.
+    readable
+        (frame).
+    saturation_level
+        Grey level of a saturated pixel; None for float.
+    settings
+        See `VideoSettings`.
+
+    Returns
+    -------
+    (frame), False where not readable. Where more than half of a recording is blank, only constant and
+    saturated frames are found.
+    """
+    level, contrast, darkest = np.empty((3, len(profiles)))
+    for start in range(0, len(profiles), 256):  # in parts that the processor's cache holds
+        span = slice(start, start + 256)
+        values = profiles[span].astype(np.float64)
+        level[span], contrast[span] = values.mean(axis=1), values.std(axis=1)
+        darkest[span] = values.min(axis=1)
+    blank = contrast <= 1e-6 * np.maximum(np.abs(level), 1.0)
+    if saturation_level is not None:
+        blank |= darkest >= settings.saturated * saturation_level
+    usual = readable & ~blank
+    if usual.any():
+        usual_level = float(np.median(level[usual]))
+        usual_contrast = float(np.median(contrast[usual]))
+        blank |= contrast < settings.blank_contrast * usual_contrast
+        flat = contrast * usual_level < settings.bright_contrast * usual_contrast * level
+        blank |= flat & (level > settings.bright_level * usual_level)
+    return np.asarray(blank & readable, bool)
+
+
+# --- frames that are not there ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class FrameCounts:
+    """Frames `expected` and `read`; `blank` ones are among the read, `corrupt` ones among the others.
+
+    warnings: one line for each kind of frame that is not there.
+    """
+
+    expected: int
+    read: int
+    blank: int
+    corrupt: int
+    warnings: tuple[str, ...]
+
+
+def count_frames(
+    video: Video, status: Strings, times_s: Floats, *, settings: VideoSettings = DEFAULTS
+) -> FrameCounts:
+    """Frames declared and delivered: by number, by the file's stated duration, and by gaps in its times.
+
+    Frames lost between time stamps, or before the end the file states, have no row, yet are counted.
+
+    Parameters
+    ----------
+    video
+        The recording.
+    status, times_s
+        Of every frame that was delivered (frame); s.
+    settings
+        See `VideoSettings`.
+    """
+    name, warnings = video.path.name, []
+    if video.expected is not None and status.size < video.expected:
+        missing = video.expected - status.size
+        found = f"{status.size} of {video.expected} expected frames are in the file"
+        warnings.append(f"{name}: {found}; {missing} are missing")
+    reasons = {"corrupt": "corrupt", "lost": "lost by the camera", "blank": "blank"}
+    for state, reason in reasons.items():
+        which = np.flatnonzero(status == state)
+        if which.size:
+            warnings.append(f"{name}: {which.size} frame(s) {reason}, the first at place {which[0]}")
+    measured = video.clock.kind == "file" or (video.clock.kind == "given" and _uneven(times_s))
+    between, first = lost_between(times_s, settings=settings) if measured else (0, 0)
+    if between:
+        where = f"where its times leap, the first after place {first}"
+        warnings.append(f"{name}: {between} frame(s) lost {where}")
+    beyond = 0
+    if video.duration_s is not None:
+        known = times_s[np.isfinite(times_s)]
+        usual_s = usual_step_s(known)
+        missing_s = video.duration_s - float(known[-1]) if usual_s > 0 else 0.0
+        if missing_s > settings.early_end_steps * usual_s:
+            beyond = round(missing_s / usual_s) - 1  # the last frame itself lasts one step
+            stated = f"the file should last {video.duration_s:.3f} s"
+            warnings.append(
+                f"{name}: {stated}; its last {missing_s:.3f} s are missing, about {beyond} frames"
+            )
+    return FrameCounts(
+        expected=max(status.size, video.expected or 0) + between + beyond,
+        read=int(np.isin(status, ("ok", "blank")).sum()),
+        blank=int((status == "blank").sum()),
+        corrupt=int((status == "corrupt").sum()),
+        warnings=tuple(warnings),
+    )
+
+
+def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> tuple[int, int]:
+    """Frames lost between time stamps, and the place of the frame before the first of them.
+
+    A step over `settings.gap_steps` usual ones counts if the frames after it stay late against the usual
+    rate: a frame that only came late is followed by short steps. Where the rate itself changes the slower
+    part counts as if frames were lost; where more than a fifth is lost too few are counted.
+
+    Parameters
+    ----------
+    times_s
+        s (frame), NaN where unknown.
+    settings
+        See `VideoSettings`.
+
+    Returns
+    -------
+    (0, 0) for none, or fewer than three known times.
+    """
+    places = np.flatnonzero(np.isfinite(times_s))
+    known = times_s[places]
+    usual_s = usual_step_s(known)
+    if not usual_s > 0:
+        return 0, 0
+    steps = np.diff(known) / usual_s - (np.diff(places) - 1)  # frames without a time took theirs
+    late = np.cumsum(np.concatenate([[0.0], steps - 1]))
+    gaps = np.flatnonzero(steps > settings.gap_steps)
+    gaps = gaps[_lasting_delay(late, gaps) > settings.late_steps]
+    lost = int(np.round(steps[gaps] - 1).sum())
+    return (lost, int(places[gaps[0]])) if lost else (0, 0)
+
+
+def usual_step_s(times_s: Floats) -> float:
+    """Time from one frame to the next, s, where nothing is lost; NaN for fewer than three times.
+
+    From the tenth percentile of the time that 20 frames take: rounded times have few distinct steps, and in
+    most of the shorter runs of frames nothing is lost.
+    """
+    if times_s.size < 3:
+        return math.nan
+    lag = min(20, max(1, times_s.size // 4))
+    return float(np.quantile(times_s[lag:] - times_s[:-lag], 0.1)) / lag
+
+
+def _lasting_delay(late: Floats, gaps: Ints) -> Floats:
+    """Median lateness of the nine frames after each gap less that of the nine before it, in usual steps."""
+    reach = np.arange(9)
+    before = np.where(reach <= gaps[:, np.newaxis], late[np.maximum(gaps[:, np.newaxis] - reach, 0)], np.nan)
+    after = gaps[:, np.newaxis] + 1 + reach
+    behind = np.where(after < late.size, late[np.minimum(after, late.size - 1)], np.nan)
+    return np.asarray(np.nanmedian(behind, axis=1) - np.nanmedian(before, axis=1), np.float64)
+
+
+def _uneven(times_s: Floats) -> bool:
+    """Whether times were measured rather than counted from a rate."""
+    steps = np.diff(times_s[np.isfinite(times_s)])
+    return bool(steps.size and np.ptp(steps) > 1e-6 * abs(float(steps.max())))
