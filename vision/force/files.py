@@ -19,7 +19,7 @@ import scipy
 
 from vision.errors import InputError
 from vision.files import check_regular, reading
-from vision.force.columns import Table, split_name, unit_of, without_brackets
+from vision.force.columns import TIME_OF_DAY, Table, split_name, unit_of, without_brackets
 from vision.isolation import try_out
 from vision.numeric import Bools, Floats
 
@@ -66,7 +66,14 @@ def read_tables(path: Path) -> list[Table]:
 _WHITESPACE = r"\s+"
 _SEPARATORS = ("\t", ";", ",", "|", _WHITESPACE)
 _SEPARATOR_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", _WHITESPACE: "spaces"}
-_NOT_A_NUMBER = ("nan", "n/a", "#n/a", "na", "inf", "-inf", "+inf", "--", "---", "")
+_NOT_A_NUMBER = (
+    *("nan", "n/a", "#n/a", "na", "inf", "-inf", "+inf", "--", "---", "", "ol", "ovl", "over", "overflow"),
+    *("overload", "overrange", "1.#qnan", "1.#inf", "-1.#ind", "-1.#inf"),
+)
+# A time of the day, alone or after its date, with AM or PM or without hours ("52:17.1"); a date alone.
+_DATE = r"[0-9]{1,4}[-./][0-9]{1,2}[-./][0-9]{1,4}"
+_CLOCK = r"(?:[0-9]{1,2}:)?[0-9]{1,2}:[0-9]{2}(?:[.,][0-9]*)?(?: ?[AaPp][Mm])?Z?"
+_CLOCK_PARTS = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d*)?)(?: ?([AaPp])[Mm])?Z?$")
 _SUFFIXED = re.compile(r"^\s*(?P<number>[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?)\s*(?P<unit>[A-Za-zµ]+?)\d*\s*$")
 
 
@@ -173,7 +180,9 @@ class _Style:
         than the test.
         """
         words = "|".join(re.escape(word) for word in sorted(_NOT_A_NUMBER, key=len, reverse=True) if word)
-        value = rf"(?>{self.number}|{words})"
+        marks = r"\*++|#[A-Za-z0/]++[!?]"  # of a number too long for its column, of a spreadsheet's error
+        clock = rf"{_DATE}(?:[ T]{_CLOCK})?|{_CLOCK}"
+        value = rf"(?>{clock}|{words}|{marks}|{self.number})"
         if self.separator == _WHITESPACE:
             line = rf"\s*+{value}(?:\s++{value})+\s*+"
         else:
@@ -223,6 +232,7 @@ def _layout(lines: list[str]) -> str:
     """The program that wrote a file, by its marks; "table" for none of those known."""
     head = "\n".join(lines[:40]).lower()
     known = {
+        "labview measurement": "LabVIEW",
         "mts793": "MTS 793",
         "file path:": "MTS TestSuite",
         "bluehill": "Instron Bluehill",
@@ -239,8 +249,9 @@ def _read_blocks(path: Path, lines: list[str], style: _Style, facts: dict[str, s
     tables: list[Table] = []
     header_from = 0
     for start, stop in _runs(lines, style):
-        values = _numbers(path, [line for line in lines[start:stop] if line.strip()], style)
+        values, clocks = _numbers(path, [line for line in lines[start:stop] if line.strip()], style)
         names, units = _header(lines[header_from:start], style, values.shape[1])
+        units = tuple(TIME_OF_DAY if clock else unit for unit, clock in zip(units, clocks, strict=True))
         if tables and not any(names) and values.shape[1] == tables[-1].numbers.shape[1]:
             # A remark between two runs of numbers is not a header: the columns go on as before.
             names, units = tables[-1].names, tables[-1].units
@@ -292,17 +303,42 @@ def _parsed(source: str | io.StringIO, style: _Style, width: int, **more: Any) -
     return frame
 
 
-def _numbers(path: Path, lines: list[str], style: _Style) -> Floats:
-    """Lines of numbers as an array, NaN where a cell is not a number."""
+def _numbers(path: Path, lines: list[str], style: _Style) -> tuple[Floats, list[bool]]:
+    """Lines of numbers as an array, NaN where a cell is not a number; and which columns are clock times."""
     width, text = _width(lines, style, path), io.StringIO("\n".join(lines))
     frame = _parsed(text, style, width, skip_blank_lines=False, low_memory=False)
-    return np.column_stack([_as_floats(frame[column], style.decimal) for column in frame.columns])
+    columns = [_as_floats(frame[column], style.decimal) for column in frame.columns]
+    return np.column_stack([values for values, _ in columns]), [clock for _, clock in columns]
 
 
-def _as_floats(series: pd.Series[Any], decimal: str) -> Floats:
-    if not pd.api.types.is_numeric_dtype(series):
-        series = pd.to_numeric(series.astype(str).str.strip().str.replace(decimal, "."), errors="coerce")
-    return series.to_numpy(dtype=float)
+def _as_floats(series: pd.Series[Any], decimal: str) -> tuple[Floats, bool]:
+    """The values of a column, and whether they are times of the day."""
+    if pd.api.types.is_numeric_dtype(series):
+        return series.to_numpy(dtype=float), False
+    text = series.astype(str).str.strip()
+    clock = text.str.extract(_CLOCK_PARTS)
+    if clock[1].notna().mean() > 0.5:
+        return _clock_seconds(clock), True
+    thousands = rf"(?<=[0-9])[{'.' if decimal == ',' else ','}'\u2019\u00a0\u202f ](?=[0-9]{{3}}(?![0-9]))"
+    grouped = text.str.match(rf"[-+]?[1-9][0-9]{{0,2}}(?:{thousands}[0-9]{{3}})+(?![0-9])")
+    text = text.mask(grouped, text.str.replace(thousands, "", regex=True)).str.replace(decimal, ".")
+    return pd.to_numeric(text, errors="coerce").to_numpy(dtype=float), False
+
+
+def _clock_seconds(parts: pd.DataFrame) -> Floats:
+    """Seconds from the hour, minute, second and A or P of times of the day, going on after midnight.
+
+    The date is not looked at, so that its many forms do not matter: what goes back by half a day or more is
+    the next day.
+    """
+    hour, minute, second = (pd.to_numeric(parts[k].str.replace(",", ".")).to_numpy(float) for k in range(3))
+    half = parts[3].str.lower()
+    hour = np.where(half.notna(), hour % 12 + 12.0 * (half == "p"), hour)
+    period = 3600.0 if np.isnan(hour).all() else 86400.0
+    seconds = 3600 * np.nan_to_num(hour) + 60 * minute + second
+    known = np.isfinite(seconds)
+    seconds[known] = np.unwrap(seconds[known], period=period)
+    return seconds
 
 
 def _header(lines: list[str], style: _Style, width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -311,10 +347,13 @@ def _header(lines: list[str], style: _Style, width: int) -> tuple[tuple[str, ...
     blank = ("",) * width
     if not rows or len([cell for cell in rows[-1] if cell]) < min(2, width):
         return blank, blank
-    if _is_unit_row(rows[-1]) and len(rows) > 1:
-        names = _fit(rows[-2], width)
-        return names, tuple(without_brackets(cell) for cell in _fit(rows[-1], width))
+    for units, names in ((rows[-1], rows[-2:-1]), (*rows[-2:-1], rows[-1:])) if len(rows) > 1 else ():
+        if _is_unit_row(units):
+            return _fit(names[0], width), tuple(without_brackets(cell) for cell in _fit(units, width))
     split = [split_name(cell) for cell in _fit(rows[-1], width)]
+    labels = next((row[1:] for row in rows if row[0] == "Y_Unit_Label"), None)  # LabVIEW: far above the names
+    if labels and rows[-1][0] == "X_Value":
+        return ("Time", *_fit(rows[-1][1:], width - 1)), ("s", *_fit(labels, width - 1))
     return tuple(name for name, _ in split), tuple(unit for _, unit in split)
 
 

@@ -164,7 +164,7 @@ def _dataset(
         columns="; ".join(f"{role} = {c.name} [{c.unit}]" for role, c in found.items()),
         notes=_notes(found, source, d0_mm),
         warnings=_warnings(flags, load[good], source, speed_mm_min, measured)
-        + _start_warnings(start, travel[good], d0_mm),
+        + (_start_warnings(start, travel[good], d0_mm) if source == "displacement" else []),
         **facts,  # type: ignore[arg-type]
     )
     return force.assign_attrs(metadata.attrs())
@@ -269,9 +269,9 @@ def sample_flags(
 
 
 def _saturated(load: Floats, least: int) -> Bools:
-    """Runs of at least so many samples at exactly the largest |load|; none where the load rests there."""
+    """Runs of at least so many samples at exactly the largest |load|; none in a load that never changes."""
     finite = np.abs(load[np.isfinite(load)])
-    if not finite.size or finite.max() == np.median(finite):
+    if not finite.size or np.ptp(finite) == 0:
         return np.zeros(load.shape, dtype=bool)
     at_limit = np.abs(load) == finite.max()
     edges = np.flatnonzero(np.diff(np.r_[False, at_limit, False]))
