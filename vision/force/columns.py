@@ -31,9 +31,6 @@ class Unit:
     factor: float
 
 
-_POUND_N = 4.4482216152605
-_KILOGRAM_N = 9.80665
-
 TIME_OF_DAY = "time of day"  # in place of the unit of a column of clock times, which are read as seconds
 
 # Written forms, case kept: mN and MN differ.
@@ -48,9 +45,9 @@ _FACTORS: dict[Dimension, dict[str, float]] = {
     "force": {
         **dict.fromkeys(("N", "newton", "newtons"), 1.0),
         **{"kN": 1e3, "MN": 1e6, "daN": 10.0, "mN": 1e-3, "µN": 1e-6, "uN": 1e-6},
-        **dict.fromkeys(("lbf", "lb", "lbs"), _POUND_N),
-        **dict.fromkeys(("kgf", "kp", "kg"), _KILOGRAM_N),
-        **dict.fromkeys(("gf", "g"), _KILOGRAM_N / 1000),
+        **dict.fromkeys(("lbf", "lb", "lbs"), 4.4482216152605),
+        **dict.fromkeys(("kgf", "kp", "kg"), 9.80665),
+        **dict.fromkeys(("gf", "g"), 9.80665e-3),
     },
     "length": {
         **{"mm": 1.0, "cm": 10.0, "m": 1000.0, "µm": 1e-3, "um": 1e-3, "nm": 1e-6},

@@ -23,13 +23,17 @@ from vision.force.columns import TIME_OF_DAY, Table, split_name, unit_of, withou
 from vision.isolation import try_out
 from vision.numeric import Bools, Floats
 
-_HEAD_BYTES = 1 << 17  # in which the header and the first rows are looked for
-_MOST_BYTES = 8 << 30  # of a table of plain numbers, about 300 million rows
-_MOST_MIXED_BYTES = 1 << 30  # of any other text, which takes ten times its size in memory
-_MOST_COLUMNS = 1000
-_MOST_LETTERS = 200  # of a cell of the header, or of a number with its unit
-_MOST_MATRIX_COLUMNS = 20  # of a matrix; wider ones are images or tables of something else
-_MOST_LEVELS = 20  # of structs in structs
+
+class _Most:
+    """Limits of what is read: what lies beyond is no force recording."""
+
+    bytes = 8 << 30  # of a table of plain numbers, about 300 million rows
+    mixed_bytes = 1 << 30  # of any other text, which takes ten times its size in memory
+    columns = 1000
+    matrix_columns = 20  # of a matrix in a .mat file; wider ones are images or tables of something else
+    letters = 200  # of a cell of the header, or of a number with its unit
+
+
 _WANTED, _WANTED_MAT = "a force recording", "a MATLAB .mat file"
 LEAST_ROWS = 3
 
@@ -55,8 +59,8 @@ def read_tables(path: Path) -> list[Table]:
         For a file that cannot be read, no block of three rows of numbers, or no vectors.
     """
     size = check_regular(path, _WANTED).st_size
-    if size > _MOST_BYTES:
-        raise InputError(path, f"at most {_MOST_BYTES >> 30} GiB", f"{size >> 20} MiB", "export a part of it")
+    if size > _Most.bytes:
+        raise InputError(path, f"at most {_Most.bytes >> 30} GiB", f"{size >> 20} MiB", "export a part of it")
     with reading(path, _WANTED, "export it again"):
         return _read_mat(path) if path.suffix.lower() == ".mat" else _read_text(path)
 
@@ -83,8 +87,8 @@ def _read_text(path: Path) -> list[Table]:
     if plain is not None:
         return [plain]
     size = path.stat().st_size
-    if size > _MOST_MIXED_BYTES:
-        wanted = f"at most {_MOST_MIXED_BYTES >> 30} GiB of text that is not numbers alone"
+    if size > _Most.mixed_bytes:
+        wanted = f"at most {_Most.mixed_bytes >> 30} GiB of text that is not numbers alone"
         raise InputError(path, wanted, f"{size >> 20} MiB", "export one table of numbers")
     text, encoding = _decode(path, path.read_bytes())
     lines = text.splitlines()
@@ -105,7 +109,7 @@ def _read_plain(path: Path) -> Table | None:
     cells of text.
     """
     with path.open("rb") as file:
-        head = file.read(_HEAD_BYTES)
+        head = file.read(1 << 17)  # the header and the first rows
         whole = not file.read(1)
     raw = head.split(b"\n")[: None if whole else -1]
     text, encoding = _decode(path, b"\n".join(raw))
@@ -281,8 +285,8 @@ def _width(lines: list[str], style: _Style, path: Path) -> int:
         width = max((len(line.split()) for line in lines), default=0)
     else:
         width = max((line.count(style.separator) for line in lines), default=0) + 1
-    if width > _MOST_COLUMNS:
-        raise InputError(path, f"at most {_MOST_COLUMNS} columns", str(width), "export fewer of them")
+    if width > _Most.columns:
+        raise InputError(path, f"at most {_Most.columns} columns", str(width), "export fewer of them")
     return width
 
 
@@ -338,7 +342,7 @@ def _clock_seconds(parts: pd.DataFrame) -> Floats:
     seconds = 3600 * np.nan_to_num(hour) + 60 * minute + second
     known = np.isfinite(seconds)
     seconds[known] = np.unwrap(seconds[known], period=period)
-    return seconds
+    return np.asarray(seconds, np.float64)
 
 
 def _header(lines: list[str], style: _Style, width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -347,9 +351,9 @@ def _header(lines: list[str], style: _Style, width: int) -> tuple[tuple[str, ...
     blank = ("",) * width
     if not rows or len([cell for cell in rows[-1] if cell]) < min(2, width):
         return blank, blank
-    for units, names in ((rows[-1], rows[-2:-1]), (*rows[-2:-1], rows[-1:])) if len(rows) > 1 else ():
+    for names, units in ((rows[-2], rows[-1]), (rows[-1], rows[-2])) if len(rows) > 1 else ():
         if _is_unit_row(units):
-            return _fit(names[0], width), tuple(without_brackets(cell) for cell in _fit(units, width))
+            return _fit(names, width), tuple(without_brackets(cell) for cell in _fit(units, width))
     split = [split_name(cell) for cell in _fit(rows[-1], width)]
     labels = next((row[1:] for row in rows if row[0] == "Y_Unit_Label"), None)  # LabVIEW: far above the names
     if labels and rows[-1][0] == "X_Value":
@@ -366,7 +370,7 @@ def _is_unit_row(cells: list[str]) -> bool:
 
 def _fit(cells: list[str], width: int) -> tuple[str, ...]:
     """Exactly `width` cells: cut off, or filled up with ""."""
-    return tuple([*(cell.strip()[:_MOST_LETTERS] for cell in cells[:width]), *[""] * width][:width])
+    return tuple([*(cell.strip()[: _Most.letters] for cell in cells[:width]), *[""] * width][:width])
 
 
 def _drop_empty(table: Table) -> Table:
@@ -382,7 +386,7 @@ def _drop_empty(table: Table) -> Table:
 
 def _suffixed_column(path: Path, lines: list[str], encoding: str) -> Table:
     """One column whose every line carries its unit, as in "0.00 N1", or no unit at all."""
-    short = [line for line in lines if len(line) <= _MOST_LETTERS]
+    short = [line for line in lines if len(line) <= _Most.letters]
     found = [match for line in short if (match := _SUFFIXED.match(line))]
     plain = [line for line in short if re.fullmatch(_Style(";", ".").number, line.strip())]
     if max(len(found), len(plain)) < LEAST_ROWS:
@@ -445,9 +449,9 @@ def _vectors(variables: Mapping[str, Any], level: int = 0) -> Iterator[tuple[str
         array = np.asarray(value)
         if name.startswith("__"):
             continue
-        if array.dtype.names and array.ndim == 0 and level < _MOST_LEVELS:
+        if array.dtype.names and array.ndim == 0 and level < 20:
             yield from _vectors({f"{name}.{key}": array[key].item() for key in array.dtype.names}, level + 1)
         elif array.dtype.kind in "fiu" and array.ndim == 1 and array.size >= LEAST_ROWS:
             yield name, array.astype(float)
-        elif array.dtype.kind in "fiu" and array.ndim == 2 and array.shape[1] <= _MOST_MATRIX_COLUMNS:
+        elif array.dtype.kind in "fiu" and array.ndim == 2 and array.shape[1] <= _Most.matrix_columns:
             yield from ((f"{name} {k + 1}", column.astype(float)) for k, column in enumerate(array.T))
