@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -60,8 +61,47 @@ def test_drops_of_curved_sticks() -> None:
     within = (time % 0.3) / 0.3
     load = 60 - 20 * (1 - within) ** 2 + np.random.default_rng(3).normal(0, 0.05, time.size)
     force = recording(time, load, 13 + time / 60, 1.0)
-    assert find_stick_slip(force)["dF_N"].median() == pytest.approx(20, rel=0.02)
-    assert find_stick_slip(force, two_slopes=False)["dF_N"].median() < 0.9 * 20
+    for two_slopes in (None, False):
+        events = find_stick_slip(force, two_slopes=two_slopes)
+        assert events["dF_N"].median() == pytest.approx(20, rel=0.02)
+
+
+@pytest.mark.parametrize(("samples", "message"), [(3, "at least two slips"), (5, "record more samples")])
+def test_a_recording_sampled_too_slowly_is_refused(samples: int, message: str) -> None:
+    """A failure means that beats of the sampling with the slips are reported as events."""
+    with pytest.raises(InputError, match=message):
+        find_stick_slip(plain(samples=samples, snr=100, jitter=0.05).force)
+
+
+def test_a_displacement_that_counts_the_other_way_is_refused() -> None:
+    """A failure means negative stick lengths and stiffness, from which the fits would follow."""
+    force = plain(sticks=20, snr=40).force
+    turned = force.assign(d_mm=26 - force["d_mm"])
+    with pytest.raises(InputError, match="displacement=-NAME"):
+        find_stick_slip(turned)
+
+
+def test_small_slips_below_a_gap_are_told() -> None:
+    """A failure means that true small slips between large ones are lost without a word."""
+    drops = np.tile([45.0, 5.0], 30)
+    load = np.concatenate([500 + np.linspace(0, drop, int(10 * drop), endpoint=False) for drop in drops])
+    load += np.random.default_rng(2).normal(0, 0.2, load.size)
+    time = np.arange(load.size) * 0.01
+    force = recording(time, load, 13 + time / 60, 1.0)
+    (line,) = find_stick_slip(force).attrs["warnings"]
+    assert re.search(r"^(28|29|30) drops of .* N lie below a gap", line)
+    least = float(line.split("`threshold_N` ")[1].split()[0])
+    events = find_stick_slip(force, threshold_N=least)
+    assert np.sum(events["dF_N"] < 20) == pytest.approx(29, abs=2)
+    assert events.attrs["warnings"] == []
+
+
+def test_a_coarse_load_is_told() -> None:
+    """A failure means drops of two steps of the load cell pass for measured ones."""
+    test = plain(sticks=40, snr=50)
+    coarse = test.force.assign(load_N=np.round(test.force["load_N"] / 25) * 25)
+    assert any("the load has steps of 25" in line for line in find_stick_slip(coarse).attrs["warnings"])
+    assert not any("steps" in line for line in find_stick_slip(test.force).attrs["warnings"])
 
 
 def test_a_threshold_too_low_or_high_fails() -> None:

@@ -28,6 +28,54 @@ def test_layout_gives_back_the_numbers(layout: str, tmp_path: Path) -> None:
     assert set(force["flag"].values) == {"ok"}
 
 
+CLOCKS = {
+    "midnight": ("Time", lambda t: clock(86398 + t)),
+    "comma": ("Uhrzeit", lambda t: clock(45000 + t).replace(".", ",")),
+    "german date": ("Zeit", lambda t: "10.01.2022 " + clock(45000 + t)),
+    "iso": ("timestamp", lambda t: "2022-01-10T" + clock(45000 + t)),
+    "noon": ("Time", lambda t: f"1/10/2022 {clock(43198 + t if t < 2 else t - 2, 12)} {'AP'[int(t >= 2)]}M"),
+    "minutes": ("Time", lambda t: clock(3598 + t)[3:]),
+}
+
+
+def clock(seconds: float, hours: int = 24) -> str:
+    """A time of the day."""
+    hour, rest = divmod(round(10 * seconds), 36000)
+    return f"{hour % hours or hours % 24:02d}:{rest // 600:02d}:{rest % 600 / 10:04.1f}"
+
+
+@pytest.mark.parametrize("form", CLOCKS)
+def test_times_of_the_day_become_seconds(form: str, tmp_path: Path) -> None:
+    """A failure means that a recording with clock times cannot be read, or jumps at midnight."""
+    name, stamp = CLOCKS[form]
+    lines = [f"{stamp(t)};{f:.3f};{x:.6f}" for t, f, x in zip(TIME, LOAD, PULL, strict=True)]
+    text = f"{name};Load (N);Position (mm)\n" + "\n".join(lines) + "\n"
+    force = read_force(written(tmp_path, text))
+    np.testing.assert_allclose(force["time_s"] - force["time_s"][0], TIME, atol=1e-6)
+    np.testing.assert_allclose(force["load_N"], LOAD)
+    assert set(force["flag"].values) == {"ok"}
+
+
+def test_a_coarse_clock_gives_way_to_elapsed_time(tmp_path: Path) -> None:
+    """A failure means that whole seconds are taken where the machine also wrote tenths."""
+    lines = [f"{clock(np.floor(t))},{t:.1f},{f:.3f}" for t, f in zip(TIME, LOAD, strict=True)]
+    force = read_force(written(tmp_path, "Time,Elapsed Time (s),Load (N)\n" + "\n".join(lines) + "\n"))
+    np.testing.assert_allclose(force["time_s"], TIME)
+
+
+@pytest.mark.parametrize("mark", ["OL", "*******", "-1.#IND", "#DIV/0!", "9.9E+37"])
+@pytest.mark.parametrize("separator", [",", "  "])
+def test_marks_of_overflow_are_lost_samples(mark: str, separator: str, tmp_path: Path) -> None:
+    """A failure means that such a line cuts the recording in two, or that its mark becomes a number."""
+    cells = [[f"{t:9.4f}", f"{f:9.3f}", f"{x:9.6f}"] for t, f, x in zip(TIME, LOAD, PULL, strict=True)]
+    cells[11][1] = mark
+    text = separator.join(("Time (s)", "Load (N)", "Position (mm)"))
+    force = read_force(written(tmp_path, "\n".join([text, *map(separator.join, cells)]) + "\n"))
+    assert list(np.flatnonzero(force["flag"].values != "ok")) == [11]
+    assert force["flag"].values[11] == "nan"
+    np.testing.assert_allclose(force["load_N"].drop_isel(time_s=11), np.delete(LOAD, 11))
+
+
 def test_facts_of_the_file_are_told(tmp_path: Path) -> None:
     """A failure means the run folder would not say how a recording was understood."""
     facts = ForceMetadata.of(read_force(written(tmp_path, *LAYOUTS["mpt"])))

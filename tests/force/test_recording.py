@@ -29,6 +29,19 @@ def test_bad_samples_are_flagged_and_kept(tmp_path: Path) -> None:
     assert "1 of 40 samples flagged backwards and left out" in force.attrs["warnings"]
 
 
+def test_a_load_cell_that_is_mostly_saturated_is_flagged(tmp_path: Path) -> None:
+    """A failure means that a plateau at the load cell's limit passes for sticks without a peak."""
+    load = np.minimum(LOAD, np.quantile(LOAD, 0.3))
+    force = read_force(written(tmp_path, "time (s),load (N)\n" + rows(TIME, load, sep=",")), speed_mm_min=1)
+    np.testing.assert_array_equal(force["flag"].values == "saturated", load == load.max())
+
+
+def test_only_a_recorded_crosshead_starts_anywhere(tmp_path: Path) -> None:
+    """A failure means a warning about a crosshead in a file that has none."""
+    force = read_force(written(tmp_path, "time (s),load (N)\n" + rows(TIME, LOAD, sep=",")), d0_mm=13)
+    assert not any("crosshead starts" in line for line in force.attrs["warnings"])
+
+
 def test_what_is_taken_for_granted_is_said(tmp_path: Path) -> None:
     """A failure means a missing unit, speed or tension is guessed in silence."""
     path = written(tmp_path, "t;Fnorm\n" + rows(TIME, -LOAD / 100, sep=";"))

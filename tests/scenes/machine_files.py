@@ -51,6 +51,21 @@ SPANISH = "Tiempo (ms);Fuerza (kgf);Desplazamiento (µm)\n" + rows(
 )
 SNAKE = "time_s,load_mN,crosshead_cm\n" + rows(TIME, LOAD * 1e3, PULL / 10, sep=",")
 SPACES = "# t / min   Kraft in N   Weg / m\n" + rows(TIME / 60, LOAD, PULL / 1e3, sep="   ")
+TRAPEZIUM = (
+    '"Name","Peter"\n"Date","2022/01/10"\n\n"1 _ 1","",""\n"Time","Force","Stroke"\n"sec.","N","mm"\n'
+) + rows(TIME, LOAD, PULL, sep=",", quote='"')
+LABVIEW = (
+    "LabVIEW Measurement\t\nSeparator\tTab\nDecimal_Separator\t,\nDate\t2022/01/10\n***End_of_Header***\t\n"
+    "\t\nChannels\t2\t\nSamples\t40\t40\t\nTime\t12:52:17\t12:52:17\t\nY_Unit_Label\tkN\tcm\t\n"
+    "X_Dimension\tTime\tTime\t\nDelta_X\t0,100000\t0,100000\t\n***End_of_Header***\t\t\t\n"
+    "X_Value\tKraft\tWeg\tComment\n"
+) + rows(TIME, LOAD / 1e3, PULL / 10, decimal=",")
+UNITS_ABOVE = "min;kN;cm\nTime;Load;Position\n" + rows(TIME / 60, LOAD / 1e3, PULL / 10, sep=";")
+UNITS_ALONE = "when;channel 1;channel 2\ns;N;mm\n" + rows(TIME, LOAD, PULL, sep=";")
+_SWAP = str.maketrans(",.", ".,")
+GROUPED = "Prüfzeit;Standardkraft;Traversenweg\ns;mN;mm\n" + "".join(
+    f"{t:.4f};{1e3 * f:,.2f};{x:.5f}\n".translate(_SWAP) for t, f, x in zip(TIME, LOAD, PULL, strict=True)
+)
 
 LAYOUTS = {
     "mts": (MTS, "utf-8-sig", "\r\n"),
@@ -62,6 +77,11 @@ LAYOUTS = {
     "instron-universal": (INSTRON_UNIVERSAL, "utf-8", "\r\n"),
     "zwick": (ZWICK, "latin-1", "\r\n"),
     "spanish": (SPANISH, "latin-1", "\n"),
+    "trapezium": (TRAPEZIUM, "utf-8", "\r\n"),
+    "labview": (LABVIEW, "utf-8", "\r\n"),
+    "units-above": (UNITS_ABOVE, "utf-8", "\n"),
+    "units-alone": (UNITS_ALONE, "utf-8", "\n"),
+    "thousands": (GROUPED, "latin-1", "\r\n"),
     "snake": (SNAKE, "utf-8", "\n"),
     "spaces": (SPACES, "utf-8", "\n"),
 }

@@ -19,9 +19,6 @@ from vision.clock.settings import ClockSettings
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints
 from vision.signals import running_median
 
-_CORRELATIONS = (0.3, 0.5, 0.7, 0.9)  # between the sizes that the two instruments measure; equally likely
-_ERROR_SCALES = (1.0, 1.4, 2.0)  # by which stated errors of slips may be too small
-
 # --- trains of slips ----------------------------------------------------------------------------------------
 
 
@@ -173,7 +170,7 @@ def fit_clocks(
     z2 = (residual / trains.error_s) ** 2
     prior = -0.5 * (1e6 * clocks.drift / settings.drift_prior_ppm) ** 2
     without_residual = trains.pair_gain(settings)
-    gains = [without_residual - np.log(s) - 0.5 * z2 / s**2 for s in _ERROR_SCALES]
+    gains = [without_residual - np.log(s) - 0.5 * z2 / s**2 for s in settings.error_scales]
     gain = np.stack([np.where(mutual, np.maximum(g, 0.0), 0.0) for g in gains])
     best = np.argmax(gain.sum(axis=2), axis=0)
     gain = np.take_along_axis(gain, best[None, :, None], axis=0)[0]
@@ -185,7 +182,7 @@ def fit_clocks(
     return ClockFits(
         log_likelihood=gain.sum(axis=1) + settings.log_p_missed * (video + force) + prior + sizes,
         size_evidence=sizes,
-        error_scale=np.asarray(_ERROR_SCALES)[best],
+        error_scale=np.asarray(settings.error_scales)[best],
         residual_s=np.where(paired, residual, np.nan),
         partner=partner,
         video=video,
@@ -227,20 +224,10 @@ def size_evidence(
 ) -> Floats:
     """Log of how much likelier the sizes of the paired slips are if they belong together, (K,).
 
-    Parameters
-    ----------
-    video, force
-        Sizes of both trains.
-    partner
-        Index of the force slip of each camera slip, -1 where not paired, (K, video slips).
-    settings
-        `false_size_share`, `unrelated_sizes` and `largest_size_gain` are used.
-
-    Returns
-    -------
     Averaged over all correlations that the sizes may have, none among them. With the default settings one
     pair adds at most 1 and subtracts at most 1.6, all pairs together subtract at most 2.3; 0 where either
-    side's sizes do not vary beyond their errors.
+    side's sizes do not vary beyond their errors.  partner: index of the force slip of each camera slip, -1
+    where not paired, (K, video slips).
     """
     v = np.broadcast_to(video.score, partner.shape)
     f = force.score[np.maximum(partner, 0)]
@@ -248,12 +235,12 @@ def size_evidence(
     v, f = np.where(both, v, 0.0), np.where(both, f, 0.0)
     false, unrelated = settings.false_size_share, settings.unrelated_sizes
     evidence = [np.full(len(partner), np.log(unrelated))]
-    for correlation in np.multiply(_CORRELATIONS, video.reliability * force.reliability):
+    for correlation in np.multiply(settings.size_correlations, video.reliability * force.reliability):
         free = 1 - correlation**2
         ratio = np.exp(0.5 * (f**2 - (f - correlation * v) ** 2 / free)) / np.sqrt(free)
         each = np.minimum(np.log(false + (1 - false) * ratio), settings.largest_size_gain)
         total = np.where(both, each, 0.0).sum(axis=1)
-        evidence.append(total + np.log((1 - unrelated) / len(_CORRELATIONS)))
+        evidence.append(total + np.log((1 - unrelated) / len(settings.size_correlations)))
     return np.asarray(np.logaddexp.reduce(np.stack(evidence)))
 
 

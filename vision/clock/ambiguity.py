@@ -1,4 +1,4 @@
-"""Whether the best alignment of two trains of slips is ambiguous.
+"""The rule that calls clocks ambiguous: `_ambiguity`, with its thresholds in `ClockSettings`.
 
 Slips are nearly periodic, so that an alignment shifted by whole slips fits nearly as well as the right one,
 and unrelated trains can agree by chance. An alignment is believed only where none of the tests here objects.
@@ -158,27 +158,12 @@ def exceeds_permutation_null(
 ) -> bool:
     """Permutation test: whether camera trains with their intervals in random order align less well.
 
-    Parameters
-    ----------
-    trains
-        The slips.
-    log_likelihood
-        Of the best alignment of the trains as they are.
-    lead
-        By which it must exceed that of every permutation.
-    settings
-        `permutations` is used.
-
-    Returns
-    -------
-    True where no permutation comes within `lead`. The random numbers are the same in each call.
-
-    Notes
-    -----
-    Intervals are exchanged together with the sizes of the slips that end them; their trend stays. So the
-    permuted trains are as even, as damaged and as long as the real one, are tried at as many offsets and
-    drifts, and their sizes go with their intervals as in the real one. A quarter of the permutations is
-    enough where they all stay below half the log-likelihood.
+    True where no permutation comes within `lead` of `log_likelihood`, that of the best alignment of the
+    trains as they are.  Intervals are exchanged together with the sizes of the slips that end them; their
+    trend stays. So the permuted trains are as even, as damaged and as long as the real one, are tried at as
+    many offsets and drifts, and their sizes go with their intervals as in the real one.  The random numbers
+    are the same in each call; a quarter of the permutations is enough where they all stay below half the
+    log-likelihood.
     """
     rng = np.random.default_rng(0)
     log_interval = np.log(np.diff(trains.video_s))

@@ -24,28 +24,15 @@ from vision.numeric import NORMAL_MEDIAN, Floats, nan_median
 Status = Literal["ok", "ambiguous", "given"]
 How = Literal["given", "video time column", "events"]
 
-_SLIP_DURATION_S = 0.001
-_CANDIDATES_LISTED = 5
-
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """One alignment of the slips.
-
-    Parameters
-    ----------
-    offset_s, drift_ppm
-        Its clock.
-    log_likelihood
-        Less that of no slip in common.
-    matched
-        Slips paired.
-    """
+    """One alignment of the slips."""
 
     offset_s: float
     drift_ppm: float
-    log_likelihood: float
-    matched: int
+    log_likelihood: float  # less that of no slip in common
+    matched: int  # slips paired
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +159,9 @@ def synchronise(
     TRACKS.check(tracks)
     FORCE.check(force)
     STICKS.check(sticks)
-    warnings = _playback_warning(tracks)
+    warnings: tuple[str, ...] = ()
+    if StripMetadata.of(tracks).clock_kind == "playback":
+        warnings = ("frame times are the file's playback rate, which need not be the camera's: give `fps`",)
     if offset_s is not None:
         _check_overlap(tracks, force, (offset_s, drift_ppm), "`offset_s`")
         clock = _given(tracks, force, sticks, (offset_s, drift_ppm), "given", settings)
@@ -185,12 +174,6 @@ def synchronise(
             unusable = "the column of video times in the force recording is not usable: slips decide"
             warnings = (*warnings, unusable)
     return replace(clock, warnings=(*warnings, *clock.warnings))
-
-
-def _playback_warning(tracks: xr.Dataset) -> tuple[str, ...]:
-    if StripMetadata.of(tracks).clock_kind != "playback":
-        return ()
-    return ("frame times are the file's playback rate, which need not be the camera's: give `fps`",)
 
 
 def _check_overlap(tracks: xr.Dataset, force: xr.Dataset, line: tuple[float, float], about: str) -> None:
@@ -214,7 +197,7 @@ def _check_overlap(tracks: xr.Dataset, force: xr.Dataset, line: tuple[float, flo
 
 
 def _slip_trains(seen: pd.DataFrame, drops: pd.DataFrame, settings: ClockSettings) -> SlipTrains:
-    force_error = float(np.hypot(np.median(drops["error_s"]), _SLIP_DURATION_S))
+    force_error = float(np.hypot(np.median(drops["error_s"]), 0.001))  # a slip itself lasts about 1 ms
     return SlipTrains(
         seen["time_s"].to_numpy(),
         np.hypot(seen["error_s"].to_numpy(), force_error),
@@ -274,7 +257,7 @@ def _candidates(found: Alignments) -> tuple[Candidate, ...]:
     facts = (found.clocks.offset_s, 1e6 * found.clocks.drift, found.fits.log_likelihood, found.fits.matched)
     return tuple(
         Candidate(offset_s=float(a), drift_ppm=float(b), log_likelihood=float(c), matched=int(m))
-        for a, b, c, m in zip(*(fact[:_CANDIDATES_LISTED] for fact in facts), strict=True)
+        for a, b, c, m in zip(*(fact[:5] for fact in facts), strict=True)
     )
 
 

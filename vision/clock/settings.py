@@ -45,6 +45,9 @@ class ClockSettings:
     are pulled towards 0. A factor of 2 either way changes one of a hundred hard alignments."""
     candidates: int = 100
     """Offsets that are refined. Larger → slower; smaller → the right one may be left out."""
+    error_scales: tuple[float, ...] = (1.0, 1.4, 2.0)
+    """By which stated errors of slips may be too small. Larger → chance pairs fit; 1 alone → slips are lost
+    where errors are understated."""
     share_seen: float = 0.75
     """Share of the other instrument's slips that either one is taken to see. Larger → missed slips cost more
     and damaged trains are called ambiguous; smaller → the lead over a shift by one slip shrinks."""
@@ -56,6 +59,8 @@ class ClockSettings:
     size_trend_slips: int = 15
     """Slips whose running median is the trend that is no evidence. Larger → a bending trend passes for
     agreement; smaller → true differences go. `test_a_common_trend_is_no_evidence`."""
+    size_correlations: tuple[float, ...] = (0.3, 0.5, 0.7, 0.9)
+    """Correlations, equally likely, between the sizes that the two instruments measure."""
     false_size_share: float = 0.2
     """Share of pairs whose sizes may be those of other slips. Larger → sizes weigh less; smaller → one bad
     frame outweighs many good pairs. `test_no_pair_and_no_set_of_pairs_decides_alone`."""

@@ -15,8 +15,6 @@ from vision.force.lines import flat_ranges
 from vision.force.recording import good_samples
 from vision.numeric import NORMAL_MEDIAN, Floats, Ints, nan_median
 
-_LONGEST_DROP = 100  # samples after its steepest part; keeps memory small at high sampling rates
-
 # --- as the load cell sees them -----------------------------------------------------------------------------
 
 
@@ -71,7 +69,10 @@ def force_slips(
 
 
 def _bounds(sticks: pd.DataFrame) -> tuple[Floats, Floats, Floats]:
-    """Begin, end and drop of each slip; the last one ends, as the table does not say, as the others do."""
+    """Begin, end and drop of each slip; the last one ends, as the table does not say, as the others do.
+
+    The drop is the mean of the fall and of the rises beside it; NaN for the first and the last slip.
+    """
     if not len(sticks):
         return np.empty(0), np.empty(0), np.empty(0)
     valley, peak = sticks["t_v_s"].to_numpy(float), sticks["t_p_s"].to_numpy(float)
@@ -79,14 +80,10 @@ def _bounds(sticks: pd.DataFrame) -> tuple[Floats, Floats, Floats]:
     usual = float(np.median(valley[1:] - peak[:-1])) if len(peak) > 1 else 0.0
     begin, end = np.r_[first, peak], np.r_[valley, peak[-1] + max(usual, 0.0)]
     known = np.isfinite(begin) & np.isfinite(end)
-    return begin[known], end[known], _drop_N(sticks)[known]
-
-
-def _drop_N(sticks: pd.DataFrame) -> Floats:
-    """How far the force fell in each slip; NaN for the first and the last, known from one side only."""
-    peak, valley = (np.asarray(sticks[name], np.float64) for name in ("F_p_N", "F_v_N"))
-    rise, fall = peak - valley, peak[:-1] - valley[1:]
-    return np.asarray(np.r_[np.nan, 0.5 * fall + 0.25 * (rise[:-1] + rise[1:]), np.nan])
+    top, bottom = (np.asarray(sticks[name], np.float64) for name in ("F_p_N", "F_v_N"))
+    rise, fall = top - bottom, top[:-1] - bottom[1:]
+    drop = np.r_[np.nan, 0.5 * fall + 0.25 * (rise[:-1] + rise[1:]), np.nan]
+    return begin[known], end[known], drop[known]
 
 
 def _steepest(time: Floats, load: Floats, begin: Floats, end: Floats) -> Ints:
@@ -104,7 +101,8 @@ def _mean_times(
 ) -> tuple[Floats, float, float]:
     """(mean time of each drop, delay of the low-pass, time from 1 % to 1 % of the steepest drop), s."""
     spacing = float(np.median(np.diff(steepest))) if len(steepest) > 1 else 0.0
-    reach = int(np.clip(settings.window_of_period * spacing, 1, _LONGEST_DROP))
+    # At most 100 samples, which keeps memory small at high sampling rates.
+    reach = int(np.clip(settings.window_of_period * spacing, 1, 100))
     around = np.arange(-reach, reach + 1)
     inside = (steepest >= reach) & (steepest < len(time) - 1 - reach)
     middle = 0.5 * (time[steepest] + time[steepest + 1])
@@ -137,15 +135,11 @@ def _drop_extent(profile: Floats, centre: int, end: float) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class _Steps:
-    """Movement between consecutive usable frames.
+    """Movement between consecutive usable frames."""
 
-    time_s: (F,).  moved_px: (F-1, sheet), outward, NaN where either position is missing.  uniform: (sheet,),
-    what a movement of the whole picture looks like in outward terms.
-    """
-
-    time_s: Floats
-    moved_px: Floats
-    uniform: Floats
+    time_s: Floats  # (F,)
+    moved_px: Floats  # (F-1, sheet), outward, NaN where either position is missing
+    uniform: Floats  # what a movement of the whole picture looks like in outward terms, (sheet,)
 
 
 def video_slips(tracks: xr.Dataset, *, settings: ClockSettings = ClockSettings()) -> pd.DataFrame:

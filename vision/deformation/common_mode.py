@@ -17,28 +17,17 @@ from vision.numeric import Bools, Floats, Ints, nan_median
 
 # --- vibration ----------------------------------------------------------------------------------------------
 
-_OUTLYING = 8.0  # typical residuals from the other sheets beyond which one does not move with them
-
 
 def common_mode_motion(residual: Floats, settings: DeformationSettings) -> Floats:
-    """Common movement in each frame that is no creep.
+    """Common movement in each frame that is no creep, px, (F,); 0 in frames with too few sheets.
 
-    Parameters
-    ----------
-    residual
-        Positions less each sheet's own creep, px, (F, sheet); NaN where there is none.
-    settings
-        ``least_sheets`` must be seen in a frame: fewer would lose too much of their own noise.
-
-    Returns
-    -------
-    px, (F,): the mean of the residuals weighted by the inverse of each sheet's variance, without outliers; 0
-    in frames with too few sheets.
+    The mean of the residuals about each sheet's own creep, px, (F, sheet), weighted by the inverse of each
+    sheet's variance, without outliers.
     """
     spread, weight = _spread_and_weight(residual)
     with np.errstate(invalid="ignore"):
         away = np.abs(residual - nan_median(residual, axis=1)[:, None])
-        known = (away <= _OUTLYING * spread) & (weight > 0)
+        known = (away <= 8 * spread) & (weight > 0)  # others do not move with the rest
     enough = known.sum(axis=1) >= settings.least_sheets
     total = (known * weight).sum(axis=1)
     moved = np.where(known, residual, 0.0) @ weight
@@ -61,26 +50,16 @@ def _spread_and_weight(residual: Floats) -> tuple[Floats, Floats]:
     return spread, np.where(np.isfinite(spread), spread**-2, 0.0)
 
 
-_UNLIKE_PAIRS = 4.0  # variance of the pairs' creep over that of its noise from which they creep unlike
-
 # --- drift --------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Drift:
-    """Common part of one coefficient of the creep in each stick.
+    """Common part of one coefficient of the creep in each stick."""
 
-    Parameters
-    ----------
-    value, error
-        px, (stick,); 0 where nothing is known of the camera's drift.
-    share
-        Weight with which each sheet went into it, (stick, sheet).
-    """
-
-    value: Floats
-    error: Floats
-    share: Floats
+    value: Floats  # px, (stick,); 0 where nothing is known of the camera's drift
+    error: Floats  # px, (stick,)
+    share: Floats  # weight with which each sheet went into it, (stick, sheet)
 
     def error_without(self, error: Floats) -> Floats:
         """Errors (stick, sheet) of the coefficients less the drift, of which each sheet is itself a part."""
@@ -97,18 +76,8 @@ def drift_model(
 ) -> BothSides | OneSide:
     """The way in which drift can be separated from creep with the sheets in view.
 
-    Parameters
-    ----------
-    line
-        Lines fitted to the positions without vibration.
-    side, n
-        Of the sheets in order of place, (sheet,).
-    frames
-        Sticks to which the lines were fitted.
-    vibration_px
-        Of `common_mode_motion`, (F,).
-    settings
-        How many sheets are needed.
+    line: fitted to the positions without vibration.  side, n: of the sheets in order of place.  vibration_px:
+    of `common_mode_motion`, (F,).
     """
     both = BothSides.of(side, n, line.coefficient[..., 0], line.coefficient[..., 1], settings)
     return both if both.enough else OneSide.of(line, n, frames, vibration_px, settings)
@@ -129,14 +98,7 @@ class BothSides:
     ) -> BothSides:
         """Pairs by number, overlooked sheets (gaps) counted; by creep, where that puts the axis elsewhere.
 
-        Parameters
-        ----------
-        side, n
-            Of the sheets in order of place, (sheet,).
-        middle_px, slope_px
-            Mean position, and half the movement to the right, (stick, sheet).
-        settings
-            How many pairs are needed.
+        middle_px, slope_px: mean position, and half the movement to the right, (stick, sheet).
         """
         left, right = np.flatnonzero(side < 0), np.flatnonzero(side > 0)
         n = n + np.where(side < 0, _missing(middle_px, left[::-1]), _missing(middle_px, right))
@@ -148,7 +110,7 @@ class BothSides:
         return found[np.argmin(unlike) if unlike.min() < 0.5 * unlike[0] else 0]
 
     def asymmetry_px(self, slope_px: Floats) -> float:
-        """By how much pairs differ in all sticks alike; infinite without enough of them."""
+        """By how much pairs differ in the same way in every stick; infinite without enough of them."""
         if not self.enough:
             return np.inf
         middle = slope_px[:, self.left] + slope_px[:, self.right]
@@ -161,22 +123,14 @@ class BothSides:
         return self.left.size >= self.least_pairs
 
     def drift(self, coefficient: Floats, error: Floats, *, slow: bool) -> Drift:
-        """Drift of the camera during each stick.
+        """Drift of the camera during each stick from coefficients of the creep, to the right, (stick, sheet).
 
-        Parameters
-        ----------
-        coefficient, error
-            Of the creep, to the right, px, (stick, sheet), NaN where unknown.
-        slow
-            Not needed with both sides in view.
-
-        Notes
-        -----
         Creep is inwards on both sides, so half the sum of a pair is what moved the camera, up to the pair's
         asymmetry.  The part of it that all pairs share, as a share of their creep (one side creeps less than
         the other), is found from how half the sums go with the creep within each stick: the camera moves all
         pairs alike.  What is left is larger the nearer the axis, as where a sheet was overlooked on one side;
-        it is measured from how the pairs disagree, and the nearly still inner sheets lead.
+        it is measured from how the pairs disagree, and the nearly still inner sheets lead.  `slow` is not
+        needed with both sides in view.
         """
         left, right = coefficient[:, self.left], coefficient[:, self.right]
         noise = (error[:, self.left] ** 2 + error[:, self.right] ** 2) / 4
@@ -228,7 +182,7 @@ class _Pairs:
         total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
         step = self.step - (weight * self.step).sum(axis=1, keepdims=True) / total
         told = float((weight * step**2).sum())
-        if told <= _UNLIKE_PAIRS * float((weight * self.noise).sum()):
+        if told <= 4 * float((weight * self.noise).sum()):
             return 0.0, 0.0
         return float((weight * step * self.middle).sum()) / told, told**-0.5
 
@@ -261,27 +215,14 @@ class OneSide:
     """What is needed to tell drift from creep with one side in view.
 
     In each stick every sheet creeps about as much as in the sticks before and after; what they do beyond, in
-    equal measure, is the camera's.  What the camera does in all sticks alike is in the slow movement of the
+    equal measure, is the camera's.  What the camera does in every stick is in the slow movement of the
     sheets' mean positions, extrapolated to the axis, where sheets move with the camera alone.
-
-    Parameters
-    ----------
-    profile_px
-        Slopes as in the neighbouring sticks, (stick, sheet).
-    slow_px
-        Slope of the camera's slow movement, (stick,).
-    near
-        Weights of the neighbouring sticks, (stick, stick).
-    unknown_px
-        Error of a slope from which nothing can be taken off, (stick,).
-    settings
-        When drift can be separated from creep.
     """
 
-    profile_px: Floats
-    slow_px: Floats
-    near: Floats
-    unknown_px: Floats
+    profile_px: Floats  # slopes as in the neighbouring sticks, (stick, sheet)
+    slow_px: Floats  # slope of the camera's slow movement, (stick,)
+    near: Floats  # weights of the neighbouring sticks, (stick, stick)
+    unknown_px: Floats  # error of a slope from which nothing can be taken off, (stick,)
     settings: DeformationSettings
     movement = "vibration taken off, and drift as far as one side tells"
 
@@ -309,12 +250,8 @@ class OneSide:
     def drift(self, coefficient: Floats, error: Floats, *, slow: bool) -> Drift:
         """Drift of the camera during each stick; 0 where sheets creep too much alike, or are too few.
 
-        Parameters
-        ----------
-        coefficient, error
-            Of the creep, to the right, px, (stick, sheet), NaN where unknown.
-        slow
-            Whether slow movement has a part in this coefficient.
+        coefficient, error: of the creep, to the right, px, (stick, sheet), NaN where unknown.  slow: whether
+        slow movement has a part in this coefficient.
         """
         known = np.isfinite(coefficient) & np.isfinite(self.profile_px) & np.isfinite(error)
         weight = np.where(known, 1 / np.where(known, error, 1.0) ** 2, 0.0)
@@ -327,7 +264,7 @@ class OneSide:
         clear = (count >= self.settings.least_sheets) & (spread > self.settings.one_side_contrast * count)
         spread = np.maximum(spread, 1e-300)
         beyond = np.where(clear, moved - (weight * away * value).sum(axis=1) / spread * creep, 0.0)
-        # In all these sticks alike it would pass for creep: as much as chance leaves in their mean.
+        # The same in each of these sticks, it would pass for creep: as much as chance leaves in their mean.
         shared = (self.near**2 @ beyond**2) / np.maximum(self.near @ clear, 1.0) ** 2
         error = np.sqrt(1 / total + creep**2 / spread + shared)
         found = beyond + (self.slow_px if slow else 0.0)

@@ -16,41 +16,21 @@ from numpy.typing import NDArray
 from vision.deformation.settings import DeformationSettings
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
 
-LEAST_FRAMES = 4  # in a stick: as many as the terms of a cubic
-
 # --- frames of sticks ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class StickFrames:
-    """Frames that lie wholly within a stick, stick after stick, in order of time.
+    """Frames that lie wholly within a stick, stick after stick, in order of time."""
 
-    Parameters
-    ----------
-    frame
-        Place in the tracks, (F,).
-    row
-        Stick that each belongs to, (F,), rising.
-    u
-        Time from -1 at the valley to +1 at the peak, (F,).
-    slot
-        Time since the valley in whole frame intervals, (F,): lost frames leave gaps.
-    sticks
-        Number of sticks, those without a frame included.
-    length_s, middle_s
-        Duration and middle of each stick, s, (stick,).
-    interval_s
-        Time between frames.
-    """
-
-    frame: Ints
-    row: Ints
-    u: Floats
-    slot: Ints
-    sticks: int
-    length_s: Floats
-    middle_s: Floats
-    interval_s: float
+    frame: Ints  # place in the tracks, (F,)
+    row: Ints  # stick that each belongs to, (F,), rising
+    u: Floats  # time from -1 at the valley to +1 at the peak, (F,)
+    slot: Ints  # time since the valley in whole frame intervals, (F,): lost frames leave gaps
+    sticks: int  # number of sticks, those without a frame included
+    length_s: Floats  # duration of each stick, (stick,)
+    middle_s: Floats  # middle of each stick, (stick,)
+    interval_s: float  # time between frames
 
     @property
     def since_s(self) -> Floats:
@@ -83,15 +63,9 @@ def frames_of_sticks(
 ) -> StickFrames:
     """Frames at least `margin_s` after the start and before the end of each stick.
 
-    Parameters
-    ----------
-    time_s
-        Of every frame on the force clock, NaN where unknown.  A frame that is not later than the one before
-        (a stale time stamp) is left out: its time is wrong.
-    start_s, stop_s
-        Of the sticks, in order and not overlapping, (stick,).
-    margin_s, interval_s
-        Time kept clear of the slips; time between frames.
+    time_s is the time of every frame on the force clock, NaN where unknown; start_s and stop_s are those of
+    the sticks, in order and not overlapping. A frame that is not later than the one before (a stale time
+    stamp) is left out, for its time is wrong.
     """
     known = np.flatnonzero(np.isfinite(time_s))
     known = known[time_s[known] > np.r_[-np.inf, np.maximum.accumulate(time_s[known])[:-1]]]
@@ -109,50 +83,22 @@ def frames_of_sticks(
 
 @dataclass(frozen=True)
 class AR1Noise:
-    r"""Noise with autocorrelation 1 at lag 0 and :math:`s \rho^k` at a lag of k frames.
+    r"""Noise with autocorrelation 1 at lag 0 and :math:`s \rho^k` at a lag of k frames; white by default."""
 
-    Parameters
-    ----------
-    share
-        s: 1 for an AR(1) process; below 1, white noise lies on top of it; 0 for white noise.
-    rho
-        AR(1) coefficient.
-    """
-
-    share: float
-    rho: float
-
-
-WHITE = AR1Noise(0.0, 0.0)
+    share: float = 0.0  # s: 1 for an AR(1) process; below 1, white noise lies on top of it
+    rho: float = 0.0  # AR(1) coefficient
 
 
 @dataclass(frozen=True)
 class Creep:
-    r"""Fitted creep, :math:`x(u) = \sum_k c_k P_k(u)`.
+    r"""Fitted creep, :math:`x(u) = \sum_k c_k P_k(u)`; NaN where not `good`."""
 
-    Parameters
-    ----------
-    coefficient
-        px, (stick, sheet, term); NaN where not `good`.
-    inverse
-        Inverse of the normal matrix, (stick, sheet, term, term): the coefficients' covariance for noise of 1
-        px.
-    square
-        Sum of squares of the whitened residuals, px², (stick, sheet).
-    log_det
-        Of the noise's correlation matrix, (stick, sheet).
-    count
-        Positions used, (stick, sheet).
-    good
-        Whether they allow a fit, (stick, sheet).
-    """
-
-    coefficient: Floats
-    inverse: Floats
-    square: Floats
-    log_det: Floats
-    count: Ints
-    good: Bools
+    coefficient: Floats  # px, (stick, sheet, term)
+    inverse: Floats  # of the normal matrix, (stick, sheet, term, term): the covariance for noise of 1 px
+    square: Floats  # sum of squares of the whitened residuals, px², (stick, sheet)
+    log_det: Floats  # of the noise's correlation matrix, (stick, sheet)
+    count: Ints  # positions used, (stick, sheet)
+    good: Bools  # whether they allow a fit, (stick, sheet)
 
     def at(self, frames: StickFrames) -> Floats:
         """Fitted positions in every frame, px, (F, sheet)."""
@@ -171,25 +117,13 @@ def legendre(u: Floats, terms: int) -> Floats:
 
 
 def fit_creep(
-    x_px: Floats, frames: StickFrames, terms: int, settings: DeformationSettings, noise: AR1Noise = WHITE
+    x_px: Floats, frames: StickFrames, terms: int, settings: DeformationSettings, noise: AR1Noise = AR1Noise()
 ) -> Creep:
     r"""Generalised least squares over the frames of each stick.
 
-    Parameters
-    ----------
-    x_px
-        Positions, px, (F, sheet); NaN is left out.
-    frames
-        Sticks to which they belong.
-    terms
-        2 for a line, 3 for a parabola, 4 for a cubic.
-    settings
-        A fit needs `LEAST_FRAMES` positions that span at least ``least_cover`` of the stick.
-    noise
-        Autocorrelation of the positions' noise; ordinary least squares for white noise.
+    x_px: positions, px, (F, sheet); NaN is left out.  terms: 2 for a line, 3 for a parabola, 4 for a cubic.
+    A fit needs four positions (the terms of a cubic) that span at least ``least_cover`` of the stick.
 
-    Notes
-    -----
     .. math:: c = (A^T R^{-1} A)^{-1} A^T R^{-1} x
 
     with the Legendre polynomials at the frames in the columns of A and the noise's correlation R.  The
@@ -204,10 +138,10 @@ def fit_creep(
     count = frames.sums(known).astype(np.int64)
     u = np.broadcast_to(frames.u[:, None], known.shape)
     span = (-frames.lowest(np.where(known, -u, np.inf)) - frames.lowest(np.where(known, u, np.inf))) / 2
-    good = (count >= LEAST_FRAMES) & (span >= settings.least_cover)
+    good = (count >= 4) & (span >= settings.least_cover)
     middle = frames.sums(np.where(known, x_px, 0.0)) / np.maximum(count, 1)
     away = x_px - middle[frames.row]  # else rounding would show in the squares
-    blocks = np.array_split(np.arange(x_px.shape[1]), max(1, x_px.size // _BLOCK))
+    blocks = np.array_split(np.arange(x_px.shape[1]), max(1, x_px.size // 500_000))  # bounds the memory
     parts = [_normal_equations(away[:, block], frames, terms, noise) for block in blocks]
     matrix, log_det = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
     inverse = np.full((*good.shape, terms, terms), np.nan)
@@ -217,9 +151,6 @@ def fit_creep(
     square = np.maximum(matrix[..., terms, terms] - (right * coefficient).sum(axis=-1), 0.0)
     coefficient[..., 0] += middle
     return Creep(coefficient, inverse, square, log_det, count, good)
-
-
-_BLOCK = 500_000  # positions that are fitted at once; bounds the memory
 
 
 def _normal_equations(
@@ -271,37 +202,20 @@ def _times_inverse(columns: Floats, phi: Floats, share: float) -> tuple[Floats, 
 
 @dataclass(frozen=True)
 class LateSlips:
-    """Parts of sticks in which single sheets do not creep, because they slip after the force drops, or
-    before.
+    """Parts of sticks in which single sheets do not creep: they slip after the force drops, or before."""
 
-    Parameters
-    ----------
-    outside
-        Positions at which the sheet is not in the stick yet, or no longer, (F, sheet).
-    lost, lost_err
-        Share of the stick in which it does not creep therefore, with its standard error, (stick, sheet).
-    """
-
-    outside: Bools
-    lost: Floats
-    lost_err: Floats
+    outside: Bools  # positions at which the sheet is not in the stick yet, or no longer, (F, sheet)
+    lost: Floats  # share of the stick in which it does not creep therefore, (stick, sheet)
+    lost_err: Floats  # its standard error
 
 
 def find_late_slips(x_px: Floats, frames: StickFrames, settings: DeformationSettings) -> LateSlips:
     """Compare the frames at either end of each stick with a parabola through the others.
 
-    Parameters
-    ----------
-    x_px
-        Positions without the camera's vibration, px, (F, sheet).
-    frames, settings
-        Sticks, and the longest delay looked for.  Sticks with too few frames are left as they are.
-
-    Notes
-    -----
-    A sheet that in one frame is where it was before its slip was there in the frames nearer to the slip too,
-    and slipped between that frame and the next.  How late the other sheets were follows from the share of
-    late ones: all delays up to the longest are taken to be equally likely.
+    x_px: positions without the camera's vibration, (F, sheet).  Sticks with too few frames are left as they
+    are. A sheet that in one frame is where it was before its slip was there in the frames nearer to the slip
+    too, and slipped between that frame and the next.  How late the other sheets were follows from the share
+    of late ones: all delays up to the longest are taken to be equally likely.
     """
     late, blurred, clear = _late(x_px, frames, settings)
     length_s = frames.length_s[:, None]
@@ -340,7 +254,7 @@ def _late(x_px: Floats, frames: StickFrames, settings: DeformationSettings) -> t
         clear = (worst > 0) & np.isfinite(worst) & (np.abs(jump) > 2 * worst)
         part = -np.sign(frames.u)[:, None] * residual / jump[frames.row]
         part = np.where(end & clear[frames.row] & (part < 1.5), part, np.nan)  # more is no part of a slip
-        common = np.maximum(_low(part, settings.late_common), 0.0)[:, None]
+        common = np.maximum(_lower_quantile(part, settings.late_common), 0.0)[:, None]
         least = np.maximum(far / np.abs(jump)[frames.row], 0.01)
         late, blurred = part - common > least, (common > least).any(axis=1, keepdims=True)
     return np.asarray(late), np.asarray(blurred), clear
@@ -369,7 +283,7 @@ def _extrapolation_error(residual: Floats, end: Bools, creep: Creep, frames: Sti
     return error
 
 
-def _low(part: Floats, share: float) -> Floats:
+def _lower_quantile(part: Floats, share: float) -> Floats:
     """Quantile over the sheets, rounded down to one of them, (F,); 0 where nothing is known."""
     ordered = np.nan_to_num(np.sort(part, axis=1))  # NaN comes last
     place = (share * np.maximum(np.isfinite(part).sum(axis=1) - 1, 0)).astype(int)
@@ -388,28 +302,15 @@ def _longest_delay(first_s: Floats, late: Bools, clear: Bools, settings: Deforma
     return float(np.interp(seen, share, longest))
 
 
-# --- pixel locking ---
-
-_AMBIGUOUS_PX = 0.25  # from a pixel's centre, beyond which its neighbour may have been the brightest
-_ROUNDS = 2, 2, 3, 4  # terms of the creep, round by round: a line is not led astray by wrong pixels
+# --- pixel locking ------------------------------------------------------------------------------------------
 
 
 def pixel_locking_slope(x_px: Floats, x_err_px: Floats) -> Floats:
-    """Share by which distances to the brightest pixel are underestimated, for each sheet.
+    """Share by which the publication's fit underestimates distances to the brightest pixel, (sheet,).
 
-    Parameters
-    ----------
-    x_px, x_err_px
-        Positions of the publication's fit with their standard errors, px, (frame, sheet).
-
-    Returns
-    -------
-    (sheet,); 0 where no locking is seen.
-
-    Notes
-    -----
     The stated variance of a position holds the square of the bias, so that it rises with the square of the
-    distance; the slope of that rise, by least squares over all frames, is the square of the share.
+    distance; the slope of that rise, by least squares over all frames, is the square of the share. 0 where no
+    locking is seen.  x_px, x_err_px: positions with their standard errors, px, (frame, sheet).
     """
     known = np.isfinite(x_px) & np.isfinite(x_err_px)
     count = np.maximum(known.sum(axis=0), 1)
@@ -424,32 +325,21 @@ def pixel_locking_slope(x_px: Floats, x_err_px: Floats) -> Floats:
 def correct_pixel_locking(
     x_px: Floats, slope: Floats, frames: StickFrames, terms: int, settings: DeformationSettings
 ) -> Floats:
-    """Positions without pixel locking.
+    """Positions in the sticks' frames, px, (F, sheet), without pixel locking of this slope, (sheet,).
 
-    Parameters
-    ----------
-    x_px
-        Positions in the sticks' frames, px, (F, sheet).
-    slope
-        Of `pixel_locking_slope`, (sheet,).
-    frames, terms, settings
-        Of the creep that decides which pixel was the brightest: of the two candidates, the one nearer to the
-        sheet's creep and the camera's vibration is taken.
-
-    Returns
-    -------
-    (F, sheet); the input where no sheet is locked.
+    Which pixel was the brightest is decided by the sheet's creep, of so many terms, and the camera's
+    vibration: the nearer one of the two candidates is taken.
     """
     if not slope.any():
         return x_px
     offset = x_px - np.rint(x_px)
     nearest, other = (x_px + slope * _bias(away) for away in (offset, offset - np.sign(offset)))
     corrected = nearest
-    for order in _ROUNDS:
+    for order in (2, 2, 3, 4):  # a line is not led astray by wrong pixels
         expected = fit_creep(corrected, frames, min(order, terms), settings).at(frames)
         expected = expected + nan_median(corrected - expected, axis=1)[:, None]
         better = np.abs(other - expected) < np.abs(nearest - expected)
-        corrected = np.where(better & (np.abs(offset) > _AMBIGUOUS_PX), other, nearest)
+        corrected = np.where(better & (np.abs(offset) > 0.25), other, nearest)
     return corrected
 
 

@@ -7,14 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from vision.deformation.creep import WHITE, AR1Noise, Creep, StickFrames, fit_creep
+from vision.deformation.creep import AR1Noise, Creep, StickFrames, fit_creep
 from vision.deformation.settings import DeformationSettings
 from vision.numeric import Bools, Floats, Ints, nan_median
 from vision.sheets import TrackingSettings
 
-_LEAST_DOF = 30  # residual degrees of freedom below which no correlation is looked for
-_LEAST_SHEETS = 8  # from which it is estimated
-_GAIN = 9.0  # in -2 log-likelihood that one more parameter must bring: 3 standard errors
 _LEAST_VARIANCE_PX2 = 1e-12  # of positions without noise, whose residuals are rounding
 
 # --- size and autocorrelation -------------------------------------------------------------------------------
@@ -22,22 +19,11 @@ _LEAST_VARIANCE_PX2 = 1e-12  # of positions without noise, whose residuals are r
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of all sheets.
+    """Noise of all sheets."""
 
-    Parameters
-    ----------
-    noise_px
-        Standard deviation of single positions of each sheet, (sheet,).
-    correlation
-        From frame to frame, the same for all sheets.
-    excess
-        Factor, 1 or more, by which the residuals of a stick exceed the sheet's noise beyond chance,
-        (stick, sheet).
-    """
-
-    noise_px: Floats
-    correlation: AR1Noise
-    excess: Floats
+    noise_px: Floats  # standard deviation of single positions of each sheet, (sheet,)
+    correlation: AR1Noise  # from frame to frame, the same for all sheets
+    excess: Floats  # factor, 1 or more, by which a stick's residuals exceed that noise, (stick, sheet)
 
 
 def measure_noise(
@@ -45,20 +31,9 @@ def measure_noise(
 ) -> Noise:
     """Noise of every sheet and its autocorrelation, from the residuals to a parabola or cubic in each stick.
 
-    Parameters
-    ----------
-    x_px
-        Positions without vibration, px, (F, sheet); NaN where there is none.
-    frames, terms
-        Sticks, and terms of the creep.
-    predicted_px
-        Standard errors of the positions as the subpixel fit states them, px, (sheet,); NaN where unknown.
-    settings
-        Weight of the prediction, and when residuals are uneven.
-
-    Notes
-    -----
-    Sticks with uneven residuals (a sheet that slipped by itself) do not count towards the noise.
+    x_px: positions without vibration, (F, sheet), NaN where there is none.  predicted_px: their standard
+    errors as the subpixel fit states them, (sheet,), NaN where unknown.  Sticks with uneven residuals (a
+    sheet that slipped by itself) do not count towards the noise.
     """
     white = fit_creep(x_px, frames, terms, settings)
     usual = (white.dof > 0) & ~_uneven(white.square, white.dof, _typical_variance(white), settings)
@@ -80,7 +55,7 @@ def _fit_correlation(
     Every so many sheets and sticks are enough in a long recording.  usual: (stick, sheet) used.
     """
     every = max(1, round(x_px.size / settings.correlation_positions))
-    sheets = max(1, min(every, x_px.shape[1] // _LEAST_SHEETS))
+    sheets = max(1, min(every, x_px.shape[1] // 8))
     kept = usual[:, ::sheets] & (np.arange(frames.sticks) % max(1, every // sheets) == 0)[:, None]
     inside = kept.any(axis=1)[frames.row]
     names = ("frame", "row", "u", "slot")
@@ -97,14 +72,15 @@ def _fit_correlation(
     def mixture(both: Floats) -> float:
         return deviance(float(both[0]), float(both[1]))
 
+    gain = 9.0  # in -2 log-likelihood that one more parameter must bring: 3 standard errors
     white = fit_creep(x_px, part, terms, settings)
-    if white.dof.sum() < _LEAST_DOF or not np.nansum(white.square) > _LEAST_VARIANCE_PX2 * white.dof.sum():
-        return WHITE
+    if white.dof.sum() < 30 or not np.nansum(white.square) > _LEAST_VARIANCE_PX2 * white.dof.sum():
+        return AR1Noise()
     pure = scipy.optimize.minimize_scalar(
         lambda rho: deviance(1.0, rho), bounds=(0.01, 0.97), method="bounded", options={"xatol": 0.01}
     )
-    if pure.fun + _GAIN > deviance(0.0, 0.0):
-        return WHITE
+    if pure.fun + gain > deviance(0.0, 0.0):
+        return AR1Noise()
     mixed = scipy.optimize.minimize(
         mixture,
         [0.5, max(0.5, pure.x)],
@@ -112,7 +88,7 @@ def _fit_correlation(
         bounds=[(0.01, 1.0), (0.02, 0.97)],
         options={"xatol": 0.01, "fatol": 0.5, "maxfev": 40},
     )
-    if mixed.fun + _GAIN > pure.fun:
+    if mixed.fun + gain > pure.fun:
         return AR1Noise(1.0, float(pure.x))
     return AR1Noise(float(mixed.x[0]), float(mixed.x[1]))
 
@@ -146,62 +122,31 @@ def _variance(square: Floats, dof: Ints, predicted_px: Floats, settings: Deforma
 
 # --- fixed-pattern error ------------------------------------------------------------------------------------
 
-_WAVES_PER_PX = np.arange(0.01, 0.5, 0.01)
-# Half of the standard fit window, which weighs pixels by their distance from its centre
-_WINDOW_PX = np.arange(TrackingSettings().standard_window_px // 2 + 1)
-_POWER = (np.sin(2 * np.pi * _WAVES_PER_PX[:, None] * _WINDOW_PX) @ _WINDOW_PX) ** 2
-
 
 def fixed_pattern_gain(reach_px: Floats, terms: int) -> Floats:
-    r"""RMS share of a fixed pattern of 1 px in each coefficient of the creep.
+    r"""RMS share of a fixed pattern of 1 px in each coefficient of the creep, (..., terms).
 
-    Parameters
-    ----------
-    reach_px
-        Half the distance that the sheet creeps, any shape.
-    terms
-        Of the creep.
-
-    Returns
-    -------
-    The shape of `reach_px` and (terms,).
-
-    Notes
-    -----
-    A wave of f per px has the share :math:`(2 l + 1) j_l(2 \pi f r)` in :math:`P_l` (spherical Bessel
-    functions); waves are weighted by the transfer function of the subpixel fit.
+    reach_px (...) is half the distance that the sheet creeps.  A wave of f per px has the share
+    :math:`(2 l + 1) j_l(2 \pi f r)` in :math:`P_l` (spherical Bessel functions); waves are weighted by the
+    transfer function of the subpixel fit, which weighs pixels by their distance from its centre.
     """
+    waves_per_px = np.arange(0.01, 0.5, 0.01)
+    window_px = np.arange(TrackingSettings().standard_window_px // 2 + 1)
+    power = (np.sin(2 * np.pi * waves_per_px[:, None] * window_px) @ window_px) ** 2
     reach = np.nan_to_num(np.abs(reach_px))
     grid = np.linspace(0, float(reach.max(initial=0.0)) + 1e-9, 200)
-    order, phase = np.arange(terms)[:, None, None], 2 * np.pi * _WAVES_PER_PX[:, None] * grid
-    square = _POWER @ scipy.special.spherical_jn(order, phase) ** 2 / _POWER.sum()
+    order, phase = np.arange(terms)[:, None, None], 2 * np.pi * waves_per_px[:, None] * grid
+    square = power @ scipy.special.spherical_jn(order, phase) ** 2 / power.sum()
     return np.stack([(2 * k + 1) * np.interp(reach, grid, np.sqrt(square[k])) for k in range(terms)], axis=-1)
 
 
 def fixed_pattern_px(creep: Creep, error: Floats, noise: Noise, settings: DeformationSettings) -> Floats:
-    """RMS error of position that repeats wherever a sheet passes: unequal pixels, dust.
+    """RMS error of position that repeats wherever a sheet passes (unequal pixels, dust), px, (sheet,).
 
     Such errors do not average out over the frames of a stick, and a straight line hides them.  Their size
-    follows from bends that a sheet shows again in every stick.
-
-    Parameters
-    ----------
-    creep
-        Of three terms or more.
-    error
-        Of its coefficients from noise alone, px, (stick, sheet, term).
-    noise
-        Of the positions.
-    settings
-        Size taken where too little is seen.
-
-    Returns
-    -------
-    px, (sheet,).
-
-    Notes
-    -----
-    Bends that all sheets share are no pattern: camera movement, and creep that slows down.
+    follows from bends of the creep (three terms or more) that a sheet shows again in every stick; bends that
+    all sheets share are no pattern but camera movement, or creep that slows down.  error: of the coefficients
+    from noise alone, px, (stick, sheet, term).
     """
     used = (creep.good & (noise.excess <= 1))[..., None]
     everything = creep.coefficient, error, fixed_pattern_gain(creep.coefficient[..., 1], error.shape[2])
@@ -244,21 +189,11 @@ def _posterior(
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """What the errors of the creep are made of.
+    """What the errors of the creep are made of."""
 
-    Parameters
-    ----------
-    noise
-        Of the positions.
-    pattern_px
-        Fixed-pattern error of each sheet, (sheet,).
-    scale
-        Relative error of the magnification.
-    """
-
-    noise: Noise
-    pattern_px: Floats
-    scale: float = 0.0
+    noise: Noise  # of the positions
+    pattern_px: Floats  # fixed-pattern error of each sheet, (sheet,)
+    scale: float = 0.0  # relative error of the magnification
 
     def of(self, fit: Creep) -> Floats:
         """Standard errors of the coefficients of a fit with the noise's correlation, px, (stick, sheet,

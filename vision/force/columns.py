@@ -31,13 +31,12 @@ class Unit:
     factor: float
 
 
-_POUND_N = 4.4482216152605
-_KILOGRAM_N = 9.80665
+TIME_OF_DAY = "time of day"  # in place of the unit of a column of clock times, which are read as seconds
 
 # Written forms, case kept: mN and MN differ.
 _FACTORS: dict[Dimension, dict[str, float]] = {
     "time": {
-        **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "seg"), 1.0),
+        **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "seg", TIME_OF_DAY), 1.0),
         **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
         **dict.fromkeys(("µs", "us"), 1e-6),
         **dict.fromkeys(("min", "minute", "minutes", "Minuten"), 60.0),
@@ -46,9 +45,9 @@ _FACTORS: dict[Dimension, dict[str, float]] = {
     "force": {
         **dict.fromkeys(("N", "newton", "newtons"), 1.0),
         **{"kN": 1e3, "MN": 1e6, "daN": 10.0, "mN": 1e-3, "µN": 1e-6, "uN": 1e-6},
-        **dict.fromkeys(("lbf", "lb", "lbs"), _POUND_N),
-        **dict.fromkeys(("kgf", "kp", "kg"), _KILOGRAM_N),
-        **dict.fromkeys(("gf", "g"), _KILOGRAM_N / 1000),
+        **dict.fromkeys(("lbf", "lb", "lbs"), 4.4482216152605),
+        **dict.fromkeys(("kgf", "kp", "kg"), 9.80665),
+        **dict.fromkeys(("gf", "g"), 9.80665e-3),
     },
     "length": {
         **{"mm": 1.0, "cm": 10.0, "m": 1000.0, "µm": 1e-3, "um": 1e-3, "nm": 1e-6},
@@ -67,7 +66,7 @@ _GREEK_MU = str.maketrans({"\u03bc": "µ"})
 
 def without_brackets(text: str) -> str:
     """The unit without the brackets and spaces around it: "(kN)" and " [kN] " are both "kN"."""
-    return text.strip().strip("()[]{}<>").strip()
+    return text.strip().strip("()[]{}<>").strip().removesuffix(".")
 
 
 def unit_of(text: str) -> Unit | None:
@@ -137,10 +136,13 @@ _DIMENSION: dict[Role, Dimension] = {
 }
 _BASE: dict[Role, str] = {"time": "s", "load": "N", "displacement": "mm", "video_time": "s"}
 _WORDS: dict[Role, frozenset[str]] = {
-    "time": _set("time temps zeit tiempo laufzeit prufzeit messzeit testzeit t elapsed duree duracion"),
+    "time": _set(
+        "time timestamp datetime temps zeit uhrzeit zeitstempel tiempo hora heure laufzeit prufzeit messzeit"
+        " testzeit t elapsed duree duracion"
+    ),
     "load": _set("load force kraft prufkraft standardkraft zugkraft last fuerza carga charge effort f fnorm"),
     "displacement": _set(
-        "displacement crosshead extension position stroke travel separation actuator d traverse course"
+        "displacement disp crosshead extension position stroke travel separation actuator d traverse course"
         " deplacement allongement traversenweg standardweg verfahrweg weg verschiebung"
         " desplazamiento posicion recorrido carrera travesano alargamiento"
     ),
@@ -247,7 +249,7 @@ def _guessed(path: Path, table: Table, role: Role) -> Column | None:
     """The column whose name, or else whose unit alone, fits a role best."""
     every = range(len(table.names))
     candidates = [k for k in every if _fits(table, role, k)]
-    if not candidates and role in ("load", "displacement"):
+    if not candidates and role != "video_time":
         candidates = [k for k in every if _fits_by_unit(table, role, k)]
     if not candidates:
         return None
@@ -284,9 +286,10 @@ def _fits_by_unit(table: Table, role: Role, k: int) -> bool:
 
 
 def _rank(table: Table, role: Role, k: int) -> tuple[bool, bool, int]:
-    """Smaller is better: with a unit, not an absolute machine position, and for time the shortest name."""
+    """Smaller is better: with a unit, no absolute machine position or time of the day (which may be coarse),
+    and for time the shortest name."""
     words = _words(table.names[k])
-    absolute = bool(set(words) & _ABSOLUTE)
+    absolute = bool(set(words) & _ABSOLUTE) or table.units[k] == TIME_OF_DAY
     return unit_of(table.units[k]) is None, absolute, len(words) if role == "time" else 0
 
 

@@ -11,23 +11,13 @@ import xarray as xr
 
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
 from vision.errors import InputError
-from vision.force.lines import fit_broken_lines
+from vision.force.lines import fit_broken_lines, flat_ranges
 from vision.force.lowpass import SlipTransients, deconvolve_lowpass, estimate_lowpass
 from vision.force.recording import is_compression
-from vision.force.regime import (
-    Extremes,
-    Regime,
-    find_extremes,
-    find_regime,
-    is_unloading,
-)
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, find_slips, stick_middles
-from vision.force.sticks import Corners, Signal, find_corners, measure_sticks
+from vision.force.sticks import Corners, Extremes, Signal, find_corners, find_extremes, measure_sticks
 from vision.numeric import Bools, Floats, nan_median
-
-_STICKS_FOR_KNEES = 60  # looked at, from first to last, to tell whether sticks have two slopes
-_COARSE = 0.3  # of a stick: longer steps of the displacement leave fewer than four in it
 
 
 def find_stick_slip(
@@ -76,8 +66,9 @@ def find_stick_slip(
     Raises
     ------
     InputError
-        For a load in compression, fewer than two slips, falls that are all unloading, or a `lowpass_s` below
-        0 or not shorter than the usual time between slips.
+        For a load in compression, a crosshead that goes back in the sticks, too few samples per slip, fewer
+        than two slips, falls that are all unloading, or a `lowpass_s` below 0 or not shorter than the usual
+        time between slips.
 
     Notes
     -----
@@ -93,6 +84,13 @@ def find_stick_slip(
             "a pull (positive load)",
             f"a median load of {np.median(signal.load):.3g}",
             "if tension counts negative on this machine give `columns` load=-NAME",
+        )
+    if signal.is_spike.mean() > settings.most_spikes:
+        raise InputError(
+            metadata.source,
+            f"at most {100 * settings.most_spikes:g} % of spikes",
+            f"{100 * signal.is_spike.mean():.0f} %: the load jumps from sample to sample",
+            "record more samples per second: ten or more in each stick",
         )
     slips = find_slips(signal.clean, signal.sigma, threshold=threshold_N, settings=settings)
     if slips.edge.size < 2:
@@ -114,6 +112,14 @@ def find_stick_slip(
         )
     compliance = 1 / (machine_stiffness_N_per_mm or np.inf)
     events = measure_sticks(signal, corners, shown.extremes, tau, shown.bent, compliance, settings)
+    stick_length = float(nan_median(events["stick_length_um"].to_numpy(float)))
+    if stick_length < 0:
+        raise InputError(
+            metadata.source,
+            "a crosshead that goes on while the load rises",
+            f"one that goes back, by {-stick_length:.3g} µm in a stick",
+            "if the displacement counts the other way give `columns` displacement=-NAME",
+        )
     if found.samples and not tau:
         events = _with_bias(events, signal, slips, shown.bent, compliance, found.samples, settings)
     response = tau or (found.samples if found.proven else 0.0)
@@ -137,7 +143,7 @@ def find_stick_slip(
         regime=regime.name,
         fall_over_rise=regime.fall_over_rise,
         line_share=regime.line_share,
-        warnings=_warnings(events, regime, signal),
+        warnings=_warnings(events, regime, signal, slips),
         first_slip_s=float(first),
         first_slip_N=float(signal.clean[int(corners.peak[0])]),
         last_slip_s=float(last),
@@ -219,7 +225,7 @@ def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSetting
     The speed has no say: sticks at 4.9975 and at 5.0000 mm/min are the same.
     """
     start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
-    some = np.unique(np.linspace(0, start.size - 1, _STICKS_FOR_KNEES).astype(np.int64))
+    some = np.unique(np.linspace(0, start.size - 1, 60).astype(np.int64))
     index = np.arange(signal.clean.size, dtype=float)
     broken = fit_broken_lines(index, signal.clean, start[some], stop[some], lag=lag)
     known = np.isfinite(broken.gain) & (broken.first > 0) & (broken.second > 0)
@@ -299,7 +305,7 @@ def _with_bias(
         "stick_length_um": "stick_length_err_um",
         "K_N_per_mm": "K_err_N_per_mm",
     }
-    # One and the same bias in all events: added, not in squares.
+    # The bias is the same in each event: added, not in squares.
     bias = {value: (other[value] - events[value]).abs().fillna(0.0) for value in pairs}
     biased = events.assign(**{error: events[error] + bias[value] for value, error in pairs.items()})
     for name, value in (("dF", "dF_N"), ("K", "K_N_per_mm")):
@@ -332,7 +338,7 @@ def _all_flags(
     ]
 
 
-def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal) -> list[str]:
+def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips) -> list[str]:
     """Why the whole recording may not be stick-slip."""
     lines = []
     if regime.name == "oscillation":
@@ -346,11 +352,18 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal) -> list[str]
             f"no stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises and are as "
             "straight, as in cycles of loading and unloading"
         )
-    step, stick = 1e3 * _step(signal.travel), float(nan_median(events["stick_length_um"].to_numpy(float)))
-    if step > _COARSE * stick:
+    for column, values, what, unit in (
+        ("stick_length_um", 1e3 * signal.travel, "lengths and K are not resolved: the displacement", "µm"),
+        ("dF_N", signal.load, "drops and K are not resolved: the load", "N"),
+    ):
+        step, stick = _resolution(values), float(nan_median(events[column].to_numpy(float)))
+        if step > 0.3 * stick:  # fewer than four steps in a stick
+            lines.append(f"{what} has steps of {step:.3g} {unit}, sticks are {stick:.3g} {unit}")
+    if slips.left_out.size:
+        count, low, high = slips.left_out.size, slips.left_out.min(), slips.left_out.max()
         lines.append(
-            f"lengths and K are not resolved: the displacement has steps of {step:.3g} µm, "
-            f"sticks last {stick:.3g} µm"
+            f"{count} drops of {low:.3g} to {high:.3g} N lie below a gap in the sizes of drops and are not "
+            f"counted: `threshold_N` {0.9 * low:.2g} counts them"
         )
     flags = events["flag"].str.split("+")
     for word, meaning in (
@@ -363,10 +376,86 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal) -> list[str]
     return lines
 
 
-def _step(travel: Floats) -> float:
-    """Usual distance of neighbouring values, mm; 0 where there are none or nearly all differ."""
-    values = np.unique(travel[np.isfinite(travel)])
-    return float(np.median(np.diff(values))) if 2 < values.size < 0.2 * travel.size else 0.0
+def _resolution(values: Floats) -> float:
+    """Usual distance of neighbouring values; 0 where there are none or nearly all differ."""
+    different = np.unique(values[np.isfinite(values)])
+    return float(np.median(np.diff(different))) if 2 < different.size < 0.2 * values.size else 0.0
+
+
+# --- is it stick-slip? --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Regime:
+    """What kind of motion a recording shows."""
+
+    # "stick-slip", "oscillation" (rise and fall equally long, both rounded, a narrow line in the
+    # spectrum) or "cycles" (rise and fall equally long and both straight)
+    name: str
+    fall_over_rise: float  # median duration of falls over that of rises
+    line_share: float  # share of the load's variance within 20 % of the frequency of the slips
+
+
+def find_regime(y: Floats, extremes: Extremes, settings: ForceSettings) -> Regime:
+    """Stick-slip, or an oscillation, or loading and unloading.
+
+    Rises and falls of the load are each fitted by a straight line and by half a cosine. Slow slips of true
+    stick-slip are rounded too, but their sticks are straight.
+    """
+    rise, fall = extremes.rise, extremes.fall[1:]
+    known = (rise >= 4) & (fall >= 2)
+    if known.sum() < 2:
+        return Regime("stick-slip", float("nan"), float("nan"))
+    ratio = float(np.median(fall[known] / rise[known]))
+    share = _line_share(y, extremes)
+    equal = settings.equal_share < ratio < 1 / settings.equal_share
+    v, p, next_v = extremes.valley[:-1], extremes.peak[1:], extremes.valley[1:]
+    rounded_rise = _roundness(y, v[known], p[known]) > 1
+    rounded_fall = _roundness(y, p[known], next_v[known]) > 1
+    name = "stick-slip"
+    if equal and rounded_rise and share > settings.line_share:
+        name = "oscillation"
+    elif equal and not rounded_rise and not rounded_fall:
+        name = "cycles"
+    return Regime(name, ratio, share)
+
+
+def _roundness(y: Floats, start: Floats, stop: Floats) -> float:
+    """Squares that straight lines leave over those that half cosines leave, all stretches together."""
+    row, index = flat_ranges(start.astype(np.int64), stop.astype(np.int64) + 1)
+    u = (index - start[row]) / (stop - start)[row]
+    left = []
+    for shape in (u, 0.5 * (1 - np.cos(np.pi * u))):
+        count = np.bincount(row).astype(float)
+        dx = shape - (np.bincount(row, shape) / count)[row]
+        dy = y[index] - (np.bincount(row, y[index]) / count)[row]
+        slope = np.bincount(row, dx * dy) / np.maximum(np.bincount(row, dx * dx), 1e-300)
+        left.append(float(np.sum((dy - slope[row] * dx) ** 2)))
+    return left[0] / max(left[1], 1e-300)
+
+
+def _line_share(y: Floats, extremes: Extremes) -> float:
+    """Share of the variance, from half the slips' frequency on, within 20 % of that frequency."""
+    low, high = int(extremes.peak[0]), int(extremes.peak[-1])
+    if high - low < 8:
+        return float("nan")
+    part = y[low:high]
+    frequency = np.fft.rfftfreq(part.size)
+    power = np.abs(np.fft.rfft((part - part.mean()) * np.hanning(part.size))) ** 2
+    usual = 1 / float(np.median(np.diff(extremes.peak)))
+    whole = power[frequency > 0.5 * usual].sum()
+    return float(power[np.abs(frequency - usual) < 0.2 * usual].sum() / whole) if whole > 0 else float("nan")
+
+
+def is_unloading(travel: Floats, extremes: Extremes) -> Bools:
+    """Falls during which the crosshead goes back by a fifth of what it went forward before, or more.
+
+    Where the separation at each sample, `travel`, is not known nothing is unloading.
+    """
+    place = np.arange(travel.size)
+    at_peak, at_valley = (np.interp(at, place, travel) for at in (extremes.peak, extremes.valley))
+    forward = np.abs(at_peak - np.r_[travel[0], at_valley[:-1]])
+    return np.asarray((at_peak - at_valley) > np.maximum(0.2 * forward, 1e-12))
 
 
 # --- detection limit ----------------------------------------------------------------------------------------

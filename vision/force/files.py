@@ -19,17 +19,21 @@ import scipy
 
 from vision.errors import InputError
 from vision.files import check_regular, reading
-from vision.force.columns import Table, split_name, unit_of, without_brackets
+from vision.force.columns import TIME_OF_DAY, Table, split_name, unit_of, without_brackets
 from vision.isolation import try_out
 from vision.numeric import Bools, Floats
 
-_HEAD_BYTES = 1 << 17  # in which the header and the first rows are looked for
-_MOST_BYTES = 8 << 30  # of a table of plain numbers, about 300 million rows
-_MOST_MIXED_BYTES = 1 << 30  # of any other text, which takes ten times its size in memory
-_MOST_COLUMNS = 1000
-_MOST_LETTERS = 200  # of a cell of the header, or of a number with its unit
-_MOST_MATRIX_COLUMNS = 20  # of a matrix; wider ones are images or tables of something else
-_MOST_LEVELS = 20  # of structs in structs
+
+class _Most:
+    """Limits of what is read: what lies beyond is no force recording."""
+
+    bytes = 8 << 30  # of a table of plain numbers, about 300 million rows
+    mixed_bytes = 1 << 30  # of any other text, which takes ten times its size in memory
+    columns = 1000
+    matrix_columns = 20  # of a matrix in a .mat file; wider ones are images or tables of something else
+    letters = 200  # of a cell of the header, or of a number with its unit
+
+
 _WANTED, _WANTED_MAT = "a force recording", "a MATLAB .mat file"
 LEAST_ROWS = 3
 
@@ -55,8 +59,8 @@ def read_tables(path: Path) -> list[Table]:
         For a file that cannot be read, no block of three rows of numbers, or no vectors.
     """
     size = check_regular(path, _WANTED).st_size
-    if size > _MOST_BYTES:
-        raise InputError(path, f"at most {_MOST_BYTES >> 30} GiB", f"{size >> 20} MiB", "export a part of it")
+    if size > _Most.bytes:
+        raise InputError(path, f"at most {_Most.bytes >> 30} GiB", f"{size >> 20} MiB", "export a part of it")
     with reading(path, _WANTED, "export it again"):
         return _read_mat(path) if path.suffix.lower() == ".mat" else _read_text(path)
 
@@ -66,7 +70,14 @@ def read_tables(path: Path) -> list[Table]:
 _WHITESPACE = r"\s+"
 _SEPARATORS = ("\t", ";", ",", "|", _WHITESPACE)
 _SEPARATOR_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", _WHITESPACE: "spaces"}
-_NOT_A_NUMBER = ("nan", "n/a", "#n/a", "na", "inf", "-inf", "+inf", "--", "---", "")
+_NOT_A_NUMBER = (
+    *("nan", "n/a", "#n/a", "na", "inf", "-inf", "+inf", "--", "---", "", "ol", "ovl", "over", "overflow"),
+    *("overload", "overrange", "1.#qnan", "1.#inf", "-1.#ind", "-1.#inf"),
+)
+# A time of the day, alone or after its date, with AM or PM or without hours ("52:17.1"); a date alone.
+_DATE = r"[0-9]{1,4}[-./][0-9]{1,2}[-./][0-9]{1,4}"
+_CLOCK = r"(?:[0-9]{1,2}:)?[0-9]{1,2}:[0-9]{2}(?:[.,][0-9]*)?(?: ?[AaPp][Mm])?Z?"
+_CLOCK_PARTS = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d*)?)(?: ?([AaPp])[Mm])?Z?$")
 _SUFFIXED = re.compile(r"^\s*(?P<number>[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?)\s*(?P<unit>[A-Za-zµ]+?)\d*\s*$")
 
 
@@ -76,8 +87,8 @@ def _read_text(path: Path) -> list[Table]:
     if plain is not None:
         return [plain]
     size = path.stat().st_size
-    if size > _MOST_MIXED_BYTES:
-        wanted = f"at most {_MOST_MIXED_BYTES >> 30} GiB of text that is not numbers alone"
+    if size > _Most.mixed_bytes:
+        wanted = f"at most {_Most.mixed_bytes >> 30} GiB of text that is not numbers alone"
         raise InputError(path, wanted, f"{size >> 20} MiB", "export one table of numbers")
     text, encoding = _decode(path, path.read_bytes())
     lines = text.splitlines()
@@ -98,7 +109,7 @@ def _read_plain(path: Path) -> Table | None:
     cells of text.
     """
     with path.open("rb") as file:
-        head = file.read(_HEAD_BYTES)
+        head = file.read(1 << 17)  # the header and the first rows
         whole = not file.read(1)
     raw = head.split(b"\n")[: None if whole else -1]
     text, encoding = _decode(path, b"\n".join(raw))
@@ -173,7 +184,9 @@ class _Style:
         than the test.
         """
         words = "|".join(re.escape(word) for word in sorted(_NOT_A_NUMBER, key=len, reverse=True) if word)
-        value = rf"(?>{self.number}|{words})"
+        marks = r"\*++|#[A-Za-z0/]++[!?]"  # of a number too long for its column, of a spreadsheet's error
+        clock = rf"{_DATE}(?:[ T]{_CLOCK})?|{_CLOCK}"
+        value = rf"(?>{clock}|{words}|{marks}|{self.number})"
         if self.separator == _WHITESPACE:
             line = rf"\s*+{value}(?:\s++{value})+\s*+"
         else:
@@ -223,6 +236,7 @@ def _layout(lines: list[str]) -> str:
     """The program that wrote a file, by its marks; "table" for none of those known."""
     head = "\n".join(lines[:40]).lower()
     known = {
+        "labview measurement": "LabVIEW",
         "mts793": "MTS 793",
         "file path:": "MTS TestSuite",
         "bluehill": "Instron Bluehill",
@@ -239,8 +253,9 @@ def _read_blocks(path: Path, lines: list[str], style: _Style, facts: dict[str, s
     tables: list[Table] = []
     header_from = 0
     for start, stop in _runs(lines, style):
-        values = _numbers(path, [line for line in lines[start:stop] if line.strip()], style)
+        values, clocks = _numbers(path, [line for line in lines[start:stop] if line.strip()], style)
         names, units = _header(lines[header_from:start], style, values.shape[1])
+        units = tuple(TIME_OF_DAY if clock else unit for unit, clock in zip(units, clocks, strict=True))
         if tables and not any(names) and values.shape[1] == tables[-1].numbers.shape[1]:
             # A remark between two runs of numbers is not a header: the columns go on as before.
             names, units = tables[-1].names, tables[-1].units
@@ -270,8 +285,8 @@ def _width(lines: list[str], style: _Style, path: Path) -> int:
         width = max((len(line.split()) for line in lines), default=0)
     else:
         width = max((line.count(style.separator) for line in lines), default=0) + 1
-    if width > _MOST_COLUMNS:
-        raise InputError(path, f"at most {_MOST_COLUMNS} columns", str(width), "export fewer of them")
+    if width > _Most.columns:
+        raise InputError(path, f"at most {_Most.columns} columns", str(width), "export fewer of them")
     return width
 
 
@@ -292,17 +307,42 @@ def _parsed(source: str | io.StringIO, style: _Style, width: int, **more: Any) -
     return frame
 
 
-def _numbers(path: Path, lines: list[str], style: _Style) -> Floats:
-    """Lines of numbers as an array, NaN where a cell is not a number."""
+def _numbers(path: Path, lines: list[str], style: _Style) -> tuple[Floats, list[bool]]:
+    """Lines of numbers as an array, NaN where a cell is not a number; and which columns are clock times."""
     width, text = _width(lines, style, path), io.StringIO("\n".join(lines))
     frame = _parsed(text, style, width, skip_blank_lines=False, low_memory=False)
-    return np.column_stack([_as_floats(frame[column], style.decimal) for column in frame.columns])
+    columns = [_as_floats(frame[column], style.decimal) for column in frame.columns]
+    return np.column_stack([values for values, _ in columns]), [clock for _, clock in columns]
 
 
-def _as_floats(series: pd.Series[Any], decimal: str) -> Floats:
-    if not pd.api.types.is_numeric_dtype(series):
-        series = pd.to_numeric(series.astype(str).str.strip().str.replace(decimal, "."), errors="coerce")
-    return series.to_numpy(dtype=float)
+def _as_floats(series: pd.Series[Any], decimal: str) -> tuple[Floats, bool]:
+    """The values of a column, and whether they are times of the day."""
+    if pd.api.types.is_numeric_dtype(series):
+        return series.to_numpy(dtype=float), False
+    text = series.astype(str).str.strip()
+    clock = text.str.extract(_CLOCK_PARTS)
+    if clock[1].notna().mean() > 0.5:
+        return _clock_seconds(clock), True
+    thousands = rf"(?<=[0-9])[{'.' if decimal == ',' else ','}'\u2019\u00a0\u202f ](?=[0-9]{{3}}(?![0-9]))"
+    grouped = text.str.match(rf"[-+]?[1-9][0-9]{{0,2}}(?:{thousands}[0-9]{{3}})+(?![0-9])")
+    text = text.mask(grouped, text.str.replace(thousands, "", regex=True)).str.replace(decimal, ".")
+    return pd.to_numeric(text, errors="coerce").to_numpy(dtype=float), False
+
+
+def _clock_seconds(parts: pd.DataFrame) -> Floats:
+    """Seconds from the hour, minute, second and A or P of times of the day, going on after midnight.
+
+    The date is not looked at, so that its many forms do not matter: what goes back by half a day or more is
+    the next day.
+    """
+    hour, minute, second = (pd.to_numeric(parts[k].str.replace(",", ".")).to_numpy(float) for k in range(3))
+    half = parts[3].str.lower()
+    hour = np.where(half.notna(), hour % 12 + 12.0 * (half == "p"), hour)
+    period = 3600.0 if np.isnan(hour).all() else 86400.0
+    seconds = 3600 * np.nan_to_num(hour) + 60 * minute + second
+    known = np.isfinite(seconds)
+    seconds[known] = np.unwrap(seconds[known], period=period)
+    return np.asarray(seconds, np.float64)
 
 
 def _header(lines: list[str], style: _Style, width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -311,10 +351,13 @@ def _header(lines: list[str], style: _Style, width: int) -> tuple[tuple[str, ...
     blank = ("",) * width
     if not rows or len([cell for cell in rows[-1] if cell]) < min(2, width):
         return blank, blank
-    if _is_unit_row(rows[-1]) and len(rows) > 1:
-        names = _fit(rows[-2], width)
-        return names, tuple(without_brackets(cell) for cell in _fit(rows[-1], width))
+    for names, units in ((rows[-2], rows[-1]), (rows[-1], rows[-2])) if len(rows) > 1 else ():
+        if _is_unit_row(units):
+            return _fit(names, width), tuple(without_brackets(cell) for cell in _fit(units, width))
     split = [split_name(cell) for cell in _fit(rows[-1], width)]
+    labels = next((row[1:] for row in rows if row[0] == "Y_Unit_Label"), None)  # LabVIEW: far above the names
+    if labels and rows[-1][0] == "X_Value":
+        return ("Time", *_fit(rows[-1][1:], width - 1)), ("s", *_fit(labels, width - 1))
     return tuple(name for name, _ in split), tuple(unit for _, unit in split)
 
 
@@ -327,7 +370,7 @@ def _is_unit_row(cells: list[str]) -> bool:
 
 def _fit(cells: list[str], width: int) -> tuple[str, ...]:
     """Exactly `width` cells: cut off, or filled up with ""."""
-    return tuple([*(cell.strip()[:_MOST_LETTERS] for cell in cells[:width]), *[""] * width][:width])
+    return tuple([*(cell.strip()[: _Most.letters] for cell in cells[:width]), *[""] * width][:width])
 
 
 def _drop_empty(table: Table) -> Table:
@@ -343,7 +386,7 @@ def _drop_empty(table: Table) -> Table:
 
 def _suffixed_column(path: Path, lines: list[str], encoding: str) -> Table:
     """One column whose every line carries its unit, as in "0.00 N1", or no unit at all."""
-    short = [line for line in lines if len(line) <= _MOST_LETTERS]
+    short = [line for line in lines if len(line) <= _Most.letters]
     found = [match for line in short if (match := _SUFFIXED.match(line))]
     plain = [line for line in short if re.fullmatch(_Style(";", ".").number, line.strip())]
     if max(len(found), len(plain)) < LEAST_ROWS:
@@ -406,9 +449,9 @@ def _vectors(variables: Mapping[str, Any], level: int = 0) -> Iterator[tuple[str
         array = np.asarray(value)
         if name.startswith("__"):
             continue
-        if array.dtype.names and array.ndim == 0 and level < _MOST_LEVELS:
+        if array.dtype.names and array.ndim == 0 and level < 20:
             yield from _vectors({f"{name}.{key}": array[key].item() for key in array.dtype.names}, level + 1)
         elif array.dtype.kind in "fiu" and array.ndim == 1 and array.size >= LEAST_ROWS:
             yield name, array.astype(float)
-        elif array.dtype.kind in "fiu" and array.ndim == 2 and array.shape[1] <= _MOST_MATRIX_COLUMNS:
+        elif array.dtype.kind in "fiu" and array.ndim == 2 and array.shape[1] <= _Most.matrix_columns:
             yield from ((f"{name} {k + 1}", column.astype(float)) for k, column in enumerate(array.T))

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from vision.numeric import Floats, Ints
 
 LEAST_FOR_KNEE = 12  # samples of a stretch: fewer say nothing about two slopes
-_KNEES = np.linspace(0.15, 0.85, 15)  # tried, in parts of the stretch
-_NO_KNEE = 2.0
 
 
 def flat_ranges(start: Ints, stop: Ints) -> tuple[Ints, Ints]:
@@ -163,8 +161,9 @@ def fit_broken_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: floa
     late = lag / np.maximum(stop - start - 1.0, 1.0)
     transient = np.exp(-(index - start[row]) / lag) if lag else np.zeros_like(u)
     hinges = _Hinges(u, y[index], row, transient, late)
-    straight, _ = hinges.fit(_NO_KNEE)
-    fits = [hinges.fit(knee) for knee in _KNEES]
+    knees = np.linspace(0.15, 0.85, 15)
+    straight, _ = hinges.fit(2.0)  # a knee beyond the end is none
+    fits = [hinges.fit(knee) for knee in knees]
     squares = np.array([square for square, _ in fits])
     best = np.argmin(squares, axis=0)
     chosen = best, np.arange(start.size)
@@ -172,7 +171,7 @@ def fit_broken_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: floa
     return BrokenLines(
         first=slope / span,
         second=(slope + change) / span,
-        knee=np.where(np.isfinite(span), _KNEES[best], np.nan),
+        knee=np.where(np.isfinite(span), knees[best], np.nan),
         low=low,
         span=span,
         level=level + slope * late,

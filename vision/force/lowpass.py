@@ -14,10 +14,6 @@ from vision.force.slips import Slips
 from vision.numeric import Bools, Floats, Ints
 from vision.signals import running_mean
 
-_SHORTEST = 0.15  # time constant looked for, samples: a shorter one leaves no transient
-_KNEES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0)  # tried, in sticks; 1 is no knee
-_LEAST_OWN = 1e-9  # of a column's length: what is left of it beside those before is rounding
-
 
 @dataclass(frozen=True)
 class SlipTransients:
@@ -59,26 +55,12 @@ class LowpassEstimate:
 
 
 def estimate_lowpass(y: Floats, transients: SlipTransients, corrected: float = 0.0) -> LowpassEstimate | None:
-    """Time constant of a first-order low-pass in a recording.
+    """Time constant of a first-order low-pass; None with fewer than three sticks of eight samples or more.
 
-    Parameters
-    ----------
-    y
-        Load without spikes.
-    transients
-        Stretches between slips.
-    corrected
-        Time constant, in samples, whose delay the corners in `transients` are already corrected for.
-
-    Returns
-    -------
-    None with fewer than three sticks of eight samples or more.
-
-    Notes
-    -----
-    After each slip the load is the sample's own rise (a parabola, with a knee for fast pulls) plus an
-    exponential transient, of the same time constant in all sticks and of free height in each. The time
-    constant is that of least squares.
+    After each slip the load, without spikes, is the sample's own rise (a parabola, with a knee for fast
+    pulls) plus an exponential transient, of the same time constant in every stick and of free height in each.
+    The time constant is that of least squares.  corrected: time constant, in samples, whose delay the corners
+    in `transients` are already corrected for.
     """
     blocks = _Blocks.of(y, transients, corrected)
     if blocks is None:
@@ -117,6 +99,7 @@ class _Blocks:
     drop: Floats
     size: int
     corrected: float
+    knees = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0)  # tried, in sticks; 1 is no knee
 
     @classmethod
     def of(cls, y: Floats, transients: SlipTransients, corrected: float) -> _Blocks | None:
@@ -147,11 +130,12 @@ class _Blocks:
 
     def best(self) -> tuple[float, float]:
         """(time constant, knee) of the least squares: the best of a grid, then downhill from there."""
-        high = max(0.6 * float(np.median(self.peak)), 2 * _SHORTEST)
-        grid = np.geomspace(_SHORTEST, high, 15)
+        shortest = 0.15  # samples: a shorter one leaves no transient
+        high = max(0.6 * float(np.median(self.peak)), 2 * shortest)
+        grid = np.geomspace(shortest, high, 15)
         squares_left = np.array([self.over_knees(tau) for tau in grid])
         first, knee = np.unravel_index(int(squares_left.argmin()), squares_left.shape)
-        start = np.array([np.log(grid[first]), min(_KNEES[knee], 0.9)])
+        start = np.array([np.log(grid[first]), min(self.knees[knee], 0.9)])
         steps = np.array([start, (start[0] + 0.2, start[1]), (start[0], start[1] - 0.05)])
 
         def squares(pair: Floats) -> float:
@@ -161,7 +145,7 @@ class _Blocks:
             squares,
             start,
             method="Nelder-Mead",
-            bounds=[(float(np.log(_SHORTEST)), float(np.log(high))), (_KNEES[0], 0.9)],
+            bounds=[(float(np.log(shortest)), float(np.log(high))), (self.knees[0], 0.9)],
             options={"initial_simplex": steps, "xatol": 1e-3, "fatol": 1e-3},
         )
         return float(np.exp(found.x[0])), float(found.x[1])
@@ -179,7 +163,7 @@ class _Blocks:
         parabola, hinge, transient = self._columns(tau)
         shared, _ = _orthonormal([*parabola, *transient])
         left = self._left(shared)
-        last = [_orthonormal([hinge(knee)], shared)[0][-1:] if knee < 1 else [] for knee in _KNEES]
+        last = [_orthonormal([hinge(knee)], shared)[0][-1:] if knee < 1 else [] for knee in self.knees]
         return [left - float(sum(np.sum(_dot(one, self.load) ** 2) for one in more)) for more in last]
 
     def _left(self, directions: Sequence[Floats]) -> float:
@@ -214,7 +198,7 @@ def _orthonormal(columns: Sequence[Floats], before: Sequence[Floats] = ()) -> tu
         for direction in directions:
             own = own - _dot(direction, own)[:, None] * direction
         length = np.sqrt(_dot(own, own))
-        some = length > _LEAST_OWN * np.sqrt(_dot(column, column))
+        some = length > 1e-9 * np.sqrt(_dot(column, column))  # less is rounding
         directions.append(own * np.divide(1, length, out=np.zeros_like(length), where=some)[:, None])
     return directions, length
 
@@ -236,27 +220,13 @@ class DeconvolvedLoad:
 
 
 def deconvolve_lowpass(y: Floats, sigma: float, slips: Slips, tau: float) -> DeconvolvedLoad:
-    """The load before a first-order low-pass.
+    r"""The load before a first-order low-pass of `tau` samples, with the slips' places in it.
 
-    Parameters
-    ----------
-    y, sigma
-        Load without spikes, and its noise.
-    slips
-        As found in y.
-    tau
-        Time constant in samples; 0 leaves y unchanged.
+    .. math:: z_k = y_k + c\,(y_k - y_{k-1}), \qquad c = 1 / (e^{1/\tau} - 1)
 
-    Returns
-    -------
-    The corrected load with the slips' places in it.
-
-    Notes
-    -----
-    .. math:: z_k = y_k + c\\,(y_k - y_{k-1}), \\qquad c = 1 / (e^{1/\\tau} - 1)
-
-    has no transient left after a step, and on a rise it lags by :math:`\\tau - c` samples. It is smoothed
+    has no transient left after a step, and on a rise it lags by :math:`\tau - c` samples. It is smoothed
     only as far as the usual drop needs to be 40 times the noise, by a tenth of a period at most.
+    y, sigma: load without spikes, and its noise.
     """
     if not tau:
         return DeconvolvedLoad(y, slips.edge, 0.0, 1, sigma)

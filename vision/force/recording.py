@@ -16,8 +16,6 @@ from vision.force.settings import ForceSettings
 from vision.numeric import Bools, Floats, Strings, mad_sigma
 from vision.signals import running_median
 
-_LEAST_SAMPLES = 10
-_STARTS_NEAR_ZERO = 0.05  # of the whole travel: a machine's zero is set by hand
 _MOST = 1e11  # s, N or mm: beyond all that is recorded, clock times since 1601 in s included
 
 
@@ -131,8 +129,8 @@ def _dataset(
     """The dataset of `read_force` from the columns found."""
     time, load = found["time"].values, found["load"].values
     crosshead = found["displacement"].values if "displacement" in found else None
-    if time.size < _LEAST_SAMPLES:
-        raise InputError(path, f"at least {_LEAST_SAMPLES} samples", f"{time.size}")
+    if time.size < 10:
+        raise InputError(path, "at least 10 samples", f"{time.size}")
     flags = sample_flags(time, load, crosshead, settings=settings)
     good = usable(flags)
     if not good.any():
@@ -164,7 +162,7 @@ def _dataset(
         columns="; ".join(f"{role} = {c.name} [{c.unit}]" for role, c in found.items()),
         notes=_notes(found, source, d0_mm),
         warnings=_warnings(flags, load[good], source, speed_mm_min, measured)
-        + _start_warnings(start, travel[good], d0_mm),
+        + (_start_warnings(start, travel[good], d0_mm) if source == "displacement" else []),
         **facts,  # type: ignore[arg-type]
     )
     return force.assign_attrs(metadata.attrs())
@@ -172,7 +170,7 @@ def _dataset(
 
 def _start_warnings(start: float, travel: Floats, d0_mm: float | None) -> list[str]:
     """A crosshead that does not start near 0, which may be the separation itself."""
-    if not d0_mm or abs(start) <= _STARTS_NEAR_ZERO * max(float(np.ptp(travel)), 1e-9):
+    if not d0_mm or abs(start) <= 0.05 * max(float(np.ptp(travel)), 1e-9):  # a zero is set by hand
         return []
     return [
         f"the crosshead starts at {start:.4g} mm: `d0_mm` {d0_mm:g} is added to its change since then; "
@@ -269,9 +267,9 @@ def sample_flags(
 
 
 def _saturated(load: Floats, least: int) -> Bools:
-    """Runs of at least so many samples at exactly the largest |load|; none where the load rests there."""
+    """Runs of at least so many samples at exactly the largest |load|; none in a load that never changes."""
     finite = np.abs(load[np.isfinite(load)])
-    if not finite.size or finite.max() == np.median(finite):
+    if not finite.size or np.ptp(finite) == 0:
         return np.zeros(load.shape, dtype=bool)
     at_limit = np.abs(load) == finite.max()
     edges = np.flatnonzero(np.diff(np.r_[False, at_limit, False]))

@@ -25,6 +25,10 @@ class ForceSettings:
     """A sample this far from the median of the five around it is a spike. Smaller takes noise for spikes,
     larger lets spikes make slips; shown by sawteeth with 1 % of spikes added."""
 
+    most_spikes: float = 0.05
+    """Share of spikes from which a recording is refused as sampled too slowly. Smaller refuses real impulses
+    (1 % of the samples); larger takes beats of the sampling for slips (5 Hz at 20 Hz: 50 % of spikes)."""
+
     step_width: float = 0.15
     """Half the width of the step filter, in periods. Wider averages more noise away, narrower follows
     irregular slips; shown by recall at drops of six sigmas."""

@@ -23,6 +23,7 @@ class Slips:
     period: float  # median samples from slip to slip; NaN with fewer than two
     threshold: float  # smallest drop kept
     threshold_how: str  # "noise" (a multiple of it), "gap" (between small and large drops) or "given"
+    left_out: Floats  # drops beyond the noise that lie below such a gap
 
 
 def find_slips(
@@ -58,11 +59,12 @@ def find_slips(
     edge = _edges(y, _local_period(edge, y.size), sigma, settings)
     drop = _stick_drops(y, edge, settings)
     least, how = (settings.threshold_sigmas * sigma, "noise") if threshold is None else (threshold, "given")
-    keep = drop >= least
+    keep, left_out = drop >= least, np.empty(0)
     if threshold is None and (gap := _gap(drop[keep], settings.threshold_gap)) > least:
+        left_out = drop[keep & (drop < gap)]
         keep, least, how = drop >= gap, gap, "gap"
     period = float(np.median(np.diff(edge[keep]))) if keep.sum() > 1 else float("nan")
-    return Slips(edge[keep], drop[keep], period, least, how)
+    return Slips(edge[keep], drop[keep], period, least, how, left_out)
 
 
 def stick_lines(y: Floats, edge: Ints, settings: ForceSettings) -> Lines:
@@ -79,7 +81,7 @@ def stick_middles(edge: Ints, size: int, settings: ForceSettings) -> tuple[Ints,
     return bounds[:-1] + margin, bounds[1:] - margin
 
 
-def _step(y: Floats, half: Ints) -> Floats:
+def _step_filter(y: Floats, half: Ints) -> Floats:
     """Mean of `half` samples before each index less the mean of as many from it on; NaN at the ends."""
     total = np.r_[0.0, np.cumsum(y - y.mean())]
     index = np.arange(y.size)
@@ -95,7 +97,7 @@ def _peaks(y: Floats, half: Ints, sigma: float, settings: ForceSettings) -> Ints
 
     Prominence, not height: the filter's level on a stick follows the stiffness and the filter's width.
     """
-    standard = np.nan_to_num(_step(y, half) / (sigma * np.sqrt(2.0 / half)), nan=-np.inf)
+    standard = np.nan_to_num(_step_filter(y, half) / (sigma * np.sqrt(2.0 / half)), nan=-np.inf)
     found = find_maxima(standard, least_prominence=settings.candidate_sigmas, reach=8 * int(half.max()))
     return apart(found.at, standard[found.at], max(int(half.min()), 1))
 
@@ -103,8 +105,8 @@ def _peaks(y: Floats, half: Ints, sigma: float, settings: ForceSettings) -> Ints
 def _edges(y: Floats, period: Floats, sigma: float, settings: ForceSettings) -> Ints:
     """Drops of a signal whose period, in samples, is known at every sample."""
     half = np.clip(np.rint(settings.step_width * period), 2, None).astype(np.int64)
-    edge = _significant(y, _peaks(y, half, sigma, settings), sigma, settings)
-    return _without_knees(y, _whole(y, edge, settings), sigma, settings)
+    edge = _join_weak(y, _peaks(y, half, sigma, settings), sigma, settings)
+    return _join_knees(y, _join_parts(y, edge, settings), sigma, settings)
 
 
 def _first_period(y: Floats, sigma: float, settings: ForceSettings) -> Floats:
@@ -115,7 +117,7 @@ def _first_period(y: Floats, sigma: float, settings: ForceSettings) -> Floats:
     stretches = int(np.clip(whole[1] // 20, 1, 64))  # of 20 events or more: fewer give no median
     bounds = np.linspace(0, y.size, stretches + 1)
     periods = np.array([(_best_scale(scales, found, a, b) or whole)[0] for a, b in pairwise(bounds)])
-    return _spread(0.5 * (bounds[:-1] + bounds[1:]), periods, y.size)
+    return _at_every_sample(0.5 * (bounds[:-1] + bounds[1:]), periods, y.size)
 
 
 def _local_period(edge: Ints, size: int) -> Floats:
@@ -123,10 +125,10 @@ def _local_period(edge: Ints, size: int) -> Floats:
     if edge.size < 3:
         return np.full(size, max(size / 3, 1.0))
     spacing = running_median(np.diff(edge), 9)
-    return _spread(0.5 * (edge[1:] + edge[:-1]), spacing, size)
+    return _at_every_sample(0.5 * (edge[1:] + edge[:-1]), spacing, size)
 
 
-def _spread(index: NDArray[np.floating], period: Floats, size: int) -> Floats:
+def _at_every_sample(index: NDArray[np.floating], period: Floats, size: int) -> Floats:
     """Periods known at some samples, at every sample."""
     return np.exp(np.interp(np.arange(size), index, np.log(period)))
 
@@ -143,7 +145,7 @@ def _best_scale(scales: Ints, found: list[Ints], start: float, stop: float) -> t
     return best
 
 
-def _significant(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) -> Ints:
+def _join_weak(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) -> Ints:
     """Joins neighbouring sticks that one line fits as well as two, least certain edge first."""
     while edge.size:
         lines = stick_lines(y, edge, settings)
@@ -157,7 +159,7 @@ def _significant(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) -
     return edge
 
 
-def _whole(y: Floats, edge: Ints, settings: ForceSettings) -> Ints:
+def _join_parts(y: Floats, edge: Ints, settings: ForceSettings) -> Ints:
     """Joins the parts of one slip: between two of them the load falls, or is too short for a line."""
     while edge.size > 1:
         falling = np.flatnonzero(~(stick_lines(y, edge, settings).slope[1:-1] > 0))
@@ -168,7 +170,7 @@ def _whole(y: Floats, edge: Ints, settings: ForceSettings) -> Ints:
     return edge
 
 
-def _without_knees(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) -> Ints:
+def _join_knees(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) -> Ints:
     """Joins what a line with a knee, without any drop, fits as well as two lines.
 
     The load never falls at a knee, but lines that meet a little before an edge lie apart at it.

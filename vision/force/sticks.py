@@ -12,18 +12,14 @@ import xarray as xr
 from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines, flat_ranges
 from vision.force.lowpass import DeconvolvedLoad, SlipTransients
 from vision.force.recording import find_spikes, noise_sigma, usable
-from vision.force.regime import Extremes, is_slow
 from vision.force.settings import ForceSettings
 from vision.force.slips import stick_lines, stick_middles
 from vision.numeric import Bools, Floats, Ints
+from vision.signals import running_mean
 
-_EXTREME_SIGMAS = 4.0  # of the noise, by which the smallest of many samples may lie below the load itself
 # A slip of a spring and block is half a cosine: its 90 % and 10 % crossings lie 0.59 of half its length from
 # the middle; those of a straight fall 0.8.
 _HALF_COSINE, _STRAIGHT = 0.59, 0.8
-# A sudden drop between two samples, joined by a line, crosses 90 % and 50 % this many samples apart, and some
-# more, added in squares, where deconvolution leaves a sample part of the way down.
-_UNRESOLVED, _PART_WAY = 0.4, 0.5
 
 # --- corners ------------------------------------------------------------------------------------------------
 
@@ -57,31 +53,18 @@ class Corners:
 def find_corners(
     signal: DeconvolvedLoad, *, two_slopes: bool, settings: ForceSettings = ForceSettings()
 ) -> Corners:
-    """Begin and end of the slips of a recording.
+    """Begin and end of the slips of a recording: one peak and one valley per slip, inside the recording.
 
-    Parameters
-    ----------
-    signal
-        As from `deconvolve_lowpass`.
-    two_slopes
-        Whether the stick lines may have a knee.
-    settings
-        See `ForceSettings`.
-
-    Returns
-    -------
-    One peak and one valley per slip, inside the recording.
-
-    Notes
-    -----
     Between the stick lines before (1) and after (0) a slip the load passes 90, 50 and 10 %; these times,
     scaled as for half a cosine, give begin and end. Slips too short for the sampling count half as long as
     they look. Each slip's own length is used where its drop is over 20 sigma, else the recording's median.
+    `two_slopes`: the stick lines may have a knee.
     """
     base = _Baselines.of(signal, two_slopes, settings)
     high, middle, low = _crossings(signal.load, signal.edge, base)
-    # What sampling and smoothing alone make of a sudden drop is no part of a slip's length.
-    blur = np.hypot(_UNRESOLVED * signal.width, _PART_WAY if signal.late else 0.0)
+    # What sampling and smoothing alone make of a sudden drop is no part of a slip's length: it crosses 90 %
+    # and 50 % 0.4 samples apart, and more where deconvolution leaves a sample part of the way down.
+    blur = np.hypot(0.4 * signal.width, 0.5 if signal.late else 0.0)
     onset, end = (np.sqrt(np.maximum(part**2 - blur**2, 0.0)) for part in (middle - high, low - middle))
     usual_onset, usual_end = _known_median(onset), _known_median(end)
     if usual_onset + usual_end < 1.0:
@@ -176,8 +159,8 @@ def _crossings(y: Floats, edge: Ints, base: _Baselines) -> tuple[Floats, Floats,
     middle = _half_way(u, row, index, edge.size)
     # A slip cut short by the next one may never pass half-way: its middle is then the steepest drop.
     middle = np.where(np.isfinite(middle), middle, edge - 0.5)
-    high = _last_above(u, row, index, 0.9, edge.size, middle)
-    low = _first_below(u, row, index, 0.1, edge.size, middle)
+    high = _passage(u, row, index, 0.9, index[:-1] <= middle[row[:-1]], edge.size, 1)
+    low = _passage(u, row, index, 0.1, index[1:] >= middle[row[:-1]], edge.size, -1)
     return high, middle, low
 
 
@@ -196,22 +179,13 @@ def _half_way(u: Floats, row: Ints, index: Ints, rows: int) -> Floats:
     return _interpolated(u, index, 0.5, np.where(first < u.size, first, -1))
 
 
-def _last_above(u: Floats, row: Ints, index: Ints, level: float, rows: int, until: Floats) -> Floats:
-    """Index, interpolated, at which u last falls through a level before `until`; NaN if never."""
-    falling = (u[:-1] >= level) & (u[1:] < level) & (row[:-1] == row[1:])
-    allowed = np.flatnonzero(falling & (index[:-1] <= until[row[:-1]]))
-    last = np.full(rows, -1, dtype=np.int64)
-    np.maximum.at(last, row[allowed], allowed)
-    return _interpolated(u, index, level, last)
-
-
-def _first_below(u: Floats, row: Ints, index: Ints, level: float, rows: int, since: Floats) -> Floats:
-    """Index, interpolated, at which u first falls through a level after `since`; NaN if never."""
-    falling = (u[:-1] >= level) & (u[1:] < level) & (row[:-1] == row[1:])
-    allowed = np.flatnonzero(falling & (index[1:] >= since[row[:-1]]))
-    first = np.full(rows, u.size, dtype=np.int64)
-    np.minimum.at(first, row[allowed], allowed)
-    return _interpolated(u, index, level, np.where(first < u.size, first, -1))
+def _passage(u: Floats, row: Ints, index: Ints, level: float, allowed: Bools, rows: int, sign: int) -> Floats:
+    """Index, interpolated, at which u falls through a level: for the last (sign 1) or first (-1) time of each
+    row where that is allowed; NaN if never."""
+    falling = np.flatnonzero((u[:-1] >= level) & (u[1:] < level) & (row[:-1] == row[1:]) & allowed)
+    place = np.full(rows, -np.inf)
+    np.maximum.at(place, row[falling], sign * falling)
+    return _interpolated(u, index, level, np.where(np.isfinite(place), sign * place, -1).astype(np.int64))
 
 
 def _interpolated(u: Floats, index: Ints, level: float, at: Ints) -> Floats:
@@ -219,6 +193,93 @@ def _interpolated(u: Floats, index: Ints, level: float, at: Ints) -> Floats:
     here = np.maximum(at, 0)
     part = (u[here] - level) / np.maximum(u[here] - u[np.minimum(here + 1, u.size - 1)], 1e-9)
     return np.where(at >= 0, index[here] + part, np.nan)
+
+
+# --- recorded extremes --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Extremes:
+    """Highest load before and lowest load after the middle of each slip, spikes aside."""
+
+    # peak, valley: where, in samples
+    peak: Floats
+    valley: Floats
+    # high, low: the load there, averaged over `width` samples
+    high: Floats
+    low: Floats
+    # highest, lowest: the single largest and smallest sample
+    highest: Floats
+    lowest: Floats
+    width: Ints  # samples averaged for each slip: a 24th of it, so that a half cosine loses next to nothing
+
+    @property
+    def fall(self) -> Floats:
+        """Samples from each peak to the valley after it."""
+        return self.valley - self.peak
+
+    @property
+    def rise(self) -> Floats:
+        """Samples from each valley to the next peak; one fewer than slips."""
+        return self.peak[1:] - self.valley[:-1]
+
+
+def find_extremes(y: Floats, middle: Floats, length: Floats) -> Extremes:
+    """Recorded extremes around each slip of a load without spikes.
+
+    The peak lies between the middle of the stick before and that of the slip, the valley between that and the
+    middle of the stick after.  middle, length: of each slip, in samples; what is averaged follows the length.
+    """
+    last = y.size - 1
+    between = 0.5 * (middle[:-1] + middle[1:])
+    # Before the first and after the last slip: as far as half of the stick beside them.
+    first = middle[0] - (between[0] - middle[0]) if between.size else 0.0
+    final = middle[-1] + (middle[-1] - between[-1]) if between.size else last
+    bounds = np.clip(np.r_[first, between, final], 0, last)
+    here = np.clip(np.rint(middle), 0, last).astype(np.int64)
+    # Middles of slips that hardly differ may come in either order: each slip has its own sample at least.
+    start = np.minimum(np.floor(bounds[:-1]).astype(np.int64), here)
+    stop = np.maximum(np.ceil(bounds[1:]).astype(np.int64), here)
+    width = 2 * (np.nan_to_num(length) / 48).astype(np.int64) + 1
+    smooth = {int(w): running_mean(y, int(w)) for w in np.unique(_octaves(width))}
+    peak, high, highest = _largest(y, smooth, _octaves(width), start, here + 1, 1)
+    valley, low, lowest = _largest(-y, smooth, _octaves(width), here, stop + 1, -1)
+    return Extremes(peak, valley, high, -low, highest, -lowest, width)
+
+
+def _octaves(width: Ints) -> Ints:
+    """Odd widths 1, 3, 5, 9, 17, …: a few filters serve all slips."""
+    exponent = np.floor(np.log2(np.maximum(width - 1, 1))).astype(np.int64)
+    return np.where(width > 1, 2**exponent + 1, 1)
+
+
+def _largest(
+    y: Floats, smooth: dict[int, Floats], width: Ints, start: Ints, stop: Ints, sign: int
+) -> tuple[Floats, Floats, Floats]:
+    """(place, smoothed value, single largest sample) of the largest value in each range."""
+    row, index = flat_ranges(start, np.minimum(stop, y.size))
+    single = np.full(start.size, -np.inf)
+    np.maximum.at(single, row, y[index])
+    values = np.empty(index.size)
+    for w, signal in smooth.items():
+        mine = width[row] == w
+        values[mine] = sign * signal[index[mine]]
+    best = np.full(start.size, -np.inf)
+    np.maximum.at(best, row, values)
+    hits = np.flatnonzero(values == best[row])
+    place = np.full(start.size, np.nan)
+    # Of equal samples the one next to the slip: the last for peaks, the first for valleys.
+    order = hits if sign > 0 else hits[::-1]
+    place[row[order]] = index[order]
+    return place, best, single
+
+
+def is_slow(fall: Floats, rise: Floats, settings: ForceSettings) -> Bools:
+    """Slips (lengths `fall`) that take a considerable part of the sticks beside them (`rise`, one fewer)."""
+    if not rise.size:
+        return np.zeros(fall.shape, dtype=bool)
+    beside = np.minimum(np.r_[rise[:1], rise], np.r_[rise, rise[-1:]])
+    return np.asarray(fall > settings.slow_slip * np.maximum(beside, 1e-9))
 
 
 # --- measures -----------------------------------------------------------------------------------------------
@@ -304,26 +365,11 @@ def measure_sticks(
     compliance: float,
     settings: ForceSettings,
 ) -> pd.DataFrame:
-    """The columns of the events that are measured on each stick by itself.
+    """The columns of `vision.data.STICKS` that are measured on each stick by itself.
 
-    Parameters
-    ----------
-    signal
-        The recording.
-    corners, extremes
-        In samples: valley[j] ends slip j, peak[j] begins it. The extremes are those recorded.
-    lag
-        Time constant of the load cell's low-pass that is corrected for, in samples; 0: as recorded.
-    two_slopes
-        Whether sticks have knees.
-    compliance
-        Of the machine, mm/N.
-    settings
-        See `ForceSettings`.
-
-    Returns
-    -------
-    One row per stick, from the valley after slip j to the peak before slip j + 1; see `vision.data.STICKS`.
+    One row per stick, from the valley after slip j to the peak before slip j + 1.  corners, extremes: in
+    samples; valley[j] ends slip j, peak[j] begins it.  lag: time constant of the low-pass that is corrected
+    for, in samples, 0: as recorded.  compliance: of the machine, mm/N.
     """
     index = np.arange(signal.time.size, dtype=float)
     slow = is_slow(corners.valley - corners.peak, corners.peak[1:] - corners.valley[:-1], settings)
@@ -336,7 +382,7 @@ def measure_sticks(
     ends = _ends(signal, sticks, t_v, t_p)
     f_v, f_p = ends.f_v, ends.f_p
     if not lag:
-        f_v, f_p = _within_recorded(signal, extremes, ends, np.isfinite(sticks.knee), settings)
+        f_v, f_p = _within_recorded(signal, extremes, ends, settings)
         f_v = np.where(recorded[:-1], extremes.low[:-1], f_v)
         f_p = np.where(recorded[1:], extremes.high[1:], f_p)
     place = np.where(recorded, _flat_top_error(signal, corners, extremes), corners.error)
@@ -376,26 +422,21 @@ def measure_sticks(
 
 
 def _within_recorded(
-    signal: Signal, extremes: Extremes, ends: _Ends, bent: Bools, settings: ForceSettings
+    signal: Signal, extremes: Extremes, ends: _Ends, settings: ForceSettings
 ) -> tuple[Floats, Floats]:
     """Forces at the ends of the stick lines, held to what was recorded there.
 
-    A stick begins and ends between two samples: it may be a sample's rise longer than what was recorded. The
-    load cell is late, too: the lowest sample lies above the true valley, and a small share of the drop is
-    left for that. The whole recording's range is never left. Two straight lines are a rough likeness of a
-    bent stick that is curved throughout, and cut its corners off: there what was recorded holds, but for the
-    noise of single samples.
+    A stick ends between two samples, and may be a sample's rise longer than what was recorded; since the load
+    cell is late, a small share of the drop is left at the valley. The whole recording's range is never left.
+    Lines cut the corners of a curved stick: what was recorded holds, but for the noise of single samples.
     """
     highest, lowest = extremes.highest[1:], extremes.lowest[:-1]
     rise = np.abs(ends.slope) * signal.interval_s
     spare = rise + settings.between_samples * np.maximum(highest - lowest, 0)
     f_v = np.fmax(ends.f_v, np.maximum(lowest - spare, signal.clean.min()))
     f_p = np.fmin(ends.f_p, np.minimum(highest + rise, signal.clean.max()))
-    noise = _EXTREME_SIGMAS * signal.sigma
-    return (
-        np.where(bent, np.fmin(f_v, lowest + noise), f_v),
-        np.where(bent, np.fmax(f_p, highest - noise), f_p),
-    )
+    noise = 4 * signal.sigma  # by which the smallest of many samples may lie below the load itself
+    return np.fmin(f_v, lowest + noise), np.fmax(f_p, highest - noise)
 
 
 def _flat_top_error(signal: Signal, corners: Corners, extremes: Extremes) -> Floats:

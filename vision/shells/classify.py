@@ -14,8 +14,6 @@ from vision.errors import InputError
 from vision.numeric import Floats
 from vision.shells.sizes import LEAST_ERROR, ShellSettings, Side, breakpoint_n, isotonic, shell_sizes
 
-_LEAST_SHEETS = 3  # with a ratio, on one side: fewer are no profile
-
 
 def classify_sheets(motion: xr.Dataset, *, threshold: float = 0.1, certainty: float = 0.9) -> xr.Dataset:
     """Probability that each sheet is stiff, taken on its own.
@@ -152,7 +150,7 @@ def _side_table(
     return pd.DataFrame(
         {"event": motion["event"].to_numpy(), "d_v_mm": d_v, "side": side.side}
         | {
-            name: pd.Series(count).astype("Int64").where(known >= _LEAST_SHEETS)
+            name: pd.Series(count).astype("Int64").where(known >= 3)  # fewer are no profile
             for name, count in zip(names, sizes, strict=True)
         }
         | {

@@ -16,11 +16,6 @@ import xarray as xr
 
 from vision.numeric import Bools, Floats, Floats32, Ints
 
-_LARGEST_RATIO = 30.0  # thresholds; sheets do not move more than this
-_MOST_OUTLIERS = 4  # per side and event
-_SCATTER_EVENTS = 40  # from which the scatter of the sheets is found
-_BLOCK = 32  # events at a time, which keeps the tables of likelihoods small
-
 
 @dataclass(frozen=True, kw_only=True)
 class ShellSettings:
@@ -49,26 +44,20 @@ class ShellSettings:
     """Probability of chance below which a fall of the ratio with n, or a rise, is accepted."""
 
 
-# --- the sheets of one side ----
+# --- the sheets of one side ---------------------------------------------------------------------------------
 
-LEAST_ERROR = 1e-9
-
-_LEAST_FOR_KNEE = 5  # known sheets
+LEAST_ERROR = 1e-9  # of a ratio
 
 
 @dataclass(frozen=True)
 class Side:
-    """One side of the assembly from the centre outwards: n (N,), the rest (event, N), NaN where unknown.
+    """One side of the assembly from the centre outwards, NaN where unknown."""
 
-    value: the ratio, negative where the sheet seems to move outwards, but not significantly.  length_err:
-    relative error of the stick length, (event,), which all sheets share.
-    """
-
-    side: int
-    n: Floats
-    value: Floats
-    error: Floats
-    length_err: Floats
+    side: int  # -1 or +1
+    n: Floats  # (N,)
+    value: Floats  # the ratio, negative where movement outwards is not significant, (event, N)
+    error: Floats  # (event, N)
+    length_err: Floats  # relative error of the stick length, which all sheets share, (event,)
 
     @classmethod
     def of(cls, motion: xr.Dataset, side: int) -> Side:
@@ -134,7 +123,7 @@ def breakpoint_n(side: Side, significance: float) -> Floats:
         slope = along / (weight @ (ramp**2).T - total * middle**2)
     gain = np.nan_to_num(np.where(slope > 0, slope * along, 0.0))
     sure = gain.max(axis=1) > scipy.special.chdtri(2, significance)
-    enough = side.known.sum(axis=1) >= _LEAST_FOR_KNEE
+    enough = side.known.sum(axis=1) >= 5
     return np.asarray(np.where(sure & enough, knee[gain.argmax(axis=1)], np.nan))
 
 
@@ -152,7 +141,7 @@ def _length_err(motion: xr.Dataset) -> Floats:
     return np.asarray(np.nan_to_num(share))
 
 
-# --- sizes ---
+# --- sizes --------------------------------------------------------------------------------------------------
 
 
 def shell_sizes(
@@ -160,19 +149,6 @@ def shell_sizes(
 ) -> tuple[Ints, Ints, Ints]:
     r"""Stiff sheets of one side, (event,): the median, and the ends of the shortest interval at `certainty`.
 
-    Parameters
-    ----------
-    side
-        The sheets.
-    threshold
-        Ratio below which a sheet is stiff.
-    certainty
-        Probability that the interval holds the true size.
-    settings
-        See `ShellSettings`.
-
-    Notes
-    -----
     Profile :math:`j` has the weight :math:`\exp(-\tfrac12 \sum_n (r_n - p_j(n))^2 / s_n^2)`, where
     :math:`s_n` is the error of the ratio :math:`r_n` with the scatter of sheets about a profile. Profiles are
     drawn by their weights, true ratios are drawn about them given the measurements, and those below the
@@ -227,7 +203,7 @@ class _Profiles:
         every = np.meshgrid(place, foot, bend, floor, ceiling, indexing="ij")
         b, a, q, c, top = (part.reshape(-1, 1) for part in every)
         rise = (1 - c) / (top - 1) * np.maximum(1 + (n - b) / a, 0) ** q
-        ratio = threshold * np.minimum(c + (top - c) * rise / (1 + rise), _LARGEST_RATIO)
+        ratio = threshold * np.minimum(c + (top - c) * rise / (1 + rise), 30)
         ratio = ratio[np.argsort((ratio < threshold).sum(axis=1), kind="stable")]
         return cls(ratio.astype(np.float32), (ratio**2 / 2).astype(np.float32))
 
@@ -291,7 +267,8 @@ def _crossing(n: tuple[float, ...], threshold: float) -> _Profiles:
 
 
 def _blocks(events: int) -> Iterator[slice]:
-    return (slice(first, first + _BLOCK) for first in range(0, events, _BLOCK))
+    """32 events at a time, which keeps the tables of likelihoods small."""
+    return (slice(first, first + 32) for first in range(0, events, 32))
 
 
 def _weigh(profiles: _Profiles, sheets: _Sheets, relative: float) -> tuple[Floats32, Floats]:
@@ -310,7 +287,7 @@ def _outliers(sheets: _Sheets, profiles: _Profiles) -> Bools:
     """Sheets far from what the others say, (event, N), found one after the other, the farthest first."""
     alone = sheets.alone.copy()
     events = np.arange(len(alone))
-    for _ in range(_MOST_OUTLIERS):
+    for _ in range(4):
         rest = replace(sheets, alone=alone)
         off = np.concatenate([_off(profiles, rest.at(events[block])) for block in _blocks(events.size)])
         far = off.max(axis=1) > sheets.settings.outlier_sigma
@@ -332,7 +309,7 @@ def _off(profiles: _Profiles, sheets: _Sheets) -> Floats:
 
 def _likeliest_scatter(sheets: _Sheets, profiles: _Profiles) -> float:
     """The relative scatter of sheets about their profile under which all measurements are likeliest."""
-    some = sheets.at(slice(None, None, max(1, len(sheets.value) // _SCATTER_EVENTS)))
+    some = sheets.at(slice(None, None, max(1, len(sheets.value) // 40)))
     scatters = sheets.settings.sheet_scatters
     evidence = [_weigh(profiles, some, relative)[1].sum() for relative in scatters]
     return scatters[int(np.argmax(evidence))]
