@@ -20,9 +20,8 @@ from vision.campaign.states import State
 from vision.campaign.table import Check, Checked, Row, is_remote, read_campaign, safe_name
 from vision.campaign.watch import FolderWatch
 from vision.campaign.worker import Outcome, run_job
-from vision.command.commands import CampaignOptions
 from vision.command.console import attempt, complain, in_columns, say
-from vision.command.options import GROUPS, RunOptions, option_fields, option_names
+from vision.command.options import GROUPS, CampaignOptions, RunOptions, option_fields, option_names
 from vision.command.settings import merged, number, parse_option, read_config, settings_of
 from vision.command.track import REFUSED, command_line, run_name, track_one
 from vision.errors import InputError, with_options

@@ -1,10 +1,10 @@
-"""What can be typed: groups of options that commands share, and how the library's names become options."""
+"""Groups of options, and how the library's names become options."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -84,7 +84,7 @@ class ForceOptions:
     force_threshold: float | None = None
     """Smallest drop that is a slip, N; found from the noise if not given."""
     force_lowpass: str | None = None
-    """Time constant of the load cell that is undone, s: 0 as recorded; auto where the slips prove it."""
+    """Time constant of the load cell to correct for, s: 0 as recorded; auto where the slips prove it."""
     machine_stiffness: float | None = None
     """The machine's own stiffness in N/mm, to correct d; no correction if not given."""
     fit_range: str | None = None
@@ -161,6 +161,148 @@ class OutputOptions:
     """Replace what an earlier command wrote there."""
     quiet: Flag = False
     """No progress bar and no summary."""
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
+class WindowOptions:
+    """What of the strip is shown."""
+
+    sheet: Annotated[tuple[str, ...], Option(negative="", show_default=False)] = ()
+    """Window around a sheet: side and number, as right:23, or the index from the left; can be repeated."""
+    width: str | None = None
+    """Width of the window in mm, um, µm or px; 0.2mm, or one pitch where there is no pixel size."""
+    follow: Flag = False
+    """The window moves with the sheet, interpolated between pixels, instead of standing still."""
+    time: str | None = None
+    """Part of the recording in seconds of the video's clock, A:B."""
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
+class ModulusOptions:
+    """The sheet and the machine of push–pull cycles."""
+
+    thickness: float = 0.1
+    """Of the sheet, mm."""
+    width: float = 45.0
+    """Of the sheet, mm."""
+    length: float = 16.8
+    """Between the clamps, mm."""
+    clamp_distance: float | None = None
+    """Distance of the clamps at the first sample, mm, where it is neither the displacement nor the length."""
+    machine_stiffness: float | None = None
+    """The machine's own stiffness in N/mm, to correct the distance; no correction if absent."""
+    part: str = "0.4:0.9"
+    """Part of the rise of the force on each loading branch that is fitted."""
+    force_columns: str | None = None
+    """Columns by name or number, as in time=Time,load=Load:kN,displacement=3."""
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
+class FrictionOptions:
+    """The discs of a rheometer and what is measured on them."""
+
+    radius: float = 25.0
+    """Radius of the discs in mm."""
+    normal_force: str | None = None
+    """Normal force in N in place of a recorded one: one for all files, or one a file, as in 0.1,0.5,1."""
+    dynamic: str = "0.3:120"
+    """Travelled angles in degrees over which the dynamic coefficient is the mean."""
+    mu: float = 0.89
+    """Constant coefficient with which the thresholds are compared."""
+
+
+def _sets(setting: str) -> Any:
+    """An option, not given, for this setting of `vision.experiment`."""
+    return field(default=None, metadata={"setting": setting})
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
+class SimulateOptions:
+    """The main settings of a synthetic test. What is not given is the preset's."""
+
+    seed: int | None = _sets("seed")
+    """Same seed, same data."""
+    duration: float | None = _sets("camera.duration_s")
+    """Length of the video, s."""
+    fps: float | None = _sets("camera.fps")
+    """Frames per second."""
+    width: int | None = _sets("camera.width")
+    """Columns, px."""
+    height: int | None = _sets("camera.height")
+    """Rows, px."""
+    pixel_size: float | None = _sets("camera.pixel_size_um")
+    """Micrometres per pixel."""
+    exposure: float | None = _sets("camera.exposure_s")
+    """Exposure, ms."""
+    bits: int | None = _sets("camera.bits")
+    """Bits per pixel, 8 to 16."""
+    speed: float | None = _sets("mechanics.speed_mm_min")
+    """Speed V of the pull, mm/min."""
+    d0: float | None = _sets("mechanics.d0_mm")
+    """Separation at the start of the pull, mm."""
+    d_end: float | None = _sets("mechanics.d_end_mm")
+    """Separation at its end, mm."""
+    offset: float | None = _sets("clocks.offset_s")
+    """Force clock at video time 0, s."""
+    sheets: int | None = _sets("sheets.count")
+    """Ridges in view."""
+    pitch: float | None = _sets("sheets.pitch_px")
+    """Distance between ridges, px."""
+    fwhm: float | None = _sets("optics.fwhm_px")
+    """Ridge width, px."""
+    contrast: float | None = _sets("optics.contrast")
+    """Michelson contrast of the ridges."""
+    ridges: Literal["bright", "dark"] | None = _sets("optics.polarity")
+    """Polarity."""
+    dropped: float | None = _sets("clocks.dropped")
+    """Fraction of frames lost."""
+    force_rate: float | None = _sets("clocks.force_rate_Hz")
+    """Force samples per second."""
+    force_layout: Literal["mts", "instron", "zwick", "csv"] | None = _sets("force_file.layout")
+    """Layout of force.txt."""
+    force_decimal: Literal[".", ","] | None = _sets("force_file.decimal")
+    """Decimal mark in force.txt."""
+    force_encoding: Literal["utf-8-sig", "utf-8", "latin-1"] | None = _sets("force_file.encoding")
+    """Encoding of force.txt."""
+    force_unit: Literal["N", "kN"] | None = _sets("force_file.unit")
+    """Unit of force in force.txt."""
+    video_time: bool | None = _sets("force_file.video_time")
+    """Write the camera's clock as a column of force.txt."""
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
+class CampaignOptions:
+    """How many films are tracked."""
+
+    out: Path | None = None
+    """The campaign's folder; TABLE_campaign in the working directory if not given."""
+    config: Path | None = None
+    """TOML file of options for all films; the table wins."""
+    dry_run: Flag = False
+    """Say what would run and how long it takes; write nothing."""
+    executor: Literal["local", "slurm"] = "local"
+    """local or slurm."""
+    profile: Path | None = None
+    """Folder with a Snakemake profile, in place of the shipped one."""
+    cores: int | None = None
+    """Jobs at a time; all cores (on a cluster, the profile's number of jobs) if not given."""
+    watch: Path | None = None
+    """Folder into which films are written: each is taken when it is complete, until Ctrl-C."""
+    idle: float | None = None
+    """End watching when no film came for so many seconds."""
+    stage: Flag = False
+    """Copy each film to the node's own disk (TMPDIR) before it is read."""
+    report: Report = True
+    """Write report.html of each run."""
+    quiet: Flag = False
+    """No progress and no summary."""
+    plan: Annotated[Flag, Option(show=False)] = False
+    """Write plan.json and end: for the Snakefile."""
 
 
 GROUPS = (VideoOptions, ForceOptions, SampleOptions, TestOptions)

@@ -10,9 +10,14 @@ from typing import Any
 
 import pandas as pd
 
-from vision.command.commands import FrictionOptions, ModulusOptions, SimulateOptions
 from vision.command.console import complain, frame_progress, one_line, say
-from vision.command.options import OutputOptions, option_names
+from vision.command.options import (
+    FrictionOptions,
+    ModulusOptions,
+    OutputOptions,
+    SimulateOptions,
+    option_names,
+)
 from vision.command.settings import merged, parameters_given, parse_pair, settings_of
 from vision.command.track import command_line, finish
 from vision.data import ForceMetadata

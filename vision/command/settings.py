@@ -1,4 +1,4 @@
-"""What was typed or stands in a TOML file becomes the pipeline's settings."""
+"""Options as typed, or from a TOML file, become the pipeline's settings."""
 
 from __future__ import annotations
 
@@ -194,7 +194,7 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
 
 
 def settings_of_run(folder: Path) -> Settings:
-    """The settings that a run was made with; its corrections stand in the run folder.
+    """The settings that a run was made with; its corrections are read from the run folder.
 
     Raises
     ------
@@ -362,7 +362,9 @@ def _sheet(text: str) -> Sheet:
         return int(text)
     side, _, n = text.partition(":")
     if side not in ("left", "right") or not re.fullmatch(r"[0-9]{1,9}", n) or int(n) < 1:
-        raise InputError("--sheet", "a side and a number, or an index", f"'{text}'", "write right:23 or 47")
+        raise InputError(
+            "--sheet", "left or right and a number, or an index", f"'{text}'", "write right:23 or 47"
+        )
     return side, int(n)
 
 

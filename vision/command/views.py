@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from vision.command.commands import WindowOptions
 from vision.command.console import conclude, frame_progress
-from vision.command.options import OutputOptions, VideoOptions
+from vision.command.options import OutputOptions, VideoOptions, WindowOptions
 from vision.command.settings import (
     merged,
     parameters_given,
