@@ -193,9 +193,23 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     return 1 if found.failures or found.warnings else 0
 
 
+RECORDED = {
+    "thickness": "thickness_mm",
+    "width": "width_mm",
+    "length": "length_mm",
+    "clamp_distance": "clamp_distance_mm",
+    "machine_stiffness": "machine_stiffness_N_per_mm",
+    "radius": "radius_mm",
+    "normal_force": "normal_force_N",
+    "dynamic": "dynamic_deg",
+}
+"""Options as run.json names them, with their units."""
+
+
 def _origin(files: Sequence[Path], options: Any, usual: Any) -> dict[str, Any]:
     """What run.json begins with."""
-    parameters = parameters_given(vars(options), vars(usual))
+    given = parameters_given(vars(options), vars(usual))
+    parameters = {RECORDED.get(name, name): parameter for name, parameter in given.items()}
     return Origin(command=command_line(), inputs=files, parameters=parameters).facts()
 
 
