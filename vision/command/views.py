@@ -128,16 +128,17 @@ def lines(found: Preview, pixel_size_um: float | None) -> list[str]:
     low, high = int(found.counts.min()), int(found.counts.max())
     counted = f"{low}" if low == high else f"{low} to {high}"
     scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
-    frames = found.tracks.sizes["frame"]
-    side = found.tracks["side"].values
+    frames, left = found.tracks.sizes["frame"], int((found.tracks["side"] < 0).sum())
+    # With all on one side the axis is not known: sheets moved too little in these frames.
+    sides = f" ({left} left, {comb.sheets - left} right)" if 0 < left < comb.sheets else ""
     hidden = f" (not independent: {strip.codec} hides the noise of the pixels)" * (strip.codec in LOSSY)
     return [
         f"film       {about}{count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
         f"clock      {frame_times(strip)}",
         f"strip      rows {strip.strip_z0}:{strip.strip_z1}, clarity {strip.strip_clarity:.2f}, {lean}, "
         f"{strip.strip_err_px:.3f} px from the choice of rows",
-        f"sheets     {comb.sheets} {comb.ridges} ridges ({(side < 0).sum()} left, {(side > 0).sum()} right); "
-        f"{counted} in {found.counts.size} frames over the film, others than sheets included",
+        f"sheets     {comb.sheets} {comb.ridges} ridges{sides}; {counted} in {found.counts.size} frames over "
+        "the film, others than sheets included",
         f"ridges     {comb.ridge_fwhm_px:.1f} px wide, {comb.pitch_px:.1f} px apart; {comb.fit} fit over "
         f"{comb.window_px} px",
         f"light      ridges {comb.contrast:.3g} grey levels high, profile noise {comb.profile_noise:.2g}",
