@@ -28,7 +28,7 @@ class CertifySettings:
     """Frames over which the motion is a cubic.  Longer takes motion for noise; shorter noise for motion
     (made up for by the degrees of freedom, which fails where they are few)."""
 
-    misfit: float = 1.25
+    misfit: float = 1.6
     """Scatter of a sheet about its smooth motion, over that from frame to frame, from which its piece is
     halved.  Smaller takes slow noise for motion; larger takes motion of its own (ringing, slips of single
     sheets) for noise."""
