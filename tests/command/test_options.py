@@ -3,9 +3,8 @@
 import pytest
 
 from vision.command.main import run
-from vision.command.options import (
-    SampleOptions,
-    VideoOptions,
+from vision.command.options import SampleOptions, VideoOptions
+from vision.command.settings import (
     merged,
     parse_length,
     parse_lowpass,

@@ -8,8 +8,9 @@ import pytest
 
 from tests.scenes.comb_video import frames_of, positions, write_video
 from vision.command.main import run
-from vision.command.options import VideoOptions, merged, settings_of
-from vision.command.preview import look
+from vision.command.options import VideoOptions
+from vision.command.settings import merged, settings_of
+from vision.command.views import look
 from vision.figures import preview_figure
 from vision.video.uncompressed import MappedReader
 

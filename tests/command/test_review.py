@@ -13,7 +13,7 @@ import pytest
 
 from tests.scenes.reviewed import SETTINGS, VIDEO, write_planted
 from vision.command.main import run
-from vision.command.review import settings_of_run
+from vision.command.settings import settings_of_run
 from vision.review.session import Session
 
 pytestmark = pytest.mark.usefixtures("without_pictures")

@@ -17,9 +17,9 @@ from tests.fuzz.mutations import mutated
 from tests.scenes.comb_video import frames_of, write_video
 from tests.scenes.comb_video import positions as truth
 from tests.scenes.comparison import events, write_run
-from vision.command.console import outcome
+from vision.command.console import attempt
 from vision.command.main import run as track
-from vision.command.review import settings_of_run
+from vision.command.settings import settings_of_run
 from vision.review import tracks_file
 from vision.review.session import Session
 from vision.run import reading
@@ -143,7 +143,7 @@ def one_case(words: list[str]) -> str:
     try:
         with alarm(SECONDS), contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
             if words[0] == "review":
-                status, why = outcome(lambda: opened(Path(words[1])))
+                _, status, why = attempt(lambda: opened(Path(words[1])))
                 said.write(f"{why}\n" * bool(why))
             else:
                 status = track(words)

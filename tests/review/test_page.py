@@ -16,7 +16,7 @@ from tests.scenes import doubted as scene
 from tests.scenes.browser import PATIENCE_MS, chromium
 from tests.scenes.reviewed import SETTINGS
 from tests.scenes.served import Served, Started
-from vision.command.review import settings_of_run
+from vision.command.settings import settings_of_run
 from vision.pipeline import Settings, analyse
 from vision.review.session import Session
 from vision.run import Origin, Parameter, write_run

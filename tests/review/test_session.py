@@ -13,7 +13,7 @@ import pytest
 
 from tests.scenes import doubted as scene
 from tests.scenes.reviewed import PLANTED, SETTINGS, clean, remedies, truth, write_planted
-from vision.command.review import settings_of_run
+from vision.command.settings import settings_of_run
 from vision.errors import InputError
 from vision.review import effects, saving
 from vision.review.positions import CELLS, FLAGS

@@ -1,7 +1,7 @@
 """What a recording can resolve: films like it with known truth, through the same analysis."""
 
 from vision.certify.certificate import Certificate, certify, certify_run
-from vision.certify.page import write_certificate
+from vision.certify.page import statements, write_certificate
 from vision.certify.settings import CertifySettings
 
-__all__ = ["Certificate", "CertifySettings", "certify", "certify_run", "write_certificate"]
+__all__ = ["Certificate", "CertifySettings", "certify", "certify_run", "statements", "write_certificate"]

@@ -29,14 +29,6 @@ from vision.sheets.tracks import BETWEEN_FRAMES
 
 Progress = Callable[[int, int | None], None]
 
-UNLIKE = 1.5
-"""Error of the films over the recording's noise from frame to frame, from which its motion was not smooth.
-The publication's fit errs by more than it scatters, and codecs that chain frames let it scatter less."""
-LEAST_DISTURBED = 0.02
-"""Share of the pixels that something disturbs from which the certificate says so."""
-_LEAST_STICK = 5  # frames of a piece in which a sweep is measured
-_PHASES = 41  # frames of the film that crosses one pixel
-
 
 @dataclass(frozen=True, kw_only=True)
 class Threshold:
@@ -353,7 +345,7 @@ def _without_means(error: Floats) -> Floats:
 
 def _locking(like: Likeness, again: Callable[[xr.DataArray], xr.Dataset]) -> Floats:
     """Peak to peak of the error, without noise, while all sheets cross one pixel together, (sheet,)."""
-    motion = like.rest_px + np.linspace(0, 1, _PHASES)[:, None]
+    motion = like.rest_px + np.linspace(0, 1, 41)[:, None]
     error = _measure(like, motion, again(like.film(motion, number=None))).error_px
     return _columns(error, lambda column: float(np.ptp(column)))
 
@@ -364,7 +356,7 @@ def _pieces(like: Likeness) -> list[Ints]:
     pieces = [
         np.arange(start + (start > 0), stop - (stop < edges[-1])) for start, stop in itertools.pairwise(edges)
     ]
-    return [piece for piece in pieces if piece.size >= _LEAST_STICK]
+    return [piece for piece in pieces if piece.size >= 5]
 
 
 def _sweep_errors(
@@ -508,7 +500,8 @@ def _doubts(like: Likeness, facts: StripMetadata, tracks: xr.Dataset, error_px: 
             "last as long as a stick look like motion; the true error is larger, up to twice in tests"
         )
     noise_px = max(float(np.nan_to_num(nan_median(tracks["x_noise_px"].values))), 1e-6)
-    if not chained and TrackMetadata.of(tracks).fit != "paper" and error_px > UNLIKE * noise_px:
+    # The publication's fit errs by more than it scatters, and codecs that chain frames let it scatter less.
+    if not chained and TrackMetadata.of(tracks).fit != "paper" and error_px > 1.5 * noise_px:
         lines.append(
             f"errors of the films, {error_px:.3f} px, are above the noise of the recording from frame to "
             f"frame, {noise_px:.3f} px: where its motion is not smooth, the films take some of it for "
@@ -517,7 +510,7 @@ def _doubts(like: Likeness, facts: StripMetadata, tracks: xr.Dataset, error_px: 
     if not like.smooth.any():
         lines.append("slips follow each other so fast that motion and noise are hard to tell apart")
     disturbed = float(like.disturbed.mean())
-    if disturbed > LEAST_DISTURBED:
+    if disturbed > 0.02:
         lines.append(
             f"something pulls ridges aside or hides them in {100 * disturbed:.0f} % of the film (dirt, a "
             "highlight, a hand): the films show what was recorded there, and the sheets around are taken for "

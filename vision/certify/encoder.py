@@ -48,12 +48,7 @@ PRESETS = {
     10: "veryslow",
 }
 """x264's presets by the effort of its motion search (subme), which it writes into its films."""
-NOISES = (0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0)
-"""Standard deviations of the noise of pixels, grey levels, that are tried."""
 TRIED_FRAMES = 60
-TOLD_BYTES = 4096  # of the first packet, in which x264 and x265 write their settings
-MOST_PIXELS = 60_000_000  # of a film made to find the noise: larger frames are cut to fewer rows
-BLOCK = 16  # sides of the blocks that codecs work in, px
 
 
 @dataclass(frozen=True)
@@ -137,7 +132,7 @@ class Encoder:
         for quantiser in (self.quantiser,) if self.told else QUANTISERS[self.codec]:
             nearest, here = np.inf, self
             change = wanted
-            for noise in NOISES:
+            for noise in (0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0):  # grey levels
                 tried = replace(self, noise_grey=noise, quantiser=quantiser)
                 values, bits = tried._again(part, seed=0)
                 off = abs(float(np.log(bits / self.bits_per_pixel)))
@@ -177,8 +172,8 @@ class Encoder:
 
     def _write(self, path: Path, profile: Floats32, seed: int) -> int:
         """Bytes of the film's packets."""
-        # libx264 looks beyond sides that are no multiples of its blocks, at what memory happens to hold.
-        multiple = BLOCK if self.codec == "h264" else 1
+        # libx264 looks beyond sides that are no multiples of 16, at what memory happens to hold.
+        multiple = 16 if self.codec == "h264" else 1
         beyond = [(0, -length % multiple) for length in self.picture.shape]
         height, width = np.pad(self.picture, beyond).shape
         size = 0
@@ -238,7 +233,7 @@ def read_encoder(
                 if n >= frames:
                     break
                 size += packet.size
-                told += bytes(packet)[:TOLD_BYTES] if n == 0 else b""
+                told += bytes(packet)[:4096] if n == 0 else b""  # where x264 and x265 write their settings
                 keys += [n] if packet.is_keyframe and packet.size else []
                 for frame in packet.decode():
                     seen += 1
@@ -254,7 +249,8 @@ def read_encoder(
     if not (quantisers or codec in QUANTISERS) or not seen or picture.ndim != 2 or picture.dtype != np.uint8:
         return None
     even = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2].astype(np.float64)
-    most = MOST_PIXELS // (TRIED_FRAMES * even.shape[1])
+    # Of large frames fewer rows, so that a film made to find the noise has at most 60 million pixels.
+    most = 60_000_000 // (TRIED_FRAMES * even.shape[1])
     first = max(0, min(rows[0], (rows[0] + rows[1] - most) // 2)) // 2 * 2 if len(even) > most else 0
     even = even[first : first + max(most, rows[1] - first)] if len(even) > most else even
     even = even[: len(even) // 2 * 2]

@@ -30,13 +30,7 @@ from vision.sheets.subpixel import position_noise
 from vision.sheets.tracks import BETWEEN_FRAMES
 
 LEAST_FRAMES = 30
-BEYOND = 3.5  # half widths of the outermost ridge from its middle, beyond which nothing moves with it
-FAR_PX = 1e4
-LINE = 3  # sheets over which motion is continued beyond the last that is known
-LEAST_LEFT = 0.2  # of the noise, where pieces are too short for the smooth motion to leave any
 LEAST_SHARING = 5  # sheets from which what all do together is told from what each does
-
-CLIPPED_GREY, CLIPPED_SHARE = 0.5, 1e-3  # from the brightest pixel, and share of all pixels there, if clipped
 
 
 @dataclass(frozen=True)
@@ -184,8 +178,9 @@ def _material(columns: Floats, at_px: Floats, rest_px: Floats, rigid_px: Floats)
     picture stands still."""
     here = np.column_stack([at_px - rigid_px, at_px + rigid_px]).ravel()
     rest = np.column_stack([rest_px - rigid_px, rest_px + rigid_px]).ravel()
-    left, right = rest_px[0] - BEYOND * rigid_px[0], rest_px[-1] + BEYOND * rigid_px[-1]
-    still = np.array([left - FAR_PX, left]), np.array([right, right + FAR_PX])
+    # Nothing moves with the outermost ridges further out than 3.5 times the part that is rigid.
+    left, right = rest_px[0] - 3.5 * rigid_px[0], rest_px[-1] + 3.5 * rigid_px[-1]
+    still = np.array([left - 1e4, left]), np.array([right, right + 1e4])
     here = np.maximum.accumulate(np.concatenate([still[0], here, still[1]]))
     rest = np.concatenate([still[0], rest, still[1]])
     return np.asarray(np.interp(columns, here, rest))
@@ -241,8 +236,8 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     disturbed = _around(pulled | (~np.isfinite(x_px) & ~frozen[:, None]), motion, width)
     disturbed[~np.isfinite(values).all(axis=1)] = False
     ceiling = float(np.nanmax(values))
-    clipped = values > ceiling - CLIPPED_GREY
-    aside = disturbed | clipped if clipped.mean() > CLIPPED_SHARE else disturbed
+    clipped = values > ceiling - 0.5
+    aside = disturbed | clipped if clipped.mean() > 1e-3 else disturbed
     gain = _gain(values, aside, usable)
     picture = _mean_picture(values, aside, gain, motion, np.flatnonzero(usable), grid, rest, rigid)
     likeness = Likeness(
@@ -279,7 +274,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     residual = _undisturbed(residual - slow[frame], (disturbed | as_measured)[frame])
     # The smooth motion and the mean picture have taken up a part of the noise.
     smooth = left[usable][left[usable] > 0]
-    share = float(smooth.mean()) * (1 - 1 / int(usable.sum())) if smooth.size else LEAST_LEFT
+    share = float(smooth.mean()) * (1 - 1 / int(usable.sum())) if smooth.size else 0.2
     return replace(likeness, residual=residual / np.float32(np.sqrt(share)), slow=slow)
 
 
@@ -461,7 +456,7 @@ def _filled(x_px: Floats, raw_px: Floats) -> Floats:
         there = sheet[known[t]]
         here = moved[t, there]
         moved[t] = np.interp(sheet, there, here)
-        for outer, inner in ((0, LINE), (-1, -1 - LINE)) if there.size > LINE else ():
+        for outer, inner in ((0, 3), (-1, -4)) if there.size > 3 else ():  # on beyond the last sheets seen
             slope = (here[inner] - here[outer]) / (there[inner] - there[outer])
             beyond = (sheet < there[0]) if outer == 0 else (sheet > there[-1])
             moved[t, beyond] = here[outer] + slope * (sheet[beyond] - there[outer])

@@ -9,12 +9,14 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from io import TextIOWrapper
-from typing import Any, TextIO
+from typing import TextIO, TypeVar
 
 from cyclopts import CycloptsError, UnusedCliTokensError
 
 from vision.command.options import option_names
 from vision.errors import InputError, with_options
+
+T = TypeVar("T")
 
 
 def hold_streams() -> None:
@@ -118,29 +120,21 @@ def frame_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[[int,
         yield show
 
 
-def skip_matplotlib_help() -> None:
-    """Leave the help texts of matplotlib's artists unwritten: a third of the time that its import takes."""
-    import matplotlib.artist
-
-    matplotlib.artist.kwdoc = lambda artist: ""
-
-
 # --- exceptions ---------------------------------------------------------------------------------------------
 
 
-def outcome(work: Callable[[], Any]) -> tuple[int, str]:
-    """Exit status of some work and what went wrong, "" for nothing; Ctrl-C passes.
+def attempt(work: Callable[[], T]) -> tuple[T | None, int, str]:
+    """What some work returned, the exit status and what went wrong; Ctrl-C passes.
 
-    0 or what the work returns: done.  2: input that cannot be used.  3: an unexpected error, with its
-    details in a file that the line names.
+    0 and "": done.  2: input that cannot be used.  3: an unexpected error, with its details in a file that
+    the line names.
     """
     try:
-        status = work()
+        return work(), 0, ""
     except (InputError, CycloptsError, OSError, MemoryError) as error:
-        return 2, one_line(error)
+        return None, 2, one_line(error)
     except Exception as error:
-        return 3, _unexpected(error)
-    return (status if isinstance(status, int) else 0), ""
+        return None, 3, _unexpected(error)
 
 
 def _unexpected(error: Exception) -> str:

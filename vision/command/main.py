@@ -13,21 +13,11 @@ from typing import Any
 
 from cyclopts import App
 
-from vision.command.campaign import campaign, campaign_job, campaign_pool
-from vision.command.console import complain, hold_streams, outcome, silence_libraries
-from vision.command.finished import certify, compare, export, figures, overlay
-from vision.command.kymograph import kymograph
-from vision.command.preview import preview
-from vision.command.recordings import force, friction, modulus
-from vision.command.review import review
-from vision.command.simulate import simulate
-from vision.command.track import track
+from vision import __version__
+from vision.command import commands
+from vision.command.console import attempt, complain, hold_streams, silence_libraries
 from vision.files import MOST_PIXELS
 
-# Objects made before Python looks for unreachable ones (700 by default). Loading the libraries makes half a
-# million that all stay: looking through them again and again takes a tenth of a short run. Large arrays are
-# freed at once either way.
-FEWER_COLLECTIONS = 50_000
 HELP = """Follow every sheet of a stick-slip video to a hundredth of a pixel.
 
 The results go to a new folder, test_tracks in the working directory: overview.png to look at first, then \
@@ -47,8 +37,6 @@ error (what was measured before it is kept).
 
 def make_app() -> App:
     """The application with all its commands."""
-    from vision import __version__
-
     app = App(
         name="track",
         help=HELP,
@@ -57,24 +45,25 @@ def make_app() -> App:
         help_format="plaintext",
         suppress_keyboard_interrupt=False,
     )
-    app.default(track)
-    on_films = (
-        preview,
-        overlay,
-        force,
-        simulate,
-        kymograph,
-        export,
-        figures,
-        certify,
-        compare,
-        review,
-        campaign,
-    )
-    for command in (*on_films, friction, modulus):
+    app.default(commands.track)
+    for command in (
+        commands.preview,
+        commands.overlay,
+        commands.force,
+        commands.simulate,
+        commands.kymograph,
+        commands.export,
+        commands.figures,
+        commands.certify,
+        commands.compare,
+        commands.review,
+        commands.campaign,
+        commands.friction,
+        commands.modulus,
+    ):
         app.command(command, help_format="markdown")
-    app.command(campaign_job, show=False)  # for the Snakefile
-    app.command(campaign_pool, show=False)
+    app.command(commands.campaign_job, show=False)  # for the Snakefile
+    app.command(commands.campaign_pool, show=False)
     return app
 
 
@@ -83,7 +72,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     Being told to stop (a closed terminal, a batch system's time limit) ends a run as Ctrl-C does.
     """
-    gc.set_threshold(FEWER_COLLECTIONS)
+    # Objects made before Python looks for unreachable ones (700 by default). Loading the libraries makes half
+    # a million that all stay: looking through them again and again takes a tenth of a short run.
+    gc.set_threshold(50_000)
     hold_streams()
     silence_libraries()
     _isolate_environment()
@@ -121,14 +112,14 @@ def run(arguments: Sequence[str]) -> int:
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # cut files are reported by the reader itself
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # a home that cannot be written is no concern
     try:
-        status, why = outcome(lambda: _answer(list(arguments)))
+        returned, status, why = attempt(lambda: _answer(list(arguments)))
     except KeyboardInterrupt as stop:
         return _stopped(str(stop))
     if _interrupted:  # it became another exception on its way
         return _stopped()
     if why:
         complain(why)
-    return status
+    return returned if isinstance(returned, int) else status
 
 
 def _answer(arguments: Sequence[str]) -> Any:

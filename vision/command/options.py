@@ -1,26 +1,15 @@
-"""What is typed on the command line or written in a TOML file, and how it becomes the pipeline's settings."""
+"""Groups of options, and how the library's names become options."""
 
 from __future__ import annotations
 
-import math
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
-from cyclopts import App, CycloptsError
 from cyclopts import Parameter as Option
-
-from vision.errors import InputError
-from vision.files import check_regular, shortened
-
-if TYPE_CHECKING:
-    from vision.pipeline import Settings
-    from vision.run.provenance import Parameter
-    from vision.spacetime import Sheet
 
 
 def _whole(kind: Any, tokens: Sequence[Any]) -> int:
@@ -39,9 +28,7 @@ def _whole(kind: Any, tokens: Sequence[Any]) -> int:
 
 Whole = Annotated[int, Option(converter=_whole)]
 Flag = Annotated[bool, Option(negative="", show_default=False)]
-MOST_CONFIG_BYTES = 1 << 20
-MOST_LETTERS = 4000  # of a value: longer than any name of a file
-UM_PER = {"mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Greek mu
+Report = Annotated[bool, Option(show_default=False)]  # also --no-report
 
 
 @Option(name="*")
@@ -97,7 +84,7 @@ class ForceOptions:
     force_threshold: float | None = None
     """Smallest drop that is a slip, N; found from the noise if not given."""
     force_lowpass: str | None = None
-    """Time constant of the load cell that is undone, s: 0 as recorded; auto where the slips prove it."""
+    """Time constant of the load cell to correct for, s: 0 as recorded; auto where the slips prove it."""
     machine_stiffness: float | None = None
     """The machine's own stiffness in N/mm, to correct d; no correction if not given."""
     fit_range: str | None = None
@@ -153,7 +140,7 @@ class RunOptions:
     """Go on where an interrupted run of the same film ended."""
     follow: Flag = False
     """Track a film or folder that a camera still writes, until it is closed or Ctrl-C is pressed."""
-    report: Annotated[bool, Option(show_default=False)] = True
+    report: Report = True
     """Write report.html."""
     checksum: Flag = False
     """SHA-256 of all of every input, in place of a fingerprint of 64 MiB."""
@@ -161,6 +148,161 @@ class RunOptions:
     """No progress bar and no summary."""
     verbose: Flag = False
     """All of run.json's findings in the summary."""
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
+class OutputOptions:
+    """Where the results of a command go."""
+
+    out: Path | None = None
+    """Where the results go, in place of the name given above."""
+    overwrite: Flag = False
+    """Replace what an earlier command wrote there."""
+    quiet: Flag = False
+    """No progress bar and no summary."""
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
+class WindowOptions:
+    """What of the strip is shown."""
+
+    sheet: Annotated[tuple[str, ...], Option(negative="", show_default=False)] = ()
+    """Window around a sheet: side and number, as right:23, or the index from the left; can be repeated."""
+    width: str | None = None
+    """Width of the window in mm, um, µm or px; 0.2mm, or one pitch where there is no pixel size."""
+    follow: Flag = False
+    """The window moves with the sheet, interpolated between pixels, instead of standing still."""
+    time: str | None = None
+    """Part of the recording in seconds of the video's clock, A:B."""
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
+class ModulusOptions:
+    """The sheet and the machine of push–pull cycles."""
+
+    thickness: float = 0.1
+    """Of the sheet, mm."""
+    width: float = 45.0
+    """Of the sheet, mm."""
+    length: float = 16.8
+    """Between the clamps, mm."""
+    clamp_distance: float | None = None
+    """Distance of the clamps at the first sample, mm, where it is neither the displacement nor the length."""
+    machine_stiffness: float | None = None
+    """The machine's own stiffness in N/mm, to correct the distance; no correction if absent."""
+    part: str = "0.4:0.9"
+    """Part of the rise of the force on each loading branch that is fitted."""
+    force_columns: str | None = None
+    """Columns by name or number, as in time=Time,load=Load:kN,displacement=3."""
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
+class FrictionOptions:
+    """The discs of a rheometer and what is measured on them."""
+
+    radius: float = 25.0
+    """Radius of the discs in mm."""
+    normal_force: str | None = None
+    """Normal force in N in place of a recorded one: one for all files, or one a file, as in 0.1,0.5,1."""
+    dynamic: str = "0.3:120"
+    """Travelled angles in degrees over which the dynamic coefficient is the mean."""
+    mu: float = 0.89
+    """Constant coefficient with which the thresholds are compared."""
+
+
+def _sets(setting: str) -> Any:
+    """An option, not given, for this setting of `vision.experiment`."""
+    return field(default=None, metadata={"setting": setting})
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
+class SimulateOptions:
+    """The main settings of a synthetic test. What is not given is the preset's."""
+
+    seed: int | None = _sets("seed")
+    """Same seed, same data."""
+    duration: float | None = _sets("camera.duration_s")
+    """Length of the video, s."""
+    fps: float | None = _sets("camera.fps")
+    """Frames per second."""
+    width: int | None = _sets("camera.width")
+    """Columns, px."""
+    height: int | None = _sets("camera.height")
+    """Rows, px."""
+    pixel_size: float | None = _sets("camera.pixel_size_um")
+    """Micrometres per pixel."""
+    exposure: float | None = _sets("camera.exposure_s")
+    """Exposure, ms."""
+    bits: int | None = _sets("camera.bits")
+    """Bits per pixel, 8 to 16."""
+    speed: float | None = _sets("mechanics.speed_mm_min")
+    """Speed V of the pull, mm/min."""
+    d0: float | None = _sets("mechanics.d0_mm")
+    """Separation at the start of the pull, mm."""
+    d_end: float | None = _sets("mechanics.d_end_mm")
+    """Separation at its end, mm."""
+    offset: float | None = _sets("clocks.offset_s")
+    """Force clock at video time 0, s."""
+    sheets: int | None = _sets("sheets.count")
+    """Ridges in view."""
+    pitch: float | None = _sets("sheets.pitch_px")
+    """Distance between ridges, px."""
+    fwhm: float | None = _sets("optics.fwhm_px")
+    """Ridge width, px."""
+    contrast: float | None = _sets("optics.contrast")
+    """Michelson contrast of the ridges."""
+    ridges: Literal["bright", "dark"] | None = _sets("optics.polarity")
+    """Polarity."""
+    dropped: float | None = _sets("clocks.dropped")
+    """Fraction of frames lost."""
+    force_rate: float | None = _sets("clocks.force_rate_Hz")
+    """Force samples per second."""
+    force_layout: Literal["mts", "instron", "zwick", "csv"] | None = _sets("force_file.layout")
+    """Layout of force.txt."""
+    force_decimal: Literal[".", ","] | None = _sets("force_file.decimal")
+    """Decimal mark in force.txt."""
+    force_encoding: Literal["utf-8-sig", "utf-8", "latin-1"] | None = _sets("force_file.encoding")
+    """Encoding of force.txt."""
+    force_unit: Literal["N", "kN"] | None = _sets("force_file.unit")
+    """Unit of force in force.txt."""
+    video_time: bool | None = _sets("force_file.video_time")
+    """Write the camera's clock as a column of force.txt."""
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
+class CampaignOptions:
+    """How many films are tracked."""
+
+    out: Path | None = None
+    """The campaign's folder; TABLE_campaign in the working directory if not given."""
+    config: Path | None = None
+    """TOML file of options for all films; the table wins."""
+    dry_run: Flag = False
+    """Say what would run and how long it takes; write nothing."""
+    executor: Literal["local", "slurm"] = "local"
+    """local or slurm."""
+    profile: Path | None = None
+    """Folder with a Snakemake profile, in place of the shipped one."""
+    cores: int | None = None
+    """Jobs at a time; all cores (on a cluster, the profile's number of jobs) if not given."""
+    watch: Path | None = None
+    """Folder into which films are written: each is taken when it is complete, until Ctrl-C."""
+    idle: float | None = None
+    """End watching when no film came for so many seconds."""
+    stage: Flag = False
+    """Copy each film to the node's own disk (TMPDIR) before it is read."""
+    report: Report = True
+    """Write report.html of each run."""
+    quiet: Flag = False
+    """No progress and no summary."""
+    plan: Annotated[Flag, Option(show=False)] = False
+    """Write plan.json and end: for the Snakefile."""
 
 
 GROUPS = (VideoOptions, ForceOptions, SampleOptions, TestOptions)
@@ -224,360 +366,6 @@ def option_names() -> Mapping[str, str]:
     return {name: flag_of(name) for name in same} | dict(_OPTION_OF)
 
 
-def parameters_given(
-    typed: Mapping[str, Any], usual: Mapping[str, Any] | None = None
-) -> dict[str, Parameter]:
-    """Options of a command for run.json: given where they differ from the usual value, else from nothing."""
-    from vision.run.provenance import Parameter
-
-    known = usual or {}
-    same = {name: value == known[name] if name in known else not value for name, value in typed.items()}
-    return {name: Parameter(value, "default" if same[name] else "given") for name, value in typed.items()}
-
-
-def merged(*groups: Any, config: Path | None = None) -> dict[str, Parameter]:
-    """Every option of these groups with its value and origin.
-
-    The command line wins over the file, the file over the default.
-
-    Raises
-    ------
-    InputError
-        For a TOML file that cannot be read, names an unknown option or gives it a wrong value.
-    """
-    from vision.run.provenance import Parameter
-
-    typed = {name: value for group in groups for name, value in vars(group).items()}
-    filed = read_config(config) if config else {}
-    merged: dict[str, Parameter] = {}
-    for name, value in typed.items():
-        if value is not None:
-            merged[name] = Parameter(_plain(name, value), "given")
-        elif filed.get(name) is not None:
-            merged[name] = Parameter(_plain(name, filed[name]), "config")
-        else:
-            merged[name] = Parameter(DEFAULTS.get(name), "default")
-    if "pixel_size" in merged:
-        merged |= _pixel_size(merged)
-    return merged
-
-
-SIZES = ("pixel_size", "scale", "pitch")  # of which one gives the pixel size
-
-
-def _pixel_size(options: Mapping[str, Parameter]) -> dict[str, Parameter]:
-    """The pixel size in µm from the one option that gives it; one typed wins over another in a file.
-
-    Raises
-    ------
-    InputError
-        For two of them.
-    """
-    from vision.run.provenance import Parameter
-
-    hows = [options[name].how for name in SIZES if options[name].value is not None]
-    how: Literal["given", "config"] = "given" if "given" in hows else "config"
-    chosen = {
-        name: options[name] if options[name].how == how else Parameter(None, "default") for name in SIZES
-    }
-    given = [flag_of(name) for name in SIZES if chosen[name].value is not None]
-    if len(given) > 1:
-        raise InputError(" and ".join(given), "one of --pixel-size, --scale and --pitch", f"{len(given)}")
-    size = parse_pixel_size(chosen["pixel_size"].value) or parse_scale(chosen["scale"].value)
-    return chosen | {"pixel_size": Parameter(size, how if size else "default")}
-
-
-def _plain(name: str, value: Any) -> Any:
-    """A number where an option that may also carry an error, or be a word, is no more than one."""
-    number = _float(value) if name in _WITH_ERROR and isinstance(value, str) else math.nan
-    return number if math.isfinite(number) else value
-
-
-def read_config(path: Path) -> dict[str, Any]:
-    """Options from a TOML file, by their long names with hyphens or underscores, parsed as if typed.
-
-    Tables group options: ``[sample]`` holds those of the sample.
-    """
-    try:
-        if check_regular(path, "a TOML file of options").st_size > MOST_CONFIG_BYTES:
-            raise InputError(path, "a TOML file of options", "a far larger one", "check its name")
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:  # a number of 5000 digits is a ValueError
-        if isinstance(error, InputError):
-            raise
-        advice = "write lines like: strip = '60:144'"
-        raise InputError(path, "a TOML file of options", shortened(str(error)), advice) from error
-    known = option_fields()
-    found: dict[str, Any] = {}
-    for key, value in table.items():
-        parts = value.items() if isinstance(value, dict) and key == "sample" else [(key, value)]
-        for name, item in parts:
-            found |= _parsed(path, name, item, known)
-    return found
-
-
-def _parsed(path: Path, key: str, value: Any, known: Sequence[str]) -> dict[str, Any]:
-    """One line of a TOML file, through the same conversion as the command line."""
-    name = key.replace("-", "_")
-    if name not in known:
-        raise InputError(path, f"options of track ({', '.join(known)})", f"'{key}'")
-    if not isinstance(value, str | int | float) or isinstance(value, bool):
-        raise InputError(path, f"one value for '{key}'", f"a {type(value).__name__}")
-    group = next(group for group in GROUPS if name in {field.name for field in fields(group)})
-    app = App(help_flags=(), version_flags=())
-    app.default(_collect(group))
-    try:
-        tokens = [f"{flag_of(name)}={str(value)[:MOST_LETTERS]}"]
-        parsed = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
-        if name in _GEOMETRY.values():
-            parse_with_error(getattr(parsed, name), name)
-    except (CycloptsError, ValueError, OverflowError) as error:
-        found = shortened(repr(value))
-        raise InputError(path, f"a value for '{key}' as on the command line", found) from error
-    return {name: getattr(parsed, name)}
-
-
-def parse_option(source: Path, name: str, text: str) -> Any:
-    """One option's value as if typed; `source` is where it stands.  Raises: InputError."""
-    return _parsed(source, name, text, option_fields())[name]
-
-
 def option_fields() -> list[str]:
     """The options that a file may give, by their names there."""
     return [field.name for group in GROUPS for field in fields(group)]
-
-
-def _collect(group: Any) -> Any:
-    """A command that returns its options."""
-
-    def collect(options: Any = None) -> Any:
-        return options
-
-    collect.__annotations__ = {"options": group | None}
-    return collect
-
-
-_GEOMETRY = {"thickness_mm": "thickness", "width_mm": "width", "length_mm": "length", "t_star_N": "t_star"}
-_SAMPLE = ("sheets_per_block", *_GEOMETRY.values())
-_WITH_ERROR = ("d0", "force_lowpass", *_GEOMETRY.values())
-
-
-def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
-    """The pipeline's settings.  Raises: InputError for values that no recording could fit."""
-    from vision.force import parse_columns
-    from vision.pipeline import Settings
-    from vision.sample import Sample
-    from vision.sheets import read_corrections
-
-    value = {name: parameter.value for name, parameter in parameters.items()}
-    columns, corrections = value.get("force_columns"), value.get("corrections")
-    sizes = {name: parse_with_error(value.get(option), flag_of(option)) for name, option in _GEOMETRY.items()}
-    d0_mm, d0_err_mm = parse_with_error(value.get("d0"), "--d0")
-
-    def from_(least: float, name: str, *, whole: bool = False) -> Any:
-        return number(value.get(name), flag_of(name), least=least, whole=whole)
-
-    sample = Sample(
-        sheets_per_block=value.get("sheets_per_block", 25),
-        **{name: size for name, (size, _) in sizes.items() if size is not None},
-    )
-    given = any(parameters[name].how != "default" for name in _SAMPLE if name in parameters)
-    parts = {
-        "rows": parse_range(value.get("strip"), "--strip"),
-        "columns": parse_range(value.get("columns"), "--columns"),
-        "rotate": value.get("rotate"),
-        "frames": parse_range(value.get("frames"), "--frames"),
-        "fps": from_(1e-9, "fps"),
-        "timestamps": value.get("timestamps"),
-        "ridges": value.get("ridges"),
-        "sheets": from_(1, "sheets", whole=True),
-        "strips": from_(2, "strips", whole=True),
-        "axis_px": from_(-1e6, "axis"),
-        "fit": value.get("fit"),
-        "window_px": parse_window(value.get("window")),
-        "corrections": read_corrections(corrections) if corrections else None,
-        "pixel_size_um": value.get("pixel_size"),
-        "pitch_um": parse_pitch(value.get("pitch")),
-        "speed_mm_min": from_(1e-9, "speed"),
-        "d0_mm": d0_mm,
-        "d0_err_mm": d0_err_mm,
-        "force_columns": parse_columns(columns) if columns else None,
-        "force_threshold_N": from_(0, "force_threshold"),
-        "force_lowpass_s": parse_lowpass(value.get("force_lowpass")),
-        "fit_range_mm": parse_mm_range(value.get("fit_range"), "--fit-range"),
-        "mu": from_(1e-9, "fix_mu"),
-        "modulus_GPa": from_(1e-9, "fix_yeff"),
-        "machine_stiffness_N_per_mm": from_(1e-9, "machine_stiffness"),
-        "offset_s": from_(-1e12, "offset"),
-        "threshold": from_(1e-6, "threshold"),
-        "common_mode": value.get("common_mode") != "off",
-        "sample": sample if given else None,
-        "geometry_err": {name: error for name, (_, error) in sizes.items() if error is not None},
-    }
-    return Settings(**{name: part for name, part in parts.items() if part is not None})
-
-
-def parse_range(text: str | None, option: str) -> slice | None:
-    """`A:B`, half-open, either end may be left out; None and "auto" for all.  Raises: InputError."""
-    if text is None or text == "auto":
-        return None
-    match = re.fullmatch(r"\s*([0-9]{0,12})\s*:\s*([0-9]{0,12})\s*", text)
-    start, stop = ((int(end) if end else None) for end in match.groups()) if match else (None, None)
-    if match is None or (stop is not None and stop <= (start or 0)):
-        raise InputError(option, "two whole numbers A:B with 0 <= A < B", f"'{text}'")
-    return slice(start, stop)
-
-
-def parse_with_error(text: str | float | None, option: str) -> tuple[float | None, float | None]:
-    """(value, error) of 13, 13.0±0.1, 13.0+-0.1 or 13.0+/-0.1, the error None if not given.
-
-    Raises: InputError.
-    """
-    if text is None:
-        return None, None
-    value, sign, error = str(text).replace("+-", "±").replace("+/-", "±").partition("±")
-    parts = _float(value), _float(error) if sign else 0.0
-    if not all(0 <= part < math.inf for part in parts):
-        advice = "write it as 13 or 13.0±0.1"
-        raise InputError(option, "a number from 0, or with its error", f"'{text}'", advice)
-    return parts[0], parts[1] if sign else None
-
-
-def parse_lowpass(text: str | float | None) -> float | Literal["auto"] | None:
-    """Seconds from 0, or "auto".  Raises: InputError."""
-    if text is None or text == "auto":
-        return None if text is None else "auto"
-    value = _float(str(text))
-    if not 0 <= value < math.inf:
-        raise InputError("--force-lowpass", "seconds from 0, or auto", f"'{text}'")
-    return value
-
-
-def parse_pair(
-    text: str, option: str, wanted: str, *, most: float = math.inf, advice: str = ""
-) -> tuple[float, float]:
-    """`A:B`, two numbers from 0 to `most`, the second larger.  Raises: InputError."""
-    first, _, last = text.partition(":")
-    low, high = _float(first), _float(last)
-    if not 0 <= low < high <= most or high == math.inf:
-        raise InputError(option, wanted, f"'{text}'", advice)
-    return low, high
-
-
-def parse_mm_range(text: str | None, option: str) -> tuple[float, float] | None:
-    """`A:B` in mm.  Raises: InputError."""
-    wanted = "two separations in mm A:B with A < B"
-    return None if text is None else parse_pair(text, option, wanted, advice="write 13.2:17")
-
-
-def parse_window(text: str | None) -> int | Literal["auto"] | None:
-    """An odd number of pixels, or "auto".  Raises: InputError."""
-    if text is None or text == "auto":
-        return None if text is None else "auto"
-    if not re.fullmatch(r"[0-9]{1,9}", text):
-        raise InputError("--window", "an odd number of pixels, or auto", f"'{text}'")
-    return int(text)
-
-
-def number(value: float | None, option: str, *, least: float, whole: bool = False) -> Any:
-    """A number not below `least`, as it is; None passes.  Raises: InputError."""
-    if value is None:
-        return None
-    if not (least <= value < math.inf):
-        kind = "a whole number" if whole else "a number"
-        raise InputError(option, f"{kind} from {least:g}", f"'{value}'")
-    return value
-
-
-def parse_pixel_size(text: str | None) -> float | None:
-    """µm per pixel: a plain number, or with its unit (10um, 0.01mm).  Raises: InputError."""
-    if text is None:
-        return None
-    match = re.fullmatch(r"\s*(\S+?)\s*(mm|um|µm|μm)?(/px)?\s*", text)
-    value = _float(match[1]) * UM_PER[match[2] or "um"] if match else math.nan
-    if not 1e-6 <= value < math.inf:
-        raise InputError(
-            "--pixel-size", "a number from 1e-06 (µm per px)", f"'{text}'", "write 10, 10um or 0.01mm"
-        )
-    return value
-
-
-def parse_scale(text: str | None) -> float | None:
-    """µm per pixel from a length and the pixels it takes, in either order: 1mm=103px.  Raises: InputError."""
-    if text is None:
-        return None
-    sides = sorted(text.split("="), key=lambda side: side.strip().endswith("px"))
-    try:
-        lengths = [parse_length(side, "--scale") for side in sides]
-        size = lengths[0]["width_um"] / lengths[1]["width_px"] if len(lengths) == 2 else math.nan
-    except (InputError, KeyError):
-        size = math.nan
-    if not 1e-6 <= size < math.inf:
-        raise InputError("--scale", "a length and its pixels", f"'{text}'", "write 1mm=103px")
-    return size
-
-
-def parse_pitch(text: str | None) -> float | None:
-    """µm from one sheet to the next, with its unit: 0.2mm.  Raises: InputError."""
-    if text is None:
-        return None
-    length = parse_length(text, "--pitch")
-    if "width_um" not in length:
-        raise InputError("--pitch", "a length in mm or µm", f"'{text}'", "write 0.2mm")
-    return length["width_um"]
-
-
-def parse_length(text: str, option: str) -> dict[str, float]:
-    """A positive length with its unit: {"width_um": …} for mm, um and µm, {"width_px": …} for px.
-
-    Raises
-    ------
-    InputError
-        Also for a number without a unit, as µm and px are both likely.
-    """
-    match = re.fullmatch(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(mm|um|µm|μm|px)\s*", text)
-    value = _float(match[1]) if match else math.nan
-    if match is None or not 0 < value < math.inf:
-        raise InputError(option, "a length with its unit: mm, um, µm or px", f"'{text}'", "write 0.2mm")
-    unit = match[2]
-    return {"width_px": value} if unit == "px" else {"width_um": value * UM_PER[unit]}
-
-
-def parse_seconds(text: str | None, option: str) -> tuple[float | None, float | None] | None:
-    """`A:B` in seconds, half-open, either end may be left out; None for all.  Raises: InputError."""
-    if text is None:
-        return None
-    first, colon, last = text.partition(":")
-    start = _float(first) if first.strip() else None
-    stop = _float(last) if last.strip() else None
-    ends = [end for end in (start, stop) if end is not None]
-    if not colon or not ends or not all(map(math.isfinite, ends)) or ends != sorted(set(ends)):
-        raise InputError(option, "two times in seconds A:B with A < B", f"'{text}'", "write 40:45.1")
-    return start, stop
-
-
-def parse_sheets(texts: Sequence[str] | None) -> list[Sheet]:
-    """Sheets as side and number (right:23) or index from the left (47), several with commas.
-
-    Raises
-    ------
-    InputError
-        For anything else.
-    """
-    return [_sheet(part.strip()) for text in texts or () for part in text.split(",")]
-
-
-def _sheet(text: str) -> Sheet:
-    if re.fullmatch(r"[0-9]{1,9}", text):
-        return int(text)
-    side, _, n = text.partition(":")
-    if side not in ("left", "right") or not re.fullmatch(r"[0-9]{1,9}", n) or int(n) < 1:
-        raise InputError("--sheet", "a side and a number, or an index", f"'{text}'", "write right:23 or 47")
-    return side, int(n)
-
-
-def _float(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan

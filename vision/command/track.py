@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import math
 import shlex
 import signal
 import sys
@@ -10,81 +11,49 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from vision.command.console import (
-    complain,
-    frame_progress,
-    in_columns,
-    outcome,
-    say,
-    skip_matplotlib_help,
-)
-from vision.command.options import (
-    ForceOptions,
-    RunOptions,
-    SampleOptions,
-    TestOptions,
-    VideoOptions,
-    merged,
-    option_names,
-    settings_of,
-)
+import matplotlib.artist
+import xarray as xr
+
+from vision.command.console import attempt, complain, frame_progress, in_columns, say
+from vision.command.options import RunOptions, option_names
+from vision.command.settings import merged, settings_of
+from vision.data import StripMetadata
 from vision.errors import InputError
+from vision.pipeline import Analysis, Settings, analyse, track_strip
+from vision.run import Checkpoint, Checksums, Origin, Parameter, check_target, describe_input, write_run
+from vision.sheets.corrections import read_decisions
+from vision.summary import findings, flag_counts, noise_figures
+from vision.video import Follow, open_video, video_files
+from vision.video.high_speed import PIXELS, is_photron
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from vision.pipeline import Analysis, Settings
-    from vision.run import Checkpoint, Parameter
-    from vision.video import Follow
-
-SHOWN_EVERY_S = 5.0  # while a film is followed
-FEWEST = 20
-"""Frames from which on something is shown, where more are in the file: fewer tell no noise."""
-RECENT = 100
-"""Frames that are tracked for the line: enough to know the noise to a tenth, few enough to be quick."""
 STILLS = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
-OF_ONE_FILM = ("force", "timestamps", "offset")  # options that cannot be true of several
-HEAD = ("film", "status", "sheets", "frames", "lost", "measured", "noise px", "seconds", "remark")
 REFUSED = ("sticks", "clock", "motion", "shells")  # stages whose input cannot be used: exit status 2
 
 
-def track(
-    *videos: Path,
-    reading: VideoOptions | None = None,
-    test: TestOptions | None = None,
-    machine: ForceOptions | None = None,
-    sample: SampleOptions | None = None,
-    run: RunOptions | None = None,
-    config: Path | None = None,
-) -> int:
-    """Track every sheet of a video: positions x(n,t), their errors, pictures and tables in a new folder.
-
-    Several videos are tracked one after the other, each into its own folder; one that cannot be used does not
-    keep the others from being done.
+def track(videos: Sequence[Path], groups: Sequence[Any], run: RunOptions, config: Path | None) -> int:
+    """Track one video or several; the exit status.
 
     Parameters
     ----------
     videos
-        A video file, a TIFF stack, a folder or a quoted glob of numbered images; or several.
-    reading
-        How the video is read and its sheets are found.
-    test
-        What joins video and force recording.
-    machine
-        How the force recording is read.
-    sample
-        Geometry of the sample.
+        As given.
+    groups
+        Options of the video, the test, the force recording and the sample.
     run
-        Where the results go; with several videos --out is the folder that holds their folders.
+        Where the results go.
     config
-        TOML file with any of these options; the command line wins.
+        TOML file of options.
+
+    Raises
+    ------
+    InputError
+        For options or a video that cannot be used.
     """
-    run = run or RunOptions()
-    groups = (reading or VideoOptions(), test or TestOptions(), machine or ForceOptions())
-    parameters = merged(*groups, sample or SampleOptions(), config=config)
+    parameters = merged(*groups, config=config)
     if len(videos) == 1:
         target = run.out or Path(f"{run_name(videos[0])}_tracks")
         return track_one(videos[0], target, parameters, run)[0]
@@ -109,11 +78,8 @@ def track_one(
     Of many films each warning names its film, and the summary waits for the table unless all is asked for.
     A copy of the film is read in its place where there is one.
     """
-    from vision.pipeline import analyse
-    from vision.run import Checkpoint, Checksums, Origin, Parameter, check_target, write_run
-    from vision.video import video_files
-
-    skip_matplotlib_help()
+    # The help texts of matplotlib's artists are a third of the time that its import takes.
+    matplotlib.artist.kwdoc = lambda artist: ""
     if run.follow and run.resume:
         raise InputError("`follow` and `resume`", "one of the two", "both")
     check_target(target, overwrite=run.overwrite)
@@ -122,7 +88,7 @@ def track_one(
         raise InputError("`resume` and `strips`", "one of the two", "both", "leave `resume` out")
     along = run.checksum and not run.follow and copy is None and video.exists()
     checkpoint, sums = Checkpoint(target, resume=run.resume), Checksums(video_files(video) if along else ())
-    with checkpoint, sums, resumable(checkpoint):
+    with checkpoint, sums, _resumable(checkpoint):
         if run.follow:
             with _following(settings, quiet=run.quiet) as follow:
                 analysis = analyse(copy or video, force, settings, follow=follow)
@@ -133,7 +99,7 @@ def track_one(
         inputs = (*video_files(video), *(() if force is None else (force,)))
         if settings.pitch_um is not None:
             parameters = {**parameters, "pixel_size": Parameter(analysis.pixel_size_um, "found")}
-        analysis = _held_against(analysis, parameters["corrections"].value, inputs[0])
+        analysis = _made_for_this_film(analysis, parameters["corrections"].value, inputs[0])
         origin = Origin(
             command=command_line(),
             inputs=inputs,
@@ -156,11 +122,8 @@ def track_one(
     return status, analysis
 
 
-def _held_against(analysis: Analysis, corrections: Path | None, film: Path) -> Analysis:
-    """With a warning where the file of corrections was made for another film."""
-    from vision.run import describe_input
-    from vision.sheets.corrections import read_decisions
-
+def _made_for_this_film(analysis: Analysis, corrections: Path | None, film: Path) -> Analysis:
+    """The analysis, with a warning where the file of corrections was made for another film."""
     about = "" if corrections is None else read_decisions(corrections).film
     known = describe_input(film) if about else {}
     if about in ("", known.get("sha256"), known.get("fingerprint")):
@@ -172,7 +135,7 @@ def _held_against(analysis: Analysis, corrections: Path | None, film: Path) -> A
 
 
 @contextmanager
-def resumable(checkpoint: Checkpoint) -> Iterator[None]:
+def _resumable(checkpoint: Checkpoint) -> Iterator[None]:
     """An interrupted run says how it goes on, where what it read is kept."""
     try:
         yield
@@ -203,7 +166,6 @@ def finish(
     0: done.  1: a warning that matters.  2: the force recording could not be used (what was measured is
     kept).  3: an unexpected error ended a stage (likewise).
     """
-    from vision.summary import findings
 
     for line in analysis.warnings:
         complain(f"warning: {about}{line.removeprefix(about)}")
@@ -234,7 +196,6 @@ def _targets_of(
 
     A Photron recording of which both files are named counts once.
     """
-    from vision.video.high_speed import PIXELS, is_photron
 
     if not videos:
         advice = "track --help lists the options"
@@ -245,7 +206,8 @@ def _targets_of(
     if all(_is_still(video) for video in videos):
         found = f"{len(videos)} still images"
         raise InputError(videos[0].parent, "films", found, "quote the glob: track 'frames/*.png'")
-    given = [f"--{name}" for name in OF_ONE_FILM if parameters[name].value is not None]
+    one_film = ("force", "timestamps", "offset")  # options that cannot be true of several
+    given = [f"--{name}" for name in one_film if parameters[name].value is not None]
     if given:
         wanted = f"one video with {', '.join(given)}"
         raise InputError(given[0], wanted, f"{len(videos)} videos", "track campaign takes a table of tests")
@@ -269,8 +231,6 @@ def _is_still(path: Path) -> bool:
         return False
     if path.suffix.lower() not in (".tif", ".tiff"):
         return True
-    from vision.video import open_video
-
     try:
         return (open_video(path).expected or 0) == 1
     except InputError:
@@ -279,30 +239,23 @@ def _is_still(path: Path) -> bool:
 
 def _track_several(targets: Mapping[Path, Path], parameters: dict[str, Parameter], run: RunOptions) -> int:
     """Every film in turn, and a table of them; the highest of their exit statuses."""
-    rows, worst = [], 0
+    head = ("film", "status", "sheets", "frames", "lost", "measured", "noise px", "seconds", "remark")
+    rows: list[tuple[str, ...]] = [head]
+    worst = 0
     for video, target in targets.items():
         started = time.perf_counter()
-        found: list[Analysis] = []
-
-        def work(video: Path = video, target: Path = target, found: list[Analysis] = found) -> int:
-            status, analysis = track_one(video, target, parameters, run, one_of_many=True)
-            found.append(analysis)
-            return status
-
-        status, why = outcome(work)
+        done, status, why = attempt(partial(track_one, video, target, parameters, run, one_of_many=True))
+        status, analysis = done or (status, None)
         if why:
             complain(why)
         worst = max(worst, status)
-        rows.append(_row(video, status, found[0] if found else None, why, time.perf_counter() - started))
+        rows.append(_row(video, status, analysis, why, time.perf_counter() - started))
     if not run.quiet:
-        say(in_columns([HEAD, *rows], "<" + ">" * (len(HEAD) - 2)))
+        say(in_columns(rows, "<>>>>>>>"))
     return worst
 
 
 def _row(video: Path, status: int, found: Analysis | None, why: str, seconds: float) -> tuple[str, ...]:
-    from vision.data import StripMetadata
-    from vision.summary import flag_counts, noise_figures
-
     if found is None or found.tracks is None:
         return (video.name, str(status), "", "", "", "", "", f"{seconds:.1f}", why)
     strip, flags = StripMetadata.of(found.tracks), flag_counts(found.tracks)
@@ -330,8 +283,6 @@ def _following(settings: Settings, *, quiet: bool) -> Iterator[Follow]:
 
     A second Ctrl-C, or one while the results are made, ends the run as always.
     """
-    from vision.video import Follow
-
     follow = Follow(
         seen=None if quiet else _Shown(settings),
         waiting=None if quiet else lambda reason: complain(f"waiting: {reason}"),
@@ -351,7 +302,7 @@ def _following(settings: Settings, *, quiet: bool) -> Iterator[Follow]:
 
 
 class _Shown:
-    """Writes the state of the recording to standard error, at most every few seconds."""
+    """Writes the state of the recording to standard error, at most every five seconds."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -360,23 +311,20 @@ class _Shown:
     def __call__(self, last: Callable[[int], xr.DataArray], behind: int | None) -> None:
         if sys.stderr is None or time.monotonic() < self._next:
             return
-        strip = last(RECENT)
-        if behind and strip.sizes["frame"] < FEWEST:
-            return
+        strip = last(100)  # enough to know the noise to a tenth, few enough to be quick
+        if behind and strip.sizes["frame"] < 20:
+            return  # too few to tell the noise, and more are coming
         line = _state(strip, behind, self._settings)
         tty = sys.stderr.isatty()
         sys.stderr.write(f"\r\x1b[K{line}" if tty else f"{line}\n")
         sys.stderr.flush()
-        self._next = time.monotonic() + SHOWN_EVERY_S
+        self._next = time.monotonic() + 5.0
 
 
 def _state(strip: xr.DataArray, behind: int | None, settings: Settings) -> str:
     """How far the recording is read, and what its last frames show."""
-    from vision.pipeline import track_strip
-    from vision.summary import flag_counts, noise_figures
-
     frame, time_s = int(strip["frame"].values[-1]), float(strip["time_s"].values[-1])
-    where = f"frame {frame}" + (f", {time_s:.1f} s" if time_s == time_s else "")
+    where = f"frame {frame}" + (f", {time_s:.1f} s" if math.isfinite(time_s) else "")
     late = "" if behind is None else f"; {behind} more in the file"
     try:
         # Decisions by hand are about the whole film.

@@ -31,7 +31,7 @@ MARK = "export"  # of run.json: tells a folder of exported tables from a run
 
 PER_EVENT = ("events", "deformation", "shells")
 EXCEL_ROWS = (1 << 20) - 1  # below the header
-ROWS_AT_ONCE = 50_000
+ROWS_AT_ONCE = 50_000  # turned into cells, so that memory does not grow with the recording
 
 
 @dataclass(frozen=True)

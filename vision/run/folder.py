@@ -24,7 +24,6 @@ except ImportError:  # Windows
 MARK = "run.json"  # what makes a folder a run folder
 PART, OLD = ".part", ".old"  # endings of a run that is being written, and of one that was moved aside
 READING = ".reading"  # ending of what is kept while a long film is read
-RENAME_EXCHANGE = 2  # of Linux's renameat2
 
 
 def check_target(target: Path, *, overwrite: bool) -> None:
@@ -102,22 +101,17 @@ def reading_folder(target: Path) -> Path:
 
 def clean_up(target: Path) -> None:
     """Remove or restore what processes that were killed left beside `target`."""
-    if (lock := lock_folder(reading_folder(target))) is not None:
-        shutil.rmtree(reading_folder(target), ignore_errors=True)
-        os.close(lock)
     hidden = f".{glob.escape(target.name)}.*"
-    for old in target.parent.glob(hidden + OLD):
-        if (lock := lock_folder(old)) is not None:
+    earlier = list(target.parent.glob(hidden + OLD))
+    for left in (reading_folder(target), *earlier, *target.parent.glob(hidden + PART)):
+        if (lock := lock_folder(left)) is None:
+            continue
+        if left in earlier and not target.exists():
             with suppress(OSError):
-                if target.exists():
-                    shutil.rmtree(old)
-                else:
-                    old.rename(target)
-            os.close(lock)
-    for part in target.parent.glob(hidden + PART):
-        if (lock := lock_folder(part)) is not None:
-            shutil.rmtree(part, ignore_errors=True)
-            os.close(lock)
+                left.rename(target)
+        else:
+            shutil.rmtree(left, ignore_errors=True)
+        os.close(lock)
 
 
 def lock_folder(folder: Path) -> int | None:
@@ -182,8 +176,8 @@ def _exchange(one: Path, other: Path) -> bool:
     call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     if call is None:
         return False
-    here = -100  # AT_FDCWD: relative names are those of the working directory
-    return int(call(here, os.fsencode(one), here, os.fsencode(other), RENAME_EXCHANGE)) == 0
+    here, exchange = -100, 2  # AT_FDCWD: relative names are those of the working directory; RENAME_EXCHANGE
+    return int(call(here, os.fsencode(one), here, os.fsencode(other), exchange)) == 0
 
 
 @contextmanager

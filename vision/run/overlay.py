@@ -24,18 +24,8 @@ from vision.video import Video, open_video
 Progress = Callable[[int, int | None], None]
 Colour = NDArray[np.uint8]
 
-MOST_WIDTH, MOST_HEIGHT = 1920, 1080
-"""Larger frames are scaled down: more pixels cost bits and time, and no player shows them."""
-LEAST_SIDE = 480  # smaller frames are enlarged by a whole factor, or numbers would cover them
-SLOWEST_FPS, FASTEST_FPS, UNKNOWN_FPS = 5.0, 50.0, 25.0
-"""Rates at which the film is played: a high-speed film in slow motion, a time lapse not as still pictures."""
-QUALITY = {"crf": "23", "preset": "veryfast", "maxrate": "8M", "bufsize": "16M"}
 MARGIN = 22  # px above the picture for the numbers, and below it for frame and time
 LETTER_WIDTH = 9.0  # px of a digit at the size in use
-STROKE = 0.25  # of the strip's height, at both its ends: the ridge itself stays in view
-SUBPIXEL_BITS = 4  # of OpenCV's coordinates: strokes lie where the sheet was found, to 1/16 px
-SAMPLED = 8  # frames from which the grey scale is taken
-_FONT, _SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.42
 _WHITE = (235, 235, 235)
 
 
@@ -89,10 +79,13 @@ def write_overlay(
     video = open_video(film, rotate=StripMetadata.of(tracks).rotate, frames=_within(tracks, frames, run))
     canvas = _Canvas.of(video, tracks)
     row_of = {int(number): row for row, number in enumerate(tracks["frame"].values)}
-    fps = _playback(StripMetadata.of(tracks).fps)
+    # A high-speed film is played in slow motion, a time lapse not as still pictures.
+    fps = Fraction(float(np.clip(np.nan_to_num(StripMetadata.of(tracks).fps, nan=25.0), 5.0, 50.0)))
+    fps = fps.limit_denominator(1000)
+    quality = {"crf": "23", "preset": "veryfast", "maxrate": "8M", "bufsize": "16M"}
     done = 0
     with av.open(str(target), "w", format="mp4") as file:
-        stream: Any = file.add_stream("libx264", rate=fps, options=QUALITY)
+        stream: Any = file.add_stream("libx264", rate=fps, options=quality)
         stream.height, stream.width = canvas.shape
         stream.pix_fmt = "yuv420p"
         for block in video.blocks():
@@ -123,11 +116,6 @@ def _within(tracks: xr.Dataset, frames: slice | None, run: RunFolder) -> slice:
     return part
 
 
-def _playback(fps: float) -> Fraction:
-    known = fps if np.isfinite(fps) else UNKNOWN_FPS
-    return Fraction(float(np.clip(known, SLOWEST_FPS, FASTEST_FPS))).limit_denominator(1000)
-
-
 @dataclass(frozen=True)
 class _Canvas:
     """Where everything stands. scale: pixels of the MP4 per pixel of the film; low, high: black and white."""
@@ -142,10 +130,10 @@ class _Canvas:
     @classmethod
     def of(cls, video: Video, tracks: xr.Dataset) -> _Canvas:
         rows, columns = video.shape
-        scale = min(1.0, MOST_WIDTH / columns, MOST_HEIGHT / rows)
-        if max(rows, columns) < LEAST_SIDE:
-            scale = float(-(-LEAST_SIDE // max(rows, columns)))
-        sample = [np.asarray(frame, np.float32) for frame in video.sample(SAMPLED)]
+        scale = min(1.0, 1920 / columns, 1080 / rows)  # no player shows more pixels
+        if max(rows, columns) < 480:  # enlarged by a whole factor, or numbers would cover the picture
+            scale = float(-(-480 // max(rows, columns)))
+        sample = [np.asarray(frame, np.float32) for frame in video.sample(8)]
         known = np.concatenate([frame[np.isfinite(frame)] for frame in sample] or [np.zeros(1, np.float32)])
         low, high = np.percentile(known, (0.5, 99.8)) if known.size else (0.0, 1.0)
         picture = (max(2, round(rows * scale)), max(2, round(columns * scale)))
@@ -186,21 +174,18 @@ class _Canvas:
         top, bottom = self._y(strip.strip_z0 - 0.5), self._y(strip.strip_z1 - 0.5)
         for edge in (top, bottom):
             self._line(canvas, (0.0, edge), (self.picture[1] - 1.0, edge), rgb(HIGHLIGHT))
-        stroke = max(3.0, STROKE * (bottom - top))
+        stroke = max(3.0, (bottom - top) / 4)  # at both ends: the ridge itself stays in view
         side, n = self.tracks["side"].values, self.tracks["n"].values
-        seen = np.flatnonzero(np.isfinite(self.x_px[row]))
+        seen, numbered = np.flatnonzero(np.isfinite(self.x_px[row])), set(self._numbered(n))
         for k in seen:
             x = self._x(self.x_px[row, k])
-            ink = _WHITE if flag[k] != "ok" else rgb((LEFT_ON_GREY if side[k] < 0 else RIGHT_ON_GREY)[0])
+            own = rgb((LEFT_ON_GREY if side[k] < 0 else RIGHT_ON_GREY)[0])
+            ink = own if flag[k] == "ok" else _WHITE
             self._line(canvas, (x, top), (x, top + stroke), ink)
             self._line(canvas, (x, bottom), (x, bottom - stroke), ink)
-        for k in self._numbered(n):
-            if np.isfinite(self.x_px[row, k]):
-                ink = rgb((LEFT_ON_GREY if side[k] < 0 else RIGHT_ON_GREY)[0])
+            if k in numbered:
                 text = str(n[k])
-                _write(
-                    canvas, text, self._x(self.x_px[row, k]) - LETTER_WIDTH * len(text) / 2, MARGIN - 7, ink
-                )
+                _write(canvas, text, x - LETTER_WIDTH * len(text) / 2, MARGIN - 7, own)
 
     def _numbered(self, n: Ints) -> Ints:
         """Sheets whose numbers are written: each, or every second, fifth, … so that none overlap."""
@@ -220,9 +205,10 @@ class _Canvas:
 
     @staticmethod
     def _line(canvas: Colour, start: tuple[float, float], end: tuple[float, float], ink: Any) -> None:
-        fixed = [tuple(round(v * (1 << SUBPIXEL_BITS)) for v in point) for point in (start, end)]
-        cv2.line(canvas, fixed[0], fixed[1], ink, 1, cv2.LINE_AA, SUBPIXEL_BITS)
+        bits = 4  # of the coordinates behind the point: strokes lie where the sheet was found, to 1/16 px
+        fixed = [tuple(round(v * (1 << bits)) for v in point) for point in (start, end)]
+        cv2.line(canvas, fixed[0], fixed[1], ink, 1, cv2.LINE_AA, bits)
 
 
 def _write(canvas: Colour, text: str, x: float, y: float, ink: tuple[int, int, int] = _WHITE) -> None:
-    cv2.putText(canvas, text, (round(x), round(y)), _FONT, _SIZE, ink, 1, cv2.LINE_AA)
+    cv2.putText(canvas, text, (round(x), round(y)), cv2.FONT_HERSHEY_SIMPLEX, 0.42, ink, 1, cv2.LINE_AA)

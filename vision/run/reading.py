@@ -28,7 +28,6 @@ from vision.video.stacks import check_tiff
 from vision.video.uncompressed import read_fully
 
 AGAIN = "run track again"
-ROWS = 4096  # read at a time
 
 
 @dataclass(frozen=True)
@@ -251,8 +250,8 @@ def _read_tif(path: Path, frames: int) -> Floats32:
         path.open("rb", buffering=0) as file,
     ):
         file.seek(start)
-        for first in range(0, frames, ROWS):
-            part = np.empty((min(ROWS, frames - first), shape[1]), stored)
+        for first in range(0, frames, 4096):
+            part = np.empty((min(4096, frames - first), shape[1]), stored)
             read_fully(file, part.data.cast("B"), path)
             rows.append(part.astype(np.float32, copy=False))
     return rows.rows()

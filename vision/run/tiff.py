@@ -14,17 +14,13 @@ from vision.errors import InputError
 from vision.numeric import Floats
 
 IMAGEJ_BYTES = (1 << 32) - (1 << 20)  # ImageJ's own TIFF ends at 4 GiB
-ROWS = 4096  # converted at a time, so that memory does not grow with the recording
-TOP = (1 << 16) - 1
-UNEVEN = 0.5  # of a frame interval: an even time axis that is further off misleads
 
 
 def write_kymograph_tif(strip: xr.DataArray, path: Path, *, pixel_size_um: float | None) -> None:
     """Rows are frames, columns x; 32-bit floats in grey levels, NaN for frames that are not there.
 
-    ImageJ metadata hold the size of a pixel: µm (or "pixel") along x and seconds along t; above 4 GiB a
-    plain BigTIFF
-    without them.
+    ImageJ metadata hold the size of a pixel: µm (or "pixel") along x and seconds along t; above 4 GiB it is
+    a plain BigTIFF without them.
     """
     values = np.asarray(strip.values, np.float32)
     if values.nbytes > IMAGEJ_BYTES:
@@ -56,10 +52,10 @@ def write_space_time_tif(diagram: xr.DataArray, path: Path, *, pixel_size_um: fl
     if hasattr(os, "posix_fallocate"):  # a mapping that finds the disk full kills the process
         with path.open("r+b") as file:
             os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
-    for start in range(0, len(diagram), ROWS):
-        rows = np.asarray(diagram[start : start + ROWS].values, np.float64)
-        grey = np.clip(np.rint((rows - low) / step) + 1, 1, TOP)
-        pixels[start : start + ROWS] = np.where(np.isfinite(rows), grey, 0)
+    for start in range(0, len(diagram), 4096):  # so that memory does not grow with the recording
+        rows = np.asarray(diagram[start : start + 4096].values, np.float64)
+        grey = np.clip(np.rint((rows - low) / step) + 1, 1, 65535)
+        pixels[start : start + 4096] = np.where(np.isfinite(rows), grey, 0)
     pixels.flush()
 
 
@@ -72,7 +68,7 @@ def frame_step_s(times_s: Floats) -> float:
     middle = float(np.median(steps)) if len(steps) else 0.0
     if middle <= 0:
         return 1.0
-    return float(steps[np.abs(steps - middle) <= UNEVEN * middle].mean())
+    return float(steps[np.abs(steps - middle) <= middle / 2].mean())
 
 
 def unevenness_s(times_s: Floats) -> float:
@@ -85,7 +81,7 @@ def unevenness_s(times_s: Floats) -> float:
     step = frame_step_s(times_s)
     even = times_s[known[0]] + step * (known - known[0])
     off = float(np.abs(times_s[known] - even).max())
-    return off if off > UNEVEN * step else 0.0
+    return off if off > step / 2 else 0.0
 
 
 def _calibration(strip: xr.DataArray, pixel_size_um: float | None) -> dict[str, Any]:
@@ -115,12 +111,12 @@ def _levels(diagram: xr.DataArray) -> tuple[float, float]:
     else:
         known = diagram.values[np.isfinite(diagram.values)]
         low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-    return low, (high - low) / (TOP - 1) or 1.0
+    return low, (high - low) / 65534 or 1.0
 
 
 def _display(diagram: xr.DataArray, low: float, step: float) -> dict[str, float]:
     """The range Fiji shows at first: all but the outermost grey values."""
-    sample = diagram.values[:: max(1, len(diagram) // ROWS)]
+    sample = diagram.values[:: max(1, len(diagram) // 4096)]
     known = sample[np.isfinite(sample)]
     if not known.size:
         return {}

@@ -1,18 +1,20 @@
-"""`track kymograph VIDEO_OR_RUN`: space-time diagrams for Fiji and for the page."""
+"""Commands that look at a recording: preview and kymograph."""
 
 from __future__ import annotations
 
-import time as clock
-from dataclasses import dataclass
+import itertools
+import math
+import time
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Any
 
-from cyclopts import Parameter as Option
+import numpy as np
+import xarray as xr
 
 from vision.command.console import conclude, frame_progress
-from vision.command.options import (
-    Flag,
-    VideoOptions,
+from vision.command.options import OutputOptions, VideoOptions, WindowOptions
+from vision.command.settings import (
     merged,
     parameters_given,
     parse_length,
@@ -23,33 +25,131 @@ from vision.command.options import (
     settings_of,
 )
 from vision.command.track import command_line, run_name
+from vision.data import StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError
+from vision.figures import kymograph_figure, preview_figure, slip_times
 from vision.files import reading as reading_of
+from vision.numeric import Floats, Ints, Pixels
+from vision.pipeline import Settings, analyse, open_recording, track_strip
+from vision.run import (
+    Origin,
+    check_mark,
+    check_new,
+    check_target,
+    is_run,
+    read_run,
+    read_strip,
+    run_folder,
+    slip_times_s,
+    whole_file,
+    write_json,
+)
+from vision.run.tiff import frame_step_s, unevenness_s, write_space_time_tif
+from vision.sheets import pixel_size_from_pitch
+from vision.sheets.ridges import describe_ridges, find_ridges
+from vision.sheets.tracks import LOSSY
+from vision.spacetime import space_time
+from vision.summary import flag_counts, frame_times, noise_figures, tracking_warnings
+from vision.video import Video, reference_frame, strip_profile
+from vision.video.strip import row_means
+from vision.video.strip_find import choose_strip
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from vision.numeric import Floats
-    from vision.pipeline import Settings
-
-PAPER_WIDTH_UM = 200.0
-MARK = "diagrams"  # of run.json: tells a folder of diagrams from a run
-OF_A_RUN = ("columns", "frames", "pixel_size")  # reading options that a finished run takes, too
+DIAGRAMS = "diagrams"  # of run.json: tells a folder of diagrams from a run
 
 
-@Option(name="*")
-@dataclass(frozen=True, kw_only=True)
-class WindowOptions:
-    """What of the strip is shown."""
+# --- preview ------------------------------------------------------------------------------------------------
 
-    sheet: Annotated[tuple[str, ...], Option(negative="")] = ()
-    """Window around a sheet: side and number, as right:23, or the index from the left; can be repeated."""
-    width: str | None = None
-    """Width of the window in mm, um, µm or px; 0.2mm, or one pitch where there is no pixel size."""
-    follow: Flag = False
-    """The window moves with the sheet, interpolated between pixels, instead of standing still."""
-    time: str | None = None
-    """Part of the recording in seconds of the video's clock, A:B."""
+
+@dataclass(frozen=True)
+class Preview:
+    """What a few frames show."""
+
+    video: Video  # the whole film
+    frame: Pixels  # the first frame of those tracked that shows something
+    # strip, tracks: of the consecutive frames
+    strip: xr.DataArray
+    tracks: xr.Dataset
+    counts: Ints  # ridges in each of the frames spread over the film
+
+
+def preview(video: Path, reading: VideoOptions, config: Path | None, output: OutputOptions) -> int:
+    """What would be measured, from a few frames; the exit status."""
+    settings = settings_of(merged(reading, config=config))
+    target = output.out or Path(f"{run_name(video)}_preview.png")
+    if output.out is not None:
+        check_new(target, overwrite=output.overwrite)
+    found = look(video, settings)
+    size = settings.pixel_size_um
+    if settings.pitch_um is not None:
+        size = pixel_size_from_pitch(found.tracks, settings.pitch_um)
+    with whole_file(target) as path:
+        preview_figure(found.frame, found.strip, found.tracks, pixel_size_um=size).save(path)
+    # What is missing can only be known from all frames.
+    kept = [line for line in warnings_of(found.tracks) if "missing" not in line]
+    warnings = list(dict.fromkeys([*found.video.warnings, *kept, *tracking_warnings(found.tracks)]))
+    return conclude([*lines(found, size), f"picture    {target}"], warnings, quiet=output.quiet)
+
+
+def look(path: Path, settings: Settings) -> Preview:
+    """Read, track and count a few frames.
+
+    Raises
+    ------
+    InputError
+        As `track` does.
+    """
+    film = open_recording(path, settings)
+    strip_settings = settings.tuning.video
+    rows = choose_strip(film, settings.rows, columns=settings.columns, settings=strip_settings).rows
+    count = min(24, film.estimated or 24)  # the scatter of one position is then known to a seventh
+    few = open_recording(path, replace(settings, frames=slice(film.first, film.first + count)))
+    strip = strip_profile(few, rows, columns=settings.columns, settings=strip_settings)
+    # Decisions by hand are about frames that are not looked at here.
+    tracks = track_strip(strip, replace(settings, corrections=()))
+    columns = slice(int(strip["x"].values[0]), int(strip["x"].values[-1]) + 1)
+    spread = list(film.sample(12)) or list(itertools.islice(film.frames(), 12))
+    profile = row_means(np.stack([frame[rows, columns] for frame in spread]))
+    comb = describe_ridges(profile, polarity=tracks.attrs["ridges"], settings=settings.tuning.tracking)
+    ridges = find_ridges(profile, comb, settings=settings.tuning.tracking)
+    return Preview(film, reference_frame(few), strip, tracks, ridges.count)
+
+
+def lines(found: Preview, pixel_size_um: float | None) -> list[str]:
+    """What was found, in nine lines."""
+    strip, comb, film = StripMetadata.of(found.strip), TrackMetadata.of(found.tracks), found.video
+    rows, columns = film.shape
+    count = "an unknown number of" if film.estimated is None else f"{film.estimated}"
+    about = "" if film.expected is not None else "about " * (film.estimated is not None)
+    noise = noise_figures(found.tracks, pixel_size_um)
+    length = "" if pixel_size_um is None else f" = {noise['stated_um']:.3f} µm"
+    lean = "no lean measured" if math.isnan(strip.tilt_deg) else f"lean {strip.tilt_deg:+.2f}°"
+    flags = flag_counts(found.tracks)
+    other = ", ".join(f"{n} {name}" for name, n in flags.items() if name != "ok") or "none missing"
+    low, high = int(found.counts.min()), int(found.counts.max())
+    counted = f"{low}" if low == high else f"{low} to {high}"
+    scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
+    frames, left = found.tracks.sizes["frame"], int((found.tracks["side"] < 0).sum())
+    # With all on one side the axis is not known: sheets moved too little in these frames.
+    sides = f" ({left} left, {comb.sheets - left} right)" if 0 < left < comb.sheets else ""
+    hidden = f" (not independent: {strip.codec} hides the noise of the pixels)" * (strip.codec in LOSSY)
+    return [
+        f"film       {about}{count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
+        f"clock      {frame_times(strip)}",
+        f"strip      rows {strip.strip_z0}:{strip.strip_z1}, clarity {strip.strip_clarity:.2f}, {lean}, "
+        f"{strip.strip_err_px:.3f} px from the choice of rows",
+        f"sheets     {comb.sheets} {comb.ridges} ridges{sides}; {counted} in {found.counts.size} frames over "
+        "the film, others than sheets included",
+        f"ridges     {comb.ridge_fwhm_px:.1f} px wide, {comb.pitch_px:.1f} px apart; {comb.fit} fit over "
+        f"{comb.window_px} px",
+        f"light      ridges {comb.contrast:.3g} grey levels high, profile noise {comb.profile_noise:.2g}",
+        f"positions  {flags.get('ok', 0)} in the first {frames} frames; {other}",
+        f"noise      {noise['stated_px']:.4f} px{length} stated; {noise['measured_px']:.4f} px scatter "
+        f"between {frames} frames{hidden}",
+        f"scale      {scale}",
+    ]
+
+
+# --- kymograph ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -66,54 +166,14 @@ class Source:
 
 
 def kymograph(
-    video_or_run: Path,
-    /,
-    window: WindowOptions | None = None,
-    reading: VideoOptions | None = None,
-    *,
-    picture: Literal["png", "pdf", "svg"] = "png",
-    out: Path | None = None,
-    overwrite: Flag = False,
-    quiet: Flag = False,
+    video_or_run: Path, window: WindowOptions, reading: VideoOptions, picture: str, output: OutputOptions
 ) -> int:
-    """Space-time diagrams: the whole strip, or windows around sheets, side by side.
-
-    Writes a 16-bit TIFF for each, which Fiji opens in µm and s, and one picture with axes. Slips are marked:
-    those of a run's force recording, else the common outward steps of the sheets.
-
-    Examples:
-
-        track kymograph test_tracks --sheet right:23 --sheet right:10 --width 0.2mm --time 40:45.1
-
-        track kymograph test.avi --frames 0:600
-
-    Parameters
-    ----------
-    video_or_run
-        A run folder, or a video as for track.
-    window
-        What of the strip is shown.
-    reading
-        How a video is read; of a run only columns, frames and pixel size can be chosen.
-    picture
-        Kind of the picture.
-    out
-        Folder; NAME_kymograph in the working directory by default.
-    overwrite
-        Replace an earlier one.
-    quiet
-        No progress bar and no summary.
-    """
-    started = clock.perf_counter()
-    window, reading = window or WindowOptions(), reading or VideoOptions()
+    """Space-time diagrams of a video or of a run; the exit status."""
+    started = time.perf_counter()
     options = _space_time_options(window)
-    from vision.figures import kymograph_figure
-    from vision.run import Origin, check_mark, check_target, is_run, run_folder, write_json
-    from vision.run.tiff import write_space_time_tif
-
-    target = out or Path(f"{run_name(video_or_run)}_kymograph")
-    check_target(target, overwrite=overwrite)
-    check_mark(target, MARK)
+    target = output.out or Path(f"{run_name(video_or_run)}_kymograph")
+    check_target(target, overwrite=output.overwrite)
+    check_mark(target, DIAGRAMS)
     parameters = merged(reading)
     if is_run(video_or_run):
         with reading_of(video_or_run, "a run folder as track writes it", "run track again"):
@@ -121,20 +181,20 @@ def kymograph(
         options["frames"] = parse_range(reading.frames, "--frames")
     else:
         wanted = bool(options["sheets"])
-        source = _from_video(video_or_run, settings_of(parameters), track=wanted, quiet=quiet)
+        source = _from_video(video_or_run, settings_of(parameters), track=wanted, quiet=output.quiet)
     diagrams = _diagrams(source, **options)
     warnings = [*source.warnings, *_warnings(diagrams)]
     slips, chosen = _slips_shown(source, diagrams[0]), parameters | parameters_given(vars(window))
     facts = Origin(command=command_line(), inputs=source.files, parameters=chosen).facts()
-    facts |= {MARK: [_about(diagram) for diagram in diagrams], "slips": slips, "warnings": warnings}
+    facts |= {DIAGRAMS: [_about(diagram) for diagram in diagrams], "slips": slips, "warnings": warnings}
     names = [f"kymograph_{d.attrs.get('sheet', 'strip').replace(':', '')}.tif" for d in diagrams]
     figure = kymograph_figure(diagrams, slips_s=source.slips_s, slips_from=source.slips_from)
     size = source.pixel_size_um
-    with run_folder(target, overwrite=overwrite) as folder:
+    with run_folder(target, overwrite=output.overwrite) as folder:
         for name, diagram in zip(names, diagrams, strict=True):
             write_space_time_tif(diagram, folder / name, pixel_size_um=size)
         figure.save(folder / f"kymograph.{picture}")
-        facts["seconds"] = {"total": clock.perf_counter() - started}
+        facts["seconds"] = {"total": time.perf_counter() - started}
         write_json(facts, folder / "run.json")
     rows, columns = diagrams[0].shape
     scale = "" if size is None else f", {size:g} µm per px"
@@ -143,7 +203,7 @@ def kymograph(
         f"slips      {slips}",
         f"results    {target}/: {', '.join([*names, f'kymograph.{picture}'])}",
     ]
-    return conclude(lines, warnings, quiet=quiet)
+    return conclude(lines, warnings, quiet=output.quiet)
 
 
 def _space_time_options(window: WindowOptions) -> dict[str, Any]:
@@ -168,10 +228,8 @@ def _from_run(folder: Path, reading: VideoOptions) -> Source:
     InputError
         For options that only a video takes, for columns that the run does not have, and for a damaged run.
     """
-    from vision.figures import slip_times
-    from vision.run import read_run, read_strip, slip_times_s
-
-    given = [name for name, value in vars(reading).items() if value is not None and name not in OF_A_RUN]
+    taken = ("columns", "frames", "pixel_size")
+    given = [name for name, value in vars(reading).items() if value is not None and name not in taken]
     if given:
         found = ", ".join(f"--{name}" for name in given)
         raise InputError(folder, "options that a run takes", found, "give the video, or run track again")
@@ -202,11 +260,6 @@ def _cut(strip: xr.DataArray, columns: slice, folder: Path) -> xr.DataArray:
 
 def _from_video(path: Path, settings: Settings, *, track: bool, quiet: bool) -> Source:
     """A video's strip, and its sheets where windows around them are wanted."""
-    from vision.data import warnings_of
-    from vision.figures import slip_times
-    from vision.pipeline import analyse, open_recording
-    from vision.video import strip_profile
-
     with frame_progress("reading", quiet=quiet) as progress:
         if track or settings.pitch_um is not None:
             analysis = analyse(path, None, settings, progress=progress)
@@ -225,14 +278,11 @@ def _diagrams(
     source: Source, *, sheets: list[Any], width: dict[str, Any], follow: bool, **part: Any
 ) -> list[xr.DataArray]:
     """One per sheet; of the whole strip where no sheet is asked for."""
-    from vision.data import TrackMetadata
-    from vision.spacetime import space_time
-
     size = source.pixel_size_um
     if not sheets or source.tracks is None:
         return [space_time(source.strip, pixel_size_um=size, **part)]
     pitch = min(TrackMetadata.of(source.tracks).pitch_px, float(source.strip.sizes["x"]))
-    width = width or ({"width_px": pitch} if size is None else {"width_um": PAPER_WIDTH_UM})
+    width = width or ({"width_px": pitch} if size is None else {"width_um": 200.0})
     window: dict[str, Any] = {"around": source.tracks, "follow": follow, "pixel_size_um": size}
     cut = [space_time(source.strip, sheet=sheet, **window, **width, **part) for sheet in sheets]
     return list({diagram.attrs["sheet"]: diagram for diagram in cut}.values())  # each sheet once
@@ -240,8 +290,6 @@ def _diagrams(
 
 def _warnings(diagrams: list[xr.DataArray]) -> list[str]:
     """What makes the TIFF's even time axis, or a sheet's window, misleading."""
-    from vision.run.tiff import unevenness_s
-
     off = unevenness_s(diagrams[0]["time_s"].values)
     lines = [f"frame times are uneven: the TIFF's time axis is off by up to {off:.3g} s"] if off else []
     there = diagrams[0]["status"] == "ok"
@@ -256,8 +304,6 @@ def _warnings(diagrams: list[xr.DataArray]) -> list[str]:
 
 def _about(diagram: xr.DataArray) -> dict[str, Any]:
     """What one diagram shows."""
-    from vision.run.tiff import frame_step_s
-
     names = ("sheet", "sheet_index", "centre_px", "follow", "pixel_size_um")
     frame, x = diagram["frame"].values, diagram["x"].values
     return {
@@ -270,8 +316,6 @@ def _about(diagram: xr.DataArray) -> dict[str, Any]:
 
 def _slips_shown(source: Source, diagram: xr.DataArray) -> str:
     """How many slips are marked and what they were taken from, or why none is."""
-    from vision.run.tiff import frame_step_s
-
     if source.slips_s is None:
         return "not known: without a force they take tracked sheets and a symmetry axis"
     times = diagram["time_s"].values

@@ -1,0 +1,494 @@
+"""Every command: what it takes and its help.
+
+Each function here imports the module that does the work when it is called, so that `--help` is quick; those
+modules import at their top what they need.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter as Option
+
+from vision.command.options import (
+    CampaignOptions,
+    Flag,
+    ForceOptions,
+    FrictionOptions,
+    ModulusOptions,
+    OutputOptions,
+    Report,
+    RunOptions,
+    SampleOptions,
+    SimulateOptions,
+    TestOptions,
+    VideoOptions,
+    WindowOptions,
+)
+
+
+def track(
+    *videos: Path,
+    reading: VideoOptions = VideoOptions(),
+    test: TestOptions = TestOptions(),
+    machine: ForceOptions = ForceOptions(),
+    sample: SampleOptions = SampleOptions(),
+    run: RunOptions = RunOptions(),
+    config: Path | None = None,
+) -> int:
+    """Track every sheet of a video: positions x(n,t), their errors, pictures and tables in a new folder.
+
+    Several videos are tracked one after the other, each into its own folder; one that cannot be used does not
+    keep the others from being done. --out is then the folder that holds their folders.
+
+    Parameters
+    ----------
+    videos
+        A video file, a TIFF stack, a folder or a quoted glob of numbered images; or several.
+    config
+        TOML file with any of these options; the command line wins.
+    """
+    from vision.command import track
+
+    return track.track(videos, (reading, test, machine, sample), run, config)
+
+
+def preview(
+    video: Path,
+    /,
+    reading: VideoOptions = VideoOptions(),
+    *,
+    config: Path | None = None,
+    output: OutputOptions = OutputOptions(),
+) -> int:
+    """In seconds: the frame, the strip, the ridges and their noise, as a picture and ten lines.
+
+    Looks at some tens of frames: the first ones, which are tracked, and others spread over the film. Writes
+    NAME_preview.png, or a .pdf or .svg with --out.
+
+    Examples:
+
+        track preview test.avi
+
+        track preview beam.cine --rotate 90 --strip 14:630
+
+    Parameters
+    ----------
+    video
+        A video as for track.
+    config
+        TOML file with any of these options; the command line wins.
+    """
+    from vision.command import views
+
+    return views.preview(video, reading, config, output)
+
+
+def kymograph(
+    video_or_run: Path,
+    /,
+    window: WindowOptions = WindowOptions(),
+    reading: VideoOptions = VideoOptions(),
+    *,
+    picture: Literal["png", "pdf", "svg"] = "png",
+    output: OutputOptions = OutputOptions(),
+) -> int:
+    """Space-time diagrams: the whole strip, or windows around sheets, side by side.
+
+    Writes the folder NAME_kymograph with a 16-bit TIFF for each, which Fiji opens in µm and s, and one
+    picture with axes. Slips are marked: those of a run's force recording, else the common outward steps of
+    the sheets. Of a run only columns, frames and pixel size can be chosen.
+
+    Examples:
+
+        track kymograph test_tracks --sheet right:23 --sheet right:10 --width 0.2mm --time 40:45.1
+
+        track kymograph test.avi --frames 0:600
+
+    Parameters
+    ----------
+    video_or_run
+        A run folder, or a video as for track.
+    picture
+        Kind of the picture.
+    """
+    from vision.command import views
+
+    return views.kymograph(video_or_run, window, reading, picture, output)
+
+
+def export(
+    run: Path,
+    /,
+    *,
+    to: Literal["csv", "xlsx", "parquet", "mat", "trackpy", "napari"],
+    output: OutputOptions = OutputOptions(),
+) -> int:
+    """Tables of a finished run in another program's format.
+
+    csv and parquet: a folder with a file for each table. xlsx: one worksheet for each. mat: matrices and
+    structs for MATLAB. trackpy: x, y, frame, particle. napari: track_id, t, y, x. The unit is the last part
+    of a column's name; trackpy and napari have px. The file or folder is called after the run.
+
+    Positions that were not measured are empty in csv, xlsx and parquet, NaN in mat, and left out for trackpy
+    and napari.
+
+    Examples:
+
+        track export test_tracks --to xlsx
+
+        track export test_tracks --to mat --out for_matlab.mat
+
+    Parameters
+    ----------
+    run
+        Run folder.
+    to
+        Format.
+    """
+    from vision.command import finished
+
+    return finished.export(run, to, output)
+
+
+def figures(
+    run: Path | None = None,
+    /,
+    *names: str,
+    compare: Path | None = None,
+    to: Literal["pdf", "svg", "png", "csv"] = "pdf",
+    output: OutputOptions = OutputOptions(),
+) -> int:
+    """The figures of a finished run, for a manuscript; csv holds a figure's numbers.
+
+    Writes one file for each into the folder RUN_figures.
+
+    Examples:
+
+        track figures test_tracks --to svg
+
+        track figures test_tracks deformation shells --to pdf --out manuscript
+
+        track figures --compare comparison collapse trends
+
+    Parameters
+    ----------
+    run
+        Run folder.
+    names
+        Figures; all of the run if none is named.
+    compare
+        Folder that `track compare` wrote, in place of a run.
+    to
+        Format.
+    """
+    from vision.command import finished
+
+    return finished.figures(run, names, compare, to, output)
+
+
+def overlay(
+    run: Path,
+    /,
+    *,
+    film: Path | None = None,
+    frames: str | None = None,
+    output: OutputOptions = OutputOptions(),
+) -> int:
+    """The film of a finished run with its tracks drawn on it, as MP4: to see whether they follow the sheets.
+
+    Writes RUN_overlay.mp4.
+
+    Examples:
+
+        track overlay test_tracks
+
+        track overlay test_tracks --frames 300:600 --film /archive/test.avi
+
+    Parameters
+    ----------
+    run
+        Run folder.
+    film
+        Where the film lies now, if not where it was when it was tracked.
+    frames
+        Part of the film, A:B, frame numbers as in tracks.csv.
+    """
+    from vision.command import finished
+
+    return finished.overlay(run, film, frames, output)
+
+
+def certify(
+    run: Path, /, *, films: int = 3, most_frames: int = 600, output: OutputOptions = OutputOptions()
+) -> int:
+    """What the recording of a finished run can resolve, from films like it whose truth is known.
+
+    Films are put together from the run's own mean ridges, light, motion and residuals, and go through the
+    same analysis. Writes the folder RUN_certificate: certificate.html says on one page how large the error of
+    each sheet is, the smallest sweep in a stick, the pull towards whole pixels, how safe identities are, and
+    the bias of σ_x/Λ_st at the threshold; certificate.csv and certificate.json hold the numbers. Exit status
+    1 where something is not covered.
+
+    Examples:
+
+        track certify test_tracks
+
+        track certify test_tracks --films 6 --out certified
+
+    Parameters
+    ----------
+    run
+        Run folder.
+    films
+        Films made. More take longer and average over more encounters of noise and motion.
+    most_frames
+        Frames imitated, from the middle of the run.
+    """
+    from vision.command import finished
+
+    return finished.certify(run, films, most_frames, output)
+
+
+def compare(
+    *runs: Path,
+    table: Path | None = None,
+    main_sample: str | None = None,
+    fix_yeff: float | None = None,
+    report: Report = True,
+    output: OutputOptions = OutputOptions(),
+) -> int:
+    """Several finished tests side by side: one table, one μ, the collapse, the change points, the trends.
+
+    Writes the folder comparison: tests.csv (one row per run), trends.json, all_events.csv, figures.npz,
+    collapse.png, trends.png, report.html and run.json. A run that cannot be used is named, the rest is done,
+    and the exit status is 1.
+
+    Examples:
+
+        track compare old_tracks new_tracks --table tests.csv
+
+        track compare --table tests.csv --main-sample A --out two_samples
+
+    Parameters
+    ----------
+    runs
+        Run folders with a force recording; those that the table names if none is given.
+    table
+        CSV with any of the columns run,sample,V_mm_min,n_test,RH_percent,T_C.
+    main_sample
+        Sample whose Y_eff is held fixed for all tests; that of the first run if not given.
+    fix_yeff
+        Y_eff in GPa, where it is known otherwise.
+    report
+        Write report.html.
+    """
+    from vision.command import finished
+
+    return finished.compare(runs, table, main_sample, fix_yeff, report, output)
+
+
+def review(
+    run_or_video: Path,
+    /,
+    reading: VideoOptions = VideoOptions(),
+    test: TestOptions = TestOptions(),
+    machine: ForceOptions = ForceOptions(),
+    sample: SampleOptions = SampleOptions(),
+    run: RunOptions = RunOptions(),
+    *,
+    config: Path | None = None,
+    film: Path | None = None,
+    browser: bool = True,
+    port: int = 0,
+) -> int:
+    """See a run and correct it in a browser; a video is tracked first.
+
+    The page is served to this machine alone, at an address with a token. Decisions are kept at once in
+    corrections.toml of the run folder; saving re-runs what follows from them. Ctrl-C or the page's button
+    ends it. Options of track are for a video; of a run everything is known.
+
+    Examples:
+
+        track review test_tracks
+
+        track review test.avi --force test.txt --pixel-size 10
+
+    Parameters
+    ----------
+    run_or_video
+        Run folder, or a video as for track.
+    config
+        TOML file with any of these options.
+    film
+        Where the film of a run lies now, if not where it was when it was tracked.
+    browser
+        Open the default browser; the address is printed in any case.
+    port
+        Of the address; a free one if not given.
+    """
+    from vision.command import review
+
+    return review.review(
+        run_or_video, (reading, test, machine, sample), run, config, film=film, browser=browser, port=port
+    )
+
+
+def force(
+    file: Path,
+    /,
+    machine: ForceOptions = ForceOptions(),
+    sample: SampleOptions = SampleOptions(),
+    *,
+    free_t_star: Flag = False,
+    detection_limit: Flag = False,
+    config: Path | None = None,
+    output: OutputOptions = OutputOptions(),
+) -> int:
+    """Stick-slip events, stiffness and model fits from a force recording alone.
+
+    Writes the folder FILE_force: events.csv, models.json, run.json and force.png. Exit status 1 if a warning
+    matters.
+
+    Parameters
+    ----------
+    file
+        Recording of a testing machine: text, CSV, .TRA or .mat.
+    free_t_star
+        Fit T* too (it can hardly be told from the friction coefficient).
+    detection_limit
+        Also put small known slips into the recording and look for them.
+    config
+        TOML file with any of these options; the command line wins.
+    """
+    from vision.command import recordings
+
+    return recordings.force(
+        file, (machine, sample), config, output, free_t_star=free_t_star, limit=detection_limit
+    )
+
+
+def modulus(
+    file: Path,
+    /,
+    options: ModulusOptions = ModulusOptions(),
+    *,
+    output: OutputOptions = OutputOptions(),
+) -> int:
+    """Young's modulus of one sheet from push–pull cycles.
+
+    Writes the folder FILE_modulus: cycles.csv, modulus.json, run.json, modulus.png and figures.npz. Exit
+    status 1 if a warning matters.
+
+    Parameters
+    ----------
+    file
+        Recording of a testing machine with time, load and displacement.
+    """
+    from vision.command import recordings
+
+    return recordings.modulus(file, options, output)
+
+
+def friction(
+    *files: Path, options: FrictionOptions = FrictionOptions(), output: OutputOptions = OutputOptions()
+) -> int:
+    """Static and dynamic friction of two sheets from a rheometer's files, and the law μ_s = a(1 + b/N).
+
+    Writes the folder FIRSTFILE_friction: friction.csv, friction.json, run.json, friction.png and figures.npz.
+    A file or measurement that cannot be used is named, the others are done, and the exit status is 1.
+
+    Parameters
+    ----------
+    files
+        RheoCompass exports (UTF-16 or UTF-8, several results and intervals), TRIOS exports, or tables with
+        units.
+    """
+    from vision.command import recordings
+
+    return recordings.friction(files, options, output)
+
+
+def simulate(
+    directory: Path,
+    /,
+    options: SimulateOptions = SimulateOptions(),
+    *,
+    preset: str = "paper",
+    container: str = "raw",
+    toml: Path | None = None,
+    set_: Annotated[tuple[str, ...], Option(name="--set", show_default=False)] = (),
+    overwrite: Flag = False,
+    quiet: Flag = False,
+) -> int:
+    """Make a synthetic traction test: video, force.txt, truth.nc and the camera's timestamps.txt.
+
+    Settings come from the preset, then the TOML file, then the options, then --set.
+
+    Parameters
+    ----------
+    directory
+        Folder to make.
+    preset
+        paper, late, fast, fresh, hostile or sheets.
+    container
+        raw (Y800 AVI), mjpeg, h264, ffv1, tiff or png.
+    toml
+        Settings from a file: tables sample, mechanics, sheets, optics, camera, clocks, load_cell.
+    set_
+        Any setting by name, such as --set optics.tilt_deg=0.5; can be repeated.
+    overwrite
+        Replace an earlier synthetic test.
+    quiet
+        No progress bar and no summary.
+    """
+    from vision.command import recordings
+
+    return recordings.simulate(
+        directory, options, preset, container, toml, set_, overwrite=overwrite, quiet=quiet
+    )
+
+
+def campaign(table: Path | None = None, /, options: CampaignOptions = CampaignOptions()) -> int:
+    """Track many films, on all cores of this machine or on a cluster; never repeat what is done.
+
+    The table has a row a test: film, force, any option of track as a column, and what describes it: sample,
+    V_mm_min, n_test, RH_percent, T_C. It is checked whole before anything starts. A film runs again where its
+    files or its options have changed; one that fails is tried twice and keeps no other from being done.
+
+    Writes a run folder for each film in runs/, campaign.csv, index.html (live while it runs), the comparison
+    of the finished tests in pool/ and their tables as Parquet in tables/.
+
+    Examples:
+
+        track campaign tests.csv --dry-run
+
+        track campaign tests.csv --out series
+
+        track campaign tests.csv --executor slurm --stage
+
+        track campaign --watch /data/camera --config setup.toml
+
+    Parameters
+    ----------
+    table
+        CSV; files in it are relative to it.
+    """
+    from vision.command import campaign
+
+    return campaign.campaign(table, options)
+
+
+def campaign_job(plan: Path, job: str, /, *fetched: Path) -> int:
+    """Take the films of one job of a plan: for the Snakefile."""
+    from vision.command import campaign
+
+    return campaign.job(plan, job, fetched)
+
+
+def campaign_pool(plan: Path, /) -> int:
+    """Compare the finished runs of a plan: for the Snakefile."""
+    from vision.command import campaign
+
+    return campaign.pool_runs(plan)

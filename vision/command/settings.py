@@ -1,0 +1,375 @@
+"""Options as typed, or from a TOML file, become the pipeline's settings."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from cyclopts import App, CycloptsError
+
+from vision.command.options import DEFAULTS, GROUPS, flag_of, option_fields
+from vision.errors import InputError
+from vision.files import check_regular, reading, shortened
+from vision.force import parse_columns
+from vision.pipeline import Settings
+from vision.run import Parameter
+from vision.run.reading import AGAIN, parameters_of, read_json
+from vision.sample import Sample
+from vision.sheets import read_corrections
+from vision.spacetime import Sheet
+
+UM_PER = {"mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Greek mu
+
+
+def parameters_given(
+    typed: Mapping[str, Any], usual: Mapping[str, Any] | None = None
+) -> dict[str, Parameter]:
+    """Options of a command for run.json: given where they differ from the usual value, else from nothing."""
+    known = usual or {}
+    same = {name: value == known[name] if name in known else not value for name, value in typed.items()}
+    return {name: Parameter(value, "default" if same[name] else "given") for name, value in typed.items()}
+
+
+def merged(*groups: Any, config: Path | None = None) -> dict[str, Parameter]:
+    """Every option of these groups with its value and origin.
+
+    The command line wins over the file, the file over the default.
+
+    Raises
+    ------
+    InputError
+        For a TOML file that cannot be read, names an unknown option or gives it a wrong value.
+    """
+    typed = {name: value for group in groups for name, value in vars(group).items()}
+    filed = read_config(config) if config else {}
+    found: dict[str, Parameter] = {}
+    for name, value in typed.items():
+        if value is not None:
+            found[name] = Parameter(_plain(name, value), "given")
+        elif filed.get(name) is not None:
+            found[name] = Parameter(_plain(name, filed[name]), "config")
+        else:
+            found[name] = Parameter(DEFAULTS.get(name), "default")
+    return found | _pixel_size(found) if "pixel_size" in found else found
+
+
+def _pixel_size(options: Mapping[str, Parameter]) -> dict[str, Parameter]:
+    """The pixel size in µm from the one option that gives it; one typed wins over another in a file.
+
+    Raises
+    ------
+    InputError
+        For two of them.
+    """
+    names = ("pixel_size", "scale", "pitch")
+    hows = [options[name].how for name in names if options[name].value is not None]
+    how: Literal["given", "config"] = "given" if "given" in hows else "config"
+    chosen = {
+        name: options[name] if options[name].how == how else Parameter(None, "default") for name in names
+    }
+    given = [flag_of(name) for name in names if chosen[name].value is not None]
+    if len(given) > 1:
+        raise InputError(" and ".join(given), "one of --pixel-size, --scale and --pitch", f"{len(given)}")
+    size = parse_pixel_size(chosen["pixel_size"].value) or parse_scale(chosen["scale"].value)
+    return chosen | {"pixel_size": Parameter(size, how if size else "default")}
+
+
+def _plain(name: str, value: Any) -> Any:
+    """A number where an option that may also carry an error, or be a word, is no more than one."""
+    number = _float(value) if name in _WITH_ERROR and isinstance(value, str) else math.nan
+    return number if math.isfinite(number) else value
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """Options from a TOML file, by their long names with hyphens or underscores, parsed as if typed.
+
+    Tables group options: ``[sample]`` holds those of the sample.
+    """
+    wanted = "a TOML file of options"
+    if check_regular(path, wanted).st_size > 1 << 20:
+        raise InputError(path, wanted, "more than 1 MiB", "check its name")
+    with reading(path, wanted, "write lines like: strip = '60:144'"):
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        lines = value if isinstance(value, dict) and key == "sample" else {key: value}
+        for name, item in lines.items():
+            option = name.replace("-", "_")
+            found[option] = parse_option(path, option, item)
+    return found
+
+
+def parse_option(source: Path, name: str, value: Any) -> Any:
+    """One option's value through the same conversion as on the command line.
+
+    Parameters
+    ----------
+    source
+        Where it stands: a TOML file or a table.
+    name
+        The option, with underscores.
+    value
+        Text or a number.
+
+    Raises
+    ------
+    InputError
+        For an unknown option, or a value that it cannot have.
+    """
+    known = option_fields()
+    if name not in known:
+        raise InputError(source, f"options of track ({', '.join(known)})", f"'{name}'")
+    if not isinstance(value, str | int | float) or isinstance(value, bool):
+        raise InputError(source, f"one value for '{name}'", f"a {type(value).__name__}")
+    app = App(help_flags=(), version_flags=())
+    app.default(next(group for group in GROUPS if name in group.__dataclass_fields__))
+    try:
+        token = f"{flag_of(name)}={str(value)[:4000]}"  # longer than any name of a file
+        options = app([token], exit_on_error=False, print_error=False, result_action="return_value")
+        if name in _GEOMETRY.values():
+            parse_with_error(getattr(options, name), name)
+    except (CycloptsError, ValueError, OverflowError) as error:
+        found = shortened(repr(value))
+        raise InputError(source, f"a value for '{name}' as on the command line", found) from error
+    return getattr(options, name)
+
+
+_GEOMETRY = {"thickness_mm": "thickness", "width_mm": "width", "length_mm": "length", "t_star_N": "t_star"}
+_SAMPLE = ("sheets_per_block", *_GEOMETRY.values())
+_WITH_ERROR = ("d0", "force_lowpass", *_GEOMETRY.values())
+
+
+def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
+    """The pipeline's settings.  Raises: InputError for values that no recording could fit."""
+    value = {name: parameter.value for name, parameter in parameters.items()}
+    columns, corrections = value.get("force_columns"), value.get("corrections")
+    sizes = {name: parse_with_error(value.get(option), flag_of(option)) for name, option in _GEOMETRY.items()}
+    d0_mm, d0_err_mm = parse_with_error(value.get("d0"), "--d0")
+
+    def from_(least: float, name: str, *, whole: bool = False) -> Any:
+        return number(value.get(name), flag_of(name), least=least, whole=whole)
+
+    sample = Sample(
+        sheets_per_block=value.get("sheets_per_block", 25),
+        **{name: size for name, (size, _) in sizes.items() if size is not None},
+    )
+    given = any(parameters[name].how != "default" for name in _SAMPLE if name in parameters)
+    parts = {
+        "rows": parse_range(value.get("strip"), "--strip"),
+        "columns": parse_range(value.get("columns"), "--columns"),
+        "rotate": value.get("rotate"),
+        "frames": parse_range(value.get("frames"), "--frames"),
+        "fps": from_(1e-9, "fps"),
+        "timestamps": value.get("timestamps"),
+        "ridges": value.get("ridges"),
+        "sheets": from_(1, "sheets", whole=True),
+        "strips": from_(2, "strips", whole=True),
+        "axis_px": from_(-1e6, "axis"),
+        "fit": value.get("fit"),
+        "window_px": parse_window(value.get("window")),
+        "corrections": read_corrections(corrections) if corrections else None,
+        "pixel_size_um": value.get("pixel_size"),
+        "pitch_um": parse_pitch(value.get("pitch")),
+        "speed_mm_min": from_(1e-9, "speed"),
+        "d0_mm": d0_mm,
+        "d0_err_mm": d0_err_mm,
+        "force_columns": parse_columns(columns) if columns else None,
+        "force_threshold_N": from_(0, "force_threshold"),
+        "force_lowpass_s": parse_lowpass(value.get("force_lowpass")),
+        "fit_range_mm": parse_mm_range(value.get("fit_range"), "--fit-range"),
+        "mu": from_(1e-9, "fix_mu"),
+        "modulus_GPa": from_(1e-9, "fix_yeff"),
+        "machine_stiffness_N_per_mm": from_(1e-9, "machine_stiffness"),
+        "offset_s": from_(-1e12, "offset"),
+        "threshold": from_(1e-6, "threshold"),
+        "common_mode": value.get("common_mode") != "off",
+        "sample": sample if given else None,
+        "geometry_err": {name: error for name, (_, error) in sizes.items() if error is not None},
+    }
+    return Settings(**{name: part for name, part in parts.items() if part is not None})
+
+
+def settings_of_run(folder: Path) -> Settings:
+    """The settings that a run was made with; its corrections are read from the run folder.
+
+    Raises
+    ------
+    InputError
+        For a folder that is no run, or one whose run.json is damaged.
+    """
+    facts = folder / "run.json"
+    parameters = parameters_of(folder, read_json(facts)) | {"corrections": Parameter(None, "default")}
+    with reading(facts, "the parameters of a run", AGAIN):
+        return settings_of(parameters)
+
+
+def parse_range(text: str | None, option: str) -> slice | None:
+    """`A:B`, half-open, either end may be left out; None and "auto" for all.  Raises: InputError."""
+    if text is None or text == "auto":
+        return None
+    match = re.fullmatch(r"\s*([0-9]{0,12})\s*:\s*([0-9]{0,12})\s*", text)
+    start, stop = ((int(end) if end else None) for end in match.groups()) if match else (None, None)
+    if match is None or (stop is not None and stop <= (start or 0)):
+        raise InputError(option, "two whole numbers A:B with 0 <= A < B", f"'{text}'")
+    return slice(start, stop)
+
+
+def parse_with_error(text: str | float | None, option: str) -> tuple[float | None, float | None]:
+    """(value, error) of 13, 13.0±0.1, 13.0+-0.1 or 13.0+/-0.1, the error None if not given.
+
+    Raises: InputError.
+    """
+    if text is None:
+        return None, None
+    value, sign, error = str(text).replace("+-", "±").replace("+/-", "±").partition("±")
+    parts = _float(value), _float(error) if sign else 0.0
+    if not all(0 <= part < math.inf for part in parts):
+        advice = "write it as 13 or 13.0±0.1"
+        raise InputError(option, "a number from 0, or with its error", f"'{text}'", advice)
+    return parts[0], parts[1] if sign else None
+
+
+def parse_lowpass(text: str | float | None) -> float | Literal["auto"] | None:
+    """Seconds from 0, or "auto".  Raises: InputError."""
+    if text is None or text == "auto":
+        return None if text is None else "auto"
+    value = _float(str(text))
+    if not 0 <= value < math.inf:
+        raise InputError("--force-lowpass", "seconds from 0, or auto", f"'{text}'")
+    return value
+
+
+def parse_pair(
+    text: str, option: str, wanted: str, *, most: float = math.inf, advice: str = ""
+) -> tuple[float, float]:
+    """`A:B`, two numbers from 0 to `most`, the second larger.  Raises: InputError."""
+    first, _, last = text.partition(":")
+    low, high = _float(first), _float(last)
+    if not 0 <= low < high <= most or high == math.inf:
+        raise InputError(option, wanted, f"'{text}'", advice)
+    return low, high
+
+
+def parse_mm_range(text: str | None, option: str) -> tuple[float, float] | None:
+    """`A:B` in mm.  Raises: InputError."""
+    wanted = "two separations in mm A:B with A < B"
+    return None if text is None else parse_pair(text, option, wanted, advice="write 13.2:17")
+
+
+def parse_window(text: str | None) -> int | Literal["auto"] | None:
+    """An odd number of pixels, or "auto".  Raises: InputError."""
+    if text is None or text == "auto":
+        return None if text is None else "auto"
+    if not re.fullmatch(r"[0-9]{1,9}", text):
+        raise InputError("--window", "an odd number of pixels, or auto", f"'{text}'")
+    return int(text)
+
+
+def number(value: float | None, option: str, *, least: float, whole: bool = False) -> Any:
+    """A number not below `least`, as it is; None passes.  Raises: InputError."""
+    if value is None:
+        return None
+    if not (least <= value < math.inf):
+        kind = "a whole number" if whole else "a number"
+        raise InputError(option, f"{kind} from {least:g}", f"'{value}'")
+    return value
+
+
+def parse_pixel_size(text: str | None) -> float | None:
+    """µm per pixel: a plain number, or with its unit (10um, 0.01mm).  Raises: InputError."""
+    if text is None:
+        return None
+    match = re.fullmatch(r"\s*(\S+?)\s*(mm|um|µm|μm)?(/px)?\s*", text)
+    value = _float(match[1]) * UM_PER[match[2] or "um"] if match else math.nan
+    if not 1e-6 <= value < math.inf:
+        raise InputError(
+            "--pixel-size", "a number from 1e-06 (µm per px)", f"'{text}'", "write 10, 10um or 0.01mm"
+        )
+    return value
+
+
+def parse_scale(text: str | None) -> float | None:
+    """µm per pixel from a length and the pixels it takes, in either order: 1mm=103px.  Raises: InputError."""
+    if text is None:
+        return None
+    sides = sorted(text.split("="), key=lambda side: side.strip().endswith("px"))
+    try:
+        lengths = [parse_length(side, "--scale") for side in sides]
+        size = lengths[0]["width_um"] / lengths[1]["width_px"] if len(lengths) == 2 else math.nan
+    except (InputError, KeyError):
+        size = math.nan
+    if not 1e-6 <= size < math.inf:
+        raise InputError("--scale", "a length and its pixels", f"'{text}'", "write 1mm=103px")
+    return size
+
+
+def parse_pitch(text: str | None) -> float | None:
+    """µm from one sheet to the next, with its unit: 0.2mm.  Raises: InputError."""
+    if text is None:
+        return None
+    length = parse_length(text, "--pitch")
+    if "width_um" not in length:
+        raise InputError("--pitch", "a length in mm or µm", f"'{text}'", "write 0.2mm")
+    return length["width_um"]
+
+
+def parse_length(text: str, option: str) -> dict[str, float]:
+    """A positive length with its unit: {"width_um": …} for mm, um and µm, {"width_px": …} for px.
+
+    Raises
+    ------
+    InputError
+        Also for a number without a unit, as µm and px are both likely.
+    """
+    match = re.fullmatch(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(mm|um|µm|μm|px)\s*", text)
+    value = _float(match[1]) if match else math.nan
+    if match is None or not 0 < value < math.inf:
+        raise InputError(option, "a length with its unit: mm, um, µm or px", f"'{text}'", "write 0.2mm")
+    unit = match[2]
+    return {"width_px": value} if unit == "px" else {"width_um": value * UM_PER[unit]}
+
+
+def parse_seconds(text: str | None, option: str) -> tuple[float | None, float | None] | None:
+    """`A:B` in seconds, half-open, either end may be left out; None for all.  Raises: InputError."""
+    if text is None:
+        return None
+    first, colon, last = text.partition(":")
+    start = _float(first) if first.strip() else None
+    stop = _float(last) if last.strip() else None
+    ends = [end for end in (start, stop) if end is not None]
+    if not colon or not ends or not all(map(math.isfinite, ends)) or ends != sorted(set(ends)):
+        raise InputError(option, "two times in seconds A:B with A < B", f"'{text}'", "write 40:45.1")
+    return start, stop
+
+
+def parse_sheets(texts: Sequence[str] | None) -> list[Sheet]:
+    """Sheets as side and number (right:23) or index from the left (47), several with commas.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    return [_sheet(part.strip()) for text in texts or () for part in text.split(",")]
+
+
+def _sheet(text: str) -> Sheet:
+    if re.fullmatch(r"[0-9]{1,9}", text):
+        return int(text)
+    side, _, n = text.partition(":")
+    if side not in ("left", "right") or not re.fullmatch(r"[0-9]{1,9}", n) or int(n) < 1:
+        raise InputError(
+            "--sheet", "left or right and a number, or an index", f"'{text}'", "write right:23 or 47"
+        )
+    return side, int(n)
+
+
+def _float(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
