@@ -77,6 +77,62 @@ def normal_force(n: ArrayLike, d_mm: ArrayLike, *, mu: ArrayLike, sample: Sample
     return np.where(np.asarray(mu) == 0, without_friction, force)
 
 
+def sheet_weight_N(
+    *, grammage_g_m2: float = 80.0, total_length_mm: float = 75.0, sample: Sample = PUBLISHED
+) -> float:
+    """Weight m_p g in N of one sheet of a given grammage: 2.6 mN for the publication's, close to its T*.
+
+    The total length counts, with what is clamped and interleaved.
+    """
+    return 1e-9 * grammage_g_m2 * scipy.constants.g * sample.width_mm * total_length_mm
+
+
+def normal_force_on_edge(
+    n: ArrayLike,
+    d_mm: ArrayLike,
+    *,
+    side: ArrayLike,
+    weight_N: float,
+    mu: ArrayLike,
+    sample: Sample = PUBLISHED,
+) -> Floats:
+    r"""Normal force in N on sheet n where gravity acts along x: the blocks turned by 90°.
+
+    Parameters
+    ----------
+    n, d_mm, mu, sample
+        As in `normal_force`.
+    side
+        +1 where the weight points to the axis, -1 where it points away from it.
+    weight_N
+        m_p g of a sheet, as from `sheet_weight_N`; for blocks turned by an angle, times its sine.
+
+    Returns
+    -------
+    Newtons; negative where sheets that cannot pull at each other would part.
+
+    Notes
+    -----
+    .. math:: \frac{dN}{dn} = -\frac{4 \epsilon \mu n}{d} \left(N + \frac{T^*}{2 \mu}\right) \mp 2 m_p g,
+        \qquad N(M) = 0,
+
+    which adds to Eq. 2
+
+    .. math:: \pm 2 m_p g \int_n^M e^{\alpha (n'^2 - n^2) / M^2} dn' = \pm \frac{2 m_p g M}{\sqrt\alpha}
+        \left[e^{\alpha (1 - s^2)} D(\sqrt\alpha) - D(s \sqrt\alpha)\right], \quad s = n / M
+
+    with Dawson's function D. The two sides cancel: the traction stays that of Eq. 1 as long as no N is
+    negative.
+    """
+    m = sample.sheets_per_block
+    root = np.sqrt(amplification(d_mm, mu=mu, sample=sample))
+    s = np.asarray(n, float) / m
+    with np.errstate(over="ignore"):
+        grown = np.exp(root**2 * (1 - s**2)) * scipy.special.dawsn(root) - scipy.special.dawsn(s * root)
+    weight = 2 * np.asarray(side) * weight_N * m * grown / root
+    return np.asarray(normal_force(n, d_mm, mu=mu, sample=sample) + weight)
+
+
 def total_normal_force(d_mm: ArrayLike, *, mu: ArrayLike, sample: Sample = PUBLISHED) -> Floats:
     r"""Normal force in N summed over the 4M faces; NaN at mu = 0, where it has no use.
 
