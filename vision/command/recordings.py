@@ -234,8 +234,8 @@ def modulus(
             scatter = f", scatter {mean.scatter:.2g}" if len(cycles) > 1 else ""
             lines.append(f"{name} {plus_minus(Estimate(mean.value, mean.error))} GPa{scatter}")
         lines.append(
-            f"peak {means['F_max_N'].value:.4g} N, drifting by {means['drift_N'].value:.2g} N a cycle; tangent K "
-            f"{means['K_tangent_N_per_mm'].value:.4g} N/mm; loop {means['loop_mJ'].value:.3g} mJ"
+            f"peak {means['F_max_N'].value:.4g} N, drifting by {means['drift_N'].value:.2g} N a cycle; "
+            f"tangent K {means['K_tangent_N_per_mm'].value:.4g} N/mm; loop {means['loop_mJ'].value:.3g} mJ"
         )
         say([*lines, *notes])
     for line in warnings:

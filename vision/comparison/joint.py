@@ -206,26 +206,28 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings | 
     )
 
 
-def _fit(events: pd.DataFrame, sample: Sample, modulus: float) -> tuple[dict[str, Estimate], float, float]:
-    """(`QUANTITIES`, χ²/dof, scatter of the peaks as a share of them)."""
-    nothing = Estimate(float("nan"), float("nan"))
+def _fit(
+    events: pd.DataFrame, sample: Sample, modulus: float, known: Mapping[str, Estimate] | None = None
+) -> tuple[dict[str, Estimate], float, float]:
+    """(`QUANTITIES`, χ²/dof, scatter of the peaks as a share of them).
+
+    Where μ, 𝒯0 and A are known, the stiffness alone is fitted.
+    """
     with np.errstate(all="ignore"):  # fits may stray; what comes out is checked
-        peaks = fit_peaks(events, sample, False, {})
-        mu = peaks.estimate(0)
-        drops = with_friction(lambda m: fit_drops(events, sample, max(m, 1e-3)), mu)
         stiffness = fit_stiffness(events, sample, {"modulus_GPa": modulus})
+        fits = [stiffness]
+        if known is None:
+            peaks = fit_peaks(events, sample, False, {})
+            drops = with_friction(lambda m: fit_drops(events, sample, max(m, 1e-3)), peaks.estimate(0))
+            fits = [peaks, drops, stiffness]
+            known = {"mu": peaks.estimate(0), "T0_N": peaks.estimate(1), "A": drops.estimate(0)}
         scale = stiffness.estimate(0)
         if not scale.value < 0.999 * LARGEST_SCALE * float(events["d_v_mm"].max()):
-            scale = nothing
-        found = {
-            "mu": mu,
-            "T0_N": peaks.estimate(1),
-            "A": drops.estimate(0),
-            "N_hat_N": _n_hat(mu, scale, sample),
-            "Lambda_hat_mm": scale,
-        }
-        chi2 = float(np.nanmean([fit.goodness.chi2_dof for fit in (peaks, drops, stiffness)]))
-    return found, chi2, peaks.goodness.scatter
+            scale = Estimate(float("nan"), float("nan"))
+        found = {name: known[name] for name in ("mu", "T0_N", "A")}
+        found |= {"N_hat_N": _n_hat(known["mu"], scale, sample), "Lambda_hat_mm": scale}
+        chi2 = float(np.nanmean([fit.goodness.chi2_dof for fit in fits]))
+    return found, chi2, fits[0].goodness.scatter
 
 
 def _n_hat(mu: Estimate, scale: Estimate, sample: Sample) -> Estimate:
@@ -264,7 +266,8 @@ def systematic_shifts(test: TractionTest, fit: TestFit, modulus: Estimate, main:
             y *= 1 + relative
         shifted = events.assign(d_v_mm=events["d_v_mm"] + d_mm, d_p_mm=events["d_p_mm"] + d_mm)
         try:
-            moved, *_ = _fit(shifted, other, y)
+            peaks_stay = name not in ("d0", "thickness_mm", "t_star_N")
+            moved, *_ = _fit(shifted, other, y, fit.values if peaks_stay else None)
         except FAILURES:
             shifts[name] = dict.fromkeys(QUANTITIES, float("nan"))
             return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +12,7 @@ import xarray as xr
 from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines, flat_ranges
 from vision.force.lowpass import DeconvolvedLoad, SlipTransients
 from vision.force.recording import find_spikes, noise_sigma, usable
-from vision.force.regime import Extremes, is_slow
+from vision.force.regime import Extremes, find_extremes, is_slow
 from vision.force.settings import ForceSettings
 from vision.force.slips import stick_lines, stick_middles
 from vision.numeric import Bools, Floats, Ints
@@ -335,8 +335,13 @@ def measure_sticks(
     t_v, t_p, t_next = (np.interp(at, index, signal.time) for at in (v, p, v_next))
     ends = _ends(signal, sticks, t_v, t_p)
     f_v, f_p = ends.f_v, ends.f_p
-    if not lag:
-        f_v, f_p = _within_recorded(signal, extremes, ends, np.isfinite(sticks.knee), settings)
+    bent = np.isfinite(sticks.knee)
+    if lag:
+        load, there = _without_lowpass(signal, lag), (corners.middle, corners.valley - corners.peak)
+        held = _within_recorded(load, find_extremes(load.clean, *there), ends, bent, settings)
+        f_v, f_p = (np.where(bent, one, line) for one, line in zip(held, (f_v, f_p), strict=True))
+    else:
+        f_v, f_p = _within_recorded(signal, extremes, ends, bent, settings)
         f_v = np.where(recorded[:-1], extremes.low[:-1], f_v)
         f_p = np.where(recorded[1:], extremes.high[1:], f_p)
     place = np.where(recorded, _flat_top_error(signal, corners, extremes), corners.error)
@@ -373,6 +378,13 @@ def measure_sticks(
         }
     )
     return table.assign(flag=_event_flags(signal, sticks, ends.slope > 0, slow[:-1] | slow[1:]))
+
+
+def _without_lowpass(signal: Signal, lag: float) -> Signal:
+    """The load before a low-pass of `lag` samples, with the noise that this brings."""
+    gain = 1 / np.expm1(1 / lag)
+    load = signal.clean + gain * np.diff(signal.clean, prepend=signal.clean[:1])
+    return replace(signal, clean=load, sigma=signal.sigma * float(np.sqrt(1 + 2 * gain * (1 + gain))))
 
 
 def _within_recorded(

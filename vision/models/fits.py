@@ -499,23 +499,24 @@ def _unresolved(
 ) -> dict[str, dict[str, float | None]]:
     """What the load cell's low-pass and the time between samples hide, as a share of all drops and slopes."""
     none: dict[str, float | None] = dict.fromkeys((*_BUDGET, "K_N_per_mm", "ratio"), 0.0)
-    found = {}
-    if any(lowpass.values()):
-        found["low_pass"] = none | {
-            "A": abs(fits.amplitude.value * lowpass["lowpass_dF_share"]),
-            "Y_eff_GPa": abs(fits.modulus_GPa.value * lowpass["lowpass_K_share"]),
-            "K_N_per_mm": abs(float(events["K_N_per_mm"].median()) * lowpass["lowpass_K_share"]),
-        }
-    if share := _unseen_valleys(force, events):
-        found["sampling"] = none | {"A": abs(fits.amplitude.value * share)}
-    return found
+    unseen = _unseen_valleys(force, events)
+    if not any(lowpass.values()):
+        return {"sampling": none | {"A": abs(fits.amplitude.value * unseen)}} if unseen else {}
+    # Both hide the same valleys from the same side: they add up.
+    moved = none | {
+        "A": abs(fits.amplitude.value) * (abs(lowpass["lowpass_dF_share"]) + abs(unseen)),
+        "Y_eff_GPa": abs(fits.modulus_GPa.value * lowpass["lowpass_K_share"]),
+        "K_N_per_mm": abs(float(events["K_N_per_mm"].median()) * lowpass["lowpass_K_share"]),
+    }
+    return {"low_pass": moved}
 
 
 def _unseen_valleys(force: xr.Dataset, events: pd.DataFrame) -> float:
-    """Share of ΔF that lies between the lowest sample and the next, median; 0 where sticks have no knee.
+    """Share of ΔF by which the force rises while a slip lasts, median; 0 where sticks have no knee.
 
-    There the force rises fastest right after a slip: what it rises by between the true valley and the first
-    sample after it no line through the later ones gives back.
+    There the force rises fastest right after a slip, by as much from sample to sample as from the lowest to
+    the next. What it gains until the recorded valley, one sample at least, no line through later ones gives
+    back.
     """
     if not events.attrs.get("two_slopes"):
         return 0.0
@@ -523,7 +524,9 @@ def _unseen_valleys(force: xr.Dataset, events: pd.DataFrame) -> float:
     near = np.searchsorted(time, events["t_v_s"].to_numpy(float))[:, np.newaxis] + np.arange(-3, 4)
     near = np.clip(near, 0, load.size - 2)
     lowest = np.take_along_axis(near, np.argmin(load[near], axis=1)[:, np.newaxis], axis=1)[:, 0]
-    share = float(np.nanmedian((load[lowest + 1] - load[lowest]) / events["dF_N"].to_numpy(float)))
+    lasts = np.maximum(events["slip_time_s"].to_numpy(float) / (time[lowest + 1] - time[lowest]), 1)
+    rise = (load[lowest + 1] - load[lowest]) * lasts
+    share = float(np.nanmedian(rise / events["dF_N"].to_numpy(float)))
     return share if np.isfinite(share) else 0.0
 
 

@@ -585,6 +585,6 @@ def _error_of(column: str) -> str:
 
 def summarise_modulus(cycles: pd.DataFrame) -> dict[str, MeanValue]:
     """Y_p, kL/(εW), k, F0, Δ0, and of the loops energy, residual Δ, peak, tangent K and drift: the means."""
-    names = ("Y_p_GPa", "Y_slope_GPa", "k_N_per_mm", "F0_N", "delta0_mm", "loop_mJ", "residual_mm")
-    names += ("F_max_N", "K_tangent_N_per_mm", "drift_N")
-    return {name: mean_over_cycles(cycles, name) for name in names}
+    moduli = ("Y_p_GPa", "Y_slope_GPa", "k_N_per_mm", "F0_N", "delta0_mm")
+    loops = ("loop_mJ", "residual_mm", "F_max_N", "K_tangent_N_per_mm", "drift_N")
+    return {name: mean_over_cycles(cycles, name) for name in (*moduli, *loops)}
