@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -218,7 +218,7 @@ def modulus(
         figure=modulus_figure(force, cycles, clamp_distance_mm=clamp_distance),
         tables={"cycles": cycles},
         content={
-            **{name: mean.to_json() for name, mean in means.items()},
+            **means,
             "cycles": len(cycles),
             "sheet": sizes,
             "clamp_distance_from": cycles.attrs["clamp_distance_from"],
@@ -300,7 +300,7 @@ def friction(
     typed = {"radius_mm": radius, "normal_force_N": normal_force, "dynamic_deg": dynamic, "mu": mu}
     usual = {"radius_mm": 25.0, "dynamic_deg": "0.3:120", "mu": 0.89}
     content: dict[str, Any] = dict.fromkeys(("a", "a_err", "b_N", "b_err_N", "chi2_dof"))
-    content |= law.to_json() if law else {}
+    content |= asdict(law) if law else {}
     crossing_N = law.crossing_N(mu) if law and mu > law.a else None
     _write(
         target,
@@ -352,7 +352,8 @@ def _measure(
     files: Sequence[Path], loads: Sequence[float | None], radius_mm: float, settings: FrictionSettings
 ) -> _Found:
     """Each file and each measurement by itself: one that fails is named and the others are done."""
-    from vision.models.friction import friction_curve, friction_of_disc, read_rheometer
+    from vision.models.friction import friction_curve, friction_of_disc
+    from vision.models.rheometer import read_rheometer
 
     found = _Found()
     for file, load in zip(files, loads, strict=True):

@@ -14,6 +14,7 @@ from vision.comparison.tests import TractionTest
 from vision.errors import InputError
 from vision.models import Estimate, equations
 from vision.models.single_fits import (
+    FAILURES,
     LARGEST_SCALE,
     fit_drops,
     fit_peaks,
@@ -24,9 +25,6 @@ from vision.models.single_fits import (
 from vision.numeric import Bools, Floats
 from vision.sample import Sample
 
-MU_RANGE = 0.05, 5.0  # a fit beyond is none
-MISFIT = 3.0  # χ²/dof from which it is said
-FAILURES = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)  # of a fit to strange events
 QUANTITIES = ("mu", "T0_N", "A", "N_hat_N", "Lambda_hat_mm")  # columns of tests.csv
 
 
@@ -137,6 +135,11 @@ class JointFriction:
     disagreement: float
     amplitude: Estimate
 
+    @property
+    def disagrees(self) -> bool:
+        """Whether the tests do not share one μ."""
+        return self.disagreement > 4
+
 
 def usable_range(test: TractionTest) -> Bools:
     """Events that the models can hold for: within the run's fit range, from the maximum of the peaks on."""
@@ -187,7 +190,7 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings | 
         wanted = "events that follow the publication's models"
         raise InputError(test.folder, wanted, f"others ({error})", "check `d0_mm`") from error
     mu, t0 = values["mu"], values["T0_N"]
-    if not (MU_RANGE[0] < mu.value < MU_RANGE[1] and mu.value > 2 * mu.error):
+    if not (0.05 < mu.value < 5.0 and mu.value > 2 * mu.error):
         found = f"others (μ = {mu.value:.3g} ± {mu.error:.2g})"
         raise InputError(test.folder, "peak forces that fall with d as Eq. 1 does", found, "check `d0_mm`")
     notes = []
@@ -197,7 +200,7 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings | 
         notes.append(f"A, N̂ and Λ̂ are defined for V up to {tuning.slow_mm_min:g} mm/min")
     if not np.isfinite(values["Lambda_hat_mm"].value):
         notes.append("K is not that of M_eff sheets with this Y_eff: no Λ̂")
-    if chi2 > MISFIT:
+    if chi2 > 3:
         notes.append(f"the models misfit: χ²/dof = {chi2:.3g}, errors scaled")
     if left := int((~used).sum()):
         notes.append(f"{left} events before the largest peaks or outside the run's fit range left out")

@@ -347,16 +347,13 @@ class _Cycles:
     turns: Ints
 
 
-_WHOLE = 0.5  # of the usual travel: shorter branches are cut off by the recording's ends
-
-
 def _loading_branches(cycles: _Cycles) -> list[tuple[int, int, int | None]]:
     """(start, top, end of the unloading or None) of each branch on which Δ grows; [] without cycles."""
     turns = cycles.turns
     if turns.size < 4:
         return []
     travel = np.diff(cycles.delta[turns])
-    whole = np.abs(travel) > _WHOLE * float(np.median(np.abs(travel)))
+    whole = np.abs(travel) > 0.5 * float(np.median(np.abs(travel)))  # the others the recording's ends cut off
     return [
         (int(turns[k]), int(turns[k + 1]), int(turns[k + 2]) if whole[k + 1 : k + 2].any() else None)
         for k in np.flatnonzero((travel > 0) & whole)
@@ -539,11 +536,6 @@ class MeanValue:
     value: float
     error: float
     scatter: float
-
-    def to_json(self) -> dict[str, float | None]:
-        """For modulus.json; None for NaN."""
-        fields = {"value": self.value, "error": self.error, "scatter": self.scatter}
-        return {name: number if math.isfinite(number) else None for name, number in fields.items()}
 
 
 def mean_over_cycles(cycles: pd.DataFrame, column: str) -> MeanValue:

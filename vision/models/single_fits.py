@@ -21,6 +21,7 @@ from vision.models import equations
 from vision.numeric import Bools, Floats
 from vision.sample import Sample
 
+FAILURES = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)  # of a fit to strange events
 LARGEST_SCALE = 20.0  # Λ̂ over d at which K no longer falls as M_eff does: a limit, not a result
 
 
