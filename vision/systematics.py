@@ -39,7 +39,7 @@ SOURCES = {
     "d0": "initial separation d0",
     "load_drift": "drift of the load cell",
     "low_pass": "load cell's low-pass",
-    "sampling": "rise of the force within one sample after a slip",
+    "sampling": "rise of the force while a slip lasts",
     "thickness_mm": "thickness of a sheet",
     "width_mm": "width of the sheets",
     "length_mm": "length of the sheets",

@@ -77,10 +77,3 @@ def test_what_depends_on_the_number_of_sheets_follows_the_sample():
     both_blocks = with_settings(e, {"sheets.per_side": 20})
     assert (both_blocks.ridges_per_side, both_blocks.ridges_in_view) == (20, 40)
     assert with_settings(e, {"sheets.count": 7}).ridges_in_view == 7
-
-
-def test_earlier_names_of_the_sample_still_work():
-    """A failure means that settings files from before the sample was one part are refused."""
-    now = {"sample.sheets_per_block": 20, "sample.thickness_mm": 0.2, "sample.t_star_N": 0.004}
-    before = {"mechanics.sheets_per_side": 20, "mechanics.thickness_mm": 0.2, "mechanics.t_star_N": 0.004}
-    assert with_settings(Experiment(), before) == with_settings(Experiment(), now)

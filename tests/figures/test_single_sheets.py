@@ -7,8 +7,9 @@ from vision.experiment.single_sheets import CyclesTest, DiscTest, write_cycles, 
 from vision.figures import load_figures, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
 from vision.force.recording import read_force
-from vision.models.friction import fit_static_friction, friction_curve, friction_of_disc, read_rheometer
+from vision.models.friction import fit_static_friction, friction_curve, friction_of_disc
 from vision.models.modulus import STRIP, measure_cycles
+from vision.models.rheometer import read_rheometer
 
 
 def test_friction_shows_what_was_measured(tmp_path):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vision.models.bending import (
+from vision.models.equations import (
     bending_force_N,
     bending_length_mm,
     bending_lengths,

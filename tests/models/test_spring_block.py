@@ -2,11 +2,15 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from vision.errors import InputError
 from vision.models.spring_block import (
+    RateState,
     SpringBlock,
+    critical_stiffness_N_per_mm,
     integrate_motion,
+    onset_period_s,
     slow_speed_limit_mm_s,
     slow_stick_slip,
     stick_slip,
@@ -104,3 +108,37 @@ def test_meaningless_arguments_are_refused() -> None:
         slow_speed_limit_mm_s(BLOCK, tolerance=0.5)
     with pytest.raises(InputError, match="cycles"):
         integrate_motion(BLOCK, 1.0, cycles=0)
+
+
+def oscillation(stiffness_N_per_mm: float, mass_kg: float) -> tuple[float, float]:
+    """(growth per period, period in s) of a small disturbance of steady sliding at 0.1 mm/s, integrated."""
+    a, b, length, load, speed = 0.01, 0.015, 10e-6, 20.0, 1e-4
+    k = 1000 * stiffness_N_per_mm
+
+    def motion(_: float, y: np.ndarray) -> list[float]:
+        stretch, v, age = y
+        friction = load * (a * np.log(v / speed) + b * np.log(speed * age / length))
+        return [speed - v, (k * stretch - friction) / mass_kg, 1 - v * age / length]
+
+    start = [1e-5 * load / k, speed, length / speed]
+    found = solve_ivp(motion, (0, 12.0), start, method="LSODA", rtol=1e-9, atol=1e-14, dense_output=True)
+    assert found.sol is not None
+    time = np.linspace(4, 12, 8001)
+    stretch = found.sol(time)[0]
+    top = np.flatnonzero((stretch[1:-1] > stretch[:-2]) & (stretch[1:-1] > stretch[2:])) + 1
+    growth = np.log(stretch[top[-1]] / stretch[top[0]]) / (top.size - 1)
+    return float(growth), float(np.diff(time[top]).mean())
+
+
+@pytest.mark.parametrize("inertia", [0.01, 1.0], ids=["light", "heavy"])
+def test_steady_sliding_turns_unstable_at_the_critical_stiffness(inertia: float) -> None:
+    """Growth changes sign at k_c with its period; where m V² = a N D_c, k_c without inertia is half of it."""
+    friction = RateState(a=0.01, b=0.015, critical_length_um=10.0)
+    mass = inertia * 0.01 * 20.0 * 10e-6 / 1e-4**2
+    critical = critical_stiffness_N_per_mm(friction, load_N=20.0, speed_mm_s=0.1, mass_kg=mass)
+    assert critical == pytest.approx(10.0 * (1 + inertia))
+    assert oscillation(1.02 * critical, mass)[0] < 0 < oscillation(0.98 * critical, mass)[0]
+    period = oscillation(critical, mass)[1]
+    assert period == pytest.approx(onset_period_s(friction, speed_mm_s=0.1), rel=0.01)
+    with pytest.raises(InputError, match="`b`"):
+        RateState(a=0.01, b=0.01, critical_length_um=10.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,9 +38,9 @@ from vision.models.friction import (
     friction_curve,
     friction_of_disc,
     friction_table,
-    read_rheometer,
 )
 from vision.models.modulus import ModulusSettings, measure_cycles, summarise_modulus
+from vision.models.rheometer import read_rheometer
 from vision.pipeline import Analysis, analyse
 from vision.run import Origin, check_target, run_folder, write_json, write_run
 from vision.run.tables import write_table
@@ -120,7 +120,7 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     if (options.thickness, options.width, options.length) == (0.1, 45.0, 16.8):
         notes.append("the publication's sheet is assumed: ε = 0.1, W = 45, L = 16.8 mm")
     content = {
-        **{name: mean.to_json() for name, mean in means.items()},
+        **means,
         "cycles": len(cycles),
         "sheet": {"thickness_mm": options.thickness, "width_mm": options.width, "length_mm": options.length},
         "clamp_distance_from": cycles.attrs["clamp_distance_from"],
@@ -142,6 +142,10 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
             mean = means[key]
             scatter = f", scatter {mean.scatter:.2g}" if len(cycles) > 1 else ""
             lines.append(f"{name} {plus_minus(Estimate(mean.value, mean.error))} GPa{scatter}")
+        lines.append(
+            f"peak {means['F_max_N'].value:.4g} N, drifting by {means['drift_N'].value:.2g} N a cycle; "
+            f"tangent K {means['K_tangent_N_per_mm'].value:.4g} N/mm; loop {means['loop_mJ'].value:.3g} mJ"
+        )
         say([*lines, *notes])
     for line in warnings:
         complain(f"{file.name}: {line}")
@@ -166,7 +170,7 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     notes = [*found.notes, *([why] if why else [])]
     table = friction_table(found.measured)
     content: dict[str, Any] = dict.fromkeys(("a", "a_err", "b_N", "b_err_N", "chi2_dof"))
-    content |= law.to_json() if law else {}
+    content |= asdict(law) if law else {}
     content |= {
         "mu": options.mu,
         "thresholds_equal_at_N": law.crossing_N(options.mu) if law and options.mu > law.a else None,

@@ -296,9 +296,6 @@ def _sticks(tests: Sequence[TractionTest]) -> tuple[tuple[float, Figure], ...]:
 
 # --- in words ---
 
-DISAGREE = 4.0  # χ²/dof from which tests do not share one μ
-MOST_LINES = 6  # of tests with a change point
-
 
 def summary_lines(found: Comparison) -> list[str]:
     """The joint μ, Y_eff, the collapse, change points and trends."""
@@ -312,7 +309,7 @@ def summary_lines(found: Comparison) -> list[str]:
             f"noise {c.rms_noise:.2g}"
         )
     changed = [one for one in found.irregular if np.isfinite(one.change_mm)]
-    for one in changed[:MOST_LINES]:
+    for one in changed[:6]:
         place = plus_minus(Estimate(one.change_mm, one.change_err_mm))
         lines.append(f"{one.run}: stick-slip turns irregular at d_v = {place} mm")
     if not changed:
@@ -337,7 +334,7 @@ def joint_line(one: JointFriction) -> str:
     line = f"{whose}: one μ for {len(one.runs)} tests {both_errors(one.mu)}"
     if np.isfinite(one.amplitude.value):
         line += f", A {plus_minus(one.amplitude)}"
-    if one.disagreement > DISAGREE:
+    if one.disagrees:
         line += f"; the tests differ by more than their errors (χ²/dof {one.disagreement:.3g})"
     if one.at_limit:
         line += f"; 𝒯0 at its limit in {', '.join(one.at_limit)}"

@@ -21,8 +21,6 @@ from vision.sample import PUBLISHED, Sample
 
 COLUMNS = ("run", "sample", "V_mm_min", "n_test", "RH_percent", "T_C")
 LIMITS = {"V_mm_min": (1e-6, 1e4), "n_test": (0.0, 1e6), "RH_percent": (0.0, 100.0), "T_C": (-90.0, 200.0)}
-LEAST_EVENTS = 6
-LEAST_SPAN_MM = 0.01  # of separations: less holds no information on how anything falls with d
 _NEEDED = ("d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm")
 # what people call the columns, so that the nearest of ours can be shown
 _ALIKE = {
@@ -321,15 +319,15 @@ def _events(path: Path, sample: Sample) -> pd.DataFrame:
     whole &= (values[:, 0] > 0) & (values[:, 1] < sample.length_mm)
     if "flag" in table:
         whole &= (table["flag"].fillna("ok") == "ok").to_numpy()
-    if whole.sum() < LEAST_EVENTS:
+    if whole.sum() < 6:
         raise InputError(
             path,
-            f"at least {LEAST_EVENTS} whole events with d, F_p, dF and K",
+            "at least 6 whole events with d, F_p, dF and K",
             f"{whole.sum()} of {len(table)}",
             "run track again with `d0_mm`" if np.isnan(values[:, :2]).all() else "",
         )
     low, high = float(values[whole, 0].min()), float(values[whole, 0].max())
-    if high - low < LEAST_SPAN_MM:
+    if high - low < 0.01:  # nothing falls with d over less
         raise InputError(path, "events over a range of separations", f"d from {low:.4g} to {high:.4g} mm")
     ordered: pd.DataFrame = table[whole].sort_values("d_v_mm", ignore_index=True)
     return ordered

@@ -227,8 +227,6 @@ def _t_of_slope(design: Floats, y: Floats) -> Floats:
 
 # --- a change within one test ---
 
-LEAST_RATIO = 1.5  # of the scatter after over that before: a smaller change is no other kind of motion
-MOST_DRAWS = 500  # random orders: enough to tell 1 % from 2 %
 LEAST_SIDE = 10  # events on either side of a change
 
 
@@ -300,7 +298,7 @@ def find_irregular(test: TractionTest, settings: CompareSettings | None = None) 
     level = np.log(np.abs(r) + 0.05 * float(np.median(np.abs(r))) + 1e-12)
     at = int(_splits(level[np.newaxis])[0])
     rng = np.random.default_rng(tuning.seed)
-    draws = min(tuning.draws, MOST_DRAWS)
+    draws = min(tuning.draws, 500)  # enough to tell 1 % from 2 %
     shuffled = rng.permuted(np.tile(level, (draws, 1)), axis=1)
     best = _gains(level[np.newaxis])[0].max()
     p = float((1 + np.sum(_gains(shuffled).max(axis=1) >= best)) / (draws + 1))
@@ -365,6 +363,6 @@ def _steady_rise_is_better(level: Floats, d: Floats, at: int) -> bool:
 def _why_not(p: float, before: float, after: float, steady: bool) -> str:
     if p >= 0.01:
         return f"random orders of the events look as changed (p = {p:.2g})"
-    if after < LEAST_RATIO * before:
+    if after < 1.5 * before:
         return f"the scatter goes from {before:.2g} to {after:.2g}"
     return "the scatter rises steadily, at no one place" if steady else ""

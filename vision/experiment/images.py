@@ -25,8 +25,6 @@ Progress = Callable[[int, int | None], None]
 
 # --- sensor -------------------------------------------------------------------------------------------------
 
-_ROUNDING_VARIANCE = 1 / 12
-
 
 def saturation_level(camera: Camera) -> int:
     """Highest grey level."""
@@ -57,16 +55,13 @@ def mean_of_rows(light: Floats, camera: Camera, rows: int, rng: np.random.Genera
     electrons = light * camera.full_well_e
     gain = electrons_per_level(camera)
     if camera.noise:
-        one = np.maximum(electrons, 0) + camera.read_noise_e**2 + _ROUNDING_VARIANCE * gain**2
+        one = np.maximum(electrons, 0) + camera.read_noise_e**2 + gain**2 / 12  # the last: of rounding
         electrons = electrons + np.sqrt(one / rows) * rng.standard_normal(light.shape, dtype=np.float32)
     levels = camera.black_level + np.minimum(electrons, camera.full_well_e) / gain
     return np.asarray(np.clip(levels, 0, saturation_level(camera)), np.float32)
 
 
 # --- frames -------------------------------------------------------------------------------------------------
-
-_PIXELS_PER_BLOCK = 4_000_000
-"""Limits the memory of a block, whatever the frame's size."""
 
 
 def frame_blocks(scene: Scene, *, workers: int = 2) -> Iterator[Pixels]:
@@ -77,7 +72,7 @@ def frame_blocks(scene: Scene, *, workers: int = 2) -> Iterator[Pixels]:
     """
     camera = scene.experiment.camera
     total = len(scene.times.camera_s)
-    step = int(np.clip(_PIXELS_PER_BLOCK // (camera.width * camera.height), 1, 32))
+    step = int(np.clip(4_000_000 // (camera.width * camera.height), 1, 32))
     painter = _Painter(scene)
     waiting: deque[Future[Pixels]] = deque()
     with ThreadPoolExecutor(workers) as pool:
@@ -156,8 +151,6 @@ def _owners(scene: Scene, frames: slice) -> Ints:
 
 # --- I(x, t) ------------------------------------------------------------------------------------------------
 
-_FRAMES_PER_BLOCK = 32
-
 
 def profiles(experiment: Experiment, *, progress: Progress | None = None) -> tuple[xr.DataArray, xr.Dataset]:
     """I(x, t) of the default strip, drawn directly: a thousand frames in a second or two.
@@ -185,8 +178,8 @@ def profiles(experiment: Experiment, *, progress: Progress | None = None) -> tup
     total, width = len(scene.times.camera_s), experiment.camera.width
     intensity = np.empty((total, width), np.float32)
     average = _row_average(scene)
-    for first in range(0, total, _FRAMES_PER_BLOCK):
-        frames = slice(first, min(first + _FRAMES_PER_BLOCK, total))
+    for first in range(0, total, 32):
+        frames = slice(first, min(first + 32, total))
         intensity[frames] = _strip_block(scene, average, frames)
         if progress is not None:
             progress(frames.stop, total)

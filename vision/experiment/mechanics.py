@@ -18,9 +18,6 @@ from vision.models import equations as eq
 from vision.numeric import Bools, Floats, Ints
 from vision.sample import PUBLISHED, Sample
 
-_SHORTEST_STICK_MM = 2e-4
-"""Lower limit of a stick's length: without force (where the pull only builds up) it would be zero."""
-
 
 def random_stream(seed: int, part: str, *numbers: int) -> np.random.Generator:
     """Random numbers of one part of an experiment (and, where given, of one frame or sheet of it).
@@ -136,7 +133,7 @@ def simulate_pull(m: Mechanics, *, seed: int, sample: Sample = PUBLISHED) -> Pul
         drop, stiffness, m_eff = _event_at(d, m, sample, jitter=rng.standard_normal())
         scatter = 1 + m.peak_scatter * rng.standard_normal()
         length = drop / (stiffness * _mean_slope(m)) if rows else _loading_mm(stiffness, m, sample)
-        length = max(length, _SHORTEST_STICK_MM)
+        length = max(length, 2e-4)  # without force, where the pull only builds up, it would be zero
         high = _peak_force_N(d + length, m, sample) * scatter
         low = max(high - drop, 0.0) if rows else 0.0
         end = time + length / speed

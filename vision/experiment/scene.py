@@ -40,13 +40,7 @@ from vision.numeric import Floats, Floats32
 
 # --- ridges -------------------------------------------------------------------------------------------------
 
-_FWHM_PER_SIGMA = 2.3548200450309493
-_REACH_FWHM = 2.6
-"""Half width of the window in which a ridge is drawn; a Gaussian has 5e-10 of its light outside."""
-_SHOULDER = 0.22
-"""Share of the light in the shoulder of a shouldered ridge."""
-_SHOULDER_AT_FWHM = 0.85
-"""How far the shoulder stands from the main ridge, in units of the FWHM."""
+_FWHM_PER_SIGMA = float(np.sqrt(8 * np.log(2)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,10 +90,10 @@ def _light_up_to(u: Floats, ridges: RidgeAppearance) -> Floats:
     area = (fwhm / _FWHM_PER_SIGMA * np.sqrt(2 * np.pi)) * ridges.height[:, None]
     if ridges.shape == "gaussian":
         return np.asarray(area * scipy.special.ndtr(u / sigma))
-    apart = _SHOULDER_AT_FWHM * fwhm * side
-    main = scipy.special.ndtr((u + _SHOULDER * apart) / sigma)
-    bump = scipy.special.ndtr((u - (1 - _SHOULDER) * apart) / (0.9 * sigma))
-    return np.asarray(area * ((1 - _SHOULDER) * main + _SHOULDER * bump))
+    share, apart = 0.22, 0.85 * fwhm * side  # of the light in the shoulder, and its distance
+    main = scipy.special.ndtr((u + share * apart) / sigma)
+    bump = scipy.special.ndtr((u - (1 - share) * apart) / (0.9 * sigma))
+    return np.asarray(area * ((1 - share) * main + share * bump))
 
 
 def _soft_box(u: Floats, fwhm: Floats, psf_px: float) -> Floats:
@@ -129,7 +123,8 @@ def _light_per_cell(positions_px: Floats, brightness: Floats, ridges: RidgeAppea
     brightness (frame, sheet) multiplies the heights. Ridges beyond the line are cut off at its ends.
     """
     frames, cells = len(positions_px), line.cells
-    reach_px = float(_REACH_FWHM * np.max(ridges.fwhm_px) + 6 * ridges.psf_px + 2)
+    # Half the window in which a ridge is drawn: a Gaussian has 5e-10 of its light outside.
+    reach_px = float(2.6 * np.max(ridges.fwhm_px) + 6 * ridges.psf_px + 2)
     half = int(np.ceil(reach_px * line.per_px))
     first = np.floor((positions_px - line.start_px) * line.per_px).astype(np.int64) - half
     edge = first[..., None] + np.arange(2 * half + 2)
@@ -145,15 +140,7 @@ def _light_per_cell(positions_px: Floats, brightness: Floats, ridges: RidgeAppea
 
 # --- everything that one experiment fixes -------------------------------------------------------------------
 
-_BLUR_PARTS = 24
-"""A frame exposed during a jump is the mean of this many shorter exposures."""
-_BLUR_FROM_PX = 0.3
-"""Motion within one exposure below this changes a ridge's width by less than 0.1 % and is drawn sharp."""
 _CELLS_PER_PX = 8
-_EDGE_PITCHES = 1.5
-"""Distance of the sample's edge, where the surroundings begin, from the outermost ridge at rest."""
-_EDGE_SOFT_PX = 4.0
-_DUST_DARKENS = 0.25
 
 
 def strip_slice(experiment: Experiment) -> slice:
@@ -255,14 +242,13 @@ class Scene:
         """Light in each cell without ridges: the gaps' level, and the surroundings beyond the sample's
         edges."""
         optics, comb, line = self.experiment.optics, self.comb, self.line
-        margin = _EDGE_PITCHES * self.experiment.sheets.pitch_px
+        margin = 1.5 * self.experiment.sheets.pitch_px
         left, right = comb.rest_px.min() - margin, comb.rest_px.max() + margin
         if self.experiment.sheets.side != "both":  # the other half goes on beyond the axis
             left, right = (-1e6, right) if self.experiment.sheets.side == "right" else (left, 1e6)
         x = line.start_px + (np.arange(line.cells) + 0.5) / line.per_px
-        sample = scipy.special.ndtr((x - left) / _EDGE_SOFT_PX) - scipy.special.ndtr(
-            (x - right) / _EDGE_SOFT_PX
-        )
+        soft_px = 4.0
+        sample = scipy.special.ndtr((x - left) / soft_px) - scipy.special.ndtr((x - right) / soft_px)
         return np.asarray(optics.level * (optics.surround + (1 - optics.surround) * sample) / line.per_px)
 
     def ridge_light(self, frames: slice, brightness: Floats | None = None) -> Floats:
@@ -273,9 +259,10 @@ class Scene:
         halves = self.positions_px(frames, parts=2)
         factor = np.ones(halves.shape[1:]) if brightness is None else brightness
         light = _light_per_cell(halves.mean(axis=0), factor, self.ridges, self.line)
-        moving = np.flatnonzero(np.abs(np.diff(halves, axis=0)[0]).max(axis=1) > _BLUR_FROM_PX / 2)
+        # 0.3 px within an exposure change a ridge's width by less than 0.1 %: drawn sharp.
+        moving = np.flatnonzero(np.abs(np.diff(halves, axis=0)[0]).max(axis=1) > 0.15)
         if moving.size:
-            parts = self.positions_px(frames, parts=_BLUR_PARTS)[:, moving]
+            parts = self.positions_px(frames, parts=24)[:, moving]
             blurred = [_light_per_cell(part, factor[moving], self.ridges, self.line) for part in parts]
             light[moving] = np.mean(blurred, axis=0)
         return light
@@ -328,7 +315,7 @@ def _dust(e: Experiment) -> Floats:
     size = rng.uniform(1.5, 5, e.optics.dust)
     across = np.exp(-((np.arange(e.camera.width) - x[:, None]) ** 2) / (2 * size[:, None] ** 2))
     along = np.exp(-((np.arange(e.camera.height) - z[:, None]) ** 2) / (2 * size[:, None] ** 2))
-    return np.asarray(1 - np.minimum(_DUST_DARKENS * along.T @ across, 0.9))
+    return np.asarray(1 - np.minimum(0.25 * along.T @ across, 0.9))
 
 
 def make_scene(experiment: Experiment) -> Scene:

@@ -296,8 +296,7 @@ def with_settings(experiment: Experiment, changes: Mapping[str, Any]) -> Experim
     """
     groups: dict[str, dict[str, Any]] = {}
     top: dict[str, Any] = {}
-    for given, value in changes.items():
-        name = _EARLIER_NAMES.get(given, given)
+    for name, value in changes.items():
         if name == "seed":
             top["seed"] = _converted(value, int, name)
             continue
@@ -331,15 +330,6 @@ def settings_from_toml(path: Path) -> dict[str, Any]:
     for name, value in content.items():
         flat |= {f"{name}.{key}": v for key, v in value.items()} if isinstance(value, dict) else {name: value}
     return flat
-
-
-_EARLIER_NAMES = {
-    "mechanics.sheets_per_side": "sample.sheets_per_block",
-    "mechanics.thickness_mm": "sample.thickness_mm",
-    "mechanics.width_mm": "sample.width_mm",
-    "mechanics.length_mm": "sample.length_mm",
-    "mechanics.t_star_N": "sample.t_star_N",
-}
 
 
 def _known(name: str, experiment: Experiment) -> tuple[str, str]:

@@ -25,9 +25,6 @@ from vision.experiment.settings import Experiment
 from vision.experiment.sheet_model import SheetPull, pull_sheets
 from vision.numeric import Floats, Ints
 
-_CENTRAL = (0.25, 0.75)
-"""Part of a stick over which its stiffness is read."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class ResolvedPull(Pull):
@@ -111,9 +108,9 @@ def _resolved_pull(
 ) -> ResolvedPull:
     m, force = experiment.mechanics, result["force_N"].values
     begin, end = at[valley], at[peak]
-    central = [np.interp(begin + share * (end - begin), at, force) for share in _CENTRAL]
+    central = [np.interp(begin + share * (end - begin), at, force) for share in (0.25, 0.75)]
     length_mm = np.maximum(end - begin, 1e-9) * m.speed_mm_min / 60
-    stiffness = (central[1] - central[0]) / ((_CENTRAL[1] - _CENTRAL[0]) * length_mm)
+    stiffness = (central[1] - central[0]) / (0.5 * length_mm)
     ended = end.copy()
     ended[-1] = np.nextafter(end[-1], np.inf)  # the machine stops before the last one slips
     return ResolvedPull(

@@ -174,9 +174,7 @@ _CONTAINERS: dict[str, tuple[str, Writer, int]] = {
 
 # --- uncompressed AVI ---------------------------------------------------------------------------------------
 
-_SEGMENT_BYTES = 1 << 30
-_SEGMENTS = 256
-"""Space in the header for this many segments: 256 GiB."""
+_SEGMENTS = 256  # for which there is space in the header: 256 GiB
 
 
 class RawAviWriter:
@@ -186,7 +184,7 @@ class RawAviWriter:
     """
 
     def __init__(
-        self, path: Path, *, width: int, height: int, fps: float, segment_bytes: int = _SEGMENT_BYTES
+        self, path: Path, *, width: int, height: int, fps: float, segment_bytes: int = 1 << 30
     ) -> None:
         self._file: BinaryIO = path.open("wb")
         self._width, self._height = width, height

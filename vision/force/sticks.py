@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -381,7 +381,12 @@ def measure_sticks(
     t_v, t_p, t_next = (np.interp(at, index, signal.time) for at in (v, p, v_next))
     ends = _ends(signal, sticks, t_v, t_p)
     f_v, f_p = ends.f_v, ends.f_p
-    if not lag:
+    if lag:
+        load, there = _without_lowpass(signal, lag), (corners.middle, corners.valley - corners.peak)
+        held = _within_recorded(load, find_extremes(load.clean, *there), ends, settings)
+        bent = np.isfinite(sticks.knee)
+        f_v, f_p = (np.where(bent, one, line) for one, line in zip(held, (f_v, f_p), strict=True))
+    else:
         f_v, f_p = _within_recorded(signal, extremes, ends, settings)
         f_v = np.where(recorded[:-1], extremes.low[:-1], f_v)
         f_p = np.where(recorded[1:], extremes.high[1:], f_p)
@@ -419,6 +424,13 @@ def measure_sticks(
         }
     )
     return table.assign(flag=_event_flags(signal, sticks, ends.slope > 0, slow[:-1] | slow[1:]))
+
+
+def _without_lowpass(signal: Signal, lag: float) -> Signal:
+    """The load before a low-pass of `lag` samples, with the noise that this brings."""
+    gain = 1 / np.expm1(1 / lag)
+    load = signal.clean + gain * np.diff(signal.clean, prepend=signal.clean[:1])
+    return replace(signal, clean=load, sigma=signal.sigma * float(np.sqrt(1 + 2 * gain * (1 + gain))))
 
 
 def _within_recorded(

@@ -1,4 +1,4 @@
-"""The paper's equations for the whole sample: amplification, traction, normal force, stiffness.
+"""The paper's equations: amplification, traction, normal force, stiffness; angles and bending of sheets.
 
 Every function follows NumPy broadcasting over separation (and sheet number, where there is one). Separations
 are in mm, forces in N, moduli in GPa; the sample is the publication's unless another is given. NaN comes back
@@ -8,17 +8,17 @@ Source: Plati, Restagno & Poulard, Eqs. 1-2 and section IV; Alarcon et al. 2016 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+import pandas as pd
 import scipy
 from numpy.typing import ArrayLike
 
 from vision.numeric import Floats
 from vision.sample import PUBLISHED, Sample
 
-_LARGEST_EXPONENT = 700.0
-"""exp() of this is still a finite double: forces saturate there, so a fit that strays meets no infinity."""
-_SERIES_BELOW = 1e-4
-"""Below this amplification the closed form of the mean excess loses digits and its series takes over."""
+_LARGEST_EXPONENT = 700.0  # its exp() is still a finite double: a fit that strays meets no infinity
 
 
 def amplification(d_mm: ArrayLike, *, mu: ArrayLike, sample: Sample = PUBLISHED) -> Floats:
@@ -41,11 +41,12 @@ def mean_amplification_excess(alpha: ArrayLike) -> Floats:
     0 at alpha = 0 (no amplification); saturates instead of overflowing; NaN for negative alpha.
     """
     a = np.asarray(alpha, float)
-    positive = np.where(a > _SERIES_BELOW, a, 1.0)
+    large = a > 1e-4  # below, the closed form loses digits and its series takes over
+    positive = np.where(large, a, 1.0)
     exponent = np.minimum(positive, _LARGEST_EXPONENT)
     closed = np.sqrt(np.pi / (4 * positive)) * np.exp(exponent) * scipy.special.erf(np.sqrt(positive)) - 1
     series = 2 * a / 3 + 4 * a**2 / 15
-    return np.where(a < 0, np.nan, np.where(a > _SERIES_BELOW, closed, series))
+    return np.where(a < 0, np.nan, np.where(large, closed, series))
 
 
 def traction(d_mm: ArrayLike, *, mu: ArrayLike, sample: Sample = PUBLISHED) -> Floats:
@@ -75,6 +76,62 @@ def normal_force(n: ArrayLike, d_mm: ArrayLike, *, mu: ArrayLike, sample: Sample
         force = t_star / (2 * np.asarray(mu, float)) * excess
         without_friction = t_star * sample.thickness_mm * m**2 / np.asarray(d_mm, float) * share
     return np.where(np.asarray(mu) == 0, without_friction, force)
+
+
+def sheet_weight_N(
+    *, grammage_g_m2: float = 80.0, total_length_mm: float = 75.0, sample: Sample = PUBLISHED
+) -> float:
+    """Weight m_p g in N of one sheet of a given grammage: 2.6 mN for the publication's, close to its T*.
+
+    The total length counts, with what is clamped and interleaved.
+    """
+    return 1e-9 * grammage_g_m2 * scipy.constants.g * sample.width_mm * total_length_mm
+
+
+def normal_force_on_edge(
+    n: ArrayLike,
+    d_mm: ArrayLike,
+    *,
+    side: ArrayLike,
+    weight_N: float,
+    mu: ArrayLike,
+    sample: Sample = PUBLISHED,
+) -> Floats:
+    r"""Normal force in N on sheet n where gravity acts along x: the blocks turned by 90°.
+
+    Parameters
+    ----------
+    n, d_mm, mu, sample
+        As in `normal_force`.
+    side
+        +1 where the weight points to the axis, -1 where it points away from it.
+    weight_N
+        m_p g of a sheet, as from `sheet_weight_N`; for blocks turned by an angle, times its sine.
+
+    Returns
+    -------
+    Newtons; negative where sheets that cannot pull at each other would part.
+
+    Notes
+    -----
+    .. math:: \frac{dN}{dn} = -\frac{4 \epsilon \mu n}{d} \left(N + \frac{T^*}{2 \mu}\right) \mp 2 m_p g,
+        \qquad N(M) = 0,
+
+    which adds to Eq. 2
+
+    .. math:: \pm 2 m_p g \int_n^M e^{\alpha (n'^2 - n^2) / M^2} dn' = \pm \frac{2 m_p g M}{\sqrt\alpha}
+        \left[e^{\alpha (1 - s^2)} D(\sqrt\alpha) - D(s \sqrt\alpha)\right], \quad s = n / M
+
+    with Dawson's function D. The two sides cancel: the traction stays that of Eq. 1 as long as no N is
+    negative.
+    """
+    m = sample.sheets_per_block
+    root = np.sqrt(amplification(d_mm, mu=mu, sample=sample))
+    s = np.asarray(n, float) / m
+    with np.errstate(over="ignore"):
+        grown = np.exp(root**2 * (1 - s**2)) * scipy.special.dawsn(root) - scipy.special.dawsn(s * root)
+    weight = 2 * np.asarray(side) * weight_N * m * grown / root
+    return np.asarray(normal_force(n, d_mm, mu=mu, sample=sample) + weight)
 
 
 def total_normal_force(d_mm: ArrayLike, *, mu: ArrayLike, sample: Sample = PUBLISHED) -> Floats:
@@ -155,3 +212,114 @@ def assembly_stiffness(
     """
     d_hat = reduced_separation(d_mm, mu=mu, n_hat_N=n_hat_N, sample=sample)
     return effective_sheets(d_hat, sample=sample) * sheet_stiffness(modulus_GPa=modulus_GPa, sample=sample)
+
+
+# --- single sheets on their way from the clamp to the interleaved part --------------------------------------
+
+
+def sheet_angle_rad(n: ArrayLike, d_mm: ArrayLike, *, sample: Sample = PUBLISHED) -> Floats:
+    r"""Angle in rad between sheet n and the pull.
+
+    .. math:: \theta(n, d) = \arctan(n\epsilon/d)
+
+    10.89° at n = 25, d = 13 mm; 7.91° at 18 mm.
+    """
+    return np.asarray(np.arctan(largest_inward_displacement_mm(n, sample=sample) / np.asarray(d_mm, float)))
+
+
+def largest_inward_displacement_mm(n: ArrayLike, *, sample: Sample = PUBLISHED) -> Floats:
+    """Bound in mm on how far sheet n can move towards the axis, n ε."""
+    return np.asarray(np.asarray(n, float) * sample.thickness_mm)
+
+
+def excess_length_mm(n: ArrayLike, d_mm: ArrayLike, *, sample: Sample = PUBLISHED) -> Floats:
+    r"""How much longer the oblique path of sheet n is than the separation, in mm.
+
+    .. math:: \sqrt{d^2 + (n\epsilon)^2} - d
+
+    Its mean over n = 1 … 25 at d = 13 mm is 0.085 mm: sheets of one length are not equally taut.
+    """
+    d = np.asarray(d_mm, float)
+    return np.asarray(np.hypot(d, largest_inward_displacement_mm(n, sample=sample)) - d)
+
+
+def mean_excess_length_mm(d_mm: ArrayLike, *, sample: Sample = PUBLISHED) -> Floats:
+    """Mean of `excess_length_mm` over the sheets of one side, in mm; the shape of `d_mm`."""
+    n = np.arange(1, int(sample.sheets_per_block) + 1)
+    d = np.asarray(d_mm, float)[..., np.newaxis]
+    return np.asarray(excess_length_mm(n, d, sample=sample).mean(axis=-1))
+
+
+def second_moment_mm4(*, sample: Sample = PUBLISHED) -> float:
+    """Second moment of area of one sheet, I = ε³ W / 12, in mm⁴."""
+    return sample.thickness_mm**3 * sample.width_mm / 12
+
+
+def bending_force_N(
+    n: ArrayLike,
+    d_mm: ArrayLike,
+    *,
+    lever_mm: ArrayLike,
+    modulus_GPa: ArrayLike,
+    sample: Sample = PUBLISHED,
+) -> Floats:
+    r"""Force in N that bends sheet n back to the pull, applied at a distance λ (`lever_mm`) from the clamp
+    end.
+
+    .. math:: \hat N = \frac{3\,\delta\,I\,Y_p}{\lambda^3}, \qquad \delta = \lambda\,n\epsilon/d
+
+    A cantilever fixed at the interleaving point.
+    """
+    lever = np.asarray(lever_mm, float)
+    deflection = lever * largest_inward_displacement_mm(n, sample=sample) / np.asarray(d_mm, float)
+    rigidity = 1000 * np.asarray(modulus_GPa, float) * second_moment_mm4(sample=sample)
+    return np.asarray(3 * deflection * rigidity / lever**3)
+
+
+def bending_length_mm(
+    n: ArrayLike,
+    d_mm: ArrayLike,
+    *,
+    n_hat_N: ArrayLike,
+    modulus_GPa: ArrayLike,
+    sample: Sample = PUBLISHED,
+) -> Floats:
+    r"""Distance λ in mm at which N̂ bends sheet n back to the pull: `bending_force_N` solved for λ.
+
+    .. math:: \lambda = \sqrt{\frac{n W Y_p \epsilon^4}{4 d \hat N}}
+
+    It is a number of one n and one d: always give them with it.
+    """
+    rigidity = 1000 * np.asarray(modulus_GPa, float) * sample.width_mm * sample.thickness_mm**4
+    lever = 4 * np.asarray(d_mm, float) * np.asarray(n_hat_N, float)
+    return np.asarray(np.sqrt(np.asarray(n, float) * rigidity / lever))
+
+
+def bending_lengths(
+    *,
+    n: Sequence[float] = (15, 25),
+    d_mm: Sequence[float] = (13, 18),
+    modulus_GPa: Sequence[float] = (2.0, 3.8),
+    n_hat_N: Sequence[float] = (0.48, 0.57, 0.77),
+    sample: Sample = PUBLISHED,
+) -> pd.DataFrame:
+    """λ for every combination, one row each, shortest first.
+
+    Parameters
+    ----------
+    n, d_mm, modulus_GPa, n_hat_N
+        Values to combine; the publication's ranges by default.
+    sample
+        Thickness and width.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``n``, ``d_mm``, ``modulus_GPa``, ``n_hat_N``, ``bending_length_mm``: λ always stands beside its n and
+        d.
+    """
+    axes = np.meshgrid(n, d_mm, modulus_GPa, n_hat_N, indexing="ij")
+    sheet, d, modulus, force = (axis.ravel() for axis in axes)
+    length = bending_length_mm(sheet, d, n_hat_N=force, modulus_GPa=modulus, sample=sample)
+    columns = {"n": sheet, "d_mm": d, "modulus_GPa": modulus, "n_hat_N": force, "bending_length_mm": length}
+    return pd.DataFrame(columns).sort_values("bending_length_mm", ignore_index=True)

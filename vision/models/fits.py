@@ -12,8 +12,8 @@ import xarray as xr
 from vision.data import FORCE, ForceMetadata
 from vision.errors import InputError
 from vision.models import equations
-from vision.models.bending import bending_length_mm
 from vision.models.single_fits import (
+    FAILURES,
     LARGEST_SCALE,
     Estimate,
     Fit,
@@ -30,14 +30,8 @@ from vision.sample import PUBLISHED, Sample
 from vision.signals import running_median
 
 _LEAST_EVENTS = 6
-_DEGENERATE = 0.98  # correlation from which two parameters are better read together
 _MEASURED = frozenset({"ok", "slow", "negative"})  # flags of events that are whole
-_SLOW_MM_MIN = 1.0  # up to which the publication states A, N-hat and Y_eff
-_BUILD_UP_BIAS = 0.1  # standard errors by which what is left of a build-up may move a parameter
 _LARGEST_OFFSET_N = 10.0  # limits of T0 in the publication: what a load cell's zero may be off by
-_CLOSEST_MM = 1e-4  # from event to event: no crosshead tells less
-_STIFFEST_GPA = 1000.0  # diamond: no sheet is stiffer
-_LIKELY_GPA = (0.1, 30.0)  # sheets of paper, polymers and wood, with room on both sides
 _CONTRADICTS = 3.0  # χ²/dof of peaks that are not those of Eq. 1
 _GEOMETRY = ("thickness_mm", "width_mm", "length_mm", "t_star_N")
 
@@ -112,7 +106,7 @@ def fit_models(
             if doubt and "`" not in str(error).partition(":")[0]:  # no argument is to blame
                 error.args = (f"{error}; {doubt}",)
             raise
-        except (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError) as error:
+        except FAILURES as error:
             raise _undetermined(str(error), doubt) from error
         parts = (fits.mu, fits.t0_N, fits.amplitude, fits.n_hat_N, fits.modulus_GPa, fits.scale_mm)
         if not all(np.isfinite((part.value, part.error)).all() for part in parts):
@@ -182,15 +176,15 @@ def _doubtful_units(events: pd.DataFrame, sample: Sample, force: xr.Dataset) -> 
     material has it, or events lie closer than a crosshead can move.
     """
     apart = float(np.ptp(events["d_v_mm"])) / (len(events) - 1)
-    if apart < _CLOSEST_MM:
-        wanted, found = f"events at least {1e3 * _CLOSEST_MM:g} µm apart", f"{1e3 * apart:.2g} µm"
+    if apart < 1e-4:  # no crosshead tells less
+        wanted, found = "events at least 0.1 µm apart", f"{1e3 * apart:.2g} µm"
         raise InputError("model fits", wanted, found, _read_as(force))
     k = float(events["K_N_per_mm"].median())
     least = k * sample.length_mm / (1000 * sample.sheets_per_block * sample.thickness_mm * sample.width_mm)
     found = f"K of {k:.3g} N/mm, which needs sheets of {least:.2g} GPa"
-    if least > _STIFFEST_GPA:
-        raise InputError("model fits", f"sheets of less than {_STIFFEST_GPA:g} GPa", found, _read_as(force))
-    return "" if _LIKELY_GPA[0] < least < _LIKELY_GPA[1] else f"{found} or more: {_read_as(force)}"
+    if least > 1000:  # that of diamond
+        raise InputError("model fits", "sheets of less than 1000 GPa", found, _read_as(force))
+    return "" if 0.1 < least < 30 else f"{found} or more: {_read_as(force)}"
 
 
 def _misread_lengths(
@@ -208,7 +202,7 @@ def _misread_lengths(
         read = events.assign(**lengths, K_N_per_mm=events["K_N_per_mm"] / mm)
         try:
             peaks = fit_peaks(_chosen(read, fits.sample, held, None)[0], fits.sample, False, held)
-        except (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError):
+        except FAILURES:
             continue
         if peaks.goodness.chi2_dof < _CONTRADICTS and abs(peaks.value[1]) < _LARGEST_OFFSET_N:
             found = f"𝒯0 = {fits.t0_N.value:.3g} N and χ²/dof {chi2:.3g} with displacement in mm; in {unit} "
@@ -322,7 +316,7 @@ def _build_up_over(events: pd.DataFrame, sample: Sample, held: Mapping[str, floa
     """First event from which what an exponential build-up still lacks hardly moves μ and 𝒯0.
 
     Noise hides the last part of a build-up, which bends the fit all the same: its beginning shows how long it
-    is, and the fit's own weights how much its rest moves each parameter. At most `_BUILD_UP_BIAS` errors.
+    is, and the fit's own weights how much its rest moves each parameter. At most a tenth of their errors.
     """
     d, peak = events["d_p_mm"].to_numpy(float), events["F_p_N"].to_numpy(float)
     after = fit_peaks(events.iloc[start:], sample, False, held)
@@ -351,7 +345,7 @@ def _build_up_over(events: pd.DataFrame, sample: Sample, held: Mapping[str, floa
     for begin in range(start, d.size):
         inverse = np.linalg.pinv(slopes[begin:])
         error = fit.goodness.scatter * np.sqrt(np.sum(inverse**2, axis=1))
-        if (np.abs(inverse @ rest[begin:]) <= _BUILD_UP_BIAS * error).all():
+        if (np.abs(inverse @ rest[begin:]) <= 0.1 * error).all():
             return begin
     return start
 
@@ -409,7 +403,9 @@ def _derived(
         alpha = 2 * q[2] * sample.thickness_mm * sample.sheets_per_block**2 / q[0]
         n_hat = t_star / (2 * q[2]) * float(np.expm1(alpha))
         outermost = sample.sheets_per_block
-        bending = bending_length_mm(outermost, d_mm, n_hat_N=n_hat, modulus_GPa=float(q[1]), sample=sample)
+        bending = equations.bending_length_mm(
+            outermost, d_mm, n_hat_N=n_hat, modulus_GPa=float(q[1]), sample=sample
+        )
         return np.array([n_hat, float(bending), q[1]])
 
     moves = 1e-5 * np.diag(parameters)
@@ -458,7 +454,7 @@ def _with_systematics(
     def again(moved: pd.DataFrame, sample: Sample = fits.sample) -> dict[str, float]:
         try:
             found = _fit_all(moved, sample, free_t_star, held)
-        except (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError):
+        except FAILURES:
             return dict.fromkeys(_BUDGET, float("nan"))
         return {name: getattr(found, part).value for name, part in _BUDGET.items()}
 
@@ -499,23 +495,24 @@ def _unresolved(
 ) -> dict[str, dict[str, float | None]]:
     """What the load cell's low-pass and the time between samples hide, as a share of all drops and slopes."""
     none: dict[str, float | None] = dict.fromkeys((*_BUDGET, "K_N_per_mm", "ratio"), 0.0)
-    found = {}
-    if any(lowpass.values()):
-        found["low_pass"] = none | {
-            "A": abs(fits.amplitude.value * lowpass["lowpass_dF_share"]),
-            "Y_eff_GPa": abs(fits.modulus_GPa.value * lowpass["lowpass_K_share"]),
-            "K_N_per_mm": abs(float(events["K_N_per_mm"].median()) * lowpass["lowpass_K_share"]),
-        }
-    if share := _unseen_valleys(force, events):
-        found["sampling"] = none | {"A": abs(fits.amplitude.value * share)}
-    return found
+    unseen = _unseen_valleys(force, events)
+    if not any(lowpass.values()):
+        return {"sampling": none | {"A": abs(fits.amplitude.value * unseen)}} if unseen else {}
+    # Both hide the same valleys from the same side: they add up.
+    moved = none | {
+        "A": abs(fits.amplitude.value) * (abs(lowpass["lowpass_dF_share"]) + abs(unseen)),
+        "Y_eff_GPa": abs(fits.modulus_GPa.value * lowpass["lowpass_K_share"]),
+        "K_N_per_mm": abs(float(events["K_N_per_mm"].median()) * lowpass["lowpass_K_share"]),
+    }
+    return {"low_pass": moved}
 
 
 def _unseen_valleys(force: xr.Dataset, events: pd.DataFrame) -> float:
-    """Share of ΔF that lies between the lowest sample and the next, median; 0 where sticks have no knee.
+    """Share of ΔF by which the force rises while a slip lasts, median; 0 where sticks have no knee.
 
-    There the force rises fastest right after a slip: what it rises by between the true valley and the first
-    sample after it no line through the later ones gives back.
+    There the force rises fastest right after a slip, by as much from sample to sample as from the lowest to
+    the next. What it gains until the recorded valley, one sample at least, no line through later ones gives
+    back.
     """
     if not events.attrs.get("two_slopes"):
         return 0.0
@@ -523,7 +520,9 @@ def _unseen_valleys(force: xr.Dataset, events: pd.DataFrame) -> float:
     near = np.searchsorted(time, events["t_v_s"].to_numpy(float))[:, np.newaxis] + np.arange(-3, 4)
     near = np.clip(near, 0, load.size - 2)
     lowest = np.take_along_axis(near, np.argmin(load[near], axis=1)[:, np.newaxis], axis=1)[:, 0]
-    share = float(np.nanmedian((load[lowest + 1] - load[lowest]) / events["dF_N"].to_numpy(float)))
+    lasts = np.maximum(events["slip_time_s"].to_numpy(float) / (time[lowest + 1] - time[lowest]), 1)
+    rise = (load[lowest + 1] - load[lowest]) * lasts
+    share = float(np.nanmedian(rise / events["dF_N"].to_numpy(float)))
     return share if np.isfinite(share) else 0.0
 
 
@@ -537,7 +536,7 @@ def _notes(peaks: Fit, stiffness: Fit, span: tuple[float, float], free_t_star: b
         notes.append(
             f"T* and mu are degenerate (correlation {peaks.correlation(0, 2):.3f}): read them together only"
         )
-    if abs(stiffness.correlation(0, 1)) > _DEGENERATE:
+    if abs(stiffness.correlation(0, 1)) > 0.98:
         notes.append("Lambda_hat and Y_eff are nearly degenerate over this range of d")
     if span[1] > stiffness.value[0]:
         notes.append(f"d goes beyond {stiffness.value[0]:.2f} mm, where M_eff is 0")
@@ -572,10 +571,9 @@ def _remarks(
     if fits.scale_mm.value > 0.999 * LARGEST_SCALE * fits.d_mm[1]:
         warnings.append("K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined")
     facts = ForceMetadata.of(force)
-    if facts.speed_mm_min > _SLOW_MM_MIN * 1.05:
+    if facts.speed_mm_min > 1.05:
         notes.append(
-            f"A, N_hat and Y_eff belong to models for V ≤ {_SLOW_MM_MIN:g} mm/min; "
-            f"here V = {facts.speed_mm_min:.3g} mm/min"
+            f"A, N_hat and Y_eff belong to models for V ≤ 1 mm/min; here V = {facts.speed_mm_min:.3g} mm/min"
         )
     if not np.isfinite(facts.d0_err_mm):
         notes.append("systematic errors are without that of d0, which is not known (`d0_mm` as 13.0±0.1)")

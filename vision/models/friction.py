@@ -17,25 +17,8 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from vision.errors import InputError
-from vision.models.rheometer import ROTATION, RotationMetadata, read_rheometer
+from vision.models.rheometer import ROTATION, RotationMetadata
 from vision.numeric import Floats, mad_sigma
-
-__all__ = [
-    "PUBLISHED_FRICTION",
-    "RADIUS_MM",
-    "RIM_CAVEAT",
-    "DiscFriction",
-    "FrictionSettings",
-    "StaticFriction",
-    "disc_friction",
-    "fit_static_friction",
-    "friction_curve",
-    "friction_of_disc",
-    "friction_table",
-    "read_rheometer",
-    "rim_slip_torque_N_m",
-    "threshold_curves",
-]
 
 RADIUS_MM = 25.0
 """Radius of the publication's discs."""
@@ -308,9 +291,6 @@ def friction_of_disc(
     )
 
 
-_LEAST_SAMPLES = 5  # on the way to the peak and down from it
-
-
 def _doubts(angle: Floats, peak_deg: float, samples: int, settings: FrictionSettings) -> list[str]:
     low, high = settings.dynamic_deg
     found = []
@@ -320,7 +300,7 @@ def _doubts(angle: Floats, peak_deg: float, samples: int, settings: FrictionSett
         found.append(f"no maximum before {settings.peak_before_deg:g}°: no μ_s")
     elif peak_deg > low:
         found.append(f"the first maximum lies at {peak_deg:.2g}°, within the range of μ_d")
-    if samples < _LEAST_SAMPLES:
+    if samples < 5:  # on the way to the peak and down from it
         found.append(
             f"{samples} samples before {low:g}°: the static peak is not resolved and μ_s may be too small"
         )
@@ -351,20 +331,17 @@ def _first_maximum(
     return int(np.argmax(early[: int(np.argmax(fallen)) + 1])) if fallen.any() else None
 
 
-_WIDEST = 41  # samples of a parabola through the peak
-_SHARE = 0.6  # of the widest that fits: what is left of a bias that the noise just hides goes with its cube
-
-
 def _height(mu: Floats, peak: int, noise: float) -> tuple[float, float]:
     """Height of the peak and its error.
 
-    The widest parabola that fits within the noise averages most of it. A sharp peak that even the narrowest
-    does not fit is known to half a step between samples.
+    The widest parabola that fits within the noise, of 41 samples at most, averages most of it; 0.6 of it is
+    taken, for a bias that the noise just hides goes with the cube of the width. A sharp peak that even the
+    narrowest does not fit is known to half a step between samples.
     """
-    reach = min(peak, mu.size - 1 - peak, _WIDEST // 2)
+    reach = min(peak, mu.size - 1 - peak, 20)
     fits = [half for half in range(2, reach + 1) if _parabola(mu, peak, half, noise)[2]]
     if noise > 0 and fits:
-        height, error, _ = _parabola(mu, peak, max(2, round(_SHARE * max(fits))), noise)
+        height, error, _ = _parabola(mu, peak, max(2, round(0.6 * max(fits))), noise)
         return height, error
     beside = np.abs(np.diff(mu[max(peak - 1, 0) : peak + 2]))
     return float(mu[peak]), math.hypot(noise, 0.5 * float(beside.min()) if beside.size else 0.0)
@@ -453,19 +430,6 @@ class StaticFriction:
     def crossing_N(self, mu: float) -> float:
         """Load at which the threshold equals that of a constant coefficient; infinite for mu <= a."""
         return self.a * self.b_N / (mu - self.a) if mu > self.a else math.inf
-
-    def to_json(self) -> dict[str, float | int | None]:
-        """Fields of friction.json; None for what is not known."""
-        found = {
-            "a": self.a,
-            "a_err": self.a_err,
-            "b_N": self.b_N,
-            "b_err_N": self.b_err_N,
-            "correlation": self.correlation,
-            "chi2_dof": self.chi2_dof,
-        }
-        known = {name: value if math.isfinite(value) else None for name, value in found.items()}
-        return {**known, "points": self.points}
 
 
 PUBLISHED_FRICTION = StaticFriction()

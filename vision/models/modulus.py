@@ -87,6 +87,8 @@ CYCLES = Schema(
         "delta0_err_mm": Variable(_CYCLE, "mm", "standard error of Δ0"),
         "loop_mJ": Variable(_CYCLE, "mJ", "energy lost in the cycle"),
         "residual_mm": Variable(_CYCLE, "mm", "Δ at F = 0, unloading less loading"),
+        "K_tangent_N_per_mm": Variable(_CYCLE, "N/mm", "slope after the turn from loading to unloading"),
+        "drift_N": Variable(_CYCLE, "N", "largest force less that of the cycle before"),
         "t_start_s": Variable(_CYCLE, "s", "start of the loading branch"),
         "t_end_s": Variable(_CYCLE, "s", "end of the loading branch"),
         "fit_from_mm": Variable(_CYCLE, "mm", "Δ where the fitted part starts"),
@@ -234,8 +236,8 @@ def measure_cycles(
     -------
     pandas.DataFrame
         Columns as in `CYCLES`, one row per loading branch, ``attrs`` as in `CyclesMetadata`. NaN in
-        ``loop_mJ`` where the recording ends before the cycle does, and in ``residual_mm`` where F does not
-        return to 0.
+        ``loop_mJ`` and ``K_tangent_N_per_mm`` where the recording ends before the cycle does, in
+        ``residual_mm`` where F does not return to 0, and in ``drift_N`` of the first cycle.
 
     Raises
     ------
@@ -281,6 +283,7 @@ def measure_cycles(
         raise InputError(source, "a force that rises with Δ on loading branches", found, advice)
     table = pd.DataFrame(rows)
     table.insert(0, "cycle", np.arange(1, len(rows) + 1))
+    table["drift_N"] = table["F_max_N"].diff()
     warnings = [*facts.warnings, *([f"{skipped} loading branches with too few samples"] if skipped else [])]
     stiffness = math.nan if machine is None else machine
     notes = [*facts.notes, *_remarks(table, sheet, stiffness)]
@@ -344,16 +347,13 @@ class _Cycles:
     turns: Ints
 
 
-_WHOLE = 0.5  # of the usual travel: shorter branches are cut off by the recording's ends
-
-
 def _loading_branches(cycles: _Cycles) -> list[tuple[int, int, int | None]]:
     """(start, top, end of the unloading or None) of each branch on which Δ grows; [] without cycles."""
     turns = cycles.turns
     if turns.size < 4:
         return []
     travel = np.diff(cycles.delta[turns])
-    whole = np.abs(travel) > _WHOLE * float(np.median(np.abs(travel)))
+    whole = np.abs(travel) > 0.5 * float(np.median(np.abs(travel)))  # the others the recording's ends cut off
     return [
         (int(turns[k]), int(turns[k + 1]), int(turns[k + 2]) if whole[k + 1 : k + 2].any() else None)
         for k in np.flatnonzero((travel > 0) & whole)
@@ -369,6 +369,7 @@ def _branch(
     return {
         **_row(line, sheet),
         **_loop(delta, load, smooth, start, stop, following),
+        "K_tangent_N_per_mm": math.nan if following is None else _tangent(cycles, stop, following),
         "t_start_s": float(cycles.time[start]),
         "t_end_s": float(cycles.time[stop]),
         "fit_from_mm": float(delta[chosen][0]),
@@ -376,6 +377,15 @@ def _branch(
         "F_max_N": float(smooth[start : stop + 1].max()),
         "samples": chosen.stop - chosen.start,
     }
+
+
+def _tangent(cycles: _Cycles, top: int, stop: int) -> float:
+    """Slope over the first fifth of the fall of the force, less what the turn itself blunts.
+
+    Friction within the sample has to turn back before anything slides: this is its stiffness as a whole.
+    """
+    part = _part(-cycles.smooth, top, stop, (0.05, 0.25))
+    return _line(cycles.delta[part], cycles.load[part]).slope if part.stop - part.start > 2 else math.nan
 
 
 def _clean(
@@ -527,11 +537,6 @@ class MeanValue:
     error: float
     scatter: float
 
-    def to_json(self) -> dict[str, float | None]:
-        """For modulus.json; None for NaN."""
-        fields = {"value": self.value, "error": self.error, "scatter": self.scatter}
-        return {name: number if math.isfinite(number) else None for name, number in fields.items()}
-
 
 def mean_over_cycles(cycles: pd.DataFrame, column: str) -> MeanValue:
     """Mean of a column of `measure_cycles` over the cycles.
@@ -571,6 +576,7 @@ def _error_of(column: str) -> str:
 
 
 def summarise_modulus(cycles: pd.DataFrame) -> dict[str, MeanValue]:
-    """Y_p, kL/(εW), k, F0, Δ0, loop energy and residual Δ, each as its mean over the cycles."""
-    names = ("Y_p_GPa", "Y_slope_GPa", "k_N_per_mm", "F0_N", "delta0_mm", "loop_mJ", "residual_mm")
-    return {name: mean_over_cycles(cycles, name) for name in names}
+    """Y_p, kL/(εW), k, F0, Δ0, and of the loops energy, residual Δ, peak, tangent K and drift: the means."""
+    moduli = ("Y_p_GPa", "Y_slope_GPa", "k_N_per_mm", "F0_N", "delta0_mm")
+    loops = ("loop_mJ", "residual_mm", "F_max_N", "K_tangent_N_per_mm", "drift_N")
+    return {name: mean_over_cycles(cycles, name) for name in (*moduli, *loops)}

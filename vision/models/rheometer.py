@@ -316,12 +316,9 @@ def _plain_table(path: Path, lines: list[str]) -> _Block:
     return _Block("", -1, path.stem, names, units, cells.iloc[first:].reset_index(drop=True))
 
 
-_LONGEST_HEADER = 5000  # characters: a longer line is no header, and taking it apart would take for ever
-
-
 def _looks_like_header(line: str) -> bool:
     low = line.lower()
-    if len(line) > _LONGEST_HEADER:
+    if len(line) > 5000:  # is no header, and taking it apart would take for ever
         return False
     return max(map(line.count, _SEPARATORS)) > 0 and any(word in low for word in _QUANTITIES[0].words)
 
@@ -392,12 +389,9 @@ def _rotation(path: Path, block: _Block) -> None:
         block.warnings.append(f"{block.name}: {int((~kept).sum())} of {len(values)} points without numbers")
     block.values = values[kept].reset_index(drop=True)
     travelled = float(np.ptp(block.values["angle_rad"])) if len(block.values) else 0.0
-    if travelled < _LEAST_ROTATION_RAD:
+    if travelled < math.radians(0.05):  # an interval of waiting
         block.problem = f"no rotation ({math.degrees(travelled):.2g}° travelled)"
         block.waiting = len(block.values) > 0
-
-
-_LEAST_ROTATION_RAD = math.radians(0.05)  # below: a waiting interval
 
 
 def _column(path: Path, block: _Block, quantity: _Quantity) -> pd.Series[float] | None:

@@ -21,6 +21,7 @@ from vision.models import equations
 from vision.numeric import Bools, Floats
 from vision.sample import Sample
 
+FAILURES = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)  # of a fit to strange events
 LARGEST_SCALE = 20.0  # Λ̂ over d at which K no longer falls as M_eff does: a limit, not a result
 
 
@@ -285,7 +286,7 @@ def fit_drops(events: pd.DataFrame, sample: Sample, mu: float) -> Fit:
     """A from the force drops."""
     d, drop = events["d_v_mm"].to_numpy(float), events["dF_N"].to_numpy(float)
     total = equations.total_normal_force(d, mu=mu, sample=sample)
-    return fit_weighted(lambda q: np.asarray(q[0] * total), drop, None, [float(np.median(drop / total))])
+    return fit_weighted(lambda q: np.asarray(q[0] * total), drop, None, [float(np.mean(drop / total))])
 
 
 def fit_stiffness(events: pd.DataFrame, sample: Sample, held: Mapping[str, float]) -> Fit:

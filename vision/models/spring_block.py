@@ -283,3 +283,62 @@ def _phase(
     states = np.asarray(found.sol(times), float)
     states[:, -1] = found.y_events[0][-1]
     return times, states
+
+
+# --- rate and state -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class RateState:
+    r"""Friction that depends on the speed V and on the age θ of the contacts.
+
+    .. math:: \mu = \mu_0 + a \ln\frac{V}{V_0} + b \ln\frac{V_0 \theta}{D_c}, \qquad
+        \dot\theta = 1 - \frac{V \theta}{D_c}
+
+    Parameters
+    ----------
+    a, b
+        Direct effect of the speed and effect of the age; steady sliding can be unstable where b > a.
+    critical_length_um
+        D_c, over which contacts are renewed.
+
+    Raises
+    ------
+    InputError
+        For numbers that are not positive and finite, or b ≤ a, where steady sliding is always stable.
+    """
+
+    a: float
+    b: float
+    critical_length_um: float
+
+    def __post_init__(self) -> None:
+        for part in fields(self):
+            value = getattr(self, part.name)
+            if not math.isfinite(value) or value <= 0:
+                raise InputError(f"`{part.name}`", "a positive number", f"{value!r}")
+        if self.b <= self.a:
+            raise InputError("`b`", f"more than a = {self.a:g}", f"{self.b:g}")
+
+
+def critical_stiffness_N_per_mm(
+    friction: RateState, *, load_N: float, speed_mm_s: float, mass_kg: float = 0.0
+) -> float:
+    r"""Stiffness of the spring below which steady sliding at a speed turns into stick-slip.
+
+    .. math:: k_c = \frac{(b - a) N}{D_c} \left[1 + \frac{m V^2}{a N D_c}\right]
+
+    The linear stability of steady sliding (Rice and Ruina 1983).
+    """
+    length = 1e-6 * friction.critical_length_um
+    inertia = mass_kg * (1e-3 * speed_mm_s) ** 2 / (friction.a * load_N * length)
+    return 1e-3 * (friction.b - friction.a) * load_N / length * (1 + inertia)
+
+
+def onset_period_s(friction: RateState, *, speed_mm_s: float) -> float:
+    r"""Period of the oscillation with which steady sliding turns unstable, whatever the mass.
+
+    .. math:: 2 \pi \frac{D_c}{V} \sqrt{\frac{a}{b - a}}
+    """
+    time = 1e-3 * friction.critical_length_um / speed_mm_s
+    return 2 * math.pi * time * math.sqrt(friction.a / (friction.b - friction.a))

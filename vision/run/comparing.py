@@ -11,7 +11,7 @@ import numpy as np
 
 import vision
 from vision.comparison import Comparison
-from vision.comparison.comparison import DISAGREE, joint_line
+from vision.comparison.comparison import joint_line
 from vision.figures import Figure, plus_minus, save_figures
 from vision.figures.compare import compare_sections
 from vision.models import Estimate
@@ -83,7 +83,7 @@ def _answers(found: Comparison) -> list[Answer]:
             f"friction coefficient, {one.sample or 'all tests'}",
             f"μ = {plus_minus(one.mu)}",
             joint_line(one),
-            doubt=one.disagreement > DISAGREE or bool(one.at_limit),
+            doubt=one.disagrees or bool(one.at_limit),
         )
         for one in found.joint
     ]
