@@ -1,5 +1,12 @@
 """Every figure, declared once as data: drawn by matplotlib or by the report's page, written as a table."""
 
+from vision.figures.camera import (
+    frame_figure,
+    kymograph_figure,
+    preview_figure,
+    slip_times,
+    space_time_figure,
+)
 from vision.figures.catalogue import (
     FIGURES,
     Results,
@@ -28,8 +35,6 @@ from vision.figures.force import (
 )
 from vision.figures.labels import both_errors, percent, plus_minus, signed
 from vision.figures.positions import noise_figure, pixel_locking_figure, tracks_figure
-from vision.figures.spacetime import kymograph_figure, slip_times, space_time_figure
-from vision.figures.video import frame_figure, preview_figure
 
 __all__ = [
     "FIGURES",
