@@ -17,7 +17,6 @@ from vision.figures.catalogue import (
     publication_figures_of,
     sections_of,
 )
-from vision.figures.deformation import deformation_figure, shells_figure
 from vision.figures.figure import (
     Arrow,
     Band,
@@ -34,7 +33,13 @@ from vision.figures.force import (
     force_overview_figure,
 )
 from vision.figures.labels import both_errors, percent, plus_minus, signed
-from vision.figures.positions import noise_figure, pixel_locking_figure, tracks_figure
+from vision.figures.positions import (
+    deformation_figure,
+    noise_figure,
+    pixel_locking_figure,
+    shells_figure,
+    tracks_figure,
+)
 
 __all__ = [
     "FIGURES",

@@ -11,7 +11,7 @@ import xarray as xr
 
 from vision.clock import Clock
 from vision.errors import InputError
-from vision.figures import camera, deformation, force, positions
+from vision.figures import camera, force, positions
 from vision.figures.figure import Figure
 from vision.figures.labels import load_unit
 from vision.models import ModelFits
@@ -190,16 +190,18 @@ def _has(r: Results, part: str) -> bool:
 
 def _space_time(r: Any) -> Figure:
     slips_s, source = slip_times(r)
-    size = r.pixel_size_um
-    return camera.space_time_figure(r.strip, r.tracks, pixel_size_um=size, slips_s=slips_s, slips_from=source)
+    return camera.space_time_figure(
+        r.strip, r.tracks, pixel_size_um=r.pixel_size_um, slips_s=slips_s, slips_from=source
+    )
 
 
 def _single_sheets(r: Any) -> Figure | None:
     slips_s, source = slip_times(r)
     if slips_s is None:
         return None
-    size = r.pixel_size_um
-    return camera.single_sheets_figure(r.strip, r.tracks, slips_s, pixel_size_um=size, slips_from=source)
+    return camera.single_sheets_figure(
+        r.strip, r.tracks, slips_s, pixel_size_um=r.pixel_size_um, slips_from=source
+    )
 
 
 def _overview(r: Any) -> Figure | None:
@@ -268,17 +270,17 @@ FIGURES: Mapping[str, CatalogueEntry] = {
     ),
     "stick": CatalogueEntry(
         _SHELL,
-        lambda r: deformation.stick_figure(r.tracks, r.motion, r.clock),
+        lambda r: positions.stick_figure(r.tracks, r.motion, r.clock),
         ("tracks", "clock", "motion"),
         paper="7d",
     ),
     "deformation": CatalogueEntry(
         _SHELL,
-        lambda r: deformation.deformation_figure(r.motion, threshold=r.threshold),
+        lambda r: positions.deformation_figure(r.motion, threshold=r.threshold),
         ("motion",),
         paper="8",
     ),
-    "shells": CatalogueEntry(_SHELL, lambda r: deformation.shells_figure(r.shells, r.fits), ("shells",)),
+    "shells": CatalogueEntry(_SHELL, lambda r: positions.shells_figure(r.shells, r.fits), ("shells",)),
     "force_insets": CatalogueEntry(
         "",
         lambda r: force.force_insets_figure(r.force, r.sticks, r.fits),
@@ -288,7 +290,7 @@ FIGURES: Mapping[str, CatalogueEntry] = {
     "single_sheets": CatalogueEntry("", _single_sheets, ("strip", "tracks"), paper="7b and c"),
     "mean_deformation": CatalogueEntry(
         "",
-        lambda r: deformation.mean_deformation_figure(r.motion, threshold=r.threshold),
+        lambda r: positions.mean_deformation_figure(r.motion, threshold=r.threshold),
         ("motion",),
         paper="8",
     ),

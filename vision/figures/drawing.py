@@ -271,19 +271,24 @@ def _draw_ticks(ax: Axes, groups: list[Series]) -> None:
     taken: list[tuple[float, float]] = []
     box = {"boxstyle": "round,pad=0.12", "fc": "white", "ec": "none", "alpha": 0.75}
     place: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "bottom", "bbox": box}
+    step = max((label_step(s.x, _label_room(s, letter)) for s in groups), default=1)
     for series in groups:
         if series.low is None or series.high is None:
             continue
         stroke = 0.2 * (series.high - series.low)  # the ridge stays in view between the two
         ax.vlines(series.x, series.low, series.low + stroke, color=series.ink[0], lw=0.9)
         ax.vlines(series.x, series.high - stroke, series.high, color=series.ink[0], lw=0.9)
-        room = letter * (0.8 + max((len(text) for text in series.text), default=1))
-        step = label_step(series.x, room)
+        room = _label_room(series, letter)
         for x, y, text in zip(series.x, series.low, series.text, strict=True):
             span = (x - room / 2, x + room / 2)
             if (int(text) - 1) % step == 0 and not any(span[0] < b and a < span[1] for a, b in taken):
                 taken.append(span)
                 ax.annotate(text, (x, y), (0, 3), fontsize=7, **place)
+
+
+def _label_room(series: Series, letter: float) -> float:
+    """Width of the longest number and a gap."""
+    return letter * (0.8 + max((len(text) for text in series.text), default=1))
 
 
 def _draw_inset(ax: Axes, panel: Panel) -> None:
