@@ -10,8 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tests.scenes.analysed import Found
 from vision.figures import FIGURES, figures_of, kymograph, missing_parts, overview, sections_of
+from vision.figures.camera import space_time_figure
 from vision.figures.figure import Figure, Image, Panel
-from vision.figures.spacetime import space_time_figure
 
 
 def scene(*, sheets=7, frames=40, rows=60, columns=400, times_s=None, nothing_found=False):

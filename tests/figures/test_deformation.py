@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure as Page
 
-from vision.figures.deformation import deformation_figure, shells_figure, stick_figure
+from vision.figures.positions import deformation_figure, shells_figure, stick_figure
 
 
 def by_label(figure):

@@ -16,9 +16,8 @@ from vision.figures import (
     overview,
     save_figures,
 )
-from vision.figures.deformation import shells_figure
 from vision.figures.force import clocks_figure
-from vision.figures.positions import tracks_figure
+from vision.figures.positions import shells_figure, tracks_figure
 
 
 def test_tables_hold_the_drawn_numbers(pulled):

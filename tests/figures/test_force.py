@@ -9,7 +9,6 @@ from tests.scenes.report_data import make_tracks, sawtooth
 from vision.clock import video_slips
 from vision.figures import figures_of, force_overview_figure
 from vision.figures.force import (
-    ZOOMED_EVENTS,
     clock_residuals_figure,
     clocks_figure,
     force_figure,
@@ -142,8 +141,8 @@ def test_lines_run_from_valley_to_peak_along_the_force(pulled):
     times = series["stick phases"].x.reshape(-1, 3)
     middle = np.interp(times[:, :2].mean(axis=1), series["F"].x, series["F"].y)
     np.testing.assert_allclose(middle, lines[:, :2].mean(axis=1), rtol=0.03)
-    first = len(pulled.sticks) // 2 - ZOOMED_EVENTS // 2
-    drops = pulled.sticks["dF_N"].iloc[first : first + ZOOMED_EVENTS]
+    first = len(pulled.sticks) // 2 - 3
+    drops = pulled.sticks["dF_N"].iloc[first : first + 6]
     np.testing.assert_allclose(lines[:, 1] - lines[:, 0], drops, rtol=0.03)
     assert np.isnan(lines[:, 2]).all()  # no line from one stick to the next
 

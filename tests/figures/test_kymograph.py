@@ -9,9 +9,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure as Page
 
-from vision.figures import decimate, kymograph_figure, spacetime
+from vision.figures import camera, decimate, kymograph_figure
+from vision.figures.decimate import grey_limits
 from vision.figures.drawing import MOST_LINES
-from vision.figures.spacetime import grey_limits
 from vision.figures.style import MISSING
 
 
@@ -52,7 +52,7 @@ def shown(ax, time):
 
 def grey_of(value, diagram):
     """The grey in which a value is drawn."""
-    low, high = grey_limits([diagram])
+    low, high = grey_limits(diagram.values)
     return np.full(3, 255 * np.clip((value - low) / (high - low), 0, 1))
 
 
@@ -129,13 +129,13 @@ def test_a_gap_in_time_stays_empty(ax):
 
 def test_long_recordings_are_averaged_not_thinned(monkeypatch):
     """A failure means that most rows of a long recording are not in the picture at all."""
-    monkeypatch.setattr(spacetime, "MOST_ROWS", 20)
+    monkeypatch.setattr(camera, "MOST_ROWS", 20)
     monkeypatch.setattr(decimate, "_ROWS_AT_ONCE", 3)
     diagram = diagram_of(60)
     diagram[9:12] = np.nan
     image = kymograph_figure([diagram]).panel.image
     assert image.pixels.shape[0] == 20
-    low, high = grey_limits([diagram])
+    low, high = grey_limits(diagram.values)
     means = image.pixels[:, 0] / 255 * (high - low) + low
     np.testing.assert_allclose(means[[0, 1, 2, 18]], [1, 4, 7, 55], atol=0.2)
     assert image.missing[3].all()
@@ -169,9 +169,9 @@ def test_any_number_of_panels_fits(panels, frames):
 
 def test_panels_share_one_grey_scale():
     """A failure means that brightness cannot be compared between panels."""
-    low, high = grey_limits([diagram_of(), diagram_of() * 2])
+    low, high = grey_limits(diagram_of().values, diagram_of().values * 2)
     assert low < 2
     assert high > 100
-    assert grey_limits([diagram_of() * np.nan]) == (0, 1)
+    assert grey_limits(diagram_of().values * np.nan) == (0, 1)
     one, two = kymograph_figure([diagram_of(), diagram_of() * 2]).panels
     assert int(two.image.pixels[20, 0]) == pytest.approx(2 * int(one.image.pixels[20, 0]), abs=3)

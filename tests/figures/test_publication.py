@@ -5,10 +5,9 @@ import pytest
 
 from tests.scenes.report_data import make_profile, make_tracks, sawtooth
 from vision.figures import FIGURES, publication_figures_of
+from vision.figures.camera import intensity_figure, single_sheets_figure
 from vision.figures.catalogue import slip_times
-from vision.figures.deformation import mean_deformation_figure
-from vision.figures.spacetime import single_sheets_figure
-from vision.figures.video import intensity_figure
+from vision.figures.positions import mean_deformation_figure
 
 
 def test_a_whole_run_has_them_all_with_their_numbers(pulled):

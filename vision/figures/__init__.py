@@ -1,5 +1,12 @@
 """Every figure, declared once as data: drawn by matplotlib or by the report's page, written as a table."""
 
+from vision.figures.camera import (
+    frame_figure,
+    kymograph_figure,
+    preview_figure,
+    slip_times,
+    space_time_figure,
+)
 from vision.figures.catalogue import (
     FIGURES,
     Results,
@@ -10,7 +17,6 @@ from vision.figures.catalogue import (
     publication_figures_of,
     sections_of,
 )
-from vision.figures.deformation import deformation_figure, shells_figure
 from vision.figures.figure import (
     Arrow,
     Band,
@@ -27,9 +33,13 @@ from vision.figures.force import (
     force_overview_figure,
 )
 from vision.figures.labels import both_errors, percent, plus_minus, signed
-from vision.figures.positions import noise_figure, pixel_locking_figure, tracks_figure
-from vision.figures.spacetime import kymograph_figure, slip_times, space_time_figure
-from vision.figures.video import frame_figure, preview_figure
+from vision.figures.positions import (
+    deformation_figure,
+    noise_figure,
+    pixel_locking_figure,
+    shells_figure,
+    tracks_figure,
+)
 
 __all__ = [
     "FIGURES",

@@ -11,7 +11,7 @@ import xarray as xr
 
 from vision.clock import Clock
 from vision.errors import InputError
-from vision.figures import deformation, force, positions, spacetime, video
+from vision.figures import camera, force, positions
 from vision.figures.figure import Figure
 from vision.figures.labels import load_unit
 from vision.models import ModelFits
@@ -163,7 +163,7 @@ def kymograph(figures: Iterable[Figure]) -> Figure | None:
             return Figure(
                 name="kymograph",
                 title=panel.title,
-                caption=spacetime.KYMOGRAPH_CAPTION,
+                caption=camera.KYMOGRAPH_CAPTION,
                 panels=(panel,),
                 width_in=13.0,
             )
@@ -173,8 +173,8 @@ def kymograph(figures: Iterable[Figure]) -> Figure | None:
 def slip_times(r: Results) -> tuple[Floats | None, str]:
     """Times of the slips on the camera's clock, s, and what they are from."""
     if r.sticks is None or not len(r.sticks) or r.clock is None or r.clock.status == "ambiguous":
-        return spacetime.slip_times(r.tracks)
-    return spacetime.slip_times(r.tracks, r.clock.to_video_s(r.sticks["t_p_s"].to_numpy(float)))
+        return camera.slip_times(r.tracks)
+    return camera.slip_times(r.tracks, r.clock.to_video_s(r.sticks["t_p_s"].to_numpy(float)))
 
 
 def _has(r: Results, part: str) -> bool:
@@ -190,9 +190,8 @@ def _has(r: Results, part: str) -> bool:
 
 def _space_time(r: Any) -> Figure:
     slips_s, source = slip_times(r)
-    size = r.pixel_size_um
-    return spacetime.space_time_figure(
-        r.strip, r.tracks, pixel_size_um=size, slips_s=slips_s, slips_from=source
+    return camera.space_time_figure(
+        r.strip, r.tracks, pixel_size_um=r.pixel_size_um, slips_s=slips_s, slips_from=source
     )
 
 
@@ -200,8 +199,9 @@ def _single_sheets(r: Any) -> Figure | None:
     slips_s, source = slip_times(r)
     if slips_s is None:
         return None
-    size = r.pixel_size_um
-    return spacetime.single_sheets_figure(r.strip, r.tracks, slips_s, pixel_size_um=size, slips_from=source)
+    return camera.single_sheets_figure(
+        r.strip, r.tracks, slips_s, pixel_size_um=r.pixel_size_um, slips_from=source
+    )
 
 
 def _overview(r: Any) -> Figure | None:
@@ -218,7 +218,7 @@ _SHELL = "Deformation and the stiff shell"
 # name: heading of the report, how it is made, what it needs, the publication's figure
 FIGURES: Mapping[str, CatalogueEntry] = {
     "frame": CatalogueEntry(
-        _CAMERA, lambda r: video.frame_figure(r.frame, r.tracks), ("frame", "tracks"), paper="7a"
+        _CAMERA, lambda r: camera.frame_figure(r.frame, r.tracks), ("frame", "tracks"), paper="7a"
     ),
     "space_time": CatalogueEntry(_CAMERA, _space_time, ("strip", "tracks")),
     "tracks": CatalogueEntry(
@@ -270,17 +270,17 @@ FIGURES: Mapping[str, CatalogueEntry] = {
     ),
     "stick": CatalogueEntry(
         _SHELL,
-        lambda r: deformation.stick_figure(r.tracks, r.motion, r.clock),
+        lambda r: positions.stick_figure(r.tracks, r.motion, r.clock),
         ("tracks", "clock", "motion"),
         paper="7d",
     ),
     "deformation": CatalogueEntry(
         _SHELL,
-        lambda r: deformation.deformation_figure(r.motion, threshold=r.threshold),
+        lambda r: positions.deformation_figure(r.motion, threshold=r.threshold),
         ("motion",),
         paper="8",
     ),
-    "shells": CatalogueEntry(_SHELL, lambda r: deformation.shells_figure(r.shells, r.fits), ("shells",)),
+    "shells": CatalogueEntry(_SHELL, lambda r: positions.shells_figure(r.shells, r.fits), ("shells",)),
     "force_insets": CatalogueEntry(
         "",
         lambda r: force.force_insets_figure(r.force, r.sticks, r.fits),
@@ -290,19 +290,19 @@ FIGURES: Mapping[str, CatalogueEntry] = {
     "single_sheets": CatalogueEntry("", _single_sheets, ("strip", "tracks"), paper="7b and c"),
     "mean_deformation": CatalogueEntry(
         "",
-        lambda r: deformation.mean_deformation_figure(r.motion, threshold=r.threshold),
+        lambda r: positions.mean_deformation_figure(r.motion, threshold=r.threshold),
         ("motion",),
         paper="8",
     ),
     "intensity": CatalogueEntry(
         "",
-        lambda r: video.intensity_figure(r.strip, r.tracks, slip_times(r)[0]),
+        lambda r: camera.intensity_figure(r.strip, r.tracks, slip_times(r)[0]),
         ("strip", "tracks"),
         paper="12",
     ),
     "overview": CatalogueEntry("", _overview),
     "kymograph": CatalogueEntry(
-        "", lambda r: spacetime.kymograph_figure([r.strip], pixel_size_um=r.pixel_size_um), ("strip",)
+        "", lambda r: camera.kymograph_figure([r.strip], pixel_size_um=r.pixel_size_um), ("strip",)
     ),
     "force_overview": CatalogueEntry(
         "", lambda r: force.force_overview_figure(r.force, r.sticks, r.fits), ("force", "sticks")

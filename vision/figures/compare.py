@@ -16,8 +16,6 @@ from vision.models import Estimate, equations
 from vision.numeric import Floats
 from vision.sample import Sample
 
-CURVE_POINTS = 300
-MOST_NAMED = 8  # runs that get a colour of their own; more are told apart by sample or velocity
 SHOWN_TRENDS = {
     "n_test": "previous tests n_test",
     "RH_percent": "relative humidity (%)",
@@ -206,7 +204,7 @@ def collapse_figure(o: Overlay) -> Figure | None:
         o.events[["run", "sample", "V_mm_min"]].drop_duplicates("run"), on="run", how="left"
     )
     stiffness = o.events.loc[o.events["used"], ["run", "sample", "V_mm_min", "d_v_mm", "K_N_per_mm"]]
-    d_hat = np.linspace(min(0.999, float(named["d_hat"].min())), 1.0, CURVE_POINTS)
+    d_hat = np.linspace(min(0.999, float(named["d_hat"].min())), 1.0, 300)
     blocks = sorted(named["sheets_per_block"].unique())
     several = len(blocks) > 1
     masters = tuple(
@@ -243,7 +241,7 @@ def collapse_figure(o: Overlay) -> Figure | None:
 def _by_test(events: pd.DataFrame, x: str, y: str, *, label: bool = True) -> tuple[Series, ...]:
     """Points by run where these are few, else by sample, else by velocity."""
     key = events["run"]
-    if key.nunique() > MOST_NAMED:
+    if key.nunique() > 8:  # more colours cannot be told apart
         samples = len(set(events["sample"])) > 1
         speeds = [f"V = {v:g} mm/min" for v in events["V_mm_min"].map(velocity)]
         key = events["sample"] if samples else pd.Series(speeds, events.index)
@@ -366,7 +364,7 @@ def _said(o: Overlay, quantity: str, predictor: str) -> str:
 
 def _span(events: pd.DataFrame, column: str) -> Floats:
     used = events.loc[events["used"], column]
-    return np.linspace(float(used.min()), float(used.max()), CURVE_POINTS)
+    return np.linspace(float(used.min()), float(used.max()), 300)
 
 
 def _above_zero(values: pd.Series) -> Range | None:

@@ -26,14 +26,13 @@ from matplotlib.transforms import blended_transform_factory
 from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series
 from vision.figures.labels import to_mathtext
 from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET
+from vision.numeric import Bools, Floats
 
-PNG_DPI, VECTOR_DPI = 100, 300
-STROKE = 0.2  # of the strip's height: a sheet is marked above and below, so that its ridge stays in view
 MOST_LINES = 40  # marked times with a line across; more are marked at the edges alone
 # A sixth of the time of `savefig`: no alpha channel, little compression, each row less the one above it.
 _PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP)
 _DASHES = (0, (4, 2))
-_GREYS = mpl.colormaps["gray"].with_extremes(bad=MISSING)
+_MANY_POINTS = 150  # of a series: more are drawn smaller, their error bars faint
 _STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib and has all letters that figures need
     "font.size": 10,
@@ -45,16 +44,17 @@ _STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
     "pdf.fonttype": 42,
 }
-# inches
-_LEFT, _INNER, _BOTTOM, _TOP = 0.8, 0.15, 0.55, 0.12
-_TITLE, _LEGEND = 0.26, 0.24
-_LEAST_HEIGHT, _MOST_HEIGHT = 0.35, 9.0
-_LETTER, _MARKER = 0.075, 0.55  # of a legend's entry
-
-SCALE_POINTS = 19  # of a frame's grey scale below it: past the numbers of the axis
 
 
-_TICK_ROOM_IN = 0.22  # height that a number on the y axis needs
+class _Inches:
+    """Sizes on a page."""
+
+    SIDE, INNER = 0.8, 0.15  # beside a panel with and without the numbers and label of an axis
+    TOP, BOTTOM, FOOT = 0.12, 0.55, 0.2  # around each panel; below the last for what its marks mean
+    TITLE, LEGEND_ROW = 0.26, 0.24
+    LETTER, MARKER = 0.075, 0.55  # of a legend's entry
+    X_LABEL, Y_LABEL = 0.3, 0.57  # from an axis to its label
+    LEAST_HEIGHT, MOST_HEIGHT = 0.35, 9.0  # of a panel
 
 
 def draw_panel(ax: Axes, panel: Panel) -> Axes:
@@ -65,7 +65,7 @@ def draw_panel(ax: Axes, panel: Panel) -> Axes:
     """
     right = ax.twinx() if panel.y2_label else None
     if panel.image is not None:
-        _draw_image(ax, panel.image, square=panel.square_pixels)
+        _draw_image(ax, panel, panel.image)
     _draw_bands(ax, panel)
     if panel.switchable:
         _draw_sheets(ax, panel)
@@ -103,39 +103,31 @@ def new_figure(figure: Figure, *, interactive: bool = False) -> Page:
     interactive: made by pyplot in a notebook that uses it, so that it is shown below the cell.
     """
     with picture_style():
-        boxes, size = _layout(figure)
-        notebook = interactive and "ipykernel" in sys.modules
-        pyplot = sys.modules.get("matplotlib.pyplot") if notebook else None
-        page: Page = pyplot.figure(figsize=size) if pyplot else Page(figsize=size)
-        for panel, box in zip(figure.panels, boxes, strict=True):
-            ax = page.add_axes(box)
-            draw_panel(ax, panel)
-            _thin_ticks(ax, box[3] * size[1])
-            if len(figure.panels) > 1:
-                # not `set_title`, which measures everything around the axes
-                legend = (
-                    0.0
-                    if _one_row(panel, box[2] * size[0])
-                    else _LEGEND * _legend_rows(panel, box[2] * size[0])
-                )
-                top = box[1] + box[3] + (0.06 + legend) / size[1]
-                page.text(box[0], top, to_mathtext(panel.title), fontsize=11)
-            if not _labelled(panel):
-                ax.tick_params(labelleft=False)
-        if label := next((p.marks_label for p in figure.panels if p.marks is not None and p.marks.size), ""):
-            page.text(1 - 0.1 / size[0], 0.05 / size[1], label, color=HIGHLIGHT, fontsize=8, ha="right")
+        return _page(figure, interactive=interactive)
+
+
+def _page(figure: Figure, *, interactive: bool = False) -> Page:
+    boxes, size = _layout(figure)
+    notebook = interactive and "ipykernel" in sys.modules
+    pyplot = sys.modules.get("matplotlib.pyplot") if notebook else None
+    page: Page = pyplot.figure(figsize=size) if pyplot else Page(figsize=size)
+    for panel, (left, bottom, width, height) in zip(figure.panels, boxes, strict=True):
+        box = left / size[0], bottom / size[1], width / size[0], height / size[1]
+        ax = page.add_axes(box)
+        draw_panel(ax, panel)
+        # Else they are placed beside the numbers, all of which are measured for it at each drawing.
+        ax.xaxis.set_label_coords(0.5, -_Inches.X_LABEL / height)
+        ax.yaxis.set_label_coords(-_Inches.Y_LABEL / width, 0.5)
+        if panel.y2_label:
+            page.axes[-1].yaxis.set_label_coords(1 + _Inches.Y_LABEL / width, 0.5)
+        if len(figure.panels) > 1:
+            top = bottom + height + 0.06 + _head(panel, width)[1]
+            page.text(box[0], top / size[1], to_mathtext(panel.title), fontsize=11)
+        if not _labelled(panel):
+            ax.tick_params(labelleft=False)
+    if label := _marks_label(figure):
+        page.text(1 - 0.1 / size[0], 0.05 / size[1], label, color=HIGHLIGHT, fontsize=8, ha="right")
     return page
-
-
-def _thin_ticks(ax: Axes, height_in: float) -> None:
-    """Only as many numbers along y as the height of a flat panel has room for."""
-    low, high = sorted(ax.get_ylim())
-    ticks = [float(y) for y in ax.get_yticks() if low <= y <= high]
-    room = max(int(height_in / _TICK_ROOM_IN), 1)
-    if 1 < room < len(ticks):
-        ax.set_yticks([ticks[0], ticks[-1]])
-    elif room < len(ticks):
-        ax.set_yticks(ticks[-1:])
 
 
 def write(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
@@ -144,20 +136,20 @@ def write(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
     if kind == "png":
         path.write_bytes(png(figure, dpi=dpi))
         return
+    stamp: dict[str, Any] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
     with picture_style():
-        stamp: dict[str, Any] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
-        page = new_figure(figure)
-        page.savefig(path, format=kind, dpi=VECTOR_DPI if dpi is None else dpi, metadata=stamp)
+        page = _page(figure)
+        page.savefig(path, format=kind, dpi=300 if dpi is None else dpi, metadata=stamp)
 
 
 def png(figure: Figure, *, dpi: float | None = None) -> bytes:
     """The figure as PNG."""
     with picture_style():
-        page = new_figure(figure)
-        page.set_dpi(PNG_DPI if dpi is None else dpi)
+        page = _page(figure)
+        page.set_dpi(100 if dpi is None else dpi)
         canvas: Any = FigureCanvasAgg(page)
         canvas.draw()
-        pixels = cv2.cvtColor(np.asarray(canvas.buffer_rgba()), cv2.COLOR_RGBA2BGR)
+    pixels = cv2.cvtColor(np.asarray(canvas.buffer_rgba()), cv2.COLOR_RGBA2BGR)
     return cv2.imencode(".png", pixels, _PNG)[1].tobytes()
 
 
@@ -170,23 +162,30 @@ def picture_style() -> AbstractContextManager[None]:
 # --- one panel ----------------------------------------------------------------------------------------------
 
 
-def _draw_image(ax: Axes, image: Image, *, square: bool) -> None:
-    extent = (image.left, image.right, image.bottom, image.top)
-    # Grey values, which become colours where the page shows them: a quarter of the time of an RGB image.
-    look: dict[str, Any] = {"aspect": "equal" if square else "auto", "interpolation": "nearest"}
-    look |= {"cmap": _GREYS, "vmin": -0.5, "vmax": 255.5, "interpolation_stage": "data"}
+def _draw_image(ax: Axes, panel: Panel, image: Image) -> None:
     pixels = image.pixels if image.missing is None else np.ma.masked_array(image.pixels, image.missing)
-    ax.imshow(pixels, extent=extent, **look)
+    ax.imshow(
+        pixels,
+        extent=(image.left, image.right, image.bottom, image.top),
+        aspect="equal" if panel.square_pixels else "auto",
+        interpolation="nearest",
+        # Grey values, which become colours where the page shows them: a quarter of the time of an RGB image.
+        cmap=mpl.colormaps["gray"].with_extremes(bad=MISSING),
+        vmin=0,
+        vmax=255,
+        interpolation_stage="data",
+    )
 
 
 def _draw_scale(ax: Axes, text: str, *, below: bool) -> None:
-    """The grey scale in words: below a frame, which may be flat, beside the axis label, at the end of the
-    panel's room, since a frame may be narrow; else in the corner of the image."""
+    """The grey scale in words: below a frame, which may be flat, at the end of the panel's room, since it may
+    be narrow; else in the corner of the image."""
     look: dict[str, Any] = {"ha": "right", "fontsize": 6.5}
     if below and (page := ax.get_figure(root=True)) is not None:
         room = blended_transform_factory(page.transFigure, ax.transAxes)
         end = (ax.get_position(original=True).x1, 0.0)
-        place: dict[str, Any] = {"xytext": (0, -SCALE_POINTS), "textcoords": "offset points", "va": "top"}
+        # 19 points are past the numbers of the axis
+        place: dict[str, Any] = {"xytext": (0, -19), "textcoords": "offset points", "va": "top"}
         ax.annotate(text, end, xycoords=room, color=QUIET[0], annotation_clip=False, **place, **look)
     else:
         box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8}
@@ -205,20 +204,34 @@ def _draw_bands(ax: Axes, panel: Panel) -> None:
 
 
 def _draw_sheets(ax: Axes, panel: Panel) -> None:
-    """Lines of many sheets, those of one side in one collection: three times as fast as one by one."""
-    dots = [series for series in panel.series if series.look == "both"]
+    """Lines of many sheets, those of one side in one collection: three times as fast as one by one.
+
+    Dots mark single positions, of which a line shows nothing, and every one where they are few.
+    """
+    casing: dict[str, Any] = {"colors": CASING, "alpha": 0.7}
     for dashed in (True, False):
         mine = [series for series in panel.series if series.dashed == dashed and np.isfinite(series.y).any()]
+        if not mine:
+            continue
         lines = [np.stack([s.y, s.x] if panel.time_down else [s.x, s.y], axis=1) for s in mine]
-        if lines:
-            look: dict[str, Any] = {"linewidths": mine[0].width, "linestyles": _DASHES if dashed else "-"}
-            if panel.image is not None:  # coloured lines are lost on white ridges without a dark edge
-                casing: dict[str, Any] = {"colors": CASING, "linewidths": mine[0].width + 0.9, "alpha": 0.7}
-                ax.add_collection(LineCollection(lines, **casing))
-            ax.add_collection(LineCollection(lines, colors=[s.ink[0] for s in mine], **look))
-    for series in dots:  # few points: a line alone would hide where they are
-        x, y = (series.y, series.x) if panel.time_down else (series.x, series.y)
-        ax.plot(x, y, ls="none", marker="o", ms=2.5, color=series.ink[0])
+        width = mine[0].width
+        if panel.image is not None:  # coloured lines are lost on white ridges without a dark edge
+            ax.add_collection(LineCollection(lines, linewidths=width + 0.9, **casing))
+        inks = [s.ink[0] for s in mine]
+        ax.add_collection(
+            LineCollection(lines, colors=inks, linewidths=width, linestyles=_DASHES if dashed else "-")
+        )
+    for series in panel.series:
+        dots = np.isfinite(series.y) if series.look == "both" else _single(series.y)
+        if dots.any():
+            x, y = (series.y, series.x) if panel.time_down else (series.x, series.y)
+            ax.plot(x[dots], y[dots], ls="none", marker="o", ms=2.5, color=series.ink[0])
+
+
+def _single(y: Floats) -> Bools:
+    """Values with none before or after them."""
+    known = np.r_[False, np.isfinite(y), False]
+    return np.asarray(known[1:-1] & ~known[:-2] & ~known[2:])
 
 
 def _draw_series(ax: Axes, series: Series) -> None:
@@ -227,7 +240,8 @@ def _draw_series(ax: Axes, series: Series) -> None:
         if series.look == "line":  # a spread about a curve
             ax.fill_between(at, series.low, series.high, color=colour, alpha=0.2, lw=0)
         else:
-            ax.vlines(at, series.low, series.high, color=colour, lw=0.9)
+            faint = at.size > _MANY_POINTS
+            ax.vlines(at, series.low, series.high, color=colour, lw=0.9, alpha=0.3 if faint else 1.0)
     if series.look == "steps":
         width = float(series.x[1] - series.x[0]) if len(series.x) > 1 else 1.0
         ax.bar(at, series.y, width, color=colour, alpha=0.5, ec=colour, label=series.label)
@@ -240,36 +254,41 @@ def _line_look(series: Series) -> dict[str, Any]:
         "color": series.ink[0],
         "lw": series.width,
         "ls": _DASHES if series.dashed else "-",
+        "zorder": 2.1 if series.dashed else 2.0,  # what is solid would hide it
     }
     if series.look in ("points", "both"):
         look |= {"marker": "o", "ms": 3.5, "mfc": "none" if series.hollow else series.ink[0], "mew": 0.9}
-    if series.look == "points":
-        look |= {"ls": "none", "ms": 5.5 if series.hollow else 3.0}  # a point within a ring shows both
+    if series.look == "points":  # a point within a ring shows both
+        ring = 5.5 if series.x.size <= _MANY_POINTS else 3.5
+        look |= {"ls": "none", "ms": ring if series.hollow else 3.0}
     return look
 
 
 def _draw_ticks(ax: Axes, groups: list[Series]) -> None:
     """Strokes at both ends of every tick, with as many numbers above as fit. The x range must be set."""
     low, high = ax.get_xlim()
-    letter = abs(high - low) / max(_width_in(ax), 0.1) * 0.075  # width of a digit in units of the axis
+    letter = abs(high - low) / max(_width_in(ax), 0.1) * _Inches.LETTER  # in units of the axis
     taken: list[tuple[float, float]] = []
     box = {"boxstyle": "round,pad=0.12", "fc": "white", "ec": "none", "alpha": 0.75}
+    place: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "bottom", "bbox": box}
+    step = max((label_step(s.x, _label_room(s, letter)) for s in groups), default=1)
     for series in groups:
         if series.low is None or series.high is None:
             continue
-        stroke = STROKE * (series.high - series.low)
-        ends = ((series.low, series.low + stroke), (series.high - stroke, series.high))
-        for start, stop in ends:
-            ax.vlines(series.x, start, stop, color=series.ink[0], lw=0.9)
-        room = letter * (0.8 + max((len(text) for text in series.text), default=1))
-        step = label_step(series.x, room)
+        stroke = 0.2 * (series.high - series.low)  # the ridge stays in view between the two
+        ax.vlines(series.x, series.low, series.low + stroke, color=series.ink[0], lw=0.9)
+        ax.vlines(series.x, series.high - stroke, series.high, color=series.ink[0], lw=0.9)
+        room = _label_room(series, letter)
         for x, y, text in zip(series.x, series.low, series.text, strict=True):
             span = (x - room / 2, x + room / 2)
-            if (int(text) - 1) % step or any(span[0] < b and a < span[1] for a, b in taken):
-                continue
-            taken.append(span)
-            place: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "bottom"}
-            ax.annotate(text, (x, y), (0, 3), fontsize=7, bbox=box, **place)
+            if (int(text) - 1) % step == 0 and not any(span[0] < b and a < span[1] for a, b in taken):
+                taken.append(span)
+                ax.annotate(text, (x, y), (0, 3), fontsize=7, **place)
+
+
+def _label_room(series: Series, letter: float) -> float:
+    """Width of the longest number and a gap."""
+    return letter * (0.8 + max((len(text) for text in series.text), default=1))
 
 
 def _draw_inset(ax: Axes, panel: Panel) -> None:
@@ -294,36 +313,21 @@ def label_step(x: Any, room: float) -> int:
 def _draw_arrows(ax: Axes, arrows: tuple[Arrow, ...]) -> None:
     for arrow in arrows:
         (x0, x1), (y0, y1) = arrow.x, arrow.y
-        head: dict[str, Any] = {
-            "arrowstyle": "<->" if arrow.double else "->",
-            "shrinkA": 0,
-            "shrinkB": 0,
-            "color": MODEL[0],
-            "lw": 1.1,
-        }
+        head = {"arrowstyle": "<->", "shrinkA": 0, "shrinkB": 0, "color": MODEL[0], "lw": 1.1}
         ax.annotate("", (x1, y1), (x0, y0), arrowprops=head)
-        upright = abs(x1 - x0) < 1e-9 * max(abs(x0), abs(x1), 1e-9)
-        look: dict[str, Any] = {"textcoords": "offset points", "fontsize": 10}
-        look |= {"ha": "left", "va": "center"} if upright else {"ha": "center", "va": "bottom"}
-        middle = ((x0 + x1) / 2, (y0 + y1) / 2)
-        ax.annotate(to_mathtext(arrow.label), middle, (5, 0) if upright else (0, 3), **look)
+        upright = x0 == x1
+        look: dict[str, Any] = {"ha": "left", "va": "center"} if upright else {"ha": "center", "va": "bottom"}
+        middle, beside = ((x0 + x1) / 2, (y0 + y1) / 2), (5, 0) if upright else (0, 3)
+        ax.annotate(to_mathtext(arrow.label), middle, beside, textcoords="offset points", **look)
 
 
-def _draw_marks(ax: Axes, marks: Any) -> None:
+def _draw_marks(ax: Axes, marks: Floats) -> None:
     """A pointer at both edges for each time and a thin line across; short ticks alone where they are many."""
     few = marks.size <= MOST_LINES
     look: dict[str, Any] = {"ms": 5, "mec": "white", "mew": 0.5} if few else {"ms": 9, "mew": 0.6}
+    look |= {"color": HIGHLIGHT, "transform": ax.get_yaxis_transform(), "clip_on": False, "zorder": 3}
     for edge, pointer in ((0.0, ">"), (1.0, "<")):
-        ax.plot(
-            np.full(marks.size, edge),
-            marks,
-            pointer if few else "_",
-            color=HIGHLIGHT,
-            transform=ax.get_yaxis_transform(),
-            clip_on=False,
-            zorder=3,
-            **look,
-        )
+        ax.plot(np.full(marks.size, edge), marks, pointer if few else "_", **look)
     if few:
         ax.hlines(marks, *ax.get_xlim(), color=HIGHLIGHT, lw=0.7, ls=(0, (4, 4)))
 
@@ -385,7 +389,7 @@ def _draw_legend(ax: Axes, panel: Panel) -> None:
 
 
 def _legend_entries(panel: Panel) -> list[tuple[Series | Band, str]]:
-    """What has a label; of sheets one entry a side, which names the tones. Nothing over an image."""
+    """What has a label; of sheets one entry per side, which names the tones. Nothing over an image."""
     if panel.image is not None or panel.empty:
         return []
     if not panel.switchable:
@@ -409,57 +413,64 @@ def _legend_handle(series: Series | Band, label: str) -> Any:
     return Line2D([], [], label=text, **_line_look(series) | {"lw": max(series.width, 1.2)})
 
 
+def _legend_width(entries: list[tuple[Series | Band, str]], columns: int) -> float:
+    """Width of the legend in so many columns, about, in inches."""
+    widths = [len(label) * _Inches.LETTER + _Inches.MARKER for _, label in entries]
+    return float(sum(part.max() for part in np.array_split(widths, columns)))
+
+
 def _legend_columns(entries: list[tuple[Series | Band, str]], width_in: float) -> int:
-    lengths = [len(label) * _LETTER + _MARKER for _, label in entries]
-    if sum(lengths) <= width_in:
-        return len(entries)
-    return int(np.clip(width_in // max(lengths), 1, len(entries)))
+    """As many columns as fit."""
+    fitting = (k for k in range(len(entries), 1, -1) if _legend_width(entries, k) <= width_in)
+    return next(fitting, 1)
 
 
-def _legend_rows(panel: Panel, width_in: float) -> int:
-    """Rows that the legend takes above a panel of this width."""
+def _head(panel: Panel, width_in: float) -> tuple[float, float]:
+    """Heights of the legend above a panel of several, and of that part of it that is below the title."""
     entries = _legend_entries(panel)
     if not entries:
-        return 0
-    return -(-len(entries) // _legend_columns(entries, width_in))
-
-
-def _one_row(panel: Panel, width_in: float) -> bool:
-    """Whether title and legend fit side by side."""
-    labels = [label for _, label in _legend_entries(panel)]
-    legend = sum(len(label) * _LETTER + _MARKER for label in labels)
-    return legend + 0.09 * max(map(len, panel.title.split("\n"))) < width_in
+        return 0.0, 0.0
+    columns = _legend_columns(entries, width_in)
+    height = _Inches.LEGEND_ROW * -(-len(entries) // columns)
+    title = 0.09 * max(map(len, panel.title.split("\n")))
+    beside = columns == len(entries) and _legend_width(entries, columns) + title < width_in
+    return height, 0.0 if beside else height
 
 
 # --- places -------------------------------------------------------------------------------------------------
 
+Box = tuple[float, float, float, float]
 
-def _layout(figure: Figure) -> tuple[list[tuple[float, float, float, float]], tuple[float, float]]:
-    """Left, bottom, width and height of every panel as fractions of the page, and the page in inches."""
+
+def _layout(figure: Figure) -> tuple[list[Box], tuple[float, float]]:
+    """Left, bottom, width and height of every panel, and the size of the page, in inches."""
     columns = min(figure.columns, len(figure.panels))
     grid = [figure.panels[k : k + columns] for k in range(0, len(figure.panels), columns)]
     across = [[row[c] for row in grid if c < len(row)] for c in range(columns)]
-    before = [_LEFT if any(map(_labelled, column)) else _INNER for column in across]
-    after = [_LEFT if any(panel.y2_label for panel in column) else _INNER for column in across]
+    before = [_Inches.SIDE if any(map(_labelled, column)) else _Inches.INNER for column in across]
+    after = [_Inches.SIDE if any(p.y2_label for p in column) else _Inches.INNER for column in across]
     width = (figure.width_in - sum(before) - sum(after)) / columns
-    several = len(figure.panels) > 1
-    heights = [
-        float(np.clip(width * max(panel.aspect for panel in row), _LEAST_HEIGHT, _MOST_HEIGHT))
-        for row in grid
-    ]
-    tops = [_TOP + max(_head(panel, width, several) for panel in row) for row in grid]
-    bottom = _BOTTOM + (0.2 if any(panel.marks_label for panel in figure.panels) else 0)
-    total = sum(heights) + sum(tops) + bottom * len(grid)
-    boxes, y = [], total
-    for row, height, top in zip(grid, heights, tops, strict=True):
-        y -= top + height
+    boxes, y = [], 0.0
+    for row in grid:
+        tallest = width * max(panel.aspect for panel in row)
+        height = float(np.clip(tallest, _Inches.LEAST_HEIGHT, _Inches.MOST_HEIGHT))
+        y -= _Inches.TOP + max(_top(figure, panel, width) for panel in row) + height
         x = 0.0
-        for column, _ in enumerate(row):
+        for column in range(len(row)):
             x += before[column]
-            boxes.append((x / figure.width_in, y / total, width / figure.width_in, height / total))
+            boxes.append((x, y, width, height))
             x += width + after[column]
-        y -= bottom
-    return boxes, (figure.width_in, total)
+        y -= _Inches.BOTTOM
+    total = (_Inches.FOOT if _marks_label(figure) else 0.0) - y
+    return [(x, y + total, width, height) for x, y, width, height in boxes], (figure.width_in, total)
+
+
+def _top(figure: Figure, panel: Panel, width_in: float) -> float:
+    """Height of title and legend above a panel."""
+    legend, below = _head(panel, width_in)
+    if len(figure.panels) == 1:
+        return legend
+    return max(_Inches.TITLE * (1 + panel.title.count("\n")) + below, legend)
 
 
 def _labelled(panel: Panel) -> bool:
@@ -467,13 +478,8 @@ def _labelled(panel: Panel) -> bool:
     return bool(panel.x_label if panel.time_down else panel.y_label)
 
 
-def _head(panel: Panel, width_in: float, several: bool) -> float:
-    """Height of title and legend above a panel."""
-    legend = _LEGEND * _legend_rows(panel, width_in)
-    if not several:
-        return legend
-    title = _TITLE * (1 + panel.title.count("\n"))
-    return max(title, legend) if _one_row(panel, width_in) else title + legend
+def _marks_label(figure: Figure) -> str:
+    return next((p.marks_label for p in figure.panels if p.marks is not None and p.marks.size), "")
 
 
 def _width_in(ax: Axes) -> float:

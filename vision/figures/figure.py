@@ -109,12 +109,11 @@ class Band:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arrow:
-    """A length between two points, with a head at both ends (`double`) or at the second."""
+    """A length between two points, with a head at both ends."""
 
     x: Range
     y: Range
     label: str
-    double: bool = True
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -28,19 +28,11 @@ from vision.force import good_samples
 from vision.models import ModelFits, equations
 from vision.numeric import Floats
 
-BINS = 4000  # of F(d)
+SHOWN_STICKS = 5  # from first to last, and of the early and of the late part of a test
 MOST_SAMPLES = 30_000  # of force or opening on the clocks' axis
-SHOWN_STICKS = 5
-DOTS = 12  # that mark the part of a stick over which K is taken
-FIRST_STICKS = 10  # that the page shows of the clocks at first
-ZOOMED_EVENTS = 6  # of the overview's second panel
-INSET_POINTS = 4000
-INSET_STICKS = 5  # shown of the early and of the late part of the test
-EARLY, LATE = 0.1, 0.85  # of the events: where the insets of F(d) are taken
 CURVE_POINTS = 300
 SAME_SLIP = 0.25  # of the time from slip to slip: farther apart, two slips are not the same one
 SHOWN_FLAGS = frozenset({"ok", "slow", "negative", "oscillation", "cycles"})  # measured whole
-SAMPLES_AFTER_SLIP = 2  # of the next stick, so that the slip is shown to its end
 
 
 def force_figure(
@@ -54,7 +46,7 @@ def force_figure(
     good = good_samples(force)
     d, time = good["d_mm"].to_numpy(), good["time_s"].to_numpy()
     known = bool(np.isfinite(d).any())
-    x, y = minmax_by_x(d if known else time, good["load_N"].to_numpy(), bins=BINS)
+    x, y = minmax_by_x(d if known else time, good["load_N"].to_numpy(), bins=4000)
     series = [Series(label="F", x=x, y=y, ink=QUIET, width=0.8)]
     if sticks is not None and len(sticks):
         at_p, at_v = ("d_p_mm", "d_v_mm") if known else ("t_p_s", "t_v_s")
@@ -188,11 +180,11 @@ def _agreement(clock: Clock) -> str:
 
 
 def _some_sticks(t_video: Floats, sticks: pd.DataFrame | None) -> Range | None:
-    """A few sticks in the middle of the video; None where it is no longer than that."""
+    """Ten sticks in the middle of the video; None where it is no longer than that."""
     if sticks is None or len(sticks) < 2:
         return None
     middle, period = float(np.median(t_video)), float(np.median(np.diff(sticks["t_p_s"])))
-    start, stop = middle - FIRST_STICKS / 2 * period, middle + FIRST_STICKS / 2 * period
+    start, stop = middle - 5 * period, middle + 5 * period
     return (start, stop) if start > t_video[0] and stop < t_video[-1] else None
 
 
@@ -208,7 +200,7 @@ def sticks_figure(force: xr.Dataset, sticks: pd.DataFrame) -> Figure:
         chosen[name].to_numpy(float) for name in ("t_v_s", "t_p_s", "slip_time_s", "d_v_mm", "F_v_N")
     )
     first = np.searchsorted(time, t_v)
-    last = np.searchsorted(time, t_p + slip, side="right") + SAMPLES_AFTER_SLIP
+    last = np.searchsorted(time, t_p + slip, side="right") + 2  # so that the slip is seen to its end
     series = tuple(
         Series(
             label=f"d_v = {d_v[k]:.2f} mm",
@@ -247,11 +239,11 @@ def sticks_figure(force: xr.Dataset, sticks: pd.DataFrame) -> Figure:
 
 
 def _central_parts(chosen: pd.DataFrame, curves: tuple[Series, ...], part: float) -> tuple[Series, ...]:
-    """The samples over which K is taken, thinned to some dots a stick."""
+    """The samples over which K is taken, thinned to a dozen per stick."""
     dots: list[Series] = []
     for length, curve in zip(chosen["stick_length_um"].to_numpy(float), curves, strict=True):
         inside = np.flatnonzero(np.abs(curve.x - length / 2) <= part * length / 2)
-        inside = inside[:: max(1, inside.size // DOTS)]
+        inside = inside[:: max(1, inside.size // 12)]
         if inside.size:
             label = "" if dots else "K is taken here"
             dots.append(Series.points(label, curve.x[inside], curve.y[inside], curve.ink))
@@ -386,9 +378,9 @@ def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFi
 
 
 def _zoom(force: xr.Dataset, sticks: pd.DataFrame) -> Panel:
-    """F(t) of a few events in the middle of the test, with their valleys, peaks and the lines between."""
-    start = max(len(sticks) // 2 - ZOOMED_EVENTS // 2, 0)
-    some = sticks.iloc[start : start + ZOOMED_EVENTS]
+    """F(t) of six events in the middle of the test, with their valleys, peaks and the lines between."""
+    start = max(len(sticks) // 2 - 3, 0)
+    some = sticks.iloc[start : start + 6]
     t_v, t_p, f_v, f_p = (some[name].to_numpy(float) for name in ("t_v_s", "t_p_s", "F_v_N", "F_p_N"))
     title = "A few sticks, with the lines from valley to peak"
     if lowpass_s := StickMetadata.of(sticks).lowpass_s:
@@ -399,9 +391,7 @@ def _zoom(force: xr.Dataset, sticks: pd.DataFrame) -> Panel:
         good = good_samples(force)
         time = good["time_s"].to_numpy()
         near = (time > t_v[0] - margin) & (time < t_p[-1] + margin)
-        at, load = minmax_decimate(
-            time[near], good["load_N"].to_numpy()[near][:, None], most=CURVE_POINTS * 10
-        )
+        at, load = minmax_decimate(time[near], good["load_N"].to_numpy()[near][:, None], most=3000)
         gap = np.full(len(some), np.nan)
         lines_t, lines_f = (np.stack(parts, axis=1).ravel() for parts in ((t_v, t_p, t_p), (f_v, f_p, gap)))
         series = (
@@ -423,10 +413,14 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
     """F(d) of the whole test, its initial elastic rise, and some early and late stick-slip events."""
     whole = force_figure(force, sticks, fits).panel
     usable = sticks[sticks["d_v_mm"].notna()]
-    first, last = int(EARLY * len(usable)), int(LATE * len(usable))
-    panels = [replace(whole, title="Whole test", aspect=0.6), _initial_rise(force, usable)]
-    for start, title in ((first, "Early stick-slip events"), (last, "Late stick-slip events")):
-        panels.append(_some_events(force, usable.iloc[start : start + INSET_STICKS], title))
+    rise = float(usable["t_p_s"].iloc[0]) if len(usable) else np.inf  # to the first slip
+    panels = [
+        replace(whole, title="Whole test", aspect=0.6),
+        _part(force, (-np.inf, rise), (), "Initial response"),
+    ]
+    for share, title in ((0.1, "Early stick-slip events"), (0.85, "Late stick-slip events")):
+        start = int(share * len(usable))
+        panels.append(_some_events(force, usable.iloc[start : start + SHOWN_STICKS], title))
     return Figure(
         name="force_insets",
         title="Traction force and stages of the test",
@@ -438,12 +432,6 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
         columns=2,
         width_in=13.0,
     )
-
-
-def _initial_rise(force: xr.Dataset, sticks: pd.DataFrame) -> Panel:
-    """From the first sample to a little beyond the first slip."""
-    end = float(sticks["t_p_s"].iloc[0]) if len(sticks) else np.inf
-    return _part(force, (-np.inf, end), (), "Initial response")
 
 
 def _some_events(force: xr.Dataset, some: pd.DataFrame, title: str) -> Panel:
@@ -461,7 +449,7 @@ def _part(force: xr.Dataset, time_s: Range, series: tuple[Series, ...], title: s
     good = good_samples(force)
     keep = (good["time_s"].to_numpy() >= time_s[0]) & (good["time_s"].to_numpy() <= time_s[1])
     d = np.maximum.accumulate(good["d_mm"].to_numpy()[keep])  # recorded in steps, which may fall back by one
-    at, load = minmax_decimate(d, good["load_N"].to_numpy()[keep, None], most=INSET_POINTS)
+    at, load = minmax_decimate(d, good["load_N"].to_numpy()[keep, None], most=4000)
     return Panel(
         title=title,
         x_label="d (mm)",
@@ -498,8 +486,7 @@ def _whole(sticks: pd.DataFrame) -> pd.DataFrame:
 
 def _spread(sticks: pd.DataFrame) -> pd.DataFrame:
     """A few events without a flag from that of the largest peaks, where the build-up is over, to the last."""
-    usable = _whole(sticks)
-    usable = usable[usable["d_v_mm"].notna()]
+    usable = _whole(sticks).dropna(subset="d_v_mm")
     if usable.empty:
         return usable
     top = int(usable["F_p_N"].rolling(7, center=True, min_periods=1).median().to_numpy(float).argmax())

@@ -1,28 +1,30 @@
-"""Figures of x(n, t): displacement from one origin, deformation, noise and pixel locking."""
+"""Figures of x(n, t): displacement from one origin, noise, pixel locking, deformation, the stiff shell."""
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
+from vision.clock import Clock
+from vision.deformation import stick_displacement
 from vision.figures.decimate import minmax_decimate
 from vision.figures.figure import Band, Figure, Ink, Panel, Series
 from vision.figures.labels import displacement_unit, from_zero, time_axis
-from vision.figures.style import DATA, MODEL, PEAK, VALLEY, sheet_inks
+from vision.figures.style import DATA, MODEL, PEAK, VALLEY, ordered_inks, sheet_inks
+from vision.models import ModelFits
 from vision.numeric import Bools, Floats, Ints, nan_median
 
 MOST_POINTS = 1600  # of one sheet
-MOST_POSITIONS = 150_000  # of all sheets together
-FEW_FRAMES = 60  # of which every position is shown as a dot
 BINS = 20  # of a pixel
 ORIGIN_FRAMES = 20
 """Frames whose median is the origin: the noise of an origin is a quarter of that of a position. More would
 reach into the motion of the first stick."""
-MOST_SHEETS = 0.9
-"""Share of the sheets that a stretch must show. More would wait for sheets that come into view late, while
-the others already move; fewer would place many sheets by their neighbours."""
+LEAST_SHARE = 0.9
+"""Share of the sheets that the stretch for the origin must show. More would wait for sheets that come into
+view late, while the others already move; fewer would place many sheets by their neighbours."""
 LEAST_FOUND = 0.95
 """Share of the frames in which a sheet must have a position to count in a mean over sheets: a sheet that
 comes and goes would shift the mean, a mean over too few sheets is noisier."""
@@ -62,7 +64,7 @@ def tracks_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> 
 
 
 def outer_inner_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Figure | None:
-    """Deformation alone: the outer third of a side's sheets less the inner third; None for few sheets."""
+    """Deformation alone: the outer third of each side's sheets less the inner third; None for few."""
     scale, unit = displacement_unit(pixel_size_um)
     curves = outer_less_inner_px(tracks)
     if not curves:
@@ -79,7 +81,8 @@ def outer_inner_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None
             dashed=which < 0,
             width=1.0,
         )
-        for which, column in zip(curves, y.T, strict=True)
+        # the right one first: the left one is dashed and lies on it
+        for which, column in sorted(zip(curves, y.T, strict=True), key=lambda curve: -curve[0])
     )
     panel = Panel(
         title="Outer less inner sheets",
@@ -92,7 +95,7 @@ def outer_inner_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None
     return Figure.of(
         "outer_inner",
         panel,
-        "Mean outward displacement of the outer third of the sheets of a side less that of its inner third: "
+        "Mean outward displacement of the outer third of each side's sheets less that of its inner third: "
         "motion of the camera and of the sample as a whole drops out, deformation is left. Empty where a "
         "sheet that is otherwise there has no position.",
     )
@@ -182,7 +185,7 @@ def _density_modulo_one(x_px: Floats) -> tuple[Floats, float]:
 
 def decimated_tracks(tracks: xr.Dataset) -> tuple[Floats, Floats]:
     """Time and positions (points, sheet) in px, few enough for a page."""
-    each = min(MOST_POINTS, max(200, MOST_POSITIONS // max(1, tracks.sizes["sheet"])))
+    each = min(MOST_POINTS, max(200, 150_000 // max(1, tracks.sizes["sheet"])))
     return minmax_decimate(time_axis(tracks)[0], tracks["x_px"].values, most=each)
 
 
@@ -198,7 +201,7 @@ def sheet_series(
 ) -> tuple[Series, ...]:
     """One curve a sheet, left ones dashed. at (points,); y (points, sheet), in the order of the tracks."""
     sides, numbers = tracks["side"].values, tracks["n"].values
-    look: Literal["both", "line"] = "both" if len(at) <= FEW_FRAMES else "line"
+    look: Literal["both", "line"] = "both" if len(at) <= 60 else "line"
     return tuple(
         Series(
             label=f"{'left' if side < 0 else 'right'} {n}",
@@ -211,6 +214,132 @@ def sheet_series(
             sheet=(int(side), int(n)),
         )
         for side, n, ink, column in zip(sides, numbers, inks, y.T, strict=True)
+    )
+
+
+# --- deformation --------------------------------------------------------------------------------------------
+
+
+def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event: int | None = None) -> Figure:
+    """Displacement of all sheets over one stick phase; by default over the one with most frames.
+
+    Raises: InputError for an event that is not in `motion`, what `horizontal_deformation` returned.
+    """
+    if event is None:
+        event = int(motion["event"].values[int(np.argmax(motion["frames"].to_numpy().sum(axis=1)))])
+    moved = stick_displacement(tracks, motion, clock, event=event)
+    stick = motion.sel(event=event)
+    series = sheet_series(tracks, moved["since_s"].to_numpy(), moved.to_numpy(), inks=sheet_inks(tracks))
+    panel = Panel(x_label="t − t_v (s)", y_label="δx (µm)", series=series)
+    return Figure.of(
+        "stick",
+        panel,
+        "Displacement δx = x − x̂ of every sheet while the force rises from valley to peak, x̂ its mean over "
+        f"the stick; positive to the right. Stick length Λ_st = {float(stick['stick_length_um']):.1f} µm. As "
+        "measured: noise and camera movement are in it. Left sheets dashed; the tone changes steadily "
+        "outwards.",
+        title=f"One stick phase: event {event}, d = {float(stick['d_v_mm']):.2f} mm",
+    )
+
+
+def deformation_figure(motion: xr.Dataset, *, threshold: float = 0.1) -> Figure:
+    """σ_x over stick length against the sheet's number for a few separations, with standard errors."""
+    return Figure.of(
+        "deformation",
+        _ratio_panel(_ratios(motion), threshold),
+        "σ_x/Λ_st: RMS displacement over a stick, without camera noise and common-mode motion, over the "
+        "length of the stick, with standard errors; sticks spread over the video, later ones brighter, every "
+        f"other one hollow. Shaded: below {threshold:g}, where a sheet counts as stiff.",
+        title="Horizontal deformation against sheet number",
+    )
+
+
+def _ratio_panel(series: tuple[Series, ...], threshold: float) -> Panel:
+    """Axes of σ_x/Λ_st against the sheet's number, with the range of stiff sheets."""
+    return Panel(
+        x_label="side · n (left negative)",
+        y_label="σ_x / Λ_st",
+        series=series,
+        bands=(Band(low=0.0, high=threshold, label=f"stiff (below {threshold:g})"),),
+        whole_numbers=True,
+    )
+
+
+def _ratios(motion: xr.Dataset) -> tuple[Series, ...]:
+    """The ratio of a few sticks from first to last, with standard errors."""
+    chosen = np.flatnonzero(np.isfinite(motion["ratio"].to_numpy()).any(axis=1))
+    if chosen.size:
+        chosen = chosen[np.unique(np.linspace(0, chosen.size - 1, 5).astype(int))]
+    numbers, order = signed_number(motion)
+    series = []
+    for k, (ink, place) in enumerate(zip(ordered_inks(chosen.size), chosen, strict=True)):
+        stick = motion.isel(event=place, sheet=order)
+        value, error = stick["ratio"].to_numpy(), stick["ratio_err"].to_numpy()
+        look: dict[str, Any] = {"look": "both", "hollow": k % 2 == 1, "width": 1.0}
+        look |= {"low": np.maximum(value - error, 0), "high": value + error}
+        label = f"d_v = {float(stick['d_v_mm']):.2f} mm"
+        series.append(Series(label=label, x=numbers, y=value, ink=ink, **look))
+    return tuple(series)
+
+
+def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = 0.1) -> Figure | None:
+    """σ_x/Λ_st against the sheet's number, each curve the mean of about a dozen sticks; None without any."""
+    known = np.flatnonzero(np.isfinite(motion["ratio"].to_numpy()).any(axis=1))
+    if not known.size:
+        return None
+    each = min(12, known.size)
+    starts = np.unique(np.linspace(0, known.size - each, min(known.size // each, 5)).astype(int))
+    numbers, order = signed_number(motion)
+    d_v = motion["d_v_mm"].to_numpy()
+    series = []
+    for ink, start in zip(ordered_inks(len(starts)), starts, strict=True):
+        places = known[start : start + each]
+        part = motion["ratio"].isel(event=places, sheet=order)
+        value, spread = part.mean("event").to_numpy(), part.std("event", ddof=1).fillna(0).to_numpy()
+        label, low, high = f"d_v = {d_v[places].mean():.2f} mm", np.maximum(value - spread, 0), value + spread
+        series.append(Series(label=label, x=numbers, y=value, low=low, high=high, ink=ink, width=1.4))
+    return Figure.of(
+        "mean_deformation",
+        _ratio_panel(tuple(series), threshold),
+        f"σ_x/Λ_st of every sheet: mean over {each} stick phases around each separation d_v (the mean of "
+        "theirs), shaded by the standard deviation from stick to stick. Shaded range: below "
+        f"{threshold:g}, where a sheet counts as stiff.",
+        title="Horizontal deformation, means over sticks",
+        width_in=8.0,
+    )
+
+
+def shells_figure(shells: pd.DataFrame, fits: ModelFits | None = None) -> Figure:
+    """Number of stiff sheets per side against d, with its interval, and M_eff of the force."""
+    known = shells[shells["stiff_sheets"].notna()].sort_values("d_v_mm")
+    steps = np.diff(np.unique(known["d_v_mm"].to_numpy(float)))
+    beside = 0.12 * float(np.median(steps)) if steps.size else 0.0
+    series = []
+    for side, name, ink in ((-1, "left", DATA), (1, "right", PEAK)):
+        mine = known[known["side"] == side]
+        if mine.empty:
+            continue
+        look: dict[str, Any] = {"hollow": side < 0, "shift": side * beside}
+        look |= {end: mine[f"stiff_{end}"].to_numpy(float) for end in ("low", "high")}
+        series.append(Series.points(f"{name} side", mine["d_v_mm"], mine["stiff_sheets"], ink, **look))
+    model = ""
+    if fits is not None and not known.empty:
+        d = np.linspace(float(known["d_v_mm"].min()), float(known["d_v_mm"].max()), 300)
+        series.append(Series.model("M_eff (force)", d, fits.effective_sheets(d), MODEL))
+        model = " Dashed: M_eff = M √(1 − d̂), which the stiffness of the force recording implies on its own."
+    panel = Panel(
+        x_label="d_v (mm)",
+        y_label="stiff sheets per side",
+        y_range=(0.0, 1.15 * float(known["stiff_high"].max()) + 1) if len(known) else None,
+        series=tuple(series),
+    )
+    return Figure.of(
+        "shells",
+        panel,
+        "Sheets per side, from the centre, whose σ_x/Λ_st is below the threshold, one point a stick and side "
+        "(left hollow and drawn a little to the left, right filled and to the right), with the interval that "
+        f"the errors allow.{model}",
+        title="Size of the stiff shell",
     )
 
 
@@ -265,7 +394,7 @@ def _first_stretch(known: Bools) -> tuple[int, int]:
     if whole.max() == 0:
         start = int(known.any(axis=1).argmax())
         return start, min(start + length, frames)
-    start = int((whole >= MOST_SHEETS * whole.max()).argmax())
+    start = int((whole >= LEAST_SHARE * whole.max()).argmax())
     return start, start + length
 
 
@@ -302,7 +431,7 @@ def outer_less_inner_px(tracks: xr.Dataset) -> dict[int, Floats]:
     """Outward displacement of the outer third of the sheets less that of the inner third, by side, px.
 
     Motion of the camera and of the whole sample is in both thirds and drops out; what is left is deformation.
-    A side with fewer than three sheets is left out.
+    Sides with fewer than three sheets are left out.
     """
     n, side = np.asarray(tracks["n"].values), np.asarray(tracks["side"].values)
     curves = {}

@@ -24,10 +24,7 @@ from vision.models.modulus import CyclesMetadata, clamp_distance, mean_over_cycl
 from vision.numeric import Floats
 from vision.sample import Sample
 
-MOST_POINTS = 3000
-LEAST_ANGLE_DEG = 0.01  # left end of the logarithmic axis
-CURVE_POINTS = 200
-BESIDE = 0.05  # of a cycle: how far the two moduli stand apart, each way
+MOST_POINTS = 3000  # of a curve
 
 
 def friction_figure(
@@ -71,12 +68,13 @@ def friction_figure(
 def _angle_panel(
     measured: Sequence[DiscFriction], curves: Sequence[pd.DataFrame], dynamic_deg: tuple[float, float]
 ) -> Panel:
+    least_deg = 0.01  # left end of the logarithmic axis
     order = np.argsort([one.N_N for one in measured])
     series: list[Series] = []
     top = 0.0
     for k, ink in zip(order, ordered_inks(len(order)), strict=True):
         one, curve = measured[k], curves[k]
-        angle = np.maximum(curve["angle_deg"].to_numpy(float), LEAST_ANGLE_DEG)
+        angle = np.maximum(curve["angle_deg"].to_numpy(float), least_deg)
         at, height = minmax_decimate(angle, curve["mu"].to_numpy(float)[:, None], most=MOST_POINTS)
         series.append(Series(label=f"{one.N_N:.3g} N", x=at, y=height[:, 0], ink=ink, width=0.9))
         if np.isfinite(one.mu_s):
@@ -89,7 +87,7 @@ def _angle_panel(
         y_label="μ = 3τ / 2RN",
         series=tuple(series),
         bands=(Band(low=dynamic_deg[0], high=dynamic_deg[1], label="dynamic range", of_x=True),),
-        x_range=(LEAST_ANGLE_DEG, max(last, 10 * LEAST_ANGLE_DEG)),
+        x_range=(least_deg, max(last, 10 * least_deg)),
         y_range=(0.0, 1.15 * top) if top else None,
         x_log=True,
         aspect=0.9,
@@ -103,7 +101,7 @@ def _coefficient_panel(measured: Sequence[DiscFriction], law: StaticFriction | N
         Series.points("μ static", load, table["mu_s"], PEAK, table["mu_s_err"]),
         Series.points("μ dynamic", load, table["mu_d"], DATA, table["mu_d_err"], hollow=True),
     ]
-    at = np.geomspace(0.7 * load.min(), 1.3 * load.max(), CURVE_POINTS)
+    at = np.geomspace(0.7 * load.min(), 1.3 * load.max(), 200)
     if law is not None:
         series.append(Series(label="a(1 + b/N)", x=at, y=law.mu_s(at), ink=MODEL))
     constant = np.full(2, mu)
@@ -236,7 +234,7 @@ def _moduli(cycles: pd.DataFrame) -> Panel:
     number = cycles["cycle"].to_numpy(float)
     series: list[Series] = []
     ends = np.array([number.min() - 0.3, number.max() + 0.3])
-    drawn = (("Y_p", PEAK, False, -BESIDE, "|F0|/(εW)"), ("Y_slope", VALLEY, True, BESIDE, "kL/(εW)"))
+    drawn = (("Y_p", PEAK, False, -0.05, "|F0|/(εW)"), ("Y_slope", VALLEY, True, 0.05, "kL/(εW)"))
     for name, ink, hollow, shift, label in drawn:
         value, error = (cycles[f"{name}{part}_GPa"].to_numpy(float) for part in ("", "_err"))
         mean = mean_over_cycles(cycles, f"{name}_GPa")

@@ -33,12 +33,10 @@ _VIRIDIS = ("#440154", "#3b528b", "#21918c", "#5ec962", "#fde725")
 def sheet_inks(tracks: xr.Dataset) -> list[Ink]:
     """One colour a sheet, strongest at the centre on either background."""
     side, n = tracks["side"].values, tracks["n"].values
-    outward = (n - 1) / max(1, int(n.max(initial=1)) - 1)
-    left, right = (
-        [_along(colours, outward) for colours in both] for both in (_BLUES, _ORANGES)
-    )  # fmt: skip
-    chosen = [left if s < 0 else right for s in side]
-    return [(light[k], dark[k]) for k, (light, dark) in enumerate(chosen)]
+    most = int(n.max(initial=1))
+    outward = (n - 1) / (most - 1) if most > 1 else np.full(n.shape, 2 / 3)
+    tones = {s: [_along(tone, outward) for tone in (_BLUES if s < 0 else _ORANGES)] for s in (-1, 1)}
+    return [(tones[s][0][k], tones[s][1][k]) for k, s in enumerate(np.where(side < 0, -1, 1).tolist())]
 
 
 def ordered_inks(count: int) -> list[Ink]:

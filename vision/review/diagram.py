@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.figures.decimate import grey_levels
+from vision.figures.decimate import grey_levels, grey_limits
 from vision.numeric import Floats32
 from vision.review.positions import Positions
 from vision.run.reading import AGAIN, stored_kymograph
@@ -209,12 +209,3 @@ def _extremes(values: Floats32, step: int, *, bright: bool) -> Floats32:
     if whole < len(values):
         out = np.concatenate([out, pick.reduce(values[whole:], axis=0)[None]])
     return np.asarray(out, np.float32)
-
-
-def grey_limits(sample: Floats32) -> tuple[float, float]:
-    """Black and white: all but the outermost grey values."""
-    known = sample[np.isfinite(sample)]
-    if not known.size:
-        return 0.0, 1.0
-    low, high = np.percentile(known, (0.5, 99.8))
-    return float(low), float(max(high, low + 1e-6))

@@ -12,10 +12,10 @@ import numpy as np
 import xarray as xr
 
 from vision.errors import InputError
-from vision.figures.decimate import grey_levels, minmax_decimate
+from vision.figures.decimate import grey_levels, grey_limits, minmax_decimate
 from vision.numeric import Floats, Pixels
 from vision.pipeline import Settings, open_force, open_recording
-from vision.review.diagram import Grey, grey_limits
+from vision.review.diagram import Grey
 from vision.review.stored import Found
 from vision.run.reading import input_of
 from vision.video import Video

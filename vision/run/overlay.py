@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from vision.data import StripMetadata
 from vision.errors import InputError
+from vision.figures.decimate import grey_limits
 from vision.figures.style import HIGHLIGHT, LEFT_ON_GREY, RIGHT_ON_GREY, rgb
 from vision.numeric import Floats, Ints, Pixels
 from vision.run.reading import RunFolder, input_of, tracks_of
@@ -133,12 +134,10 @@ class _Canvas:
         scale = min(1.0, 1920 / columns, 1080 / rows)  # no player shows more pixels
         if max(rows, columns) < 480:  # enlarged by a whole factor, or numbers would cover the picture
             scale = float(-(-480 // max(rows, columns)))
-        sample = [np.asarray(frame, np.float32) for frame in video.sample(8)]
-        known = np.concatenate([frame[np.isfinite(frame)] for frame in sample] or [np.zeros(1, np.float32)])
-        low, high = np.percentile(known, (0.5, 99.8)) if known.size else (0.0, 1.0)
+        low, high = grey_limits(*(np.asarray(frame, np.float32) for frame in video.sample(8)))
         picture = (max(2, round(rows * scale)), max(2, round(columns * scale)))
         x_px = np.asarray(tracks["x_px"].values, np.float64)
-        return cls(tracks, x_px, scale, picture, float(low), float(max(high, low + 1e-6)))
+        return cls(tracks, x_px, scale, picture, low, high)
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -11,6 +11,7 @@ import tifffile
 import xarray as xr
 
 from vision.errors import InputError
+from vision.figures.decimate import grey_limits
 from vision.numeric import Floats
 
 IMAGEJ_BYTES = (1 << 32) - (1 << 20)  # ImageJ's own TIFF ends at 4 GiB
@@ -117,8 +118,7 @@ def _levels(diagram: xr.DataArray) -> tuple[float, float]:
 def _display(diagram: xr.DataArray, low: float, step: float) -> dict[str, float]:
     """The range Fiji shows at first: all but the outermost grey values."""
     sample = diagram.values[:: max(1, len(diagram) // 4096)]
-    known = sample[np.isfinite(sample)]
-    if not known.size:
+    if not np.isfinite(sample).any():
         return {}
-    dark, bright = np.percentile(known, (0.5, 99.5))
-    return {"min": (float(dark) - low) / step + 1, "max": (float(bright) - low) / step + 1}
+    dark, bright = grey_limits(sample)
+    return {"min": (dark - low) / step + 1, "max": (bright - low) / step + 1}

@@ -129,12 +129,13 @@
     c.save(); c.beginPath(); c.rect(box.left, box.top - above, box.width, box.height + above); c.clip();
     c.setLineDash([]);
     c.font = `${11 * r}px system-ui, sans-serif`; c.textAlign = "center"; c.textBaseline = "bottom";
-    const taken = [];
+    const taken = [], numbered = chart.series.filter((s) => s.text && s.text.length);
+    const step = Math.max(1, ...numbered.map((s) => labelStep(u, c, arrays[s.x], s.text)));
     chart.series.forEach((s, k) => {
       if (s.low === undefined || !u.series[k + 1].show) return;
       const xs = arrays[s.x], low = arrays[s.low], high = arrays[s.high], key = s.axis === "right" ? "y2" : "y";
       c.strokeStyle = chart.picture ? s.ink[1] : ink(s.ink); c.lineWidth = (s.text ? 1 : 1.3) * r;
-      const step = s.text ? labelStep(u, c, xs, s.text) : 0;
+      c.globalAlpha = s.text || xs.length <= 150 ? 1 : 0.3; /* the bars of many points would hide them */
       xs.forEach((x, i) => {
         if (low[i] == null || high[i] == null) return;
         const at = u.valToPos(x + s.shift, "x", true), y0 = u.valToPos(low[i], key, true), y1 = u.valToPos(high[i], key, true);
@@ -153,6 +154,12 @@
 
   /* ---- one chart ---- */
   const crowded = (s, chart) => { const a = chart.arrays[s.x]; return !a.v || a.v.length > 250; };
+  /* Values with none before or after them, of which a line shows nothing; null for none. */
+  function singles(u, k) {
+    const y = u.data[k], alone = [];
+    for (let i = 0; i < y.length; i++) if (y[i] != null && y[i - 1] == null && y[i + 1] == null) alone.push(i);
+    return alone.length ? alone : null;
+  }
   function seriesOf(s, chart) {
     const points = s.look === "points" || s.look === "both", line = ["line", "both"].includes(s.look);
     const colour = () => (chart.picture ? s.ink[1] : ink(s.ink));
@@ -161,6 +168,7 @@
       dash: s.dashed ? [5, 3] : undefined, spanGaps: !chart.commonX, value: (u, v) => short(v), pxAlign: 0,
       points: { show: points, size: (s.hollow ? 9 : 5) * (crowded(s, chart) ? 0.75 : 1), width: 1.3, stroke: colour, fill: s.hollow ? "transparent" : colour },
     };
+    if (s.look === "line" && chart.commonX) out.points.filter = singles;
     if (s.look === "steps") {
       out.paths = uPlot.paths.bars({ size: [1, Infinity], align: 0 });
       out.fill = () => ink(s.ink) + "80";

@@ -1,0 +1,533 @@
+"""What the camera saw: one frame, its profile I(x), and space-time diagrams with tracks and slips."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+
+from vision.clock import video_slips
+from vision.data import StripMetadata, TrackMetadata
+from vision.errors import InputError
+from vision.figures.decimate import grey_levels, grey_limits, time_rows
+from vision.figures.figure import Band, Figure, Image, Panel, Range, Series
+from vision.figures.labels import UM_PER_MM, displacement_unit, from_zero, position_unit, time_axis
+from vision.figures.positions import decimated_tracks, sheet_series
+from vision.figures.style import (
+    DATA,
+    LEFT_ON_GREY,
+    MODEL,
+    PEAK,
+    QUIET,
+    RIGHT_ON_GREY,
+    VALLEY,
+    sheet_inks,
+)
+from vision.numeric import Floats, Pixels, nan_median
+from vision.spacetime import space_time
+
+MOST_ROWS = 1200  # of an image
+SHOWN_SLIPS = 4  # of single sheets, as in the publication
+KYMOGRAPH_CAPTION = (
+    "Intensity I(x,t) averaged over the strip's rows, one frame below the other, time downwards. "
+    "Pale blue: not recorded."
+)
+
+
+def frame_figure(frame: Pixels, tracks: xr.Dataset) -> Figure:
+    """One whole frame with the averaged rows outlined, the sheets' numbers n and the symmetry axis.
+
+    A pixel is drawn square; only a frame too flat to show anything is stretched, and its title says so.
+    """
+    rows, columns = frame.shape
+    step = max(1, -(-rows // MOST_ROWS), -(-columns // (2 * MOST_ROWS)))
+    grey = np.asarray(frame, np.float32)[::step, ::step]
+    low, high = grey_limits(grey)
+    strip = StripMetadata.of(tracks)
+    z0, z1 = float(strip.strip_z0), float(strip.strip_z1)
+    axis_px = TrackMetadata.of(tracks).axis_px
+    # The numbers stand above the strip.
+    shown = min(-0.5, z0 - max(0.15 * rows, 0.02 * columns)), rows - 0.5
+    aspect, flattest = (shown[1] - shown[0]) / columns, 0.06
+    which = _which_frame(tracks)
+    stretched = f"; z stretched {flattest / aspect:.2g} times" if aspect < flattest else ""
+    panel = Panel(
+        title=f"{which}: averaged rows (outlined), sheet numbers n, symmetry axis (dashed){stretched}",
+        x_label="x (px)",
+        y_label="z (px)",
+        series=_numbered_strokes(tracks, z0, z1),
+        image=Image(
+            pixels=grey_levels(grey, low, high),
+            left=-0.5,
+            right=columns - 0.5,
+            top=-0.5,
+            bottom=rows - 0.5,
+            black=low,
+            white=high,
+        ),
+        bands=(Band(low=z0 - 0.5, high=z1 - 0.5, label="strip", outline=True),),
+        x_lines=(axis_px,) if np.isfinite(axis_px) else (),
+        x_range=(-0.5, columns - 0.5),
+        y_range=shown,
+        downwards=True,
+        aspect=float(np.clip(aspect, flattest, 1)),
+        square_pixels=aspect >= flattest,
+    )
+    return Figure.of(
+        "frame",
+        panel,
+        f"{which} of the recording. The outlined rows {z0:.0f} to {z1:.0f} (half-open) are averaged to the "
+        "profile I(x); vertical strokes mark the sheets that were found, with their number n counted "
+        "outwards from the symmetry axis (dashed).",
+        title="The frame, the strip and the numbered sheets",
+    )
+
+
+def _which_frame(tracks: xr.Dataset) -> str:
+    """Number and time of the frame that is shown, the first that is neither lost nor blank."""
+    first = 0
+    if "flag" in tracks:
+        first = int((~np.isin(tracks["flag"].values, ("lost", "blank", "corrupt"))).all(axis=1).argmax())
+    time = float(tracks["time_s"].values[first])
+    at = f" (t = {time:.4g} s)" if np.isfinite(time) else ""
+    return f"Frame {int(tracks['frame'].values[first])}{at}"
+
+
+def _numbered_strokes(tracks: xr.Dataset, z0: float, z1: float) -> tuple[Series, ...]:
+    """Vertical strokes from row z0 to z1 at every sheet seen, with n as text; one series per side."""
+    x_px = tracks["x_px"].values
+    seen = np.isfinite(x_px).any(axis=1)
+    x = np.asarray(x_px[int(np.argmax(seen))], np.float64)  # as in the frame shown: the first with any
+    known = np.flatnonzero(np.isfinite(x))
+    inks = sheet_inks(tracks)
+    side, n = tracks["side"].values, tracks["n"].values
+    return tuple(
+        Series(
+            label=f"sheets {name} of the axis",
+            x=x[mine],
+            y=np.full(len(mine), (z0 + z1) / 2 - 0.5),
+            low=np.full(len(mine), z0 - 0.5),
+            high=np.full(len(mine), z1 - 0.5),
+            text=tuple(str(k) for k in n[mine]),
+            ink=inks[mine[-1 if which > 0 else 0]],
+            look="ticks",
+        )
+        for which, name in ((-1, "left"), (1, "right"))
+        if len(mine := known[side[known] == which])
+    )
+
+
+# --- profiles -----------------------------------------------------------------------------------------------
+
+
+def preview_figure(
+    frame: Pixels, strip: xr.DataArray, tracks: xr.Dataset, *, pixel_size_um: float | None = None
+) -> Figure:
+    """One frame with strip and sheets, its profile I(x) with the positions, and the noise of every position.
+
+    Strip and tracks are those of a few consecutive frames, of which the frame is the first that is usable.
+    """
+    facts = StripMetadata.of(strip)
+    x = np.asarray(strip["x"].values, np.float64)
+    left, right = -0.5, frame.shape[1] - 0.5
+    first = int(np.argmax(np.isfinite(tracks["x_px"].values).any(axis=1)))
+    profile = np.asarray(strip.values[first], np.float64)
+    at = tracks["x_px"].values[first]
+    curve = Panel(
+        title=f"Profile I(x): mean of rows {facts.strip_z0} to {facts.strip_z1} of this frame",
+        x_label="x (px)",
+        y_label="grey level",
+        series=(
+            Series(label="I(x)", x=x, y=profile, ink=MODEL, width=0.8),
+            Series.points("sheets found", at, np.interp(at, x, profile), PEAK, hollow=True),
+        ),
+        x_range=(left, right),
+        aspect=0.2,
+    )
+    scale, unit = displacement_unit(pixel_size_um)
+    middle = np.asarray(tracks["x_mean_px"].values, np.float64)
+    predicted = nan_median(tracks["x_err_px"].values) * scale
+    measured = np.asarray(tracks["x_noise_px"].values, np.float64) * scale
+    noise = Panel(
+        title="Noise of one position of every sheet",
+        x_label="x (px)",
+        y_label=f"noise of x ({unit})",
+        series=(
+            Series.points("scatter between frames", middle, measured, DATA),
+            Series.points("stated error", middle, predicted, VALLEY, hollow=True),
+        ),
+        x_range=(left, right),
+        y_range=from_zero(predicted, measured),
+        aspect=0.2,
+        placeholder="no positions",
+    )
+    return Figure(
+        name="preview",
+        title="What would be measured",
+        caption=(
+            f"Above: frame {int(tracks['frame'].values[first])} with the averaged rows (outlined) and the "
+            "sheets' numbers. Middle: the mean of these rows with the positions found. Below: the standard "
+            "error stated for one position (hollow) and the scatter from frame to frame over "
+            f"{tracks.sizes['frame']} consecutive frames (filled)."
+        ),
+        panels=(frame_figure(frame, tracks).panel, curve, noise),
+        width_in=13.0,
+    )
+
+
+def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | None = None) -> Figure | None:
+    """I(x) of one frame with the positions, and one ridge at the start and end of a stick and after the slip.
+
+    Without two slips (times on the camera's clock, rising) only I(x) is shown.
+    """
+    x_px = np.asarray(tracks["x_px"].values, np.float64)
+    frames = _stick_frames(tracks, slips_s)
+    seen = np.flatnonzero(np.isfinite(x_px).any(axis=1))
+    if not seen.size:
+        return None
+    start = frames[0] if frames and frames[0] in seen else int(seen[0])
+    columns = np.asarray(strip["x"].values, np.float64)
+    values = np.asarray(strip.values[start], np.float64)
+    at = np.sort(x_px[start][np.isfinite(x_px[start])])
+    time, label = time_axis(tracks)
+    place = f"frame {time[start]:.4g}" if label == "frame" else f"t = {time[start]:.4g} s"
+    panels = [
+        Panel(
+            title=f"Profile at {place}",
+            x_label="x (px)",
+            y_label="I (grey levels)",
+            series=(
+                Series(label="I(x)", x=columns, y=values, ink=QUIET, width=0.9),
+                Series.points("x(n)", at, np.interp(at, columns, values), PEAK),
+            ),
+            aspect=0.35,
+        )
+    ]
+    sheet = _ridge_sheet(tracks, frames)
+    ridge = ""
+    if frames and sheet is not None:
+        panels.append(_ridge_panel(strip, tracks, frames, sheet))
+        ridge = (
+            " Right: one ridge at the beginning and at the end of a stick and after the slip; vertical lines "
+            "are its positions. It moves inwards during the stick and back in the slip."
+        )
+    return Figure(
+        name="intensity",
+        title="Intensity profile and one ridge in three frames",
+        caption="Intensity averaged over the strip's rows against the column, with the positions that were "
+        f"found.{ridge}",
+        panels=tuple(panels),
+        columns=len(panels),
+        width_in=13.0 if ridge else 8.0,
+    )
+
+
+def _stick_frames(tracks: xr.Dataset, slips_s: Floats | None) -> tuple[int, int, int] | None:
+    """First and last whole frame of the longest stick of the first ones, and the first after its slip."""
+    time, label = time_axis(tracks)
+    if slips_s is None or label == "frame" or time.size < 4:
+        return None
+    step = float(np.median(np.diff(time)))
+    slips = slips_s[(slips_s > time[0]) & (slips_s < time[-1] - 2 * step)]
+    if slips.size < 2:
+        return None
+    which = int(np.diff(slips[: SHOWN_SLIPS + 1]).argmax())
+    # a frame beside a slip may have it in its exposure
+    start = int(np.searchsorted(time, slips[which] + step))
+    end = int(np.searchsorted(time, slips[which + 1] - step)) - 1
+    after = int(np.searchsorted(time, slips[which + 1] + step))
+    return (start, end, after) if start < end < after < time.size else None
+
+
+def _ridge_sheet(tracks: xr.Dataset, frames: tuple[int, int, int] | None) -> int | None:
+    """The outermost sheet of the right side that has a position in all three frames."""
+    if frames is None:
+        return None
+    there = np.isfinite(tracks["x_px"].values[list(frames)]).all(axis=0)
+    rank = np.where(there, tracks["side"].values * tracks["n"].values, -np.inf)
+    return int(rank.argmax()) if there.any() else None
+
+
+def _ridge_panel(strip: xr.DataArray, tracks: xr.Dataset, frames: tuple[int, int, int], sheet: int) -> Panel:
+    columns = np.asarray(strip["x"].values, np.float64)
+    place = tracks["x_px"].values[list(frames), sheet]
+    pitch = TrackMetadata.of(tracks).pitch_px
+    near = np.flatnonzero(np.abs(columns - place.mean()) <= (0.9 * pitch if math.isfinite(pitch) else 20))
+    series: list[Series] = []
+    names = ("start of the stick", "end of the stick", "after the slip")
+    for name, ink, frame, at in zip(names, (DATA, PEAK, MODEL), frames, place, strict=True):
+        values = np.asarray(strip.values[frame, near], np.float64)
+        hollow = name == names[2]
+        series.append(Series(label=name, x=columns[near], y=values, ink=ink, look="both", hollow=hollow))
+        ends = np.array([values.min(), values.max()])
+        series.append(Series(label="", x=np.array([at, at]), y=ends, ink=ink, dashed=True, width=1.0))
+    side = "right" if int(tracks["side"].values[sheet]) > 0 else "left"
+    return Panel(
+        title=f"Sheet n = {int(tracks['n'].values[sheet])}, {side}",
+        x_label="x (px)",
+        y_label="I (grey levels)",
+        series=tuple(series),
+        aspect=0.35,
+    )
+
+
+# --- space-time diagrams ------------------------------------------------------------------------------------
+
+
+def slip_times(tracks: xr.Dataset | None, force_s: Floats | None = None) -> tuple[Floats | None, str]:
+    """Times of the slips on the camera's clock, s, and what they are from.
+
+    Those of the force where they are surely known on that clock (`force_s`), else the common outward steps of
+    the sheets; None where neither is known: with an axis that was only guessed from the sheets' places,
+    outward is not known.
+    """
+    if force_s is not None:
+        return np.sort(force_s), "the force"
+    if tracks is None:
+        return None, ""
+    found = TrackMetadata.of(tracks)
+    if found.axis_how == "geometry" and math.isnan(found.axis_low_px):
+        return None, ""
+    try:
+        return video_slips(tracks)["time_s"].to_numpy(float), "the sheets' common steps"
+    except InputError:  # too few frames, or none with a time: nothing to mark
+        return None, ""
+
+
+def space_time_figure(
+    strip: xr.DataArray,
+    tracks: xr.Dataset,
+    *,
+    pixel_size_um: float | None = None,
+    slips_s: Floats | None = None,
+    slips_from: str = "the force",
+) -> Figure:
+    """I(x, t), time downwards, with the tracks on it, and marks at the times of the slips.
+
+    Rows of the image are means of the frames that they stand for, in which a slip cannot be seen; the tracks
+    keep the minimum and maximum position of each interval.
+    """
+    scale, _ = position_unit(pixel_size_um, strip.sizes["x"])
+    at, x_px = decimated_tracks(tracks)
+    inks = [LEFT_ON_GREY if side < 0 else RIGHT_ON_GREY for side in tracks["side"].values]
+    panel = _diagram_panel(
+        strip,
+        pixel_size_um=pixel_size_um,
+        limits=grey_limits(strip.values),
+        series=tuple(
+            replace(series, dashed=False)  # dashes are lost in a narrow line with a dark edge
+            for series in sheet_series(tracks, at, x_px * scale, inks=inks, width=1.0)
+        ),
+        title="Space-time diagram with the tracks",
+        marks=slips_s,
+        marks_label=f"orange: slips, from {slips_from}",
+    )
+    panel = replace(panel, y_range=_comb_range(tracks, panel, scale))
+    rows = 1 if panel.image is None else len(panel.image.pixels)
+    averaged = strip.sizes["frame"] / rows
+    means = f" Each row is the mean of about {averaged:.0f} frames." if averaged > 1.5 else ""
+    count = 0 if panel.marks is None else panel.marks.size
+    marked = f" Orange ticks: {count} slips, from {slips_from}." if count else ""
+    return Figure.of(
+        "space_time",
+        panel,
+        "Intensity I(x,t) averaged over the strip's rows, one frame below the other, time downwards; the "
+        "lines are the positions x(n,t), left of the symmetry axis blue, right orange."
+        f"{means}{marked} kymograph.tif holds every frame.",
+    )
+
+
+def _comb_range(tracks: xr.Dataset, panel: Panel, scale: float) -> Range | None:
+    """The sheets and two pitches beside them, within the image."""
+    x = tracks["x_px"].values
+    if panel.image is None or not np.isfinite(x).any():
+        return panel.y_range
+    margin = 2 * TrackMetadata.of(tracks).pitch_px
+    margin = margin if np.isfinite(margin) else x.size
+    low, high = (np.nanmin(x) - margin) * scale, (np.nanmax(x) + margin) * scale
+    return max(panel.image.left, float(low)), min(panel.image.right, float(high))
+
+
+def kymograph_figure(
+    diagrams: Sequence[xr.DataArray],
+    *,
+    pixel_size_um: float | None = None,
+    slips_s: Floats | None = None,
+    slips_from: str = "the force",
+) -> Figure:
+    """Space-time diagrams side by side, with one time axis and one grey scale for all.
+
+    Parameters
+    ----------
+    diagrams
+        From `space_time`: the whole strip, or windows around sheets. The pixel size in their attributes is
+        used where they have one.
+    pixel_size_um
+        For diagrams without it.
+    slips_s
+        Times to mark, on the recording's clock, s.
+    slips_from
+        What the times were taken from, for the label.
+    """
+    limits = grey_limits(*(diagram.values for diagram in diagrams))
+    windows = "sheet" in diagrams[0].attrs
+    rows = max(len(diagram) for diagram in diagrams)
+    height = float(np.clip(rows / 75, 3, 8)) if windows else 6.5
+    width = 13.0 if not windows else 1.1 + 2.3 * len(diagrams)
+    panels = tuple(
+        _diagram_panel(
+            diagram,
+            pixel_size_um=diagram.attrs.get("pixel_size_um", pixel_size_um),
+            limits=limits,
+            title=_window_title(diagram, pixel_size_um),
+            marks=slips_s,
+            marks_label=f"orange: slips, from {slips_from}",
+            with_time=k == 0,
+            aspect=height / (2.1 if windows else 12),
+        )
+        for k, diagram in enumerate(diagrams)
+    )
+    return Figure(
+        name="kymograph",
+        title="Space-time diagrams",
+        caption=KYMOGRAPH_CAPTION,
+        panels=panels,
+        columns=len(panels),
+        width_in=width,
+    )
+
+
+def _diagram_panel(
+    diagram: xr.DataArray,
+    *,
+    pixel_size_um: float | None,
+    limits: Range,
+    series: tuple[Series, ...] = (),
+    title: str = "",
+    marks: Floats | None = None,
+    marks_label: str = "",
+    with_time: bool = True,
+    aspect: float = 0.5,
+) -> Panel:
+    """I(x, t) with time downwards; gaps in the frames' times stay gaps."""
+    time, time_label = time_axis(diagram)
+    edges_x, x_label = _columns(diagram, pixel_size_um)
+    thin = max(1, -(-diagram.shape[1] // (2 * MOST_ROWS)))
+    rows, edges = time_rows(np.asarray(diagram.values)[:, ::thin], time, most=MOST_ROWS)
+    missing = ~np.isfinite(rows)
+    if marks is not None:
+        marks = None if time_label == "frame" else marks[(marks >= edges[0]) & (marks <= edges[-1])]
+    return Panel(
+        title=title,
+        x_label=time_label if with_time else "",
+        y_label=x_label,
+        series=series,
+        image=Image(
+            pixels=grey_levels(rows, *limits),
+            left=float(edges_x[0]),
+            right=float(edges_x[-1]),
+            top=float(edges[0]),
+            bottom=float(edges[-1]),
+            missing=missing if missing.any() else None,
+            black=limits[0],
+            white=limits[1],
+        ),
+        marks=marks,
+        marks_label=marks_label if marks is not None and marks.size else "",
+        x_range=(float(edges[0]), float(edges[-1])),
+        y_range=(float(edges_x[0]), float(edges_x[-1])),
+        time_down=True,
+        aspect=aspect,
+    )
+
+
+def _columns(diagram: xr.DataArray, size: float | None) -> tuple[Floats, str]:
+    """Edges of the columns and their label: mm, or µm below 1 mm and in a window; px without a pixel size."""
+    x = np.asarray(diagram["x"].values, np.float64)
+    edges = np.append(x - 0.5, x[-1] + 0.5)
+    if "sheet" not in diagram.attrs:
+        scale, unit = position_unit(size, x.size)
+        return edges * scale, f"x ({unit})"
+    name = "x − x(n,t)"
+    if not diagram.attrs["follow"]:
+        edges, name = edges - diagram.attrs["centre_px"], "x − x₀"
+    scale, unit = displacement_unit(size)
+    return edges * scale, f"{name} ({unit})"
+
+
+def _window_title(diagram: xr.DataArray, pixel_size_um: float | None) -> str:
+    if "sheet" not in diagram.attrs:
+        return "Space-time diagram of the strip"
+    side, n = diagram.attrs["sheet"].split(":")
+    size, centre = diagram.attrs.get("pixel_size_um", pixel_size_um), diagram.attrs["centre_px"]
+    place = f"{centre:.1f} px" if size is None else f"{centre * size / UM_PER_MM:.2f} mm"
+    return f"{side}, n = {n}" + ("" if diagram.attrs["follow"] else f"\nx₀ = {place}")
+
+
+# --- single sheets ------------------------------------------------------------------------------------------
+
+
+def single_sheets_figure(
+    strip: xr.DataArray,
+    tracks: xr.Dataset,
+    slips_s: Floats,
+    *,
+    pixel_size_um: float | None = None,
+    slips_from: str = "the force",
+) -> Figure | None:
+    """Space-time diagrams around an outer and an inner sheet over a few slips; None where there are none.
+
+    The windows are 0.2 mm wide, as in the publication; without a pixel size one pitch. The times of the slips
+    are on the camera's clock, rising.
+    """
+    time = time_axis(tracks)[0]
+    slips = slips_s[(slips_s >= time[0]) & (slips_s <= time[-1])]
+    names = _two_sheets(tracks)
+    if slips.size < 2 or not names:
+        return None
+    some = slips[:SHOWN_SLIPS]
+    half = 0.5 * float(np.median(np.diff(some)))
+    try:
+        diagrams = [
+            space_time(
+                strip,
+                around=tracks,
+                sheet=name,
+                pixel_size_um=pixel_size_um,
+                time_s=(some[0] - half, some[-1] + half),
+                width_um=None if pixel_size_um is None else 200.0,
+                width_px=TrackMetadata.of(tracks).pitch_px if pixel_size_um is None else None,
+            )
+            for name in names
+        ]
+    except InputError:  # a sheet that is not seen in these frames
+        return None
+    who = " and ".join(f"n = {n} ({side})" for side, n in names)
+    made = kymograph_figure(diagrams, pixel_size_um=pixel_size_um, slips_s=some, slips_from=slips_from)
+    return replace(
+        made,
+        name="single_sheets",
+        title="Space-time diagrams of single sheets",
+        caption=(
+            f"Intensity in a window around {who}, one frame below the other, over {some.size} slips (orange, "
+            f"from {slips_from}). Outer sheets move more."
+        ),
+    )
+
+
+def _two_sheets(tracks: xr.Dataset) -> list[tuple[str, int]]:
+    """An outer and an inner sheet of the right side (of the left where that has none)."""
+    side, n = np.asarray(tracks["side"].values), np.asarray(tracks["n"].values)
+    which = 1 if (side > 0).any() else -1
+    seen = np.isfinite(tracks["x_px"].values).any(axis=0) & (side == which)
+    there = n[seen]
+    if not there.size:
+        return []
+    outer, inner = 23, 10  # the publication's
+    if there.max() < outer:  # as far out in a block of fewer sheets
+        outer, inner = round(0.92 * there.max()), round(0.4 * there.max())
+    nearest = {int(there[np.abs(there - wanted).argmin()]) for wanted in (outer, inner)}
+    return [("right" if which > 0 else "left", k) for k in sorted(nearest, reverse=True)]
