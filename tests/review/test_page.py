@@ -4,8 +4,10 @@ import json
 import os
 import re
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pandas as pd
@@ -18,6 +20,8 @@ from tests.scenes.reviewed import SETTINGS
 from tests.scenes.served import Served, Started
 from vision.command.review import settings_of_run
 from vision.pipeline import Settings, analyse
+from vision.review.api import keep_first_view
+from vision.review.first_view import read_first_view
 from vision.review.session import Session
 from vision.run import Origin, Parameter, write_run
 from vision.run.reading import read_run
@@ -384,6 +388,66 @@ def pulled_page(planted, tmp_path_factory):
     run = shutil.copytree(planted, tmp_path_factory.mktemp("pulled") / "late")
     with served(run, SETTINGS) as here:
         yield here
+
+
+def test_the_first_view_is_there_before_the_run_is_read(browser, planted, tmp_path):
+    """A failure means that somebody with a long run waits for all of it before anything is seen."""
+    run, begun, free = shutil.copytree(planted, tmp_path / "late"), Event(), Event()
+
+    def opening():
+        begun.set()
+        assert free.wait(PATIENCE_MS / 1000)
+
+    with Session(run, SETTINGS) as session:
+        with ThreadPoolExecutor(1) as beside:  # Playwright has an event loop of its own in this thread
+            beside.submit(keep_first_view, session).result()
+        with Served(session, read_first_view(run), opening) as here:
+            visit = Visit(browser, here)
+            page = visit.page
+            page.wait_for_function(
+                """() => review.film.rows && review.views.film.shown && review.force.parts.kept.size
+                  && review.tiles.pictures.kept.size && review.tiles.blocks.kept.size"""
+            )
+            visit.reads("at-sheet", "x = ")
+            assert page.evaluate("review.tiles.pictures.refused.size + review.tiles.blocks.refused.size") == 0
+            assert begun.wait(PATIENCE_MS / 1000)  # by the first question that is not kept
+            page.evaluate("0")  # what was asked meanwhile has been noted
+            asked = {url.partition(here.url)[2] for url in visit.requests if "/api/" in url}
+            assert len(asked) > 10
+            assert asked - set(read_first_view(run)) == {"/api/state"}
+            free.set()
+            visit.press("n")
+            visit.reads("message", "Slip at")
+            assert visit.complaints == []
+            visit.context.close()
+
+
+def test_zooming_out_draws_the_tracks_now_and_then(browser, pulled_page):
+    """A failure means that a look from one slip out to the whole test stutters: lines are slow to draw, so
+    that they are stretched in between, and drawn as they are once the picture rests."""
+    visit = Visit(browser, pulled_page)
+    steps, drawn, plain = visit.page.evaluate(
+        """async () => {
+          const { view, views: { diagram } } = review, counts = { drawn: 0, lines: 0 };
+          for (const name of ["drawn", "lines"]) {
+            const work = diagram[name].bind(diagram);
+            diagram[name] = (...given) => { counts[name] += 1; return work(...given); };
+          }
+          view.setFrames(view.begin + 60, view.begin + 70);
+          let steps = 0;
+          for (; view.last - view.first < view.end - view.begin; steps++) {
+            view.zoomFrames(1.03, view.begin + 65);
+            await new Promise(requestAnimationFrame);
+          }
+          const { drawn, lines } = counts;
+          while (!view.settled || counts.lines === lines) await new Promise(requestAnimationFrame);
+          return [steps, drawn, counts.lines - counts.drawn];
+        }"""
+    )
+    assert steps > 60
+    assert 3 < drawn < steps / 4
+    assert plain >= 1
+    visit.context.close()
 
 
 def test_dragging_the_strip_shows_its_noise_at_once(browser, pulled_page):

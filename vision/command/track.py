@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import glob
+import importlib.util
 import shlex
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -40,6 +41,9 @@ if TYPE_CHECKING:
     from vision.run import Checkpoint, Parameter
     from vision.video import Follow
 
+LONG_FRAMES = 20_000
+"""Of a film whose first view in a review is kept with the run: seconds here, where tracking took minutes. A
+review reads shorter runs as fast as its page is loaded."""
 SHOWN_EVERY_S = 5.0  # while a film is followed
 FEWEST = 20
 """Frames from which on something is shown, where more are in the file: fewer tell no noise."""
@@ -145,6 +149,8 @@ def track_one(
         facts = {"frames_resumed": checkpoint.resumed} if checkpoint.resumed else None
         write_run(analysis, target, origin, overwrite=run.overwrite, report=run.report, facts=facts)
         checkpoint.done()
+    if analysis.tracks is not None and analysis.tracks.sizes["frame"] >= LONG_FRAMES:
+        _keep_first_view(target, settings)
     status = finish(
         analysis,
         target,
@@ -154,6 +160,16 @@ def track_one(
         about=f"{video.name}: " if one_of_many else "",
     )
     return status, analysis
+
+
+def _keep_first_view(target: Path, settings: Settings) -> None:
+    """What a review shows first, so that it need not read the run before; where reviews are installed."""
+    if importlib.util.find_spec("starlette") is not None:
+        from vision.review.api import keep_first_view
+        from vision.review.session import Session
+
+        with suppress(InputError), Session(target, settings) as session:
+            keep_first_view(session)
 
 
 def _held_against(analysis: Analysis, corrections: Path | None, film: Path) -> Analysis:

@@ -87,6 +87,7 @@ class Session:
         try:
             with reading(folder, "a run folder as track writes it", "run track again"):
                 self._load(tracks)
+                self.revision = 0  # whatever was taken up: pages know it from the first view
                 self.recordings = Recordings(self.found, settings, film)
         except BaseException:
             self._claim.close()
