@@ -156,9 +156,17 @@ class Visit:
         return [url for url in self.requests if not url.startswith((home, "blob:"))]
 
     def shot(self, name):
+        """Pictures at two sizes, light and dark, where somebody wants to look at them."""
         if SHOTS:
-            self.page.wait_for_timeout(500)
-            self.page.screenshot(path=f"{SHOTS}/review_{name}.png")
+            size = self.page.viewport_size
+            for width, height in ((1280, 800), (1920, 1080)):
+                self.page.set_viewport_size({"width": width, "height": height})
+                for scheme in ("light", "dark"):
+                    self.page.emulate_media(color_scheme=scheme)
+                    self.page.wait_for_timeout(500)
+                    self.page.screenshot(path=f"{SHOTS}/review_{name}_{width}_{scheme}.png")
+            self.page.emulate_media(color_scheme="null")
+            self.page.set_viewport_size(size)
 
 
 def assert_true(run):
@@ -522,14 +530,12 @@ def test_the_page_fits_its_window(browser, pulled_page, width, height, scheme):
     size = page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
     assert size == [width, height]
     assert page.evaluate("document.documentElement.dataset.theme") == scheme
-    visit.shot(f"{width}_{scheme}")
     visit.press("g")
     visit.effect()
     for name in ("keep", "history", "doubts", "stick"):
         box = page.locator(f"#{name}").bounding_box()
         assert box["y"] + box["height"] <= height
         assert box["height"] > 12
-    visit.shot(f"{width}_{scheme}_decision")
     visit.press("Escape")
     page.click("#theme")
     assert page.evaluate("document.documentElement.dataset.theme") != scheme

@@ -33,7 +33,6 @@ FIRST_ROWS = 4096
 """Of the finest level that is kept for the first view; a page with more pixels along time than half of that
 asks for a finer one, which takes as long as reading the run."""
 FORCE_POINTS = 4096  # for which a page asks of the whole recording
-WINDOW_GONE_S = 6.0  # a window that has not asked for so long is closed; pages ask every two seconds
 
 
 def answers(session: Session, stop: Callable[[], None]) -> ASGIApp:
@@ -118,7 +117,8 @@ class Windows:
     def others(self, window: str) -> int:
         """How many besides this one, which is noted."""
         now = time.monotonic()
-        self._seen = {name: at for name, at in self._seen.items() if now - at < WINDOW_GONE_S}
+        # a window that has not asked for 6 s is closed: pages ask every two seconds
+        self._seen = {name: at for name, at in self._seen.items() if now - at < 6.0}
         if window:
             self._seen[window[:64]] = now
         return len(self._seen.keys() - {window[:64]})

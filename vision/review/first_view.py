@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile, ZipFile
 
+from vision import __version__
+
 NAME = "first_view.zip"
-FORMAT = 1  # another number wherever the page is told something else
 READ = ("run.json", "corrections.toml")
 SIZED = ("tracks.nc", "kymograph.tif", "events.csv", "clock.json")
 MOST_BYTES = 64 << 20  # more is not a first view
@@ -65,12 +66,14 @@ def write_first_view(
 
 
 def _state(folder: Path, film: Path | None) -> bytes:
-    """A digest of what the answers follow from: the run, its decisions, and whether its inputs are there."""
+    """A digest of what the answers follow from: the run, its decisions, whether its inputs are there, and the
+    program that gave them."""
     texts = [(folder / name).read_bytes() if (folder / name).exists() else b"" for name in READ]
     facts = json.loads(texts[0])
+    texts += [path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))]
     inputs = [Path(str(one["path"])) for one in facts.get("inputs") or []]
     places = [*inputs, *(folder.absolute().parent / one for one in inputs), *([film] if film else [])]
-    known = [FORMAT, *_facts(folder / name for name in SIZED), *_facts(places, dated=True)]
+    known = [__version__, *_facts(folder / name for name in SIZED), *_facts(places, dated=True)]
     return hashlib.sha256(b"\0".join([*texts, json.dumps(known).encode()])).hexdigest().encode()
 
 

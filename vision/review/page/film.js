@@ -125,6 +125,8 @@ export class Film {
       if (Math.min(spot.x - s.left, s.left + s.plotWidth - spot.x) < 0.4 * width) continue; // it would be cut off
       if (!spot.chosen && ((spot.sheet.n - 1) % every || (chosen && Math.abs(spot.x - chosen.x) < width))) continue;
       s.font(spot.chosen ? 1.15 : 1, spot.chosen ? "bold" : "");
+      const wide = c.measureText(spot.sheet.n).width + 6;
+      c.fillStyle = ON_GREY.casing; c.fillRect(spot.x - wide / 2, y - 3, wide, s.size * 1.15 + 5); // ridges are as bright as letters
       edged(c, spot.sheet.n, spot.x, y, spot.chosen ? ON_GREY.chosen : spot.sheet.side < 0 ? ON_GREY.left : ON_GREY.right);
     }
     s.font();

@@ -71,7 +71,8 @@ class Page {
     await getJson("api/state");
     this.force.coarse = false; this.drawAll();
     this.slipsNow();
-    if (this.state.sticks.length) this.stick(this.state.sticks[0].first);
+    const [stick] = this.state.sticks;
+    if (stick) getJson(`api/stick/${stick.event}`).catch((error) => this.failed(error)); // the first takes longer
     await this.tracking().catch((error) => this.failed(error)); // where that was begun before this page was loaded
   }
 
