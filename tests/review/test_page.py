@@ -4,8 +4,10 @@ import json
 import os
 import re
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pandas as pd
@@ -18,6 +20,8 @@ from tests.scenes.reviewed import SETTINGS
 from tests.scenes.served import Served, Started
 from vision.command.settings import settings_of_run
 from vision.pipeline import Settings, analyse
+from vision.review.api import keep_first_view
+from vision.review.first_view import read_first_view
 from vision.review.session import Session
 from vision.run import Origin, Parameter, write_run
 from vision.run.reading import read_run
@@ -152,9 +156,17 @@ class Visit:
         return [url for url in self.requests if not url.startswith((home, "blob:"))]
 
     def shot(self, name):
+        """Pictures at two sizes, light and dark, where somebody wants to look at them."""
         if SHOTS:
-            self.page.wait_for_timeout(500)
-            self.page.screenshot(path=f"{SHOTS}/review_{name}.png")
+            size = self.page.viewport_size
+            for width, height in ((1280, 800), (1920, 1080)):
+                self.page.set_viewport_size({"width": width, "height": height})
+                for scheme in ("light", "dark"):
+                    self.page.emulate_media(color_scheme=scheme)
+                    self.page.wait_for_timeout(500)
+                    self.page.screenshot(path=f"{SHOTS}/review_{name}_{width}_{scheme}.png")
+            self.page.emulate_media(color_scheme="null")
+            self.page.set_viewport_size(size)
 
 
 def assert_true(run):
@@ -386,6 +398,66 @@ def pulled_page(planted, tmp_path_factory):
         yield here
 
 
+def test_the_first_view_is_there_before_the_run_is_read(browser, planted, tmp_path):
+    """A failure means that somebody with a long run waits for all of it before anything is seen."""
+    run, begun, free = shutil.copytree(planted, tmp_path / "late"), Event(), Event()
+
+    def opening():
+        begun.set()
+        assert free.wait(PATIENCE_MS / 1000)
+
+    with Session(run, SETTINGS) as session:
+        with ThreadPoolExecutor(1) as beside:  # Playwright has an event loop of its own in this thread
+            beside.submit(keep_first_view, session).result()
+        with Served(session, read_first_view(run), opening) as here:
+            visit = Visit(browser, here)
+            page = visit.page
+            page.wait_for_function(
+                """() => review.film.rows && review.views.film.shown && review.force.parts.kept.size
+                  && review.tiles.pictures.kept.size && review.tiles.blocks.kept.size"""
+            )
+            visit.reads("at-sheet", "x = ")
+            assert page.evaluate("review.tiles.pictures.refused.size + review.tiles.blocks.refused.size") == 0
+            assert begun.wait(PATIENCE_MS / 1000)  # by the first question that is not kept
+            page.evaluate("0")  # what was asked meanwhile has been noted
+            asked = {url.partition(here.url)[2] for url in visit.requests if "/api/" in url}
+            assert len(asked) > 10
+            assert asked - set(read_first_view(run)) == {"/api/state"}
+            free.set()
+            visit.press("n")
+            visit.reads("message", "Slip at")
+            assert visit.complaints == []
+            visit.context.close()
+
+
+def test_zooming_out_draws_the_tracks_now_and_then(browser, pulled_page):
+    """A failure means that a look from one slip out to the whole test stutters: lines are slow to draw, so
+    that they are stretched in between, and drawn as they are once the picture rests."""
+    visit = Visit(browser, pulled_page)
+    steps, drawn, plain = visit.page.evaluate(
+        """async () => {
+          const { view, views: { diagram } } = review, counts = { drawn: 0, lines: 0 };
+          for (const name of ["drawn", "lines"]) {
+            const work = diagram[name].bind(diagram);
+            diagram[name] = (...given) => { counts[name] += 1; return work(...given); };
+          }
+          view.setFrames(view.begin + 60, view.begin + 70);
+          let steps = 0;
+          for (; view.last - view.first < view.end - view.begin; steps++) {
+            view.zoomFrames(1.03, view.begin + 65);
+            await new Promise(requestAnimationFrame);
+          }
+          const { drawn, lines } = counts;
+          while (!view.settled || counts.lines === lines) await new Promise(requestAnimationFrame);
+          return [steps, drawn, counts.lines - counts.drawn];
+        }"""
+    )
+    assert steps > 60
+    assert 3 < drawn < steps / 4
+    assert plain >= 1
+    visit.context.close()
+
+
 def test_dragging_the_strip_shows_its_noise_at_once(browser, pulled_page):
     """A failure means that rows are chosen blindly."""
     visit = Visit(browser, pulled_page)
@@ -458,14 +530,12 @@ def test_the_page_fits_its_window(browser, pulled_page, width, height, scheme):
     size = page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
     assert size == [width, height]
     assert page.evaluate("document.documentElement.dataset.theme") == scheme
-    visit.shot(f"{width}_{scheme}")
     visit.press("g")
     visit.effect()
     for name in ("keep", "history", "doubts", "stick"):
         box = page.locator(f"#{name}").bounding_box()
         assert box["y"] + box["height"] <= height
         assert box["height"] > 12
-    visit.shot(f"{width}_{scheme}_decision")
     visit.press("Escape")
     page.click("#theme")
     assert page.evaluate("document.documentElement.dataset.theme") != scheme

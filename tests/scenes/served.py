@@ -9,7 +9,6 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
 from pathlib import Path
 from queue import Queue
 from threading import Thread
@@ -27,9 +26,7 @@ PATIENCE_S = 120.0  # the machine may be busy
 
 def app_of(session: Session, *, port: int, token: str, stop: Callable[[], None] = lambda: None) -> ASGIApp:
     """What a review serves, without a server."""
-    known: Future[ASGIApp] = Future()
-    known.set_result(answers(session, stop))
-    return make_app(known, port=port, token=token)
+    return make_app(answers(session, stop), port=port, token=token)
 
 
 class Address:
@@ -63,16 +60,24 @@ class Address:
 
 
 class Served(Address):
-    """Within this process; ended at the end of the block."""
+    """Within this process; ended at the end of the block. `kept` answers questions while `opening` lasts."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(
+        self,
+        session: Session,
+        kept: Mapping[str, bytes] | None = None,
+        opening: Callable[[], object] = lambda: None,
+    ) -> None:
         ready: Queue[str] = Queue()
-        self.thread = Thread(target=self._serve, args=(session, ready), daemon=True)
+
+        def opened(stop: Callable[[], None]) -> ASGIApp:
+            opening()
+            return answers(session, stop)
+
+        self.thread = Thread(target=serve, args=(opened,), kwargs={"opened": ready.put, "kept": kept})
+        self.thread.daemon = True
         self.thread.start()
         super().__init__(ready.get(timeout=PATIENCE_S))
-
-    def _serve(self, session: Session, ready: Queue[str]) -> None:
-        serve(lambda stop: answers(session, stop), opened=ready.put)
 
     def __enter__(self) -> Self:
         return self

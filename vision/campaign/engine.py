@@ -26,8 +26,6 @@ SNAKEFILE = HERE / "Snakefile"
 LOG = "snakemake.log"
 JOBS = ".jobs"
 PLUGINS = {"https": "http", "gs": "gcs", "az": "azure"}  # not called as their addresses begin
-GRACE_S = 20  # for jobs to end after an interrupt
-NO_ROOM = 1 << 20  # bytes: a disk with less is full
 
 
 def profile_of(executor: str) -> Path:
@@ -121,16 +119,8 @@ def run_snakemake(
     KeyboardInterrupt
         After its jobs have ended.
     """
-    command = [
-        sys.executable,
-        "-P",
-        "-m",
-        "snakemake",
-        "--snakefile",
-        str(SNAKEFILE),
-        "--profile",
-        str(profile),
-    ]
+    command = [sys.executable, "-P", "-m", "snakemake"]
+    command += ["--snakefile", str(SNAKEFILE), "--profile", str(profile)]
     command += ["--directory", str(plan.out), "--nolock", "--quiet", "rules", "host"]
     command += ["--config", f"plan={plan.out / PLAN}"]
     at_a_time = "--cores" if executor == "local" else "--jobs"
@@ -157,7 +147,7 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
         with suppress(OSError):
             os.killpg(process.pid, number)
         with suppress(subprocess.TimeoutExpired):
-            process.wait(GRACE_S)
+            process.wait(20)  # seconds for its jobs to end
             break
     with suppress(OSError):  # what outlived it
         os.killpg(process.pid, signal.SIGKILL)
@@ -204,7 +194,7 @@ def close_states(plan: Plan) -> None:
 
 def unfinished(plan: Plan, state: State) -> State:
     """The state of a film whose job ended without a word."""
-    if shutil.disk_usage(plan.out).free < NO_ROOM:
+    if shutil.disk_usage(plan.out).free < 1_000_000:
         why = f"the disk of {plan.out} is full"
     elif state.state == "running":
         why = f"its job ended without a result (killed, or out of memory or time); see {LOG}"

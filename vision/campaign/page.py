@@ -5,18 +5,20 @@ from __future__ import annotations
 import base64
 import time
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
 from vision.campaign.plan import Film, Plan
-from vision.campaign.states import State, write_campaign_csv
+from vision.campaign.states import FINISHED, State
 from vision.run import whole_file
+from vision.run.tables import write_table
 
 PAGE = "index.html"
-REFRESH_S = 10
 WORDS = ("failed", "partial", "warnings", "running", "waiting", "done")
 
 TEMPLATE = Path(__file__).with_name("index.html.jinja")
@@ -72,7 +74,7 @@ def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> list
         .render(
             title=plan.out.name,
             live=live,
-            refresh=REFRESH_S,
+            refresh=10,  # seconds
             now=time.strftime("%Y-%m-%d %H:%M:%S"),
             ended=len(states) - counts["waiting"] - counts["running"],
             counts=[(word, counts[word]) for word in WORDS if counts[word]],
@@ -85,13 +87,29 @@ def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> list
     )
     with whole_file(plan.out / PAGE) as path:
         path.write_text(text, encoding="utf-8", errors="replace")
-    write_campaign_csv(plan.out, [(film.film, state) for film, state in zip(plan.films, states, strict=True)])
+    _write_csv(plan, states)
     return states
+
+
+def _write_csv(plan: Plan, states: Sequence[State]) -> None:
+    """campaign.csv: film, state, reason, seconds, run."""
+    rows = [
+        {
+            "film": film.film,
+            "state": state.state,
+            "reason": state.reason,
+            "seconds": round(state.seconds, 3),
+            "run": f"runs/{film.name}" if (plan.run_of(film.name) / "run.json").is_file() else "",
+        }
+        for film, state in zip(plan.films, states, strict=True)
+    ]
+    with whole_file(plan.out / "campaign.csv") as path:
+        write_table(pd.DataFrame(rows, columns=["film", "state", "reason", "seconds", "run"]), path)
 
 
 def _row(plan: Plan, film: Film, state: State, facts: list[str]) -> dict[str, Any]:
     run = plan.run_of(film.name)
-    known = state.state in ("done", "warnings", "partial") and (run / "run.json").is_file()
+    known = state.state in FINISHED and (run / "run.json").is_file()
     page = "report.html" if (run / "report.html").is_file() else "overview.png"
     return {
         "state": state.state,

@@ -28,7 +28,6 @@ from vision.video import open_video, video_files
 PLAN = "plan.json"
 LAYOUT = 1  # of the campaign's folder; another one is not touched
 FINGERPRINTS = "fingerprints.json"
-MEGA = 1e6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -283,7 +282,7 @@ def _film(row: Row, known: dict[str, Any], tuning: CampaignSettings) -> Film:
     )
     key = _digest([LAYOUT, row.film if is_remote(row.film) else "", contents, values])
     facts = _header(row)
-    megasamples = facts.get("frames", 0) * facts.get("columns", 0) / MEGA
+    megasamples = facts.get("frames", 0) * facts.get("columns", 0) / 1e6
     seconds = (
         tuning.base_seconds
         + megasamples * tuning.seconds_per_megasample

@@ -1,18 +1,14 @@
-"""What became of each film: one small file a film, written by its job; campaign.csv of them all."""
+"""What became of each film: one small file a film, written by its job."""
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Literal
 
-import pandas as pd
-
 from vision.run import whole_file, write_json
-from vision.run.tables import write_table
 
 Word = Literal["waiting", "running", "done", "warnings", "partial", "failed"]
 FINISHED: tuple[Word, ...] = ("done", "warnings", "partial")
@@ -53,7 +49,7 @@ class State:
 
 
 def read_state(out: Path, name: str) -> State:
-    """A film's state; that of one which never began where there is no file, or none that can be read."""
+    """A film's state; "waiting" where there is no file, or a damaged one."""
     try:
         content = json.loads(_path(out, name).read_text(encoding="utf-8"))
         known = {part.name for part in fields(State)}
@@ -71,35 +67,3 @@ def write_state(out: Path, state: State) -> None:
 
 def _path(out: Path, name: str) -> Path:
     return out / "states" / f"{name}.json"
-
-
-def write_campaign_csv(out: Path, rows: Iterable[tuple[str, State]]) -> None:
-    """campaign.csv: film, state, reason, seconds, run.
-
-    Parameters
-    ----------
-    out
-        The campaign's folder.
-    rows
-        Each film's path and state.
-
-    Raises
-    ------
-    InputError
-        Where it cannot be written.
-    """
-    table = pd.DataFrame(
-        [
-            {
-                "film": film,
-                "state": state.state,
-                "reason": state.reason,
-                "seconds": round(state.seconds, 3),
-                "run": f"runs/{state.name}" if (out / "runs" / state.name / "run.json").is_file() else "",
-            }
-            for film, state in rows
-        ],
-        columns=["film", "state", "reason", "seconds", "run"],
-    )
-    with whole_file(out / "campaign.csv") as path:
-        write_table(table, path)

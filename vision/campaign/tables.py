@@ -62,7 +62,9 @@ def open_tables(out: str | Path, table: str) -> ds.Dataset:
     if not files:
         raise InputError(folder, "tables of a campaign", "none", "run track campaign first")
     with reading(folder, "tables as track campaign writes them", "run track campaign again"):
-        schema = pa.unify_schemas([pq.read_schema(files[0]), *_other_schemas(folder)])
+        # that of all films together, where the pool has written it: they may differ in columns
+        both = [path for path in (files[0], folder / "_common_metadata") if path.is_file()]
+        schema = pa.unify_schemas([pq.read_schema(path) for path in both])
         film = pa.field("film", pa.string())
         partitioning = ds.HivePartitioning(pa.schema([film]), segment_encoding="uri")
         return ds.dataset(
@@ -72,12 +74,6 @@ def open_tables(out: str | Path, table: str) -> ds.Dataset:
             partitioning=partitioning,
             partition_base_dir=str(folder),
         )
-
-
-def _other_schemas(folder: Path) -> list[pa.Schema]:
-    """That of all films together, where the pool has written it: they may differ in columns, not in types."""
-    common = folder / "_common_metadata"
-    return [pq.read_schema(common)] if common.is_file() else []
 
 
 def write_partitions(out: Path, film: str, analysis: Analysis) -> None:

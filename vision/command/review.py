@@ -49,6 +49,7 @@ def review(
         raise InputError(
             folder, "a run without further options", "some", "give the video, or run track again"
         )
+    from vision.review.first_view import read_first_view
     from vision.review.server import serve
 
     def opened(address: str) -> None:
@@ -56,8 +57,9 @@ def review(
         if browser:
             webbrowser.open(address)
 
+    kept = read_first_view(folder, film)
     with ExitStack() as held:
-        serve(lambda stop: _answers(folder, film, held, stop), opened=opened, port=port)
+        serve(lambda stop: _answers(folder, film, held, stop), opened=opened, port=port, kept=kept)
     return 0
 
 
@@ -68,8 +70,10 @@ def _answers(folder: Path, film: Path | None, held: ExitStack, stop: Callable[[]
     with ThreadPoolExecutor(1) as beside:
         tracks = beside.submit(read_tracks, folder / "tracks.nc")
         from vision.command.settings import settings_of_run
-        from vision.review.api import answers
+        from vision.review.api import answers, keep_first_view
         from vision.review.session import Session
 
         session = Session(folder, settings_of_run(folder), film=film, options=option_names(), tracks=tracks)
-    return answers(held.enter_context(session), stop)
+    held.enter_context(session)
+    held.callback(keep_first_view, session)
+    return answers(session, stop)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import glob
+import importlib.util
 import math
 import shlex
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -30,6 +31,9 @@ from vision.summary import findings, flag_counts, noise_figures
 from vision.video import Follow, open_video, video_files
 from vision.video.high_speed import PIXELS, is_photron
 
+LONG_FRAMES = 20_000
+"""Of a film whose first view in a review is kept with the run: seconds here, where tracking took minutes. A
+review reads shorter runs as fast as its page is loaded."""
 STILLS = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 REFUSED = ("sticks", "clock", "motion", "shells")  # stages whose input cannot be used: exit status 2
 
@@ -111,6 +115,8 @@ def track_one(
         facts = {"frames_resumed": checkpoint.resumed} if checkpoint.resumed else None
         write_run(analysis, target, origin, overwrite=run.overwrite, report=run.report, facts=facts)
         checkpoint.done()
+    if analysis.tracks is not None and analysis.tracks.sizes["frame"] >= LONG_FRAMES:
+        _keep_first_view(target, settings)
     status = finish(
         analysis,
         target,
@@ -120,6 +126,16 @@ def track_one(
         about=f"{video.name}: " if one_of_many else "",
     )
     return status, analysis
+
+
+def _keep_first_view(target: Path, settings: Settings) -> None:
+    """What a review shows first, so that it need not read the run before; where reviews are installed."""
+    if importlib.util.find_spec("starlette") is not None:
+        from vision.review.api import keep_first_view
+        from vision.review.session import Session
+
+        with suppress(InputError), Session(target, settings) as session:
+            keep_first_view(session)
 
 
 def _made_for_this_film(analysis: Analysis, corrections: Path | None, film: Path) -> Analysis:

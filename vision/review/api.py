@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import anyio
@@ -15,18 +16,23 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Message
 
 from vision.errors import InputError, with_options
 from vision.review.diagram import Grey
+from vision.review.first_view import NAME, read_first_view, write_first_view
 from vision.review.server import failed, refused
 from vision.review.session import Session
+from vision.run.folder import whole_file
 from vision.run.provenance import plain
 
 MOST_POINTS = 20_000  # of a curve
 AT_ONCE = 4
 """Questions answered at a time. More are no faster on a few cores, and each thread keeps memory."""
-WINDOW_GONE_S = 6.0  # a window that has not asked for so long is closed; pages ask every two seconds
+FIRST_ROWS = 4096
+"""Of the finest level that is kept for the first view; a page with more pixels along time than half of that
+asks for a finer one, which takes as long as reading the run."""
+FORCE_POINTS = 4096  # for which a page asks of the whole recording
 
 
 def answers(session: Session, stop: Callable[[], None]) -> ASGIApp:
@@ -43,6 +49,65 @@ def answers(session: Session, stop: Callable[[], None]) -> ASGIApp:
     return Starlette(routes=routes, exception_handlers={HTTPException: failed, Exception: failed})
 
 
+def keep_first_view(session: Session) -> None:
+    """Keep what a page asks first with the run, unless it is kept already or the folder cannot be written."""
+    folder, film = session.folder, session.recordings.moved
+    if session.saver.running or read_first_view(folder, film):
+        return
+    with suppress(InputError):
+        session.found.check_there()
+        with whole_file(folder / NAME) as path:
+            write_first_view(path, folder, first_answers(session), film)
+
+
+def first_answers(session: Session) -> dict[str, bytes]:
+    """What a page asks before anybody has touched it: the whole test, and the first frame.
+
+    Returns
+    -------
+    dict
+        The answers by their questions, as the page puts them.
+    """
+    first, frames, tiles = int(session.positions.frame[0]), session.diagram.frames, session.tiles
+    rows, columns, factor = tiles.settings.rows, tiles.settings.columns, tiles.settings.factor
+    questions = [f"/api/{name}" for name in ("times", "film", f"frame/{first}.png", f"ridges/{first}")]
+    questions += [f"/api/force?points={FORCE_POINTS}"]
+    questions += [f"/api/stick/{one['event']}" for one in session.sticks()[:1]]
+    for level in range(tiles.levels):
+        step, shown = rows * factor**level, frames <= FIRST_ROWS * factor**level
+        if not (shown or level == 0):
+            continue
+        for k, begin in enumerate(range(first, first + (frames if shown else 1), step)):
+            stop = min(begin + step, first + frames)
+            questions.append(f"/api/tracks?first={begin}&stop={stop}&points={2 * rows}")
+            across = range(-(-session.diagram.columns // columns) if shown else 0)
+            questions += [f"/api/kymograph/{level}/{x}/{k}.png" for x in across]
+    found = {"/api/run": bytes(_json(session.summary() | {"revision": 0, "other_windows": 0}).body)}
+    app = answers(session, lambda: None)
+    for question in questions:
+        answer = anyio.run(_asked, app, question)
+        if answer is not None:  # there may be no film, or no force
+            found[question] = answer
+    return found
+
+
+async def _asked(app: ASGIApp, question: str) -> bytes | None:
+    """The answer to one question; None where it is refused."""
+    path, _, query = question.partition("?")
+    scope = {"type": "http", "method": "GET", "path": path, "query_string": query.encode(), "headers": []}
+    sent: list[Message] = []
+
+    async def receive() -> Message:
+        return {"type": "http.request", "body": b""}
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    await app(scope, receive, send)
+    body = b"".join(message.get("body", b"") for message in sent)
+    return body if sent[0]["status"] == 200 else None
+
+
 class Windows:
     """Which windows of a browser have the run open."""
 
@@ -52,7 +117,8 @@ class Windows:
     def others(self, window: str) -> int:
         """How many besides this one, which is noted."""
         now = time.monotonic()
-        self._seen = {name: at for name, at in self._seen.items() if now - at < WINDOW_GONE_S}
+        # a window that has not asked for 6 s is closed: pages ask every two seconds
+        self._seen = {name: at for name, at in self._seen.items() if now - at < 6.0}
         if window:
             self._seen[window[:64]] = now
         return len(self._seen.keys() - {window[:64]})

@@ -33,7 +33,6 @@ times as long and change a ratio by a thirtieth of its error, a shell by one she
 SHOWN_ROWS = 400  # of a preview
 MOST_ROWS = 2000  # in which a stick is measured with those around it
 NOISE_FRAMES = 16  # from which the noise in other rows is measured
-PARTLY = "This stick phase does not lie wholly within the film."
 READY = ("ok", "given")  # of a clock
 
 
@@ -77,7 +76,7 @@ class Effects:
             before = self.run.positions.copied(rows)
             clipped = _clipped(decision, before)
             after, _ = apply(self.run.positions.copied(rows), clipped, self.run.diagram)
-            shown = slice(max(0, at - rows.start - SHOWN_ROWS // 2), at - rows.start + SHOWN_ROWS // 2)
+            shown = _about(at - rows.start)
             now = None if event is None else self._now(event)
             then = None if near is None else self._then(now, before, after, near.since(rows.start))
             return {
@@ -106,7 +105,7 @@ class Effects:
         decision = Correction(kind="strip")
         rows = self._window(decision, at, near)
         after = read_positions(tracks, rows)
-        shown = slice(max(0, at - rows.start - SHOWN_ROWS // 2), at - rows.start + SHOWN_ROWS // 2)
+        shown = _about(at - rows.start)
         return {
             "frames": after.frame[shown],
             "after": _shown(after, shown),
@@ -130,7 +129,7 @@ class Effects:
         """Rows that a preview works on: those around one, with the sticks there, and from where a ridge is
         first followed."""
         numbers = self.run.positions.frame
-        a, b = max(0, at - SHOWN_ROWS // 2), min(len(numbers), at + SHOWN_ROWS // 2)
+        a, b, _ = _about(at).indices(len(numbers))
         if near is not None:
             a, b = min(a, int(near.rows[0])), max(b, int(near.rows[-1]) + 1)
         if decision.kind in ("assign", "add"):
@@ -286,7 +285,8 @@ class Effects:
                 settings=settings.tuning.deformation,
             )
             if near.event not in motion["event"].values:
-                return {"sheets": [], "shells": [], "reason": PARTLY}
+                why = "This stick phase does not lie wholly within the film."
+                return {"sheets": [], "shells": [], "reason": why}
             one = motion.sel(event=[near.event])
             sheets = classify_sheets(one, threshold=settings.threshold).isel(event=0)
             shells = classify_shells(one, threshold=settings.threshold, settings=settings.tuning.shells)
@@ -297,7 +297,7 @@ class Effects:
         table = pd.DataFrame({name: values.values for name, values in columns.items()})
         table = table.assign(**{name: sheets[name].values for name in names})
         sizes = shells[["side", "stiff_sheets", "stiff_low", "stiff_high"]].astype(object)
-        return {"sheets": _records(table), "shells": _records(sizes.where(sizes.notna(), None))}
+        return {"sheets": records(table), "shells": records(sizes.where(sizes.notna(), None))}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -319,8 +319,14 @@ def _unknown(error: InputError) -> dict[str, Any]:
     return {"sheets": [], "shells": [], "reason": with_options(str(error), {})}
 
 
-def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+def records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """The rows of a table, as JSON has them."""
     return [{str(name): value for name, value in row.items()} for row in table.to_dict("records")]
+
+
+def _about(row: int) -> slice:
+    """The rows that are shown around one."""
+    return slice(max(0, row - SHOWN_ROWS // 2), row + SHOWN_ROWS // 2)
 
 
 def _clipped(decision: Correction, part: Positions) -> Correction:

@@ -65,29 +65,24 @@ class Film:
         with self._lock:
             reader = self._video.reader
             if isinstance(reader, EncodedReader):
-                rate = reader.facts.playback_fps
-                stamped = reader.facts.times_in_blocks and self._video.clock.kind == "file"
-                at = (
-                    time_s
-                    if stamped
-                    else number / rate
-                    if rate and not reader.facts.times_in_blocks
-                    else np.nan
-                )
-                found = self._near(reader, at, 0.5 / (rate or 1.0)) if np.isfinite(at) else None
+                found = self._near(reader, self._time_in_file(reader, number, time_s))
                 if found is not None:
-                    turns = -(self._video.turned_deg // 90)
-                    return np.rot90(found, k=turns) if turns else found
-            return self._sequential(number)
+                    return np.rot90(found, k=-(self._video.turned_deg // 90))
+            # by its number: at once in a film that is read in place, else decoded from the beginning
+            block = next(replace(self._video, first=number, stop=number + 1).blocks(), None)
+            return None if block is None or not block.status or block.status[0] != "ok" else block.pixels[0]
 
-    def _sequential(self, number: int) -> Pixels | None:
-        """By its number: at once in a film that is read in place, else decoded from the beginning."""
-        blocks = replace(self._video, first=number, stop=number + 1).blocks()
-        block = next(blocks, None)
-        return None if block is None or not block.status or block.status[0] != "ok" else block.pixels[0]
+    def _time_in_file(self, reader: EncodedReader, number: int, time_s: float) -> float:
+        """By the file's own stamps, or its rate; NaN where neither tells the frame's place."""
+        if reader.facts.times_in_blocks:
+            return time_s if self._video.clock.kind == "file" else np.nan
+        return number / reader.facts.playback_fps if reader.facts.playback_fps else np.nan
 
-    def _near(self, reader: EncodedReader, time_s: float, reach_s: float) -> Pixels | None:
-        """The frame within half an interval of this time."""
+    def _near(self, reader: EncodedReader, time_s: float) -> Pixels | None:
+        """The frame within half an interval of this time; None for a time that is not known."""
+        if np.isnan(time_s):
+            return None
+        reach_s = 0.5 / (reader.facts.playback_fps or 1.0)
         if not self._shown_s < time_s <= self._shown_s + AHEAD_S:
             self._frames, self._ahead = reader.from_key_frame(time_s), None
         while True:

@@ -43,7 +43,6 @@ POSITIONED = (FLAGS.index("ok"), FLAGS.index("blurred"))
 DOUBTFUL = FLAGS.index("doubtful")
 CELLS = ("x_px", "err_px", "withheld_px", "flag", "why")
 """Arrays of (frame, sheet)."""
-USUAL_ROWS = 300  # from which it is learned how sheets move with their neighbours
 SLIP_ROWS = 10_000
 """In which slips are looked for at a time: all of 100 000 take 250 MB of memory; with fewer than some ten
 slips in a part their usual size is not known well."""
@@ -106,7 +105,7 @@ class Positions:
 
     def expected_px(self, rows: Ints) -> Floats:
         """Where the sheets around say that each sheet must be, in these rows."""
-        usual = np.arange(0, len(self.x_px), max(1, len(self.x_px) // USUAL_ROWS))
+        usual = np.arange(0, len(self.x_px), max(1, len(self.x_px) // 300))  # how neighbours move together
         said = said_by_neighbours(self.x_px[np.concatenate([usual, rows])].astype(np.float64))
         return said[len(usual) :]
 

@@ -186,6 +186,11 @@ class Saver:
         self._thread = Thread(target=self._work, args=(job, finished), daemon=True)
         self._thread.start()
 
+    def progress(self) -> dict[str, Any]:
+        """How far it is, and what went wrong."""
+        state = {"stage": self.stage, "done": self.done, "total": self.total, "error": self.error}
+        return {"running": self.running, **state}
+
     def wait(self) -> None:
         """Until nothing is being made."""
         if self._thread is not None:
@@ -306,10 +311,8 @@ class Trial:
 
     def state(self) -> dict[str, Any]:
         """How far it is, and what was found."""
-        saver, begun = self.run.saver, self._place is not None
-        told = {"stage": saver.stage, "done": saver.done, "total": saver.total}
-        error = saver.error if begun else ""
-        return {"running": begun and saver.running, "error": error, "found": self._found, **told}
+        others = {} if self._place is not None else {"running": False, "error": ""}  # saving, not a trial
+        return self.run.saver.progress() | {"found": self._found} | others
 
     def at(self, frame: int) -> dict[str, Any]:
         """Positions about a frame, and σ_x/Λ_st of the stick there, before and after.

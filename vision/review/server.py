@@ -1,7 +1,7 @@
 """The server of `track review`: a page on the loopback address, for whoever has the token.
 
-It is there before the run has been read, which takes longer than to load the page; questions about the run
-wait until then.
+It is there before the run has been read, which takes longer than to load the page. Answers that are kept with
+the run are given at once; other questions wait until it has been read.
 """
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ import contextlib
 import hmac
 import secrets
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import uvicorn
 from starlette.applications import Starlette
@@ -165,21 +166,41 @@ class Page:
 
 
 class Awaited:
-    """Answers that are there once the run has been read."""
+    """Answers that are there once the run has been read; until then those that were kept.
 
-    def __init__(self, answers: Future[ASGIApp]) -> None:
-        self._answers = answers
+    Parameters
+    ----------
+    answers
+        Of the run.
+    kept
+        Answers by their questions.
+    begin
+        Called with the first question that has none among them.
+    """
+
+    def __init__(self, answers: Future[ASGIApp], kept: Mapping[str, bytes], begin: Callable[[], Any]) -> None:
+        self._answers, self._kept, self._begin = answers, kept, begin
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One request; of a run that cannot be read the reason."""
-        try:
-            app = await asyncio.shield(asyncio.wrap_future(self._answers))
-        except InputError as error:
-            app = refused(422, with_options(str(error), {}))
+        asked = scope["path"] + (
+            "?" + scope["query_string"].decode("latin-1") if scope["query_string"] else ""
+        )
+        kept = None if self._answers.done() or scope["method"] != "GET" else self._kept.get(asked)
+        app: ASGIApp
+        if kept is None:
+            self._begin()
+            try:
+                app = await asyncio.shield(asyncio.wrap_future(self._answers))
+            except InputError as error:
+                app = refused(422, with_options(str(error), {}))
+        else:
+            kind = "image/png" if asked.endswith(".png") else "application/octet-stream"
+            app = Response(kept, media_type=kind)
         await app(scope, receive, send)
 
 
-def make_app(answers: Future[ASGIApp], *, port: int, token: str) -> ASGIApp:
+def make_app(answers: ASGIApp, *, port: int, token: str) -> ASGIApp:
     """The page, and what it asks about the run.
 
     Parameters
@@ -193,14 +214,18 @@ def make_app(answers: Future[ASGIApp], *, port: int, token: str) -> ASGIApp:
     routes = [
         Route("/", page.index, methods=["GET"]),
         Route("/page/{name}", page.file, methods=["GET"]),
-        Route("/api/{question:path}", Awaited(answers)),
+        Route("/api/{question:path}", answers),
     ]
     app = Starlette(routes=routes, exception_handlers={HTTPException: failed, Exception: failed})
     return Guard(app, port=port, token=token)
 
 
 def serve(
-    opening: Callable[[Callable[[], None]], ASGIApp], *, opened: Callable[[str], None], port: int = 0
+    opening: Callable[[Callable[[], None]], ASGIApp],
+    *,
+    opened: Callable[[str], None],
+    port: int = 0,
+    kept: Mapping[str, bytes] | None = None,
 ) -> None:
     """Serve the page on the loopback address until it is told to stop.
 
@@ -213,6 +238,8 @@ def serve(
         Called with the address, token and all, once it can be asked.
     port
         0 takes one that is free.
+    kept
+        Answers from before; the run is read with the first question that has none among them.
 
     Raises
     ------
@@ -228,16 +255,6 @@ def serve(
         listening.listen(64)
         number, token = int(listening.getsockname()[1]), secrets.token_urlsafe(32)
         answers: Future[ASGIApp] = Future()
-        config = uvicorn.Config(
-            make_app(answers, port=number, token=token),
-            log_level="critical",
-            access_log=False,
-            lifespan="off",
-            server_header=False,
-            timeout_graceful_shutdown=2,
-            proxy_headers=False,
-        )
-        server = uvicorn.Server(config)
 
         def stop() -> None:
             server.should_exit = True
@@ -249,10 +266,23 @@ def serve(
                 answers.set_exception(error)
                 stop()  # once a page that waits has been told
 
-        reader.submit(read)
+        begin = cache(lambda: reader.submit(read))  # once
+        config = uvicorn.Config(
+            make_app(Awaited(answers, kept or {}, begin), port=number, token=token),
+            log_level="critical",
+            access_log=False,
+            lifespan="off",
+            server_header=False,
+            timeout_graceful_shutdown=2,
+            proxy_headers=False,
+        )
+        server = uvicorn.Server(config)
+        if not kept:
+            begin()
         address = f"http://127.0.0.1:{number}/?token={token}"
         asyncio.run(_run(server, listening, partial(opened, address)))
-    answers.result()
+    if answers.done():  # it was begun
+        answers.result()
 
 
 async def _run(server: uvicorn.Server, listening: socket.socket, ready: Callable[[], None]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from threading import RLock
@@ -20,7 +21,7 @@ from vision.numeric import Floats, Floats32, Ints
 from vision.pipeline import Settings
 from vision.review.diagram import Diagram, Tiles
 from vision.review.editing import Before, apply, take_back, usual_places
-from vision.review.effects import READY, Effects
+from vision.review.effects import READY, Effects, records
 from vision.review.film import Recordings
 from vision.review.positions import FLAGS, WHYS, positions_of
 from vision.review.saving import Job, Saver, Trial, pack, unpack
@@ -43,7 +44,6 @@ from vision.sheets.corrections import (
 from vision.sheets.recovery import DOUBTS
 
 REPLACED = "corrections.npz"  # what saved decisions replaced, so that they can be taken back
-MOST_DOUBTS = 500  # listed
 
 
 class Session:
@@ -87,6 +87,7 @@ class Session:
         try:
             with reading(folder, "a run folder as track writes it", "run track again"):
                 self._load(tracks)
+                self.revision = 0  # whatever was taken up: pages know it from the first view
                 self.recordings = Recordings(self.found, settings, film)
         except BaseException:
             self._claim.close()
@@ -120,27 +121,15 @@ class Session:
         path = self.folder / CORRECTIONS
         decided = read_decisions(path) if path.exists() else Decisions(corrections=tuple(self.applied))
         self.undone = list(decided.undone)
-        self.decisions: list[Correction] = []
-        self._before: list[Before | None] = []  # what each replaced, None where it is not known
         self.unseen: list[Correction] = []  # taken back, but shown as if it were not until the run is saved
-        as_saved = list(decided.corrections[: len(self.applied)])
-        if [one.what for one in as_saved] == [one.what for one in self.applied]:
-            kept = unpack(self.folder / REPLACED)
-            self.decisions += as_saved
-            self._before += (kept + [None] * len(as_saved))[: len(as_saved)]
-        else:
-            self._take_back_saved(decided)
-        for decision in decided.corrections[len(self.decisions) :]:
-            self._apply(decision)
-
-    def _take_back_saved(self, decided: Decisions) -> None:
-        """From the decisions that the run follows to those that were still held when it was left."""
-        kept = unpack(self.folder / REPLACED)
-        same = _common(self.applied, decided.corrections)
-        self.decisions = list(self.applied)
-        self._before = (kept + [None] * len(self.applied))[: len(self.applied)]
-        while len(self.decisions) > same:
+        same, count = _common(self.applied, decided.corrections), len(self.applied)
+        self.decisions = [*decided.corrections[:same], *self.applied[same:]]
+        # what each replaced, None where it is not known
+        self._before: list[Before | None] = [*unpack(self.folder / REPLACED), *[None] * count][:count]
+        while len(self.decisions) > same:  # taken back since the run was saved
             self._step_back()
+        for decision in decided.corrections[same:]:
+            self._apply(decision)
 
     def _apply(self, decision: Correction) -> None:
         self.positions, before = apply(self.positions, decision, self.diagram)
@@ -192,9 +181,7 @@ class Session:
 
     def saving(self) -> dict[str, Any]:
         """How far saving is."""
-        saver = self.saver
-        progress = {"stage": saver.stage, "done": saver.done, "total": saver.total, "error": saver.error}
-        return {"running": saver.running, "changed": self.changed, **progress}
+        return self.saver.progress() | {"changed": self.changed}
 
     def reload(self) -> None:
         """Look at the run that has been put in this one's place."""
@@ -309,7 +296,7 @@ class Session:
         with self.lock:
             positions, facts, strip = self.positions, self.positions.track_facts, self.positions.strip_facts
             frames, columns = self.diagram.frames, self.diagram.columns
-            shape = {
+            return {
                 "name": self.folder.resolve().name,
                 "source": strip.source,
                 "frames": frames,
@@ -331,21 +318,13 @@ class Session:
                 "flags": FLAGS,
                 "has_force": self.found.events is not None,
                 "warnings": self.found.facts.get("warnings", []),
-            }
-            lists = {
-                "has_force": self.found.events is not None,
                 "sheets": self.sheets(),
                 "doubts": self.doubts(),
                 "sticks": self.sticks(),
                 "clock": plain(self.clock),
-                "tiles": {
-                    "levels": self.tiles.levels,
-                    "columns": self.tiles.settings.columns,
-                    "rows": self.tiles.settings.rows,
-                    "factor": self.tiles.settings.factor,
-                },
+                "tiles": asdict(self.tiles.settings) | {"levels": self.tiles.levels},
+                **self.state(),
             }
-            return shape | lists | self.state()
 
     def _rows(self, strip: StripMetadata) -> tuple[int, int]:
         """Rows of the strip, as decided on."""
@@ -358,13 +337,7 @@ class Session:
         return {
             "revision": self.revision,
             "decisions": [
-                {
-                    "kind": one.kind,
-                    "text": one.text(),
-                    "date": one.date,
-                    "saved": k < len(self.decisions) - pending,
-                }
-                | {"entry": one.entry()}
+                _listed(one) | {"saved": k < len(self.decisions) - pending}
                 for k, one in enumerate(self.decisions)
             ],
             "undone": [_listed(one) for one in self.undone],
@@ -384,10 +357,10 @@ class Session:
         ]
 
     def doubts(self) -> list[dict[str, Any]]:
-        """Doubtful stretches, the longest first."""
+        """The longest doubtful stretches, at most 500, the longest first."""
         positions = self.positions
         sheet, first, stop = stretches(positions.doubtful)
-        worst = np.argsort(first - stop, kind="stable")[:MOST_DOUBTS]
+        worst = np.argsort(first - stop, kind="stable")[:500]
         expected = positions.expected_px(first[worst])
         return [
             {
@@ -420,7 +393,7 @@ class Session:
         time_s = self.positions.time_s
         inside = (stop > np.nanmin(time_s)) & (start < np.nanmax(time_s))
         table = events[["event", "stick_length_um"]].assign(first=first, stop=last + 1)
-        return [{str(name): value for name, value in row.items()} for row in table[inside].to_dict("records")]
+        return records(table[inside])
 
     def slips(self, clock: Clock | None = None) -> list[int]:
         """First frames after the slips: of the force where its clock is sure, else of the sheets' steps."""
@@ -437,12 +410,10 @@ class Session:
         return sorted({int(frame) for frame in self._frames_at(self._video_slips_s())})
 
     def _video_slips_s(self) -> Floats:
-        """A second's work for a long film, which nobody else waits for."""
-        revision, found = self._film_slips
-        if revision != self.revision:
-            revision, found = self.revision, self.positions.slips_s()
-            self._film_slips = revision, found
-        return found
+        """Kept until a decision changes the positions: a second's work for a long film."""
+        if self._film_slips[0] != self.revision:
+            self._film_slips = self.revision, self.positions.slips_s()
+        return self._film_slips[1]
 
     def _frames_at(self, seconds: Floats) -> Ints:
         """Numbers of the frames next after these times of the camera's clock."""

@@ -102,6 +102,13 @@ export class Tiles {
     for (let i = begin; i < end; i++) yield i;
   }
 
+  /** The whole test on the coarsest level stands in for whatever is on its way. */
+  holdCoarsest() {
+    const level = this.levels - 1, across = Math.ceil(this.width / this.columns);
+    for (let j = 0; j < across; j++) this.pictures.get(`${level}/${j}/0`);
+    this.blocks.get(`${this.revision}/${level}/0`);
+  }
+
   /** Blocks of tracks that cover the frames, coarser ones where the right ones are still on their way. */
   tracks(level, first, last) {
     const found = [];
@@ -160,6 +167,7 @@ export class Diagram {
   draw(s, c, colour) {
     const { view, tiles } = this, at = this.places();
     const level = tiles.level(1 / (at.perFrame * s.scale));
+    tiles.holdCoarsest();
     s.clipped(() => {
       c.fillStyle = colour.grid; c.fillRect(s.left, s.top, s.plotWidth, s.plotHeight);
       this.pictures(c, at, level);

@@ -38,17 +38,17 @@ export function effectOn(answer, decision, name, noStick) {
 function stickOf(answer) { return answer.stick_after?.sheets.length ? { event: answer.event, ...answer.stick_after } : null; }
 
 function deformation(event, before, after) {
-  if (!after?.sheets.length) return [`no σx/Λst in stick ${event}. ${after?.reason ?? ""}`];
+  if (!after?.sheets.length) return [`no σₓ/Λₛₜ in stick ${event}. ${after?.reason ?? ""}`];
   const shell = shellIn(event, before, after);
   if (!before?.sheets.length) return [shell];
   const key = (one) => `${sideOf(one.side)} ${one.n}`, was = new Map(before.sheets.map((one) => [key(one), one]));
   const changed = after.sheets.filter((one) => !close(one.ratio, was.get(key(one))?.ratio)).map((one) => {
     const old = was.get(key(one)), called = old?.shell && old.shell !== one.shell ? ` (${old.shell} → ${one.shell})` : "";
-    return { by: Math.abs((one.ratio ?? 0) - (old?.ratio ?? 0)), text: `σx/Λst of ${key(one)}: ${ratio(old)} → ${ratio(one)}${called}` };
+    return { by: Math.abs((one.ratio ?? 0) - (old?.ratio ?? 0)), text: `σₓ/Λₛₜ of ${key(one)}: ${ratio(old)} → ${ratio(one)}${called}` };
   }).sort((a, b) => b.by - a.by);
   const lines = [shell, ...changed.slice(0, MOST_LINES).map((one) => one.text)];
   if (changed.length > MOST_LINES) lines.push(`… and of ${changed.length - MOST_LINES} more sheets, by ${number(changed[MOST_LINES].by, 3)} at most`);
-  if (!changed.length) lines.push(`σx/Λst in stick ${event}: no change`);
+  if (!changed.length) lines.push(`σₓ/Λₛₜ in stick ${event}: no change`);
   return lines;
 }
 
@@ -73,7 +73,7 @@ export function effectOfTrial(found, answer, waiting) {
   if (was !== will) lines.push(`sheets: ${was} → ${will}`);
   const { ratios, shells } = found;
   if (ratios) {
-    lines.push(`σx/Λst, ${pair(ratios.known)} values: change ${number(ratios.median, 3)} (median), ${number(ratios.largest, 3)} (most); ${ratios.other_shell} called otherwise`);
+    lines.push(`σₓ/Λₛₜ, ${pair(ratios.known)} values: change ${number(ratios.median, 3)} (median), ${number(ratios.largest, 3)} (most); ${ratios.other_shell} called otherwise`);
     lines.push(`shell, stiff sheets (median): ${shells.map((one) => `${sideOf(one.side)} ${pair(one.median, 1)}, other in ${one.other} of ${one.of} sticks`).join("; ")}`);
     if (answer.event != null) lines.push(...deformation(answer.event, answer.stick_before, answer.stick_after));
   }
@@ -91,7 +91,7 @@ export function effectOfStrip(now, then) {
       `ridges in frame ${then.frame}: ${now.ridges.length} → ${then.ridges.length}, of these sheets: ${now.sheets_seen} → ${then.sheets_seen}`,
       `noise from frame to frame: ${change("noise_px", 4, " px")}`,
       `contrast: ${change("contrast", 1, " grey levels")}; ridge width: ${change("fwhm_px", 2, " px")}`,
-      "Re-track to see positions, σx/Λst and shells before you keep it.",
+      "Re-track to see positions, σₓ/Λₛₜ and shells before you keep it.",
     ],
   };
 }

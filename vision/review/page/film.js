@@ -101,7 +101,7 @@ export class Film {
       c.lineWidth = many ? 3.2 : 5; c.strokeStyle = ON_GREY.casing; line(c, at.x(column), top, at.x(column), y1);
       c.lineWidth = many ? 1.4 : 2.4; c.strokeStyle = ON_GREY.new; line(c, at.x(column), top, at.x(column), y1);
     }
-    this.numbers(s, c, numbers, y0);
+    this.numbers(s, c, numbers, y1 - y0 > 3 * s.size ? y0 + 4 : y0 - 1.6 * s.size); // above a narrow strip
     for (const column of view.effect?.ridges_px ?? []) {
       c.lineWidth = 4; c.strokeStyle = ON_GREY.casing; line(c, at.x(column), y0, at.x(column), y1);
       c.lineWidth = 1.8; c.strokeStyle = ON_GREY.new; line(c, at.x(column), y0, at.x(column), y1);
@@ -115,9 +115,9 @@ export class Film {
   }
 
   /** As many numbers as fit; the chosen sheet's always. */
-  numbers(s, c, spots, y0) {
+  numbers(s, c, spots, at) {
     c.textAlign = "center"; c.textBaseline = "top";
-    const y = Math.max(s.top + 3, y0 + 4), width = s.size * 1.75;
+    const y = Math.max(s.top + 3, at), width = s.size * 1.75;
     const chosen = spots.find((spot) => spot.chosen), xs = spots.map((spot) => spot.x);
     const apart = xs.slice(1).map((x, i) => x - xs[i]).sort((a, b) => a - b)[xs.length >> 1] ?? width;
     const every = Math.max(1, Math.ceil(width / apart)); // the same on both sides, from the axis outwards
@@ -125,6 +125,8 @@ export class Film {
       if (Math.min(spot.x - s.left, s.left + s.plotWidth - spot.x) < 0.4 * width) continue; // it would be cut off
       if (!spot.chosen && ((spot.sheet.n - 1) % every || (chosen && Math.abs(spot.x - chosen.x) < width))) continue;
       s.font(spot.chosen ? 1.15 : 1, spot.chosen ? "bold" : "");
+      const wide = c.measureText(spot.sheet.n).width + 6;
+      c.fillStyle = ON_GREY.casing; c.fillRect(spot.x - wide / 2, y - 3, wide, s.size * 1.15 + 5); // ridges are as bright as letters
       edged(c, spot.sheet.n, spot.x, y, spot.chosen ? ON_GREY.chosen : spot.sheet.side < 0 ? ON_GREY.left : ON_GREY.right);
     }
     s.font();

@@ -34,7 +34,7 @@ class Page {
     this.ridgeStore = new Store((key) => getJson(`api/ridges/${key.split("/")[1]}`), () => { this.drawAll(); if (this.decisions.open) this.decisions.offerRidges(); }, 200);
     this.stickStore = new Store((key) => getJson(`api/stick/${key.split("/")[1]}`), () => this.drawAll(), 100);
     this.view.measure({ begin, end: begin + frames, left: left - 0.5, right: left + columns - 0.5, sheets: this.columns(), times });
-    this.film = { rows: null, error: "" }; // rows of its picture, or why there is none
+    this.film = { rows: null, error: "" }; // until it is known: rows of its picture, or why there is none
     this.filmSlips = []; // frames after the sheets' own steps
     this.doubt = null; // what the list shows as chosen
     this.views = {
@@ -53,9 +53,27 @@ class Page {
     by("title").textContent = by("title").title = state.name; document.title = `${state.name} – review`;
     this.take(state);
     this.watch();
-    this.tracking().catch((error) => this.failed(error)); // begun before this page was loaded
-    getJson("api/film").then((film) => { this.film = film; this.decisions.offer(); this.drawAll(); }, (error) => this.failed(error));
-    setTimeout(() => { this.slipsNow(); if (state.sticks.length) this.stick(state.sticks[0].first); }, 500); // slow the first time: after the pictures
+    this.film = await getJson("api/film");
+    this.decisions.offer(); this.drawAll();
+    await this.arrived();
+    await this.begun();
+  }
+
+  /** Waits for the pictures: what the program has to read the run for is asked after them. */
+  async arrived() {
+    await new Promise((done) => { requestAnimationFrame(() => requestAnimationFrame(done)); });
+    const stores = [this.tiles.pictures, this.tiles.blocks, this.views.film.pictures, this.force.parts, this.ridgeStore, this.stickStore];
+    while (stores.some((one) => one.asked.size)) await Promise.all(stores.flatMap((one) => [...one.asked.values()]));
+  }
+
+  /** The program reads the run, if it has not done so, and prepares what is slow the first time. */
+  async begun() {
+    await getJson("api/state");
+    this.force.coarse = false; this.drawAll();
+    this.slipsNow();
+    const [stick] = this.state.sticks;
+    if (stick) getJson(`api/stick/${stick.event}`).catch((error) => this.failed(error)); // the first takes longer
+    await this.tracking().catch((error) => this.failed(error)); // where that was begun before this page was loaded
   }
 
   /** Frames after slips: `slips` by the clock in force, `film` by the sheets' own steps. */
