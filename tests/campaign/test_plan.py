@@ -181,3 +181,12 @@ def test_planning_again_reads_no_film(tmp_path, monkeypatch):
     monkeypatch.setattr("vision.campaign.plan.describe_input", read.append)
     make_plan(rows(copies), out)
     assert read == []
+
+
+def test_a_batch_system_is_asked_for_minutes(tmp_path):
+    """A film of ten minutes, doubled for safety, and five minutes for a slow start: 25 minutes.  A failure
+    means that jobs are cut off, or wait for hours in a queue."""
+    tuning = CampaignSettings(base_seconds=599.5, margin=2.0, spare_minutes=5)
+    (job,) = make_plan(rows(films(tmp_path, 1)), tmp_path / "out", settings=tuning).jobs.values()
+    assert job.seconds == pytest.approx(599.5, abs=0.1)
+    assert job.minutes == 25
