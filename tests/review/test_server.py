@@ -19,22 +19,32 @@ PORT, TOKEN = 54321, "a-token-of-this-test"
 HERE = f"http://127.0.0.1:{PORT}"
 
 
+def opened_with_token(app):
+    """A page of this application."""
+    return TestClient(app, base_url=HERE, headers={"X-Token": TOKEN, "X-Window": "one"})
+
+
 @pytest.fixture
 def stopped():
     return Event()
 
 
 @pytest.fixture
-def app(session, stopped):
-    return app_of(session, port=PORT, token=TOKEN, stop=stopped.set)
+def own_page(session, stopped):
+    """A page that may decide."""
+    return opened_with_token(app_of(session, port=PORT, token=TOKEN, stop=stopped.set))
+
+
+@pytest.fixture(scope="module")
+def app(watched):
+    """What most tests ask, none of which may change anything."""
+    return app_of(watched, port=PORT, token=TOKEN)
 
 
 @pytest.fixture
 def page(app):
-    """A page that was opened with its token."""
-    client = TestClient(app, base_url=HERE, headers={"X-Token": TOKEN, "X-Window": "one"})
-    client.cookies.clear()
-    return client
+    """A page that only looks."""
+    return opened_with_token(app)
 
 
 @pytest.fixture
@@ -70,10 +80,10 @@ def test_without_the_token_nothing_is_told(stranger, path, headers):
     assert "run" not in answer.headers.get("set-cookie", "")
 
 
-def test_without_the_token_nothing_is_changed(stranger, session):
+def test_without_the_token_nothing_is_changed(stranger, watched):
     for path in ("/api/decisions", "/api/undo", "/api/save", "/api/quit"):
         assert stranger.post(path, json={"decision": remedies()[0]}).status_code == 403
-    assert session.revision == len(session.decisions) - len(session.applied)
+    assert watched.revision == len(watched.decisions) - len(watched.applied) == 0
 
 
 @pytest.mark.parametrize(
@@ -102,14 +112,14 @@ def test_every_name_of_the_loopback_address_is_served(page, host):
 @pytest.mark.parametrize(
     "origin", ["https://evil.example", "null", f"http://127.0.0.1:{PORT + 1}", "http://localhost"]
 )
-def test_a_foreign_page_cannot_decide(page, session, origin):
+def test_a_foreign_page_cannot_decide(page, watched, origin):
     answer = page.post("/api/decisions", json={"decision": remedies()[0]}, headers={"Origin": origin})
     assert answer.status_code == 403
-    assert not session.pending
+    assert not watched.pending
 
 
-def test_the_own_page_can(page):
-    answer = page.post("/api/decisions", json={"decision": remedies()[0]}, headers={"Origin": HERE})
+def test_the_own_page_can(own_page):
+    answer = own_page.post("/api/decisions", json={"decision": remedies()[0]}, headers={"Origin": HERE})
     assert answer.status_code == 200
 
 
@@ -191,15 +201,17 @@ def test_the_token_becomes_a_cookie_that_no_other_site_sends(app):
     assert browser.get("/api/state").status_code == 200  # an image, say, that carries the cookie alone
 
 
-def test_two_windows_know_of_each_other(page):
+def test_two_windows_know_of_each_other(own_page):
     """A failure means that two people undo each other's decisions unawares."""
-    assert page.get("/api/run").json()["other_windows"] == 0
-    second = page.get("/api/run", headers={"X-Window": "two"}).json()
+    assert own_page.get("/api/run").json()["other_windows"] == 0
+    second = own_page.get("/api/run", headers={"X-Window": "two"}).json()
     assert second["other_windows"] == 1
-    assert page.get("/api/state").json()["other_windows"] == 1
+    assert own_page.get("/api/state").json()["other_windows"] == 1
     seen = second["revision"]
-    assert page.post("/api/decisions", json={"decision": remedies()[0], "revision": seen}).status_code == 200
-    late = page.post("/api/decisions", json={"decision": remedies()[0], "revision": seen})
+    assert (
+        own_page.post("/api/decisions", json={"decision": remedies()[0], "revision": seen}).status_code == 200
+    )
+    late = own_page.post("/api/decisions", json={"decision": remedies()[0], "revision": seen})
     assert late.status_code == 409
     assert "another window" in late.json()["error"]
 
@@ -279,31 +291,31 @@ def test_another_clock_moves_the_sticks_and_keeps_nothing(page):
     assert page.get("/api/run").json()["sticks"] == before["sticks"]
 
 
-def test_preview_decide_undo_redo(page):
+def test_preview_decide_undo_redo(own_page):
     decision = remedies()[0]
-    seen = page.post("/api/preview", json={"decision": decision, "frame": 120}).json()
+    seen = own_page.post("/api/preview", json={"decision": decision, "frame": 120}).json()
     assert seen["frames"][0] <= 120 <= seen["frames"][-1]
-    assert page.get("/api/state").json()["revision"] == 0
-    state = page.post("/api/decisions", json={"decision": decision}).json()
+    assert own_page.get("/api/state").json()["revision"] == 0
+    state = own_page.post("/api/decisions", json={"decision": decision}).json()
     assert state["can_undo"]
     assert state["decisions"][-1]["entry"]["frames"] == "100:"
-    state = page.post("/api/undo", json={}).json()
+    state = own_page.post("/api/undo", json={}).json()
     assert state["can_redo"]
     assert not state["changed"]
-    assert page.post("/api/redo").json()["changed"]
+    assert own_page.post("/api/redo").json()["changed"]
 
 
-def test_the_stick_is_measured_anew_while_decisions_wait(page):
-    page.post("/api/decisions", json={"decision": remedies()[-1]})
-    sticks = page.get("/api/run").json()["sticks"]
+def test_the_stick_is_measured_anew_while_decisions_wait(own_page):
+    own_page.post("/api/decisions", json={"decision": remedies()[-1]})
+    sticks = own_page.get("/api/run").json()["sticks"]
     event = sticks[len(sticks) // 2]["event"]
-    found = page.get(f"/api/stick/{event}").json()
+    found = own_page.get(f"/api/stick/{event}").json()
     assert len(found["sheets"]) == 49
-    assert page.get("/api/stick/99999").json()["sheets"] == []
+    assert own_page.get("/api/stick/99999").json()["sheets"] == []
 
 
-def test_quit(page, stopped):
-    assert page.post("/api/quit").json() == {"ended": True}
+def test_quit(own_page, stopped):
+    assert own_page.post("/api/quit").json() == {"ended": True}
     assert stopped.is_set()
 
 
