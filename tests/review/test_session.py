@@ -108,6 +108,7 @@ def test_every_decision_can_be_taken_back_and_made_again(session):
 
 
 def test_a_new_decision_ends_what_was_taken_back(session):
+    """A failure means that a decision which was taken back returns after another."""
     session.decide(EVERY_KIND[0])
     session.undo()
     session.decide(EVERY_KIND[1])
@@ -194,6 +195,7 @@ def test_a_ridge_is_not_given_twice(watched):
 
 
 def test_decisions_are_there_when_the_run_is_opened_again(run):
+    """A failure means that a closed window costs what was decided in it."""
     with Session(run, SETTINGS) as first:
         for decision in EVERY_KIND[:3]:
             first.decide(decision)
@@ -236,6 +238,7 @@ def test_the_other_rows_show_their_ridges_and_noise(watched):
 
 
 def test_a_second_review_of_the_same_run_is_refused(run):
+    """A failure means that two reviews write over each other's decisions."""
     with Session(run, SETTINGS), pytest.raises(InputError, match="open"):
         Session(run, SETTINGS)
     Session(run, SETTINGS).__exit__()
