@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 import pytest
 
 from tests.campaign.scenes import films, planned
-from vision.campaign.page import write_page
+from vision.campaign.page import duration, write_page
 from vision.campaign.plan import make_plan
 from vision.campaign.states import State, write_state
 from vision.campaign.table import Row
@@ -35,6 +35,7 @@ def page_of(plan, **how):
 
 
 def test_every_test_with_state_reason_thumbnail_and_link(tmp_path):
+    """A failure means that a failed film looks done, or that its reason or report is not found."""
     plan = planned(tmp_path / "out", films(tmp_path, 4))
     words = ("done", "warnings", "failed")
     for name, word in zip(("t0", "t1", "t2"), words, strict=True):
@@ -87,6 +88,13 @@ def test_hostile_names_are_text(tmp_path):
 
 @pytest.mark.parametrize("live", [True, False])
 def test_the_page_renews_itself_only_while_the_campaign_runs(tmp_path, live):
+    """A failure means a page that stands still, or one that reloads for ever."""
     text = page_of(planned(tmp_path / "out", films(tmp_path, 1)), live=live)
     assert bool([m for m in Elements(text).all("meta") if m.get("http-equiv") == "refresh"]) == live
     assert ("computing are left" in text) == live
+
+
+@pytest.mark.parametrize(("seconds", "said"), [(45, "45 s"), (150, "2 min"), (9000, "2.5 h")])
+def test_what_is_left_is_said_in_its_unit(seconds, said):
+    """A failure means that who waits for a campaign is told minutes for seconds."""
+    assert duration(seconds) == said

@@ -64,6 +64,7 @@ def test_films_that_were_done_and_moved_away_stay_in_the_pool(tmp_path):
 
 
 def test_failed_and_vanished_runs_are_done_again(tmp_path):
+    """A failure means that a campaign calls films done that have no results."""
     paths, out = films(tmp_path, 2), tmp_path / "out"
     plan = planned(out, paths)
     finish(plan, "t0", "t1")
@@ -88,6 +89,7 @@ def film(name, seconds):
 
 
 def test_short_films_share_jobs_and_long_ones_do_not():
+    """A failure means that starts of processes take longer than the films, or that cores idle at the end."""
     tuning = CampaignSettings()
     jobs = share([film(f"s{k}", 1.0) for k in range(200)] + [film("long", 600.0)], 1.0, 2, tuning)
     assert [f.name for f in jobs[0]] == ["long"]
@@ -100,6 +102,7 @@ def test_short_films_share_jobs_and_long_ones_do_not():
 
 
 def test_a_plan_is_read_as_it_was_written(tmp_path):
+    """A failure means that jobs on another machine follow another plan."""
     plan = planned(tmp_path / "out", films(tmp_path, 3), fps=20.0)
     assert read_plan(tmp_path / "out" / "plan.json") == plan
 
@@ -116,6 +119,7 @@ def test_estimates_grow_with_frames_and_columns(tmp_path):
 
 
 def test_a_film_that_cannot_be_opened_is_tried_all_the_same(tmp_path):
+    """A failure means that one bad film stops the whole campaign, or is silently left out."""
     path = tmp_path / "bad.tif"
     path.write_bytes(b"II*\0nothing")
     plan = planned(tmp_path / "out", [path])
@@ -148,6 +152,7 @@ def test_a_folder_that_is_not_this_version_s_campaign_is_left_alone(tmp_path, co
 
 
 def test_dry_run_says_what_would_run_and_writes_nothing(tmp_path, capsys):
+    """A failure means that looking at a campaign changes it."""
     paths, out = films(tmp_path, 3), tmp_path / "out"
     finish(planned(out, paths, fps=20.0), "t0")
     # the same settings through the command's own defaults are other settings: nothing counts as done
@@ -162,6 +167,7 @@ def test_dry_run_says_what_would_run_and_writes_nothing(tmp_path, capsys):
 
 
 def test_a_state_that_cannot_be_read_is_none(tmp_path):
+    """A failure means that a state cut off by a power failure stops the campaign."""
     write_state(tmp_path, State(name="x", key="k", state="done"))
     assert read_state(tmp_path, "x").state == "done"
     (tmp_path / "states" / "x.json").write_text('{"name": "x", "st')
@@ -181,3 +187,12 @@ def test_planning_again_reads_no_film(tmp_path, monkeypatch):
     monkeypatch.setattr("vision.campaign.plan.describe_input", read.append)
     make_plan(rows(copies), out)
     assert read == []
+
+
+def test_a_batch_system_is_asked_for_minutes(tmp_path):
+    """A film of ten minutes, doubled for safety, and five minutes for a slow start: 25 minutes.  A failure
+    means that jobs are cut off, or wait for hours in a queue."""
+    tuning = CampaignSettings(base_seconds=599.5, margin=2.0, spare_minutes=5)
+    (job,) = make_plan(rows(films(tmp_path, 1)), tmp_path / "out", settings=tuning).jobs.values()
+    assert job.seconds == pytest.approx(599.5, abs=0.1)
+    assert job.minutes == 25

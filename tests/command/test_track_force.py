@@ -65,8 +65,11 @@ def test_events_of_a_recording_give_back_the_models(test: Test) -> None:
     assert fits.modulus_GPa.value == pytest.approx(3.8, rel=0.02)
 
 
-def test_run_folder(file: Path, test: Test, capsys: pytest.CaptureFixture[str]) -> None:
-    """A failure means a script that reads the run folder by its agreed names breaks."""
+def test_a_run_folder_is_complete_and_kept(
+    file: Path, test: Test, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A failure means a script that reads the run folder by its agreed names breaks, or that results are
+    lost without --overwrite."""
     assert force(file, "--d0", "13") == 0
     folder = Path("pull_force")
     events = pd.read_csv(folder / "events.csv")
@@ -75,19 +78,21 @@ def test_run_folder(file: Path, test: Test, capsys: pytest.CaptureFixture[str]) 
     np.testing.assert_allclose(events["d_v_mm"], test.truth["d_v_mm"], atol=2e-3)
     models = json.loads((folder / "models.json").read_text(encoding="utf-8"))
     assert models["mu"]["value"] == pytest.approx(0.89, abs=0.003)
+    for name in ("mu", "T0_N", "A", "N_hat_N", "Y_eff_GPa", "Lambda_hat_mm"):
+        assert set(models[name]) >= {"value", "error", "systematic_error"}, name
+    assert 0 < models["events_used"] <= len(events)
+    assert 13 <= models["fit_range_mm"][0] < models["fit_range_mm"][1] <= 15.6
+    assert {"chi2_dof", "sample"} <= set(models)
     facts = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     assert facts["parameters"]["d0"] == {"value": 13, "how": "given"}
     assert facts["force"]["separation_from"] == "displacement"
     assert len(facts["inputs"][0]["sha256"]) == 64
     assert (folder / "force.png").is_file()
     assert "μ 0.89" in capsys.readouterr().out
-
-
-def test_an_existing_run_is_kept(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A failure means results are lost without --overwrite."""
-    assert force(file, "--d0", "13", "--quiet") == 0
+    before = (folder / "run.json").read_bytes()
     assert force(file, "--d0", "13", "--quiet") == 2
     assert "--overwrite" in capsys.readouterr().err
+    assert (folder / "run.json").read_bytes() == before
     lines = file.read_text(encoding="utf-8-sig").splitlines()
     file.write_text("\n".join(lines[: len(lines) // 3]), encoding="utf-8-sig")
     assert force(file, "--d0", "13", "--quiet", "--overwrite", "--detection-limit") == 0

@@ -291,3 +291,17 @@ def test_too_few_events_for_a_change(tmp_path):
     """A failure means a change point from a handful of events."""
     test = read_tests([write_run(tmp_path / "short", events(step=0.2))]).tests[0]
     assert "needed" in find_irregular(test).reason
+
+
+def test_one_scale_for_all_weighs_every_event_alike(tmp_path):
+    """Many events of one geometry beside few of another, N̂ 0.5 against 0.7 N.  A failure means that the
+    distance before the collapse is that from a scale which no test has most of its events at."""
+    thick = Sample(thickness_mm=0.12)
+    many = write_run(tmp_path / "many", events(n_hat=0.5, step=0.02, seed=1))
+    made = events(n_hat=0.7, step=0.1, seed=2, sample=thick)
+    few = write_run(tmp_path / "few", made, sample=thick)
+    found = vision.compare([many, few], modulus_GPa=3.8)
+    of_each = found.table["Lambda_hat_mm"].to_numpy()
+    count = found.collapse.table["run"].value_counts()[["many", "few"]].to_numpy()
+    assert count[0] > 3 * count[1] and abs(np.diff(of_each)[0]) > 0.5
+    assert found.collapse.common_scale_mm == pytest.approx(np.average(of_each, weights=count), abs=0.02)

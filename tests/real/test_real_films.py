@@ -1,6 +1,7 @@
 """`track` on recordings of real things; skipped where they are absent."""
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,18 @@ DATA = Path(__file__).parents[2] / "../shared/data"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the recordings are not here")
 
 
-def tracked(folder, name, *arguments):
-    """Exit status, positions (frame, sheet), flags (frame, sheet) and run.json."""
-    status = run([str(DATA / name), "--quiet", "--out", str(folder / "run"), *arguments])
-    table = pd.read_csv(folder / "run" / "tracks.csv")
-    facts = json.loads((folder / "run" / "run.json").read_text())
+@pytest.fixture(scope="module")
+def tracked(tmp_path_factory):
+    """Of a film's name and arguments: exit status, positions (frame, sheet), flags (frame, sheet), run.json.
+
+    Each is run once; results are not to be changed."""
+    return cache(lambda name, *arguments: track(tmp_path_factory.mktemp("film") / "run", name, arguments))
+
+
+def track(folder, name, arguments):
+    status = run([str(DATA / name), "--quiet", "--out", str(folder), *arguments])
+    table = pd.read_csv(folder / "tracks.csv")
+    facts = json.loads((folder / "run.json").read_text())
     wide = table.pivot_table(index="frame", columns="index", values="x_px", dropna=False)
     flags = table["flag"].to_numpy().reshape(wide.shape)
     return status, wide.to_numpy(), flags, facts
@@ -31,9 +39,8 @@ def scatter(spacing, shift, slow):
 
 
 @pytest.fixture(scope="module")
-def markers(tmp_path_factory):
-    arguments = ("--ridges", "dark", "--sheets", "7")
-    return tracked(tmp_path_factory.mktemp("markers"), "released_markers.avi", *arguments)
+def markers(tracked):
+    return tracked("released_markers.avi", "--ridges", "dark", "--sheets", "7")
 
 
 def test_all_markers_are_kept_through_the_releases(markers):
@@ -60,9 +67,9 @@ def test_the_markers_spacing_scatters_by_less_than_0_08_px(markers):
     assert np.median([scatter(s, shift, ~slow) for s in np.diff(x, axis=1).T]) > 0.08  # motion blur
 
 
-def test_the_beam_s_white_frame_is_rejected_and_its_motion_is_common(tmp_path):
+def test_the_beam_s_white_frame_is_rejected_and_its_motion_is_common(tracked):
     """A failure means that a white frame is tracked, or that motion of a hundredth of a pixel is noise."""
-    status, x, flags, facts = tracked(tmp_path, "striped_beam.cine", "--rotate", "90")
+    status, x, flags, facts = tracked("striped_beam.cine", "--rotate", "90")
     assert status == 1
     assert facts["frames"]["blank"] == 1
     assert "1 frame(s) blank" in " ".join(facts["warnings"])
@@ -75,9 +82,9 @@ def test_the_beam_s_white_frame_is_rejected_and_its_motion_is_common(tmp_path):
     assert 0.005 < motion.std() < 0.02
 
 
-def test_sarcomeres_are_followed_with_doubts_flagged(tmp_path):
+def test_sarcomeres_are_followed_with_doubts_flagged(tracked):
     """A failure means that a comb that drifts and merges is given with false certainty, or not at all."""
-    status, x, flags, facts = tracked(tmp_path, "sarcomeres.avi", "--rotate", "90", "--strip", "190:211")
+    status, x, flags, facts = tracked("sarcomeres.avi", "--rotate", "90", "--strip", "190:211")
     assert status == 1
     assert "in doubt" in " ".join(facts["warnings"])
     known = np.isfinite(x)
@@ -92,11 +99,11 @@ def test_sarcomeres_are_followed_with_doubts_flagged(tmp_path):
     assert astray.sum() < 0.005 * known.sum()  # discs move by less than 15 px
 
 
-def test_the_upper_floor_is_whole_to_the_end(tmp_path):
+def test_the_upper_floor_is_whole_to_the_end(tracked):
     """A failure means that one jump costs a marker for the rest of the film, or that a marker is taken for
     another."""
     chosen = ("--strip", "4:54", "--ridges", "dark", "--sheets", "7")
-    _, x, flags, _ = tracked(tmp_path, "released_markers_upper.avi", *chosen)
+    _, x, flags, _ = tracked("released_markers_upper.avi", *chosen)
     assert np.isin(flags, ("ok", "blurred")).all()
     assert np.abs(np.diff(x, axis=0)).max() > 100
     spacing = np.diff(x, axis=1)
@@ -105,26 +112,26 @@ def test_the_upper_floor_is_whole_to_the_end(tmp_path):
 
 
 @pytest.mark.parametrize("rows", ["0:40", "2:38", "8:32"])
-def test_no_ridge_of_the_whole_film_leaves_all_others(tmp_path, rows):
+def test_no_ridge_of_the_whole_film_leaves_all_others(tracked, rows):
     """A failure means that one ridge hops 27 px away from all others with nothing said."""
-    _, x, _, _ = tracked(tmp_path, "released_markers.avi", "--strip", rows)
+    _, x, _, _ = tracked("released_markers.avi", "--strip", rows)
     moved = x - np.nanmedian(x, axis=0)
     own = np.abs(moved - np.nanmedian(moved, axis=1)[:, None])
     assert (own > 20).sum() <= 2
 
 
-def test_no_part_of_the_sarcomeres_jumps_by_a_pitch_for_one_frame(tmp_path):
+def test_no_part_of_the_sarcomeres_jumps_by_a_pitch_for_one_frame(tracked):
     """A failure means that misread groups (frames 24, 71, 113) pass as measured."""
-    _, x, _, _ = tracked(tmp_path, "sarcomeres.avi", "--rotate", "90", "--strip", "190:211")
+    _, x, _, _ = tracked("sarcomeres.avi", "--rotate", "90", "--strip", "190:211")
     away = np.abs(np.diff(x, axis=0)) > 9  # discs 13 px apart
     back = away[:-1] & away[1:]
     assert back.sum(axis=1).max() <= 1
 
 
-def test_two_bands_of_a_high_speed_camera(tmp_path):
+def test_two_bands_of_a_high_speed_camera(tracked):
     """Photron's .mraw with its .cih: size, depth and frame rate stand there; two bright bands vibrate along y
     together. A failure means that such recordings are misread, or the camera's rate is not taken."""
-    status, x, flags, facts = tracked(tmp_path, "two_bands.cih", "--rotate", "90")
+    status, x, flags, facts = tracked("two_bands.cih", "--rotate", "90")
     assert status == 1  # every hundredth frame may have been saved
     assert "save step is 100" in " ".join(facts["warnings"])
     assert x.shape == (75, 2) and (flags == "ok").all()
@@ -136,9 +143,9 @@ def test_two_bands_of_a_high_speed_camera(tmp_path):
 
 
 @pytest.mark.parametrize("strip", [(), ("--strip", "190:211"), ("--strip", "255:270"), ("--strip", "60:80")])
-def test_the_sarcomeres_are_never_a_pitch_off_all_together(tmp_path, strip):
+def test_the_sarcomeres_are_never_a_pitch_off_all_together(tracked, strip):
     """A failure means that a comb that contracts by 3 px is said to have jumped by a pitch, flagged ok."""
-    status, x, _, facts = tracked(tmp_path, "sarcomeres.avi", "--rotate", "90", *strip)
+    status, x, _, facts = tracked("sarcomeres.avi", "--rotate", "90", *strip)
     assert status == 1
     seen = np.isfinite(x).any(axis=1)
     common = nan_median((x - nan_median(x))[seen], axis=1)

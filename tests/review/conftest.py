@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from tests.scenes.doubted import doubted_run
-from tests.scenes.reviewed import SETTINGS, write_planted
+from tests.scenes.reviewed import PLANTED, SETTINGS, write_planted
 from vision.review.session import Session
 
 
@@ -19,6 +19,24 @@ def planted(tmp_path_factory):
 def doubted(tmp_path_factory):
     """Not to be changed either."""
     return doubted_run(tmp_path_factory.mktemp("doubted"))
+
+
+@pytest.fixture(scope="session")
+def unplanted(tmp_path_factory):
+    """The run without mistakes; not to be changed."""
+    return write_planted(tmp_path_factory.mktemp("unplanted") / "run", ())
+
+
+@pytest.fixture(scope="session")
+def watched(planted, tmp_path_factory):
+    """An open review for tests that must not change it, which is looked at when all of them are done."""
+    copy = shutil.copytree(planted, tmp_path_factory.mktemp("watched") / "run")
+    written = (copy / "corrections.toml").read_bytes()
+    with Session(copy, SETTINGS) as opened:
+        yield opened
+        assert len(opened.decisions) == len(PLANTED)
+        assert not opened.changed and not opened.undone
+    assert (copy / "corrections.toml").read_bytes() == written
 
 
 @pytest.fixture

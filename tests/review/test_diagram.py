@@ -44,6 +44,7 @@ def tiles(values, make):
 
 
 def test_level_0_is_the_recording(values, tiles):
+    """A failure means that grey levels or columns of the diagram are not those recorded."""
     shown = tiles.part(0, 0, 2)
     wanted = np.clip(np.rint(255 * (values[512:768, :512] - tiles.low) / (tiles.high - tiles.low)), 0, 255)
     np.testing.assert_array_equal(shown, wanted.astype(np.uint8))
@@ -61,6 +62,7 @@ def test_a_ridge_that_was_elsewhere_for_one_frame_is_seen_at_every_level(tiles, 
 
 
 def test_dark_ridges_keep_their_smallest_values(values, make):
+    """A failure means that what happened to dark sheets for one frame is lost from afar."""
     tiles = make(80 - values, bright=False)
     shown = tiles.part(2, 0, 0).astype(int)
     assert shown[3210 // 16, 340] < 50
@@ -68,12 +70,14 @@ def test_dark_ridges_keep_their_smallest_values(values, make):
 
 
 def test_frames_that_are_missing_are_grey_and_hide_no_others(tiles):
+    """A failure means that lost frames look like dark ones, or cover those beside them."""
     assert np.isin(tiles.part(0, 0, 0)[120:150], (127, 128)).all()
     assert np.isin(tiles.part(1, 0, 0)[26:49], (127, 128)).all()
     assert (tiles.part(1, 0, 0)[24, 290:296] < 100).all()  # frames 96 to 99 are there
 
 
 def test_the_last_level_is_one_tile_high_and_edges_are_smaller(tiles):
+    """A failure means that the page asks for tiles that do not exist, or stretches the last."""
     last = tiles.levels - 1
     rows = -(-FRAMES // 4**last)
     assert rows <= tiles.settings.rows < -(-FRAMES // 4 ** (last - 1))
@@ -83,6 +87,7 @@ def test_the_last_level_is_one_tile_high_and_edges_are_smaller(tiles):
 
 
 def test_made_from_the_file_or_kept_in_memory_a_level_is_the_same(values, make):
+    """A failure means that a long film is shown otherwise than a short one."""
     one = make(values, first_kept=1)
     other = make(values, first_kept=3)
     for level in (1, 2):
@@ -91,17 +96,20 @@ def test_made_from_the_file_or_kept_in_memory_a_level_is_the_same(values, make):
 
 @pytest.mark.parametrize("place", [(-1, 0, 0), (9, 0, 0), (0, 2, 0), (0, 0, 20), (0, -1, 0), (0, 0, -1)])
 def test_a_tile_that_is_not_there_is_refused(tiles, place):
+    """A failure means a picture of another place, or a traceback."""
     with pytest.raises(InputError, match="levels"):
         tiles.part(*place)
 
 
 def test_a_short_film_has_one_level(values, make):
+    """A failure means that a short film has no diagram."""
     tiles = make(values[:50])
     assert tiles.levels == 1
     assert tiles.part(0, 0, 0).shape == (50, 512)
 
 
 def test_a_diagram_that_was_cut_short_is_named(values, make):
+    """A failure means that a damaged file is shown as a recording."""
     tiles = make(values[:1000])
     with tiles.diagram.path.open("r+b") as file:
         file.truncate(2_000_000)

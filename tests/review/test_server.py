@@ -19,22 +19,32 @@ PORT, TOKEN = 54321, "a-token-of-this-test"
 HERE = f"http://127.0.0.1:{PORT}"
 
 
+def opened_with_token(app):
+    """A page of this application."""
+    return TestClient(app, base_url=HERE, headers={"X-Token": TOKEN, "X-Window": "one"})
+
+
 @pytest.fixture
 def stopped():
     return Event()
 
 
 @pytest.fixture
-def app(session, stopped):
-    return app_of(session, port=PORT, token=TOKEN, stop=stopped.set)
+def own_page(session, stopped):
+    """A page that may decide."""
+    return opened_with_token(app_of(session, port=PORT, token=TOKEN, stop=stopped.set))
+
+
+@pytest.fixture(scope="module")
+def app(watched):
+    """What most tests ask, none of which may change anything."""
+    return app_of(watched, port=PORT, token=TOKEN)
 
 
 @pytest.fixture
 def page(app):
-    """A page that was opened with its token."""
-    client = TestClient(app, base_url=HERE, headers={"X-Token": TOKEN, "X-Window": "one"})
-    client.cookies.clear()
-    return client
+    """A page that only looks."""
+    return opened_with_token(app)
 
 
 @pytest.fixture
@@ -70,10 +80,11 @@ def test_without_the_token_nothing_is_told(stranger, path, headers):
     assert "run" not in answer.headers.get("set-cookie", "")
 
 
-def test_without_the_token_nothing_is_changed(stranger, session):
+def test_without_the_token_nothing_is_changed(stranger, watched):
+    """A failure means that any page of this machine can decide about the run."""
     for path in ("/api/decisions", "/api/undo", "/api/save", "/api/quit"):
         assert stranger.post(path, json={"decision": remedies()[0]}).status_code == 403
-    assert session.revision == len(session.decisions) - len(session.applied)
+    assert watched.revision == len(watched.decisions) - len(watched.applied) == 0
 
 
 @pytest.mark.parametrize(
@@ -96,20 +107,23 @@ def test_a_foreign_host_is_refused_even_with_the_token(page, host):
     "host", [f"127.0.0.1:{PORT}", f"localhost:{PORT}", f"[::1]:{PORT}", f"LOCALHOST:{PORT}"]
 )
 def test_every_name_of_the_loopback_address_is_served(page, host):
+    """A failure means that the page does not open under a name that browsers use."""
     assert page.get("/api/state", headers={"Host": host}).status_code == 200
 
 
 @pytest.mark.parametrize(
     "origin", ["https://evil.example", "null", f"http://127.0.0.1:{PORT + 1}", "http://localhost"]
 )
-def test_a_foreign_page_cannot_decide(page, session, origin):
+def test_a_foreign_page_cannot_decide(page, watched, origin):
+    """A failure means that a page from elsewhere changes the run of who visits it."""
     answer = page.post("/api/decisions", json={"decision": remedies()[0]}, headers={"Origin": origin})
     assert answer.status_code == 403
-    assert not session.pending
+    assert not watched.pending
 
 
-def test_the_own_page_can(page):
-    answer = page.post("/api/decisions", json={"decision": remedies()[0]}, headers={"Origin": HERE})
+def test_the_own_page_can(own_page):
+    """A failure means that the test above would pass with a server that refuses everybody."""
+    answer = own_page.post("/api/decisions", json={"decision": remedies()[0]}, headers={"Origin": HERE})
     assert answer.status_code == 200
 
 
@@ -136,6 +150,7 @@ def test_no_path_leads_out(page, path):
 
 @pytest.mark.parametrize("path", ["/api/decisions", "/api/preview", "/api/strip"])
 def test_a_large_body_is_refused(page, path):
+    """A failure means that one request takes the memory of the machine."""
     assert page.post(path, content=b"x" * (MOST_BODY_BYTES + 1)).status_code == 413
 
 
@@ -151,12 +166,14 @@ def test_a_large_body_of_no_stated_length_is_refused(page):
 
 @pytest.mark.parametrize("body", [b"{", b"[1]", b"\xff\xfe", b"[" * 100_000, b'{"decision": 3}', b"{}"])
 def test_a_body_that_is_no_request_is_refused(page, body):
+    """A failure means a traceback, or half a decision, for what is no request."""
     answer = page.post("/api/decisions", content=body)
     assert answer.status_code == 400
     assert "\n" not in answer.json()["error"]
 
 
 def test_every_answer_forbids_what_is_not_its_own(page, stranger):
+    """A failure means that a script hidden in a run's text could load or send something."""
     for answer in (page.get("/"), page.get("/api/run"), page.get("/nothing"), stranger.get("/")):
         policy = answer.headers["content-security-policy"]
         assert policy.startswith("default-src 'none'; script-src 'self';")
@@ -182,6 +199,7 @@ def test_the_page_needs_nothing_inline_and_nothing_from_elsewhere(page):
 
 
 def test_the_token_becomes_a_cookie_that_no_other_site_sends(app):
+    """A failure means that pictures do not load, or that another site's requests carry the token."""
     browser = TestClient(app, base_url=HERE)
     opened = browser.get("/", params={"token": TOKEN})
     assert opened.status_code == 200
@@ -191,15 +209,17 @@ def test_the_token_becomes_a_cookie_that_no_other_site_sends(app):
     assert browser.get("/api/state").status_code == 200  # an image, say, that carries the cookie alone
 
 
-def test_two_windows_know_of_each_other(page):
+def test_two_windows_know_of_each_other(own_page):
     """A failure means that two people undo each other's decisions unawares."""
-    assert page.get("/api/run").json()["other_windows"] == 0
-    second = page.get("/api/run", headers={"X-Window": "two"}).json()
+    assert own_page.get("/api/run").json()["other_windows"] == 0
+    second = own_page.get("/api/run", headers={"X-Window": "two"}).json()
     assert second["other_windows"] == 1
-    assert page.get("/api/state").json()["other_windows"] == 1
+    assert own_page.get("/api/state").json()["other_windows"] == 1
     seen = second["revision"]
-    assert page.post("/api/decisions", json={"decision": remedies()[0], "revision": seen}).status_code == 200
-    late = page.post("/api/decisions", json={"decision": remedies()[0], "revision": seen})
+    assert (
+        own_page.post("/api/decisions", json={"decision": remedies()[0], "revision": seen}).status_code == 200
+    )
+    late = own_page.post("/api/decisions", json={"decision": remedies()[0], "revision": seen})
     assert late.status_code == 409
     assert "another window" in late.json()["error"]
 
@@ -208,6 +228,7 @@ def test_two_windows_know_of_each_other(page):
 
 
 def test_the_run_at_a_glance(page):
+    """A failure means that the page opens with other numbers than the run's."""
     facts = page.get("/api/run").json()
     assert facts["frames"] == 240
     assert facts["columns"] == 1200
@@ -219,6 +240,7 @@ def test_the_run_at_a_glance(page):
 
 
 def test_curves_are_the_positions(page):
+    """A failure means that sheets are drawn where they are not."""
     answer = page.get("/api/tracks", params={"first": 10, "stop": 60, "points": 1000})
     table = np.frombuffer(answer.content, "<f4").reshape(
         int(answer.headers["X-Rows"]), int(answer.headers["X-Columns"])
@@ -240,6 +262,7 @@ def test_few_points_keep_every_jump(page):
 
 
 def test_pictures(page):
+    """A failure means that frames or the diagram are of another size than the curves over them."""
     assert shape_of(page.get("/api/frame/17.png").content) == (30, 1200)
     tiles = page.get("/api/run").json()["tiles"]
     assert shape_of(page.get("/api/kymograph/0/0/0.png").content) == (240, tiles["columns"])
@@ -250,6 +273,7 @@ def test_pictures(page):
 
 
 def test_candidates_of_a_frame_name_their_sheets(page):
+    """A failure means that a person is offered a ridge that belongs to another sheet."""
     found = page.get("/api/ridges/55").json()
     x_px = truth()["x_px"].values[55]
     by_sheet = {one["sheet"]: one["x_px"] for one in found["candidates"] if one["sheet"] is not None}
@@ -262,6 +286,7 @@ def test_candidates_of_a_frame_name_their_sheets(page):
 
 
 def test_the_force(page):
+    """A failure means that the force is drawn at another time, or in another unit."""
     answer = page.get("/api/force", params={"first_s": 25.0, "stop_s": 26.0, "points": 500})
     table = np.frombuffer(answer.content, "<f8").reshape(-1, 3)
     assert 25.0 <= table[:, 0].min() < table[:, 0].max() < 26.0
@@ -270,6 +295,7 @@ def test_the_force(page):
 
 
 def test_another_clock_moves_the_sticks_and_keeps_nothing(page):
+    """A failure means that trying out a clock changes the run, or shows sticks elsewhere."""
     before = page.get("/api/run").json()
     seen = page.post("/api/clock", json={"offset_s": 24.0}).json()
     true = truth()["t_p_video_s"].values * 60
@@ -279,31 +305,34 @@ def test_another_clock_moves_the_sticks_and_keeps_nothing(page):
     assert page.get("/api/run").json()["sticks"] == before["sticks"]
 
 
-def test_preview_decide_undo_redo(page):
+def test_preview_decide_undo_redo(own_page):
+    """A failure means that the page's buttons do something else than they say."""
     decision = remedies()[0]
-    seen = page.post("/api/preview", json={"decision": decision, "frame": 120}).json()
+    seen = own_page.post("/api/preview", json={"decision": decision, "frame": 120}).json()
     assert seen["frames"][0] <= 120 <= seen["frames"][-1]
-    assert page.get("/api/state").json()["revision"] == 0
-    state = page.post("/api/decisions", json={"decision": decision}).json()
+    assert own_page.get("/api/state").json()["revision"] == 0
+    state = own_page.post("/api/decisions", json={"decision": decision}).json()
     assert state["can_undo"]
     assert state["decisions"][-1]["entry"]["frames"] == "100:"
-    state = page.post("/api/undo", json={}).json()
+    state = own_page.post("/api/undo", json={}).json()
     assert state["can_redo"]
     assert not state["changed"]
-    assert page.post("/api/redo").json()["changed"]
+    assert own_page.post("/api/redo").json()["changed"]
 
 
-def test_the_stick_is_measured_anew_while_decisions_wait(page):
-    page.post("/api/decisions", json={"decision": remedies()[-1]})
-    sticks = page.get("/api/run").json()["sticks"]
+def test_the_stick_is_measured_anew_while_decisions_wait(own_page):
+    """A failure means that the deformation shown is that before the decisions."""
+    own_page.post("/api/decisions", json={"decision": remedies()[-1]})
+    sticks = own_page.get("/api/run").json()["sticks"]
     event = sticks[len(sticks) // 2]["event"]
-    found = page.get(f"/api/stick/{event}").json()
+    found = own_page.get(f"/api/stick/{event}").json()
     assert len(found["sheets"]) == 49
-    assert page.get("/api/stick/99999").json()["sheets"] == []
+    assert own_page.get("/api/stick/99999").json()["sheets"] == []
 
 
-def test_quit(page, stopped):
-    assert page.post("/api/quit").json() == {"ended": True}
+def test_quit(own_page, stopped):
+    """A failure means that the server goes on after the page has ended it."""
+    assert own_page.post("/api/quit").json() == {"ended": True}
     assert stopped.is_set()
 
 

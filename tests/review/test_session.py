@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from tests.scenes import doubted as scene
-from tests.scenes.reviewed import PLANTED, SETTINGS, clean, remedies, truth, write_planted
+from tests.scenes.reviewed import PLANTED, SETTINGS, clean, remedies, truth
 from vision.command.settings import settings_of_run
 from vision.errors import InputError
 from vision.review import effects, saving
@@ -108,6 +108,7 @@ def test_every_decision_can_be_taken_back_and_made_again(session):
 
 
 def test_a_new_decision_ends_what_was_taken_back(session):
+    """A failure means that a decision which was taken back returns after another."""
     session.decide(EVERY_KIND[0])
     session.undo()
     session.decide(EVERY_KIND[1])
@@ -177,22 +178,24 @@ def test_the_effect_on_the_deformation_is_shown(session):
         ({"kind": "axis", "x_px": "left"}, "x_px"),
     ],
 )
-def test_what_does_not_fit_is_refused_and_not_kept(session, decision, says):
+def test_what_does_not_fit_is_refused_and_not_kept(watched, decision, says):
     """A failure means that a wrong decision is kept, or half of it."""
-    before = held(session.positions)
+    before = held(watched.positions)
     with pytest.raises(InputError, match=says):
-        session.decide(decision)
-    assert_same(before, held(session.positions))
-    assert len(session.decisions) == len(PLANTED)
+        watched.decide(decision)
+    assert_same(before, held(watched.positions))
+    assert len(watched.decisions) == len(PLANTED)
 
 
-def test_a_ridge_is_not_given_twice(session):
-    x_px = float(session.positions.x_px[50, 9])
+def test_a_ridge_is_not_given_twice(watched):
+    """A failure means that two sheets stand at one place."""
+    x_px = float(watched.positions.x_px[50, 9])
     with pytest.raises(InputError, match="no other sheet"):
-        session.decide({"kind": "assign", "sheet": 7, "frames": "50:60", "x_px": x_px})
+        watched.decide({"kind": "assign", "sheet": 7, "frames": "50:60", "x_px": x_px})
 
 
 def test_decisions_are_there_when_the_run_is_opened_again(run):
+    """A failure means that a closed window costs what was decided in it."""
     with Session(run, SETTINGS) as first:
         for decision in EVERY_KIND[:3]:
             first.decide(decision)
@@ -224,17 +227,18 @@ def test_saved_decisions_can_be_taken_back_in_a_later_review(run):
         assert again.changed
 
 
-def test_the_other_rows_show_their_ridges_and_noise(session):
+def test_the_other_rows_show_their_ridges_and_noise(watched):
     """Fewer rows, more noise."""
-    many = session.effects.strip_preview("2:28", 100)
-    few = session.effects.strip_preview("14:16", 100)
+    many = watched.effects.strip_preview("2:28", 100)
+    few = watched.effects.strip_preview("14:16", 100)
     assert len(many["ridges"]) >= 48
     assert few["profile_noise"] > 1.5 * many["profile_noise"]
     with pytest.raises(InputError, match="rows within"):
-        session.effects.strip_preview("0:999", 100)
+        watched.effects.strip_preview("0:999", 100)
 
 
 def test_a_second_review_of_the_same_run_is_refused(run):
+    """A failure means that two reviews write over each other's decisions."""
     with Session(run, SETTINGS), pytest.raises(InputError, match="open"):
         Session(run, SETTINGS)
     Session(run, SETTINGS).__exit__()
@@ -296,9 +300,9 @@ def test_a_kill_loses_no_decision_that_was_kept(run, said_before):
 
 
 @pytest.fixture
-def clocked(tmp_path):
+def clocked(unplanted, tmp_path):
     """A run without mistakes."""
-    with Session(write_planted(tmp_path / "clean", ()), SETTINGS) as opened:
+    with Session(shutil.copytree(unplanted, tmp_path / "clean"), SETTINGS) as opened:
         yield opened
 
 

@@ -36,6 +36,7 @@ def test_the_stretch_is_listed_with_its_reason(film):
 
 
 def test_accept_gives_the_withheld_ridge(film, tmp_path):
+    """A failure means that a doubt which a person has settled stays one."""
     truth, picture, _ = film
     fixed = track_sheets(
         picture, sheets=11, corrections=written(tmp_path, '[[accept]]\nsheet=6\nframes="80:111"')
@@ -46,6 +47,7 @@ def test_accept_gives_the_withheld_ridge(film, tmp_path):
 
 
 def test_assign_follows_the_ridge(film, tmp_path):
+    """A failure means that a sheet gets another ridge than the one pointed at."""
     truth, picture, _ = film
     text = f'[[assign]]\nsheet=6\nframes="80:111"\nx_px={truth[80, 6] + 27:.1f}'
     fixed = track_sheets(picture, sheets=11, corrections=written(tmp_path, text))
@@ -53,6 +55,7 @@ def test_assign_follows_the_ridge(film, tmp_path):
 
 
 def test_swap_and_leave_out(film, tmp_path):
+    """A failure means that a decision reaches beyond its frames, or not to their end."""
     truth, picture, _ = film
     text = '[[swap]]\nsheets=[2, 3]\nframes="10:12"\n[[leave_out]]\nsheet=0\nframes="5:6"'
     fixed = track_sheets(picture, sheets=11, corrections=written(tmp_path, text))
@@ -76,6 +79,7 @@ def test_swap_and_leave_out(film, tmp_path):
     ],
 )
 def test_what_cannot_be_read_is_named(tmp_path, text, names):
+    """A failure means that a slip of the pen in the file is guessed at."""
     with pytest.raises(InputError) as error:
         written(tmp_path, text)
     assert names in str(error.value)
@@ -99,6 +103,7 @@ def test_what_contradicts_is_refused(film, tmp_path, text, names):
 
 
 def test_no_ridge_is_given_twice(film, tmp_path):
+    """A failure means that two sheets stand at one place."""
     truth, picture, _ = film
     text = f'[[assign]]\nsheet=6\nframes="80:81"\nx_px={truth[80, 5]:.1f}'
     with pytest.raises(InputError, match="sheet 5"):
@@ -106,6 +111,7 @@ def test_no_ridge_is_given_twice(film, tmp_path):
 
 
 def test_a_film_without_doubt_lists_nothing():
+    """A failure means that people are sent to look at what is certain."""
     x = np.broadcast_to(60 + 100.0 * np.arange(5), (20, 5))
     assert doubtful_stretches(track_sheets(strip(ridges(x, width=520)))).empty
 
@@ -122,6 +128,7 @@ def comb_film():
 
 
 def test_a_deleted_sheet_is_gone_and_the_others_keep_their_positions(comb_film, tmp_path):
+    """A failure means that one sheet less shifts the others."""
     x, picture = comb_film
     fixed = track_sheets(picture, corrections=written(tmp_path, "[[delete]]\nsheet=4"))
     assert fixed.sizes["sheet"] == 10
@@ -144,6 +151,7 @@ def test_a_sheet_that_was_not_counted_is_added_and_followed_both_ways(comb_film,
 
 
 def test_the_axis_is_where_it_is_put(comb_film, tmp_path):
+    """A failure means that a person's axis is overruled by an option or by the motion."""
     _, picture = comb_film
     fixed = track_sheets(picture, axis_px=300.0, corrections=written(tmp_path, "[[axis]]\nx_px=350.0"))
     assert fixed.side.values.tolist() == [-1] * 5 + [1] * 6
@@ -152,6 +160,7 @@ def test_the_axis_is_where_it_is_put(comb_film, tmp_path):
 
 
 def test_a_swap_from_a_frame_on_lasts_to_the_end(comb_film, tmp_path):
+    """A failure means that sheets change places again by themselves."""
     x, picture = comb_film
     fixed = track_sheets(picture, corrections=written(tmp_path, '[[swap]]\nsheets=[2, 3]\nframes="50:"'))
     assert np.abs(fixed.x_px.values[50:, 2] - x[50:, 3]).max() < 0.5

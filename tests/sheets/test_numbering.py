@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from tests.scenes.combs import comb, ridges, strip
-from vision.sheets import track_sheets
+from vision.errors import InputError
+from vision.sheets import pixel_size_from_pitch, track_sheets
 
 PITCH = 20.0
 
@@ -107,3 +108,32 @@ def test_hardly_any_sheets_are_numbered_all_the_same(count):
     tracks = tracked(comb(60, per_side=4, axis_px=150)[:, 4 - count // 2 :][:, :count], width=300)
     assert tracks.sizes["sheet"] == count
     assert np.isin(tracks.side, [-1, 1]).all() and (tracks.n >= 1).all()
+
+
+def test_the_axis_of_an_odd_comb_lies_on_its_middle_sheet():
+    """A failure means that the middle sheet changes sides, or its neighbours their n, when the axis that was
+    reported is given back as `--axis`."""
+    truth = comb(60, per_side=7, axis_px=300, slip=0.0)[:, :13]
+    found = tracked(truth, width=600)
+    middle = float(np.median(truth[:, 6]))
+    assert found.attrs["axis_how"] == "geometry"
+    assert middle - 0.03 * PITCH < found.attrs["axis_px"] < middle
+    np.testing.assert_array_equal(found.n, numbered(6, 7))
+    again = tracked(truth, width=600, axis_px=found.attrs["axis_px"])
+    np.testing.assert_array_equal(again.n, found.n)
+    np.testing.assert_array_equal(again.side, found.side)
+
+
+def test_the_pixel_size_follows_from_the_mean_pitch():
+    """Two in three spacings are 18 px wide, the third 24 px: 20 px in the mean, 18 px in the median, and one
+    sheet is not seen. A failure means that lengths in µm are off by the comb's unevenness."""
+    rest = 50 + np.r_[0, np.cumsum(np.tile([18.0, 18.0, 24.0], 6))]
+    whole = tracked(np.broadcast_to(rest, (60, rest.size)), width=460)
+    assert pixel_size_from_pitch(whole, 200.0) == pytest.approx(10.0, rel=1e-3)
+    seen = np.delete(rest, 7)  # 36 px between those beside it are no spacing of neighbours
+    gap = tracked(np.broadcast_to(seen, (60, seen.size)), width=460)
+    assert gap.sizes["sheet"] == seen.size
+    near = np.delete(np.diff(rest), [6, 7])
+    assert pixel_size_from_pitch(gap, 200.0) == pytest.approx(200 / near.mean(), rel=1e-3)
+    with pytest.raises(InputError, match="pitch_um"):
+        pixel_size_from_pitch(whole, 0.0)

@@ -103,3 +103,10 @@ def test_impossible_settings_are_refused(options):
     _, motion = measured(profile([8.0]), noise_px=0.03)
     with pytest.raises(InputError, match="expected"):
         classify_shells(motion, **options)
+
+
+def test_a_ratio_known_exactly_is_on_one_side_of_the_threshold():
+    """A failure means that perfect ratios get no probability, or are called stiff above the threshold."""
+    motion = ideal(np.array([[0.0999, 0.1, 0.1001, -0.0999, -0.1001]]), 0.0)
+    p = classify_sheets(motion)["p_stiff"].to_numpy()[0]
+    np.testing.assert_allclose(p, [1, 0.5, 0, 1, 0], atol=1e-6)

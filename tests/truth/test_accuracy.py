@@ -1,5 +1,7 @@
 """How near x(n,t) comes to the truth: against the Cramér–Rao bound, and against the paper's fit."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -31,13 +33,15 @@ def rms(values):
 @pytest.fixture(scope="module", params=[6, 7, 8], ids=lambda fwhm: f"fwhm{fwhm}")
 def usual(request):
     """The case the accuracy is promised for: FWHM 6–8 px, profile SNR 100, pitch 20 px."""
-    return request.param, *scene(fwhm_px=request.param)
+    truth, picture = scene(fwhm_px=request.param)
+    return request.param, truth, cache(lambda fit: track_sheets(picture, fit=fit))
 
 
-def test_sliding_is_near_the_bound_and_does_not_lock(usual):
+@pytest.mark.parametrize("fit", ["auto", "sliding"])
+def test_the_usual_fits_are_near_the_bound_and_do_not_lock(usual, fit):
     """A failure means positions are noisier than the light allows, or biased with the fraction of a pixel."""
-    fwhm, truth, picture = usual
-    x = track_sheets(picture).x_px.values
+    fwhm, truth, tracked = usual
+    x = tracked(fit).x_px.values
     ratio = rms(x - truth) / bound_px(fwhm, SNR)
     assert np.isfinite(x).all()
     assert 0.95 < ratio < 1.25  # below the bound the scene, not the fit, would be wrong
@@ -46,8 +50,8 @@ def test_sliding_is_near_the_bound_and_does_not_lock(usual):
 
 def test_template_is_at_the_bound(usual):
     """A failure means matching a ridge to its mean shape gives accuracy away, or moves the means."""
-    fwhm, truth, picture = usual
-    x = track_sheets(picture, fit="template").x_px.values
+    fwhm, truth, tracked = usual
+    x = tracked("template").x_px.values
     assert 0.95 < rms(x - truth) / bound_px(fwhm, SNR) < 1.1
     assert locking_px(x, truth) < 0.010
     assert np.abs(np.mean(x - truth, axis=0)).max() < 0.2 * bound_px(fwhm, SNR)
@@ -58,8 +62,8 @@ def test_the_papers_fit_locks_to_whole_pixels(usual):
 
     The narrower the ridge, the stronger: 125, 80 and 55 mpx here.
     """
-    fwhm, truth, picture = usual
-    x = track_sheets(picture, fit="paper").x_px.values
+    fwhm, truth, tracked = usual
+    x = tracked("paper").x_px.values
     least = {6: 0.110, 7: 0.070, 8: 0.045}[fwhm]
     assert least < locking_px(x, truth) < 0.200
     assert rms(x - truth) > 2 * bound_px(fwhm, SNR)
@@ -68,8 +72,8 @@ def test_the_papers_fit_locks_to_whole_pixels(usual):
 @pytest.mark.parametrize("fit", ["sliding", "paper", "template"])
 def test_stated_errors_are_the_scatter(usual, fit):
     """A failure means x_err_px cannot be used as an error bar (the paper's includes its locking)."""
-    _, truth, picture = usual
-    tracks = track_sheets(picture, fit=fit)
+    _, truth, tracked = usual
+    tracks = tracked(fit)
     assert 0.9 < rms(tracks.x_err_px.values) / rms(tracks.x_px.values - truth) < 1.1
 
 

@@ -16,14 +16,19 @@ def paper():
     return profiles(replace(whole, camera=replace(whole.camera, duration_s=8.0)))
 
 
+@pytest.fixture(scope="module")
+def tracks(paper):
+    """As found by default."""
+    return track_sheets(paper[0])
+
+
 def errors(tracks, truth):
     return tracks["x_px"].values - truth["x_px"].values
 
 
-def test_all_sheets_are_found_and_none_is_swapped(paper):
+def test_all_sheets_are_found_and_none_is_swapped(paper, tracks):
     """A failure means that the main job fails on the publication's own kind of video."""
-    strip, truth = paper
-    tracks = track_sheets(strip)
+    _, truth = paper
     assert tracks.sizes["sheet"] == 50
     assert (tracks["flag"].values == "ok").all()
     assert np.abs(errors(tracks, truth)).max() < 0.2  # the pitch is 20 px
@@ -32,10 +37,9 @@ def test_all_sheets_are_found_and_none_is_swapped(paper):
     assert tracks.attrs["axis_px"] == pytest.approx(truth.attrs["axis_px"], abs=2)
 
 
-def test_stated_errors_are_the_true_ones(paper):
+def test_stated_errors_are_the_true_ones(paper, tracks):
     """A failure means that published error bars would be wrong."""
-    strip, truth = paper
-    tracks = track_sheets(strip)
+    _, truth = paper
     off = errors(tracks, truth)
     scatter = np.std(off - np.median(off, axis=0), axis=0)  # fixed pattern apart
     stated = np.median(tracks["x_err_px"].values, axis=0)
@@ -43,10 +47,10 @@ def test_stated_errors_are_the_true_ones(paper):
     assert np.median(tracks["x_noise_px"].values / scatter) == pytest.approx(1, abs=0.2)
 
 
-def test_too_narrow_a_window_is_noisier(paper):
+def test_too_narrow_a_window_is_noisier(paper, tracks):
     """A failure means that the tests above would pass whatever the window is."""
     strip, truth = paper
-    right = np.std(errors(track_sheets(strip), truth))
+    right = np.std(errors(tracks, truth))
     assert np.std(errors(track_sheets(strip, window_px=3), truth)) > 1.5 * right
 
 
@@ -56,9 +60,9 @@ def test_the_wrong_polarity_finds_other_sheets(paper):
     assert track_sheets(strip, ridges="dark").sizes["sheet"] != 50
 
 
-def test_the_paper_s_fit_locks_where_the_sliding_one_does_not(paper):
+def test_the_paper_s_fit_locks_where_the_sliding_one_does_not(paper, tracks):
     """A failure means that the default is no better than the published fit."""
     strip, truth = paper
-    sliding = np.std(errors(track_sheets(strip), truth))
+    sliding = np.std(errors(tracks, truth))
     published = np.std(errors(track_sheets(strip, fit="paper"), truth))
     assert published > 2 * sliding

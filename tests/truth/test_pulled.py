@@ -11,19 +11,20 @@ from vision.experiment import Camera, Experiment, profiles, simulate
 
 @pytest.fixture(scope="module")
 def minute(tmp_path_factory):
-    """A minute of the paper's test, 40 frames/s: tracks, force recording and truth."""
+    """A minute of the paper's test, 40 frames/s: tracks, force recording, events, clock and truth."""
     whole = Experiment()
     experiment = replace(whole, camera=replace(whole.camera, duration_s=60.0, fps=40.0))
     strip, truth = profiles(experiment)
     tiny = replace(experiment, camera=Camera(width=1920, height=4, strip_rows=4, duration_s=0.2))
     force_file = simulate(tiny, tmp_path_factory.mktemp("force") / "test").force
-    return vision.track_sheets(strip), vision.read_force(force_file, d0_mm=13.0), truth
+    tracks, force = vision.track_sheets(strip), vision.read_force(force_file, d0_mm=13.0)
+    sticks = vision.find_stick_slip(force)
+    return tracks, force, sticks, vision.synchronise(tracks, force, sticks), truth
 
 
 def test_the_clocks_meet_within_two_milliseconds(minute):
     """A failure means that stick phases are cut at the wrong frames."""
-    tracks, force, truth = minute
-    clock = vision.synchronise(tracks, force, vision.find_stick_slip(force))
+    _, _, _, clock, truth = minute
     assert clock.status == "ok"
     middle = 30.0
     true = truth.attrs["offset_s"] + middle * (1 + truth.attrs["drift_ppm"] * 1e-6)
@@ -32,9 +33,7 @@ def test_the_clocks_meet_within_two_milliseconds(minute):
 
 def test_ratios_and_shells_are_true(minute):
     """A failure means that the published σ_x/Λ_st or the number of stiff sheets would be wrong."""
-    tracks, force, truth = minute
-    sticks = vision.find_stick_slip(force)
-    clock = vision.synchronise(tracks, force, sticks)
+    tracks, _, sticks, clock, truth = minute
     motion = vision.horizontal_deformation(tracks, sticks, clock, pixel_size_um=10.0)
     nearest = np.abs(motion["t_v_s"].values[:, None] - truth["t_v_s"].values).argmin(axis=1)
     known = np.isfinite(motion["ratio"].values)
@@ -50,8 +49,7 @@ def test_ratios_and_shells_are_true(minute):
 
 def test_a_wrong_clock_gives_wrong_ratios(minute):
     """A failure means that the test above would pass with any clock."""
-    tracks, force, truth = minute
-    sticks = vision.find_stick_slip(force)
+    tracks, force, sticks, _, truth = minute
     wrong = vision.synchronise(tracks, force, sticks, offset_s=truth.attrs["offset_s"] + 0.4)
     motion = vision.horizontal_deformation(tracks, sticks, wrong, pixel_size_um=10.0)
     outer = np.abs(truth["n"].values) == truth["n"].values.max()
@@ -60,8 +58,8 @@ def test_a_wrong_clock_gives_wrong_ratios(minute):
 
 def test_forces_give_back_the_models(minute):
     """A failure means that μ, A, N̂ or Y_eff of a publication would be wrong."""
-    _, force, _ = minute
-    fits = vision.fit_models(force, vision.find_stick_slip(force))
+    _, force, sticks, _, _ = minute
+    fits = vision.fit_models(force, sticks)
     assert fits.mu.value == pytest.approx(0.89, abs=4 * fits.mu.error + 0.005)
     assert fits.amplitude.value == pytest.approx(0.34, rel=0.05)
     assert fits.n_hat_N.value == pytest.approx(0.57, abs=4 * fits.n_hat_N.error + 0.03)
