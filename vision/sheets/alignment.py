@@ -124,6 +124,12 @@ class Pairing:
     margin: Floats
 
 
+def values_of(match: Ints, values: NDArray[np.floating]) -> Floats:
+    """Of values (lists, K) those of the candidates paired with each sheet, NaN where missing, (lists, N)."""
+    paired = np.take_along_axis(values.astype(np.float64), np.maximum(match, 0), axis=1)
+    return np.where(match >= 0, paired, np.nan)
+
+
 def align(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
     r"""Cheapest order-preserving pairing of each candidate list with the sheets, and how certain it is.
 

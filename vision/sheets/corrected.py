@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 
 from vision.errors import InputError
-from vision.numeric import Bools, Floats, Ints, nan_median
+from vision.numeric import Floats, Ints, nan_median, nearest
 from vision.sheets.corrections import OF_SHEETS, OF_STRETCHES, Correction, ordered
 from vision.sheets.recovery import Detections
 from vision.sheets.ridges import RidgeComb, Ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 _TABLES = ("start_px", "contrast", "fwhm_px", "flag", "why", "withheld_px")
-ROWS_AT_ONCE = 256  # in which a ridge is looked for together; the result does not depend on it
 
 
 def apply_corrections(
@@ -158,11 +157,10 @@ def check_there(correction: Correction, rows: Ints, frames: Ints, sheets: int) -
 def _put(arrays: dict[str, Any], rows: Ints, sheet: int, x: Floats, ridges: Ridges, otherwise: str) -> None:
     """Sheet at x in these rows; flagged `otherwise` where x is NaN."""
     known = np.isfinite(x)
-    distance = np.nan_to_num(np.abs(ridges.x_px[rows] - np.nan_to_num(x)[:, None]), nan=np.inf)
-    nearest = np.argmin(distance, axis=1)
+    best, _ = nearest(ridges.x_px[rows], x)
     arrays["start_px"][rows, sheet] = x
-    arrays["contrast"][rows, sheet] = np.where(known, ridges.contrast[rows, nearest], np.nan)
-    arrays["fwhm_px"][rows, sheet] = np.where(known, ridges.fwhm_px[rows, nearest], np.nan)
+    arrays["contrast"][rows, sheet] = np.where(known, ridges.contrast[rows, best], np.nan)
+    arrays["fwhm_px"][rows, sheet] = np.where(known, ridges.fwhm_px[rows, best], np.nan)
     arrays["flag"][rows, sheet] = np.where(known, "ok", otherwise)
     arrays["why"][rows, sheet] = ""
     arrays["withheld_px"][rows, sheet] = np.nan
@@ -215,14 +213,16 @@ def follow_ridge(
     at = float(correction.x_px or 0.0) - origin_px
     begin = 0
     while begin < len(rows):
-        block = still[begin : begin + ROWS_AT_ONCE]
-        guess, near = _nearest_to(block, np.full(len(block), at), reach)
+        block = still[begin : begin + 256]  # the result does not depend on this number
+        guess, distance = nearest(block, np.full(len(block), at))
+        near = distance <= reach
         if begin == 0 and not near[0]:
             seen = ridges.x_px[rows[0]][np.isfinite(ridges.x_px[rows[0]])] + origin_px
             found = ", ".join(f"{place:.0f}" for place in seen) or "none"
             raise InputError(correction.name, f"a ridge near x_px = {correction.x_px:g}", found)
         before = _last_before(np.where(near, block[np.arange(len(block)), guess], np.nan), at)
-        best, close = _nearest_to(block, before, reach)  # from where it was last, row by row
+        best, distance = nearest(block, before)  # from where it was last, row by row
+        close = distance <= reach
         wrong = np.flatnonzero((best != guess) | (close != near))
         done = slice(0, int(wrong[0]) + 1 if len(wrong) else len(block))  # up to there `before` is right
         taken = np.flatnonzero(close[done])
@@ -231,14 +231,6 @@ def follow_ridge(
             at = float(block[taken[-1], best[taken[-1]]])
         begin += done.stop
     return x
-
-
-def _nearest_to(candidates: Floats, places: Floats, reach: float) -> tuple[Ints, Bools]:
-    """Which candidate of each row is nearest to the row's place, and whether it is within reach."""
-    distance = np.abs(candidates - places[:, None])
-    distance = np.where(np.isfinite(distance), distance, np.inf)
-    best = distance.argmin(axis=1)
-    return best, distance[np.arange(len(best)), best] <= reach
 
 
 def _last_before(values: Floats, first: float) -> Floats:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median, nan_quantile
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median, nan_quantile, shifted
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
@@ -77,23 +77,11 @@ def places_in_comb(x_px: Floats) -> Floats:
     return place
 
 
-def _shifted(values: Floats, by: int) -> Floats:
-    """Column n holds that of sheet n + by; NaN outside."""
-    out = np.full(values.shape, np.nan)
-    if abs(by) >= values.shape[1]:
-        return out
-    if by >= 0:
-        out[:, : values.shape[1] - by] = values[:, by:]
-    else:
-        out[:, -by:] = values[:, :by]
-    return out
-
-
 def _between(moved: Floats, place: Floats, k: int) -> Floats:
     """Displacement said by the k-th neighbours on both sides, linear between them."""
-    left, right = _shifted(moved, -k), _shifted(moved, k)
-    to_left = place - _shifted(place[None], -k)
-    to_right = _shifted(place[None], k) - place
+    left, right = shifted(moved, -k), shifted(moved, k)
+    to_left = place - shifted(place[None], -k)
+    to_right = shifted(place[None], k) - place
     apart = to_left + to_right
     apart = np.where(apart > 0, apart, np.nan)  # two sheets in one place say nothing
     return np.asarray((left * to_right + right * to_left) / apart)
@@ -101,7 +89,7 @@ def _between(moved: Floats, place: Floats, k: int) -> Floats:
 
 def _beyond(moved: Floats, near: int, far: int) -> Floats:
     """Displacement said by two sheets on one side, on a line through them."""
-    close, remote = _shifted(moved, near), _shifted(moved, far)
+    close, remote = shifted(moved, near), shifted(moved, far)
     return np.asarray(close + (close - remote) * near / (far - near))
 
 
@@ -215,7 +203,7 @@ def _feature_costs(values: Floats, learned: Bools, floor: float) -> list[NDArray
     spread = np.maximum(spread, floor)
     out = []
     for shift in (0, *SHIFTS):
-        place, sigma = _shifted(middle[None], shift), _shifted(spread[None], shift)
+        place, sigma = shifted(middle[None], shift), shifted(spread[None], shift)
         # the wider of both scatters, so that a noisy sheet does not exclude a numbering by itself
         sigma = np.fmax(sigma, spread[None])
         out.append(

@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median
+from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median, nearest
+from vision.sheets.alignment import values_of
 from vision.sheets.identities import Identities, fill_rows
 from vision.sheets.neighbours import anchored, hops, neighbour_residual, places_in_comb, torn
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
@@ -79,11 +80,7 @@ def assign_detections(
     -------
     Detections
     """
-    paired = identities.match >= 0
-    table = [
-        _of_sheets(values, identities.match) for values in (ridges.x_px, ridges.contrast, ridges.fwhm_px)
-    ]
-    table = [np.where(paired, values, np.nan) for values in table]
+    table = [values_of(identities.match, v) for v in (ridges.x_px, ridges.contrast, ridges.fwhm_px)]
     why = _doubts(table[0], table[1], identities, comb, profile.shape[1], settings)
     why = _settled(why, table, comb, settings)
     table, why = _other_ridges(ridges, table, why, comb, settings)
@@ -105,11 +102,6 @@ def assign_detections(
     ok = flag == "ok"
     start, contrast, fwhm = (np.where(ok, values, np.nan) for values in (start, contrast, fwhm))
     return Detections(start, contrast, fwhm, flag, why, withheld)
-
-
-def _of_sheets(values: Floats32, match: Ints) -> Floats:
-    """Values of the paired candidates; arbitrary where there is none."""
-    return np.take_along_axis(values.astype(np.float64), np.maximum(match, 0), axis=1)
 
 
 # --- doubt --------------------------------------------------------------------------------------------------
@@ -188,11 +180,9 @@ def _moved_to(
     if not len(frame):
         return table, why
     why, table = why.copy(), [np.array(values) for values in table]
-    distance = np.abs(ridges.x_px[frame] - place[frame, sheet][:, None])
-    distance = np.where(np.isfinite(distance), distance, np.inf)
-    best = np.argmin(distance, axis=1)
+    best, distance = nearest(ridges.x_px[frame], place[frame, sheet])
     there = ridges.x_px[frame, best].astype(np.float64)
-    near = distance[np.arange(len(frame)), best] <= settings.faint_reach * comb.pitch_px
+    near = distance <= settings.faint_reach * comb.pitch_px
     near &= there != table[0][frame, sheet]
     usual = nan_median(np.log(np.where(why == "", table[1], np.nan)))[sheet]
     alike = np.abs(np.log(ridges.contrast[frame, best]) - usual) < LIKE_ITSELF
@@ -285,14 +275,11 @@ def _faint_ridges(
     faint = find_ridges(profile[rows], replace(comb, contrast=0.0), settings=settings)
     row, sheet = np.nonzero(wanted[rows])
     frame = rows[row]
-    distance = np.abs(faint.x_px[row] - expected[frame, sheet][:, None])
-    distance = np.where(np.isfinite(distance), distance, np.inf)
-    best = np.argmin(distance, axis=1)
+    best, distance = nearest(faint.x_px[row], expected[frame, sheet])
     x, height, width = (v[row, best].astype(np.float64) for v in (faint.x_px, faint.contrast, faint.fwhm_px))
     usual = np.nan_to_num(nan_median(contrast, axis=0))[sheet]
-    near = np.take_along_axis(distance, best[:, None], axis=1)[:, 0] <= settings.faint_reach * comb.pitch_px
-    own = np.nan_to_num(np.abs(start[frame] - x[:, None]), nan=np.inf).min(axis=1, initial=np.inf)
-    keep = near & (height >= settings.faint_contrast * usual) & (own > 0.5 * comb.fwhm_px)
+    keep = (distance <= settings.faint_reach * comb.pitch_px) & (height >= settings.faint_contrast * usual)
+    keep &= nearest(start[frame], x)[1] > 0.5 * comb.fwhm_px
     keep &= _unshared(frame, x, keep)
     return frame[keep], sheet[keep], (x[keep], height[keep], width[keep])
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vision.errors import InputError
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, mad_sigma, nan_median
-from vision.sheets.alignment import Candidates, ExpectedSheets, align
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, mad_sigma, nan_median, nearest
+from vision.sheets.alignment import Candidates, ExpectedSheets, align, values_of
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import running_median
@@ -241,7 +241,7 @@ def _revise(
     rest = reference.x_px + carried_px[:, None]
     match = align(candidates, reference.expected(rest, comb, width_px, settings=settings)).match
     tables = (candidates.x_px, candidates.log_contrast, candidates.log_width)
-    x, log_contrast, log_width = (_of_match(values, match) for values in tables)
+    x, log_contrast, log_width = (values_of(match, values) for values in tables)
     moved = x - rest
     found = np.where(np.isfinite(x), weight[:, None], 0).sum(axis=0) / weight.sum()
     common = nan_median(moved, axis=1)
@@ -267,7 +267,7 @@ def _unmatched(
     rows, sheet = np.nonzero(match >= 0)
     taken[rows, match[rows, sheet]] = True
     list_, column = np.nonzero(np.isfinite(x) & ~taken)
-    rest = _at_rest(x[list_, column], _of_match(x, match)[list_], reference.x_px)
+    rest = _at_rest(x[list_, column], values_of(match, x)[list_], reference.x_px)
     interval = np.searchsorted(reference.x_px, rest)
     outside = np.rint((reference.x_px[0] - rest) / pitch_px), np.rint((rest - reference.x_px[-1]) / pitch_px)
     interval -= np.maximum(outside[0] - 1, 0).astype(np.int64)
@@ -286,15 +286,8 @@ def _unmatched(
 
 def _at_rest(x: Floats, sheet_x: Floats, rest_px: Floats) -> Floats:
     """Positions x less the displacement of the nearest sheet found, (points,)."""
-    distance = np.where(np.isfinite(sheet_x), np.abs(sheet_x - x[:, None]), np.inf)
-    nearest = np.argmin(distance, axis=1)
-    shift = (sheet_x - rest_px)[np.arange(len(x)), nearest]
+    shift = (sheet_x - rest_px)[np.arange(len(x)), nearest(sheet_x, x)[0]]
     return np.asarray(x - np.nan_to_num(shift), np.float64)
-
-
-def _of_match(values: Floats, match: Ints) -> Floats:
-    """Values of the candidates paired with each sheet, NaN where missing, (lists, N)."""
-    return np.where(match >= 0, np.take_along_axis(values, np.maximum(match, 0), axis=1), np.nan)
 
 
 # --- which persistent ridges make a comb --------------------------------------------------------------------
