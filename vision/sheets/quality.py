@@ -15,22 +15,12 @@ import numpy as np
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median, nan_quantile
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
-from vision.sheets.subpixel import Starts, gather
+from vision.sheets.subpixel import FRAMES_PER_BLOCK, Starts, gather
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
 SCENE_FRAMES = 5  # before and after a change of scene that are compared
-SHAPE_FRAMES = 200  # from which the mean shapes are learned, spread over the recording
-FRAMES_PER_BLOCK = 512
-LAGS = (4, 2, 1)
-"""Frames apart at which the scatter of neighbours is compared with that of all sheets: what a codec holds
-still shows better over some frames, but a stick must be longer than twice as many."""
 FAR = range(4, 9)  # frames after which nothing is held still that changes from frame to frame
-CALM = 3.0  # times the usual change of a frame, above which sheets slipped in it
-CUT, CUT_SIGMA = 0.9, 0.9118
-"""Share of the values beyond which they are cut to that quantile, and the standard deviation that this leaves
-of a normal variable: a median would be zero where a codec repeats most blocks."""
-MOST_HELD = 0.95
 
 
 def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> Bools:
@@ -180,7 +170,7 @@ def distortion(
     if comb.fwhm_px < settings.distortion_least_px:
         return np.zeros_like(x_px)
     half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
-    sample = np.unique(np.linspace(0, len(bright) - 1, SHAPE_FRAMES).astype(int))
+    sample = np.unique(np.linspace(0, len(bright) - 1, 200).astype(int))
     around = _around(bright, x_px, sample, half)
     level = around - around.mean(axis=-1, keepdims=True)
     shape = nan_median((level / level.std(axis=-1, keepdims=True)).reshape(-1, level.shape[-1]))
@@ -409,11 +399,11 @@ def _shared(x_px: Floats) -> tuple[float, float, float]:
     if x_px.shape[1] < len(FOURTH) + 3 or len(x_px) < FAR[-1] + LEAST_FRAMES:
         return 0.0, 0.0, 0.0
     own, together = float(np.mean(np.nan_to_num(spatial_scatter(x_px))[2:-2] ** 2)), 0.0
-    for lag in LAGS:
+    for lag in (4, 2, 1):  # what a codec holds still shows over some frames; sticks must be twice as long
         second = (x_px[2 * lag :] - 2 * x_px[lag:-lag] + x_px[: -2 * lag]) / np.sqrt(6)
         second = second - nan_median(second, axis=1)[:, None]
         size = nan_median(np.abs(second), axis=1)
-        calm = second[size < CALM * np.nan_to_num(nan_median(size[size > 0]))]
+        calm = second[size < 3 * np.nan_to_num(nan_median(size[size > 0]))]  # no slip
         if len(calm) >= LEAST_FRAMES:
             together = max(0.0, _deviation(calm) ** 2 - _deviation(_fourth(calm)) ** 2)
             break
@@ -426,7 +416,7 @@ def _shared(x_px: Floats) -> tuple[float, float, float]:
 def _held(values: Floats) -> float:
     """Share by which values (frame, …) differ less after one frame than after some, in variance."""
     near, *far = (_deviation(_centred(values[lag:] - values[:-lag])) ** 2 for lag in (1, *FAR))
-    return float(np.clip(1 - near / np.mean(far), 0.0, MOST_HELD)) if np.mean(far) > 0 else 0.0
+    return float(np.clip(1 - near / np.mean(far), 0.0, 0.95)) if np.mean(far) > 0 else 0.0
 
 
 def _centred(values: Floats) -> Floats:
@@ -441,8 +431,9 @@ def _fourth(x_px: Floats) -> Floats:
 
 
 def _deviation(values: Floats) -> float:
-    """Standard deviation about zero of what is known, without its tails; 0 where nothing is."""
+    """Standard deviation about zero of what is known, the largest tenth cut to what the others reach; 0 where
+    nothing is. A median would be zero where a codec repeats most blocks."""
     size = np.abs(values[np.isfinite(values)])
     if not size.size:
         return 0.0
-    return float(np.sqrt(np.mean(np.minimum(size, np.quantile(size, CUT)) ** 2)) / CUT_SIGMA)
+    return float(np.sqrt(np.mean(np.minimum(size, np.quantile(size, 0.9)) ** 2)) / 0.9118)  # normal: 1

@@ -7,8 +7,11 @@ closely, where a sheet is missing.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import pandas as pd
+import xarray as xr
 
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median, nearest
 from vision.sheets.alignment import values_of
@@ -17,7 +20,6 @@ from vision.sheets.neighbours import anchored, hops, neighbour_residual, places_
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
-HOP_PASSES = 4  # each names the one sheet that leaves its neighbours most, and the next looks without it
 LIKE_ITSELF = 0.7
 """Logarithm of contrast within which a ridge may be the sheet that was expected there: a factor of two."""
 
@@ -155,7 +157,7 @@ def _other_ridges(
 ) -> tuple[list[Floats], Strings]:
     """Sheets that hopped to another ridge: the ridge in the right place where no other sheet has it, else a
     doubt."""
-    for _ in range(HOP_PASSES):
+    for _ in range(4):  # each names the sheet that leaves its neighbours most, the next looks without it
         x = np.where(why == "", table[0], np.nan)
         residual = neighbour_residual(x)
         off = hops(residual, comb, settings)
@@ -302,3 +304,50 @@ def _merged(start: Floats, expected: Floats, comb: RidgeComb, settings: Tracking
     pair = (apart < settings.merged_widths * comb.fwhm_px) & (gone[:, 1:] ^ gone[:, :-1])
     none = np.zeros((len(start), 1), bool)
     return np.asarray(np.hstack([pair, none]) | np.hstack([none, pair]), bool)
+
+
+# --- what is in doubt, as a table ---------------------------------------------------------------------------
+
+
+def doubtful_stretches(tracks: xr.Dataset) -> pd.DataFrame:
+    """Where an identity is in doubt: one row per sheet and unbroken stretch, the longest first.
+
+    Parameters
+    ----------
+    tracks
+        From `vision.track_sheets`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        sheet, side, n; first_frame and last_frame, frames; why (in words); x_withheld_px, the doubted ridge,
+        and x_expected_px, where the sheets around say it must be, both in the first frame (NaN if unknown).
+    """
+    sheet, first, stop = stretches(np.asarray(tracks["flag"].values == "doubtful"))
+    number = tracks["frame"].values
+
+    def there(name: str) -> Any:
+        return tracks[name].values[first, sheet] if name in tracks else np.full(len(sheet), np.nan)
+
+    table = pd.DataFrame(
+        {
+            "sheet": sheet,
+            "side": tracks["side"].values[sheet],
+            "n": tracks["n"].values[sheet],
+            "first_frame": number[first],
+            "last_frame": number[stop - 1],
+            "frames": stop - first,
+            "why": [DOUBTS.get(str(why), "identity not certain") for why in there("why")],
+            "x_withheld_px": there("x_withheld_px"),
+            "x_expected_px": there("x_expected_px"),
+        }
+    )
+    return table.sort_values("frames", ascending=False, kind="stable", ignore_index=True)
+
+
+def stretches(marked: Bools) -> tuple[Ints, Ints, Ints]:
+    """Unbroken stretches of True in each column of (frame, sheet): sheet, first row, row after the last."""
+    edge = np.diff(np.pad(marked.astype(np.int8), ((1, 1), (0, 0))), axis=0)
+    sheet, first = np.nonzero((edge == 1).T)
+    _, stop = np.nonzero((edge == -1).T)
+    return sheet, first, stop

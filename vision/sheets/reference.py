@@ -18,9 +18,6 @@ from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import running_median
 
-REVISIONS = 4  # of the reference comb, at most; it usually settles after two
-LISTS_USED = 384  # candidate lists: the longest, and others spread over the recording
-
 LEAST_IN_VIEW = 0.13  # fraction of the frames: what was in view for less has not been seen often enough
 
 
@@ -129,10 +126,11 @@ def build_reference(
         For fewer ridges than `sheets`, not counting specks far outside the comb; or no ridge that most frames
         show.
     """
-    chosen = _representative(frames)
+    spread = np.linspace(0, len(frames) - 1, 192).astype(int)
+    chosen = np.unique(np.r_[np.argsort(-frames, kind="stable")[:192], spread])  # the longest, and others
     some, weight, carried = candidates.take(chosen), frames[chosen].astype(np.float64), carried_px[chosen]
     reference = _seed(candidates, frames, carried_px, comb.pitch_px)
-    for _ in range(REVISIONS):
+    for _ in range(4):  # it usually settles after two
         filled = _filled(reference, comb.pitch_px)
         revised = _revise(filled, some, weight, carried, comb, width_px, settings)
         if not revised.sheets:
@@ -180,12 +178,6 @@ def _check_ends(x_px: Floats, sheets: int, source: str, settings: TrackingSettin
             f"{sheets - far} and {far} far outside their comb",
             "give the number that is in view, or leave `sheets` out",
         )
-
-
-def _representative(frames: Ints) -> Ints:
-    order = np.argsort(-frames, kind="stable")
-    spread = np.linspace(0, len(order) - 1, LISTS_USED // 2).astype(int)
-    return np.asarray(np.unique(np.r_[order[: LISTS_USED // 2], spread]), np.int64)
 
 
 def _seed(candidates: Candidates, frames: Ints, carried_px: Floats, pitch_px: float) -> ReferenceComb:

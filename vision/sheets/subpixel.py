@@ -24,8 +24,7 @@ FitName = Literal["sliding", "paper", "template"]
 FitChoice = Literal["auto", "sliding", "paper", "template"]
 
 FRAMES_PER_BLOCK = 512
-TRIPLES = 400  # groups of three consecutive frames from which noise is measured, spread over the recording
-LEAST_TRIPLES = 8
+LEAST_TRIPLES = 8  # groups of three consecutive frames from which noise is measured
 
 
 class FittedPositions(NamedTuple):
@@ -567,7 +566,7 @@ def _triples(x_px: Floats) -> Ints:
     middle = 1 + np.flatnonzero(seen[2:] & seen[1:-1] & seen[:-2])
     if not len(middle):
         return np.asarray(middle, np.int64)
-    return np.unique(middle[np.linspace(0, len(middle) - 1, TRIPLES).astype(int)])
+    return np.unique(middle[np.linspace(0, len(middle) - 1, 400).astype(int)])
 
 
 def _residual_variance(change: Floats, mean: Floats) -> Floats:

@@ -12,8 +12,7 @@ import xarray as xr
 from vision.data import STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata, record
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Strings, nan_median
-from vision.sheets.corrected import apply_corrections
-from vision.sheets.corrections import Correction, last_of
+from vision.sheets.corrections import Correction, apply_corrections, last_of
 from vision.sheets.identities import Identities, identify_sheets
 from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.numbering import Numbering, number_sheets
@@ -46,8 +45,6 @@ _MICROSOFT = {"msmpeg4v1", "msmpeg4v2", "msmpeg4v3", "wmv1", "wmv2", "wmv3", "vc
 BETWEEN_FRAMES = frozenset(_MPEG | _OTHERS | _MICROSOFT)
 """Codecs that carry a picture's content, and with it errors, from frame to frame."""
 LOSSY = BETWEEN_FRAMES | {"mjpeg", "mjpegb", "amv", "jpeg2000", "dvvideo", "dnxhd", "prores", "cfhd"}
-LEAST_NOISE_GREY = 0.05  # noise of a profile drawn without any: whole grey levels, averaged over some rows
-LEAST_ERROR_PX = 1e-4
 
 
 def track_sheets(
@@ -289,8 +286,9 @@ def _errors(
     noise_px, scatter_px = position_noise(x[~frozen]), spatial_scatter(new)
     with np.errstate(divide="ignore", invalid="ignore"):
         per_grey = err / noise
-    err = np.where(np.isfinite(err) & (err > 0), err, LEAST_NOISE_GREY * np.nan_to_num(per_grey, nan=1.0))
-    err = np.maximum(err, LEAST_ERROR_PX)
+    whole_levels = 0.05  # grey: noise of a profile drawn without any, averaged over some rows
+    err = np.where(np.isfinite(err) & (err > 0), err, whole_levels * np.nan_to_num(per_grey, nan=1.0))
+    err = np.maximum(err, 1e-4)
     predicted = nan_median(np.where(np.isfinite(new), err, np.nan))
     measured = np.where(np.isfinite(scatter_px), scatter_px, np.fmax(noise_px, predicted))
     between_frames = codec in BETWEEN_FRAMES
@@ -303,7 +301,7 @@ def _errors(
         more = nan_median(np.minimum(noise_px, scatter_px) / predicted)
         measured = predicted * (np.fmax(more, 1.0) if more < settings.most_correlated else 1.0)
     stated = err * np.nan_to_num(measured / predicted, nan=1.0)
-    return _Errors(np.maximum(stated, LEAST_ERROR_PX), noise_px, scatter_px, predicted)
+    return _Errors(np.maximum(stated, 1e-4), noise_px, scatter_px, predicted)
 
 
 def _dataset(strip: xr.DataArray, found: _Found, metadata: TrackMetadata) -> xr.Dataset:
