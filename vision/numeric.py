@@ -14,6 +14,8 @@ Bools = NDArray[np.bool_]
 Strings = NDArray[np.str_]
 Pixels = NDArray[Any]  # grey levels as the file stores them: unsigned integers or float32
 
+FWHM = 2.3548
+"""Full width at half maximum of a Gaussian, in its standard deviations."""
 NORMAL_MEDIAN = 0.6744897501960817
 """Median of the absolute value of a standard normal variable: a median absolute deviation (MAD) over this is
 a standard deviation."""

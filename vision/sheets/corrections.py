@@ -206,27 +206,22 @@ def ordered(corrections: Sequence[Correction]) -> tuple[Correction, ...]:
 def read_corrections(path: str | Path) -> tuple[Correction, ...]:
     """Decisions from a TOML file, in the order in which they count.
 
-    Parameters
-    ----------
-    path
-        The file; see the module for what it holds.
+    Raises
+    ------
+    InputError
+        As `read_decisions`.
+    """
+    return read_decisions(path).corrections
+
+
+def read_decisions(path: str | Path) -> Decisions:
+    """All of a TOML file of decisions; see the module for what it holds.
 
     Raises
     ------
     InputError
         For a file that cannot be read, an unknown kind or key, or a value of the wrong kind; it names the
         entry.
-    """
-    return read_decisions(path).corrections
-
-
-def read_decisions(path: str | Path) -> Decisions:
-    """All of the file: what `read_corrections` gives, what was undone, and which film they are about.
-
-    Raises
-    ------
-    InputError
-        As `read_corrections`.
     """
     try:
         table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
@@ -369,18 +364,16 @@ def apply_corrections(
     ----------
     detections
         As found; not changed.
-    ridges
-        Candidates of every frame.
+    ridges, comb
+        Candidates of every frame, and their pitch.
     corrections
         Decisions, applied in their order.
-    comb
-        Pitch of the ridges.
     frames
         Number of every row in the film, (frame,).
     origin_px
         Column of the profile's first pixel in the picture.
     settings
-        How near a ridge must be to be the one that is meant.
+        `faint_reach`: how near a ridge must be to be the one that is meant.
 
     Raises
     ------
@@ -467,6 +460,7 @@ def _added(
 
 
 def _check_unique(corrections: Sequence[Correction]) -> None:
+    """Refuse two decisions without a date about one sheet in one frame."""
     for i, one in enumerate(corrections):
         for other in corrections[:i]:
             shared = set(one.sheets) & set(other.sheets)
@@ -522,14 +516,8 @@ def follow_ridge(
         Of the next two, in the order in which the ridge is followed.
     others
         Whole pixels of the other sheets, (frame, sheet).
-    ridges
-        Candidates of every frame.
-    comb
-        Pitch of the ridges.
-    origin_px
-        Column of the profile's first pixel in the picture.
-    settings
-        How near a ridge must be to be the one that is meant.
+    ridges, comb, origin_px, settings
+        As for `apply_corrections`.
 
     Returns
     -------

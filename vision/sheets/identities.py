@@ -59,10 +59,8 @@ def identify_sheets(
 
     Parameters
     ----------
-    ridges
-        Candidates of every frame.
-    comb
-        Width, pitch and contrast of the ridges.
+    ridges, comb
+        Candidates of every frame; what the ridges look like.
     width_px
         Width of the profile.
     sheets
@@ -71,10 +69,6 @@ def identify_sheets(
         What a message calls the recording.
     settings
         Costs and thresholds.
-
-    Returns
-    -------
-    Identities
 
     Raises
     ------
@@ -163,15 +157,8 @@ def _rest_positions(
 
 
 def fill_rows(values: Floats, at: Floats) -> Floats:
-    """NaN replaced by linear interpolation along each row, ends held; rows of NaN stay NaN.
-
-    Parameters
-    ----------
-    values
-        (rows, columns).
-    at
-        Ascending abscissa of the columns.
-    """
+    """NaN of values (rows, columns) replaced by linear interpolation along each row, ends held; rows of NaN
+    stay NaN. `at`: ascending abscissa of the columns."""
     known = np.isfinite(values)
     number = np.arange(values.shape[1])
     left = np.maximum.accumulate(np.where(known, number, -1), axis=1)

@@ -16,7 +16,6 @@ from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 PAIRS = 3  # neighbours on either side that a sheet is compared with
-LINES = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))  # at the ends; one wrong sheet is never in the majority
 SHIFTS = (-2, -1, 1, 2)  # other numberings that the pattern must exclude
 TERM_LIMIT = 4.0  # nats: no single spacing, brightness or width decides a numbering
 
@@ -31,8 +30,8 @@ def neighbour_residual(x_px: Floats) -> Floats:
 
     Returns
     -------
-    Residual less each sheet's own median over the frames; NaN where the sheet or all its neighbours are
-    missing, and for fewer than three sheets.
+    Less each sheet's own median; NaN where it or all its neighbours are missing, and for fewer than three
+    sheets.
 
     Notes
     -----
@@ -59,9 +58,9 @@ def said_by_neighbours(x_px: Floats) -> Floats:
     place = places_in_comb(x_px)
     moved = x_px - place
     pairs = [_between(moved, place, k) for k in range(1, PAIRS + 1)]
-    few = np.isfinite(np.stack(pairs)).sum(axis=0) < 2
-    lines = [_beyond(moved, step * a, step * b) for step in (1, -1) for a, b in LINES]
-    lines = [np.where(few, line, np.nan) for line in lines]
+    few = np.isfinite(np.stack(pairs)).sum(axis=0) < 2  # towards the ends
+    two = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))  # one wrong sheet is never in the majority
+    lines = [np.where(few, _beyond(moved, step * a, step * b), np.nan) for step in (1, -1) for a, b in two]
     said = nan_median(np.stack([*pairs, *lines]))
     return np.asarray(place + said + nan_median(moved - said), np.float64)
 
@@ -151,7 +150,7 @@ def anchored(
     comb
         Pitch of the ridges.
     settings
-        Scatter that is allowed for, and the least log-likelihood ratio.
+        `anchor_fit`, `anchor_nats`.
 
     Returns
     -------

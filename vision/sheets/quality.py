@@ -73,18 +73,12 @@ def motion_blur(
 
     Parameters
     ----------
-    x_px
-        Positions (frame, N), NaN where missing.
-    contrast, fwhm_px
-        Height and width of the ridges (frame, N).
+    x_px, contrast, fwhm_px
+        Position, height and width of the ridges (frame, N), NaN where missing.
     comb
         Width and pitch of the ridges.
     settings
         The fields `blur_…`.
-
-    Returns
-    -------
-    Blur
 
     Notes
     -----

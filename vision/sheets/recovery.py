@@ -62,25 +62,18 @@ def assign_detections(
 
     Where a missing sheet must be follows from its neighbours' displacement in the same frame. A ridge there
     that was too faint for the first search is taken if it reaches a fraction of the sheet's usual contrast.
-    Positions whose identity is not certain (small margin, displaced unlike the other sheets, or in a comb
-    without ends that jumped by pitches) are flagged "doubtful" and not given.
+    Positions whose identity is not certain (for one of `DOUBTS`) are flagged "doubtful" and not given.
 
     Parameters
     ----------
     profile
         Grey levels (frame, x).
-    ridges
-        Candidates of every frame.
-    identities
-        Candidates paired with sheets.
+    ridges, identities
+        Candidates of every frame, and which of them is which sheet.
     comb
         Width, pitch and contrast of the ridges.
     settings
         Thresholds.
-
-    Returns
-    -------
-    Detections
     """
     table = [values_of(identities.match, v) for v in (ridges.x_px, ridges.contrast, ridges.fwhm_px)]
     why = _doubts(table[0], table[1], identities, comb, profile.shape[1], settings)

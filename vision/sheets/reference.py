@@ -94,21 +94,15 @@ def build_reference(
 
     All candidates of one long list are taken for sheets; lists from the whole recording are aligned with
     them; candidates that many frames show and the comb lacks are added, and those that few show are
-    dropped. Then what is too near to a brighter neighbour for the spacing of the comb, or lies far outside
-    it, is dropped as dust.
+    dropped. Of what is left those are chosen that together make the most even comb, the others are dust.
 
     Parameters
     ----------
-    candidates
-        Lists of candidates, one for each undisturbed run of frames.
-    frames
-        Number of frames each list stands for, (lists,).
-    carried_px
-        How far the whole comb had been carried by then, (lists,).
-    comb
-        Width, pitch and contrast of the ridges.
-    width_px
-        Width of the profile.
+    candidates, frames, carried_px
+        Lists of candidates, one for each undisturbed run of frames; how many frames each stands for, and how
+        far the whole comb had been carried by then (lists,).
+    comb, width_px
+        What the ridges look like; width of the profile.
     sheets
         Their number where known: the best comb of exactly that many is chosen.
     source
@@ -116,15 +110,10 @@ def build_reference(
     settings
         Costs and thresholds.
 
-    Returns
-    -------
-    ReferenceComb
-
     Raises
     ------
     InputError
-        For fewer ridges than `sheets`, not counting specks far outside the comb; or no ridge that most frames
-        show.
+        For fewer ridges than `sheets`, specks far outside the comb aside; or no ridge that most frames show.
     """
     spread = np.linspace(0, len(frames) - 1, 192).astype(int)
     chosen = np.unique(np.r_[np.argsort(-frames, kind="stable")[:192], spread])  # the longest, and others
@@ -365,7 +354,7 @@ def _best_chain_of(sheets: int, score: Floats, cost: Floats) -> Ints:
 
 
 def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettings = DEFAULT) -> Bools:
-    """Which entries stand still while the sheets beside them move: dust on the lens or the sensor, marks.
+    """Which entries (N,) stand still while the sheets beside them move: dust on lens or sensor, marks.
 
     A sheet moves at least as much as its neighbours on one of its sides: motion grows outwards. So each entry
     is compared with the smaller of the motions to its left and to its right (each the mean of two
@@ -374,16 +363,10 @@ def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettin
 
     Parameters
     ----------
-    moved_px
-        Displacement from the rest position (frame, N), NaN where missing.
-    rest_px
-        Rest positions (N,).
+    moved_px, rest_px
+        Displacement from the rest position (frame, N), NaN where missing; rest positions (N,).
     settings
-        Thresholds.
-
-    Returns
-    -------
-    True for static entries, (N,).
+        `moving_px`, `static_fraction`.
     """
     left, right = _beside(moved_px), _beside(moved_px[:, ::-1])[:, ::-1]
     gap = np.diff(rest_px)
@@ -410,10 +393,8 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
 
     Parameters
     ----------
-    reference
-        The comb.
-    moved_px
-        Displacement from the rest position (frame, N), NaN where missing.
+    reference, moved_px
+        The comb; displacement from its rest positions (frame, N), NaN where missing.
     settings
         `faint_end`, `slow_end`, `odd_width`.
     """

@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 
 from vision.data import TrackMetadata
 from vision.errors import InputError
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints
+from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, Ints
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import find_maxima
 
 Polarity = Literal["bright", "dark"]
-
-FWHM = 2.3548  # of a Gaussian, in standard deviations
 
 
 @dataclass(frozen=True)
@@ -125,10 +123,6 @@ def describe_ridges(
         What a message calls the recording.
     settings
         Thresholds.
-
-    Returns
-    -------
-    RidgeComb
 
     Raises
     ------
@@ -297,10 +291,6 @@ def find_ridges(profile: Floats32, comb: RidgeComb, *, settings: TrackingSetting
         alone.
     settings
         Thresholds.
-
-    Returns
-    -------
-    Ridges
 
     Notes
     -----

@@ -153,8 +153,20 @@ def track_sheets(
     err = np.hypot(np.hypot(errors.err_px, blur.err_px), pulled)
     axis = None if axis_px is None else axis_px - origin_px
     numbering = number_sheets(x, axis_px=axis, settings=settings)
-    quality = _Quality(frozen, blur.blurred, pulled > 0, errors)
-    found = _Found(comb, identities, detections, numbering, x, err, noise, origin_px, quality)
+    found = _Tracked(
+        comb=comb,
+        identities=identities,
+        detections=detections,
+        numbering=numbering,
+        x_px=x,
+        err_px=err,
+        noise=noise,
+        errors=errors,
+        frozen=frozen,
+        blurred=blur.blurred,
+        distorted=pulled > 0,
+        origin_px=origin_px,
+    )
     metadata = found.metadata(used, window, settings, count_given=sheets is not None)
     number = strip["frame"].values
     changes = scene_changes(detections.start_px, detections.contrast, comb, settings)
@@ -186,18 +198,10 @@ class _Errors(NamedTuple):
     predicted_px: Floats
 
 
-class _Quality(NamedTuple):
-    """Repeated frames (frame,), blurred and distorted ridges (frame, N), and errors."""
-
-    frozen: Bools
-    blurred: Bools
-    distorted: Bools
-    errors: _Errors
-
-
-@dataclass(frozen=True)
-class _Found:
-    """Everything the Dataset is made of; columns counted from the strip's first."""
+@dataclass(frozen=True, kw_only=True)
+class _Tracked:
+    """Everything the Dataset is made of; columns counted from the strip's first. Of frames (frame,): frozen;
+    of sheets (N,): noise, grey levels; of both: x_px, err_px, blurred, distorted."""
 
     comb: RidgeComb
     identities: Identities
@@ -206,8 +210,11 @@ class _Found:
     x_px: Floats
     err_px: Floats
     noise: Floats
+    errors: _Errors
+    frozen: Bools
+    blurred: Bools
+    distorted: Bools
     origin_px: float
-    quality: _Quality
 
     def metadata(
         self, fit: FitName, window_px: int, settings: TrackingSettings, *, count_given: bool
@@ -304,7 +311,7 @@ def _errors(
     return _Errors(np.maximum(stated, 1e-4), noise_px, scatter_px, predicted)
 
 
-def _dataset(strip: xr.DataArray, found: _Found, metadata: TrackMetadata) -> xr.Dataset:
+def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> xr.Dataset:
     flag = _flags(strip, found)
     ok = np.isin(flag, ("ok", "blurred"))
     x = np.where(ok, found.x_px, np.nan) + found.origin_px
@@ -320,10 +327,10 @@ def _dataset(strip: xr.DataArray, found: _Found, metadata: TrackMetadata) -> xr.
         "found": ok.mean(axis=0),
         "fwhm_px": nan_median(np.where(ok, found.detections.fwhm_px, np.nan)),
         "snr": nan_median(contrast) / np.maximum(found.noise, 1e-12),
-        "distorted": (found.quality.distorted & ok).sum(axis=0) / np.maximum(ok.sum(axis=0), 1),
-        "x_noise_px": found.quality.errors.noise_px,
-        "x_scatter_px": found.quality.errors.scatter_px,
-        "x_predicted_px": found.quality.errors.predicted_px,
+        "distorted": (found.distorted & ok).sum(axis=0) / np.maximum(ok.sum(axis=0), 1),
+        "x_noise_px": found.errors.noise_px,
+        "x_scatter_px": found.errors.scatter_px,
+        "x_predicted_px": found.errors.predicted_px,
         "time_s": strip["time_s"].values,
         "side": found.numbering.side,
         "n": found.numbering.n,
@@ -334,7 +341,7 @@ def _dataset(strip: xr.DataArray, found: _Found, metadata: TrackMetadata) -> xr.
     return xr.Dataset(variables, places | coords, strip.attrs | metadata.attrs())
 
 
-def _flags(strip: xr.DataArray, found: _Found) -> Strings:
+def _flags(strip: xr.DataArray, found: _Tracked) -> Strings:
     """Why there is no position, or "ok"; the frame's own state goes first."""
     if "status" in strip.coords:
         status = np.asarray(strip["status"].values).astype("<U8")
@@ -342,8 +349,8 @@ def _flags(strip: xr.DataArray, found: _Found) -> Strings:
         status = np.where(np.isfinite(strip.values).all(axis=1), "ok", "blank").astype("<U8")
     flag = found.detections.flag.copy()
     flag[(flag == "ok") & ~np.isfinite(found.x_px)] = "unfit"
-    flag[(flag == "ok") & found.quality.blurred] = "blurred"
-    flag[found.quality.frozen] = "frozen"
+    flag[(flag == "ok") & found.blurred] = "blurred"
+    flag[found.frozen] = "frozen"
     return np.where(status[:, None] != "ok", status[:, None], flag)
 
 
