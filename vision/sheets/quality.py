@@ -83,13 +83,11 @@ def motion_blur(
     Notes
     -----
     A ridge that jumps by D while the shutter is open, after a fraction p of it, is drawn twice, p and 1 − p
-    high; its mean is what was exposed, but the fit follows the higher part, and is off by up to
-    :math:`\min(p, 1-p)\,D`: the loss of height times the jump. D is the difference between the frames on
-    both sides. Where ridge and jump are about equally wide the two parts merge, the ridge grows wider, and
-    the fit is less far off. Where the jump is about a pitch the second part lies on a neighbour's first and
-    nothing is lower: there sheets of the same frame that moved otherwise tell p. Blurred are ridges wider or
-    lower than usual by more than their scatter in a frame in which they moved by more than a fraction of
-    their width.
+    high. The fit follows the higher part and is off by up to :math:`\min(p, 1-p)\,D`, the loss of height
+    times the jump between the frames on both sides; by less where both parts merge into one wider ridge.
+    Where the jump is about a pitch the second part lies on a neighbour's first and nothing is lower: there
+    sheets of the same frame that moved otherwise tell p. Blurred are ridges that moved by more than a
+    fraction of their width and are wider or lower than usual by more than their scatter.
     """
     moved = np.zeros_like(x_px)
     moved[1:-1] = np.nan_to_num(np.abs(x_px[2:] - x_px[:-2]))
@@ -151,15 +149,15 @@ def distortion(
 
     .. math:: I(x + u) = a + b\,(S(u) - s\,S'(u)) + r(u) .
 
-    Two things say by how much the position may be off: the change of s where a slope is fitted as well (light
-    that varies over the window), and the residual in terms of the shape's own slope,
-    :math:`\langle r^2 \rangle^{1/2} / (b\,\langle S'^2 \rangle^{1/2})` (anything narrower): what shows in
-    other directions of the window's pixels is about as large in that of the shift, where it does not show.
-    Of the residual only the odd part counts: widths differ, and move nothing. Each is split into the sheet's
-    own mean, which is compared with the other sheets', and what differs from it in a frame. What all sheets
-    of a frame have in common (blur, exposure) is left out. Where ridges are lopsided by themselves, each in
-    its own way, the mean residual says nothing. Where the change of s is usually by far larger than noise
-    makes it, something moves over the whole comb (its own reflection), and what is usual is an error, too.
+    The position may be off by the change of s where a slope is fitted as well (light that varies over the
+    window), and by the residual in terms of the shape's own slope,
+    :math:`\langle r^2 \rangle^{1/2} / (b\,\langle S'^2 \rangle^{1/2})` (anything narrower, which shifts the
+    ridge by about as much as it shows elsewhere). Of the residual only the odd part counts: widths differ,
+    and move nothing. Each is split into the sheet's own mean, which is compared with the other sheets', and
+    what differs from it in a frame; what all sheets of a frame have in common (blur, exposure) is left out.
+    Where ridges are lopsided by themselves the mean residual says nothing. Where s usually changes by far
+    more than noise makes it, something moves over the whole comb (its own reflection), and what is usual is
+    an error, too.
     """
     if comb.fwhm_px < settings.distortion_least_px:
         return np.zeros_like(x_px)
@@ -298,9 +296,8 @@ def scene_changes(
     Notes
     -----
     Means over five frames before and after are compared. In a slip the sides of the comb move against each
-    other and every sheet keeps its looks; where all sheets are displaced by more than the comb's ends are
-    against each other, or their brightnesses change, once, by several times what is usual in this film, it
-    shows another scene.
+    other and every sheet keeps its looks. It is another scene where all sheets are displaced by more than the
+    comb's ends are against each other, or their brightnesses change, once and by several times what is usual.
     """
     frames, sheets = x_px.shape
     if frames < 4 * SCENE_FRAMES or sheets < 3:
@@ -362,20 +359,18 @@ def shared_error(x_px: Floats, *, between_frames: bool) -> float:
 
     Notes
     -----
-    Blocks of the codec are wider than a sheet's spacing, and predicted frames (B more than P) leave out
-    changes below the quantiser's dead zone. Two measured parts make up for that:
+    Blocks of the codec are wider than a sheet's spacing, and predicted frames leave out small changes.
 
-    1. Sheets in one block err together. The second differences of positions over 4 frames, without what all
-       sheets do, scatter by :math:`a` in all and by :math:`b` between neighbours (fourth differences along
-       n): :math:`a^2 - b^2`.
-    2. What all sheets do together in a frame (a camera that shakes) is left out in part, too. Noise of
-       pixels differs from frame to frame, so that positions should differ between neighbours by as much
-       after one frame as after six. They do not where changes are left out, and :math:`h = 1 - D(1)/D(6)`
-       with the structure function D is the share left out; or that of the common motion itself, where less.
-       Of a common motion of which :math:`c` from frame to frame is left, :math:`c\,h/(1-h)` is missing, but
-       not more than single sheets are off by: what a codec leaves out in all it leaves out in each.
+    1. Sheets in one block err together: :math:`a^2 - b^2`, where second differences of positions over 4
+       frames, without what all sheets do, scatter by :math:`a`, and their fourth differences along n by
+       :math:`b`.
+    2. Of what all sheets do together (a camera that shakes) a part is missing. By noise alone neighbours
+       would differ as much after one frame as after six; :math:`h = 1 - D(1)/D(6)` with the structure
+       function D is the share of changes left out, of neighbours or of the common motion, whichever is less.
+       Of a common motion of which :math:`c` from frame to frame is left, :math:`c\,h/(1-h)` is missing, at
+       most as much as single sheets are off by.
 
-    Where the codec leaves out all of a motion in all sheets, nothing in the film tells that.
+    A motion that the codec leaves out wholly in all sheets shows nowhere.
     """
     together, missing, _ = _shared(x_px)
     return float(np.hypot(together, missing if between_frames else 0.0))

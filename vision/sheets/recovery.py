@@ -75,27 +75,26 @@ def assign_detections(
     settings
         Thresholds.
     """
-    table = [values_of(identities.match, v) for v in (ridges.x_px, ridges.contrast, ridges.fwhm_px)]
-    why = _doubts(table[0], table[1], identities, comb, profile.shape[1], settings)
-    why = _settled(why, table, comb, settings)
-    table, why = _other_ridges(ridges, table, why, comb, settings)
-    withheld = np.where(why != "", table[0], np.nan)
+    candidates = np.stack([ridges.x_px, ridges.contrast, ridges.fwhm_px])
+    paired = np.stack([values_of(identities.match, values) for values in candidates])
+    why = _doubts(paired[0], paired[1], identities, comb, profile.shape[1], settings)
+    why = _settled(why, paired, comb, settings)
+    paired, why = _other_ridges(candidates, paired, why, comb, settings)
     doubtful = why != ""
-    start, contrast, fwhm = (np.where(doubtful, np.nan, values) for values in table)
-    expected = _expected(start, identities.rest_px)
-    rows, sheet, values = _faint_ridges(profile, start, contrast, expected, doubtful, comb, settings)
-    start[rows, sheet], contrast[rows, sheet], fwhm[rows, sheet] = values
-    strange = hops(neighbour_residual(start), comb, settings)
-    strange &= np.isnan(table[0])  # a second look may find no more than a ridge that happens to be near
-    start, contrast, fwhm = (np.where(strange, np.nan, values) for values in (start, contrast, fwhm))
-    flag = np.where(np.isfinite(start), "ok", "missing").astype("<U8")
-    flag[_merged(start, expected, comb, settings)] = "merged"
+    withheld = np.where(doubtful, paired[0], np.nan)
+    found = np.where(doubtful, np.nan, paired)
+    expected = _expected(found[0], identities.rest_px)
+    rows, sheet, faint = _faint_ridges(profile, found, expected, doubtful, comb, settings)
+    found[:, rows, sheet] = faint
+    # a second look may find no more than a ridge that happens to be near
+    found[:, hops(neighbour_residual(found[0]), comb, settings) & np.isnan(paired[0])] = np.nan
+    flag = np.where(np.isfinite(found[0]), "ok", "missing").astype("<U8")
+    flag[_merged(found[0], expected, comb, settings)] = "merged"
     half = comb.fwhm_px / 2
     outside = (expected < half) | (expected > profile.shape[1] - 1 - half)
     flag[(flag != "ok") & outside] = "edge"
     flag[doubtful] = "doubtful"
-    ok = flag == "ok"
-    start, contrast, fwhm = (np.where(ok, values, np.nan) for values in (start, contrast, fwhm))
+    start, contrast, fwhm = np.where(flag == "ok", found, np.nan)
     return Detections(start, contrast, fwhm, flag, why, withheld)
 
 
@@ -130,9 +129,9 @@ def _doubts(
     return why
 
 
-def _settled(why: Strings, table: list[Floats], comb: RidgeComb, settings: TrackingSettings) -> Strings:
+def _settled(why: Strings, paired: Floats, comb: RidgeComb, settings: TrackingSettings) -> Strings:
     """The doubts without those that the pattern settles: it fits this numbering and no other one."""
-    x, contrast, fwhm = table
+    x, contrast, fwhm = paired
     with np.errstate(divide="ignore", invalid="ignore"):
         looks = np.log(contrast), np.log(fwhm)
     known = np.where(why == "tear", np.nan, x)
@@ -142,53 +141,28 @@ def _settled(why: Strings, table: list[Floats], comb: RidgeComb, settings: Track
 
 
 def _other_ridges(
-    ridges: Ridges,
-    table: list[Floats],
-    why: Strings,
-    comb: RidgeComb,
-    settings: TrackingSettings,
-) -> tuple[list[Floats], Strings]:
+    candidates: Floats32, paired: Floats, why: Strings, comb: RidgeComb, settings: TrackingSettings
+) -> tuple[Floats, Strings]:
     """Sheets that hopped to another ridge: the ridge in the right place where no other sheet has it, else a
-    doubt."""
+    doubt. Positions, contrasts and widths of candidates (3, frame, K) and of sheets (3, frame, N)."""
     for _ in range(4):  # each names the sheet that leaves its neighbours most, the next looks without it
-        x = np.where(why == "", table[0], np.nan)
+        x = np.where(why == "", paired[0], np.nan)
         residual = neighbour_residual(x)
         off = hops(residual, comb, settings)
         if not off.any():
             break
-        table, why = _moved_to(ridges, table, why, off, x - residual, comb, settings)
-    return table, why
-
-
-def _moved_to(
-    ridges: Ridges,
-    table: list[Floats],
-    why: Strings,
-    off: Bools,
-    place: Floats,
-    comb: RidgeComb,
-    settings: TrackingSettings,
-) -> tuple[list[Floats], Strings]:
-    """Sheets `off` put on the ridge nearest to `place`; doubtful where there is none, or it is another
-    sheet's."""
-    frame, sheet = np.nonzero(off)
-    if not len(frame):
-        return table, why
-    why, table = why.copy(), [np.array(values) for values in table]
-    best, distance = nearest(ridges.x_px[frame], place[frame, sheet])
-    there = ridges.x_px[frame, best].astype(np.float64)
-    near = distance <= settings.faint_reach * comb.pitch_px
-    near &= there != table[0][frame, sheet]
-    usual = nan_median(np.log(np.where(why == "", table[1], np.nan)))[sheet]
-    alike = np.abs(np.log(ridges.contrast[frame, best]) - usual) < LIKE_ITSELF
-    taken = np.where(off, np.nan, table[0])
-    free = ~(taken[frame] == there[:, None]).any(axis=1)
-    take = near & alike & free
-    take &= _unshared(frame, there, take)
-    why[frame[~take], sheet[~take]] = "hop"
-    for values, of_ridges in zip(table, (ridges.x_px, ridges.contrast, ridges.fwhm_px), strict=True):
-        values[frame[take], sheet[take]] = of_ridges[frame[take], best[take]]
-    return table, why
+        frame, sheet = np.nonzero(off)
+        best, distance = nearest(candidates[0, frame], (x - residual)[off])
+        there, height = candidates[:2, frame, best].astype(np.float64)
+        take = (distance <= settings.faint_reach * comb.pitch_px) & (there != x[off])
+        usual = nan_median(np.log(np.where(why == "", paired[1], np.nan)))[sheet]
+        take &= np.abs(np.log(height) - usual) < LIKE_ITSELF
+        take &= ~(np.where(off, np.nan, paired[0])[frame] == there[:, None]).any(axis=1)
+        take &= _unshared(frame, there, take)
+        why, paired = why.copy(), paired.copy()
+        why[frame[~take], sheet[~take]] = "hop"
+        paired[:, frame[take], sheet[take]] = candidates[:, frame[take], best[take]]
+    return paired, why
 
 
 def _after_jumps(
@@ -254,29 +228,28 @@ def _expected(start: Floats, rest: Floats) -> Floats:
 
 def _faint_ridges(
     profile: Floats32,
-    start: Floats,
-    contrast: Floats,
+    found: Floats,
     expected: Floats,
     doubtful: Bools,
     comb: RidgeComb,
     settings: TrackingSettings,
-) -> tuple[Ints, Ints, tuple[Floats, ...]]:
-    """Faint ridges where missing sheets must be: frame, sheet, and (x, contrast, width) of each."""
-    wanted = np.isnan(start) & np.isfinite(expected) & ~doubtful
+) -> tuple[Ints, Ints, Floats]:
+    """Faint ridges where missing sheets must be: frame, sheet, and their x, contrast and width (3, ridges).
+    `found` holds the same of what is known (3, frame, N)."""
+    wanted = np.isnan(found[0]) & np.isfinite(expected) & ~doubtful
     rows = np.flatnonzero(wanted.any(axis=1))
     if not len(rows):
-        nothing = np.zeros(0, np.int64)
-        return nothing, nothing, (np.zeros(0),) * 3
+        return rows, rows, np.zeros((3, 0))
     faint = find_ridges(profile[rows], replace(comb, contrast=0.0), settings=settings)
     row, sheet = np.nonzero(wanted[rows])
     frame = rows[row]
     best, distance = nearest(faint.x_px[row], expected[frame, sheet])
-    x, height, width = (v[row, best].astype(np.float64) for v in (faint.x_px, faint.contrast, faint.fwhm_px))
-    usual = np.nan_to_num(nan_median(contrast, axis=0))[sheet]
-    keep = (distance <= settings.faint_reach * comb.pitch_px) & (height >= settings.faint_contrast * usual)
-    keep &= nearest(start[frame], x)[1] > 0.5 * comb.fwhm_px
-    keep &= _unshared(frame, x, keep)
-    return frame[keep], sheet[keep], (x[keep], height[keep], width[keep])
+    there = np.stack([faint.x_px, faint.contrast, faint.fwhm_px])[:, row, best].astype(np.float64)
+    usual = np.nan_to_num(nan_median(found[1]))[sheet]
+    keep = (distance <= settings.faint_reach * comb.pitch_px) & (there[1] >= settings.faint_contrast * usual)
+    keep &= nearest(found[0, frame], there[0])[1] > 0.5 * comb.fwhm_px
+    keep &= _unshared(frame, there[0], keep)
+    return frame[keep], sheet[keep], there[:, keep]
 
 
 def _unshared(frame: Ints, x: Floats, keep: Bools) -> Bools:

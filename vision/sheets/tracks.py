@@ -133,17 +133,8 @@ def track_sheets(
         origin_px=origin_px,
         settings=settings,
     )
-    used: FitName = "sliding" if fit == "auto" else fit
     frozen = repeated_frames(profile, settings)
-    x, err, noise = _positions(profile, detections.start_px, comb, used, window, frozen)
-    if fit == "auto":
-        bright = profile if comb.sign > 0 else -profile
-        usable = np.where(frozen[:, None], np.nan, x)
-        matched, per_grey, learned = learned_template(
-            bright, usable, err / np.maximum(noise, 1e-12), comb, settings=settings
-        )
-        if learned.any():
-            used, x, err = "template", matched, per_grey * noise
+    x, err, noise, used = _positions(profile, detections.start_px, comb, fit, window, frozen, settings)
     errors = _errors(x, err, noise, frozen, facts.codec, settings)
     blur = motion_blur(
         np.where(frozen[:, None], np.nan, x), detections.contrast, detections.fwhm_px, comb, settings
@@ -264,16 +255,30 @@ def _check_axis(axis_px: float | None, first_px: float, last_px: float) -> None:
 
 
 def _positions(
-    profile: Floats32, start_px: Floats, comb: RidgeComb, fit: FitName, window_px: int, frozen: Bools
-) -> tuple[Floats, Floats, Floats]:
-    """Positions and their standard error (frame, N), and the profile's noise at each sheet (N,)."""
+    profile: Floats32,
+    start_px: Floats,
+    comb: RidgeComb,
+    fit: FitChoice,
+    window_px: int,
+    frozen: Bools,
+    settings: TrackingSettings,
+) -> tuple[Floats, Floats, Floats, FitName]:
+    """Positions and their standard error (frame, N), the profile's noise at each sheet (N,), the fit used."""
     bright = profile if comb.sign > 0 else -profile
-    x, per_noise = fit_sheets(bright, start_px, fit=fit, window_px=window_px, comb=comb)
+    used: FitName = "sliding" if fit == "auto" else fit
+    x, per_grey = fit_sheets(bright, start_px, fit=used, window_px=window_px, comb=comb)
     noise = intensity_noise(profile[~frozen], x[~frozen], half_px=window_px // 2, fallback=comb.noise)
-    err = per_noise * noise
+    if fit == "auto":
+        usable = np.where(frozen[:, None], np.nan, x)
+        matched, matched_per_grey, learned = learned_template(
+            bright, usable, per_grey, comb, settings=settings
+        )
+        if learned.any():
+            used, x, per_grey = "template", matched, matched_per_grey
+    err = per_grey * noise
     if fit == "paper":
         err = np.hypot(err, locking_error(x, bright, start_px, window_px, comb))
-    return x, err, noise
+    return x, err, noise, used
 
 
 def _errors(
@@ -281,13 +286,12 @@ def _errors(
 ) -> _Errors:
     """Predicted from the pixels, measured in time and between sheets, and what is stated.
 
-    What the pixels predict holds where their noise is independent. Noise that is alike in neighbouring pixels
-    (a soft lens behind which a camera sharpened or resampled, clipped tops) shifts ridges by more, in time
-    and between sheets alike: then the smaller of both counts, over all sheets, since motion of its own in
-    time or in n is no error. Compression hides the noise of pixels and shifts ridges in ways that may last
-    for frames: the scatter between sheets sees these, and `shared_error` what codecs do to neighbours
-    alike. Repeated frames would halve the scatter or make it zero, so they are left out. Never
-    zero: a profile without noise still holds whole grey levels.
+    What the pixels predict holds where their noise is independent. Noise alike in neighbouring pixels (a soft
+    lens, clipped tops) shifts ridges by more, in time and between sheets: the smaller of both counts, over
+    all sheets, since motion of its own in time or in n is no error. Compression hides the noise of pixels and
+    shifts ridges for some frames: the scatter between sheets sees that, and `shared_error` what codecs do to
+    neighbours alike. Repeated frames, which would hide scatter, are left out. Never zero: a profile without
+    noise still holds whole grey levels.
     """
     new = np.where(frozen[:, None], np.nan, x)
     noise_px, scatter_px = position_noise(x[~frozen]), spatial_scatter(new)
@@ -393,32 +397,19 @@ def with_heights(
         raise InputError("the parts of the strip", "the tracks' frames", "others", "use those of one reading")
     facts = TrackMetadata.of(tracks)
     comb = RidgeComb.of(facts)
-    start = tracks["x_px"].values - float(parts["x"].values[0])
+    start = np.rint(tracks["x_px"].values - float(parts["x"].values[0]))
+    fit: FitChoice = "auto" if facts.fit == "template" else "paper" if facts.fit == "paper" else "sliding"
     x = np.empty((*start.shape, parts.sizes["z"]))
     err = np.empty_like(x)
     for k, part in enumerate(np.asarray(parts.values, np.float32)):
-        x[..., k], err[..., k] = _fitted_part(part, start, facts, comb, settings)
+        frozen = repeated_frames(part, settings)
+        x[..., k], err[..., k], *_ = _positions(part, start, comb, fit, facts.window_px, frozen, settings)
     if "x_predicted_px" in tracks:
         stated = nan_median(tracks["x_err_px"].values) / tracks["x_predicted_px"].values
         err *= np.fmax(stated, 1.0)[:, None]
     found = {"x_z_px": x + float(parts["x"].values[0]), "x_z_err_px": err}
     variables = {name: (TRACKS[name].dims, data, TRACKS[name].attrs) for name, data in found.items()}
     return record(tracks.assign(variables).assign_coords(z=parts["z"]), "with_heights")
-
-
-def _fitted_part(
-    profile: Floats32, start_px: Floats, facts: TrackMetadata, comb: RidgeComb, settings: TrackingSettings
-) -> tuple[Floats, Floats]:
-    """Positions and errors (frame, N) in one part."""
-    bright = profile if comb.sign > 0 else -profile
-    fit: FitName = "paper" if facts.fit == "paper" else "sliding"
-    x, per_grey = fit_sheets(bright, np.rint(start_px), fit=fit, window_px=facts.window_px, comb=comb)
-    new = ~repeated_frames(profile, settings)
-    if facts.fit == "template":
-        usable = np.where(new[:, None], x, np.nan)
-        x, per_grey, _ = learned_template(bright, usable, per_grey, comb, settings=settings)
-    noise = intensity_noise(profile[new], x[new], half_px=facts.window_px // 2, fallback=comb.noise)
-    return x, per_grey * noise
 
 
 def pixel_size_from_pitch(tracks: xr.Dataset, pitch_um: float) -> float:
