@@ -123,6 +123,47 @@ def _excess(values: Floats, least: float) -> Floats:
     return np.nan_to_num(np.maximum(off - least, 0.0) / np.maximum(spread, 0.004))
 
 
+def not_one_ridge(
+    bright: Floats32, x_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
+) -> Bools:
+    """Which sheets (N,) are no single ridge: their mean picture is not that of the comb's ridges.
+
+    Sheets far thinner than most, side by side, are one hump to the search for ridges, and the position lies
+    between them. Always False for fewer than five sheets.
+
+    Parameters
+    ----------
+    bright
+        Profile with bright ridges (frame, x).
+    x_px
+        Positions (frame, N), NaN where missing.
+    comb
+        Width and pitch of the ridges.
+    settings
+        `least_likeness`: correlation of a sheet's mean picture, over six tenths of a width to either side of
+        its positions, with that of all sheets.
+    """
+    if x_px.shape[1] < 5:
+        return np.zeros(x_px.shape[1], bool)
+    half = max(3, round(min(0.6 * comb.fwhm_px, 0.5 * comb.pitch_px)))
+    _, level, shape = _pictures(bright, x_px, half)
+    own = nan_median(level)
+    own -= own.mean(axis=1, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        likeness = own @ (shape - shape.mean()) / np.linalg.norm(own, axis=1) / np.std(shape)
+    return np.asarray(likeness / np.sqrt(len(shape)) < settings.least_likeness, bool)
+
+
+def _pictures(bright: Floats32, x_px: Floats, half: int) -> tuple[Floats, Floats, Floats]:
+    """Pixels around positions in some frames (frame, N, u), the same with mean 0 and deviation 1, and the
+    median of these over all sheets and frames (u,)."""
+    sample = np.unique(np.linspace(0, len(bright) - 1, 200).astype(int))
+    around = _around(bright, x_px, sample, half)
+    level = around - around.mean(axis=-1, keepdims=True)
+    level = level / level.std(axis=-1, keepdims=True)
+    return around, level, nan_median(level.reshape(-1, level.shape[-1]))
+
+
 def distortion(
     bright: Floats32,
     x_px: Floats,
@@ -162,10 +203,7 @@ def distortion(
     if comb.fwhm_px < settings.distortion_least_px:
         return np.zeros_like(x_px)
     half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
-    sample = np.unique(np.linspace(0, len(bright) - 1, 200).astype(int))
-    around = _around(bright, x_px, sample, half)
-    level = around - around.mean(axis=-1, keepdims=True)
-    shape = nan_median((level / level.std(axis=-1, keepdims=True)).reshape(-1, level.shape[-1]))
+    around, _, shape = _pictures(bright, x_px, half)
     if not np.isfinite(shape).all():
         return np.zeros_like(x_px)
     own = nan_median(_shape_fit(around, shape)[1])  # each sheet's own residual, (N, u)

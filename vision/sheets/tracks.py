@@ -19,6 +19,7 @@ from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.quality import (
     distortion,
     motion_blur,
+    not_one_ridge,
     repeated_frames,
     scene_changes,
     shared_error,
@@ -89,7 +90,7 @@ def track_sheets(
     xarray.Dataset
         x_px, x_err_px and flag (frame, sheet); side, n, x_mean_px, found, fwhm_px, snr, x_noise_px (sheet);
         time_s (frame); see `vision.data.TRACKS`. x_px is NaN wherever flag is neither "ok" nor "blurred":
-        "missing" (no ridge there), "merged" (two sheets in one ridge), "edge" (outside the picture or too
+        "missing" (no ridge there), "merged" (several sheets in one ridge), "edge" (outside the picture or too
         near its edge), "doubtful" (identity not certain), "unfit" (the fit has no answer), or the frame's own
         "frozen", "blank", "corrupt", "lost". What was found automatically is in `vision.data.TrackMetadata`.
 
@@ -139,7 +140,9 @@ def track_sheets(
     blur = motion_blur(
         np.where(frozen[:, None], np.nan, x), detections.contrast, detections.fwhm_px, comb, settings
     )
-    pulled = distortion(profile if comb.sign > 0 else -profile, x, errors.err_px, comb, settings)
+    bright = profile if comb.sign > 0 else -profile
+    detections.flag[(detections.flag == "ok") & not_one_ridge(bright, x, comb, settings)] = "merged"
+    pulled = distortion(bright, x, errors.err_px, comb, settings)
     pulled[(blur.err_px > 0) | blur.blurred] = 0.0  # two ridges drawn over each other are lopsided anyway
     err = np.hypot(np.hypot(errors.err_px, blur.err_px), pulled)
     axis = None if axis_px is None else axis_px - origin_px
