@@ -62,6 +62,26 @@ def test_scatter_between_sheets_sees_errors_that_persist():
     assert np.median(spatial_scatter(x)) == pytest.approx(0.1, rel=0.1)
 
 
+def test_sheets_that_move_each_in_its_own_way_do_not_scatter():
+    """Jumps and creep that differ by a tenth from sheet to sheet are motion: a failure means that compressed
+    films of such sheets get errors ten times too large."""
+    rng = np.random.default_rng(3)
+    own = 1 + rng.normal(0, 0.1, 50)
+    slips = np.cumsum(np.arange(400) % 40 == 39)[:, None]
+    moving = 20 * np.arange(50) + own * (0.2 * np.arange(400)[:, None] - 8 * slips)
+    x = moving + rng.normal(0, 0.02, moving.shape)
+    assert np.median(spatial_scatter(x)) == pytest.approx(0.02, rel=0.1)
+    assert np.hypot(0.02, shared_error(x, between_frames=True)) == pytest.approx(0.02, rel=0.1)
+    straight = x - np.median(x, axis=0)
+    assert np.std(straight[:, 2:-2] - (straight[:, 1:-3] + straight[:, 3:-1]) / 2) > 5 * 0.02
+
+
+def test_a_scatter_needs_frames_between_slips():
+    """A comb that slips in every frame has none to compare: nothing is stated."""
+    x = 20 * np.arange(50) + 5.0 * (np.arange(9)[:, None] ** 2)
+    assert np.isnan(spatial_scatter(np.where(np.arange(9)[:, None] % 2 == 0, x, np.nan))).all()
+
+
 def filmed(seed=5, shake=0.05):
     """Creeping sheets and a shaking camera, and the noise of pixels, (frame, sheet)."""
     rng = np.random.default_rng(seed)

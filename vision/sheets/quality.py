@@ -8,6 +8,7 @@ errors that persist from frame to frame; `shared_error` those that neighbours ha
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,9 @@ from vision.sheets.subpixel import FRAMES_PER_BLOCK, Starts, gather
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
 SCENE_FRAMES = 5  # before and after a change of scene that are compared
+LAGS = (16, 12, 8, 6, 4, 3, 2, 1)
+"""Frames apart at which the scatter of neighbours is compared with that of all sheets: what a codec holds
+still shows better over some frames, but a stick must be longer than twice as many."""
 FAR = range(4, 9)  # frames after which nothing is held still that changes from frame to frame
 
 
@@ -282,17 +286,41 @@ def _shape_fit(pixels: Floats, shape: Floats) -> tuple[Floats, Floats]:
 
 
 def spatial_scatter(x_px: Floats) -> Floats:
-    """Scatter of each sheet against a smooth line through its neighbours, px, (N,).
+    """Scatter of each sheet's position against its neighbours', px, (N,).
 
-    From fourth differences along n of the displacements, which a motion smooth in n hardly has; median
-    absolute value over the frames. Unlike the scatter from frame to frame it sees errors that a codec
-    carries from one frame into the next. NaN with fewer than five sheets.
+    From fourth differences along n, which a motion smooth in n hardly has, of second differences in time over
+    up to 16 frames without a slip: sheets that creep or jump by amounts of their own do not enter. Unlike the
+    scatter from frame to frame it sees errors that a codec carries from one frame into the next. NaN with
+    fewer than five sheets, and where slips leave too few frames between them.
     """
     sheets = x_px.shape[1]
-    if sheets < len(FOURTH):
+    second = _Sticks(x_px).second(LAGS) if sheets >= len(FOURTH) else x_px[:0]
+    if not len(second):
         return np.full(sheets, np.nan)
-    typical = nan_median(np.abs(_centred(_fourth(x_px - nan_median(x_px))))) / NORMAL_MEDIAN
-    return np.asarray(np.pad(typical, 2, mode="edge"), np.float64)
+    return np.asarray(np.pad(_deviation(_fourth(second)), 2, mode="edge"), np.float64)
+
+
+class _Sticks:
+    """Positions (frame, N), and between which frames lies a slip: there sheets move by more than usual, and
+    neighbours alike; where a codec draws anew they do not."""
+
+    def __init__(self, x_px: Floats) -> None:
+        self.x_px = x_px[np.isfinite(x_px).any(axis=1)]
+        step = np.diff(self.x_px, axis=0)
+        size, apart = (nan_quantile(np.abs(part), 0.75, axis=1) for part in (step, _fourth(step)))
+        slip = (size > 3 * nan_median(size[size > 0])) & (size > 3 * apart)
+        self.slips = np.cumsum(np.r_[0, slip])
+
+    def second(self, lags: Sequence[int], values: Floats | None = None) -> Floats:
+        """Second differences in time of values (frame, …), of the positions by default, without a slip
+        between the three frames, over the first of these lags that leaves enough; scaled to keep the
+        deviation of independent values. (…, N)."""
+        x = self.x_px if values is None else values
+        for lag in lags:
+            calm = self.slips[2 * lag :] == self.slips[: -2 * lag]
+            if calm.sum() >= LEAST_FRAMES:
+                return np.asarray((x[2 * lag :] - 2 * x[lag:-lag] + x[: -2 * lag])[calm] / np.sqrt(6))
+        return x[:0]
 
 
 class SceneChange(NamedTuple):
@@ -399,9 +427,8 @@ def shared_error(x_px: Floats, *, between_frames: bool) -> float:
     -----
     Blocks of the codec are wider than a sheet's spacing, and predicted frames leave out small changes.
 
-    1. Sheets in one block err together: :math:`a^2 - b^2`, where second differences of positions over 4
-       frames, without what all sheets do, scatter by :math:`a`, and their fourth differences along n by
-       :math:`b`.
+    1. Sheets in one block err together. Second differences of positions in time, without what all sheets do,
+       scatter by :math:`a` in all and by :math:`b` between neighbours (`spatial_scatter`): :math:`a^2 - b^2`.
     2. Of what all sheets do together (a camera that shakes) a part is missing. By noise alone neighbours
        would differ as much after one frame as after six; :math:`h = 1 - D(1)/D(6)` with the structure
        function D is the share of changes left out, of neighbours or of the common motion, whichever is less.
@@ -425,29 +452,22 @@ def _shared(x_px: Floats) -> tuple[float, float, float]:
     """What blocks of sheets err together, what is missing of the common motion, what is seen of it; px."""
     if x_px.shape[1] < len(FOURTH) + 3 or len(x_px) < FAR[-1] + LEAST_FRAMES:
         return 0.0, 0.0, 0.0
-    own, together = float(np.mean(np.nan_to_num(spatial_scatter(x_px))[2:-2] ** 2)), 0.0
-    for lag in (4, 2, 1):  # what a codec holds still shows over some frames; sticks must be twice as long
-        second = (x_px[2 * lag :] - 2 * x_px[lag:-lag] + x_px[: -2 * lag]) / np.sqrt(6)
-        second = second - nan_median(second, axis=1)[:, None]
-        size = nan_median(np.abs(second), axis=1)
-        calm = second[size < 3 * np.nan_to_num(nan_median(size[size > 0]))]  # no slip
-        if len(calm) >= LEAST_FRAMES:
-            together = max(0.0, _deviation(calm) ** 2 - _deviation(_fourth(calm)) ** 2)
-            break
-    held = min(_held(_fourth(x_px)), _held(nan_median(x_px, axis=1)[:, None]))
-    seen = _deviation(_centred(nan_median(np.diff(x_px, 2, axis=0), axis=1) / np.sqrt(6)))
+    sticks = _Sticks(x_px)
+    second = sticks.second(LAGS)
+    own = _deviation_of_all(_fourth(second)) ** 2
+    together = max(0.0, _deviation_of_all(second - nan_median(second, axis=1)[:, None]) ** 2 - own)
+    common = nan_median(sticks.x_px, axis=1)[:, None]
+    held = min(_held(sticks, _fourth(sticks.x_px)), _held(sticks, common))
+    seen = _deviation_of_all(sticks.second((1,), common))
     missing = min(seen * held / (1 - held), float(np.sqrt(own + together)))
     return float(np.sqrt(together)), missing, seen
 
 
-def _held(values: Floats) -> float:
+def _held(sticks: _Sticks, values: Floats) -> float:
     """Share by which values (frame, …) differ less after one frame than after some, in variance."""
-    near, *far = (_deviation(_centred(values[lag:] - values[:-lag])) ** 2 for lag in (1, *FAR))
-    return float(np.clip(1 - near / np.mean(far), 0.0, 0.95)) if np.mean(far) > 0 else 0.0
-
-
-def _centred(values: Floats) -> Floats:
-    return values - nan_median(values)
+    near, *far = (_deviation_of_all(sticks.second((lag,), values)) ** 2 for lag in (1, *FAR))
+    far = [variance for variance in far if variance > 0]
+    return float(np.clip(1 - near / np.mean(far), 0.0, 0.95)) if far else 0.0
 
 
 def _fourth(x_px: Floats) -> Floats:
@@ -457,10 +477,15 @@ def _fourth(x_px: Floats) -> Floats:
     return np.asarray(np.sum(parts, axis=0) / np.sqrt((FOURTH**2).sum()), np.float64)
 
 
-def _deviation(values: Floats) -> float:
-    """Standard deviation about zero of what is known, the largest tenth cut to what the others reach; 0 where
-    nothing is. A median would be zero where a codec repeats most blocks."""
-    size = np.abs(values[np.isfinite(values)])
-    if not size.size:
-        return 0.0
-    return float(np.sqrt(np.mean(np.minimum(size, np.quantile(size, 0.9)) ** 2)) / 0.9118)  # normal: 1
+def _deviation(values: Floats) -> Floats:
+    """Standard deviation about zero along the first axis, from sizes cut at their 0.9 quantile, which leaves
+    0.9118 of a normal variable's; NaN where nothing is known. A median is zero where codecs repeat blocks."""
+    size = np.abs(values)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cut = np.nan_to_num(np.minimum(size, nan_quantile(size, 0.9)) ** 2)
+        return np.asarray(np.sqrt(cut.sum(axis=0) / np.isfinite(size).sum(axis=0)) / 0.9118)
+
+
+def _deviation_of_all(values: Floats) -> float:
+    """The same of all values; 0 where nothing is known."""
+    return float(np.nan_to_num(_deviation(values.ravel())))
