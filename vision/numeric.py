@@ -14,6 +14,8 @@ Bools = NDArray[np.bool_]
 Strings = NDArray[np.str_]
 Pixels = NDArray[Any]  # grey levels as the file stores them: unsigned integers or float32
 
+FWHM = 2.3548
+"""Full width at half maximum of a Gaussian, in its standard deviations."""
 NORMAL_MEDIAN = 0.6744897501960817
 """Median of the absolute value of a standard normal variable: a median absolute deviation (MAD) over this is
 a standard deviation."""
@@ -37,24 +39,19 @@ def mad_sigma(values: NDArray[np.floating], axis: int | None = None) -> Any:
     return np.median(np.abs(values - middle), axis=axis) / NORMAL_MEDIAN
 
 
-LONG = 200
-"""Values along an axis from which selecting the middle ones is faster than sorting all."""
-
-
 def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
     """Median along an axis of what is not NaN; NaN, without a warning, where nothing is left."""
     given = np.asarray(values, np.float64)
     count = np.isfinite(given).sum(axis=axis, keepdims=True)
     if given.shape[axis] == 0:
         return np.full(count.squeeze(axis).shape, np.nan)
-    low, high = np.maximum(count - 1, 0) // 2, count // 2
-    high = np.minimum(high, np.maximum(count - 1, 0))
-    if given.shape[axis] < LONG:
+    last = np.maximum(count - 1, 0)
+    low, high = last // 2, np.minimum(count // 2, last)
+    if given.shape[axis] < 200:
         ordered = np.sort(given, axis=axis)  # NaN comes last
-    else:
-        places = np.unique([low, high])
-        ordered = np.partition(np.moveaxis(given, axis, -1), places, axis=-1)
-        ordered = np.moveaxis(ordered, -1, axis)
+    else:  # selecting the middle ones is faster than sorting all
+        ordered = np.moveaxis(given, axis, -1)
+        ordered = np.moveaxis(np.partition(ordered, np.unique([low, high]), axis=-1), -1, axis)
     pair = np.take_along_axis(ordered, low, axis) + np.take_along_axis(ordered, high, axis)
     return np.asarray(np.where(count > 0, pair / 2, np.nan).squeeze(axis), np.float64)
 
@@ -69,3 +66,24 @@ def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -
     below, above = np.take_along_axis(ordered, low, axis), np.take_along_axis(ordered, high, axis)
     found = below + (above - below) * (place - low)
     return np.asarray(np.where(count > 0, found, np.nan).squeeze(axis), np.float64)
+
+
+def nearest(places: NDArray[np.floating], at: NDArray[np.floating]) -> tuple[Ints, Floats]:
+    """In each row of `places` (rows, K), NaN for none, which is nearest to `at` (rows,), and its distance.
+
+    The distance is inf where there is none.
+    """
+    distance = np.abs(places - at[:, None])
+    distance = np.where(np.isfinite(distance), distance, np.inf)
+    best = np.argmin(distance, axis=1)
+    return best, distance[np.arange(len(best)), best]
+
+
+def shifted(values: NDArray[Any], by: int) -> NDArray[Any]:
+    """Column n holds that of column n + by of values (rows, columns); NaN where there is none."""
+    moved = np.full_like(values, np.nan)
+    if 0 <= by < values.shape[1]:
+        moved[:, : values.shape[1] - by] = values[:, by:]
+    elif 0 < -by < values.shape[1]:
+        moved[:, -by:] = values[:, :by]
+    return moved

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from vision.numeric import Floats, Ints
 
-WINDOWS_AT_ONCE = 65_536  # of a running median: more take more memory, and no less time
-
 
 def running_median(
     values: NDArray[np.floating], size: int, *, ends: Literal["edge", "symmetric"] = "edge"
@@ -33,9 +31,10 @@ def running_median(
     """
     padded = np.pad(np.asarray(values, np.float64), (size // 2, (size - 1) // 2), ends)
     windows, middle = sliding_window_view(padded, size), size // 2
+    block = 1 << 16  # more windows at once take more memory, and no less time
     parts = [
-        np.partition(windows[start : start + WINDOWS_AT_ONCE], middle, axis=1)[:, middle]
-        for start in range(0, len(windows), WINDOWS_AT_ONCE)
+        np.partition(windows[start : start + block], middle, axis=1)[:, middle]
+        for start in range(0, len(windows), block)
     ]
     return np.concatenate(parts) if parts else np.empty(0)
 

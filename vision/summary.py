@@ -15,7 +15,7 @@ from vision.figures.labels import both_errors
 from vision.numeric import nan_median
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
-from vision.sheets.corrections import stretches
+from vision.sheets.recovery import stretches
 from vision.sheets.tracks import LOSSY
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vision.sheets import TrackingSettings
-from vision.sheets.alignment import STEPS, Candidates, ExpectedSheets, align
+from vision.sheets.alignment import Candidates, ExpectedSheets, align, steps_between
 
 COSTS = TrackingSettings()
 SHEETS, PITCH = 4, 20.0
@@ -58,7 +58,7 @@ def cost(candidates, contrast, row, sheets, chosen):
     total -= further * sum(run - 1 for run in runs if run > 1)
     for i in range(1, len(sheets)):
         a, b = sheets[i] - sheets[i - 1], chosen[i] - chosen[i - 1]
-        if (a, b) not in STEPS:
+        if (a, b) not in steps_between(0):
             return np.inf
         off = abs(x[chosen[i]] - x[chosen[i - 1]] - a * PITCH) / (COSTS.spacing_spread * PITCH * np.sqrt(a))
         near = min(off, 1.5)

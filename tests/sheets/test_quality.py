@@ -1,5 +1,7 @@
 """Repeated frames, motion blur and errors that were measured: scenes with known truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -299,3 +301,44 @@ def test_a_cut_film_is_said_to_be_cut(kind):
 def test_a_film_of_slips_is_not_cut(kind):
     """A failure means that every slip, or a lamp, is called a change of scene."""
     assert TrackMetadata.of(track_sheets(cut_at_60(kind))).scene_changes == []
+
+
+def thin_beside_thick(seed):
+    """Sheets 7 px wide, and between some of them two to five that are 2.5 px wide and 5 px apart."""
+    rng = np.random.default_rng(seed)
+    place, width, at = [], [], 25.0
+    while at < 600:
+        if rng.uniform() < 0.6:
+            place, width, at = [*place, at + 3], [*width, 7.0], at + 16
+        else:
+            thin = at + 5.0 * np.arange(rng.integers(2, 6))
+            place, width, at = [*place, *thin], [*width, *[2.5] * len(thin)], thin[-1] + 11
+    outer = (np.array(place) - 312) / 288
+    phase = np.arange(150)[:, None] / 30 % 1 - 0.5
+    x = np.array(place) - 4 * np.sign(outer) * outer**2 * phase
+    light = ridges(x, width=640, fwhm_px=np.array(width), contrast=brightness(len(place), seed))
+    return x, np.array(width), strip(light, snr=60, seed=seed)
+
+
+def wrong_and_thick(tracks, x, width):
+    """Positions called ok that are further from their sheet than half way to the next, and the share of the
+    positions of thick sheets that are called ok."""
+    found = np.where(tracks.flag.values == "ok", tracks.x_px.values, np.nan)
+    found = found[:, np.isfinite(found).any(axis=0)]
+    own = np.nanmedian(np.abs(found[:, :, None] - x[:, None]), axis=0).argmin(axis=1)
+    half = np.diff(x[0], prepend=-np.inf, append=np.inf)
+    half = np.minimum(half[1:], half[:-1]) / 2
+    thick = width[own] == 7
+    wrong = int((np.abs(found - x[:, own]) > half[own]).sum())
+    return wrong, np.isfinite(found[:, thick]).sum() / len(x) / (width == 7).sum()
+
+
+def test_thin_sheets_taken_for_one_ridge_have_no_position():
+    """A failure means that a place between thin sheets is given as a sheet's, with a small error."""
+    films = [thin_beside_thick(seed) for seed in (6, 8, 10, 12)]
+    found = [wrong_and_thick(track_sheets(picture), x, width) for x, width, picture in films]
+    assert sum(wrong for wrong, _ in found) == 0
+    assert min(thick for _, thick in found) > 0.95
+    trusting = replace(TrackingSettings(), least_likeness=-1.0)
+    found = [wrong_and_thick(track_sheets(p, settings=trusting), x, width) for x, width, p in films]
+    assert sum(wrong for wrong, _ in found) > 20

@@ -1,6 +1,7 @@
 """I(x, t) becomes x(n, t): ridges, subpixel fits, identities, numbering."""
 
-from vision.sheets.corrections import Correction, doubtful_stretches, read_corrections
+from vision.sheets.corrections import Correction, read_corrections
+from vision.sheets.recovery import doubtful_stretches
 from vision.sheets.reference import wide_spacings
 from vision.sheets.settings import TrackingSettings
 from vision.sheets.subpixel import (

@@ -20,23 +20,8 @@ from numpy.typing import NDArray
 from vision.numeric import Floats, Ints
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
-LISTS_PER_BATCH = 128
 BAND = 8  # missing sheets or false detections on one side of a pair that are considered
-BRIGHTNESS_LIMIT = 4.0  # nats: a sheet may change its looks at this cost
 MOST_CROSSING = 3  # sheets that cross an edge of the picture in one displacement
-MANY_MISSING = 8
-# Steps (sheets, candidates) from one pair to the next: to a neighbour, over missing sheets, over false
-# detections, over some of both.
-STEPS = (
-    (1, 1),
-    *((a, 1) for a in range(2, MANY_MISSING + 1)),
-    *((1, b) for b in range(2, 5)),
-    (2, 2),
-    (2, 3),
-    (3, 2),
-    (3, 3),
-)
-LONGEST_STEP = 40  # sheets that something may cover side by side; the codes of all steps fit into int8
 
 
 @dataclass(frozen=True)
@@ -124,6 +109,12 @@ class Pairing:
     margin: Floats
 
 
+def values_of(match: Ints, values: NDArray[np.floating]) -> Floats:
+    """Of values (lists, K) those of the candidates paired with each sheet, NaN where missing, (lists, N)."""
+    paired = np.take_along_axis(values.astype(np.float64), np.maximum(match, 0), axis=1)
+    return np.where(match >= 0, paired, np.nan)
+
+
 def align(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
     r"""Cheapest order-preserving pairing of each candidate list with the sheets, and how certain it is.
 
@@ -154,7 +145,7 @@ def align(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
     """
     count = np.isfinite(candidates.x_px).sum(axis=1)
     order = np.argsort(count, kind="stable")  # lists of like length share a narrow band
-    batches = [order[i : i + LISTS_PER_BATCH] for i in range(0, len(order), LISTS_PER_BATCH)]
+    batches = [order[i : i + 128] for i in range(0, len(order), 128)]
     match = np.full(expected.x_px.shape, -1, np.int64)
     margin = np.full(expected.x_px.shape, np.nan)
 
@@ -176,21 +167,11 @@ def _align_batch(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
     mirrored_x = -candidates.x_px[:, ::-1]
     right = _outside(mirrored_x, expected.mirrored(), missing[:, ::-1], false_detection[:, ::-1])
     right = right[::-1, :, ::-1]
-    spread = expected.settings.spacing_spread * expected.pitch_px
-    limit = expected.settings.spacing_limit
-    tear = expected.settings.tear_fraction / expected.settings.spacing_spread
-    steps = _steps(candidates, expected)
-    forward, origin = _pass(pair, left, candidates.x_px, expected.x_px, further, spread, limit, tear, steps)
+    fewest = int(np.isfinite(candidates.x_px).sum(axis=1).min())
+    steps = steps_between(expected.x_px.shape[1] - fewest)
+    forward, origin = _pass(pair, left, candidates.x_px, expected, further, steps)
     backward, _ = _pass(
-        pair[::-1, :, ::-1],
-        right[::-1, :, ::-1],
-        mirrored_x,
-        -expected.x_px[:, ::-1],
-        further[:, ::-1],
-        spread,
-        limit,
-        tear,
-        steps,
+        pair[::-1, :, ::-1], right[::-1, :, ::-1], mirrored_x, expected.mirrored(), further[:, ::-1], steps
     )
     backward = backward[::-1, :, ::-1]
     real = np.isfinite(pair)
@@ -200,14 +181,16 @@ def _align_batch(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
     return Pairing(match, _margins(through, match))
 
 
-def _steps(candidates: Candidates, expected: ExpectedSheets) -> tuple[tuple[int, int], ...]:
-    """STEPS, and longer ones where so many sheets are missing that something may cover them side by side.
+def steps_between(missing: int) -> list[tuple[int, int]]:
+    """Steps (sheets, candidates) from one pair to the next: to a neighbour, over missing sheets, over false
+    detections, over some of both.
 
-    Without these a comb seen on both sides of what covers it could only be read as two combs.
+    Longer ones where so many sheets are missing that something may cover them side by side: a comb seen on
+    both sides of that would otherwise be read as two. Their numbers fit into int8.
     """
-    missing = expected.x_px.shape[1] - int(np.isfinite(candidates.x_px).sum(axis=1).min())
-    longest = min(missing + 3, LONGEST_STEP)
-    return STEPS + tuple((a, b) for a in range(MANY_MISSING + 1, longest) for b in (1, 2, 3))
+    short = [(a, 1) for a in range(1, 9)] + [(1, b) for b in range(2, 5)]
+    both = [(a, b) for a in (2, 3) for b in (2, 3)]
+    return short + both + [(a, b) for a in range(9, min(missing + 3, 40)) for b in (1, 2, 3)]
 
 
 def _pair_costs(candidates: Candidates, expected: ExpectedSheets) -> tuple[Floats, Floats, Floats]:
@@ -216,7 +199,9 @@ def _pair_costs(candidates: Candidates, expected: ExpectedSheets) -> tuple[Float
     sheets, pitch, costs = expected.x_px.shape[1], expected.pitch_px, expected.settings
     brightness = candidates.log_contrast - _flicker(candidates, expected)[:, None]
     off = brightness[None] - expected.log_contrast[:, None, None]
-    cost = np.minimum(off**2 / (2 * costs.brightness_spread**2), BRIGHTNESS_LIMIT)
+    cost = np.minimum(
+        off**2 / (2 * costs.brightness_spread**2), 4.0
+    )  # a sheet may change its looks at this cost
     moved = np.abs(candidates.x_px[None] - expected.x_px.T[:, :, None]) / (0.5 * pitch)
     cost += costs.stay_cost / sheets * (np.minimum(moved**2, 1.0) + np.maximum(moved / 4 - 0.5, 0.0))
     relative = np.exp(brightness - np.median(expected.log_contrast)) / 0.5
@@ -275,18 +260,16 @@ def _pass(
     pair: Floats,
     first_pair: Floats,
     x: Floats,
-    sheet_x: Floats,
+    expected: ExpectedSheets,
     further: Floats,
-    spread_px: float,
-    limit: float,
-    tear: float,
-    steps: tuple[tuple[int, int], ...],
+    steps: list[tuple[int, int]],
 ) -> tuple[Floats, NDArray[np.int8]]:
     """Cost of the best alignment ending with each pair, (N, lists, K), and the step it came by (−1: its
     first); first_pair, cost of beginning with each; further, saved where sheets are missing side by side."""
     best = np.full_like(pair, np.inf)
     origin = np.full(pair.shape, -1, np.int8)
     missed = np.pad(np.cumsum(further, axis=1), ((0, 0), (1, 0)))
+    sheet_x = expected.x_px
     for n, (low, high) in enumerate(_band(pair)):
         row = np.array(first_pair[n, :, low:high])
         step = np.full(row.shape, -1, np.int8)
@@ -296,7 +279,7 @@ def _pass(
                 continue
             change = x[:, first:high] - x[:, first - b : high - b]
             change -= (sheet_x[:, n] - sheet_x[:, n - a])[:, None]
-            total = _spacing_cost(change, spread_px * float(np.sqrt(a)), limit, tear)
+            total = _spacing_cost(change, expected, a)
             total += best[n - a][:, first - b : high - b]
             if a > 2:
                 total -= _together((missed[:, n] - missed[:, n - a + 1])[:, None], a - 1)
@@ -318,19 +301,20 @@ def _band(pair: Floats) -> Iterator[tuple[int, int]]:
         yield first, max(first + 1, min(count, n + high + 1))
 
 
-def _spacing_cost(change: Floats, spread: float, limit: float, tear: float) -> Floats:
+def _spacing_cost(change_px: Floats, expected: ExpectedSheets, spacings: int) -> Floats:
     """Huber's function of the change of a spacing (knee at 1.5 spreads), capped up to a tear, beyond which it
     grows again: sheets may part, but no part of the comb goes to other sheets' places. NaN costs the cap.
     """
-    size = np.abs(change)
-    size /= spread
+    costs = expected.settings
+    size = np.abs(change_px)
+    size /= costs.spacing_spread * expected.pitch_px * float(np.sqrt(spacings))
     near = np.minimum(size, 1.5)
-    cost = np.fmin(near * (size - 0.5 * near), limit)
-    cost += 1.5 * np.fmax(size - tear, 0.0)
+    cost = np.fmin(near * (size - 0.5 * near), costs.spacing_limit)
+    cost += 1.5 * np.fmax(size - costs.tear_fraction / costs.spacing_spread, 0.0)
     return cost
 
 
-def _trace(forward: Floats, origin: NDArray[np.int8], steps: tuple[tuple[int, int], ...]) -> Ints:
+def _trace(forward: Floats, origin: NDArray[np.int8], steps: list[tuple[int, int]]) -> Ints:
     """Candidate of each sheet in the best alignment of each list, −1 where missing, (lists, N)."""
     sheets, lists, count = forward.shape
     match = np.full((lists, sheets), -1, np.int64)

@@ -12,14 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import Bools, Floats, Floats32, Ints, nan_median
-from vision.sheets.alignment import Candidates, Pairing, align
+from vision.numeric import Bools, Floats, Floats32, Ints, nan_median, shifted
+from vision.sheets.alignment import Candidates, Pairing, align, values_of
 from vision.sheets.neighbours import torn
 from vision.sheets.reference import ReferenceComb, build_reference, faint_ends, static_ridges
 from vision.sheets.ridges import RidgeComb, Ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
-
-ALIGNMENTS = 2  # with each sheet expected where it was found around that time
 
 
 @dataclass(frozen=True)
@@ -61,10 +59,8 @@ def identify_sheets(
 
     Parameters
     ----------
-    ridges
-        Candidates of every frame.
-    comb
-        Width, pitch and contrast of the ridges.
+    ridges, comb
+        Candidates of every frame; what the ridges look like.
     width_px
         Width of the profile.
     sheets
@@ -73,10 +69,6 @@ def identify_sheets(
         What a message calls the recording.
     settings
         Costs and thresholds.
-
-    Returns
-    -------
-    Identities
 
     Raises
     ------
@@ -105,13 +97,13 @@ def identify_sheets(
     rest = reference.x_px + carried[:, None]
     match = segments.in_frames(aligned(reference, rest).match, ridges.count)
     if sheets is None:
-        x = _positions(ridges, match)
+        x = values_of(match, ridges.x_px)
         moved = x - _rest_positions(x, reference, comb, settings)
         real = ~static_ridges(moved, reference.x_px, settings=settings)
         real &= ~faint_ends(reference, moved, settings=settings)
         reference, match = reference.only(np.flatnonzero(real)), match[:, real]
-    for _ in range(ALIGNMENTS):
-        rest = _rest_positions(_positions(ridges, match), reference, comb, settings)
+    for _ in range(2):  # with each sheet expected where it was found around that time
+        rest = _rest_positions(values_of(match, ridges.x_px), reference, comb, settings)
         pairing = aligned(reference, rest)
         before, match = match, segments.in_frames(pairing.match, ridges.count)
         if np.array_equal(before, match):
@@ -144,11 +136,6 @@ def carried_px(ridges: Ridges, comb: RidgeComb, settings: TrackingSettings = DEF
     return np.concatenate([[0.0], np.cumsum(np.where(most, moved, 0.0))])
 
 
-def _positions(ridges: Ridges, match: Ints) -> Floats:
-    x = np.take_along_axis(ridges.x_px.astype(np.float64), np.maximum(match, 0), axis=1)
-    return np.where(match >= 0, x, np.nan)
-
-
 def _rest_positions(
     x_px: Floats, reference: ReferenceComb, comb: RidgeComb, settings: TrackingSettings
 ) -> Floats:
@@ -170,15 +157,8 @@ def _rest_positions(
 
 
 def fill_rows(values: Floats, at: Floats) -> Floats:
-    """NaN replaced by linear interpolation along each row, ends held; rows of NaN stay NaN.
-
-    Parameters
-    ----------
-    values
-        (rows, columns).
-    at
-        Ascending abscissa of the columns.
-    """
+    """NaN of values (rows, columns) replaced by linear interpolation along each row, ends held; rows of NaN
+    stay NaN. `at`: ascending abscissa of the columns."""
     known = np.isfinite(values)
     number = np.arange(values.shape[1])
     left = np.maximum.accumulate(np.where(known, number, -1), axis=1)
@@ -301,7 +281,7 @@ def _pairs(
 ) -> _FramePairs:
     """Frames `rows` against those after them, if `came` new candidates came in on the left (left, if
     negative)."""
-    before, after = ridges.x_px[rows], _shifted(ridges.x_px[rows + 1], came)
+    before, after = ridges.x_px[rows], shifted(ridges.x_px[rows + 1], came)
     paired = np.isfinite(before) & np.isfinite(after)
     step = np.where(paired, after - before, 0.0)
     spacing = np.fmin(np.fmin(_spacing(before), _spacing(after)), comb.pitch_px)
@@ -313,19 +293,9 @@ def _pairs(
     alone = ridges.count[rows] + ridges.count[rows + 1] - 2 * count
     holds = still.all(axis=1) & np.hstack(crossing).all(axis=1) & (alone <= count)
     bright = np.log(ridges.contrast)
-    change = np.where(paired, _shifted(bright[rows + 1], came) - bright[rows], 0.0)
+    change = np.where(paired, shifted(bright[rows + 1], came) - bright[rows], 0.0)
     total = np.maximum(count, 1)
     return _FramePairs(holds, step.sum(axis=1) / total, np.sqrt((change**2).sum(axis=1) / total))
-
-
-def _shifted(values: Floats32, by: int) -> Floats32:
-    """Rows moved to the left by some places (to the right, if negative), NaN where that leaves a gap."""
-    moved = np.full_like(values, np.nan)
-    if by >= 0:
-        moved[:, : values.shape[1] - by] = values[:, by:]
-    else:
-        moved[:, -by:] = values[:, :by]
-    return moved
 
 
 def _spacing(x: Floats32) -> Floats32:

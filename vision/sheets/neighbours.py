@@ -11,12 +11,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median, nan_quantile
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median, nan_quantile, shifted
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 PAIRS = 3  # neighbours on either side that a sheet is compared with
-LINES = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))  # at the ends; one wrong sheet is never in the majority
 SHIFTS = (-2, -1, 1, 2)  # other numberings that the pattern must exclude
 TERM_LIMIT = 4.0  # nats: no single spacing, brightness or width decides a numbering
 
@@ -31,8 +30,8 @@ def neighbour_residual(x_px: Floats) -> Floats:
 
     Returns
     -------
-    Residual less each sheet's own median over the frames; NaN where the sheet or all its neighbours are
-    missing, and for fewer than three sheets.
+    Less each sheet's own median; NaN where it or all its neighbours are missing, and for fewer than three
+    sheets.
 
     Notes
     -----
@@ -59,9 +58,9 @@ def said_by_neighbours(x_px: Floats) -> Floats:
     place = places_in_comb(x_px)
     moved = x_px - place
     pairs = [_between(moved, place, k) for k in range(1, PAIRS + 1)]
-    few = np.isfinite(np.stack(pairs)).sum(axis=0) < 2
-    lines = [_beyond(moved, step * a, step * b) for step in (1, -1) for a, b in LINES]
-    lines = [np.where(few, line, np.nan) for line in lines]
+    few = np.isfinite(np.stack(pairs)).sum(axis=0) < 2  # towards the ends
+    two = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))  # one wrong sheet is never in the majority
+    lines = [np.where(few, _beyond(moved, step * a, step * b), np.nan) for step in (1, -1) for a, b in two]
     said = nan_median(np.stack([*pairs, *lines]))
     return np.asarray(place + said + nan_median(moved - said), np.float64)
 
@@ -77,23 +76,11 @@ def places_in_comb(x_px: Floats) -> Floats:
     return place
 
 
-def _shifted(values: Floats, by: int) -> Floats:
-    """Column n holds that of sheet n + by; NaN outside."""
-    out = np.full(values.shape, np.nan)
-    if abs(by) >= values.shape[1]:
-        return out
-    if by >= 0:
-        out[:, : values.shape[1] - by] = values[:, by:]
-    else:
-        out[:, -by:] = values[:, :by]
-    return out
-
-
 def _between(moved: Floats, place: Floats, k: int) -> Floats:
     """Displacement said by the k-th neighbours on both sides, linear between them."""
-    left, right = _shifted(moved, -k), _shifted(moved, k)
-    to_left = place - _shifted(place[None], -k)
-    to_right = _shifted(place[None], k) - place
+    left, right = shifted(moved, -k), shifted(moved, k)
+    to_left = place - shifted(place[None], -k)
+    to_right = shifted(place[None], k) - place
     apart = to_left + to_right
     apart = np.where(apart > 0, apart, np.nan)  # two sheets in one place say nothing
     return np.asarray((left * to_right + right * to_left) / apart)
@@ -101,7 +88,7 @@ def _between(moved: Floats, place: Floats, k: int) -> Floats:
 
 def _beyond(moved: Floats, near: int, far: int) -> Floats:
     """Displacement said by two sheets on one side, on a line through them."""
-    close, remote = _shifted(moved, near), _shifted(moved, far)
+    close, remote = shifted(moved, near), shifted(moved, far)
     return np.asarray(close + (close - remote) * near / (far - near))
 
 
@@ -163,7 +150,7 @@ def anchored(
     comb
         Pitch of the ridges.
     settings
-        Scatter that is allowed for, and the least log-likelihood ratio.
+        `anchor_fit`, `anchor_nats`.
 
     Returns
     -------
@@ -215,7 +202,7 @@ def _feature_costs(values: Floats, learned: Bools, floor: float) -> list[NDArray
     spread = np.maximum(spread, floor)
     out = []
     for shift in (0, *SHIFTS):
-        place, sigma = _shifted(middle[None], shift), _shifted(spread[None], shift)
+        place, sigma = shifted(middle[None], shift), shifted(spread[None], shift)
         # the wider of both scatters, so that a noisy sheet does not exclude a numbering by itself
         sigma = np.fmax(sigma, spread[None])
         out.append(

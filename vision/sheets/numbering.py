@@ -45,13 +45,11 @@ def number_sheets(
 ) -> Numbering:
     r"""Side and n of every sheet.
 
-    The sheets on either side move against each other: in a stick phase both inwards, in a slip both
-    outwards. The axis is put where the motion changes sign. The stiff centre hardly moves, so several
-    places are equally good; as both sides move alike, the axis is in the middle of these. A shaking camera
-    adds to all sheets alike and so widens the choice. The axis is in the middle of the comb if that is
-    among what is left, or without significant motion. With one side in view all sheets move alike, and the
-    axis lies outside, beyond the end that moves least. A sheet that stands on the axis itself (odd number)
-    counts as the first on the right.
+    Both sides move inwards in a stick and outwards in a slip; the axis is where the motion changes sign. The
+    stiff centre hardly moves, so several places are equally good, and more where the camera shakes: the axis
+    is in the middle of the comb if that is among them, or without significant motion, else in the middle of
+    these places. With one side in view all sheets move alike, and the axis lies beyond the end that moves
+    least. A sheet on the axis itself (odd number) counts as the first on the right.
 
     Parameters
     ----------
@@ -135,9 +133,8 @@ def _opening(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, 
     """How far each sheet steps when the comb's ends step apart by one pixel, its standard error, and the
     error that vibration adds to all sheets together.
 
-    Vibration or drift of the camera does not change the distance between the ends, so it does not bias these
-    slopes. Where both ends step the same way (one side in view), the larger step dominates. A knock against
-    the camera, or a cut, moves all sheets by more than the ends move apart: such steps say nothing.
+    A camera that shakes or drifts does not change the distance between the ends. A knock against it, or a
+    cut, moves all sheets by more than the ends move apart: such steps say nothing.
     """
     step = np.diff(x_px, axis=0)
     known = np.isfinite(step)

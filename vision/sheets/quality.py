@@ -16,22 +16,15 @@ import numpy as np
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median, nan_quantile
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
-from vision.sheets.subpixel import Starts, gather
+from vision.sheets.subpixel import FRAMES_PER_BLOCK, Starts, gather
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
 SCENE_FRAMES = 5  # before and after a change of scene that are compared
-SHAPE_FRAMES = 200  # from which the mean shapes are learned, spread over the recording
-FRAMES_PER_BLOCK = 512
 LAGS = (16, 12, 8, 6, 4, 3, 2, 1)
 """Frames apart at which the scatter of neighbours is compared with that of all sheets: what a codec holds
 still shows better over some frames, but a stick must be longer than twice as many."""
 FAR = range(4, 9)  # frames after which nothing is held still that changes from frame to frame
-CALM = 3.0  # times the usual change of a frame, above which sheets slipped in it
-CUT, CUT_SIGMA = 0.9, 0.9118
-"""Share of the values beyond which they are cut to that quantile, and the standard deviation that this leaves
-of a normal variable: a median would be zero where a codec repeats most blocks."""
-MOST_HELD = 0.95
 
 
 def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> Bools:
@@ -84,29 +77,21 @@ def motion_blur(
 
     Parameters
     ----------
-    x_px
-        Positions (frame, N), NaN where missing.
-    contrast, fwhm_px
-        Height and width of the ridges (frame, N).
+    x_px, contrast, fwhm_px
+        Position, height and width of the ridges (frame, N), NaN where missing.
     comb
         Width and pitch of the ridges.
     settings
         The fields `blur_…`.
 
-    Returns
-    -------
-    Blur
-
     Notes
     -----
     A ridge that jumps by D while the shutter is open, after a fraction p of it, is drawn twice, p and 1 − p
-    high; its mean is what was exposed, but the fit follows the higher part, and is off by up to
-    :math:`\min(p, 1-p)\,D`: the loss of height times the jump. D is the difference between the frames on
-    both sides. Where ridge and jump are about equally wide the two parts merge, the ridge grows wider, and
-    the fit is less far off. Where the jump is about a pitch the second part lies on a neighbour's first and
-    nothing is lower: there sheets of the same frame that moved otherwise tell p. Blurred are ridges wider or
-    lower than usual by more than their scatter in a frame in which they moved by more than a fraction of
-    their width.
+    high. The fit follows the higher part and is off by up to :math:`\min(p, 1-p)\,D`, the loss of height
+    times the jump between the frames on both sides; by less where both parts merge into one wider ridge.
+    Where the jump is about a pitch the second part lies on a neighbour's first and nothing is lower: there
+    sheets of the same frame that moved otherwise tell p. Blurred are ridges that moved by more than a
+    fraction of their width and are wider or lower than usual by more than their scatter.
     """
     moved = np.zeros_like(x_px)
     moved[1:-1] = np.nan_to_num(np.abs(x_px[2:] - x_px[:-2]))
@@ -142,6 +127,47 @@ def _excess(values: Floats, least: float) -> Floats:
     return np.nan_to_num(np.maximum(off - least, 0.0) / np.maximum(spread, 0.004))
 
 
+def not_one_ridge(
+    bright: Floats32, x_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
+) -> Bools:
+    """Which sheets (N,) are no single ridge: their mean picture is not that of the comb's ridges.
+
+    Sheets far thinner than most, side by side, are one hump to the search for ridges, and the position lies
+    between them. Always False for fewer than five sheets.
+
+    Parameters
+    ----------
+    bright
+        Profile with bright ridges (frame, x).
+    x_px
+        Positions (frame, N), NaN where missing.
+    comb
+        Width and pitch of the ridges.
+    settings
+        `least_likeness`: correlation of a sheet's mean picture, over six tenths of a width to either side of
+        its positions, with that of all sheets.
+    """
+    if x_px.shape[1] < 5:
+        return np.zeros(x_px.shape[1], bool)
+    half = max(3, round(min(0.6 * comb.fwhm_px, 0.5 * comb.pitch_px)))
+    _, level, shape = _pictures(bright, x_px, half)
+    own = nan_median(level)
+    own -= own.mean(axis=1, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        likeness = own @ (shape - shape.mean()) / np.linalg.norm(own, axis=1) / np.std(shape)
+    return np.asarray(likeness / np.sqrt(len(shape)) < settings.least_likeness, bool)
+
+
+def _pictures(bright: Floats32, x_px: Floats, half: int) -> tuple[Floats, Floats, Floats]:
+    """Pixels around positions in some frames (frame, N, u), the same with mean 0 and deviation 1, and the
+    median of these over all sheets and frames (u,)."""
+    sample = np.unique(np.linspace(0, len(bright) - 1, 200).astype(int))
+    around = _around(bright, x_px, sample, half)
+    level = around - around.mean(axis=-1, keepdims=True)
+    level = level / level.std(axis=-1, keepdims=True)
+    return around, level, nan_median(level.reshape(-1, level.shape[-1]))
+
+
 def distortion(
     bright: Floats32,
     x_px: Floats,
@@ -168,23 +194,20 @@ def distortion(
 
     .. math:: I(x + u) = a + b\,(S(u) - s\,S'(u)) + r(u) .
 
-    Two things say by how much the position may be off: the change of s where a slope is fitted as well (light
-    that varies over the window), and the residual in terms of the shape's own slope,
-    :math:`\langle r^2 \rangle^{1/2} / (b\,\langle S'^2 \rangle^{1/2})` (anything narrower): what shows in
-    other directions of the window's pixels is about as large in that of the shift, where it does not show.
-    Of the residual only the odd part counts: widths differ, and move nothing. Each is split into the sheet's
-    own mean, which is compared with the other sheets', and what differs from it in a frame. What all sheets
-    of a frame have in common (blur, exposure) is left out. Where ridges are lopsided by themselves, each in
-    its own way, the mean residual says nothing. Where the change of s is usually by far larger than noise
-    makes it, something moves over the whole comb (its own reflection), and what is usual is an error, too.
+    The position may be off by the change of s where a slope is fitted as well (light that varies over the
+    window), and by the residual in terms of the shape's own slope,
+    :math:`\langle r^2 \rangle^{1/2} / (b\,\langle S'^2 \rangle^{1/2})` (anything narrower, which shifts the
+    ridge by about as much as it shows elsewhere). Of the residual only the odd part counts: widths differ,
+    and move nothing. Each is split into the sheet's own mean, which is compared with the other sheets', and
+    what differs from it in a frame; what all sheets of a frame have in common (blur, exposure) is left out.
+    Where ridges are lopsided by themselves the mean residual says nothing. Where s usually changes by far
+    more than noise makes it, something moves over the whole comb (its own reflection), and what is usual is
+    an error, too.
     """
     if comb.fwhm_px < settings.distortion_least_px:
         return np.zeros_like(x_px)
     half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
-    sample = np.unique(np.linspace(0, len(bright) - 1, SHAPE_FRAMES).astype(int))
-    around = _around(bright, x_px, sample, half)
-    level = around - around.mean(axis=-1, keepdims=True)
-    shape = nan_median((level / level.std(axis=-1, keepdims=True)).reshape(-1, level.shape[-1]))
+    around, _, shape = _pictures(bright, x_px, half)
     if not np.isfinite(shape).all():
         return np.zeros_like(x_px)
     own = nan_median(_shape_fit(around, shape)[1])  # each sheet's own residual, (N, u)
@@ -285,7 +308,7 @@ class _Sticks:
         self.x_px = x_px[np.isfinite(x_px).any(axis=1)]
         step = np.diff(self.x_px, axis=0)
         size, apart = (nan_quantile(np.abs(part), 0.75, axis=1) for part in (step, _fourth(step)))
-        slip = (size > CALM * nan_median(size[size > 0])) & (size > CALM * apart)
+        slip = (size > 3 * nan_median(size[size > 0])) & (size > 3 * apart)
         self.slips = np.cumsum(np.r_[0, slip])
 
     def second(self, lags: Sequence[int], values: Floats | None = None) -> Floats:
@@ -339,9 +362,8 @@ def scene_changes(
     Notes
     -----
     Means over five frames before and after are compared. In a slip the sides of the comb move against each
-    other and every sheet keeps its looks; where all sheets are displaced by more than the comb's ends are
-    against each other, or their brightnesses change, once, by several times what is usual in this film, it
-    shows another scene.
+    other and every sheet keeps its looks. It is another scene where all sheets are displaced by more than the
+    comb's ends are against each other, or their brightnesses change, once and by several times what is usual.
     """
     frames, sheets = x_px.shape
     if frames < 4 * SCENE_FRAMES or sheets < 3:
@@ -403,19 +425,17 @@ def shared_error(x_px: Floats, *, between_frames: bool) -> float:
 
     Notes
     -----
-    Blocks of the codec are wider than a sheet's spacing, and predicted frames (B more than P) leave out
-    changes below the quantiser's dead zone. Two measured parts make up for that:
+    Blocks of the codec are wider than a sheet's spacing, and predicted frames leave out small changes.
 
     1. Sheets in one block err together. Second differences of positions in time, without what all sheets do,
        scatter by :math:`a` in all and by :math:`b` between neighbours (`spatial_scatter`): :math:`a^2 - b^2`.
-    2. What all sheets do together in a frame (a camera that shakes) is left out in part, too. Noise of
-       pixels differs from frame to frame, so that positions should differ between neighbours by as much
-       after one frame as after six. They do not where changes are left out, and :math:`h = 1 - D(1)/D(6)`
-       with the structure function D is the share left out; or that of the common motion itself, where less.
-       Of a common motion of which :math:`c` from frame to frame is left, :math:`c\,h/(1-h)` is missing, but
-       not more than single sheets are off by: what a codec leaves out in all it leaves out in each.
+    2. Of what all sheets do together (a camera that shakes) a part is missing. By noise alone neighbours
+       would differ as much after one frame as after six; :math:`h = 1 - D(1)/D(6)` with the structure
+       function D is the share of changes left out, of neighbours or of the common motion, whichever is less.
+       Of a common motion of which :math:`c` from frame to frame is left, :math:`c\,h/(1-h)` is missing, at
+       most as much as single sheets are off by.
 
-    Where the codec leaves out all of a motion in all sheets, nothing in the film tells that.
+    A motion that the codec leaves out wholly in all sheets shows nowhere.
     """
     together, missing, _ = _shared(x_px)
     return float(np.hypot(together, missing if between_frames else 0.0))
@@ -447,7 +467,7 @@ def _held(sticks: _Sticks, values: Floats) -> float:
     """Share by which values (frame, …) differ less after one frame than after some, in variance."""
     near, *far = (_deviation_of_all(sticks.second((lag,), values)) ** 2 for lag in (1, *FAR))
     far = [variance for variance in far if variance > 0]
-    return float(np.clip(1 - near / np.mean(far), 0.0, MOST_HELD)) if far else 0.0
+    return float(np.clip(1 - near / np.mean(far), 0.0, 0.95)) if far else 0.0
 
 
 def _fourth(x_px: Floats) -> Floats:
@@ -458,11 +478,12 @@ def _fourth(x_px: Floats) -> Floats:
 
 
 def _deviation(values: Floats) -> Floats:
-    """Standard deviation about zero along the first axis, without NaN and tails; NaN where all are."""
+    """Standard deviation about zero along the first axis, from sizes cut at their 0.9 quantile, which leaves
+    0.9118 of a normal variable's; NaN where nothing is known. A median is zero where codecs repeat blocks."""
     size = np.abs(values)
     with np.errstate(divide="ignore", invalid="ignore"):
-        cut = np.nan_to_num(np.minimum(size, nan_quantile(size, CUT)) ** 2)
-        return np.asarray(np.sqrt(cut.sum(axis=0) / np.isfinite(size).sum(axis=0)) / CUT_SIGMA, np.float64)
+        cut = np.nan_to_num(np.minimum(size, nan_quantile(size, 0.9)) ** 2)
+        return np.asarray(np.sqrt(cut.sum(axis=0) / np.isfinite(size).sum(axis=0)) / 0.9118)
 
 
 def _deviation_of_all(values: Floats) -> float:

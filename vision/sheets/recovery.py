@@ -7,16 +7,19 @@ closely, where a sheet is missing.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import pandas as pd
+import xarray as xr
 
-from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median
+from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median, nearest
+from vision.sheets.alignment import values_of
 from vision.sheets.identities import Identities, fill_rows
 from vision.sheets.neighbours import anchored, hops, neighbour_residual, places_in_comb, torn
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
-HOP_PASSES = 4  # each names the one sheet that leaves its neighbours most, and the next looks without it
 LIKE_ITSELF = 0.7
 """Logarithm of contrast within which a ridge may be the sheet that was expected there: a factor of two."""
 
@@ -59,57 +62,40 @@ def assign_detections(
 
     Where a missing sheet must be follows from its neighbours' displacement in the same frame. A ridge there
     that was too faint for the first search is taken if it reaches a fraction of the sheet's usual contrast.
-    Positions whose identity is not certain (small margin, displaced unlike the other sheets, or in a comb
-    without ends that jumped by pitches) are flagged "doubtful" and not given.
+    Positions whose identity is not certain (for one of `DOUBTS`) are flagged "doubtful" and not given.
 
     Parameters
     ----------
     profile
         Grey levels (frame, x).
-    ridges
-        Candidates of every frame.
-    identities
-        Candidates paired with sheets.
+    ridges, identities
+        Candidates of every frame, and which of them is which sheet.
     comb
         Width, pitch and contrast of the ridges.
     settings
         Thresholds.
-
-    Returns
-    -------
-    Detections
     """
-    paired = identities.match >= 0
-    table = [
-        _of_sheets(values, identities.match) for values in (ridges.x_px, ridges.contrast, ridges.fwhm_px)
-    ]
-    table = [np.where(paired, values, np.nan) for values in table]
-    why = _doubts(table[0], table[1], identities, comb, profile.shape[1], settings)
-    why = _settled(why, table, comb, settings)
-    table, why = _other_ridges(ridges, table, why, comb, settings)
-    withheld = np.where(why != "", table[0], np.nan)
+    candidates = np.stack([ridges.x_px, ridges.contrast, ridges.fwhm_px])
+    paired = np.stack([values_of(identities.match, values) for values in candidates])
+    why = _doubts(paired[0], paired[1], identities, comb, profile.shape[1], settings)
+    why = _settled(why, paired, comb, settings)
+    paired, why = _other_ridges(candidates, paired, why, comb, settings)
     doubtful = why != ""
-    start, contrast, fwhm = (np.where(doubtful, np.nan, values) for values in table)
-    expected = _expected(start, identities.rest_px)
-    rows, sheet, values = _faint_ridges(profile, start, contrast, expected, doubtful, comb, settings)
-    start[rows, sheet], contrast[rows, sheet], fwhm[rows, sheet] = values
-    strange = hops(neighbour_residual(start), comb, settings)
-    strange &= np.isnan(table[0])  # a second look may find no more than a ridge that happens to be near
-    start, contrast, fwhm = (np.where(strange, np.nan, values) for values in (start, contrast, fwhm))
-    flag = np.where(np.isfinite(start), "ok", "missing").astype("<U8")
-    flag[_merged(start, contrast, expected, comb, settings)] = "merged"
+    withheld = np.where(doubtful, paired[0], np.nan)
+    found = np.where(doubtful, np.nan, paired)
+    expected = _expected(found[0], identities.rest_px)
+    rows, sheet, faint = _faint_ridges(profile, found, expected, doubtful, comb, settings)
+    found[:, rows, sheet] = faint
+    # a second look may find no more than a ridge that happens to be near
+    found[:, hops(neighbour_residual(found[0]), comb, settings) & np.isnan(paired[0])] = np.nan
+    flag = np.where(np.isfinite(found[0]), "ok", "missing").astype("<U8")
+    flag[_merged(found[0], found[1], expected, comb, settings)] = "merged"
     half = comb.fwhm_px / 2
     outside = (expected < half) | (expected > profile.shape[1] - 1 - half)
     flag[(flag != "ok") & outside] = "edge"
     flag[doubtful] = "doubtful"
-    ok = flag == "ok"
-    start, contrast, fwhm = (np.where(ok, values, np.nan) for values in (start, contrast, fwhm))
+    start, contrast, fwhm = np.where(flag == "ok", found, np.nan)
     return Detections(start, contrast, fwhm, flag, why, withheld)
-
-
-def _of_sheets(values: Floats32, match: Ints) -> Floats:
-    """Values of the paired candidates; arbitrary where there is none."""
-    return np.take_along_axis(values.astype(np.float64), np.maximum(match, 0), axis=1)
 
 
 # --- doubt --------------------------------------------------------------------------------------------------
@@ -143,9 +129,9 @@ def _doubts(
     return why
 
 
-def _settled(why: Strings, table: list[Floats], comb: RidgeComb, settings: TrackingSettings) -> Strings:
+def _settled(why: Strings, paired: Floats, comb: RidgeComb, settings: TrackingSettings) -> Strings:
     """The doubts without those that the pattern settles: it fits this numbering and no other one."""
-    x, contrast, fwhm = table
+    x, contrast, fwhm = paired
     with np.errstate(divide="ignore", invalid="ignore"):
         looks = np.log(contrast), np.log(fwhm)
     known = np.where(why == "tear", np.nan, x)
@@ -155,55 +141,28 @@ def _settled(why: Strings, table: list[Floats], comb: RidgeComb, settings: Track
 
 
 def _other_ridges(
-    ridges: Ridges,
-    table: list[Floats],
-    why: Strings,
-    comb: RidgeComb,
-    settings: TrackingSettings,
-) -> tuple[list[Floats], Strings]:
+    candidates: Floats32, paired: Floats, why: Strings, comb: RidgeComb, settings: TrackingSettings
+) -> tuple[Floats, Strings]:
     """Sheets that hopped to another ridge: the ridge in the right place where no other sheet has it, else a
-    doubt."""
-    for _ in range(HOP_PASSES):
-        x = np.where(why == "", table[0], np.nan)
+    doubt. Positions, contrasts and widths of candidates (3, frame, K) and of sheets (3, frame, N)."""
+    for _ in range(4):  # each names the sheet that leaves its neighbours most, the next looks without it
+        x = np.where(why == "", paired[0], np.nan)
         residual = neighbour_residual(x)
         off = hops(residual, comb, settings)
         if not off.any():
             break
-        table, why = _moved_to(ridges, table, why, off, x - residual, comb, settings)
-    return table, why
-
-
-def _moved_to(
-    ridges: Ridges,
-    table: list[Floats],
-    why: Strings,
-    off: Bools,
-    place: Floats,
-    comb: RidgeComb,
-    settings: TrackingSettings,
-) -> tuple[list[Floats], Strings]:
-    """Sheets `off` put on the ridge nearest to `place`; doubtful where there is none, or it is another
-    sheet's."""
-    frame, sheet = np.nonzero(off)
-    if not len(frame):
-        return table, why
-    why, table = why.copy(), [np.array(values) for values in table]
-    distance = np.abs(ridges.x_px[frame] - place[frame, sheet][:, None])
-    distance = np.where(np.isfinite(distance), distance, np.inf)
-    best = np.argmin(distance, axis=1)
-    there = ridges.x_px[frame, best].astype(np.float64)
-    near = distance[np.arange(len(frame)), best] <= settings.faint_reach * comb.pitch_px
-    near &= there != table[0][frame, sheet]
-    usual = nan_median(np.log(np.where(why == "", table[1], np.nan)))[sheet]
-    alike = np.abs(np.log(ridges.contrast[frame, best]) - usual) < LIKE_ITSELF
-    taken = np.where(off, np.nan, table[0])
-    free = ~(taken[frame] == there[:, None]).any(axis=1)
-    take = near & alike & free
-    take &= _unshared(frame, there, take)
-    why[frame[~take], sheet[~take]] = "hop"
-    for values, of_ridges in zip(table, (ridges.x_px, ridges.contrast, ridges.fwhm_px), strict=True):
-        values[frame[take], sheet[take]] = of_ridges[frame[take], best[take]]
-    return table, why
+        frame, sheet = np.nonzero(off)
+        best, distance = nearest(candidates[0, frame], (x - residual)[off])
+        there, height = candidates[:2, frame, best].astype(np.float64)
+        take = (distance <= settings.faint_reach * comb.pitch_px) & (there != x[off])
+        usual = nan_median(np.log(np.where(why == "", paired[1], np.nan)))[sheet]
+        take &= np.abs(np.log(height) - usual) < LIKE_ITSELF
+        take &= ~(np.where(off, np.nan, paired[0])[frame] == there[:, None]).any(axis=1)
+        take &= _unshared(frame, there, take)
+        why, paired = why.copy(), paired.copy()
+        why[frame[~take], sheet[~take]] = "hop"
+        paired[:, frame[take], sheet[take]] = candidates[:, frame[take], best[take]]
+    return paired, why
 
 
 def _after_jumps(
@@ -269,32 +228,28 @@ def _expected(start: Floats, rest: Floats) -> Floats:
 
 def _faint_ridges(
     profile: Floats32,
-    start: Floats,
-    contrast: Floats,
+    found: Floats,
     expected: Floats,
     doubtful: Bools,
     comb: RidgeComb,
     settings: TrackingSettings,
-) -> tuple[Ints, Ints, tuple[Floats, ...]]:
-    """Faint ridges where missing sheets must be: frame, sheet, and (x, contrast, width) of each."""
-    wanted = np.isnan(start) & np.isfinite(expected) & ~doubtful
+) -> tuple[Ints, Ints, Floats]:
+    """Faint ridges where missing sheets must be: frame, sheet, and their x, contrast and width (3, ridges).
+    `found` holds the same of what is known (3, frame, N)."""
+    wanted = np.isnan(found[0]) & np.isfinite(expected) & ~doubtful
     rows = np.flatnonzero(wanted.any(axis=1))
     if not len(rows):
-        nothing = np.zeros(0, np.int64)
-        return nothing, nothing, (np.zeros(0),) * 3
+        return rows, rows, np.zeros((3, 0))
     faint = find_ridges(profile[rows], replace(comb, contrast=0.0), settings=settings)
     row, sheet = np.nonzero(wanted[rows])
     frame = rows[row]
-    distance = np.abs(faint.x_px[row] - expected[frame, sheet][:, None])
-    distance = np.where(np.isfinite(distance), distance, np.inf)
-    best = np.argmin(distance, axis=1)
-    x, height, width = (v[row, best].astype(np.float64) for v in (faint.x_px, faint.contrast, faint.fwhm_px))
-    usual = np.nan_to_num(nan_median(contrast, axis=0))[sheet]
-    near = np.take_along_axis(distance, best[:, None], axis=1)[:, 0] <= settings.faint_reach * comb.pitch_px
-    own = np.nan_to_num(np.abs(start[frame] - x[:, None]), nan=np.inf).min(axis=1, initial=np.inf)
-    keep = near & (height >= settings.faint_contrast * usual) & (own > 0.5 * comb.fwhm_px)
-    keep &= _unshared(frame, x, keep)
-    return frame[keep], sheet[keep], (x[keep], height[keep], width[keep])
+    best, distance = nearest(faint.x_px[row], expected[frame, sheet])
+    there = np.stack([faint.x_px, faint.contrast, faint.fwhm_px])[:, row, best].astype(np.float64)
+    usual = np.nan_to_num(nan_median(found[1]))[sheet]
+    keep = (distance <= settings.faint_reach * comb.pitch_px) & (there[1] >= settings.faint_contrast * usual)
+    keep &= nearest(found[0, frame], there[0])[1] > 0.5 * comb.fwhm_px
+    keep &= _unshared(frame, there[0], keep)
+    return frame[keep], sheet[keep], there[:, keep]
 
 
 def _unshared(frame: Ints, x: Floats, keep: Bools) -> Bools:
@@ -320,3 +275,50 @@ def _merged(
     pair &= missing[:, 1:] ^ missing[:, :-1]
     none = np.zeros((len(start), 1), bool)
     return np.asarray(np.hstack([pair, none]) | np.hstack([none, pair]), bool)
+
+
+# --- what is in doubt, as a table ---------------------------------------------------------------------------
+
+
+def doubtful_stretches(tracks: xr.Dataset) -> pd.DataFrame:
+    """Where an identity is in doubt: one row per sheet and unbroken stretch, the longest first.
+
+    Parameters
+    ----------
+    tracks
+        From `vision.track_sheets`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        sheet, side, n; first_frame and last_frame, frames; why (in words); x_withheld_px, the doubted ridge,
+        and x_expected_px, where the sheets around say it must be, both in the first frame (NaN if unknown).
+    """
+    sheet, first, stop = stretches(np.asarray(tracks["flag"].values == "doubtful"))
+    number = tracks["frame"].values
+
+    def there(name: str) -> Any:
+        return tracks[name].values[first, sheet] if name in tracks else np.full(len(sheet), np.nan)
+
+    table = pd.DataFrame(
+        {
+            "sheet": sheet,
+            "side": tracks["side"].values[sheet],
+            "n": tracks["n"].values[sheet],
+            "first_frame": number[first],
+            "last_frame": number[stop - 1],
+            "frames": stop - first,
+            "why": [DOUBTS.get(str(why), "identity not certain") for why in there("why")],
+            "x_withheld_px": there("x_withheld_px"),
+            "x_expected_px": there("x_expected_px"),
+        }
+    )
+    return table.sort_values("frames", ascending=False, kind="stable", ignore_index=True)
+
+
+def stretches(marked: Bools) -> tuple[Ints, Ints, Ints]:
+    """Unbroken stretches of True in each column of (frame, sheet): sheet, first row, row after the last."""
+    edge = np.diff(np.pad(marked.astype(np.int8), ((1, 1), (0, 0))), axis=0)
+    sheet, first = np.nonzero((edge == 1).T)
+    _, stop = np.nonzero((edge == -1).T)
+    return sheet, first, stop

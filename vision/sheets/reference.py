@@ -12,14 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vision.errors import InputError
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, mad_sigma, nan_median
-from vision.sheets.alignment import Candidates, ExpectedSheets, align
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, mad_sigma, nan_median, nearest
+from vision.sheets.alignment import Candidates, ExpectedSheets, align, values_of
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import running_median
-
-REVISIONS = 4  # of the reference comb, at most; it usually settles after two
-LISTS_USED = 384  # candidate lists: the longest, and others spread over the recording
 
 LEAST_IN_VIEW = 0.13  # fraction of the frames: what was in view for less has not been seen often enough
 
@@ -97,21 +94,15 @@ def build_reference(
 
     All candidates of one long list are taken for sheets; lists from the whole recording are aligned with
     them; candidates that many frames show and the comb lacks are added, and those that few show are
-    dropped. Then what is too near to a brighter neighbour for the spacing of the comb, or lies far outside
-    it, is dropped as dust.
+    dropped. Of what is left those are chosen that together make the most even comb, the others are dust.
 
     Parameters
     ----------
-    candidates
-        Lists of candidates, one for each undisturbed run of frames.
-    frames
-        Number of frames each list stands for, (lists,).
-    carried_px
-        How far the whole comb had been carried by then, (lists,).
-    comb
-        Width, pitch and contrast of the ridges.
-    width_px
-        Width of the profile.
+    candidates, frames, carried_px
+        Lists of candidates, one for each undisturbed run of frames; how many frames each stands for, and how
+        far the whole comb had been carried by then (lists,).
+    comb, width_px
+        What the ridges look like; width of the profile.
     sheets
         Their number where known: the best comb of exactly that many is chosen.
     source
@@ -119,20 +110,16 @@ def build_reference(
     settings
         Costs and thresholds.
 
-    Returns
-    -------
-    ReferenceComb
-
     Raises
     ------
     InputError
-        For fewer ridges than `sheets`, not counting specks far outside the comb; or no ridge that most frames
-        show.
+        For fewer ridges than `sheets`, specks far outside the comb aside; or no ridge that most frames show.
     """
-    chosen = _representative(frames)
+    spread = np.linspace(0, len(frames) - 1, 192).astype(int)
+    chosen = np.unique(np.r_[np.argsort(-frames, kind="stable")[:192], spread])  # the longest, and others
     some, weight, carried = candidates.take(chosen), frames[chosen].astype(np.float64), carried_px[chosen]
     reference = _seed(candidates, frames, carried_px, comb.pitch_px)
-    for _ in range(REVISIONS):
+    for _ in range(4):  # it usually settles after two
         filled = _filled(reference, comb.pitch_px)
         revised = _revise(filled, some, weight, carried, comb, width_px, settings)
         if not revised.sheets:
@@ -180,12 +167,6 @@ def _check_ends(x_px: Floats, sheets: int, source: str, settings: TrackingSettin
             f"{sheets - far} and {far} far outside their comb",
             "give the number that is in view, or leave `sheets` out",
         )
-
-
-def _representative(frames: Ints) -> Ints:
-    order = np.argsort(-frames, kind="stable")
-    spread = np.linspace(0, len(order) - 1, LISTS_USED // 2).astype(int)
-    return np.asarray(np.unique(np.r_[order[: LISTS_USED // 2], spread]), np.int64)
 
 
 def _seed(candidates: Candidates, frames: Ints, carried_px: Floats, pitch_px: float) -> ReferenceComb:
@@ -241,7 +222,7 @@ def _revise(
     rest = reference.x_px + carried_px[:, None]
     match = align(candidates, reference.expected(rest, comb, width_px, settings=settings)).match
     tables = (candidates.x_px, candidates.log_contrast, candidates.log_width)
-    x, log_contrast, log_width = (_of_match(values, match) for values in tables)
+    x, log_contrast, log_width = (values_of(match, values) for values in tables)
     moved = x - rest
     found = np.where(np.isfinite(x), weight[:, None], 0).sum(axis=0) / weight.sum()
     common = nan_median(moved, axis=1)
@@ -267,7 +248,7 @@ def _unmatched(
     rows, sheet = np.nonzero(match >= 0)
     taken[rows, match[rows, sheet]] = True
     list_, column = np.nonzero(np.isfinite(x) & ~taken)
-    rest = _at_rest(x[list_, column], _of_match(x, match)[list_], reference.x_px)
+    rest = _at_rest(x[list_, column], values_of(match, x)[list_], reference.x_px)
     interval = np.searchsorted(reference.x_px, rest)
     outside = np.rint((reference.x_px[0] - rest) / pitch_px), np.rint((rest - reference.x_px[-1]) / pitch_px)
     interval -= np.maximum(outside[0] - 1, 0).astype(np.int64)
@@ -286,15 +267,8 @@ def _unmatched(
 
 def _at_rest(x: Floats, sheet_x: Floats, rest_px: Floats) -> Floats:
     """Positions x less the displacement of the nearest sheet found, (points,)."""
-    distance = np.where(np.isfinite(sheet_x), np.abs(sheet_x - x[:, None]), np.inf)
-    nearest = np.argmin(distance, axis=1)
-    shift = (sheet_x - rest_px)[np.arange(len(x)), nearest]
+    shift = (sheet_x - rest_px)[np.arange(len(x)), nearest(sheet_x, x)[0]]
     return np.asarray(x - np.nan_to_num(shift), np.float64)
-
-
-def _of_match(values: Floats, match: Ints) -> Floats:
-    """Values of the candidates paired with each sheet, NaN where missing, (lists, N)."""
-    return np.where(match >= 0, np.take_along_axis(values, np.maximum(match, 0), axis=1), np.nan)
 
 
 # --- which persistent ridges make a comb --------------------------------------------------------------------
@@ -380,7 +354,7 @@ def _best_chain_of(sheets: int, score: Floats, cost: Floats) -> Ints:
 
 
 def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettings = DEFAULT) -> Bools:
-    """Which entries stand still while the sheets beside them move: dust on the lens or the sensor, marks.
+    """Which entries (N,) stand still while the sheets beside them move: dust on lens or sensor, marks.
 
     A sheet moves at least as much as its neighbours on one of its sides: motion grows outwards. So each entry
     is compared with the smaller of the motions to its left and to its right (each the mean of two
@@ -389,16 +363,10 @@ def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettin
 
     Parameters
     ----------
-    moved_px
-        Displacement from the rest position (frame, N), NaN where missing.
-    rest_px
-        Rest positions (N,).
+    moved_px, rest_px
+        Displacement from the rest position (frame, N), NaN where missing; rest positions (N,).
     settings
-        Thresholds.
-
-    Returns
-    -------
-    True for static entries, (N,).
+        `moving_px`, `static_fraction`.
     """
     left, right = _beside(moved_px), _beside(moved_px[:, ::-1])[:, ::-1]
     gap = np.diff(rest_px)
@@ -425,10 +393,8 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
 
     Parameters
     ----------
-    reference
-        The comb.
-    moved_px
-        Displacement from the rest position (frame, N), NaN where missing.
+    reference, moved_px
+        The comb; displacement from its rest positions (frame, N), NaN where missing.
     settings
         `faint_end`, `slow_end`, `odd_width`.
     """

@@ -16,19 +16,11 @@ from numpy.typing import NDArray
 
 from vision.data import TrackMetadata
 from vision.errors import InputError
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints
+from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, Ints
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import find_maxima
 
 Polarity = Literal["bright", "dark"]
-
-FWHM = 2.3548  # of a Gaussian, in standard deviations
-SAMPLE_FRAMES = 48
-FRAMES_PER_BLOCK = 256
-FEW_RIDGES = 3
-LEAST_PITCH_PX = 4
-LONGEST_WAVE = 0.02  # per px: longer ones are uneven light
-REACHES_PX = (6, 12, 24, 48)  # surroundings in which few ridges are looked for
 
 
 @dataclass(frozen=True)
@@ -132,10 +124,6 @@ def describe_ridges(
     settings
         Thresholds.
 
-    Returns
-    -------
-    RidgeComb
-
     Raises
     ------
     InputError
@@ -156,11 +144,11 @@ def no_ridges(profile: Floats32, source: str) -> InputError:
     sample = _sample(profile).astype(np.float64)
     power = (np.abs(np.fft.rfft(sample - sample.mean(axis=1, keepdims=True))) ** 2).mean(axis=0)
     waves = np.fft.rfftfreq(sample.shape[1])
-    power[waves < LONGEST_WAVE] = 0.0
+    power[waves < 1 / 50] = 0.0  # uneven light
     wave = waves[np.argmax(power)]
-    if wave >= 1 / LEAST_PITCH_PX and power.max() > 20 * np.median(power[power > 0]):
+    if wave >= 1 / 4 and power.max() > 20 * np.median(power[power > 0]):
         found, advice = f"a pattern of {1 / wave:.1f} px", "film it larger, or with more pixels"
-        return InputError(source, f"ridges more than {LEAST_PITCH_PX} px apart", found, advice)
+        return InputError(source, "ridges more than 4 px apart", found, advice)
     return InputError(source, "upright ridges", "none above the noise", "check `rows`, `rotate` and `ridges`")
 
 
@@ -206,7 +194,7 @@ def _sample(profile: Floats32) -> Floats32:
     good = np.flatnonzero(np.isfinite(profile[:, :1]).all(axis=1))
     if not good.size:
         raise InputError("the strip", "at least one frame that shows something", "none")
-    picked = good[np.unique(np.linspace(0, len(good) - 1, SAMPLE_FRAMES).astype(int))]
+    picked = good[np.unique(np.linspace(0, len(good) - 1, 48).astype(int))]
     return np.ascontiguousarray(profile[picked], np.float32)
 
 
@@ -219,11 +207,12 @@ def _measure(
     from the whole picture, those that stand out from their surroundings are looked for, too.
     """
     whole = _measure_within(sample, polarity, noise, sheets, settings, None)
-    if whole is None or whole.count >= FEW_RIDGES:
+    few = 3
+    if whole is None or whole.count >= few:
         return whole
-    near = [reach for reach in REACHES_PX if reach < 2 * whole.fwhm_px]
+    near = [reach for reach in (6, 12, 24, 48) if reach < 2 * whole.fwhm_px]
     tried = [_measure_within(sample, polarity, noise, sheets, settings, reach) for reach in near]
-    more = [comb for comb in tried if comb is not None and comb.count >= FEW_RIDGES]
+    more = [comb for comb in tried if comb is not None and comb.count >= few]
     return max([whole, *more], key=lambda comb: comb.count * comb.contrast / np.sqrt(comb.fwhm_px))
 
 
@@ -303,19 +292,14 @@ def find_ridges(profile: Floats32, comb: RidgeComb, *, settings: TrackingSetting
     settings
         Thresholds.
 
-    Returns
-    -------
-    Ridges
-
     Notes
     -----
     Source: paper, appendix B (local maxima of I(x)).
     """
-    starts = range(0, len(profile), FRAMES_PER_BLOCK)
+    block = 256
+    starts = range(0, len(profile), block)
     with ThreadPoolExecutor(2) as pool:
-        parts = list(
-            pool.map(lambda i: _find_block(profile[i : i + FRAMES_PER_BLOCK], i, comb, settings), starts)
-        )
+        parts = list(pool.map(lambda i: _find_block(profile[i : i + block], i, comb, settings), starts))
     return _padded(parts, len(profile))
 
 

@@ -259,6 +259,11 @@ class TrackingSettings:
     other sheets tell its blur. Smaller calls sheets in fast slips ok that are off by pixels;
     test_quality.py."""
 
+    least_likeness: float = 0.4
+    """Correlation of a sheet's mean picture with that of all below which it is no single ridge. It is -0.5 to
+    0.4 where thin sheets side by side were taken for one, and 0.5 or more for ridges of all recordings tried.
+    Larger drops markers of odd shape, smaller takes two sheets for one (test_quality.py)."""
+
     distortion_sigmas: float = 5.0
     """Times its usual scatter by which a position must depend on a slope of the light for the ridge to be
     distorted. Larger lets pulled ones pass as ok, smaller flags noise; test_quality.py puts a highlight and a

@@ -24,8 +24,7 @@ FitName = Literal["sliding", "paper", "template"]
 FitChoice = Literal["auto", "sliding", "paper", "template"]
 
 FRAMES_PER_BLOCK = 512
-TRIPLES = 400  # groups of three consecutive frames from which noise is measured, spread over the recording
-LEAST_TRIPLES = 8
+LEAST_TRIPLES = 8  # groups of three consecutive frames from which noise is measured
 
 
 class FittedPositions(NamedTuple):
@@ -160,21 +159,18 @@ def template_shift(
 ) -> FittedPositions:
     """Positions by matching each ridge to its own mean shape.
 
-    For each shape (one per sheet) the pixels of all its ridges, each shifted by its first position, give
-    the mean profile and its derivative at any fraction of a pixel (a smoothing spline through all of
-    them). One Gauss-Newton step then fits shift, brightness and background together, twice over. The mean
-    shift over all of a sheet's ridges is subtracted, so a template never moves a sheet's mean position.
+    The pixels of all ridges of one sheet, each shifted by its first position, give the mean shape and its
+    derivative at any fraction of a pixel (a least-squares spline). One Gauss-Newton step then fits shift,
+    brightness and background together, twice over. The mean shift over all of a sheet's ridges is
+    subtracted, so a template never moves a sheet's mean position.
 
     Parameters
     ----------
     profile
         Grey levels (frame, x), bright ridges.
-    starts
-        Frame and whole pixel of each ridge, (points,).
-    shape
-        Which template each ridge belongs to, (points,).
-    x_px
-        First positions, from `sliding_vertex`, (points,).
+    starts, shape, x_px
+        Of each ridge (points,): frame and whole pixel; which template it belongs to; its first position, from
+        `sliding_vertex`.
     half_px
         Half-width of the template.
 
@@ -428,7 +424,7 @@ def learned_template(
     comb
         Width and pitch of the ridges.
     settings
-        What is learned well.
+        The fields `template_…`.
 
     Returns
     -------
@@ -439,8 +435,7 @@ def learned_template(
     -----
     A mean shape is known between pixels only if its sheet moved over them, in enough frames. It is used for a
     sheet if it answers wherever the window does, follows its motion with the same scale, and scatters less
-    from frame to frame; and for none if it fails for most sheets, or where the film is so long that all
-    its ridges do not fit into memory.
+    from frame to frame; for none if it fails for most sheets, or the film is too long.
     """
     none = np.zeros(x_px.shape[1], bool)
     seen = np.isfinite(x_px)
@@ -496,27 +491,20 @@ def _matched(bright: Floats32, x: Floats, comb: RidgeComb) -> tuple[Floats, Floa
 
 
 def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int, fallback: float) -> Floats:
-    """Standard deviation of the profile's noise around each sheet, grey levels.
+    """Standard deviation of the profile's noise around each sheet, grey levels, (N,).
 
-    Second differences in time of the pixels around a ridge hold its noise, its motion and its flicker;
-    motion and flicker (level, brightness, first and second derivative of the ridge) are fitted and
-    subtracted, the rest is noise. Unlike a figure taken along x this does not mistake paper texture for
-    noise, and finds that bright ridges are noisier. The median over groups of three frames ignores slips.
+    From second differences in time of the pixels around a ridge, less what its motion and flicker (level,
+    brightness, first and second derivative of the ridge) explain: so the paper's texture is no noise, and
+    bright ridges may be noisier. The median over groups of three frames ignores slips.
 
     Parameters
     ----------
-    profile
-        Grey levels (frame, x).
-    x_px
-        Positions (frame, N), NaN where missing.
+    profile, x_px
+        Grey levels (frame, x); positions (frame, N), NaN where missing.
     half_px
         Half-width of the pixels taken, at least 5.
     fallback
         For sheets seen in fewer than eight groups of three frames.
-
-    Returns
-    -------
-    Noise of each sheet, (N,).
     """
     half = max(half_px, 5)
     middle = _triples(x_px)
@@ -567,7 +555,7 @@ def _triples(x_px: Floats) -> Ints:
     middle = 1 + np.flatnonzero(seen[2:] & seen[1:-1] & seen[:-2])
     if not len(middle):
         return np.asarray(middle, np.int64)
-    return np.unique(middle[np.linspace(0, len(middle) - 1, TRIPLES).astype(int)])
+    return np.unique(middle[np.linspace(0, len(middle) - 1, 400).astype(int)])
 
 
 def _residual_variance(change: Floats, mean: Floats) -> Floats:

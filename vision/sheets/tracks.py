@@ -12,14 +12,14 @@ import xarray as xr
 from vision.data import STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata, record
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Strings, nan_median
-from vision.sheets.corrected import apply_corrections
-from vision.sheets.corrections import Correction, last_of
+from vision.sheets.corrections import Correction, apply_corrections, last_of
 from vision.sheets.identities import Identities, identify_sheets
 from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.quality import (
     distortion,
     motion_blur,
+    not_one_ridge,
     repeated_frames,
     scene_changes,
     shared_error,
@@ -46,8 +46,6 @@ _MICROSOFT = {"msmpeg4v1", "msmpeg4v2", "msmpeg4v3", "wmv1", "wmv2", "wmv3", "vc
 BETWEEN_FRAMES = frozenset(_MPEG | _OTHERS | _MICROSOFT)
 """Codecs that carry a picture's content, and with it errors, from frame to frame."""
 LOSSY = BETWEEN_FRAMES | {"mjpeg", "mjpegb", "amv", "jpeg2000", "dvvideo", "dnxhd", "prores", "cfhd"}
-LEAST_NOISE_GREY = 0.05  # noise of a profile drawn without any: whole grey levels, averaged over some rows
-LEAST_ERROR_PX = 1e-4
 
 
 def track_sheets(
@@ -92,7 +90,7 @@ def track_sheets(
     xarray.Dataset
         x_px, x_err_px and flag (frame, sheet); side, n, x_mean_px, found, fwhm_px, snr, x_noise_px (sheet);
         time_s (frame); see `vision.data.TRACKS`. x_px is NaN wherever flag is neither "ok" nor "blurred":
-        "missing" (no ridge there), "merged" (two sheets in one ridge), "edge" (outside the picture or too
+        "missing" (no ridge there), "merged" (several sheets in one ridge), "edge" (outside the picture or too
         near its edge), "doubtful" (identity not certain), "unfit" (the fit has no answer), or the frame's own
         "frozen", "blank", "corrupt", "lost". What was found automatically is in `vision.data.TrackMetadata`.
 
@@ -136,28 +134,33 @@ def track_sheets(
         origin_px=origin_px,
         settings=settings,
     )
-    used: FitName = "sliding" if fit == "auto" else fit
     frozen = repeated_frames(profile, settings)
-    x, err, noise = _positions(profile, detections.start_px, comb, used, window, frozen)
-    if fit == "auto":
-        bright = profile if comb.sign > 0 else -profile
-        usable = np.where(frozen[:, None], np.nan, x)
-        matched, per_grey, learned = learned_template(
-            bright, usable, err / np.maximum(noise, 1e-12), comb, settings=settings
-        )
-        if learned.any():
-            used, x, err = "template", matched, per_grey * noise
+    x, err, noise, used = _positions(profile, detections.start_px, comb, fit, window, frozen, settings)
     errors = _errors(x, err, noise, frozen, facts.codec, settings)
     blur = motion_blur(
         np.where(frozen[:, None], np.nan, x), detections.contrast, detections.fwhm_px, comb, settings
     )
-    pulled = distortion(profile if comb.sign > 0 else -profile, x, errors.err_px, comb, settings)
+    bright = profile if comb.sign > 0 else -profile
+    detections.flag[(detections.flag == "ok") & not_one_ridge(bright, x, comb, settings)] = "merged"
+    pulled = distortion(bright, x, errors.err_px, comb, settings)
     pulled[(blur.err_px > 0) | blur.blurred] = 0.0  # two ridges drawn over each other are lopsided anyway
     err = np.hypot(np.hypot(errors.err_px, blur.err_px), pulled)
     axis = None if axis_px is None else axis_px - origin_px
     numbering = number_sheets(x, axis_px=axis, settings=settings)
-    quality = _Quality(frozen, blur.blurred, pulled > 0, errors)
-    found = _Found(comb, identities, detections, numbering, x, err, noise, origin_px, quality)
+    found = _Tracked(
+        comb=comb,
+        identities=identities,
+        detections=detections,
+        numbering=numbering,
+        x_px=x,
+        err_px=err,
+        noise=noise,
+        errors=errors,
+        frozen=frozen,
+        blurred=blur.blurred,
+        distorted=pulled > 0,
+        origin_px=origin_px,
+    )
     metadata = found.metadata(used, window, settings, count_given=sheets is not None)
     number = strip["frame"].values
     changes = scene_changes(detections.start_px, detections.contrast, comb, settings)
@@ -189,18 +192,10 @@ class _Errors(NamedTuple):
     predicted_px: Floats
 
 
-class _Quality(NamedTuple):
-    """Repeated frames (frame,), blurred and distorted ridges (frame, N), and errors."""
-
-    frozen: Bools
-    blurred: Bools
-    distorted: Bools
-    errors: _Errors
-
-
-@dataclass(frozen=True)
-class _Found:
-    """Everything the Dataset is made of; columns counted from the strip's first."""
+@dataclass(frozen=True, kw_only=True)
+class _Tracked:
+    """Everything the Dataset is made of; columns counted from the strip's first. Of frames (frame,): frozen;
+    of sheets (N,): noise, grey levels; of both: x_px, err_px, blurred, distorted."""
 
     comb: RidgeComb
     identities: Identities
@@ -209,8 +204,11 @@ class _Found:
     x_px: Floats
     err_px: Floats
     noise: Floats
+    errors: _Errors
+    frozen: Bools
+    blurred: Bools
+    distorted: Bools
     origin_px: float
-    quality: _Quality
 
     def metadata(
         self, fit: FitName, window_px: int, settings: TrackingSettings, *, count_given: bool
@@ -260,16 +258,30 @@ def _check_axis(axis_px: float | None, first_px: float, last_px: float) -> None:
 
 
 def _positions(
-    profile: Floats32, start_px: Floats, comb: RidgeComb, fit: FitName, window_px: int, frozen: Bools
-) -> tuple[Floats, Floats, Floats]:
-    """Positions and their standard error (frame, N), and the profile's noise at each sheet (N,)."""
+    profile: Floats32,
+    start_px: Floats,
+    comb: RidgeComb,
+    fit: FitChoice,
+    window_px: int,
+    frozen: Bools,
+    settings: TrackingSettings,
+) -> tuple[Floats, Floats, Floats, FitName]:
+    """Positions and their standard error (frame, N), the profile's noise at each sheet (N,), the fit used."""
     bright = profile if comb.sign > 0 else -profile
-    x, per_noise = fit_sheets(bright, start_px, fit=fit, window_px=window_px, comb=comb)
+    used: FitName = "sliding" if fit == "auto" else fit
+    x, per_grey = fit_sheets(bright, start_px, fit=used, window_px=window_px, comb=comb)
     noise = intensity_noise(profile[~frozen], x[~frozen], half_px=window_px // 2, fallback=comb.noise)
-    err = per_noise * noise
+    if fit == "auto":
+        usable = np.where(frozen[:, None], np.nan, x)
+        matched, matched_per_grey, learned = learned_template(
+            bright, usable, per_grey, comb, settings=settings
+        )
+        if learned.any():
+            used, x, per_grey = "template", matched, matched_per_grey
+    err = per_grey * noise
     if fit == "paper":
         err = np.hypot(err, locking_error(x, bright, start_px, window_px, comb))
-    return x, err, noise
+    return x, err, noise, used
 
 
 def _errors(
@@ -277,20 +289,20 @@ def _errors(
 ) -> _Errors:
     """Predicted from the pixels, measured in time and between sheets, and what is stated.
 
-    What the pixels predict holds where their noise is independent. Noise that is alike in neighbouring pixels
-    (a soft lens behind which a camera sharpened or resampled, clipped tops) shifts ridges by more, in time
-    and between sheets alike: then the smaller of both counts, over all sheets, since motion of its own in
-    time or in n is no error. Compression hides the noise of pixels and shifts ridges in ways that may last
-    for frames: the scatter between sheets sees these, and `shared_error` what codecs do to neighbours
-    alike. Repeated frames would halve the scatter or make it zero, so they are left out. Never
-    zero: a profile without noise still holds whole grey levels.
+    What the pixels predict holds where their noise is independent. Noise alike in neighbouring pixels (a soft
+    lens, clipped tops) shifts ridges by more, in time and between sheets: the smaller of both counts, over
+    all sheets, since motion of its own in time or in n is no error. Compression hides the noise of pixels and
+    shifts ridges for some frames: the scatter between sheets sees that, and `shared_error` what codecs do to
+    neighbours alike. Repeated frames, which would hide scatter, are left out. Never zero: a profile without
+    noise still holds whole grey levels.
     """
     new = np.where(frozen[:, None], np.nan, x)
     noise_px, scatter_px = position_noise(x[~frozen]), spatial_scatter(new)
     with np.errstate(divide="ignore", invalid="ignore"):
         per_grey = err / noise
-    err = np.where(np.isfinite(err) & (err > 0), err, LEAST_NOISE_GREY * np.nan_to_num(per_grey, nan=1.0))
-    err = np.maximum(err, LEAST_ERROR_PX)
+    whole_levels = 0.05  # grey: noise of a profile drawn without any, averaged over some rows
+    err = np.where(np.isfinite(err) & (err > 0), err, whole_levels * np.nan_to_num(per_grey, nan=1.0))
+    err = np.maximum(err, 1e-4)
     predicted = nan_median(np.where(np.isfinite(new), err, np.nan))
     measured = np.where(np.isfinite(scatter_px), scatter_px, np.fmax(noise_px, predicted))
     between_frames = codec in BETWEEN_FRAMES
@@ -303,10 +315,10 @@ def _errors(
         more = nan_median(np.minimum(noise_px, scatter_px) / predicted)
         measured = predicted * (np.fmax(more, 1.0) if more < settings.most_correlated else 1.0)
     stated = err * np.nan_to_num(measured / predicted, nan=1.0)
-    return _Errors(np.maximum(stated, LEAST_ERROR_PX), noise_px, scatter_px, predicted)
+    return _Errors(np.maximum(stated, 1e-4), noise_px, scatter_px, predicted)
 
 
-def _dataset(strip: xr.DataArray, found: _Found, metadata: TrackMetadata) -> xr.Dataset:
+def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> xr.Dataset:
     flag = _flags(strip, found)
     ok = np.isin(flag, ("ok", "blurred"))
     x = np.where(ok, found.x_px, np.nan) + found.origin_px
@@ -322,10 +334,10 @@ def _dataset(strip: xr.DataArray, found: _Found, metadata: TrackMetadata) -> xr.
         "found": ok.mean(axis=0),
         "fwhm_px": nan_median(np.where(ok, found.detections.fwhm_px, np.nan)),
         "snr": nan_median(contrast) / np.maximum(found.noise, 1e-12),
-        "distorted": (found.quality.distorted & ok).sum(axis=0) / np.maximum(ok.sum(axis=0), 1),
-        "x_noise_px": found.quality.errors.noise_px,
-        "x_scatter_px": found.quality.errors.scatter_px,
-        "x_predicted_px": found.quality.errors.predicted_px,
+        "distorted": (found.distorted & ok).sum(axis=0) / np.maximum(ok.sum(axis=0), 1),
+        "x_noise_px": found.errors.noise_px,
+        "x_scatter_px": found.errors.scatter_px,
+        "x_predicted_px": found.errors.predicted_px,
         "time_s": strip["time_s"].values,
         "side": found.numbering.side,
         "n": found.numbering.n,
@@ -336,7 +348,7 @@ def _dataset(strip: xr.DataArray, found: _Found, metadata: TrackMetadata) -> xr.
     return xr.Dataset(variables, places | coords, strip.attrs | metadata.attrs())
 
 
-def _flags(strip: xr.DataArray, found: _Found) -> Strings:
+def _flags(strip: xr.DataArray, found: _Tracked) -> Strings:
     """Why there is no position, or "ok"; the frame's own state goes first."""
     if "status" in strip.coords:
         status = np.asarray(strip["status"].values).astype("<U8")
@@ -344,8 +356,8 @@ def _flags(strip: xr.DataArray, found: _Found) -> Strings:
         status = np.where(np.isfinite(strip.values).all(axis=1), "ok", "blank").astype("<U8")
     flag = found.detections.flag.copy()
     flag[(flag == "ok") & ~np.isfinite(found.x_px)] = "unfit"
-    flag[(flag == "ok") & found.quality.blurred] = "blurred"
-    flag[found.quality.frozen] = "frozen"
+    flag[(flag == "ok") & found.blurred] = "blurred"
+    flag[found.frozen] = "frozen"
     return np.where(status[:, None] != "ok", status[:, None], flag)
 
 
@@ -388,32 +400,19 @@ def with_heights(
         raise InputError("the parts of the strip", "the tracks' frames", "others", "use those of one reading")
     facts = TrackMetadata.of(tracks)
     comb = RidgeComb.of(facts)
-    start = tracks["x_px"].values - float(parts["x"].values[0])
+    start = np.rint(tracks["x_px"].values - float(parts["x"].values[0]))
+    fit: FitChoice = "auto" if facts.fit == "template" else "paper" if facts.fit == "paper" else "sliding"
     x = np.empty((*start.shape, parts.sizes["z"]))
     err = np.empty_like(x)
     for k, part in enumerate(np.asarray(parts.values, np.float32)):
-        x[..., k], err[..., k] = _fitted_part(part, start, facts, comb, settings)
+        frozen = repeated_frames(part, settings)
+        x[..., k], err[..., k], *_ = _positions(part, start, comb, fit, facts.window_px, frozen, settings)
     if "x_predicted_px" in tracks:
         stated = nan_median(tracks["x_err_px"].values) / tracks["x_predicted_px"].values
         err *= np.fmax(stated, 1.0)[:, None]
     found = {"x_z_px": x + float(parts["x"].values[0]), "x_z_err_px": err}
     variables = {name: (TRACKS[name].dims, data, TRACKS[name].attrs) for name, data in found.items()}
     return record(tracks.assign(variables).assign_coords(z=parts["z"]), "with_heights")
-
-
-def _fitted_part(
-    profile: Floats32, start_px: Floats, facts: TrackMetadata, comb: RidgeComb, settings: TrackingSettings
-) -> tuple[Floats, Floats]:
-    """Positions and errors (frame, N) in one part."""
-    bright = profile if comb.sign > 0 else -profile
-    fit: FitName = "paper" if facts.fit == "paper" else "sliding"
-    x, per_grey = fit_sheets(bright, np.rint(start_px), fit=fit, window_px=facts.window_px, comb=comb)
-    new = ~repeated_frames(profile, settings)
-    if facts.fit == "template":
-        usable = np.where(new[:, None], x, np.nan)
-        x, per_grey, _ = learned_template(bright, usable, per_grey, comb, settings=settings)
-    noise = intensity_noise(profile[new], x[new], half_px=facts.window_px // 2, fallback=comb.noise)
-    return x, per_grey * noise
 
 
 def pixel_size_from_pitch(tracks: xr.Dataset, pitch_um: float) -> float:
