@@ -9,7 +9,7 @@ import importlib.util
 import webbrowser
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,8 @@ from vision.errors import InputError
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
+
+    from vision.pipeline import Settings
 
 
 def review(
@@ -77,3 +79,14 @@ def _answers(folder: Path, film: Path | None, held: ExitStack, stop: Callable[[]
     held.enter_context(session)
     held.callback(keep_first_view, session)
     return answers(session, stop)
+
+
+def keep_first_view(folder: Path, settings: Settings) -> None:
+    """Write what a review shows first beside a run, so that it need not read the run before; where reviews are
+    installed."""
+    if importlib.util.find_spec("starlette") is not None:
+        from vision.review import api
+        from vision.review.session import Session
+
+        with suppress(InputError), Session(folder, settings) as session:
+            api.keep_first_view(session)

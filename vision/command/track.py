@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import glob
-import importlib.util
 import math
 import shlex
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ import xarray as xr
 
 from vision.command.console import attempt, complain, frame_progress, in_columns, say
 from vision.command.options import RunOptions, option_names
+from vision.command.review import keep_first_view
 from vision.command.settings import merged, settings_of
 from vision.data import StripMetadata
 from vision.errors import InputError
@@ -116,7 +116,7 @@ def track_one(
         write_run(analysis, target, origin, overwrite=run.overwrite, report=run.report, facts=facts)
         checkpoint.done()
     if analysis.tracks is not None and analysis.tracks.sizes["frame"] >= LONG_FRAMES:
-        _keep_first_view(target, settings)
+        keep_first_view(target, settings)
     status = finish(
         analysis,
         target,
@@ -126,16 +126,6 @@ def track_one(
         about=f"{video.name}: " if one_of_many else "",
     )
     return status, analysis
-
-
-def _keep_first_view(target: Path, settings: Settings) -> None:
-    """What a review shows first, so that it need not read the run before; where reviews are installed."""
-    if importlib.util.find_spec("starlette") is not None:
-        from vision.review.api import keep_first_view
-        from vision.review.session import Session
-
-        with suppress(InputError), Session(target, settings) as session:
-            keep_first_view(session)
 
 
 def _made_for_this_film(analysis: Analysis, corrections: Path | None, film: Path) -> Analysis:
