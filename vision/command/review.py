@@ -82,8 +82,7 @@ def _answers(folder: Path, film: Path | None, held: ExitStack, stop: Callable[[]
 
 
 def keep_first_view(folder: Path, settings: Settings) -> None:
-    """Write what a review shows first beside a run, so that it need not read the run before; where reviews are
-    installed."""
+    """Write what a review shows first into a run's folder, where reviews are installed."""
     if importlib.util.find_spec("starlette") is not None:
         from vision.review import api
         from vision.review.session import Session
