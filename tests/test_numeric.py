@@ -25,4 +25,4 @@ def test_where_nothing_is_left_there_is_no_value():
     values[0, 1] = 4.0
     for found in (nan_median(values), nan_quantile(values, 0.75)):
         np.testing.assert_array_equal(found, [np.nan, 4.0])
-    assert nan_median(np.empty((0, 2))).shape == (2,)
+    assert nan_median(np.empty((0, 2))).shape == nan_quantile(np.empty((0, 2)), 0.75).shape == (2,)

@@ -60,6 +60,8 @@ def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -
     """Quantile along an axis of what is not NaN, linear between values; NaN where nothing is left."""
     ordered = np.sort(np.asarray(values, np.float64), axis=axis)  # NaN comes last
     count = np.isfinite(ordered).sum(axis=axis, keepdims=True)
+    if ordered.shape[axis] == 0:
+        return np.full(count.squeeze(axis).shape, np.nan)
     place = fraction * np.maximum(count - 1, 0)
     low = np.floor(place).astype(np.int64)
     high = np.minimum(low + 1, np.maximum(count - 1, 0))

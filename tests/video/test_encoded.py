@@ -42,7 +42,7 @@ def test_rgb_video_follows_the_luma_rule(tmp_path):
 def test_h264_gives_the_luma_plane(tmp_path):
     """Failure: limited-range luma is stretched without notice, or B frames come out of order."""
     frames = comb(count=30, rows=64, columns=96, top=200)
-    options = {"qp": "0", "preset": "ultrafast", "bf": "2"}
+    options = {"qp": "0", "preset": "ultrafast", "bf": "2", "g": "10"}
     path = write_encoded(
         tmp_path / "a.mp4", frames, codec="libx264", pix_fmt="yuv420p", source="gray", options=options
     )
@@ -52,6 +52,7 @@ def test_h264_gives_the_luma_plane(tmp_path):
         truth = np.stack([p.reshape(-1)[: 64 * (p.size // 64)].reshape(64, -1)[:, :width] for p in planes])
     video = open_video(path)
     assert np.array_equal(whole(video), truth)
+    assert np.array_equal(list(video.sample(4)), truth[[0, 10, 20]])  # key frames, each once
     assert "limited range" in video.facts.grey
     assert (video.expected, video.clock.kind) == (30, "playback")
     # still the comb that went in, scaled to 16..235
