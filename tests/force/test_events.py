@@ -73,6 +73,18 @@ def test_a_recording_sampled_too_slowly_is_refused(samples: int, message: str) -
         find_stick_slip(plain(samples=samples, snr=100, jitter=0.05).force)
 
 
+def test_a_change_of_the_sampling_rate_keeps_the_drops() -> None:
+    """A failure means that peaks recorded ten times more slowly are cut off as spikes."""
+    test = plain(sticks=60, samples=200, snr=500, jitter=0.03, scatter=0)
+    first = test.force.sizes["time_s"] // 3
+    kept = np.r_[:first, first : test.force.sizes["time_s"] : 10]
+    events = find_stick_slip(test.force.isel(time_s=kept))
+    slow = events["t_v_s"] > float(test.force["time_s"][first])
+    assert slow.sum() > 30
+    for part in (slow, ~slow):
+        assert events["dF_N"][part].median() == pytest.approx(500, rel=0.03)
+
+
 def test_a_displacement_that_counts_the_other_way_is_refused() -> None:
     """A failure means negative stick lengths and stiffness, from which the fits would follow."""
     force = plain(sticks=20, snr=40).force

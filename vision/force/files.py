@@ -43,15 +43,16 @@ def read_tables(path: Path) -> list[Table]:
 
     Parameters
     ----------
-    path
-        Text as MTS TestSuite (text and CSV), MTS 793, Instron Bluehill and Zwick TRA write it, plain tables
-        with or without a header, one column with a unit in each line; or a MATLAB .mat file, v4 to v7.3.
+        path Text as MTS TestSuite (text and CSV), MTS 793, Instron Bluehill, Zwick TRA, Shimadzu Trapezium
+        and LabVIEW (.lvm) write it, plain tables with or without a header, one column with a unit in each
+        line; or a MATLAB .mat file, v4 to v7.3.
 
     Returns
     -------
     One table per block; of a .mat file one table of the vectors that share the commonest length. There fields
     of a struct appear as "struct.field" and columns of a matrix as "matrix 1", "matrix 2" …; units are ""
-    unless a name ends in one ("load_N").
+    unless a name ends in one ("load_N"). Clock times become seconds, with the unit `TIME_OF_DAY`; thousands
+    marks are left out; marks of overflow become NaN.
 
     Raises
     ------

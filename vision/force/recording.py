@@ -272,13 +272,9 @@ def _saturated(load: Floats, least: int) -> Bools:
     if not finite.size or np.ptp(finite) == 0:
         return np.zeros(load.shape, dtype=bool)
     at_limit = np.abs(load) == finite.max()
-    edges = np.flatnonzero(np.diff(np.r_[False, at_limit, False]))
-    starts, stops = edges[::2], edges[1::2]
-    long = stops - starts >= least
-    marks = np.zeros(load.size + 1, dtype=int)
-    np.add.at(marks, starts[long], 1)
-    np.add.at(marks, stops[long], -1)
-    return np.asarray(np.cumsum(marks[:-1]) > 0)
+    begins = np.flatnonzero(np.diff(at_limit, prepend=~at_limit[:1]))
+    length = np.diff(np.append(begins, load.size))
+    return np.asarray(at_limit & np.repeat(length >= least, length))
 
 
 def usable(flags: Strings) -> Bools:
@@ -315,7 +311,9 @@ def find_spikes(
     sawtooth stay, because that median follows them.
     """
     middle = running_median(y, 5)
-    # The corner of a steep sawtooth also lies off the median, by at most two rises between samples.
-    rise = 2.0 * float(np.median(np.abs(np.diff(middle))))
+    # The corner of a steep sawtooth also lies off the median, by at most two rises between samples: the usual
+    # ones, or those around it where the recording was sampled more slowly.
+    rise = np.abs(np.diff(middle, append=middle[-1:]))
+    rise = 2.0 * np.maximum(running_median(rise, 101), np.median(rise))
     is_spike = np.abs(y - middle) > settings.spike_sigmas * sigma + rise
     return is_spike, np.where(is_spike, middle, y)

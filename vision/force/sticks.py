@@ -317,6 +317,11 @@ class Signal:
         """From sample to sample, at the median."""
         return float(np.median(np.diff(self.time)))
 
+    def interval_at(self, place: Floats) -> Floats:
+        """Time between the samples around these places: it may change within a recording."""
+        earlier = np.clip(np.floor(place).astype(np.int64), 0, self.time.size - 2)
+        return self.time[earlier + 1] - self.time[earlier]
+
     @cached_property
     def spikeless(self) -> Floats:
         """Load with NaN for spikes, so that fits leave them out."""
@@ -383,11 +388,11 @@ def measure_sticks(
     f_v, f_p = ends.f_v, ends.f_p
     if lag:
         load, there = _without_lowpass(signal, lag), (corners.middle, corners.valley - corners.peak)
-        held = _within_recorded(load, find_extremes(load.clean, *there), ends, settings)
+        held = _within_recorded(load, find_extremes(load.clean, *there), sticks, ends)
         bent = np.isfinite(sticks.knee)
         f_v, f_p = (np.where(bent, one, line) for one, line in zip(held, (f_v, f_p), strict=True))
     else:
-        f_v, f_p = _within_recorded(signal, extremes, ends, settings)
+        f_v, f_p = _within_recorded(signal, extremes, sticks, ends)
         f_v = np.where(recorded[:-1], extremes.low[:-1], f_v)
         f_p = np.where(recorded[1:], extremes.high[1:], f_p)
     place = np.where(recorded, _flat_top_error(signal, corners, extremes), corners.error)
@@ -397,9 +402,9 @@ def measure_sticks(
     last = np.interp(v_next[-1:], index, signal.travel) - compliance * signal.clean[int(v_next[-1])]
     relative = np.hypot(place[:-1], place[1:]) / (p - v)
     # Near a slow slip's extreme the load is level: the place of the corner does not matter there.
-    rise = np.abs(ends.slope) * signal.interval_s
-    f_v_err = np.hypot(ends.error_v, np.where(recorded[:-1], 0, rise * place[:-1]))
-    f_p_err = np.hypot(ends.error_p, np.where(recorded[1:], 0, rise * place[1:]))
+    rise_v, rise_p = (np.abs(ends.slope) * signal.interval_at(at) for at in (v, p))
+    f_v_err = np.hypot(ends.error_v, np.where(recorded[:-1], 0, rise_v * place[:-1]))
+    f_p_err = np.hypot(ends.error_p, np.where(recorded[1:], 0, rise_p * place[1:]))
     table = pd.DataFrame(
         {
             "event": np.arange(v.size),
@@ -434,7 +439,7 @@ def _without_lowpass(signal: Signal, lag: float) -> Signal:
 
 
 def _within_recorded(
-    signal: Signal, extremes: Extremes, ends: _Ends, settings: ForceSettings
+    signal: Signal, extremes: Extremes, sticks: _Sticks, ends: _Ends
 ) -> tuple[Floats, Floats]:
     """Forces at the ends of the stick lines, held to what was recorded there.
 
@@ -443,10 +448,10 @@ def _within_recorded(
     Lines cut the corners of a curved stick: what was recorded holds, but for the noise of single samples.
     """
     highest, lowest = extremes.highest[1:], extremes.lowest[:-1]
-    rise = np.abs(ends.slope) * signal.interval_s
-    spare = rise + settings.between_samples * np.maximum(highest - lowest, 0)
+    rise_v, rise_p = (np.abs(ends.slope) * signal.interval_at(at) for at in (sticks.v, sticks.p))
+    spare = rise_v + sticks.settings.between_samples * np.maximum(highest - lowest, 0)
     f_v = np.fmax(ends.f_v, np.maximum(lowest - spare, signal.clean.min()))
-    f_p = np.fmin(ends.f_p, np.minimum(highest + rise, signal.clean.max()))
+    f_p = np.fmin(ends.f_p, np.minimum(highest + rise_p, signal.clean.max()))
     noise = 4 * signal.sigma  # by which the smallest of many samples may lie below the load itself
     return np.fmin(f_v, lowest + noise), np.fmax(f_p, highest - noise)
 

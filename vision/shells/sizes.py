@@ -159,7 +159,7 @@ def shell_sizes(
     even without the outliers.
     """
     profiles = _crossing(tuple(side.n), threshold)
-    sheets = _Sheets.of(side, threshold, settings)
+    sheets = _Ratios.of(side, threshold, settings)
     sheets = replace(sheets, alone=_outliers(sheets, profiles.thinned()))
     relative = _likeliest_scatter(sheets, profiles.thinned())
     falls = ~isotonic(side.without(sheets.alone), settings.significance)[1]
@@ -213,7 +213,7 @@ class _Profiles:
 
 
 @dataclass(frozen=True)
-class _Sheets:
+class _Ratios:
     """What is known of the sheets of some events, (event, N): value 0 and variance inf where nothing is.
 
     usual: ratio from which the scatter is reckoned.  alone: sheets that do not follow the profile.
@@ -227,7 +227,7 @@ class _Sheets:
     settings: ShellSettings
 
     @classmethod
-    def of(cls, side: Side, threshold: float, settings: ShellSettings) -> _Sheets:
+    def of(cls, side: Side, threshold: float, settings: ShellSettings) -> _Ratios:
         known = side.known
         return cls(
             np.where(known, side.value, 0.0),
@@ -238,7 +238,7 @@ class _Sheets:
             settings,
         )
 
-    def at(self, events: slice | Ints) -> _Sheets:
+    def at(self, events: slice | Ints) -> _Ratios:
         """Some of the events."""
         return replace(
             self,
@@ -271,7 +271,7 @@ def _blocks(events: int) -> Iterator[slice]:
     return (slice(first, first + 32) for first in range(0, events, 32))
 
 
-def _weigh(profiles: _Profiles, sheets: _Sheets, relative: float) -> tuple[Floats32, Floats]:
+def _weigh(profiles: _Profiles, sheets: _Ratios, relative: float) -> tuple[Floats32, Floats]:
     """Share of each profile in each event, (event, curve), summing to 1, and the log evidence, (event,)."""
     weight = 1 / sheets.about_profile(relative)
     likely = (weight * sheets.value).astype(np.float32) @ profiles.ratio.T
@@ -283,7 +283,7 @@ def _weigh(profiles: _Profiles, sheets: _Sheets, relative: float) -> tuple[Float
     return share / total, (most + np.log(total))[:, 0] + own.sum(axis=1) / 2
 
 
-def _outliers(sheets: _Sheets, profiles: _Profiles) -> Bools:
+def _outliers(sheets: _Ratios, profiles: _Profiles) -> Bools:
     """Sheets far from what the others say, (event, N), found one after the other, the farthest first."""
     alone = sheets.alone.copy()
     events = np.arange(len(alone))
@@ -298,7 +298,7 @@ def _outliers(sheets: _Sheets, profiles: _Profiles) -> Bools:
     return alone
 
 
-def _off(profiles: _Profiles, sheets: _Sheets) -> Floats:
+def _off(profiles: _Profiles, sheets: _Ratios) -> Floats:
     """Standard deviations by which each measurement is off the profile, 0 where none is compared."""
     largest = sheets.settings.sheet_scatters[-1]
     share, _ = _weigh(profiles, sheets, largest)
@@ -307,7 +307,7 @@ def _off(profiles: _Profiles, sheets: _Sheets) -> Floats:
     return np.asarray(np.abs(sheets.value - mean) / np.sqrt(sheets.about_profile(largest) + spread))
 
 
-def _likeliest_scatter(sheets: _Sheets, profiles: _Profiles) -> float:
+def _likeliest_scatter(sheets: _Ratios, profiles: _Profiles) -> float:
     """The relative scatter of sheets about their profile under which all measurements are likeliest."""
     some = sheets.at(slice(None, None, max(1, len(sheets.value) // 40)))
     scatters = sheets.settings.sheet_scatters
@@ -319,7 +319,7 @@ def _likeliest_scatter(sheets: _Sheets, profiles: _Profiles) -> float:
 
 
 def _draw_ratios(
-    profiles: _Profiles, share: Floats32, sheets: _Sheets, relative: float, *, outliers: Bools
+    profiles: _Profiles, share: Floats32, sheets: _Ratios, relative: float, *, outliers: Bools
 ) -> Floats:
     """True ratios that the data allow, (event, draw, N): profiles by their share, and sheets about them.
 
