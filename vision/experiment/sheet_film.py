@@ -8,7 +8,7 @@ gives it back:
 .. math:: x(n, t) = \hat x(n) \mp \sqrt{12}\, r\, s(n, t)
 
 with one r for all sheets (`sheets.outer_ratio`): a sheet that creeps all the way has σ_x/Λ_st = r, one that
-sticks to the end has 0. Neither M_eff nor a shell stands in it.
+sticks to the end has 0. It uses neither M_eff nor a shell.
 """
 
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
