@@ -24,20 +24,6 @@ if TYPE_CHECKING:
     from vision.figures import Results
     from vision.models import ModelFits
 
-WEAK_SNR = 0.1
-"""Of the median sheet's: below it a ridge may be a bump of the background."""
-RARELY = 0.25
-"""Of the frames: a sheet that is found in fewer may be none."""
-FEW_FRAMES = 10
-"""Frames in a row in which most sheets are missing that are worth a line."""
-STILL_FRAMES = 10
-"""Of a film: fewer may happen to be alike."""
-DOUBTED_SHARE = 0.1
-"""Share of doubtful positions above which the rest is not beyond doubt. Larger keeps quiet where others are
-wrong, too (0.2 and more in test_degraded.py where a hand always covers part of it), smaller warns of any."""
-MISSING_SHARE = 0.01
-"""Of all positions: more missing ones are a warning, fewer are the usual gaps at the edges of the picture."""
-
 
 def summary_lines(results: Results) -> list[str]:
     """Sheets, frames, positions, noise, what was found by itself, then the machine's side."""
@@ -87,16 +73,17 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     unsure = flags.get("doubtful", 0) + flags.get("merged", 0)
     if unsure:
         line = f"{unsure} of {total} positions not given because the sheet's identity is in doubt"
-        if unsure > DOUBTED_SHARE * total:
+        # With 0.2 it keeps quiet where a hand always covers part of the comb and others are wrong, too.
+        if unsure > 0.1 * total:
             line += "; with so many, others may be wrong, too: look at overview.png, and leave out what hides"
             line += " the comb with `frames` or `columns`"
         lines.append(line)
     gone = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
-    if gone > MISSING_SHARE * total:
+    if gone > 0.01 * total:  # fewer are the usual gaps at the edges of the picture
         lines.append(f"{gone} of {total} positions missing (flags missing, edge, unfit in tracks.csv)")
     if line := _hardly_any(tracks):
         lines.append(line)
-    if tracks.sizes["frame"] >= STILL_FRAMES and not (tracks["x_noise_px"].values > 0).any():
+    if tracks.sizes["frame"] >= 10 and not (tracks["x_noise_px"].values > 0).any():
         lines.append("no frame differs from the one before: neither motion nor noise can be measured")
     for change in TrackMetadata.of(tracks).scene_changes:
         frame = change["frame"]
@@ -121,7 +108,7 @@ def _hardly_any(tracks: xr.Dataset) -> str:
     read = ~np.isin(flags, ("frozen", "blank", "corrupt", "lost")).all(axis=1)
     few = read & (np.isin(flags, ("missing", "edge", "unfit")).mean(axis=1) > 0.5)
     _, first, stop = stretches(few[:, None])
-    if not len(first) or (stop - first).max() < FEW_FRAMES:
+    if not len(first) or (stop - first).max() < 10:
         return ""
     run = int(np.argmax(stop - first))
     number = tracks["frame"].values
@@ -158,7 +145,7 @@ def consistency_warnings(
             f" changes every n: give `sheets` as {found.sheets + found.ridges_beyond} or leave it out"
         )
     snr, share = tracks["snr"].values, tracks["found"].values
-    weak = np.flatnonzero((snr < WEAK_SNR * nan_median(snr)) | (share < RARELY))
+    weak = np.flatnonzero((snr < 0.1 * nan_median(snr)) | (share < 0.25))
     if len(weak) and found.sheets > 1:
         which = ", ".join(str(k) for k in weak[:6]) + (" …" if len(weak) > 6 else "")
         lines.append(

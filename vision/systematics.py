@@ -1,4 +1,4 @@
-"""The budget of systematic errors: what is wrong in the same way in all frames and events, beside the noise.
+"""The budget of systematic errors: what is wrong in the same way in every frame and event, beside the noise.
 
 Statistical errors come with each number. What is here moves all of them together, so that it is no part of
 them: the separation at the start, the sample's geometry, a drifting load cell, the pixel size, the choice of
@@ -17,12 +17,11 @@ import xarray as xr
 
 from vision.data import MotionMetadata, StripMetadata, TrackMetadata
 from vision.numeric import nan_median
+from vision.sheets.ridges import FWHM
 
 if TYPE_CHECKING:
     from vision.figures import Results
-    from vision.models import ModelFits
 
-FWHM = 2.3548  # of a Gaussian, in standard deviations
 QUANTITIES: Mapping[str, tuple[str, str]] = {
     "x_px": ("place of a sheet (not in x_err)", "px"),
     "mu": ("μ", ""),
@@ -110,7 +109,7 @@ def systematic_budget(results: Results) -> Budget:
     Notes
     -----
     The force's part is that of the fits (everything fitted again with each source moved). What the strip's
-    rows and uneven light do to places of sheets is the same in all frames: displacements and σ_x are free of
+    rows and uneven light do to places of sheets is the same in every frame: displacements and σ_x are free of
     it. The pixel size scales σ_x/Λ_st; its error is known where it was measured only, not where it was given.
     The clock has no part in σ_x as long as it is better than the frames left out beside slips.
     """
@@ -128,7 +127,9 @@ def systematic_budget(results: Results) -> Budget:
         light = None if results.strip is None else uneven_light_px(results.strip, results.tracks)
         add("light", "x_px", light)
     if results.fits is not None:
-        _add_fits(results.fits, values, statistical)
+        for quantity, name in _FITTED.items():
+            estimate = getattr(results.fits, name)
+            values[quantity], statistical[quantity] = estimate.value, estimate.error
         for source, parts in results.fits.budget.items():
             for quantity in (*_FITTED, "K_N_per_mm"):
                 add(source, quantity, parts[quantity])
@@ -143,12 +144,6 @@ def systematic_budget(results: Results) -> Budget:
             margin_s = MotionMetadata.of(results.motion).margin_s
             add("clock", "ratio", 0.0 if 1e-3 * results.clock.error_ms <= margin_s else None)
     return Budget(values=values, statistical=statistical, sources=sources)
-
-
-def _add_fits(fits: ModelFits, values: dict[str, float], statistical: dict[str, float]) -> None:
-    for quantity, part in _FITTED.items():
-        estimate = getattr(fits, part)
-        values[quantity], statistical[quantity] = estimate.value, estimate.error
 
 
 def uneven_light_px(strip: xr.DataArray, tracks: xr.Dataset) -> float | None:

@@ -6,7 +6,7 @@ import pytest
 from tests.scenes.report_data import make_profile, make_tracks, sawtooth
 from vision.figures import FIGURES, publication_figures_of
 from vision.figures.camera import intensity_figure, single_sheets_figure
-from vision.figures.catalogue import slip_times
+from vision.figures.catalogue import slips_of
 from vision.figures.positions import mean_deformation_figure
 
 
@@ -43,7 +43,7 @@ def test_one_ridge_moves_inwards_and_back():
 
 def test_space_time_of_two_sheets_over_four_slips(pulled):
     """A failure means the wrong sheets, or slips marked elsewhere than in the force."""
-    slips, source = slip_times(pulled)
+    slips, source = slips_of(pulled)
     figure = single_sheets_figure(pulled.strip, pulled.tracks, slips, pixel_size_um=10.0)
     assert source == "the force"
     assert [panel.title.split("\n")[0] for panel in figure.panels] == ["right, n = 23", "right, n = 10"]

@@ -286,10 +286,9 @@ def find_irregular(test: TractionTest, settings: CompareSettings | None = None) 
     whole: dict[str, Any] = {"run": test.run, "speed_mm_min": test.speed_mm_min, "d_mm": d}
     window = tuning.smooth_events | 1
     if d.size < max(2 * window, 2 * LEAST_SIDE + 1):
-        return Irregularity(
-            **whole, variation=np.full(d.size, nan), change_mm=nan, change_err_mm=nan, before=nan, after=nan,
-            p=nan, reason=f"{d.size} events, at least {2 * window} needed",
-        )  # fmt: skip
+        unknown: dict[str, Any] = dict.fromkeys(("change_mm", "change_err_mm", "before", "after", "p"), nan)
+        reason = f"{d.size} events, at least {2 * window} needed"
+        return Irregularity(**whole, **unknown, variation=np.full(d.size, nan), reason=reason)
     r = drop / np.maximum(scipy.signal.savgol_filter(drop, window, 2), 1e-3 * float(drop.max())) - 1
     r *= 1 / np.sqrt(1 - _leverage(window))  # a smooth course takes part of the scatter with it
     square = np.convolve(r**2, np.ones(window), "same") / np.convolve(

@@ -243,7 +243,7 @@ def _stick_frames(tracks: xr.Dataset, slips_s: Floats | None) -> tuple[int, int,
 
 
 def _ridge_sheet(tracks: xr.Dataset, frames: tuple[int, int, int] | None) -> int | None:
-    """The outermost sheet of the right side that has a position in all three frames."""
+    """The outermost sheet of the right side that has a position in each of the three frames."""
     if frames is None:
         return None
     there = np.isfinite(tracks["x_px"].values[list(frames)]).all(axis=0)

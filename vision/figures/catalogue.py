@@ -105,15 +105,16 @@ def figures_of(results: Results) -> list[Figure]:
 
     Those that only put others together, "overview", "kymograph" and "force_overview", are left out.
     """
-    made = (entry.make(results) for entry in FIGURES.values() if entry.section)
-    return [figure for figure in made if figure is not None]
+    return _made(results, (entry for entry in FIGURES.values() if entry.section))
 
 
 def publication_figures_of(results: Results) -> list[Figure]:
     """The publication's figures that are not among `figures_of`: no part of the report, drawn by name."""
-    entries = [entry for entry in FIGURES.values() if entry.paper and not entry.section]
-    made = (entry.make(results) for entry in entries)
-    return [figure for figure in made if figure is not None]
+    return _made(results, (entry for entry in FIGURES.values() if entry.paper and not entry.section))
+
+
+def _made(results: Results, entries: Iterable[CatalogueEntry]) -> list[Figure]:
+    return [figure for entry in entries if (figure := entry.make(results)) is not None]
 
 
 def sections_of(figures: Iterable[Figure]) -> list[tuple[str, list[Figure]]]:
@@ -151,26 +152,16 @@ def overview(figures: Iterable[Figure]) -> Figure | None:
 
 def kymograph(figures: Iterable[Figure]) -> Figure | None:
     """The space-time diagram of the whole strip without the tracks, of these figures."""
-    for figure in figures:
-        if figure.name == "space_time" and (image := figure.panel.image) is not None:
-            panel = replace(
-                figure.panel,
-                series=(),
-                y_range=(image.left, image.right),
-                title="Space-time diagram of the strip",
-                aspect=0.55,
-            )
-            return Figure(
-                name="kymograph",
-                title=panel.title,
-                caption=camera.KYMOGRAPH_CAPTION,
-                panels=(panel,),
-                width_in=13.0,
-            )
-    return None
+    panel = next((figure.panel for figure in figures if figure.name == "space_time"), None)
+    if panel is None or panel.image is None:
+        return None
+    whole = (panel.image.left, panel.image.right)
+    title = "Space-time diagram of the strip"
+    panel = replace(panel, series=(), y_range=whole, title=title, aspect=0.55)
+    return Figure.of("kymograph", panel, camera.KYMOGRAPH_CAPTION, width_in=13.0)
 
 
-def slip_times(r: Results) -> tuple[Floats | None, str]:
+def slips_of(r: Results) -> tuple[Floats | None, str]:
     """Times of the slips on the camera's clock, s, and what they are from."""
     if r.sticks is None or not len(r.sticks) or r.clock is None or r.clock.status == "ambiguous":
         return camera.slip_times(r.tracks)
@@ -189,24 +180,19 @@ def _has(r: Results, part: str) -> bool:
 
 
 def _space_time(r: Any) -> Figure:
-    slips_s, source = slip_times(r)
+    slips_s, source = slips_of(r)
     return camera.space_time_figure(
         r.strip, r.tracks, pixel_size_um=r.pixel_size_um, slips_s=slips_s, slips_from=source
     )
 
 
 def _single_sheets(r: Any) -> Figure | None:
-    slips_s, source = slip_times(r)
+    slips_s, source = slips_of(r)
     if slips_s is None:
         return None
     return camera.single_sheets_figure(
         r.strip, r.tracks, slips_s, pixel_size_um=r.pixel_size_um, slips_from=source
     )
-
-
-def _overview(r: Any) -> Figure | None:
-    made = (FIGURES[name].make(r) for name in ("frame", "space_time", "tracks"))
-    return overview(figure for figure in made if figure is not None)
 
 
 _CAMERA = "What the camera saw"
@@ -296,11 +282,13 @@ FIGURES: Mapping[str, CatalogueEntry] = {
     ),
     "intensity": CatalogueEntry(
         "",
-        lambda r: camera.intensity_figure(r.strip, r.tracks, slip_times(r)[0]),
+        lambda r: camera.intensity_figure(r.strip, r.tracks, slips_of(r)[0]),
         ("strip", "tracks"),
         paper="12",
     ),
-    "overview": CatalogueEntry("", _overview),
+    "overview": CatalogueEntry(
+        "", lambda r: overview(_made(r, (FIGURES[name] for name in ("frame", "space_time", "tracks"))))
+    ),
     "kymograph": CatalogueEntry(
         "", lambda r: camera.kymograph_figure([r.strip], pixel_size_um=r.pixel_size_um), ("strip",)
     ),
@@ -312,7 +300,7 @@ FIGURES: Mapping[str, CatalogueEntry] = {
 
 
 def missing_parts(results: Results) -> list[str]:
-    """What cannot be shown and why, one sentence each; arguments stand in backticks."""
+    """What cannot be shown and why, one sentence each, arguments in backticks."""
     return [*_missing_from_video(results), *_missing_from_force(results)]
 
 

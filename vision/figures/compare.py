@@ -148,16 +148,18 @@ def stiffnesses_figure(o: Overlay) -> Figure:
     )
 
 
+def _velocity_name(speed_mm_min: float) -> str:
+    return "V unknown" if np.isnan(speed_mm_min) else f"V = {speed_mm_min:g} mm/min"
+
+
 def _by_velocity(events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
     """Points of all tests of one velocity; used events filled, those left out of the fits hollow and grey."""
     speeds = events["V_mm_min"].map(velocity)
-    names = sorted(speeds.dropna().unique()) + ([np.nan] if speeds.isna().any() else [])
-    series = []
-    for k, (v, ink) in enumerate(zip(names, ordered_inks(len(names)), strict=True)):
-        mine = events[(speeds == v) | (speeds.isna() & np.isnan(v))]
-        label = "V unknown" if np.isnan(v) else f"V = {v:g} mm/min"
-        part = mine[mine["used"]].sort_values(x)
-        series.append(Series.points(label, part[x], part[y], ink, hollow=k % 2 == 1))
+    groups = list(events[events["used"]].sort_values(x).groupby(speeds, dropna=False))
+    series = [
+        Series.points(_velocity_name(v), part[x], part[y], ink, hollow=k % 2 == 1)
+        for k, ((v, part), ink) in enumerate(zip(groups, ordered_inks(len(groups)), strict=True))
+    ]
     if not events["used"].all():
         rest = events[~events["used"]].sort_values(x)
         series.append(Series.points("not used", rest[x], rest[y], QUIET, hollow=True))
@@ -172,8 +174,7 @@ def sticks_figures(o: Overlay) -> list[Figure]:
     panels = [(v, figure.panel) for v, figure in o.sticks]
     caption = (
         "Force above the valley against separation beyond it, events from the beginning to the end of the "
-        "test, as recorded. Rings: ends of the central part whose slope is K, of one event. Arrows: its "
-        "ΔF and Λ_st."
+        "test, as recorded. Dots: the central part, whose slope is K. Arrows: ΔF and Λ_st of the first."
     )
     made = [
         Figure.of(
@@ -243,8 +244,7 @@ def _by_test(events: pd.DataFrame, x: str, y: str, *, label: bool = True) -> tup
     key = events["run"]
     if key.nunique() > 8:  # more colours cannot be told apart
         samples = len(set(events["sample"])) > 1
-        speeds = [f"V = {v:g} mm/min" for v in events["V_mm_min"].map(velocity)]
-        key = events["sample"] if samples else pd.Series(speeds, events.index)
+        key = events["sample"] if samples else events["V_mm_min"].map(velocity).map(_velocity_name)
     names = list(dict.fromkeys(key))
     series = []
     for k, (name, ink) in enumerate(zip(names, ordered_inks(len(names)), strict=True)):
@@ -259,20 +259,22 @@ def _by_test(events: pd.DataFrame, x: str, y: str, *, label: bool = True) -> tup
 
 def irregular_figure(o: Overlay) -> Figure | None:
     """Running coefficient of variation of ΔF against d_v with the change points."""
-    known = [one for one in o.irregular if np.isfinite(one["variation"]).any()]
+    known = [
+        (velocity(one["speed_mm_min"]), one) for one in o.irregular if np.isfinite(one["variation"]).any()
+    ]
     if not known:
         return None
-    speeds = sorted({velocity(one["speed_mm_min"]) for one in known}, key=lambda v: (np.isnan(v), v))
-    inks = dict(zip(map(str, speeds), ordered_inks(len(speeds)), strict=True))
-    shown: set[str] = set()
-    series, lines, said = [], [], []
-    for one in sorted(known, key=lambda one: velocity(one["speed_mm_min"])):
-        v = velocity(one["speed_mm_min"])
-        label = "V unknown" if np.isnan(v) else f"V = {v:g} mm/min"
-        name = "" if label in shown else label
-        shown.add(label)
-        dashed = speeds.index(v) % 2 == 1 if v in speeds else False
-        series.append(Series(label=name, x=one["d_mm"], y=one["variation"], ink=inks[str(v)], dashed=dashed))
+    known.sort(key=lambda pair: (np.isnan(pair[0]), pair[0]))
+    names = list(dict.fromkeys(_velocity_name(v) for v, _ in known))
+    inks = ordered_inks(len(names))
+    series: list[Series] = []
+    lines, said = [], []
+    for v, one in known:
+        name = _velocity_name(v)
+        k = names.index(name)
+        label = "" if any(curve.label == name for curve in series) else name
+        curve = Series(label=label, x=one["d_mm"], y=one["variation"], ink=inks[k], dashed=k % 2 == 1)
+        series.append(curve)
         if np.isfinite(one["change_mm"]):
             lines.append(float(one["change_mm"]))
             place = plus_minus(Estimate(one["change_mm"], one["change_err_mm"]))
@@ -285,7 +287,7 @@ def irregular_figure(o: Overlay) -> Figure | None:
             y_label="variation of ΔF",
             series=tuple(series),
             x_lines=tuple(lines),
-            y_range=from_zero(*(one["variation"] for one in known)),
+            y_range=from_zero(*(one["variation"] for _, one in known)),
         ),
         "Coefficient of variation of ΔF over a running window of events, about ΔF's own smooth course. "
         f"{found}",

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from vision.numeric import Floats, Floats32
 
-_COLUMNS_AT_ONCE = 16  # so that memory stays at a few copies of some columns
-_ROWS_AT_ONCE = 64  # of an image, likewise
+_ROWS_AT_ONCE = 64  # of an image, so that memory stays at a few copies of them
 
 
 def minmax_decimate(x: Floats, y: NDArray[np.floating], *, most: int) -> tuple[Floats, Floats]:
@@ -37,8 +36,8 @@ def minmax_decimate(x: Floats, y: NDArray[np.floating], *, most: int) -> tuple[F
     intervals = -(-len(x) // step)
     at = np.minimum(np.arange(intervals)[:, None] * step + [0, min(step - 1, step // 2)], len(x) - 1)
     out = np.empty((2 * intervals, y.shape[1]))
-    for start in range(0, y.shape[1], _COLUMNS_AT_ONCE):
-        part = slice(start, start + _COLUMNS_AT_ONCE)
+    for start in range(0, y.shape[1], 16):  # so that memory stays at a few copies of some columns
+        part = slice(start, start + 16)
         out[:, part] = _extremes(y[:, part], step, intervals)
     return np.asarray(x, np.float64)[at.ravel()], out
 

@@ -133,9 +133,8 @@ def clock_residuals_figure(
     if not len(seen) or len(drops) < 2:
         return None
     there, machine = clock.to_force_s(seen["time_s"].to_numpy()), drops["time_s"].to_numpy()
-    after = np.clip(np.searchsorted(machine, there), 1, machine.size - 1)
-    nearest = np.where(there - machine[after - 1] < machine[after] - there, after - 1, after)
-    residual = there - machine[nearest]
+    apart = there[:, None] - machine
+    residual = np.take_along_axis(apart, np.abs(apart).argmin(axis=1)[:, None], axis=1)[:, 0]
     same = np.abs(residual) < SAME_SLIP * float(np.median(np.diff(machine)))
     error = 1000 * seen["error_s"].to_numpy()[same]
     at, residual = there[same], 1000 * residual[same]

@@ -158,7 +158,7 @@ def pixel_locking_figure(tracks: xr.Dataset) -> Figure:
         "pixel_locking",
         panel,
         f"Density of x modulo one pixel over {np.isfinite(x).sum()} positions; 1 is an even spread. A fit "
-        "that locks to whole pixels piles up near 0 and 1 and empties the middle, in all sheets alike. Band: "
+        "that locks to whole pixels piles up near 0 and 1 and empties the middle, in every sheet. Band: "
         "two standard errors about 1, from the scatter between sheets; it is wide where the sheets move by "
         "less than a pixel.",
         title="Position modulo one pixel (locking check)",

@@ -27,12 +27,7 @@ from vision.report.text import answers, citation, methods, subtitle
 from vision.sheets import doubtful_stretches
 from vision.systematics import QUANTITIES, SOURCES, systematic_budget
 
-IMAGE_BYTES = 450_000  # at most, for one image before base64
 PLAIN = 400  # values up to which an array is written as numbers
-DOUBTS_SHOWN = 100  # stretches, the longest first
-_STEPS = 32767
-_GAP = -32768
-_QUALITIES = (85, 70, 50, 30, 15)  # of JPEG, tried in turn
 
 
 def write_report(
@@ -169,7 +164,7 @@ def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
     picture = None
     if (image := panel.image) is not None:
         picture = {edge: getattr(image, edge) for edge in ("left", "right", "top", "bottom")}
-        picture["uri"] = image_uri(image, most_bytes=IMAGE_BYTES)
+        picture["uri"] = image_uri(image, most_bytes=450_000)
     return {
         "name": name,
         "xLabel": panel.x_label,
@@ -225,7 +220,7 @@ def image_uri(image: Image, *, most_bytes: int) -> str:
         pixels[image.missing] = rgb(MISSING)
     picture = Pillow.fromarray(pixels)
     while True:
-        for quality in _QUALITIES:
+        for quality in (85, 70, 50, 30, 15):
             stream = io.BytesIO()
             picture.save(stream, "JPEG", quality=quality)
             if stream.tell() <= most_bytes:
@@ -252,8 +247,8 @@ class ArrayStore:
         rest = values - start - slope * np.arange(values.size)
         known = np.isfinite(rest)
         low, high = (float(rest[known].min()), float(rest[known].max())) if known.any() else (0.0, 0.0)
-        middle, step = (low + high) / 2, (high - low) / (2 * _STEPS) or 1.0
-        code = np.where(known, np.rint((np.nan_to_num(rest) - middle) / step), _GAP).astype("<i2")
+        middle, step = (low + high) / 2, (high - low) / (2 * 32767) or 1.0
+        code = np.where(known, np.rint((np.nan_to_num(rest) - middle) / step), -32768).astype("<i2")
         place = self._places.setdefault(code.tobytes(), len(self._places))
         return {"b": place, "start": start + middle, "slope": slope, "step": step}
 
@@ -302,7 +297,7 @@ def budget_table(results: Results) -> FactsTable:
     note = (
         "The last row is the root of the sum of squares of what is known. Statistical errors of a place, of "
         "K and of σ_x/Λ_st are medians of those of single positions, events and sheets. What moves a sheet's "
-        "place alike in all frames does not move its displacements. Empty: no part in it."
+        "place alike in every frame does not move its displacements. Empty: no part in it."
     )
     return FactsTable("Systematic errors", heads, tuple(rows) if quantities else (), note)
 
@@ -323,7 +318,7 @@ def doubt_table(results: Results) -> FactsTable:
             _digits(row["x_withheld_px"], places=1),
             _digits(row["x_expected_px"], places=1),
         )
-        for row in table.head(DOUBTS_SHOWN).to_dict("records")
+        for row in table.head(100).to_dict("records")
     )
     more = len(table) - len(rows)
     note = (

@@ -23,7 +23,6 @@ PAPER = (
     "friction."
 )
 DOUBTFUL = ("doubtful", "merged")  # flags of positions whose sheet is not sure
-END_ROWS = 6  # of the shell table, three sticks of two sides, whose median stands for either end of the video
 
 # --- the answers --------------------------------------------------------------------------------------------
 
@@ -87,7 +86,7 @@ def _shell(results: Results) -> Answer | None:
     known = results.shells[results.shells["stiff_sheets"].notna()].sort_values("d_v_mm")
     if known.empty:
         return Answer("stiff shell", "not known", "too few sheets with a known deformation", doubt=True)
-    ends = known.head(END_ROWS), known.tail(END_ROWS)
+    ends = known.head(6), known.tail(6)  # three sticks of two sides
     first, last = (f"{end['stiff_sheets'].astype(float).median():.3g}" for end in ends)
     d_mm = known["d_v_mm"]
     size = first if first == last else f"{first} → {last}"

@@ -76,9 +76,8 @@ def run_folder(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """
     clean_up(target)
     check_target(target, overwrite=overwrite)
-    made = (
-        target.parent / f".{target.name}.{secrets.token_hex(4)}{PART}"
-    )  # named first: an interrupt finds it
+    # named first: an interrupt finds it
+    made = target.parent / f".{target.name}.{secrets.token_hex(4)}{PART}"
     lock, missing = None, _missing_parents(target)
     try:
         made.mkdir(parents=True)
