@@ -8,7 +8,10 @@ from starlette.testclient import TestClient
 
 from tests.scenes.reviewed import FIXTURE, SETTINGS, remedies
 from tests.scenes.served import app_of
-from vision.review.api import keep_first_view
+from vision.command.options import RunOptions, VideoOptions
+from vision.command.review import settings_of_run
+from vision.command.track import track
+from vision.review.api import first_answers, keep_first_view
 from vision.review.first_view import NAME, read_first_view
 from vision.review.session import Session
 
@@ -88,3 +91,14 @@ def test_of_a_film_that_has_gone_since_it_is_not_used(run, tmp_path):
     assert read_first_view(run) == {}
     film.unlink()
     assert read_first_view(run, film) == {}
+
+
+def test_of_a_long_film_it_is_kept_with_the_run(monkeypatch, tmp_path):
+    """A failure means that the first review of a long film waits until all of it has been read."""
+    monkeypatch.setattr("vision.command.track.LONG_FRAMES", 30)
+    run = tmp_path / "run"
+    options = RunOptions(out=run, report=False, quiet=True)
+    track(FIXTURE / "video.avi", reading=VideoOptions(frames="0:40"), run=options)
+    kept = read_first_view(run)
+    with Session(run, settings_of_run(run)) as session:
+        assert first_answers(session) == kept

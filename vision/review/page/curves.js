@@ -146,7 +146,11 @@ export class Force {
         while (end > begin + 1 && force.time(end - 2) > to) end--;
         curveThrough(c, begin, end, (k) => [place(force.time(k)), y(force.load(k))], 1.3);
       }
-      if (!force) { c.fillStyle = colour.soft; c.textAlign = "center"; c.textBaseline = "middle"; c.fillText("reading …", s.left + s.plotWidth / 2, s.top + s.plotHeight / 2); }
+      if (!force) {
+        const why = page.force.parts.why("");
+        c.fillStyle = colour.soft; c.textAlign = "center"; c.textBaseline = "middle";
+        wrapped(c, why ? `The force is not shown: ${why}` : "reading …", s.left, s.plotWidth, s.top + s.plotHeight / 2, s.size * 1.3);
+      }
     });
     s.frame();
     timeCursor(s, x, view, colour.cursor);
