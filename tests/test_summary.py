@@ -4,13 +4,22 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from tests.scenes.analysed import with_force
 from tests.scenes.combs import comb, ridges, strip
+from vision.data import StickMetadata
 from vision.sample import PUBLISHED
 from vision.sheets import track_sheets
-from vision.summary import _noise, consistency_warnings, noise_figures, summary_lines, tracking_warnings
+from vision.summary import (
+    _noise,
+    consistency_warnings,
+    lowpass_correction,
+    noise_figures,
+    summary_lines,
+    tracking_warnings,
+)
 
 PITCH, SHEETS, AXIS = 20.0, 50, 600.0
 
@@ -124,3 +133,19 @@ def test_a_change_for_good_is_said_with_its_size():
     moved, changed = (int(found) for found in re.search(r"by (-?\d+) px.* by (-?\d+) %", line).groups())
     assert moved == pytest.approx(7, abs=1)
     assert changed == pytest.approx(20, abs=3)
+
+
+@pytest.mark.parametrize(
+    ("facts", "said"),
+    [
+        ({}, "forces as recorded"),
+        ({"lowpass_s": 0.012, "lowpass_how": "given"}, "low-pass of 12 ms (given)"),
+        ({"lowpass_proposed_s": 0.0034, "lowpass_proven": True}, "the slips show a low-pass of 3.4 ms"),
+        ({"lowpass_proposed_s": 0.0034}, "may show, but not all slips alike, a low-pass of 3.4 ms"),
+    ],
+)
+def test_the_load_cell_s_time_constant_is_said_in_ms(facts, said):
+    """A failure means that a correction is hidden, or said to be a thousand times smaller than it is."""
+    sticks = pd.DataFrame()
+    sticks.attrs |= StickMetadata(**facts).attrs()
+    assert said in lowpass_correction(sticks)
