@@ -1,15 +1,25 @@
 """Findings that contradict each other are said, with what to do; findings that agree are not."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from tests.scenes.analysed import with_force
 from tests.scenes.combs import comb, ridges, strip
+from vision.data import StickMetadata
 from vision.sample import PUBLISHED
 from vision.sheets import track_sheets
-from vision.summary import _noise, consistency_warnings, noise_figures, summary_lines, tracking_warnings
+from vision.summary import (
+    _noise,
+    consistency_warnings,
+    lowpass_correction,
+    noise_figures,
+    summary_lines,
+    tracking_warnings,
+)
 
 PITCH, SHEETS, AXIS = 20.0, 50, 600.0
 
@@ -109,3 +119,33 @@ def test_a_picture_has_no_noise_to_measure_and_says_so(picture, frames):
     tracks = track_sheets(still)
     assert any("no frame differs" in line for line in tracking_warnings(tracks)) == (frames > 1)
     assert "not measured" in _noise(noise_figures(tracks, None), "")
+
+
+def test_a_change_for_good_is_said_with_its_size():
+    """From frame 75 on all sheets stand 7 px further, every other one e^0.2 times as bright, the rest e^-0.2.
+    A failure means that a knock passes, or is said to be a hundred times smaller than it was."""
+    x = comb(150) + np.where(np.arange(150) < 75, 0.0, 7.0)[:, None]
+    light = np.exp(np.where(np.arange(150) < 75, 0.0, 1.0)[:, None] * np.tile([0.2, -0.2], 25))
+    (line,) = [
+        one for one in tracking_warnings(track_sheets(strip(ridges(x, contrast=light)))) if "for good" in one
+    ]
+    assert "at frame 75 " in line and "0:75 or 75:" in line
+    moved, changed = (int(found) for found in re.search(r"by (-?\d+) px.* by (-?\d+) %", line).groups())
+    assert moved == pytest.approx(7, abs=1)
+    assert changed == pytest.approx(20, abs=3)
+
+
+@pytest.mark.parametrize(
+    ("facts", "said"),
+    [
+        ({}, "forces as recorded"),
+        ({"lowpass_s": 0.012, "lowpass_how": "given"}, "low-pass of 12 ms (given)"),
+        ({"lowpass_proposed_s": 0.0034, "lowpass_proven": True}, "the slips show a low-pass of 3.4 ms"),
+        ({"lowpass_proposed_s": 0.0034}, "may show, but not all slips alike, a low-pass of 3.4 ms"),
+    ],
+)
+def test_the_load_cell_s_time_constant_is_said_in_ms(facts, said):
+    """A failure means that a correction is hidden, or said to be a thousand times smaller than it is."""
+    sticks = pd.DataFrame()
+    sticks.attrs |= StickMetadata(**facts).attrs()
+    assert said in lowpass_correction(sticks)

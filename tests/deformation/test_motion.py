@@ -54,6 +54,14 @@ def test_creep_that_slows_down(strength, sweep, frames):
     assert 0.60 < np.mean(np.abs(wrong) < stated) < 0.75
 
 
+@pytest.mark.parametrize("frames", [18, 60])
+def test_creep_as_the_square_of_time_gives_its_own_rms(frames):
+    """A parabola's standard deviation is 2/√45 of its sweep, not 1/√12.  A failure means that what bends a
+    sheet's creep is weighted wrongly."""
+    made = make(uniform(4.0, 20.0), shape=np.square, noise_px=0.005, frames=frames)
+    assert np.median(measure(made)["ratio"] / made.ratio) == pytest.approx(1, abs=5e-4)
+
+
 def test_noise_inflates_the_raw_figure():
     """The raw σ_x must read too high on late sticks, or the correction has nothing to correct."""
     made = make(uniform(0.3, 7.7), stick_um=7.7, frames=27, noise_px=0.08)

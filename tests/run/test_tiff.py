@@ -110,6 +110,17 @@ def test_more_than_fiji_s_tiff_holds_is_refused(tmp_path, monkeypatch):
     assert not (tmp_path / "k.tif").exists()
 
 
+def test_a_strip_that_fiji_s_tiff_cannot_hold_is_a_plain_tiff(tmp_path, monkeypatch):
+    """A failure means that the diagram of a long test is cut off, or refused after hours."""
+    values = np.random.default_rng(3).uniform(0, 255, (30, 20)).astype(np.float32)
+    for limit in (2400, 2399):
+        monkeypatch.setattr(tiff, "IMAGEJ_BYTES", limit)
+        write_kymograph_tif(diagram_of(values), tmp_path / "k.tif", pixel_size_um=None)
+        with tifffile.TiffFile(tmp_path / "k.tif") as file:
+            assert (file.is_imagej, file.is_bigtiff) == (limit == 2400, limit == 2399)
+            np.testing.assert_array_equal(file.asarray(), values)
+
+
 def test_seconds_per_row_survive_rounded_stamps_and_gaps():
     """A failure means a time axis that is stretched: by 2 % for 60 Hz stamps rounded to ms."""
     rounded = np.round(np.arange(600) / 60, 3)
@@ -127,6 +138,9 @@ def test_times_that_an_even_axis_cannot_show_are_noticed():
     assert unevenness_s(even) == 0
     assert unevenness_s(np.round(even, 3)) == 0
     assert unevenness_s(np.r_[even[:300], even[300:] + 0.5]) == pytest.approx(0.5, rel=1e-3)
+    late = np.where(np.arange(600) == 300, 1 / 60, 0.0)
+    assert unevenness_s(even + 0.3 * late) == 0
+    assert unevenness_s(even + 0.8 * late) == pytest.approx(0.8 / 60, rel=0.02)
     assert unevenness_s(np.full(5, np.nan)) == 0
 
 
