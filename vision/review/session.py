@@ -39,9 +39,8 @@ from vision.sheets.corrections import (
     corrections_text,
     last_of,
     read_decisions,
-    stretches,
 )
-from vision.sheets.recovery import DOUBTS
+from vision.sheets.recovery import DOUBTS, stretches
 
 REPLACED = "corrections.npz"  # what saved decisions replaced, so that they can be taken back
 

@@ -1,9 +1,9 @@
 """What the recording does to positions beyond the noise of its pixels: repeated frames, blur, dirt, codecs.
 
-`repeated_frames` finds frames that the codec or the recorder repeated; `motion_blur` the ridges that moved
-while the shutter was open, and what that may cost; `distortion` those that something else pulls aside: dirt,
-a highlight, an edge; `spatial_scatter` how unevenly neighbouring sheets stand in one frame, which shows
-errors that persist from frame to frame; `shared_error` those that neighbours have in common.
+`repeated_frames` finds frames that the codec or the recorder repeated; `motion_blur` ridges that moved while
+the shutter was open; `not_one_ridge` sheets that are several; `distortion` ridges that dirt, a highlight or
+an edge pulls aside; `spatial_scatter` errors that persist from frame to frame, and `shared_error` those that
+neighbours have in common.
 """
 
 from __future__ import annotations
@@ -234,7 +234,7 @@ def distortion(
     if nan_median(odd) < settings.lopsided:
         rough = rough + _beyond(odd, np.fmax(times * nan_median(odd), floor))
     size = np.hypot(shifted, settings.distortion_error * rough)
-    return np.where(np.isfinite(slant), size, 0.0)  # too near the picture's edge: nothing is said
+    return np.where(np.isfinite(slant), size, 0.0)  # unknown too near the picture's edge
 
 
 def _beyond(size: Floats, least: Floats) -> Floats:
@@ -294,13 +294,13 @@ def spatial_scatter(x_px: Floats) -> Floats:
     fewer than five sheets, and where slips leave too few frames between them.
     """
     sheets = x_px.shape[1]
-    second = _Sticks(x_px).second(LAGS) if sheets >= len(FOURTH) else x_px[:0]
+    second = _BetweenSlips(x_px).second(LAGS) if sheets >= len(FOURTH) else x_px[:0]
     if not len(second):
         return np.full(sheets, np.nan)
     return np.asarray(np.pad(_deviation(_fourth(second)), 2, mode="edge"), np.float64)
 
 
-class _Sticks:
+class _BetweenSlips:
     """Positions (frame, N), and between which frames lies a slip: there sheets move by more than usual, and
     neighbours alike; where a codec draws anew they do not."""
 
@@ -452,7 +452,7 @@ def _shared(x_px: Floats) -> tuple[float, float, float]:
     """What blocks of sheets err together, what is missing of the common motion, what is seen of it; px."""
     if x_px.shape[1] < len(FOURTH) + 3 or len(x_px) < FAR[-1] + LEAST_FRAMES:
         return 0.0, 0.0, 0.0
-    sticks = _Sticks(x_px)
+    sticks = _BetweenSlips(x_px)
     second = sticks.second(LAGS)
     own = _deviation_of_all(_fourth(second)) ** 2
     together = max(0.0, _deviation_of_all(second - nan_median(second, axis=1)[:, None]) ** 2 - own)
@@ -463,7 +463,7 @@ def _shared(x_px: Floats) -> tuple[float, float, float]:
     return float(np.sqrt(together)), missing, seen
 
 
-def _held(sticks: _Sticks, values: Floats) -> float:
+def _held(sticks: _BetweenSlips, values: Floats) -> float:
     """Share by which values (frame, …) differ less after one frame than after some, in variance."""
     near, *far = (_deviation_of_all(sticks.second((lag,), values)) ** 2 for lag in (1, *FAR))
     far = [variance for variance in far if variance > 0]
