@@ -16,8 +16,7 @@ import numpy as np
 import xarray as xr
 
 from vision.data import MotionMetadata, StripMetadata, TrackMetadata
-from vision.numeric import nan_median
-from vision.sheets.ridges import FWHM
+from vision.numeric import FWHM, nan_median
 
 if TYPE_CHECKING:
     from vision.figures import Results
