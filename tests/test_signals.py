@@ -30,3 +30,11 @@ def test_maxima_apart_are_those_of_scipy(seed):
     expected, _ = find_peaks(line, distance=7)
     np.testing.assert_array_equal(apart(found.at, line[found.at], 7), expected)
     assert len(expected) < len(found.at)
+
+
+def test_a_width_is_that_at_half_the_height():
+    """A failure means that windows of fits, which follow the ridges' width, are too narrow or too wide."""
+    line = 5 + 80 * np.exp(-((np.arange(200) - 100.0) ** 2) / (2 * 6.0**2))
+    at, _, width = find_maxima(line, least_prominence=1.0, reach=200)
+    assert at.tolist() == [100]
+    assert width[0] == pytest.approx(2.3548 * 6.0, rel=5e-3)
