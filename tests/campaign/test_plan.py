@@ -6,7 +6,15 @@ import os
 import pytest
 
 from tests.campaign.scenes import films, planned, rows
-from vision.campaign.plan import Film, check_folder, make_plan, read_plan, share, vanished_rows, write_plan
+from vision.campaign.plan import (
+    PlannedFilm,
+    check_folder,
+    make_plan,
+    read_plan,
+    share,
+    vanished_rows,
+    write_plan,
+)
 from vision.campaign.settings import CampaignSettings
 from vision.campaign.states import State, read_state, write_state
 from vision.campaign.table import Checked
@@ -85,7 +93,7 @@ def test_facts_alone_make_a_new_pool_and_no_new_runs(tmp_path):
 
 
 def film(name, seconds):
-    return Film(name=name, film=f"/{name}.avi", options={}, facts={}, key=name, seconds=seconds)
+    return PlannedFilm(name=name, film=f"/{name}.avi", options={}, facts={}, key=name, seconds=seconds)
 
 
 def test_short_films_share_jobs_and_long_ones_do_not():

@@ -17,7 +17,7 @@ from vision.command.settings import settings_of_run
 from vision.errors import InputError
 from vision.review import effects, saving
 from vision.review.positions import CELLS, FLAGS
-from vision.review.saving import Job, save_run
+from vision.review.saving import SaveJob, save_run
 from vision.review.session import Session
 from vision.run import folder, read_run
 from vision.sheets.corrections import read_decisions
@@ -51,7 +51,7 @@ def save(session):
     """As the server does it, in this process."""
     decisions = session._held(session.decisions, session.undone)
     job = {"folder": session.folder, "settings": session.settings, "clock": session.found.clock}
-    save_run(Job(**job, applied=tuple(session.applied), decisions=decisions))
+    save_run(SaveJob(**job, applied=tuple(session.applied), decisions=decisions))
 
 
 def off_px(tracks):

@@ -13,7 +13,7 @@ from urllib.parse import quote
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
-from vision.campaign.plan import Film, Plan
+from vision.campaign.plan import Plan, PlannedFilm
 from vision.campaign.states import FINISHED, State
 from vision.run import whole_file
 from vision.run.tables import write_table
@@ -107,7 +107,7 @@ def _write_csv(plan: Plan, states: Sequence[State]) -> None:
         write_table(pd.DataFrame(rows, columns=["film", "state", "reason", "seconds", "run"]), path)
 
 
-def _row(plan: Plan, film: Film, state: State, facts: list[str]) -> dict[str, Any]:
+def _row(plan: Plan, film: PlannedFilm, state: State, facts: list[str]) -> dict[str, Any]:
     run = plan.run_of(film.name)
     known = state.state in FINISHED and (run / "run.json").is_file()
     page = "report.html" if (run / "report.html").is_file() else "overview.png"

@@ -31,7 +31,7 @@ FINGERPRINTS = "fingerprints.json"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Film:
+class PlannedFilm:
     """One test of the plan.
 
     Parameters
@@ -97,7 +97,7 @@ class Plan:
     """
 
     out: Path
-    films: tuple[Film, ...]
+    films: tuple[PlannedFilm, ...]
     jobs: Mapping[str, Job]
     config: Path | None = None
     stage: bool = False
@@ -106,7 +106,7 @@ class Plan:
     version: str = field(default_factory=lambda: vision.__version__)
     layout: int = LAYOUT
 
-    def film(self, name: str) -> Film:
+    def film(self, name: str) -> PlannedFilm:
         """The film of that name."""
         return next(film for film in self.films if film.name == name)
 
@@ -118,13 +118,13 @@ class Plan:
         """The run folder of a film."""
         return self.out / "runs" / name
 
-    def finished(self, film: Film) -> State | None:
+    def finished(self, film: PlannedFilm) -> State | None:
         """The state of a film that need not be done again; None for the others."""
         state = read_state(self.out, film.name)
         whole = (self.run_of(film.name) / "run.json").is_file()
         return state if whole and state.key == film.key and state.state in FINISHED else None
 
-    def state(self, film: Film) -> State:
+    def state(self, film: PlannedFilm) -> State:
         """What is known of a film now: that of an earlier key tells nothing."""
         state = read_state(self.out, film.name)
         return state if state.key == film.key else State(name=film.name, key=film.key)
@@ -264,7 +264,7 @@ def read_plan(path: Path) -> Plan:
     """The plan that `write_plan` wrote.  Raises: InputError."""
     content = read_json(path)
     with reading(path, "a plan as track campaign writes it", "run track campaign again"):
-        films = tuple(Film(**film) for film in content.pop("films"))
+        films = tuple(PlannedFilm(**film) for film in content.pop("films"))
         jobs = {
             name: Job(**{**job, "films": tuple(job["films"])}) for name, job in content.pop("jobs").items()
         }
@@ -275,7 +275,7 @@ def read_plan(path: Path) -> Plan:
 # --- one film -----------------------------------------------------------------------------------------------
 
 
-def _film(row: Row, known: dict[str, Any], tuning: CampaignSettings) -> Film:
+def _film(row: Row, known: dict[str, Any], tuning: CampaignSettings) -> PlannedFilm:
     values = {name: plain(value) for name, value in row.values.items() if name not in PATHS}
     contents = (
         [] if is_remote(row.film) else [_fingerprint(path, known) for path in inputs_of(row.film, row.values)]
@@ -289,7 +289,7 @@ def _film(row: Row, known: dict[str, Any], tuning: CampaignSettings) -> Film:
         + megasamples * facts.get("rows", 0) / 1000 * tuning.seconds_per_gigapixel
     )
     memory = tuning.base_memory_mb + megasamples * tuning.memory_mb_per_megasample
-    return Film(
+    return PlannedFilm(
         name=row.name,
         film=row.film,
         options=dict(row.options),
@@ -361,7 +361,9 @@ def _measured(plan: Plan) -> float:
     return float(np.clip(np.median(ratios), 0.2, 20.0)) if len(ratios) > 2 else 1.0
 
 
-def share(films: Iterable[Film], factor: float, cores: int, tuning: CampaignSettings) -> list[list[Film]]:
+def share(
+    films: Iterable[PlannedFilm], factor: float, cores: int, tuning: CampaignSettings
+) -> list[list[PlannedFilm]]:
     """Films into jobs: long ones alone, short ones together, so that the start of a process does not dominate
     and all cores end at about the same time.
 
@@ -380,7 +382,7 @@ def share(films: Iterable[Film], factor: float, cores: int, tuning: CampaignSett
     return alone + [part for k in range(count) if (part := short[k::count])]
 
 
-def _job(films: Sequence[Film], factor: float, tuning: CampaignSettings) -> Job:
+def _job(films: Sequence[PlannedFilm], factor: float, tuning: CampaignSettings) -> Job:
     seconds = factor * sum(film.seconds for film in films)
     return Job(
         films=tuple(film.name for film in films),

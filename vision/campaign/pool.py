@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from vision.campaign.plan import Film, Plan
+from vision.campaign.plan import Plan, PlannedFilm
 from vision.campaign.states import State
 from vision.campaign.tables import close_tables, write_tests
 from vision.comparison import compare
@@ -65,7 +65,7 @@ def pool(plan: Plan, *, command: str = "", options: Mapping[str, str] | None = N
     return [*found.failures, *found.warnings]
 
 
-def _facts(plan: Plan, film: Film, state: State) -> dict[str, Any]:
+def _facts(plan: Plan, film: PlannedFilm, state: State) -> dict[str, Any]:
     """A film's row in the table of tests."""
     facts = read_json(plan.run_of(film.name) / "run.json")
     frames = facts.get("frames") or {}

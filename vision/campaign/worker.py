@@ -21,7 +21,7 @@ from pathlib import Path
 from PIL import Image
 
 from vision.campaign.page import page_age, write_page
-from vision.campaign.plan import Film, Plan, inputs_of
+from vision.campaign.plan import Plan, PlannedFilm, inputs_of
 from vision.campaign.settings import CampaignSettings
 from vision.campaign.states import State, Word, write_state
 from vision.campaign.table import is_remote
@@ -55,7 +55,7 @@ class Outcome:
     analysis: Analysis | None = None
 
 
-Work = Callable[[Film, Path, Path], Outcome]
+Work = Callable[[PlannedFilm, Path, Path], Outcome]
 """Analyses a film, from a path where it may be read, into a run folder."""
 
 
@@ -101,7 +101,7 @@ def run_job(
     return 0 if all(plan.finished(film) for film in films) else 1
 
 
-def _died(plan: Plan, film: Film, code: int) -> None:
+def _died(plan: Plan, film: PlannedFilm, code: int) -> None:
     """The film at which its process died has failed."""
     state = plan.state(film)
     if state.state == "running":
@@ -151,7 +151,7 @@ def _with_parent(work: Callable[[], None]) -> None:
 
 def _each(
     plan: Plan,
-    films: Sequence[Film],
+    films: Sequence[PlannedFilm],
     work: Work,
     copies: dict[str, Path],
     turn: mmap.mmap,
@@ -183,7 +183,9 @@ def _note(out: Path, state: State) -> None:
         write_state(out, state)
 
 
-def _one(plan: Plan, film: Film, work: Work, copies: dict[str, Path], tuning: CampaignSettings) -> State:
+def _one(
+    plan: Plan, film: PlannedFilm, work: Work, copies: dict[str, Path], tuning: CampaignSettings
+) -> State:
     """One film, its tables for the pool and its thumbnail."""
     target = plan.run_of(film.name)
     with _source(film, copies, tuning, stage=plan.stage) as source:
@@ -203,7 +205,9 @@ def _one(plan: Plan, film: Film, work: Work, copies: dict[str, Path], tuning: Ca
 
 
 @contextmanager
-def _source(film: Film, copies: dict[str, Path], tuning: CampaignSettings, *, stage: bool) -> Iterator[Path]:
+def _source(
+    film: PlannedFilm, copies: dict[str, Path], tuning: CampaignSettings, *, stage: bool
+) -> Iterator[Path]:
     """Where a film is read from: itself, what Snakemake fetched, or a copy on the node's own disk.
 
     Raises

@@ -14,7 +14,15 @@ from typing import Any
 
 from vision.campaign import engine
 from vision.campaign.page import duration, write_page
-from vision.campaign.plan import Film, Plan, check_folder, make_plan, read_plan, vanished_rows, write_plan
+from vision.campaign.plan import (
+    Plan,
+    PlannedFilm,
+    check_folder,
+    make_plan,
+    read_plan,
+    vanished_rows,
+    write_plan,
+)
 from vision.campaign.pool import needs_pool, pool, read_remarks, write_remarks
 from vision.campaign.states import State
 from vision.campaign.table import Check, Checked, Row, is_remote, read_campaign, safe_name
@@ -272,7 +280,7 @@ def _watch(
 # --- one film -----------------------------------------------------------------------------------------------
 
 
-def _take(plan: Plan, film: Film, source: Path, target: Path) -> Outcome:
+def _take(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> Outcome:
     """What a job does with a film, read from `source`: the same as `track`."""
     values = {name: parse_option(plan.out, name, text) for name, text in film.options.items()}
     parameters = merged(*_groups(values), config=plan.config)

@@ -28,7 +28,7 @@ from vision.comparison.tests import TractionTest, read_tests
 from vision.comparison.trends import Irregularity, Trend, find_irregular, find_trends
 from vision.errors import InputError
 from vision.figures import Figure, both_errors, load_figures, plus_minus
-from vision.figures.compare import Overlay, compare_figures
+from vision.figures.compare import ComparedTests, compare_figures
 from vision.models import Estimate
 
 
@@ -255,12 +255,12 @@ def _joint(
     )
 
 
-def _overlay(found: Comparison) -> Overlay:
+def _overlay(found: Comparison) -> ComparedTests:
     """What the figures draw, as plain tables."""
     main = found.joint[0] if found.joint else None
     mu = found.fits[0].mu if main is None else main.mu
     amplitude = found.fits[0].values["A"] if main is None else main.amplitude
-    return Overlay(
+    return ComparedTests(
         events=found.events(),
         table=found.table,
         sample=found.tests[0].sample,

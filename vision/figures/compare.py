@@ -28,7 +28,7 @@ _QUANTITY: Mapping[str, tuple[str, str, str]] = {
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Overlay:
+class ComparedTests:
     """What the figures of several tests are drawn from."""
 
     events: pd.DataFrame  # all events with ``run``, ``sample``, ``V_mm_min`` and ``used``
@@ -48,7 +48,7 @@ class Overlay:
     sticks: Sequence[tuple[float, Figure]]  # velocity and figure of single sticks, one a velocity
 
 
-def compare_figures(overlay: Overlay) -> list[Figure]:
+def compare_figures(overlay: ComparedTests) -> list[Figure]:
     """Every figure that these tests allow, in reading order."""
     single = (peaks_figure, drops_figure, stiffnesses_figure)
     made = [
@@ -90,7 +90,7 @@ def velocity(speed_mm_min: float) -> float:
     return float(f"{speed_mm_min:.2g}") if np.isfinite(speed_mm_min) else float("nan")
 
 
-def peaks_figure(o: Overlay) -> Figure:
+def peaks_figure(o: ComparedTests) -> Figure:
     """F_p − 𝒯0 against d of all velocities, with Eq. 1 and the joint μ."""
     offset = o.table.set_index("run")["T0_N"]
     events = o.events.assign(y=o.events["F_p_N"] - o.events["run"].map(offset))
@@ -107,7 +107,7 @@ def peaks_figure(o: Overlay) -> Figure:
     )
 
 
-def drops_figure(o: Overlay) -> Figure:
+def drops_figure(o: ComparedTests) -> Figure:
     """ΔF against d_v of all velocities, with A times the normal force."""
     d = _span(o.events, "d_v_mm")
     series = _by_velocity(o.events, "d_v_mm", "dF_N")
@@ -124,7 +124,7 @@ def drops_figure(o: Overlay) -> Figure:
     )
 
 
-def stiffnesses_figure(o: Overlay) -> Figure:
+def stiffnesses_figure(o: ComparedTests) -> Figure:
     """K against d_v of all velocities, with M_eff K_eff and (L + d)⁻¹."""
     d = _span(o.events, "d_v_mm")
     scale = float(o.table["Lambda_hat_mm"].median())
@@ -169,7 +169,7 @@ def _by_velocity(events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
 # --- single events ------------------------------------------------------------------------------------------
 
 
-def sticks_figures(o: Overlay) -> list[Figure]:
+def sticks_figures(o: ComparedTests) -> list[Figure]:
     """F − F_v against d − d_v: one panel a velocity, and all of them in one figure."""
     panels = [(v, figure.panel) for v, figure in o.sticks]
     caption = (
@@ -197,7 +197,7 @@ def sticks_figures(o: Overlay) -> list[Figure]:
 # --- the collapse -------------------------------------------------------------------------------------------
 
 
-def collapse_figure(o: Overlay) -> Figure | None:
+def collapse_figure(o: ComparedTests) -> Figure | None:
     """K/K_eff against d̂ with M√(1 − d̂), and K(d_v) in the inset."""
     if o.collapse is None:
         return None
@@ -257,7 +257,7 @@ def _by_test(events: pd.DataFrame, x: str, y: str, *, label: bool = True) -> tup
 # --- irregular stick-slip -----------------------------------------------------------------------------------
 
 
-def irregular_figure(o: Overlay) -> Figure | None:
+def irregular_figure(o: ComparedTests) -> Figure | None:
     """Running coefficient of variation of ΔF against d_v with the change points."""
     known = [
         (velocity(one["speed_mm_min"]), one) for one in o.irregular if np.isfinite(one["variation"]).any()
@@ -298,7 +298,7 @@ def irregular_figure(o: Overlay) -> Figure | None:
 # --- trends -------------------------------------------------------------------------------------------------
 
 
-def trends_figures(o: Overlay) -> list[Figure]:
+def trends_figures(o: ComparedTests) -> list[Figure]:
     """μ and N̂, and Λ̂, against the previous tests and the humidity: single, and all four in one."""
     made = []
     for quantities, title in ((("N_hat_N", "mu"), "N̂ and μ"), (("Lambda_hat_mm",), "Λ̂")):
@@ -318,7 +318,7 @@ def trends_figures(o: Overlay) -> list[Figure]:
     return made
 
 
-def _trend_panel(o: Overlay, quantities: Sequence[str], predictor: str, what: str) -> Panel | None:
+def _trend_panel(o: ComparedTests, quantities: Sequence[str], predictor: str, what: str) -> Panel | None:
     series: list[Series] = []
     for k, quantity in enumerate(quantities):
         _, error_name, short = _QUANTITY[quantity]
@@ -342,12 +342,12 @@ def _trend_panel(o: Overlay, quantities: Sequence[str], predictor: str, what: st
     )
 
 
-def _trend_of(o: Overlay, quantity: str, predictor: str) -> Mapping[str, Any] | None:
+def _trend_of(o: ComparedTests, quantity: str, predictor: str) -> Mapping[str, Any] | None:
     wanted = (quantity, predictor)
     return next((one for one in o.trends if (one["quantity"], one["predictor"]) == wanted), None)
 
 
-def _said(o: Overlay, quantity: str, predictor: str) -> str:
+def _said(o: ComparedTests, quantity: str, predictor: str) -> str:
     trend = _trend_of(o, quantity, predictor)
     if trend is None or not np.isfinite(trend["slope"]):
         return ""

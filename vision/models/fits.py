@@ -285,7 +285,7 @@ def _maximum(peaks: Floats) -> int:
 
 
 def _first_that_fits(events: pd.DataFrame, sample: Sample, held: Mapping[str, float], top: int) -> int:
-    """The first event from which on Eq. 1 follows the peaks: in all, and where it begins.
+    """The first event from which on Eq. 1 follows the peaks, over the whole range and where it begins.
 
     Later starts are tried up to half of the events, and where none fits they are tried less strictly: peaks
     whose scatter is not quite independent must not leave all of a build-up in. Else it is the maximum of the

@@ -46,7 +46,7 @@ DIFFERENT = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job:
+class SaveJob:
     """What is to be saved.
 
     Parameters
@@ -80,7 +80,7 @@ class Job:
     into: Path | None = None
 
 
-def save_run(job: Job, tell: Tell = lambda stage, done=0, total=0: None) -> None:
+def save_run(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: None) -> None:
     """Run what follows from the decisions again and replace the run folder.
 
     Parameters
@@ -133,7 +133,7 @@ def save_run(job: Job, tell: Tell = lambda stage, done=0, total=0: None) -> None
     )
 
 
-def _recording(job: Job, inputs: list[Any]) -> Video | None:
+def _recording(job: SaveJob, inputs: list[Any]) -> Video | None:
     """The film, for its first frame and another strip; None where it is gone."""
     try:
         return open_recording(input_of(job.folder, inputs[0], job.film), job.settings)
@@ -164,7 +164,7 @@ class Saver:
         """Whether a run is being made."""
         return self._thread is not None and self._thread.is_alive()
 
-    def start(self, job: Job, finished: Callable[[Mapping[str, Any]], None]) -> None:
+    def start(self, job: SaveJob, finished: Callable[[Mapping[str, Any]], None]) -> None:
         """Begin.
 
         Parameters
@@ -203,7 +203,7 @@ class Saver:
             self._child.kill()
         self.wait()
 
-    def _work(self, job: Job, finished: Callable[[Mapping[str, Any]], None]) -> None:
+    def _work(self, job: SaveJob, finished: Callable[[Mapping[str, Any]], None]) -> None:
         found: Mapping[str, Any] = {}
         error = "the process that tracks ended without a word; the run is as it was"
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}

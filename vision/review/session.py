@@ -24,7 +24,7 @@ from vision.review.editing import Before, apply, take_back, usual_places
 from vision.review.effects import READY, Effects, records
 from vision.review.film import Recordings
 from vision.review.positions import FLAGS, WHYS, positions_of
-from vision.review.saving import Job, Saver, Trial, pack, unpack
+from vision.review.saving import SaveJob, Saver, Trial, pack, unpack
 from vision.review.stored import Found, claim, decided_clock
 from vision.review.tracks_file import Stored, read_tracks
 from vision.run.folder import whole_file
@@ -162,12 +162,12 @@ class Session:
             self.trial.discard()
             self.saver.start(self.job(self.decisions, self.undone), lambda found: self.reload())
 
-    def job(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> Job:
+    def job(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> SaveJob:
         """What makes the run follow these decisions.  Raises: InputError where the run is gone."""
         self.found.check_there()
         strips = [last_of(part, "strip") for part in (self.applied, decisions)]
         same = len({one.rows if one else None for one in strips}) == 1  # else other positions were replaced
-        return Job(
+        return SaveJob(
             folder=self.folder,
             settings=self.settings,
             applied=tuple(self.applied),

@@ -70,16 +70,14 @@ def write_tracks_nc(
 ) -> None:
     """netCDF-4 with CF units and long names; x_um only where the pixel size is known; flags as characters.
 
-    `constant_error_px` is the error of places that is the same in all frames, an attribute of x_px.
+    `constant_error_px` is the error of places that is the same for every frame, an attribute of x_px.
     Made in memory, because HDF5 crashes the process when a disk fills up.  Raises: OSError.
     """
     data = tracks.assign_coords(index=("sheet", tracks["sheet"].values, {"long_name": "index from the left"}))
     data["frame"].attrs["long_name"] = "frame number"
     data["sheet"].attrs["long_name"] = "sheet, counted from the left"
     if math.isfinite(constant_error_px):
-        comment = (
-            "x_err_px is the error of a displacement, constant_error_px that of a place, alike in all frames"
-        )
+        comment = "x_err_px is the error of a displacement, constant_error_px that of a place, the same for every frame"
         about = {"constant_error_px": constant_error_px, "comment": comment}
         data["x_px"] = data["x_px"].assign_attrs(about)
     if pixel_size_um is not None:

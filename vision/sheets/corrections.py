@@ -149,7 +149,7 @@ class Correction:
         return self.kind, replace(self, date="").entry()
 
     def entry(self) -> dict[str, Any]:
-        """As it stands in a file, without its kind."""
+        """As written in a file, without its kind."""
         stop = "" if self.stop is None else self.stop
         values: dict[str, Any] = {
             "sheet": self.sheets[0] if self.sheets else None,

@@ -428,7 +428,7 @@ def shared_error(x_px: Floats, *, between_frames: bool) -> float:
     Blocks of the codec are wider than a sheet's spacing, and predicted frames leave out small changes.
 
     1. Sheets in one block err together. Second differences of positions in time, without what all sheets do,
-       scatter by :math:`a` in all and by :math:`b` between neighbours (`spatial_scatter`): :math:`a^2 - b^2`.
+       scatter by :math:`a` over all sheets and by :math:`b` between neighbours (`spatial_scatter`): :math:`a^2 - b^2`.
     2. Of what all sheets do together (a camera that shakes) a part is missing. By noise alone neighbours
        would differ as much after one frame as after six; :math:`h = 1 - D(1)/D(6)` with the structure
        function D is the share of changes left out, of neighbours or of the common motion, whichever is less.
@@ -437,7 +437,7 @@ def shared_error(x_px: Floats, *, between_frames: bool) -> float:
     3. What is left out of a single sheet's changes may last longer than the differences in time reach:
        :math:`b^2/(1-0.6\,h) - b^2` with h of neighbours. The 0.6 was measured on H.264, HEVC and VP9.
 
-    A motion that the codec leaves out wholly in all sheets shows nowhere.
+    A motion that the codec leaves out wholly in every sheet shows nowhere.
     """
     found = _shared(x_px)
     held = (found.missing, found.lasting) if between_frames else ()

@@ -71,7 +71,7 @@ class TrackingSettings:
     """Difference by which the template's motion may be scaled against the sliding window's."""
 
     template_ridges: int = 4_000_000
-    """Ridges in all, beyond which the template is not tried, as it holds all their pixels: about 1 GB."""
+    """Number of ridges beyond which the template is not tried, as it holds all their pixels: about 1 GB."""
 
     # --- segments (identities.py) ---
 
