@@ -428,7 +428,8 @@ def shared_error(x_px: Floats, *, between_frames: bool) -> float:
     Blocks of the codec are wider than a sheet's spacing, and predicted frames leave out small changes.
 
     1. Sheets in one block err together. Second differences of positions in time, without what all sheets do,
-       scatter by :math:`a` over all sheets and by :math:`b` between neighbours (`spatial_scatter`): :math:`a^2 - b^2`.
+       scatter by :math:`a` over all sheets and by :math:`b` between neighbours (`spatial_scatter`):
+       :math:`a^2 - b^2`.
     2. Of what all sheets do together (a camera that shakes) a part is missing. By noise alone neighbours
        would differ as much after one frame as after six; :math:`h = 1 - D(1)/D(6)` with the structure
        function D is the share of changes left out, of neighbours or of the common motion, whichever is less.
