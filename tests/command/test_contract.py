@@ -74,7 +74,7 @@ def test_defaults_and_facts_are_recorded():
     assert {facts["parameters"][name]["how"] for name in DEFAULTS} == {"default"}
     assert facts["found"]["window_px"] == 9  # ridges 7 px wide
     assert facts["frames"]["lost"] == 0
-    assert facts["command"].startswith("track ") and {"sheetvision", "numpy"} <= set(facts["versions"])
+    assert facts["command"].startswith("track") and {"sheetvision", "numpy"} <= set(facts["versions"])
     assert facts["warnings"] == [] and facts["seconds"]["total"] > 0
     assert not Path("run/report.html").exists()
 

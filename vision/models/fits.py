@@ -511,8 +511,8 @@ def _unseen_valleys(force: xr.Dataset, events: pd.DataFrame) -> float:
     """Share of ΔF by which the force rises while a slip lasts, median; 0 where sticks have no knee.
 
     There the force rises fastest right after a slip, by as much from sample to sample as from the lowest to
-    the next. What it gains until the recorded valley, one sample at least, no line through later ones gives
-    back.
+    the next. What it gains until the recorded valley, one sample at least, and while a load cell that is late
+    still falls, no line through later ones gives back.
     """
     if not events.attrs.get("two_slopes"):
         return 0.0
@@ -520,7 +520,8 @@ def _unseen_valleys(force: xr.Dataset, events: pd.DataFrame) -> float:
     near = np.searchsorted(time, events["t_v_s"].to_numpy(float))[:, np.newaxis] + np.arange(-3, 4)
     near = np.clip(near, 0, load.size - 2)
     lowest = np.take_along_axis(near, np.argmin(load[near], axis=1)[:, np.newaxis], axis=1)[:, 0]
-    lasts = np.maximum(events["slip_time_s"].to_numpy(float) / (time[lowest + 1] - time[lowest]), 1)
+    late = np.nan_to_num(events.attrs.get("lowpass_proposed_s", 0.0))
+    lasts = np.maximum((events["slip_time_s"].to_numpy(float) + late) / (time[lowest + 1] - time[lowest]), 1)
     rise = (load[lowest + 1] - load[lowest]) * lasts
     share = float(np.nanmedian(rise / events["dF_N"].to_numpy(float)))
     return share if np.isfinite(share) else 0.0

@@ -14,6 +14,7 @@ from vision.errors import InputError
 from vision.figures.decimate import grey_limits
 from vision.numeric import Floats
 
+ROWS = 4096  # written at once, so that memory does not grow with the recording
 IMAGEJ_BYTES = (1 << 32) - (1 << 20)  # ImageJ's own TIFF ends at 4 GiB
 
 
@@ -53,10 +54,10 @@ def write_space_time_tif(diagram: xr.DataArray, path: Path, *, pixel_size_um: fl
     if hasattr(os, "posix_fallocate"):  # a mapping that finds the disk full kills the process
         with path.open("r+b") as file:
             os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
-    for start in range(0, len(diagram), 4096):  # so that memory does not grow with the recording
-        rows = np.asarray(diagram[start : start + 4096].values, np.float64)
+    for start in range(0, len(diagram), ROWS):
+        rows = np.asarray(diagram[start : start + ROWS].values, np.float64)
         grey = np.clip(np.rint((rows - low) / step) + 1, 1, 65535)
-        pixels[start : start + 4096] = np.where(np.isfinite(rows), grey, 0)
+        pixels[start : start + ROWS] = np.where(np.isfinite(rows), grey, 0)
     pixels.flush()
 
 
