@@ -8,9 +8,9 @@ from starlette.testclient import TestClient
 
 from tests.scenes.reviewed import FIXTURE, SETTINGS, remedies
 from tests.scenes.served import app_of
+from vision.command.commands import track
 from vision.command.options import RunOptions, VideoOptions
 from vision.command.settings import settings_of_run
-from vision.command.track import track
 from vision.review.api import first_answers, keep_first_view
 from vision.review.first_view import NAME, read_first_view
 from vision.review.session import Session
