@@ -235,7 +235,11 @@ def certify(
         # What the codec left out of the camera's shaking must be there to be left out again. A part of what
         # all sheets do in single frames is no motion but the noise of their median: π/2 of a mean's variance.
         x_px = np.asarray(tracks["x_px"].values, float)
-        noise = np.nan_to_num(nan_median(spatial_scatter(x_px)[None], axis=1)[0]) ** 2 * 1.57 / x_px.shape[1]
+        noise = (
+            np.nan_to_num(nan_median(spatial_scatter(x_px, between_frames=True)[None], axis=1)[0]) ** 2
+            * 1.57
+            / x_px.shape[1]
+        )
         moved = max(0.0, 1 - noise / max(float(np.var(like.common_px)), 1e-12))
         more = left_out(x_px) * np.sqrt(moved) * like.common_px
         like = replace(like, motion_px=like.motion_px + more[:, None])

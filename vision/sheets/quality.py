@@ -21,9 +21,10 @@ from vision.sheets.subpixel import FRAMES_PER_BLOCK, Starts, gather
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
 SCENE_FRAMES = 5  # before and after a change of scene that are compared
-LAGS = (16, 12, 8, 6, 4, 3, 2, 1)
-"""Frames apart at which the scatter of neighbours is compared with that of all sheets: what a codec holds
-still shows better over some frames, but a stick must be longer than twice as many."""
+LAGS = {True: (16, 12, 8, 6, 4, 3, 2, 1), False: (4, 3, 2, 1)}
+"""Frames apart at which neighbours are compared, where the codec carries content from frame to frame and
+where not: what a codec holds still shows over more frames, but so do motions that sheets have of their own,
+and sticks must be longer than twice as many."""
 FAR = range(4, 9)  # frames after which nothing is held still that changes from frame to frame
 
 
@@ -285,16 +286,17 @@ def _shape_fit(pixels: Floats, shape: Floats) -> tuple[Floats, Floats]:
     return np.asarray(change, np.float64), np.asarray(lopsided, np.float64)
 
 
-def spatial_scatter(x_px: Floats) -> Floats:
+def spatial_scatter(x_px: Floats, *, between_frames: bool) -> Floats:
     """Scatter of each sheet's position against its neighbours', px, (N,).
 
     From fourth differences along n, which a motion smooth in n hardly has, of second differences in time over
-    up to 16 frames without a slip: sheets that creep or jump by amounts of their own do not enter. Unlike the
-    scatter from frame to frame it sees errors that a codec carries from one frame into the next. NaN with
-    fewer than five sheets, and where slips leave too few frames between them.
+    up to 4 frames without a slip, or 16 where a codec carries content between frames: sheets that creep or
+    jump by amounts of their own do not enter. Unlike the scatter from frame to frame it sees errors that a
+    codec carries from one frame into the next. NaN with fewer than five sheets, and where slips leave too few
+    frames between them.
     """
     sheets = x_px.shape[1]
-    second = _BetweenSlips(x_px).second(LAGS) if sheets >= len(FOURTH) else x_px[:0]
+    second = _BetweenSlips(x_px).second(LAGS[between_frames]) if sheets >= len(FOURTH) else x_px[:0]
     if not len(second):
         return np.full(sheets, np.nan)
     return np.asarray(np.pad(_deviation(_fourth(second)), 2, mode="edge"), np.float64)
@@ -440,7 +442,7 @@ def shared_error(x_px: Floats, *, between_frames: bool) -> float:
 
     A motion that the codec leaves out wholly in every sheet shows nowhere.
     """
-    found = _shared(x_px)
+    found = _shared(x_px, between_frames=between_frames)
     held = (found.missing, found.lasting) if between_frames else ()
     return float(np.linalg.norm((found.together, *held)))
 
@@ -448,7 +450,7 @@ def shared_error(x_px: Floats, *, between_frames: bool) -> float:
 def left_out(x_px: Floats) -> float:
     """What a codec left out of the motion that all sheets share, over what is left of it, see
     `shared_error`."""
-    found = _shared(x_px)
+    found = _shared(x_px, between_frames=True)
     return found.missing / max(found.seen, 1e-9)
 
 
@@ -462,11 +464,11 @@ class _Shared(NamedTuple):
     seen: float
 
 
-def _shared(x_px: Floats) -> _Shared:
+def _shared(x_px: Floats, *, between_frames: bool) -> _Shared:
     if x_px.shape[1] < len(FOURTH) + 3 or len(x_px) < FAR[-1] + LEAST_FRAMES:
         return _Shared(0.0, 0.0, 0.0, 0.0)
     sticks = _BetweenSlips(x_px)
-    second = sticks.second(LAGS)
+    second = sticks.second(LAGS[between_frames])
     own = _deviation_of_all(_fourth(second)) ** 2
     together = max(0.0, _deviation_of_all(second - nan_median(second, axis=1)[:, None]) ** 2 - own)
     common = nan_median(sticks.x_px, axis=1)[:, None]

@@ -297,7 +297,8 @@ def _errors(
     noise still holds whole grey levels.
     """
     new = np.where(frozen[:, None], np.nan, x)
-    noise_px, scatter_px = position_noise(x[~frozen]), spatial_scatter(new)
+    between_frames = codec in BETWEEN_FRAMES
+    noise_px, scatter_px = position_noise(x[~frozen]), spatial_scatter(new, between_frames=between_frames)
     with np.errstate(divide="ignore", invalid="ignore"):
         per_grey = err / noise
     whole_levels = 0.05  # grey: noise of a profile drawn without any, averaged over some rows
@@ -305,7 +306,6 @@ def _errors(
     err = np.maximum(err, 1e-4)
     predicted = nan_median(np.where(np.isfinite(new), err, np.nan))
     measured = np.where(np.isfinite(scatter_px), scatter_px, np.fmax(noise_px, predicted))
-    between_frames = codec in BETWEEN_FRAMES
     known = np.isfinite(measured)
     if between_frames and known.any():  # one quantiser for all sheets
         measured = np.full_like(measured, np.sqrt(np.mean(measured[known] ** 2)))
