@@ -586,6 +586,33 @@ def test_every_control_and_picture_has_a_name(browser, pulled_page):
     visit.context.close()
 
 
+def test_an_answer_about_an_earlier_value_settles_nothing(browser, pulled_page):
+    """A failure means that a decision can be kept beside the effect of another."""
+    visit = Visit(browser, pulled_page)
+    visit.page.click("#decide-axis")
+    visit.effect()
+    late = visit.page.evaluate(
+        """async () => {
+          const form = review.decisions, ask = review.preview;
+          const asked = new Promise((here) => {
+            const old = { lines: ["of an earlier value"] };
+            review.preview = () => new Promise((answer) => here(() => answer(old)));
+          });
+          form.changed(true);
+          const answer = await asked;  // the first question is on its way
+          review.preview = ask;
+          form.changed();              // and the value is changed before it is answered
+          answer();
+          await Promise.resolve(); await Promise.resolve();
+          return [form.ready, form.form.querySelector("#effect").textContent];
+        }"""
+    )
+    assert late[0] is False
+    assert "earlier" not in late[1]
+    assert "earlier" not in visit.effect()
+    visit.context.close()
+
+
 def test_a_second_window_is_told_of_the_first(browser, pulled_page):
     """A failure means that two people undo each other's decisions without knowing."""
     first, second = Visit(browser, pulled_page), Visit(browser, pulled_page)

@@ -232,6 +232,7 @@ export class Decisions {
   /** Asks for the effect, soon: a slider moves faster than any answer. */
   changed(atOnce = false) {
     this.endTrial();
+    this.asked += 1; // an answer on its way is about what stood there before
     this.enable(false);
     this.view.changed();
     clearTimeout(this.timer);
