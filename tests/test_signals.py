@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 from scipy.signal import find_peaks
 
-from vision.signals import apart, find_maxima, running_mean, running_median
+from vision.signals import apart, find_maxima, half_widths, running_mean, running_median
 
 
 @pytest.mark.parametrize("size", [1, 2, 5, 6, 9])
@@ -35,6 +35,6 @@ def test_maxima_apart_are_those_of_scipy(seed):
 def test_a_width_is_that_at_half_the_height():
     """A failure means that windows of fits, which follow the ridges' width, are too narrow or too wide."""
     line = 5 + 80 * np.exp(-((np.arange(200) - 100.0) ** 2) / (2 * 6.0**2))
-    at, _, width = find_maxima(line, least_prominence=1.0, reach=200)
-    assert at.tolist() == [100]
-    assert width[0] == pytest.approx(2.3548 * 6.0, rel=5e-3)
+    found = find_maxima(line, least_prominence=1.0, reach=200)
+    assert found.at.tolist() == [100]
+    assert half_widths(line, found)[0] == pytest.approx(2.3548 * 6.0, rel=5e-3)

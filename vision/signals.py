@@ -57,13 +57,10 @@ class Maxima(NamedTuple):
     prominence
         Height above the higher of the lowest points on both sides, each within reach and before anything
         higher.
-    width
-        At half the prominence.
     """
 
     at: Ints
     prominence: Floats
-    width: Floats
 
 
 def find_maxima(
@@ -88,7 +85,7 @@ def find_maxima(
 
     Notes
     -----
-    The same as `scipy.signal.find_peaks` with a window of ``2 reach + 1`` and ``rel_height=0.5``.
+    The same as `scipy.signal.find_peaks` with a window of ``2 reach + 1``.
     Between two neighbouring extrema a line only rises or only falls, so that it is enough to go from one
     minimum to the next.
     """
@@ -108,11 +105,23 @@ def find_maxima(
     some, left = some[high], left[high]
     right = ground.lowest(some, starts, to_right=True)
     prominence = level[top[some]] - np.maximum(left, right)
-    some, prominence = some[prominence >= least_prominence], prominence[prominence >= least_prominence]
-    half = line[at[some]] - 0.5 * prominence
+    enough = prominence >= least_prominence
+    return Maxima(at[some[enough]], prominence[enough])
+
+
+def half_widths(line: NDArray[np.floating], maxima: Maxima) -> Floats:
+    """Widths of maxima at half their prominence, as `scipy.signal.peak_widths`, (K,).
+
+    Parameters
+    ----------
+    line
+        The line in which they were found.
+    maxima
+        From `find_maxima`.
+    """
+    half = line[maxima.at] - 0.5 * maxima.prominence
     with np.errstate(invalid="ignore"):  # a line may end in -inf
-        width = _to_half(line, at[some], half, -1) + _to_half(line, at[some], half, 1)
-    return Maxima(at[some], prominence, width)
+        return _to_half(line, maxima.at, half, -1) + _to_half(line, maxima.at, half, 1)
 
 
 class _Ground(NamedTuple):

@@ -8,7 +8,7 @@ from tests.scenes.combs import CONTRAST, comb, ridges, strip
 from vision.errors import InputError
 from vision.sheets import track_sheets
 from vision.sheets.ridges import describe_ridges, find_ridges, profile_noise
-from vision.signals import find_maxima
+from vision.signals import find_maxima, half_widths
 
 FRAMES, SHEETS, PITCH, FWHM = 40, 16, 20.0, 7.0
 
@@ -88,7 +88,7 @@ def test_maxima_are_those_of_scipy(seed):
         at, facts = find_peaks(line, prominence=least, width=0.0, rel_height=0.5, **limits)
         np.testing.assert_array_equal(found.at, at)
         np.testing.assert_array_equal(found.prominence, facts["prominences"])
-        np.testing.assert_allclose(found.width, facts["widths"], atol=1e-11)
+        np.testing.assert_allclose(half_widths(line, found), facts["widths"], atol=1e-11)
 
 
 @pytest.mark.parametrize("sheets", [3, 4, 5])

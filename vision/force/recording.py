@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.data import FORCE, ForceMetadata, record
 from vision.errors import InputError
@@ -311,9 +312,12 @@ def find_spikes(
     sawtooth stay, because that median follows them.
     """
     middle = running_median(y, 5)
+    off = np.abs(y - middle) - settings.spike_sigmas * sigma
     # The corner of a steep sawtooth also lies off the median, by at most two rises between samples: the usual
     # ones, or those around it where the recording was sampled more slowly.
     rise = np.abs(np.diff(middle, append=middle[-1:]))
-    rise = 2.0 * np.maximum(running_median(rise, 101), np.median(rise))
-    is_spike = np.abs(y - middle) > settings.spike_sigmas * sigma + rise
+    suspect = np.flatnonzero(off > 2.0 * np.median(rise))
+    around, is_spike = sliding_window_view(np.pad(rise, 50, "edge"), 101), np.zeros(y.size, np.bool_)
+    for some in np.array_split(suspect, suspect.size // 65_536 + 1):  # so that memory does not grow with them
+        is_spike[some] = off[some] > 2.0 * np.median(around[some], axis=1)
     return is_spike, np.where(is_spike, middle, y)

@@ -18,7 +18,7 @@ from vision.data import TrackMetadata
 from vision.errors import InputError
 from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, Ints
 from vision.sheets.settings import DEFAULT, TrackingSettings
-from vision.signals import find_maxima
+from vision.signals import find_maxima, half_widths
 
 Polarity = Literal["bright", "dark"]
 
@@ -230,7 +230,9 @@ def _measure_within(
     walled = np.pad(line, ((0, 0), (1, 1)), constant_values=line.min())
     floor = _noise_floor(noise, sigma, settings)
     reach = walled.shape[1] if reach_px is None else reach_px
-    at, prominence, widths = find_maxima(walled.ravel(), least_prominence=floor, reach=reach)
+    maxima = find_maxima(walled.ravel(), least_prominence=floor, reach=reach)
+    at, prominence = maxima
+    widths = half_widths(walled.ravel(), maxima)
     frame = at // walled.shape[1]
     upper = float(np.quantile(prominence, 0.9)) if len(prominence) else np.inf
     strength = np.where(prominence >= 0.3 * upper, prominence, 0.0)
@@ -319,12 +321,14 @@ def _find_block(profile: Floats32, start: int, comb: RidgeComb, settings: Tracki
     reach_px = max(4, round(settings.surroundings_widths * comb.fwhm_px))
     walled = np.pad(_smoothed(profile * comb.sign, smoothing_px), ((0, 0), (1, 1)), mode="edge")
     walled[:, [0, -1]] += 1  # a wall is no ridge, and what slopes up to it is none either
-    at, prominence, widths = find_maxima(
+    maxima = find_maxima(
         walled.ravel(),
         least_prominence=threshold,
         reach=reach_px,
         widest=reach_px,  # a wider plateau is flat background, whose prominence is not defined
     )
+    at, prominence = maxima
+    widths = half_widths(walled.ravel(), maxima)
     frame, x = np.divmod(at, walled.shape[1])
     fwhm = np.sqrt(np.maximum(widths**2 - (FWHM * smoothing_px) ** 2, 0.25))
     keep = (fwhm >= settings.narrowest_widths * comb.fwhm_px) & (
