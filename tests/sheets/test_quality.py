@@ -9,7 +9,7 @@ from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import brightness
 from vision.data import TrackMetadata
 from vision.sheets import TrackingSettings, track_sheets
-from vision.sheets.quality import repeated_frames, shared_error, spatial_scatter
+from vision.sheets.quality import BetweenSlips, repeated_frames, shared_error, spatial_scatter
 from vision.summary import tracking_warnings
 
 
@@ -59,7 +59,7 @@ def test_scatter_between_sheets_sees_errors_that_persist():
     """Errors carried from frame to frame for ten frames: the scatter in time misses them."""
     rng = np.random.default_rng(5)
     x = comb(2000, slip=0.3) + np.repeat(rng.normal(0, 0.1, (200, 50)), 10, axis=0)
-    assert np.median(spatial_scatter(x, between_frames=True)) == pytest.approx(0.1, rel=0.1)
+    assert np.median(spatial_scatter(BetweenSlips(x), between_frames=True)) == pytest.approx(0.1, rel=0.1)
 
 
 def test_sheets_that_move_each_in_its_own_way_do_not_scatter():
@@ -70,8 +70,8 @@ def test_sheets_that_move_each_in_its_own_way_do_not_scatter():
     slips = np.cumsum(np.arange(400) % 40 == 39)[:, None]
     moving = 20 * np.arange(50) + own * (0.2 * np.arange(400)[:, None] - 8 * slips)
     x = moving + rng.normal(0, 0.02, moving.shape)
-    assert np.median(spatial_scatter(x, between_frames=True)) == pytest.approx(0.02, rel=0.1)
-    assert np.hypot(0.02, shared_error(x, between_frames=True)) == pytest.approx(0.02, rel=0.1)
+    assert np.median(spatial_scatter(BetweenSlips(x), between_frames=True)) == pytest.approx(0.02, rel=0.1)
+    assert np.hypot(0.02, shared_error(BetweenSlips(x), between_frames=True)) == pytest.approx(0.02, rel=0.1)
     straight = x - np.median(x, axis=0)
     assert np.std(straight[:, 2:-2] - (straight[:, 1:-3] + straight[:, 3:-1]) / 2) > 5 * 0.02
 
@@ -80,8 +80,8 @@ def test_a_scatter_needs_frames_between_slips():
     """A comb that slips in every other frame leaves none to compare: nothing is stated, and nothing fails."""
     slips = np.cumsum(np.where(np.arange(30) % 2, 0.01, 5.0))[:, None] * np.linspace(0.5, 1, 12)
     x = 20 * np.arange(12) + slips
-    assert np.isnan(spatial_scatter(x, between_frames=True)).all()
-    assert shared_error(x, between_frames=True) == 0
+    assert np.isnan(spatial_scatter(BetweenSlips(x), between_frames=True)).all()
+    assert shared_error(BetweenSlips(x), between_frames=True) == 0
 
 
 def filmed(seed=5, shake=0.05):
@@ -95,19 +95,19 @@ def filmed(seed=5, shake=0.05):
 def test_noise_that_differs_from_sheet_to_sheet_is_not_shared():
     """A failure means that motion, of sheets or of the camera, is taken for errors of a codec."""
     moving, noise = filmed()
-    assert shared_error(moving + noise, between_frames=True) < 0.3 * 0.02
+    assert shared_error(BetweenSlips(moving + noise), between_frames=True) < 0.3 * 0.02
 
 
 def test_errors_that_neighbours_share_are_counted():
     """Blocks that hold three sheets each: fourth differences see less than there is."""
     moving, noise = filmed()
     blocks = np.repeat(np.random.default_rng(1).normal(0, 0.04, (400, 17)), 3, axis=1)[:, :50]
-    seen = np.median(spatial_scatter(moving + noise + blocks, between_frames=True))
+    seen = np.median(spatial_scatter(BetweenSlips(moving + noise + blocks), between_frames=True))
     there = np.hypot(0.02, 0.04)
     assert seen < 0.8 * there
-    assert np.hypot(seen, shared_error(moving + noise + blocks, between_frames=True)) == pytest.approx(
-        there, rel=0.15
-    )
+    assert np.hypot(
+        seen, shared_error(BetweenSlips(moving + noise + blocks), between_frames=True)
+    ) == pytest.approx(there, rel=0.15)
 
 
 @pytest.mark.parametrize("skipped", [0.3, 0.5])
@@ -120,8 +120,10 @@ def test_a_shaking_that_a_codec_leaves_out_in_part_is_counted(skipped):
     odd = (np.arange(398) % 2 == 0)[:, None]
     shown[1:-1] = np.where(blocks & odd, between, shown[1:-1])
     there = np.std((shown - moving)[1:-1])
-    seen = np.sqrt(np.mean(spatial_scatter(shown, between_frames=True) ** 2))
-    assert np.hypot(seen, shared_error(shown, between_frames=True)) == pytest.approx(there, rel=0.15)
+    seen = np.sqrt(np.mean(spatial_scatter(BetweenSlips(shown), between_frames=True) ** 2))
+    assert np.hypot(seen, shared_error(BetweenSlips(shown), between_frames=True)) == pytest.approx(
+        there, rel=0.15
+    )
 
 
 def slipping(slip_widths, *, fwhm=7.0, frames=240, seed=0):

@@ -24,7 +24,7 @@ from vision.run import RunFolder, read_strip, read_table
 from vision.run.overlay import film_of
 from vision.run.reading import read_json, tracks_of
 from vision.sheets import TrackingSettings, track_sheets
-from vision.sheets.quality import left_out, spatial_scatter
+from vision.sheets.quality import BetweenSlips, left_out, spatial_scatter
 from vision.sheets.tracks import BETWEEN_FRAMES
 
 Progress = Callable[[int, int | None], None]
@@ -235,13 +235,11 @@ def certify(
         # What the codec left out of the camera's shaking must be there to be left out again. A part of what
         # all sheets do in single frames is no motion but the noise of their median: π/2 of a mean's variance.
         x_px = np.asarray(tracks["x_px"].values, float)
-        noise = (
-            np.nan_to_num(nan_median(spatial_scatter(x_px, between_frames=True)[None], axis=1)[0]) ** 2
-            * 1.57
-            / x_px.shape[1]
-        )
+        between = BetweenSlips(x_px)
+        scatter = float(np.nan_to_num(nan_median(spatial_scatter(between, between_frames=True))))
+        noise = 1.57 * scatter**2 / x_px.shape[1]
         moved = max(0.0, 1 - noise / max(float(np.var(like.common_px)), 1e-12))
-        more = left_out(x_px) * np.sqrt(moved) * like.common_px
+        more = left_out(between) * np.sqrt(moved) * like.common_px
         like = replace(like, motion_px=like.motion_px + more[:, None])
         like = replace(
             like, encoder=encoder.fitted(like.film(like.motion_px, number=None).values, like.strip.values)

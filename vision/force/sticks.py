@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -385,14 +386,16 @@ def measure_sticks(
     sticks = _Sticks(v, p, corners.knee[1:-1], lag, settings)
     t_v, t_p, t_next = (np.interp(at, index, signal.time) for at in (v, p, v_next))
     ends = _ends(signal, sticks, t_v, t_p)
+    # by which a stick may rise beyond its last sample, and a wrong place of its corner moves the force there
+    rises = [np.abs(ends.slope) * signal.interval_at(at) for at in (v, p)]
     f_v, f_p = ends.f_v, ends.f_p
     if lag:
         load, there = _without_lowpass(signal, lag), (corners.middle, corners.valley - corners.peak)
-        held = _within_recorded(load, find_extremes(load.clean, *there), sticks, ends)
+        held = _within_recorded(load, find_extremes(load.clean, *there), ends, rises, settings)
         bent = np.isfinite(sticks.knee)
         f_v, f_p = (np.where(bent, one, line) for one, line in zip(held, (f_v, f_p), strict=True))
     else:
-        f_v, f_p = _within_recorded(signal, extremes, sticks, ends)
+        f_v, f_p = _within_recorded(signal, extremes, ends, rises, settings)
         f_v = np.where(recorded[:-1], extremes.low[:-1], f_v)
         f_p = np.where(recorded[1:], extremes.high[1:], f_p)
     place = np.where(recorded, _flat_top_error(signal, corners, extremes), corners.error)
@@ -402,9 +405,8 @@ def measure_sticks(
     last = np.interp(v_next[-1:], index, signal.travel) - compliance * signal.clean[int(v_next[-1])]
     relative = np.hypot(place[:-1], place[1:]) / (p - v)
     # Near a slow slip's extreme the load is level: the place of the corner does not matter there.
-    rise_v, rise_p = (np.abs(ends.slope) * signal.interval_at(at) for at in (v, p))
-    f_v_err = np.hypot(ends.error_v, np.where(recorded[:-1], 0, rise_v * place[:-1]))
-    f_p_err = np.hypot(ends.error_p, np.where(recorded[1:], 0, rise_p * place[1:]))
+    f_v_err = np.hypot(ends.error_v, np.where(recorded[:-1], 0, rises[0] * place[:-1]))
+    f_p_err = np.hypot(ends.error_p, np.where(recorded[1:], 0, rises[1] * place[1:]))
     table = pd.DataFrame(
         {
             "event": np.arange(v.size),
@@ -439,7 +441,7 @@ def _without_lowpass(signal: Signal, lag: float) -> Signal:
 
 
 def _within_recorded(
-    signal: Signal, extremes: Extremes, sticks: _Sticks, ends: _Ends
+    signal: Signal, extremes: Extremes, ends: _Ends, rises: Sequence[Floats], settings: ForceSettings
 ) -> tuple[Floats, Floats]:
     """Forces at the ends of the stick lines, held to what was recorded there.
 
@@ -448,8 +450,8 @@ def _within_recorded(
     Lines cut the corners of a curved stick: what was recorded holds, but for the noise of single samples.
     """
     highest, lowest = extremes.highest[1:], extremes.lowest[:-1]
-    rise_v, rise_p = (np.abs(ends.slope) * signal.interval_at(at) for at in (sticks.v, sticks.p))
-    spare = rise_v + sticks.settings.between_samples * np.maximum(highest - lowest, 0)
+    rise_v, rise_p = rises
+    spare = rise_v + settings.between_samples * np.maximum(highest - lowest, 0)
     f_v = np.fmax(ends.f_v, np.maximum(lowest - spare, signal.clean.min()))
     f_p = np.fmin(ends.f_p, np.minimum(highest + rise_p, signal.clean.max()))
     noise = 4 * signal.sigma  # by which the smallest of many samples may lie below the load itself

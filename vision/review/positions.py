@@ -39,7 +39,6 @@ FLAGS = (
 )
 """Words of `flag`, the worse the later: of several frames that share a pixel the worst is shown."""
 WHYS = ("", *DOUBTS)
-POSITIONED = (FLAGS.index("ok"), FLAGS.index("blurred"))
 DOUBTFUL = FLAGS.index("doubtful")
 CELLS = ("x_px", "err_px", "withheld_px", "flag", "why")
 """Arrays of (frame, sheet)."""

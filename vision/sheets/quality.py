@@ -286,28 +286,16 @@ def _shape_fit(pixels: Floats, shape: Floats) -> tuple[Floats, Floats]:
     return np.asarray(change, np.float64), np.asarray(lopsided, np.float64)
 
 
-def spatial_scatter(x_px: Floats, *, between_frames: bool) -> Floats:
-    """Scatter of each sheet's position against its neighbours', px, (N,).
-
-    From fourth differences along n, which a motion smooth in n hardly has, of second differences in time over
-    up to 4 frames without a slip, or 16 where a codec carries content between frames: sheets that creep or
-    jump by amounts of their own do not enter. Unlike the scatter from frame to frame it sees errors that a
-    codec carries from one frame into the next. NaN with fewer than five sheets, and where slips leave too few
-    frames between them.
-    """
-    sheets = x_px.shape[1]
-    second = _BetweenSlips(x_px).second(LAGS[between_frames]) if sheets >= len(FOURTH) else x_px[:0]
-    if not len(second):
-        return np.full(sheets, np.nan)
-    return np.asarray(np.pad(_deviation(_fourth(second)), 2, mode="edge"), np.float64)
-
-
-class _BetweenSlips:
-    """Positions (frame, N), and between which frames lies a slip: there sheets move by more than usual, and
-    neighbours alike; where a codec draws anew they do not."""
+class BetweenSlips:
+    """Positions (frame, N), NaN where missing or repeated, and between which frames lies a slip: there sheets
+    move by more than usual, and neighbours alike; where a codec draws anew they do not."""
 
     def __init__(self, x_px: Floats) -> None:
+        self.frames = len(x_px)
         self.x_px = x_px[np.isfinite(x_px).any(axis=1)]
+        self.slips = np.zeros(len(self.x_px), np.int64)
+        if x_px.shape[1] < len(FOURTH):
+            return
         step = np.diff(self.x_px, axis=0)
         size, apart = (nan_quantile(np.abs(part), 0.75, axis=1) for part in (step, _fourth(step)))
         slip = (size > 3 * nan_median(size[size > 0])) & (size > 3 * apart)
@@ -323,6 +311,21 @@ class _BetweenSlips:
             if calm.sum() >= LEAST_FRAMES:
                 return np.asarray((x[2 * lag :] - 2 * x[lag:-lag] + x[: -2 * lag])[calm] / np.sqrt(6))
         return x[:0]
+
+
+def spatial_scatter(positions: BetweenSlips, *, between_frames: bool) -> Floats:
+    """Scatter of each sheet's position against its neighbours', px, (N,).
+
+    From fourth differences along n, which a motion smooth in n hardly has, of second differences in time over
+    up to 4 frames without a slip, or 16 where a codec carries content between frames: sheets that creep or
+    jump by amounts of their own do not enter. Unlike the scatter from frame to frame it sees errors that a
+    codec carries from one frame into the next. NaN with fewer than five sheets, and where slips leave too few
+    frames between them.
+    """
+    sheets, second = positions.x_px.shape[1], positions.second(LAGS[between_frames])
+    if sheets < len(FOURTH) or not len(second):
+        return np.full(sheets, np.nan)
+    return np.asarray(np.pad(_deviation(_fourth(second)), 2, mode="edge"), np.float64)
 
 
 class SceneChange(NamedTuple):
@@ -409,13 +412,13 @@ def _sums(values: Floats) -> Floats:
     return np.asarray(total[SCENE_FRAMES:] - total[:-SCENE_FRAMES], np.float64)
 
 
-def shared_error(x_px: Floats, *, between_frames: bool) -> float:
+def shared_error(positions: BetweenSlips, *, between_frames: bool) -> float:
     r"""Error that neighbouring sheets share on compressed film, px.
 
     Parameters
     ----------
-    x_px
-        Positions (frame, N), NaN where missing or repeated.
+    positions
+        Of the sheets in all frames.
     between_frames
         Whether the codec carries content from frame to frame; else only the first part below counts.
 
@@ -442,15 +445,15 @@ def shared_error(x_px: Floats, *, between_frames: bool) -> float:
 
     A motion that the codec leaves out wholly in every sheet shows nowhere.
     """
-    found = _shared(x_px, between_frames=between_frames)
+    found = _shared(positions, between_frames=between_frames)
     held = (found.missing, found.lasting) if between_frames else ()
     return float(np.linalg.norm((found.together, *held)))
 
 
-def left_out(x_px: Floats) -> float:
+def left_out(positions: BetweenSlips) -> float:
     """What a codec left out of the motion that all sheets share, over what is left of it, see
     `shared_error`."""
-    found = _shared(x_px, between_frames=True)
+    found = _shared(positions, between_frames=True)
     return found.missing / max(found.seen, 1e-9)
 
 
@@ -464,25 +467,24 @@ class _Shared(NamedTuple):
     seen: float
 
 
-def _shared(x_px: Floats, *, between_frames: bool) -> _Shared:
-    if x_px.shape[1] < len(FOURTH) + 3 or len(x_px) < FAR[-1] + LEAST_FRAMES:
+def _shared(positions: BetweenSlips, *, between_frames: bool) -> _Shared:
+    if positions.x_px.shape[1] < len(FOURTH) + 3 or positions.frames < FAR[-1] + LEAST_FRAMES:
         return _Shared(0.0, 0.0, 0.0, 0.0)
-    sticks = _BetweenSlips(x_px)
-    second = sticks.second(LAGS[between_frames])
+    second = positions.second(LAGS[between_frames])
     own = _deviation_of_all(_fourth(second)) ** 2
     together = max(0.0, _deviation_of_all(second - nan_median(second, axis=1)[:, None]) ** 2 - own)
-    common = nan_median(sticks.x_px, axis=1)[:, None]
-    held_own = _held(sticks, _fourth(sticks.x_px))
-    held = min(held_own, _held(sticks, common))
-    seen = _deviation_of_all(sticks.second((1,), common))
+    common = nan_median(positions.x_px, axis=1)[:, None]
+    held_own = _held(positions, _fourth(positions.x_px))
+    held = min(held_own, _held(positions, common))
+    seen = _deviation_of_all(positions.second((1,), common))
     missing = min(seen * held / (1 - held), float(np.sqrt(own)))
     lasting = own * 0.6 * held_own / (1 - 0.6 * held_own)
     return _Shared(float(np.sqrt(together)), missing, float(np.sqrt(lasting)), seen)
 
 
-def _held(sticks: _BetweenSlips, values: Floats) -> float:
+def _held(positions: BetweenSlips, values: Floats) -> float:
     """Share by which values (frame, …) differ less after one frame than after some, in variance."""
-    near, *far = (_deviation_of_all(sticks.second((lag,), values)) ** 2 for lag in (1, *FAR))
+    near, *far = (_deviation_of_all(positions.second((lag,), values)) ** 2 for lag in (1, *FAR))
     far = [variance for variance in far if variance > 0]
     return float(np.clip(1 - near / np.mean(far), 0.0, 0.95)) if far else 0.0
 

@@ -17,6 +17,7 @@ from vision.sheets.identities import Identities, identify_sheets
 from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.quality import (
+    BetweenSlips,
     distortion,
     motion_blur,
     not_one_ridge,
@@ -298,7 +299,9 @@ def _errors(
     """
     new = np.where(frozen[:, None], np.nan, x)
     between_frames = codec in BETWEEN_FRAMES
-    noise_px, scatter_px = position_noise(x[~frozen]), spatial_scatter(new, between_frames=between_frames)
+    positions = BetweenSlips(new)
+    noise_px = position_noise(x[~frozen])
+    scatter_px = spatial_scatter(positions, between_frames=between_frames)
     with np.errstate(divide="ignore", invalid="ignore"):
         per_grey = err / noise
     whole_levels = 0.05  # grey: noise of a profile drawn without any, averaged over some rows
@@ -310,7 +313,7 @@ def _errors(
     if between_frames and known.any():  # one quantiser for all sheets
         measured = np.full_like(measured, np.sqrt(np.mean(measured[known] ** 2)))
     if codec in LOSSY:
-        measured = np.hypot(measured, shared_error(new, between_frames=between_frames))
+        measured = np.hypot(measured, shared_error(positions, between_frames=between_frames))
     else:
         more = nan_median(np.minimum(noise_px, scatter_px) / predicted)
         measured = predicted * (np.fmax(more, 1.0) if more < settings.most_correlated else 1.0)
