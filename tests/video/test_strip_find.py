@@ -7,7 +7,7 @@ import tifffile
 
 from tests.scenes.films import comb
 from vision.errors import InputError
-from vision.video import find_strip, measure_strip, open_video, strip_profile
+from vision.video import VideoSettings, find_strip, measure_strip, open_video, strip_profile
 from vision.video.strip_find import lean_px, ridge_width_px
 
 DATA = Path(__file__).parents[2] / "../shared/data"
@@ -21,6 +21,7 @@ class Scene:
 
     pixels: np.ndarray
     path: Path = Path("scene")
+    rotate: int = 0
 
     @property
     def shape(self):
@@ -196,3 +197,23 @@ def test_frames_that_cannot_be_decoded_are_no_strip(tmp_path):
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"damaged\.tif"):
         find_strip(open_video(path))
+
+
+@pytest.mark.parametrize("noise", [1.0, 8.0])
+def test_level_ridges(noise):
+    """Failure: sheets that move along y are measured as if they stood upright, and nothing is said; or ridges
+    that stand upright, with a clamp and a label, are said to lie level."""
+    upright = scene(noise=noise)
+    level = Scene(upright.pixels.transpose(0, 2, 1), rotate=270)
+    assert find_strip(upright).warnings == ()
+    assert "give `rotate` 0" in find_strip(level).warnings[-1]
+    quiet = VideoSettings(max_level=1e9)
+    assert not any("rotate" in warning for warning in find_strip(level, settings=quiet).warnings)
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="real recordings are not here")
+@pytest.mark.parametrize("name", ["striped_beam.cine", "two_bands.cih", "sarcomeres.avi"])
+def test_real_recordings_that_move_along_y(name):
+    """Failure: the first run of a film that has to be turned does not say so."""
+    assert "give `rotate` 90" in find_strip(open_video(DATA / name)).warnings[-1]
+    assert not any("rotate" in told for told in find_strip(open_video(DATA / name, rotate=90)).warnings)

@@ -45,6 +45,12 @@ class VideoSettings:
     ridges, which cost precision; shown by
     test_leaning_too_far_is_reported_and_the_wrong_rows_are_worse."""
 
+    max_level: float = 2.0
+    """Mean square step of the grey level along z, in terms of that along x, above which a warning says that
+    the ridges may lie level. Larger keeps silent about films of sheets that move along y (2.6 to 60 in the
+    real ones), smaller warns of noise (1) and of real markers with level edges (1.0); test_level_ridges.
+    """
+
     edge_share: float = 0.08
     """Part of the frame's height left out where a strip of bowed ridges reaches its edge: there the bow moves
     positions most. Larger costs noise (a tenth at 0.08 on both edges), smaller leaves bias to the outer

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -260,12 +260,15 @@ class _Slopes:
     """Slopes along x of bands of rows in some frames.
 
     mean: (frame, band, x). difference: half the difference of odd and even rows, the same shape, noise alone.
-    band_rows: rows in a band.
+    band_rows: rows in a band. along_z, along_x: mean square steps of the grey level over 2 px, of every
+    second row.
     """
 
     mean: Floats32
     difference: Floats32
     band_rows: int
+    along_z: Floats
+    along_x: Floats
 
 
 def choose_strip(
@@ -326,7 +329,7 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
     slopes = _measure_slopes(video, slice(0, height), x, band_rows, settings)
     best = _best_run(slopes, settings)
     if best is None:
-        return Strip(slice(0, height), "all rows")
+        return _told_level(Strip(slice(0, height), "all rows"), slopes, video, settings)
     lean = lean_px(slopes.mean[:, best[0] : best[1]])
     first, last = _agreeing(slopes, *best, lean, settings)
     bottom = height if last == slopes.mean.shape[1] else last * band_rows
@@ -335,7 +338,22 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
     if strip_errors(row_shifts(bands, lean, settings), settings).bow_px > settings.edge_bow_px:
         rows = _off_edges(rows, height, settings)
     first, last = -(-rows.start // band_rows), max(rows.stop // band_rows, first + 1)
-    return _described(slopes, min(first, last - 1), last, Strip(rows, "found"), settings, lean=lean)
+    strip = _described(slopes, min(first, last - 1), last, Strip(rows, "found"), settings, lean=lean)
+    return _told_level(strip, slopes, video, settings)
+
+
+def _told_level(strip: Strip, slopes: _Slopes, video: Video, settings: VideoSettings) -> Strip:
+    """The strip, with a warning where the picture changes along z rather than along x."""
+    rows = slice(strip.rows.start // 2, strip.rows.stop // 2)
+    along_z, along_x = float(slopes.along_z[rows].mean()), float(slopes.along_x[rows].mean())
+    if along_z <= settings.max_level * along_x or not along_x:
+        return strip
+    warning = (
+        f"grey levels change {math.sqrt(along_z / along_x):.1f} times as much from row to row as along the "
+        "rows: the ridges may lie level, one above the other; if they do, give `rotate` "
+        f"{(video.rotate + 90) % 360}"
+    )
+    return replace(strip, warnings=(*strip.warnings, warning))
 
 
 def _off_edges(rows: slice, height: int, settings: VideoSettings) -> slice:
@@ -440,16 +458,31 @@ def _measure_slopes(
     slope = np.stack([_slope(halves, settings.slope_sigma_px) for halves in odd_even])
     odd, even = slope[:, 0], slope[:, 1]
     half = np.float32(0.5)
-    return _Slopes((odd + even) * half, (odd - even) * half, band_rows)
+    along_z, along_x = np.mean([_steps(frame[rows, columns]) for frame in frames], axis=0)
+    return _Slopes((odd + even) * half, (odd - even) * half, band_rows, along_z, along_x)
+
+
+def _steps(frame: Pixels) -> Floats:
+    """Mean square steps over 2 px along z and along x, (2, every second row); 2 px since interlaced rows of
+    both fields stand apart where sheets move."""
+    pixels = _known(frame[::2, ::2])
+    along_z, along_x = np.diff(pixels, axis=0, append=pixels[-1:]), np.diff(pixels, axis=1)
+    return np.stack([np.einsum("zx,zx->z", steps, steps) / steps.shape[1] for steps in (along_z, along_x)])
 
 
 def _odd_even(frame: Pixels, band_rows: int) -> Floats32:
     """Means of each band's odd and even rows, (2, band, x); rows that fill no band are left out."""
     bands = frame.shape[0] // band_rows
-    pixels = np.asarray(frame[: bands * band_rows], np.float32).reshape(bands, band_rows, -1)
+    pixels = _known(frame[: bands * band_rows]).reshape(bands, band_rows, -1)
+    return np.stack([pixels[:, 0::2].mean(axis=1), pixels[:, 1::2].mean(axis=1)])
+
+
+def _known(frame: Pixels) -> Floats32:
+    """Grey levels in single precision, 0 where there is none."""
+    pixels = np.asarray(frame, np.float32)
     if frame.dtype.kind == "f":  # NaN would hide all other pixels; single precision cannot square 1e20
         pixels = np.where(np.abs(pixels) < 1e15, pixels, np.float32(0))
-    return np.stack([pixels[:, 0::2].mean(axis=1), pixels[:, 1::2].mean(axis=1)])
+    return pixels
 
 
 def _slope(bands: Floats32, sigma_px: float) -> Floats32:
