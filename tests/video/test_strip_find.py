@@ -1,6 +1,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -197,6 +198,30 @@ def test_frames_that_cannot_be_decoded_are_no_strip(tmp_path):
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"damaged\.tif"):
         find_strip(open_video(path))
+
+
+@pytest.mark.parametrize("rows", [slice(5, 19), slice(62, 76), None])
+def test_rows_with_the_time_of_day_are_left_out(rows):
+    """Failure: letters that a camera wrote over the picture are taken for sheets and shift those below them.
+
+    Or rows are left out where nothing is written. With the setting out of reach the letters stay in."""
+    x, noise = np.arange(1280), np.random.default_rng(1)
+    ridges = 40 + 110 * np.exp(-((((x - 150) % 20) - 10) ** 2) / 23) * (abs(x - 650) < 500)
+    frames = (ridges + noise.normal(0, 3, (6, 80, 1280))).clip(0, 255).astype(np.uint8)
+    if rows is not None:
+        for frame in frames:
+            cv2.putText(
+                frame, "2024-05-12 14:30:05", (8, rows.stop - 1), cv2.FONT_HERSHEY_SIMPLEX, 0.6, 255, 2
+            )
+    found = find_strip(Scene(frames)).rows
+    if rows is None:
+        assert found == slice(0, 80)
+        return
+    assert found.stop <= rows.start or found.start >= rows.stop
+    assert found.stop - found.start >= 56
+    kept = find_strip(Scene(frames), settings=VideoSettings(label_power=1e9)).rows
+    assert kept.start < rows.stop
+    assert kept.stop > rows.start
 
 
 @pytest.mark.parametrize("noise", [1.0, 8.0])

@@ -40,9 +40,10 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
 
     Notes
     -----
-    The root mean square change from frame to frame is compared with that of the quietest tenth of the frames
-    that change at all. Noise alone makes a frame differ from the one before by √2 of its standard deviation,
-    within a few per cent; a frame that changes by much less repeats the one before.
+    By the root mean square change from the frame before. Noise alone makes a frame differ from the one before
+    by √2 of its standard deviation, within a few per cent; a frame that changes by much less than any other
+    of the quietest tenth repeats the one before. Without such a gap nothing is repeated: where the camera or
+    the sheets vibrate, frames near a turning point change by less than most, too.
     """
     change = np.empty(max(0, len(profile) - 1))
     for start in range(0, len(change), FRAMES_PER_BLOCK):
@@ -52,7 +53,10 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
     frozen = np.zeros(len(profile), bool)
     # a drawing without noise, or a still: nothing says that a frame should have changed
     if moving.size >= max(LEAST_FRAMES, settings.least_changing * len(change)):
-        frozen[1:] = change < settings.frozen_fraction * np.quantile(moving, 0.1)
+        quiet = np.sort(change[change <= np.quantile(moving, 0.1)])
+        gaps = np.flatnonzero(quiet[:-1] < settings.frozen_fraction * quiet[1:])
+        if gaps.size:
+            frozen[1:] = change <= quiet[gaps[-1]]
     return frozen
 
 

@@ -225,8 +225,9 @@ class TrackingSettings:
     # --- frames, blur and distortion (quality.py) ---
 
     frozen_fraction: float = 0.3
-    """Change from the frame before, as a fraction of the quietest frames', below which a frame repeats it.
-    Larger drops quiet frames, smaller misses repeated frames that a codec has touched up; test_quality.py."""
+    """Change from the frame before, as a fraction of what the quietest other frame changes by, below which a
+    frame repeats it. Larger drops quiet frames, smaller misses repeated frames that a codec has touched up;
+    test_quality.py."""
 
     least_changing: float = 0.1
     """Fraction of the frames that must differ from the one before for the others to be repeated ones."""

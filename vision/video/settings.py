@@ -45,6 +45,13 @@ class VideoSettings:
     ridges, which cost precision; shown by
     test_leaning_too_far_is_reported_and_the_wrong_rows_are_worse."""
 
+    label_power: float = 2.0
+    """Power of what single rows show beside the ridges, in terms of the ridges' own, above which it counts as
+    written over the picture, where it is in two segments or more. Letters have 3 to 6, the round ends of real
+    markers up to 1.7, sheets of paper 0.05 to 0.4; test_rows_with_the_time_of_day_are_left_out."""
+    label_least_rows: float = 1 / 3
+    """Rows with a label are left out only if this part of the strip is free of them. Larger keeps labels that
+    shift a few ridges, smaller pays for them with the noise of all."""
     max_level: float = 2.0
     """Mean square step of the grey level along z, in terms of that along x, above which a warning says that
     the ridges may lie level. Larger keeps silent about films of sheets that move along y (2.6 to 60 in the

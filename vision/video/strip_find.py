@@ -319,7 +319,8 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
 
     Of that run those bands are kept whose mean gives positions with the smallest error
     (`best_rows`): rows that see the ridges elsewhere, bowed, shaded or at the frame's edge, are
-    left out where the bias they bring is larger than the noise they save.
+    left out where the bias they bring is larger than the noise they save. So are rows with a label, such as
+    the time of day that cameras write into the picture.
     """
     height, width = video.shape
     x = cut(columns, width, what=f"{video.path}: `columns`")
@@ -329,9 +330,10 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
     slopes = _measure_slopes(video, slice(0, height), x, band_rows, settings)
     best = _best_run(slopes, settings)
     if best is None:
-        return _told_level(Strip(slice(0, height), "all rows"), slopes, video, settings)
+        whole = slice(0, height)
+        return _told_level(Strip(whole, "all rows"), slopes, whole, video, settings)
     lean = lean_px(slopes.mean[:, best[0] : best[1]])
-    first, last = _agreeing(slopes, *best, lean, settings)
+    first, last = _beside_labels(slopes, *_agreeing(slopes, *best, lean, settings), settings)
     bottom = height if last == slopes.mean.shape[1] else last * band_rows
     rows = slice(first * band_rows, bottom)
     bands = slopes.mean[:, first:last]
@@ -339,12 +341,12 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
         rows = _off_edges(rows, height, settings)
     first, last = -(-rows.start // band_rows), max(rows.stop // band_rows, first + 1)
     strip = _described(slopes, min(first, last - 1), last, Strip(rows, "found"), settings, lean=lean)
-    return _told_level(strip, slopes, video, settings)
+    return _told_level(strip, slopes, slice(best[0] * band_rows, best[1] * band_rows), video, settings)
 
 
-def _told_level(strip: Strip, slopes: _Slopes, video: Video, settings: VideoSettings) -> Strip:
-    """The strip, with a warning where the picture changes along z rather than along x."""
-    rows = slice(strip.rows.start // 2, strip.rows.stop // 2)
+def _told_level(strip: Strip, slopes: _Slopes, rows: slice, video: Video, settings: VideoSettings) -> Strip:
+    """The strip, with a warning where these rows change along z rather than along x."""
+    rows = slice(rows.start // 2, rows.stop // 2)
     along_z, along_x = float(slopes.along_z[rows].mean()), float(slopes.along_x[rows].mean())
     if along_z <= settings.max_level * along_x or not along_x:
         return strip
@@ -445,6 +447,26 @@ def _agreeing(
     return first + begin, first + end
 
 
+def _beside_labels(slopes: _Slopes, first: int, last: int, settings: VideoSettings) -> tuple[int, int]:
+    """The longest part of a run of bands in which nothing is written over the picture; all of it where that
+    is short. What is written is far steeper than ridges, in a few bands and in several segments along x."""
+    bands = slopes.mean[:, first:last]
+    starts = _segment_starts(bands.shape[-1], settings)
+    usual = np.median(bands, axis=1, keepdims=True)
+    ridges = np.median(np.add.reduceat(usual[:, 0] ** 2, starts, axis=-1), axis=0)
+    strange = np.median(np.add.reduceat((bands - usual) ** 2, starts, axis=-1), axis=0)
+    power = np.quantile(ridges[_shows_ridges(slopes, starts, settings)], settings.segment_cap)
+    segments = (strange - np.median(strange, axis=0) > settings.label_power * power).sum(axis=1)
+    written = (segments >= 2) & (segments <= starts.size / 2)
+    written[1:] |= written[:-1]  # letters end within a band
+    written[:-1] |= written[1:]
+    ends = np.concatenate([[-1], np.flatnonzero(written), [last - first]])
+    longest = int(np.argmax(np.diff(ends)))
+    begin, end = int(ends[longest]) + 1, int(ends[longest + 1])
+    kept = end - begin >= settings.label_least_rows * (last - first)
+    return (first + begin, first + end) if kept else (first, last)
+
+
 def _measure_slopes(
     video: Video, rows: slice, columns: slice, band_rows: int, settings: VideoSettings
 ) -> _Slopes:
@@ -505,7 +527,7 @@ def _slope(bands: Floats32, sigma_px: float) -> Floats32:
 def _best_run(slopes: _Slopes, settings: VideoSettings) -> tuple[int, int] | None:
     """Half-open run of bands with the highest score; None where none is above zero."""
     bands, width = slopes.mean.shape[1:]
-    starts = np.linspace(0, width, max(1, width // settings.segment_px) + 1).astype(np.int64)[:-1]
+    starts = _segment_starts(width, settings)
     sums = np.concatenate([np.zeros_like(slopes.mean[:, :1]), np.cumsum(slopes.mean, axis=1)], axis=1)
     noise = np.add.reduceat((slopes.difference**2).sum(axis=0), starts, axis=-1)
     noise_sums = np.concatenate([np.zeros_like(noise[:1]), np.cumsum(noise, axis=0)])
@@ -525,6 +547,10 @@ def _best_run(slopes: _Slopes, settings: VideoSettings) -> tuple[int, int] | Non
         if highest > score and _clarity(slopes, first, last) >= settings.min_clarity:
             best, score = (first, last), highest
     return best
+
+
+def _segment_starts(width: int, settings: VideoSettings) -> Ints:
+    return np.linspace(0, width, max(1, width // settings.segment_px) + 1).astype(np.int64)[:-1]
 
 
 def _shows_ridges(slopes: _Slopes, starts: Ints, settings: VideoSettings) -> Bools:
