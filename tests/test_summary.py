@@ -17,9 +17,11 @@ from vision.summary import (
     consistency_warnings,
     lowpass_correction,
     noise_figures,
+    overexposure,
     summary_lines,
     tracking_warnings,
 )
+from vision.video import VideoSettings
 
 PITCH, SHEETS, AXIS = 20.0, 50, 600.0
 
@@ -149,3 +151,18 @@ def test_the_load_cell_s_time_constant_is_said_in_ms(facts, said):
     sticks = pd.DataFrame()
     sticks.attrs |= StickMetadata(**facts).attrs()
     assert said in lowpass_correction(sticks)
+
+
+@pytest.mark.parametrize(
+    ("gain", "top", "told"), [(1.0, 255, 0), (2.2, 255, 1), (35.0, 4095, 1), (16.0, 4095, 0), (0.1, 255, 0)]
+)
+def test_an_overexposed_film_is_told(gain, top, told):
+    """Ridges whose tops the camera cut off, also one of 12 bits in a file of 16; not ridges that end below,
+    nor those of a film so dark that it has few grey levels."""
+    x, rng = np.arange(400), np.random.default_rng(0)
+    light = 40 + 110 * np.exp(-(((x % 20) - 10) ** 2) / 23) + rng.normal(0, 2, (60, 400))
+    frame = np.clip(light * gain, 0, top).astype(np.uint16)
+    settings = VideoSettings()
+    lines = overexposure(frame, slice(10, 50), settings)
+    assert [f"the brightest ({top})" in line for line in lines] == [True] * told
+    assert overexposure(frame, slice(10, 50), replace(settings, overexposed=1.1)) == []

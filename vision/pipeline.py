@@ -23,7 +23,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock, ClockSettings, synchronise
-from vision.data import ForceMetadata, warnings_of
+from vision.data import ForceMetadata, StripMetadata, warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import InputError, known_as
 from vision.escaping import html_table
@@ -44,7 +44,13 @@ from vision.sheets import (
 from vision.sheets.corrections import OF_SHEETS, last_of, ordered
 from vision.sheets.ridges import describe_ridges
 from vision.shells import ShellSettings, classify_shells
-from vision.summary import consistency_warnings, ridges_per_side, summary_lines, tracking_warnings
+from vision.summary import (
+    consistency_warnings,
+    overexposure,
+    ridges_per_side,
+    summary_lines,
+    tracking_warnings,
+)
 from vision.video import (
     Follow,
     ReadingLog,
@@ -569,6 +575,10 @@ def _warnings(found: Analysis) -> tuple[str, ...]:
     lines: list[str] = []
     if found.tracks is not None:
         lines += warnings_of(found.tracks)
+        if found.frame is not None:
+            strip = StripMetadata.of(found.tracks)
+            rows = slice(strip.strip_z0, strip.strip_z1)
+            lines += overexposure(found.frame, rows, found.settings.tuning.video)
         lines += tracking_warnings(found.tracks)
         # An assumed sample matters where models are fitted with it.
         assumed = PUBLISHED if found.fits is not None and found.settings.sample is None else None

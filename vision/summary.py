@@ -12,12 +12,13 @@ import xarray as xr
 
 from vision.data import StickMetadata, StripMetadata, TrackMetadata
 from vision.figures.labels import both_errors
-from vision.numeric import nan_median
+from vision.numeric import Pixels, nan_median
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
 from vision.sheets.recovery import stretches
 from vision.sheets.tracks import LOSSY
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
+from vision.video import VideoSettings
 
 if TYPE_CHECKING:
     from vision.clock import Clock
@@ -100,6 +101,23 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
             " (dirt, too faint?), or give their number (`sheets`)"
         )
     return lines
+
+
+def overexposure(frame: Pixels, rows: slice, settings: VideoSettings) -> list[str]:
+    """A warning where many of the pixels averaged are as bright as pixels get, and ridges have no tops.
+
+    Counted is what lies within 0.4 % of the brightest thousandth: a camera of 12 bits in a file of 16, or a
+    codec's white, ends below the file's own largest value.
+    """
+    pixels = frame[rows]
+    top = float(np.quantile(pixels, 0.999))
+    share = float((np.abs(pixels.astype(np.float32) - top) <= top / 255).mean())
+    if share < settings.overexposed or top < settings.few_levels:
+        return []
+    return [
+        f"{100 * share:.0f} % of the pixels averaged are as bright as the brightest ({top:.0f}): overexposed,"
+        " so that ridges lack their tops and x_err_px may be too small: film with less light"
+    ]
 
 
 def _hardly_any(tracks: xr.Dataset) -> str:

@@ -85,3 +85,15 @@ def test_a_film_without_ridges_is_refused_in_one_line(tmp_path, monkeypatch, cap
     assert run(["preview", "flat.tif"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
     assert not Path("flat_preview.png").exists()
+
+
+def test_warnings_about_light_and_strip_are_told(tmp_path, capsys):
+    """Failure: ten lines that look well, of an overexposed film, or of level bands."""
+    frames = frames_of(positions(60))
+    light = write_video(tmp_path / "light.tif", np.minimum(frames.astype(float) * 3, 255).astype(np.uint8))
+    bands = 80 + 60 * np.sin(np.arange(80) / 2)[:, None] + frames[:, :1] / 2
+    level = write_video(tmp_path / "level.tif", bands.clip(0, 255).astype(np.uint8))
+    assert run(["preview", str(light), "--fps", "20", "--out", str(tmp_path / "light.png")]) == 1
+    assert "overexposed" in capsys.readouterr().err
+    assert run(["preview", str(level), "--fps", "20", "--out", str(tmp_path / "level.png")]) == 1
+    assert "--rotate 90" in capsys.readouterr().err

@@ -49,7 +49,7 @@ from vision.sheets import pixel_size_from_pitch
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
 from vision.spacetime import space_time
-from vision.summary import flag_counts, frame_times, noise_figures, tracking_warnings
+from vision.summary import flag_counts, frame_times, noise_figures, overexposure, tracking_warnings
 from vision.video import Video, reference_frame, strip_profile
 from vision.video.strip import row_means
 from vision.video.strip_find import choose_strip
@@ -70,6 +70,7 @@ class Preview:
     strip: xr.DataArray
     tracks: xr.Dataset
     counts: Ints  # ridges in each of the frames spread over the film
+    warnings: tuple[str, ...]  # about the strip, the light, and positions in the frames that were tracked
 
 
 def preview(video: Path, reading: VideoOptions, config: Path | None, output: OutputOptions) -> int:
@@ -84,10 +85,7 @@ def preview(video: Path, reading: VideoOptions, config: Path | None, output: Out
         size = pixel_size_from_pitch(found.tracks, settings.pitch_um)
     with whole_file(target) as path:
         preview_figure(found.frame, found.strip, found.tracks, pixel_size_um=size).save(path)
-    # What is missing can only be known from all frames.
-    kept = [line for line in warnings_of(found.tracks) if "missing" not in line]
-    warnings = list(dict.fromkeys([*found.video.warnings, *kept, *tracking_warnings(found.tracks)]))
-    return conclude([*lines(found, size), f"picture    {target}"], warnings, quiet=output.quiet)
+    return conclude([*lines(found, size), f"picture    {target}"], found.warnings, quiet=output.quiet)
 
 
 def look(path: Path, settings: Settings) -> Preview:
@@ -100,7 +98,8 @@ def look(path: Path, settings: Settings) -> Preview:
     """
     film = open_recording(path, settings)
     strip_settings = settings.tuning.video
-    rows = choose_strip(film, settings.rows, columns=settings.columns, settings=strip_settings).rows
+    chosen = choose_strip(film, settings.rows, columns=settings.columns, settings=strip_settings)
+    rows = chosen.rows
     count = min(24, film.estimated or 24)  # the scatter of one position is then known to a seventh
     few = open_recording(path, replace(settings, frames=slice(film.first, film.first + count)))
     strip = strip_profile(few, rows, columns=settings.columns, settings=strip_settings)
@@ -111,7 +110,12 @@ def look(path: Path, settings: Settings) -> Preview:
     profile = row_means(np.stack([frame[rows, columns] for frame in spread]))
     comb = describe_ridges(profile, polarity=tracks.attrs["ridges"], settings=settings.tuning.tracking)
     ridges = find_ridges(profile, comb, settings=settings.tuning.tracking)
-    return Preview(film, reference_frame(few), strip, tracks, ridges.count)
+    frame = reference_frame(few)
+    # What is missing can only be known from all frames.
+    kept = [line for line in warnings_of(tracks) if "missing" not in line]
+    light = overexposure(frame, rows, strip_settings)
+    warnings = dict.fromkeys([*film.warnings, *chosen.warnings, *kept, *light, *tracking_warnings(tracks)])
+    return Preview(film, frame, strip, tracks, ridges.count, tuple(warnings))
 
 
 def lines(found: Preview, pixel_size_um: float | None) -> list[str]:

@@ -88,6 +88,15 @@ class VideoSettings:
     """Error from the choice of rows above which a warning is given. Smaller warns of ordinary bows, larger
     keeps silent about bias of several times the noise."""
 
+    # light
+    overexposed: float = 0.05
+    """Share of the strip's pixels as bright as the brightest from which a warning is given. Well exposed
+    films have 0.0002 to 0.002, the tops of drawn ridges without noise 0.03; larger keeps silent where more
+    than a pixel of each ridge is cut off (test_an_overexposed_film_is_told)."""
+    few_levels: float = 100.0
+    """Brightest pixel below which many are the brightest because levels are few, not the light too strong.
+    Smaller warns of films in the dark, larger keeps silent where a camera of few bits overflows."""
+
     # blank frames
     blank_contrast: float = 0.1
     """Frames with less than this part of the usual contrast are blank. Larger loses frames under a dimmed
