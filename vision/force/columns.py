@@ -103,22 +103,19 @@ def split_name(header: str) -> tuple[str, str]:
 class Table:
     """One block of numbers of a file with its header, before anything is known about its meaning."""
 
-    # names, units: one per column; units "" where none is written
-    names: tuple[str, ...]
-    units: tuple[str, ...]
+    names: tuple[str, ...]  # one per column
+    units: tuple[str, ...]  # "" where none is written
     numbers: Floats  # (rows, columns), NaN where a cell is empty or not a number
-    # how the file was read: layout, encoding, separator, decimal
-    facts: dict[str, str] = field(default_factory=dict)
+    facts: dict[str, str] = field(default_factory=dict)  # layout, encoding, separator, decimal
 
     def listing(self) -> str:
         """The columns for a message: 1 "Time" [s], 2 "Load" [N] …; the first value where there is no name."""
-        return ", ".join(self._label(k) for k in range(len(self.names)))
-
-    def _label(self, k: int) -> str:
-        if not self.names[k]:
+        shown = []
+        for k, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
             first = self.numbers[0, k] if len(self.numbers) else float("nan")
-            return f"{k + 1} (no name, starts {first:g})"
-        return f'{k + 1} "{self.names[k]}"' + (f" [{self.units[k]}]" if self.units[k] else "")
+            named = f'"{name}"' + (f" [{unit}]" if unit else "")
+            shown.append(f"{k + 1} " + (named if name else f"(no name, starts {first:g})"))
+        return ", ".join(shown)
 
 
 # --- roles --------------------------------------------------------------------------------------------------
@@ -128,13 +125,8 @@ def _set(words: str) -> frozenset[str]:
     return frozenset(words.split())
 
 
-_DIMENSION: dict[Role, Dimension] = {
-    "time": "time",
-    "load": "force",
-    "displacement": "length",
-    "video_time": "time",
-}
-_BASE: dict[Role, str] = {"time": "s", "load": "N", "displacement": "mm", "video_time": "s"}
+_DIMENSION = dict[Role, Dimension](time="time", load="force", displacement="length", video_time="time")
+_BASE = dict[Role, str](time="s", load="N", displacement="mm", video_time="s")
 _WORDS: dict[Role, frozenset[str]] = {
     "time": _set(
         "time timestamp datetime temps zeit uhrzeit zeitstempel tiempo hora heure laufzeit prufzeit messzeit"
@@ -253,8 +245,8 @@ def _guessed(path: Path, table: Table, role: Role) -> Column | None:
         candidates = [k for k in every if _fits_by_unit(table, role, k)]
     if not candidates:
         return None
-    best = min(_rank(table, role, k) for k in candidates)
-    chosen = [k for k in candidates if _rank(table, role, k) == best]
+    ranks = {k: _rank(table, role, k) for k in candidates}
+    chosen = [k for k in candidates if ranks[k] == min(ranks.values())]
     if len(chosen) > 1:
         several = ", ".join(f'{k + 1} "{table.names[k]}"' for k in chosen)
         raise InputError(path, f"one {role} column", f"{len(chosen)}: {several}", f"choose with {_ADVICE}")

@@ -12,10 +12,16 @@ import xarray as xr
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
 from vision.errors import InputError
 from vision.force.lines import fit_broken_lines, flat_ranges
-from vision.force.lowpass import SlipTransients, deconvolve_lowpass, estimate_lowpass
 from vision.force.recording import is_compression
 from vision.force.settings import ForceSettings
-from vision.force.slips import Slips, find_slips, stick_middles
+from vision.force.slips import (
+    Slips,
+    SlipTransients,
+    deconvolve_lowpass,
+    estimate_lowpass,
+    find_slips,
+    stick_middles,
+)
 from vision.force.sticks import Corners, Extremes, Signal, find_corners, find_extremes, measure_sticks
 from vision.numeric import Bools, Floats, nan_median
 
@@ -389,8 +395,8 @@ def _resolution(values: Floats) -> float:
 class Regime:
     """What kind of motion a recording shows."""
 
-    # "stick-slip", "oscillation" (rise and fall equally long, both rounded, a narrow line in the
-    # spectrum) or "cycles" (rise and fall equally long and both straight)
+    # "stick-slip"; or rise and fall equally long, "oscillation": both rounded, a narrow line in the spectrum,
+    # "cycles": both straight
     name: str
     fall_over_rise: float  # median duration of falls over that of rises
     line_share: float  # share of the load's variance within 20 % of the frequency of the slips

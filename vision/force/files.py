@@ -377,12 +377,8 @@ def _fit(cells: list[str], width: int) -> tuple[str, ...]:
 def _drop_empty(table: Table) -> Table:
     """Without the nameless columns that hold nothing: the trace of a separator at the end of each line."""
     keep = [k for k, name in enumerate(table.names) if name or np.isfinite(table.numbers[:, k]).any()]
-    return Table(
-        tuple(table.names[k] for k in keep),
-        tuple(table.units[k] for k in keep),
-        table.numbers[:, keep],
-        table.facts,
-    )
+    names, units = (tuple(part[k] for k in keep) for part in (table.names, table.units))
+    return Table(names, units, table.numbers[:, keep], table.facts)
 
 
 def _suffixed_column(path: Path, lines: list[str], encoding: str) -> Table:
@@ -398,10 +394,10 @@ def _suffixed_column(path: Path, lines: list[str], encoding: str) -> Table:
             "export the recording as text with one row per sample",
         )
     facts = {"layout": "one column", "encoding": encoding, "separator": "none", "decimal": "."}
-    if len(found) >= len(plain):
-        values = np.array([float(match["number"]) for match in found])
-        return Table(("",), (found[0]["unit"],), values[:, np.newaxis], facts)
-    return Table(("",), ("",), np.array([float(line) for line in plain])[:, np.newaxis], facts)
+    with_unit = len(found) >= len(plain)
+    numbers = [float(match["number"]) for match in found] if with_unit else [float(line) for line in plain]
+    unit = found[0]["unit"] if with_unit else ""
+    return Table(("",), (unit,), np.array(numbers)[:, np.newaxis], facts)
 
 
 # --- MATLAB -------------------------------------------------------------------------------------------------
