@@ -19,15 +19,18 @@ from vision.deformation.common_mode import (
 )
 from vision.deformation.creep import (
     Creep,
+    ErrorModel,
     LateSlips,
+    Noise,
     StickFrames,
     correct_pixel_locking,
     find_late_slips,
     fit_creep,
+    fixed_pattern_px,
     frames_of_sticks,
+    measure_noise,
     pixel_locking_slope,
 )
-from vision.deformation.noise import ErrorModel, Noise, fixed_pattern_px, measure_noise
 from vision.deformation.settings import DeformationSettings
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Ints, nan_median
