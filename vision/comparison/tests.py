@@ -166,15 +166,11 @@ def _csv(path: Path) -> pd.DataFrame:
         text = path.read_text(encoding="utf-8-sig")
         first = text.lstrip().partition("\n")[0]
         mark = max((",", ";", "\t"), key=first.count)
-        decimal = "." if mark == "," else ","
         rows = pd.read_csv(path, sep=mark, dtype=str, encoding="utf-8-sig", skipinitialspace=True)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(path, "a CSV table of tests", str(reason).lower()) from error
-    shown: pd.DataFrame = rows.apply(
-        lambda column: column.str.replace(",", ".") if decimal == "," else column
-    )
-    return shown
+    return rows if mark == "," else rows.apply(lambda column: column.str.replace(",", "."))
 
 
 def _numbers(

@@ -74,7 +74,7 @@ class Trend:
 
 def find_trends(
     table: pd.DataFrame,
-    settings: CompareSettings | None = None,
+    settings: CompareSettings = CompareSettings(),
     *,
     shared: Mapping[str, Floats] | None = None,
 ) -> tuple[Trend, ...]:
@@ -99,15 +99,14 @@ def find_trends(
     twenty claims any trend where there is none. An error of the geometry moves all tests of a sample
     together, which no permutation knows of: a slope within two of its systematic errors is not claimed.
     """
-    tuning = settings or CompareSettings()
     found = [
-        _trend(table, quantity, predictor, (shared or {}).get(quantity), tuning)
+        _trend(table, quantity, predictor, (shared or {}).get(quantity), settings)
         for quantity in QUANTITIES
         for predictor in PREDICTORS
     ]
     adjusted = holm(np.array([t.p if np.isnan(t.partial_p) else t.partial_p for t in found]))
     return tuple(
-        replace(t, p_adjusted=float(p), claimed=bool(p < tuning.significance and t.beyond_systematic))
+        replace(t, p_adjusted=float(p), claimed=bool(p < settings.significance and t.beyond_systematic))
         for t, p in zip(found, adjusted, strict=True)
     )
 
@@ -123,7 +122,7 @@ def holm(p: Floats) -> Floats:
 
 
 def _trend(
-    table: pd.DataFrame, quantity: str, predictor: str, shared: Floats | None, tuning: CompareSettings
+    table: pd.DataFrame, quantity: str, predictor: str, shared: Floats | None, settings: CompareSettings
 ) -> Trend:
     error_of = with_word(quantity, "err")
     y, error, x = (table[name].to_numpy(float) for name in (quantity, error_of, predictor))
@@ -134,10 +133,10 @@ def _trend(
         return Trend(**about, reason=f"{count} tests with both, at least {LEAST_TESTS} needed")
     if not np.ptp(x[known]) > 0:
         return Trend(**about, reason=f"{predictor} never changes")
-    rng = np.random.default_rng(tuning.seed)
+    rng = np.random.default_rng(settings.seed)
     moved = np.zeros((0, y.size)) if shared is None else np.nan_to_num(shared)
     line, covariance, scatter = weighted_fit(_design(x[known]), y[known], error[known])
-    rho, p = spearman(x[known], y[known], rng, tuning.draws)
+    rho, p = spearman(x[known], y[known], rng, settings.draws)
     found = Trend(
         **about,
         slope=float(line[1]),
@@ -162,7 +161,7 @@ def _trend(
         partial_slope=float(plane[1]),
         partial_slope_err=float(np.sqrt(covariance[1, 1])),
         partial_slope_systematic=_moved_slope(design, error, scatter, covariance, moved[:, known]),
-        partial_p=_partial_p(design, y, 1 / np.hypot(error, scatter), rng, tuning.draws),
+        partial_p=_partial_p(design, y, 1 / np.hypot(error, scatter), rng, settings.draws),
     )
 
 
@@ -225,7 +224,7 @@ def _t_of_slope(design: Floats, y: Floats) -> Floats:
     return np.asarray(value[:, 1] / (np.linalg.norm(inverse[1]) * np.maximum(spread, 1e-300)))
 
 
-# --- a change within one test ---
+# --- a change within one test -------------------------------------------------------------------------------
 
 LEAST_SIDE = 10  # events on either side of a change
 
@@ -262,7 +261,7 @@ class Irregularity:
     reason: str
 
 
-def find_irregular(test: TractionTest, settings: CompareSettings | None = None) -> Irregularity:
+def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettings()) -> Irregularity:
     r"""Where the scatter of ΔF changes for good.
 
     Parameters
@@ -280,24 +279,21 @@ def find_irregular(test: TractionTest, settings: CompareSettings | None = None) 
     by half or more, and two levels describe it better (BIC) than a smooth rise, as that of noise over a
     falling ΔF. Its error is the spread of the place over 200 bootstrap draws within the two parts.
     """
-    tuning = settings or CompareSettings()
     d, drop = test.column("d_v_mm"), test.column("dF_N")
     nan = float("nan")
     whole: dict[str, Any] = {"run": test.run, "speed_mm_min": test.speed_mm_min, "d_mm": d}
-    window = tuning.smooth_events | 1
+    window = settings.smooth_events | 1
     if d.size < max(2 * window, 2 * LEAST_SIDE + 1):
         unknown: dict[str, Any] = dict.fromkeys(("change_mm", "change_err_mm", "before", "after", "p"), nan)
         reason = f"{d.size} events, at least {2 * window} needed"
         return Irregularity(**whole, **unknown, variation=np.full(d.size, nan), reason=reason)
     r = drop / np.maximum(scipy.signal.savgol_filter(drop, window, 2), 1e-3 * float(drop.max())) - 1
     r *= 1 / np.sqrt(1 - _leverage(window))  # a smooth course takes part of the scatter with it
-    square = np.convolve(r**2, np.ones(window), "same") / np.convolve(
-        np.ones(d.size), np.ones(window), "same"
-    )
+    square, count = (np.convolve(part, np.ones(window), "same") for part in (r**2, np.ones(d.size)))
     level = np.log(np.abs(r) + 0.05 * float(np.median(np.abs(r))) + 1e-12)
     at = int(_splits(level[np.newaxis])[0])
-    rng = np.random.default_rng(tuning.seed)
-    draws = min(tuning.draws, 500)  # enough to tell 1 % from 2 %
+    rng = np.random.default_rng(settings.seed)
+    draws = min(settings.draws, 500)  # enough to tell 1 % from 2 %
     shuffled = rng.permuted(np.tile(level, (draws, 1)), axis=1)
     best = _gains(level[np.newaxis])[0].max()
     p = float((1 + np.sum(_gains(shuffled).max(axis=1) >= best)) / (draws + 1))
@@ -311,7 +307,7 @@ def find_irregular(test: TractionTest, settings: CompareSettings | None = None) 
         error = float(np.hypot(np.std(d[places]), np.median(np.diff(d))))
     return Irregularity(
         **whole,
-        variation=np.sqrt(square),
+        variation=np.sqrt(square / count),
         change_mm=nan if reason else float((d[at - 1] + d[at]) / 2),
         change_err_mm=error,
         before=both if reason else before,
@@ -349,9 +345,7 @@ def _steady_rise_is_better(level: Floats, d: Floats, at: int) -> bool:
     change counts as three parameters, since it is the best of many (Hall, Osborn & Sakkas 2013).
     """
     n = level.size
-    steps = float(
-        np.sum((level[:at] - level[:at].mean()) ** 2) + np.sum((level[at:] - level[at:].mean()) ** 2)
-    )
+    steps = sum(float(np.sum((part - part.mean()) ** 2)) for part in (level[:at], level[at:]))
     smooth = []
     for degree in (1, 2):
         curve = np.polynomial.Polynomial.fit(d, level, degree)
