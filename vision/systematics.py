@@ -47,14 +47,6 @@ SOURCES = {
     "pixel_size": "pixel size",
     "clock": "clock",
 }
-_FITTED = {
-    "mu": "mu",
-    "T0_N": "t0_N",
-    "A": "amplitude",
-    "N_hat_N": "n_hat_N",
-    "Y_eff_GPa": "modulus_GPa",
-    "Lambda_hat_mm": "scale_mm",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,11 +118,11 @@ def systematic_budget(results: Results) -> Budget:
         light = None if results.strip is None else uneven_light_px(results.strip, results.tracks)
         add("light", "x_px", light)
     if results.fits is not None:
-        for quantity, name in _FITTED.items():
-            estimate = getattr(results.fits, name)
+        fitted = results.fits.named()
+        for quantity, estimate in fitted.items():
             values[quantity], statistical[quantity] = estimate.value, estimate.error
         for source, parts in results.fits.budget.items():
-            for quantity in (*_FITTED, "K_N_per_mm"):
+            for quantity in (*fitted, "K_N_per_mm"):
                 add(source, quantity, parts[quantity])
     if results.sticks is not None and results.fits is not None:
         values["K_N_per_mm"] = float(nan_median(results.sticks["K_N_per_mm"].to_numpy(float)))

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from vision.errors import InputError
+from vision.errors import InputError, check_positive
 from vision.models.rheometer import ROTATION, RotationMetadata
 from vision.numeric import Floats, mad_sigma
 
@@ -164,10 +164,9 @@ def friction_curve(
     """
     ROTATION.check(rotation)
     about = f"{RotationMetadata.of(rotation).source}: {RotationMetadata.of(rotation).measurement}"
-    _positive(radius_mm, "radius_mm")
+    check_positive(radius_mm=radius_mm, normal_force_N=normal_force_N)
     rows = len(rotation)
     if normal_force_N is not None:
-        _positive(normal_force_N, "normal_force_N")
         load, error = np.full(rows, float(normal_force_N)), np.zeros(rows)
     elif "normal_force_N" not in rotation or rotation["normal_force_N"].isna().all():
         raise InputError(about, "a normal force", "none recorded", "give `normal_force_N`")
@@ -189,11 +188,6 @@ def friction_curve(
             "N_err_N": error,
         }
     )
-
-
-def _positive(value: float, name: str) -> None:
-    if not math.isfinite(value) or value <= 0:
-        raise InputError(f"`{name}`", "a positive number", f"{value!r}")
 
 
 def _running_load(rotation: pd.DataFrame, window_s: float) -> tuple[Floats, Floats]:
@@ -365,19 +359,11 @@ def _parabola(mu: Floats, peak: int, half: int, noise: float) -> tuple[float, fl
 def friction_table(measured: Iterable[DiscFriction]) -> pd.DataFrame:
     """One row per measurement: file, measurement, N_N, mu_s, mu_s_err, mu_d, mu_d_err, N_err_N, peak_deg,
     warnings."""
+    names = ("measurement", "N_N", "mu_s", "mu_s_err", "mu_d", "mu_d_err", "N_err_N", "peak_deg")
     rows = [
-        {
-            "file": Path(one.source).name,
-            "measurement": one.measurement,
-            "N_N": one.N_N,
-            "mu_s": one.mu_s,
-            "mu_s_err": one.mu_s_err,
-            "mu_d": one.mu_d,
-            "mu_d_err": one.mu_d_err,
-            "N_err_N": one.N_err_N,
-            "peak_deg": one.peak_deg,
-            "warnings": "; ".join(one.warnings),
-        }
+        {"file": Path(one.source).name}
+        | {name: getattr(one, name) for name in names}
+        | {"warnings": "; ".join(one.warnings)}
         for one in measured
     ]
     return pd.DataFrame(rows)

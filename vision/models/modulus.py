@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from vision.data import FORCE, Metadata, Schema, Variable, record
-from vision.errors import InputError
+from vision.errors import InputError, check_positive
 from vision.numeric import Floats, Ints
 from vision.sample import Sample
 from vision.signals import find_maxima, running_mean
@@ -255,8 +255,7 @@ def measure_cycles(
     Source: appendix "Single sheets characterization".
     """
     machine = machine_stiffness_N_per_mm
-    if machine is not None and (not math.isfinite(machine) or machine <= 0):
-        raise InputError("`machine_stiffness_N_per_mm`", "a positive number", f"{machine!r}")
+    check_positive(machine_stiffness_N_per_mm=machine)
     cycles, facts = _clean(force, sheet, clamp_distance_mm, machine or math.inf, settings)
     source = facts.source
     branches = _loading_branches(cycles)
@@ -277,23 +276,21 @@ def measure_cycles(
             "none",
             "is tension negative, or the recording too coarse?",
         )
-    if min(row["k_N_per_mm"] for row in rows) <= 0:
+    if (least := min(row["k_N_per_mm"] for row in rows)) <= 0:
         advice = "`machine_stiffness_N_per_mm` may be too small" if machine else "is tension negative?"
-        found = f"a slope of {min(row['k_N_per_mm'] for row in rows):.3g} N/mm"
+        found = f"a slope of {least:.3g} N/mm"
         raise InputError(source, "a force that rises with Δ on loading branches", found, advice)
     table = pd.DataFrame(rows)
     table.insert(0, "cycle", np.arange(1, len(rows) + 1))
     table["drift_N"] = table["F_max_N"].diff()
-    warnings = [*facts.warnings, *([f"{skipped} loading branches with too few samples"] if skipped else [])]
     stiffness = math.nan if machine is None else machine
-    notes = [*facts.notes, *_remarks(table, sheet, stiffness)]
-    meta = CyclesMetadata(
-        source=source,
+    few = [f"{skipped} loading branches with too few samples"] if skipped else []
+    meta = replace(
+        facts,
         sheet=(sheet.thickness_mm, sheet.width_mm, sheet.length_mm),
-        clamp_distance_from=facts.clamp_distance_from,
         machine_stiffness_N_per_mm=stiffness,
-        notes=notes,
-        warnings=warnings,
+        notes=[*facts.notes, *_remarks(table, sheet, stiffness)],
+        warnings=[*facts.warnings, *few],
     )
     table.attrs.update(meta.attrs())
     return record(table, "measure_cycles", machine_stiffness_N_per_mm=stiffness, part=settings.part)
@@ -323,8 +320,7 @@ def clamp_distance(
 
 def _origin(crosshead: Floats, sheet: Sample, clamp_distance_mm: float | None) -> str:
     if clamp_distance_mm is not None:
-        if not math.isfinite(clamp_distance_mm) or clamp_distance_mm <= 0:
-            raise InputError("`clamp_distance_mm`", "a positive number", f"{clamp_distance_mm!r}")
+        check_positive(clamp_distance_mm=clamp_distance_mm)
         return "given"
     return "column" if abs(float(np.median(crosshead)) - sheet.length_mm) < sheet.length_mm / 2 else "length"
 
@@ -368,8 +364,7 @@ def _branch(
     line = _line(delta[chosen], load[chosen])
     return {
         **_row(line, sheet),
-        **_loop(delta, load, smooth, start, stop, following),
-        "K_tangent_N_per_mm": math.nan if following is None else _tangent(cycles, stop, following),
+        **_unloading(cycles, start, stop, following),
         "t_start_s": float(cycles.time[start]),
         "t_end_s": float(cycles.time[stop]),
         "fit_from_mm": float(delta[chosen][0]),
@@ -377,15 +372,6 @@ def _branch(
         "F_max_N": float(smooth[start : stop + 1].max()),
         "samples": chosen.stop - chosen.start,
     }
-
-
-def _tangent(cycles: _Cycles, top: int, stop: int) -> float:
-    """Slope over the first fifth of the fall of the force, less what the turn itself blunts.
-
-    Friction within the sample has to turn back before anything slides: this is its stiffness as a whole.
-    """
-    part = _part(-cycles.smooth, top, stop, (0.05, 0.25))
-    return _line(cycles.delta[part], cycles.load[part]).slope if part.stop - part.start > 2 else math.nan
 
 
 def _clean(
@@ -484,18 +470,25 @@ def _row(line: _Line, sheet: Sample) -> dict[str, float]:
     }
 
 
-def _loop(
-    delta: Floats, load: Floats, smooth: Floats, start: int, top: int, stop: int | None
-) -> dict[str, float]:
-    """Energy lost between loading and unloading, and how far Δ at F = 0 has moved."""
-    loop_mJ = residual = math.nan
-    if stop is not None:
-        # Closed over the range of Δ that both branches cover: cycles need not return to where they began.
-        up, down = slice(start, top + 1), slice(top, stop + 1)
-        shared = max(float(delta[start]), float(delta[stop]))
-        loop_mJ = _work(delta[up], load[up], shared) + _work(delta[down], load[down], shared)
-        residual = _zero(delta[down][::-1], smooth[down][::-1]) - _zero(delta[up], smooth[up])
-    return {"loop_mJ": loop_mJ, "residual_mm": residual}
+def _unloading(cycles: _Cycles, start: int, top: int, stop: int | None) -> dict[str, float]:
+    """Energy lost between loading and unloading, how far Δ at F = 0 has moved, and the slope after the turn.
+
+    That slope is over the first fifth of the fall of the force, less what the turn itself blunts: friction
+    within the sample has to turn back before anything slides, so it is its stiffness as a whole.
+    """
+    if stop is None:
+        return dict.fromkeys(("loop_mJ", "residual_mm", "K_tangent_N_per_mm"), math.nan)
+    delta, load, smooth = cycles.delta, cycles.load, cycles.smooth
+    # Closed over the range of Δ that both branches cover: cycles need not return to where they began.
+    up, down = slice(start, top + 1), slice(top, stop + 1)
+    shared = max(float(delta[start]), float(delta[stop]))
+    turn = _part(-smooth, top, stop, (0.05, 0.25))
+    tangent = _line(delta[turn], load[turn]).slope if turn.stop - turn.start > 2 else math.nan
+    return {
+        "loop_mJ": _work(delta[up], load[up], shared) + _work(delta[down], load[down], shared),
+        "residual_mm": _zero(delta[down][::-1], smooth[down][::-1]) - _zero(delta[up], smooth[up]),
+        "K_tangent_N_per_mm": tangent,
+    }
 
 
 def _work(delta: Floats, load: Floats, above: float) -> float:

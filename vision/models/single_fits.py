@@ -22,6 +22,15 @@ from vision.numeric import Bools, Floats
 from vision.sample import Sample
 
 FAILURES = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)  # of a fit to strange events
+PARAMETERS = {
+    "mu": "mu",
+    "T0_N": "t0_N",
+    "A": "amplitude",
+    "N_hat_N": "n_hat_N",
+    "Y_eff_GPa": "modulus_GPa",
+    "Lambda_hat_mm": "scale_mm",
+}
+"""Names in models.json of what is fitted, and the fields of `ModelFits`."""
 LARGEST_SCALE = 20.0  # Λ̂ over d at which K no longer falls as M_eff does: a limit, not a result
 
 
@@ -112,6 +121,10 @@ class ModelFits:
     input_errors: Mapping[str, float] = field(default_factory=dict)
     budget: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
 
+    def named(self) -> dict[str, Estimate]:
+        """What is fitted, by the names in models.json."""
+        return {name: getattr(self, part) for name, part in PARAMETERS.items()}
+
     def reduced_separation(self, d_mm: ArrayLike) -> Floats:
         """Separation over Lambda-hat, without unit."""
         return np.asarray(d_mm, float) / self.scale_mm.value
@@ -136,17 +149,10 @@ class ModelFits:
         return float(np.mean([good.chi2_dof for good in self.goodness.values()]))
 
     def _repr_html_(self) -> str:
-        named = {
-            "μ": (self.mu, ""),
-            "𝒯0": (self.t0_N, "N"),
-            "A": (self.amplitude, ""),
-            "N̂": (self.n_hat_N, "N"),
-            "Y_eff": (self.modulus_GPa, "GPa"),
-            "Λ̂": (self.scale_mm, "mm"),
-        }
+        shown = (("μ", ""), ("𝒯0", "N"), ("A", ""), ("N̂", "N"), ("Y_eff", "GPa"), ("Λ̂", "mm"))
         rows = {
             name: f"{one.value:.5g}" + (f" ± {one.error:.2g}" if np.isfinite(one.error) else "") + f" {unit}"
-            for name, (one, unit) in named.items()
+            for (name, unit), one in zip(shown, self.named().values(), strict=True)
         }
         rows["d"] = f"{self.d_mm[0]:.2f} to {self.d_mm[1]:.2f} mm"
         rows |= {
@@ -158,15 +164,7 @@ class ModelFits:
 
     def to_json(self) -> dict[str, Any]:
         """The content of models.json: values with errors, how well they fit, and the sample; no NaN in it."""
-        named = {
-            "mu": self.mu,
-            "T0_N": self.t0_N,
-            "A": self.amplitude,
-            "N_hat_N": self.n_hat_N,
-            "Y_eff_GPa": self.modulus_GPa,
-            "Lambda_hat_mm": self.scale_mm,
-            "bending_length_mm": self.bending_mm,
-        }
+        named = self.named() | {"bending_length_mm": self.bending_mm}
         if np.isfinite(self.t_star_N.error):
             named["T_star_N"] = self.t_star_N
         content = {
@@ -198,7 +196,7 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-# --- single fits ---
+# --- single fits --------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,14 @@ spring-block model"; Elmer 1997.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from vision.errors import InputError
+from vision.errors import InputError, check_positive
 from vision.numeric import Bools, Floats
 
 
@@ -49,11 +49,9 @@ class SpringBlock:
     mu_dynamic: float
 
     def __post_init__(self) -> None:
-        for part in fields(self):
-            value = getattr(self, part.name)
-            least = "zero or more" if part.name == "mu_dynamic" else "a positive number"
-            if not math.isfinite(value) or value < 0 or (value == 0 and part.name != "mu_dynamic"):
-                raise InputError(f"`{part.name}`", least, f"{value!r}")
+        check_positive(**{name: value for name, value in vars(self).items() if name != "mu_dynamic"})
+        if not 0 <= self.mu_dynamic < math.inf:
+            raise InputError("`mu_dynamic`", "zero or more", f"{self.mu_dynamic!r}")
         if self.mu_dynamic >= self.mu_static:
             raise InputError("`mu_dynamic`", f"less than μ_s = {self.mu_static:g}", f"{self.mu_dynamic:g}")
 
@@ -313,10 +311,7 @@ class RateState:
     critical_length_um: float
 
     def __post_init__(self) -> None:
-        for part in fields(self):
-            value = getattr(self, part.name)
-            if not math.isfinite(value) or value <= 0:
-                raise InputError(f"`{part.name}`", "a positive number", f"{value!r}")
+        check_positive(**vars(self))
         if self.b <= self.a:
             raise InputError("`b`", f"more than a = {self.a:g}", f"{self.b:g}")
 
