@@ -244,9 +244,21 @@ def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event:
 
 def deformation_figure(motion: xr.Dataset, *, threshold: float = 0.1) -> Figure:
     """σ_x over stick length against the sheet's number for a few separations, with standard errors."""
+    chosen = np.flatnonzero(np.isfinite(motion["ratio"].to_numpy()).any(axis=1))
+    if chosen.size:
+        chosen = chosen[np.unique(np.linspace(0, chosen.size - 1, 5).astype(int))]
+    numbers, order = signed_number(motion)
+    series = []
+    for k, (ink, place) in enumerate(zip(ordered_inks(chosen.size), chosen, strict=True)):
+        stick = motion.isel(event=place, sheet=order)
+        value, error = stick["ratio"].to_numpy(), stick["ratio_err"].to_numpy()
+        look: dict[str, Any] = {"look": "both", "hollow": k % 2 == 1, "width": 1.0}
+        look |= {"low": np.maximum(value - error, 0), "high": value + error}
+        label = f"d_v = {float(stick['d_v_mm']):.2f} mm"
+        series.append(Series(label=label, x=numbers, y=value, ink=ink, **look))
     return Figure.of(
         "deformation",
-        _ratio_panel(_ratios(motion), threshold),
+        _ratio_panel(tuple(series), threshold),
         "σ_x/Λ_st: RMS displacement over a stick, without camera noise and common-mode motion, over the "
         "length of the stick, with standard errors; sticks spread over the video, later ones brighter, every "
         f"other one hollow. Shaded: below {threshold:g}, where a sheet counts as stiff.",
@@ -263,23 +275,6 @@ def _ratio_panel(series: tuple[Series, ...], threshold: float) -> Panel:
         bands=(Band(low=0.0, high=threshold, label=f"stiff (below {threshold:g})"),),
         whole_numbers=True,
     )
-
-
-def _ratios(motion: xr.Dataset) -> tuple[Series, ...]:
-    """The ratio of a few sticks from first to last, with standard errors."""
-    chosen = np.flatnonzero(np.isfinite(motion["ratio"].to_numpy()).any(axis=1))
-    if chosen.size:
-        chosen = chosen[np.unique(np.linspace(0, chosen.size - 1, 5).astype(int))]
-    numbers, order = signed_number(motion)
-    series = []
-    for k, (ink, place) in enumerate(zip(ordered_inks(chosen.size), chosen, strict=True)):
-        stick = motion.isel(event=place, sheet=order)
-        value, error = stick["ratio"].to_numpy(), stick["ratio_err"].to_numpy()
-        look: dict[str, Any] = {"look": "both", "hollow": k % 2 == 1, "width": 1.0}
-        look |= {"low": np.maximum(value - error, 0), "high": value + error}
-        label = f"d_v = {float(stick['d_v_mm']):.2f} mm"
-        series.append(Series(label=label, x=numbers, y=value, ink=ink, **look))
-    return tuple(series)
 
 
 def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = 0.1) -> Figure | None:
