@@ -51,20 +51,12 @@ SOURCES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Budget:
-    """Errors of the quantities that a run has, in their units.
-
-    Parameters
-    ----------
-    values, statistical
-        Quantity (a key of `QUANTITIES`) to its value and standard error: of positions and of σ_x/Λ_st the
-        median of the standard errors. NaN where not known.
-    sources
-        Source (as in `SOURCES`) to what it contributes to each quantity; None where that is not known, no
-        entry where it has no part in it.
-    """
+    """Errors of the quantities that a run has (keys of `QUANTITIES`), in their units; NaN where not known."""
 
     values: Mapping[str, float]
-    statistical: Mapping[str, float]
+    statistical: Mapping[str, float]  # standard errors; of positions and of σ_x/Λ_st their median
+    # source (as in `SOURCES`) to what it contributes to each quantity; None where that is not known, no entry
+    # where it has no part in it
     sources: Mapping[str, Mapping[str, float | None]]
 
     def total(self, quantity: str) -> float:

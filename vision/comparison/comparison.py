@@ -178,10 +178,7 @@ def _sharing_geometry(tests: Sequence[TractionTest]) -> tuple[TractionTest, ...]
 
 
 def _modulus(
-    tests: Sequence[TractionTest],
-    main_sample: str | None,
-    given: float | None,
-    settings: CompareSettings,
+    tests: Sequence[TractionTest], main_sample: str | None, given: float | None, settings: CompareSettings
 ) -> tuple[Estimate, tuple[str, ...]]:
     if given is not None:
         if not 0 < given < 1e6:

@@ -55,33 +55,19 @@ class CompareSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class TestFit:
-    """What one test gives with T* and Y_eff fixed.
-
-    Parameters
-    ----------
-    values
-        μ, 𝒯0, A, N̂ and Λ̂ by their names in tests.csv, with standard errors; N̂ and Λ̂ are NaN where K is not
-        that of M_eff sheets with this Y_eff.
-    shifts
-        Source of a systematic error to by how much it moves each of them (one standard error of the source):
-        "d0" is the test's own, "Y_eff" all tests share, others belong to the sample.
-    chi2_dof
-        Squared deviation from the models over that between neighbouring events, mean of the three fits.
-    peak_scatter
-        Root mean square deviation of the peaks from the fit, as a share of them.
-    used
-        Which events.
-    notes
-        What limits the result.
-    """
+    """What one test gives with T* and Y_eff fixed."""
 
     __test__ = False
+    # μ, 𝒯0, A, N̂ and Λ̂ by their names in tests.csv, with standard errors; N̂ and Λ̂ are NaN where K is not that
+    # of M_eff sheets with this Y_eff
     values: Mapping[str, Estimate]
+    # source of a systematic error to by how much it moves each of them (one standard error of the source):
+    # "d0" is the test's own, "Y_eff" all tests share, others belong to the sample
     shifts: Mapping[str, Mapping[str, float]]
-    chi2_dof: float
-    peak_scatter: float
-    used: Bools = field(repr=False)
-    notes: tuple[str, ...] = ()
+    chi2_dof: float  # squared deviation over that between neighbouring events, mean of the three fits
+    peak_scatter: float  # root mean square deviation of the peaks from the fit, as a share of them
+    used: Bools = field(repr=False)  # which events
+    notes: tuple[str, ...] = ()  # what limits the result
 
     @property
     def mu(self) -> Estimate:
@@ -107,33 +93,17 @@ class TestFit:
 class JointFriction:
     """One μ for several tests of one sample.
 
-    Parameters
-    ----------
-    sample
-        Name.
-    runs
-        Which tests.
-    mu
-        The common friction coefficient. Its error holds what differs from test to test: noise, each test's
-        d0, and what the tests' own μ differ by beyond that; the systematic one is that of the geometry, which
-        all tests of a sample share.
-    t0_N
-        Offset of each test.
-    at_limit
-        Runs whose offset is as large as it may be.
-    disagreement
-        χ²/dof of the tests' own μ about the common one.
-    amplitude
-        A, the weighted mean of the slow tests.
+    The error of μ holds what differs from test to test: noise, each test's d0, and what the tests' own μ
+    differ by beyond that; the systematic one is that of the geometry, which all tests of a sample share.
     """
 
-    sample: str
+    sample: str  # its name
     runs: tuple[str, ...]
     mu: Estimate
-    t0_N: tuple[float, ...]
-    at_limit: tuple[str, ...]
-    disagreement: float
-    amplitude: Estimate
+    t0_N: tuple[float, ...]  # offset of each test
+    at_limit: tuple[str, ...]  # runs whose offset is as large as it may be
+    disagreement: float  # χ²/dof of the tests' own μ about the common one
+    amplitude: Estimate  # A, the weighted mean of the slow tests
 
     @property
     def disagrees(self) -> bool:
@@ -418,26 +388,13 @@ def shared_shifts(tests: Sequence[TractionTest], fits: Sequence[TestFit], quanti
 
 @dataclass(frozen=True, kw_only=True)
 class Collapse:
-    """How well the tests fall on the master curve.
+    """How well the tests fall on the master curve; distances are root mean squares of K/K_eff, in sheets."""
 
-    Parameters
-    ----------
-    table
-        One row an event: ``run``, ``d_v_mm``, ``d_hat``, ``sheets`` (K/K_eff) and its error, ``model``.
-    common_scale_mm
-        The one Λ̂ that fits all tests best.
-    rms_before, rms_after
-        Root mean square distance of K/K_eff, in sheets, from the master curve with the one Λ̂, and with each
-        test's own.
-    rms_noise
-        What the scatter between neighbouring events alone gives.
-    """
-
-    table: pd.DataFrame
-    common_scale_mm: float
-    rms_before: float
-    rms_after: float
-    rms_noise: float
+    table: pd.DataFrame  # a row an event: run, d_v_mm, d_hat, sheets (K/K_eff), sheets_err, model
+    common_scale_mm: float  # the one Λ̂ that fits all tests best
+    rms_before: float  # from the master curve with the one Λ̂
+    rms_after: float  # and with each test's own
+    rms_noise: float  # what the scatter between neighbouring events alone gives
 
 
 def collapse(tests: Sequence[TractionTest], fits: Sequence[TestFit], modulus: Estimate) -> Collapse | None:

@@ -21,48 +21,26 @@ LEAST_TESTS = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Trend:
-    """One quantity against one predictor.
+    """One quantity against one predictor."""
 
-    Parameters
-    ----------
-    quantity, predictor
-        Columns of tests.csv.
-    tests
-        How many have both.
-    slope, slope_err, slope_systematic, intercept
-        Weighted line, on its own; the systematic error is that of the geometry and Y_eff.
-    scatter
-        Standard deviation from test to test about the line, beyond the tests' own errors.
-    spearman, p
-        Rank correlation, and how often random orders correlate as well.
-    partial_slope, partial_slope_err, partial_slope_systematic, partial_p
-        With the other predictor held fixed; NaN where that is not known.
-    p_adjusted
-        Of the partial slope where there is one, else of the rank correlation, times the number of trends
-        looked at (Holm).
-    claimed
-        Whether `p_adjusted` is below the significance, and the slope beyond its systematic errors.
-    reason
-        Why there is no trend at all; "" where it was looked for.
-    """
-
-    quantity: str
+    quantity: str  # columns of tests.csv
     predictor: str
-    tests: int
-    slope: float = np.nan
+    tests: int  # how many have both
+    slope: float = np.nan  # weighted line, on its own
     slope_err: float = np.nan
-    slope_systematic: float = np.nan
+    slope_systematic: float = np.nan  # error of the geometry and Y_eff
     intercept: float = np.nan
-    scatter: float = np.nan
-    spearman: float = np.nan
-    p: float = np.nan
-    partial_slope: float = np.nan
+    scatter: float = np.nan  # standard deviation of tests about the line, beyond their own errors
+    spearman: float = np.nan  # rank correlation
+    p: float = np.nan  # how often random orders correlate as well
+    partial_slope: float = np.nan  # with the other predictor held fixed; NaN where that is not known
     partial_slope_err: float = np.nan
     partial_slope_systematic: float = np.nan
     partial_p: float = np.nan
+    # of the partial slope where there is one, else of the rank correlation, times the trends looked at (Holm)
     p_adjusted: float = np.nan
-    claimed: bool = False
-    reason: str = ""
+    claimed: bool = False  # `p_adjusted` is below the significance, the slope beyond its systematic errors
+    reason: str = ""  # why there is no trend at all; "" where it was looked for
 
     @property
     def beyond_systematic(self) -> bool:
@@ -231,34 +209,18 @@ LEAST_SIDE = 10  # events on either side of a change
 
 @dataclass(frozen=True, kw_only=True)
 class Irregularity:
-    """Running coefficient of variation of ΔF, and where it changes.
-
-    Parameters
-    ----------
-    run, speed_mm_min
-        Of the test.
-    d_mm, variation
-        Separation of each event and the running coefficient of variation there.
-    change_mm, change_err_mm
-        Where it rises, and its standard error; NaN where there is no change.
-    before, after
-        Coefficient of variation on either side; the same where there is no change.
-    p
-        How often a test without a change looks as changed as this one.
-    reason
-        Why there is no change point; "" where there is one.
-    """
+    """Running coefficient of variation of ΔF, and where it changes."""
 
     run: str
     speed_mm_min: float
-    d_mm: Floats = field(repr=False)
-    variation: Floats = field(repr=False)
-    change_mm: float
+    d_mm: Floats = field(repr=False)  # separation of each event
+    variation: Floats = field(repr=False)  # running coefficient of variation there
+    change_mm: float  # where it rises; NaN where there is no change
     change_err_mm: float
-    before: float
+    before: float  # coefficient of variation on either side; the same where there is no change
     after: float
-    p: float
-    reason: str
+    p: float  # how often a test without a change looks as changed as this one
+    reason: str  # why there is no change point; "" where there is one
 
 
 def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettings()) -> Irregularity:
@@ -288,7 +250,8 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
         reason = f"{d.size} events, at least {2 * window} needed"
         return Irregularity(**whole, **unknown, variation=np.full(d.size, nan), reason=reason)
     r = drop / np.maximum(scipy.signal.savgol_filter(drop, window, 2), 1e-3 * float(drop.max())) - 1
-    r *= 1 / np.sqrt(1 - _leverage(window))  # a smooth course takes part of the scatter with it
+    own = scipy.signal.savgol_coeffs(window, 2)[window // 2]  # share of its own value in the smoothed one
+    r *= 1 / np.sqrt(1 - own)  # a smooth course takes part of the scatter with it
     square, count = (np.convolve(part, np.ones(window), "same") for part in (r**2, np.ones(d.size)))
     level = np.log(np.abs(r) + 0.05 * float(np.median(np.abs(r))) + 1e-12)
     at = int(_splits(level[np.newaxis])[0])
@@ -315,13 +278,6 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
         p=p,
         reason=reason,
     )
-
-
-def _leverage(window: int) -> float:
-    """Share of its own value in the smoothed one."""
-    unit = np.zeros(2 * window + 1)
-    unit[window] = 1
-    return float(scipy.signal.savgol_filter(unit, window, 2)[window])
 
 
 def _gains(level: Floats) -> Floats:

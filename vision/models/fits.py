@@ -96,7 +96,10 @@ def fit_models(
     FORCE.check(force)
     _check_force(force)
     held = _held(mu, modulus_GPa)
-    errors = _geometry_errors(geometry_err)
+    errors = dict(geometry_err or {})
+    for name, value in errors.items():
+        if name not in _GEOMETRY or not 0 <= value < np.inf:
+            raise InputError("`geometry_err`", f"errors of {', '.join(_GEOMETRY)}", f"{name}: {value!r}")
     whole = _usable(sticks, sample, force)
     doubt = _doubtful_units(whole, sample, force)
     with np.errstate(all="ignore"):  # fits may stray; what comes out is checked
@@ -135,13 +138,6 @@ def _held(mu: float | None, modulus_GPa: float | None) -> dict[str, float]:
     check_positive(mu=mu, modulus_GPa=modulus_GPa)
     held = {"mu": mu, "modulus_GPa": modulus_GPa}
     return {name: float(value) for name, value in held.items() if value is not None}
-
-
-def _geometry_errors(given: Mapping[str, float] | None) -> dict[str, float]:
-    for name, value in (given or {}).items():
-        if name not in _GEOMETRY or not 0 <= value < np.inf:
-            raise InputError("`geometry_err`", f"errors of {', '.join(_GEOMETRY)}", f"{name}: {value!r}")
-    return dict(given or {})
 
 
 def _undetermined(reason: str, doubt: str = "") -> InputError:

@@ -553,19 +553,15 @@ def mean_over_cycles(cycles: pd.DataFrame, column: str) -> MeanValue:
     if not values.size:
         return MeanValue(value=math.nan, error=math.nan, scatter=math.nan)
     scatter = float(values.std(ddof=1)) if values.size > 1 else math.nan
-    given = _error_of(column)
+    # Y_p_err_GPa from Y_p_GPa: the unit comes last.
+    unit = next((unit for unit in ("_N_per_mm", "_GPa", "_N", "_mm", "_mJ") if column.endswith(unit)), "")
+    given = f"{column.removesuffix(unit)}_err{unit}"
     fitted = 0.0
     if given in cycles:
         errors = cycles[given].to_numpy(float)
         fitted = float(np.sqrt(np.nansum(errors**2))) / values.size
     spread = scatter / math.sqrt(values.size) if values.size > 1 else 0.0
     return MeanValue(value=float(values.mean()), error=max(fitted, spread) or math.nan, scatter=scatter)
-
-
-def _error_of(column: str) -> str:
-    """Y_p_err_GPa from Y_p_GPa: the unit comes last."""
-    unit = next((unit for unit in ("_N_per_mm", "_GPa", "_N", "_mm", "_mJ") if column.endswith(unit)), "")
-    return f"{column.removesuffix(unit)}_err{unit}"
 
 
 def summarise_modulus(cycles: pd.DataFrame) -> dict[str, MeanValue]:

@@ -95,13 +95,7 @@ _QUANTITIES = (
         "N",
     ),
     _Quantity("time_s", ("time", "zeit", "temps"), ("date", "stamp"), _TIME, "s"),
-    _Quantity(
-        "speed_rad_s",
-        (),
-        ("shear",),
-        _SPEED,
-        with_unit=("speed", "drehzahl", "vitesse", "velocity"),
-    ),
+    _Quantity("speed_rad_s", (), ("shear",), _SPEED, with_unit=("speed", "drehzahl", "vitesse", "velocity")),
 )
 _MARKS = ("Project:", "Test:", "Result:", "Interval and data points:", "Interval data:")
 _STEP = "[step]"  # of a TRIOS export: before the step's name, its columns, their units and the rows
@@ -156,7 +150,9 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
             _tried(path, block)
     rotations = _joined(blocks)
     if not rotations:
-        raise InputError(path, "a rotation", _nothing(blocks), "export torque and deflection angle")
+        problems = list(dict.fromkeys(block.problem for block in blocks if block.problem))
+        found = "; ".join(problems[:3]) or "no rows of numbers"
+        raise InputError(path, "a rotation", found, "export torque and deflection angle")
     left_out = _left_out(blocks, {k: _words(lines[k], _separator(lines[k]))[1] for k in results})
     return [_finished(path, parts, blocks, left_out) for parts in rotations]
 
@@ -500,8 +496,3 @@ def _finished(path: Path, parts: list[_Block], blocks: list[_Block], left_out: S
     table = table[columns]
     table.attrs.update(facts.attrs())
     return record(table, "read_rheometer", path=str(path))
-
-
-def _nothing(blocks: list[_Block]) -> str:
-    lines = list(dict.fromkeys(block.problem for block in blocks if block.problem))
-    return "; ".join(lines[:3]) or "no rows of numbers"

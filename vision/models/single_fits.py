@@ -45,21 +45,12 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Goodness:
-    """How well one model follows its points.
+    """How well one model follows its points."""
 
-    Parameters
-    ----------
-    points
-        How many.
-    scatter
-        Root mean square of the deviation over the model.
-    chi2_dof
-        Squared deviations over the point-to-point scatter of neighbours, which knows no model: about 1 where
-        the model's shape is right, more where it is not.
-    """
-
-    points: int
-    scatter: float
+    points: int  # how many
+    scatter: float  # root mean square of the deviation over the model
+    # squared deviations over the point-to-point scatter of neighbours, which knows no model: about 1 where
+    # the model's shape is right, more where it is not
     chi2_dof: float
 
 
@@ -244,16 +235,12 @@ def fit_weighted(
     bread = np.linalg.pinv(jacobian.T @ jacobian)
     meat = jacobian.T @ (jacobian * residual[:, np.newaxis] ** 2)
     free = max(y.size - value.size, 1)
-    goodness = _goodness(model(value), y, residual, free)
-    # Deviations that hang together from event to event count for fewer than they are.
-    wider = max(goodness.chi2_dof, 1.0) if np.isfinite(goodness.chi2_dof) else 1.0
-    return Fit(value, bread @ meat @ bread * (y.size / free * wider), goodness, residual)
-
-
-def _goodness(model: Floats, y: Floats, residual: Floats, free: int) -> Goodness:
     neighbours = float(np.sum(np.diff(residual) ** 2) / (2 * max(residual.size - 1, 1)))
     chi2 = float(np.sum(residual**2) / free / neighbours) if neighbours > 0 else float("nan")
-    return Goodness(int(y.size), float(np.sqrt(np.mean((y / model - 1) ** 2))), chi2)
+    goodness = Goodness(int(y.size), float(np.sqrt(np.mean((y / model(value) - 1) ** 2))), chi2)
+    # Deviations that hang together from event to event count for fewer than they are.
+    wider = max(chi2, 1.0) if np.isfinite(chi2) else 1.0
+    return Fit(value, bread @ meat @ bread * (y.size / free * wider), goodness, residual)
 
 
 def fit_peaks(events: pd.DataFrame, sample: Sample, free_t_star: bool, held: Mapping[str, float]) -> Fit:

@@ -69,26 +69,14 @@ class SpringBlock:
 
 @dataclass(frozen=True, kw_only=True)
 class StickSlipCycle:
-    """One period of the stationary motion; each field has the shape of the speeds it was computed for.
+    """One period of the stationary motion; each field has the shape of the speeds it was computed for."""
 
-    Parameters
-    ----------
-    stick_time_s, slip_time_s
-        t_st and t_sl.
-    slip_length_mm
-        Λ_sl = v t_sl, by which the spring's far end moves meanwhile.
-    lowest_elongation_mm, highest_elongation_mm
-        u0 at the end and μ_s w / k at the start of the slip.
-    force_drop_N
-        Δf = 2 (μ_s − μ_d) w.
-    """
-
-    stick_time_s: Floats
-    slip_time_s: Floats
-    slip_length_mm: Floats
-    lowest_elongation_mm: Floats
-    highest_elongation_mm: Floats
-    force_drop_N: Floats
+    stick_time_s: Floats  # t_st
+    slip_time_s: Floats  # t_sl
+    slip_length_mm: Floats  # Λ_sl = v t_sl, by which the spring's far end moves meanwhile
+    lowest_elongation_mm: Floats  # u0, at the end of the slip
+    highest_elongation_mm: Floats  # μ_s w / k, at its start
+    force_drop_N: Floats  # Δf = 2 (μ_s − μ_d) w
 
 
 def stick_slip(block: SpringBlock, speed_mm_s: ArrayLike) -> StickSlipCycle:
