@@ -312,7 +312,7 @@ def shell_sizes(
     they are taken to be misread. So are all sheets of an event where the ratio falls with n beyond chance
     even without the outliers.
     """
-    profiles = _crossing(tuple(side.n), threshold)
+    profiles = _Profiles.crossing(tuple(side.n), threshold)
     sheets = _Ratios.of(side, threshold, settings)
     sheets = replace(sheets, alone=_outliers(sheets, profiles.thinned()))
     relative = _likeliest_scatter(sheets, profiles.thinned())
@@ -341,8 +341,9 @@ class _Profiles:
     half_square: Floats32
 
     @classmethod
-    def crossing(cls, n: Floats, threshold: float) -> _Profiles:
-        """Curves at n (sheet,), from the centre outwards, that cross the threshold t at a place b.
+    @lru_cache(maxsize=4)  # for the next sticks of the same sheets; 4 MB each
+    def crossing(cls, sheets: tuple[float, ...], threshold: float) -> _Profiles:
+        """Curves at the sheets' numbers n, from the centre outwards, that cross the threshold t at a place b.
 
         t (c + (C - c) h/(1 + h)) with h ∝ max(1 + (n - b)/a, 0)^q: nothing moves up to b - a, then a power
         law, levelling off towards a ceiling C. Power laws through the centre (a = b, c = 0), flat cores with
@@ -350,6 +351,7 @@ class _Profiles:
         from inside the innermost to beyond the outermost sheet, are equally frequent, half a sheet apart
         where sheets are not very many.
         """
+        n = np.array(sheets)
         apart = max(0.5, (n[-1] - n[0]) / 120)
         place = np.arange(n[0] - 3, n[-1] + 6, apart) + apart / 2
         foot, bend = np.geomspace(0.6, 30, 7), (0.6, 1.4, 4.0)
@@ -407,12 +409,6 @@ class _Ratios:
     def about_profile(self, relative: float) -> Floats:
         """Variance of the measurements about the profile; inf for those that do not follow it."""
         return np.where(self.alone, np.inf, self.variance + self.scatter(self.usual, relative))
-
-
-@lru_cache(maxsize=4)
-def _crossing(n: tuple[float, ...], threshold: float) -> _Profiles:
-    """`_Profiles.crossing`, kept for the next sticks of the same sheets; 4 MB each."""
-    return _Profiles.crossing(np.array(n), threshold)
 
 
 def _blocks(events: int) -> Iterator[slice]:
