@@ -129,22 +129,9 @@ def usable_range(test: TractionTest) -> Bools:
 def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = CompareSettings()) -> TestFit:
     r"""μ, 𝒯0 and A of one test with T* fixed, Λ̂ and N̂ with Y_eff fixed.
 
-    Parameters
-    ----------
-    test
-        Of `read_tests`.
-    modulus
-        Y_eff in GPa with its error.
-    settings
-        Tunable constants.
+    test: of `read_tests`.  modulus: Y_eff in GPa with its error.  Raises: InputError for peaks that do not
+    fall with d.
 
-    Raises
-    ------
-    InputError
-        For peaks that do not fall with d.
-
-    Notes
-    -----
     .. math:: F_p = \mathcal T(d_p; \mu) + \mathcal T_0, \quad \Delta F = A\, \mathcal N(d_v; \mu), \quad
         K = M \sqrt{1 - d_v/\hat\Lambda}\; \epsilon W Y_\mathrm{eff} / L
 
@@ -214,15 +201,9 @@ def _n_hat(mu: Estimate, scale: Estimate, sample: Sample) -> Estimate:
 def systematic_shifts(test: TractionTest, fit: TestFit, modulus: Estimate, main: bool) -> TestFit:
     """The fit with what each error of d0, the geometry and Y_eff moves it by.
 
-    Parameters
-    ----------
-    test, fit
-        Of `fit_test`.
-    modulus
-        Y_eff; its systematic error is that of the main sample's geometry.
-    main
-        Whether the test is of the main sample: there K fixes Y_eff times the geometry, whose errors leave
-        Λ̂ as it is.
+    test, fit: of `fit_test`.  modulus: Y_eff; its systematic error is that of the main sample's geometry.
+    main: whether the test is of the main sample: there K fixes Y_eff times the geometry, whose errors leave
+    Λ̂ as it is.
     """
     events, sample = test.events[fit.used], test.sample
     shifts: dict[str, dict[str, float]] = {}
@@ -310,14 +291,7 @@ def fit_joint(
 ) -> JointFriction:
     """One μ for several tests, each with an offset 𝒯0 of its own within ±10 N.
 
-    Parameters
-    ----------
-    tests, fits
-        Which tests, and what each gives.
-    sample
-        Name.
-    settings
-        Tunable constants.
+    tests, fits: which, and what each gives.  sample: its name.
     """
     parts = []
     for test, fit in zip(tests, fits, strict=True):

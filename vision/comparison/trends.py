@@ -56,19 +56,10 @@ def find_trends(
     *,
     shared: Mapping[str, Floats] | None = None,
 ) -> tuple[Trend, ...]:
-    r"""All trends of a table of tests.
+    r"""All trends of a table of tests, tests.csv: the quantities with their errors, n_test and RH_percent.
 
-    Parameters
-    ----------
-    table
-        tests.csv: the quantities with their errors, n_test and RH_percent.
-    settings
-        Tunable constants.
-    shared
-        Of each quantity, what errors that several tests have in common move it by, (source, test).
+    shared: of each quantity, what errors that several tests have in common move it by, (source, test).
 
-    Notes
-    -----
     Weights are 1/(error² + s²), s the scatter between tests beyond their errors, found so that
     χ²/dof is 1 where it would be larger. The p value of Spearman's ρ is the share of random orders with a
     |ρ| as large. Partial slopes come from y = a + b₁ n_test + b₂ RH; their p value permutes the residuals of
@@ -226,15 +217,6 @@ class Irregularity:
 def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettings()) -> Irregularity:
     r"""Where the scatter of ΔF changes for good.
 
-    Parameters
-    ----------
-    test
-        Of `read_tests`.
-    settings
-        Tunable constants.
-
-    Notes
-    -----
     The relative deviation r of ΔF from its own smooth course has the running coefficient of variation
     √⟨r²⟩. The change point is the split that best divides log|r| into two levels, which single large events
     cannot mimic. It is claimed where fewer than 1 % of random orders of r divide as well, the scatter rises

@@ -432,19 +432,9 @@ def _left_to_right(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def loads_at(result: xr.Dataset, d_mm: ArrayLike) -> Floats:
-    """Loads in N at given separations, (d, sheet); the side after the slip where one happens at d.
+    """Loads in N of `pull_sheets` at given separations, (d, sheet); those after a slip that happens at d.
 
-    Parameters
-    ----------
-    result
-        Of `pull_sheets`.
-    d_mm
-        Within the pull.
-
-    Raises
-    ------
-    InputError
-        For separations outside the pull.
+    Raises: InputError for separations outside the pull.
     """
     known, wanted = result["d_mm"].values, np.atleast_1d(np.asarray(d_mm, float))
     if not ((wanted >= known[0]) & (wanted <= known[-1])).all():
@@ -461,17 +451,9 @@ def loads_at(result: xr.Dataset, d_mm: ArrayLike) -> Floats:
 def slip_share(result: xr.Dataset, d_v_mm: ArrayLike, d_p_mm: ArrayLike) -> xr.DataArray:
     """How far each sheet slipped within stretches of the pull, over their length: 0 stuck, 1 sliding.
 
-    Parameters
-    ----------
-    result
-        Of `pull_sheets`.
-    d_v_mm, d_p_mm
-        Ends of the stretches, such as the sticks of `vision.find_stick_slip` on the force.
-
-    Returns
-    -------
-    xarray.DataArray
-        (event, sheet): 1 − ΔT / (k Λ_st), with the load a sheet gained over what it gains where it sticks.
+    (event, sheet): 1 − ΔT / (k Λ_st), with the load a sheet gained over what it gains where it sticks.
+    result: of `pull_sheets`.  d_v_mm, d_p_mm: ends of the stretches, such as the sticks of
+    `vision.find_stick_slip`.
     """
     first, last = np.atleast_1d(np.asarray(d_v_mm, float)), np.atleast_1d(np.asarray(d_p_mm, float))
     if first.shape != last.shape or not (last > first).all():

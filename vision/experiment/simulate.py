@@ -139,21 +139,10 @@ def _check_folder(folder: Path, *, overwrite: bool) -> None:
 
 
 def force_recording(experiment: Experiment, pull: Pull) -> pd.DataFrame:
-    """What the machine records.
+    """What the machine records of a pull: columns time_s, crosshead_mm, load_N and video_time_s.
 
-    Parameters
-    ----------
-    experiment
-        For the load cell and the clocks.
-    pull
-        The exact force and separation.
-
-    Returns
-    -------
-    DataFrame
-        Columns time_s, crosshead_mm, load_N and video_time_s. The exact force goes through a first-order
-        low-pass on a time grid fine enough for the slip, is sampled, drifts, gets white noise and is rounded
-        to the quantum.
+    The exact force goes through a first-order low-pass on a time grid fine enough for the slip, is sampled,
+    drifts, gets white noise and is rounded to the quantum.
     """
     cell, rate = experiment.load_cell, experiment.clocks.force_rate_Hz
     finest = min(pull.settings.slip_s / 4, cell.lowpass_s / 5 or np.inf)
@@ -268,26 +257,10 @@ def write_video(
 ) -> Path:
     """Write every frame to folder/video.* and return its path.
 
-    Parameters
-    ----------
-    folder
-        An existing folder.
-    blocks
-        From `frame_blocks`.
-    camera, times
-        For the frame rate, the depth and the numbers of lost frames.
-    container
-        raw (Y800 AVI), mjpeg (AVI), h264 (MP4), ffv1 (Matroska, 8 to 16 bit), tiff (BigTIFF where large) or
-        png (numbered files, lost frames leave gaps). Only ffv1 keeps the times of lost frames; the others
-        run on.
+    container: raw (Y800 AVI), mjpeg (AVI), h264 (MP4), ffv1 (Matroska, 8 to 16 bit), tiff (BigTIFF where
+    large) or png (numbered files, lost frames leave gaps). Only ffv1 keeps the times of lost frames; the
+    others run on. blocks: from `frame_blocks`.  Raises: InputError as `check_container`.
 
-    Raises
-    ------
-    InputError
-        As `check_container`.
-
-    Notes
-    -----
     The h264 encoder gives the same bytes again only where both sides are multiples of 16: elsewhere its
     padding is not defined and decoded pixels differ by a level or so.
     """

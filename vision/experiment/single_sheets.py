@@ -110,22 +110,8 @@ def write_rheocompass(
     """A RheoCompass export: one result per load with an interval of waiting, one finely and one coarsely
     sampled.
 
-    Parameters
-    ----------
-    path
-        File to write.
-    test
-        `DiscTest`.
-    encoding, separator, decimal
-        Of the text. A decimal comma within commas is quoted.
-    torque_unit, angle_unit
-        As the columns are exported.
-    unit_rows
-        Rows between the names and the data, of which the last has the units.
-
-    Returns
-    -------
-    The truth, one row per result, in file order.
+    A decimal comma within commas is quoted.  unit_rows: rows between the names and the data, of which the
+    last has the units.  Returns the truth, one row per result, in file order.
     """
     torque = {"mN·m": 1.0, "µN·m": 1e3, "N·m": 1e-3}[torque_unit]
     angle = {"mrad": 1.0, "rad": 1e-3, "°": math.degrees(1e-3)}[angle_unit]
@@ -158,20 +144,9 @@ def write_rheocompass(
 def write_rheometer_csv(
     path: str | os.PathLike[str], test: DiscTest, *, load_N: float | None = None, normal: bool = True
 ) -> pd.DataFrame:
-    """A plain table of one measurement with names and units in its header.
+    """A plain table of one measurement with names and units in its header; its truth, one row.
 
-    Parameters
-    ----------
-    path, test
-        File and `DiscTest`.
-    load_N
-        Which load; the first by default.
-    normal
-        Whether the normal force is recorded.
-
-    Returns
-    -------
-    The truth, one row.
+    load_N: which load, by default the first.  normal: whether the normal force is recorded.
     """
     load = test.loads_N[0] if load_N is None else load_N
     record = disc_record(test, load, np.concatenate(test.times_s()))
@@ -261,9 +236,7 @@ def _jenkins(position: Floats, limit: float, stiffness: float) -> Floats:
 def write_cycles(path: str | os.PathLike[str], test: CyclesTest) -> pd.DataFrame:
     """The recording as MTS TestSuite exports it: tabs, names with trailing spaces, units below.
 
-    Returns
-    -------
-    The truth, one row per cycle: ``k_N_per_mm``, ``Y_p_GPa``, ``loop_mJ``.
+    Returns the truth, one row per cycle: ``k_N_per_mm``, ``Y_p_GPa``, ``loop_mJ``.
     """
     record = cycles_record(test)
     head = (

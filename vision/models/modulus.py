@@ -105,16 +105,8 @@ CYCLES = Schema(
 def turning_points(displacement: ArrayLike, *, settings: ModulusSettings = ModulusSettings()) -> Ints:
     """Samples at which a displacement turns back, its first and last sample included.
 
-    Parameters
-    ----------
-    displacement
-        (samples,), without NaN, any unit; noise and steps of the resolution are smoothed.
-    settings
-        `ModulusSettings`: how far it must go back.
-
-    Returns
-    -------
-    Rising indices that alternate between low and high; [0, last] for a displacement that only rises.
+    Rising indices that alternate between low and high; [0, last] for a displacement that only rises. It is
+    without NaN, in any unit; noise and steps of the resolution are smoothed.
     """
     raw = np.asarray(displacement, float)
     last = raw.size - 1
@@ -149,17 +141,9 @@ def looks_like_cycles(
 ) -> bool:
     """Whether a recording is made of push–pull cycles rather than one pull.
 
-    Parameters
-    ----------
-    time, displacement
-        (samples,), any unit; rows with NaN or with times that do not rise are left out.
-    settings
-        `ModulusSettings`: how far the displacement must go back to count.
-
-    Returns
-    -------
     True where the displacement turns back at least twice by a fifth of its range: on such a recording rises
     and falls of the force are loading and unloading, not stick and slip. One pull with one return is none.
+    Samples with NaN, or with times that do not rise, are left out.
     """
     at, position = np.asarray(time, float), np.asarray(displacement, float)
     kept = np.isfinite(at) & np.isfinite(position)
@@ -171,10 +155,7 @@ def looks_like_cycles(
 def cycles_seen(force: xr.Dataset) -> str:
     """One line that says how many push–pull cycles a recording holds; "" for a single pull.
 
-    Parameters
-    ----------
-    force
-        As `vision.read_force` returns it; without a recorded displacement nothing can be told and it is "".
+    Without a recorded displacement nothing can be told and it is "".
     """
     if "crosshead_mm" not in force:
         return ""
@@ -305,13 +286,7 @@ _ORIGINS = {
 def clamp_distance(
     force: xr.Dataset, *, sheet: Sample = STRIP, clamp_distance_mm: float | None = None
 ) -> Floats:
-    """Δ in mm of every sample, as `measure_cycles` takes it, without a correction for the machine.
-
-    Parameters
-    ----------
-    force, sheet, clamp_distance_mm
-        As in `measure_cycles`.
-    """
+    """Δ in mm of every sample, as `measure_cycles` takes it, without a correction for the machine."""
     crosshead = force["crosshead_mm"].values.astype(float)
     known = crosshead[np.isfinite(crosshead)]
     how = _origin(known, sheet, clamp_distance_mm)
@@ -532,20 +507,10 @@ class MeanValue:
 
 
 def mean_over_cycles(cycles: pd.DataFrame, column: str) -> MeanValue:
-    """Mean of a column of `measure_cycles` over the cycles.
+    """Mean of a column of `measure_cycles`, such as "Y_p_GPa", over the cycles.
 
-    Parameters
-    ----------
-    cycles
-        Of `measure_cycles`.
-    column
-        Its name, such as "Y_p_GPa".
-
-    Returns
-    -------
-    MeanValue
-        Every cycle weighs the same. The error is the larger of what the scatter over √n and the errors of the
-        fits give; with one cycle the scatter is NaN.
+    Every cycle weighs the same. The error is the larger of what the scatter over √n and the errors of the
+    fits give; with one cycle the scatter is NaN.
     """
     CYCLES.check(cycles)
     values = cycles[column].to_numpy(float)

@@ -80,18 +80,7 @@ class StickSlipCycle:
 
 
 def stick_slip(block: SpringBlock, speed_mm_s: ArrayLike) -> StickSlipCycle:
-    r"""The stationary cycle, exact at every pulling speed.
-
-    Parameters
-    ----------
-    block
-        `SpringBlock`.
-    speed_mm_s
-        v, positive.
-
-    Returns
-    -------
-    StickSlipCycle
+    r"""The stationary cycle, exact at every pulling speed v, mm/s.
 
     Raises
     ------
@@ -146,17 +135,11 @@ def _cycle(block: SpringBlock, speed: Floats, slip_time_s: Floats) -> StickSlipC
 def slow_speed_limit_mm_s(block: SpringBlock, *, tolerance: float = 0.05) -> float:
     r"""Speed above which the slow limit's slip time is short by more than a tolerance.
 
-    Parameters
-    ----------
-    block
-        `SpringBlock`.
-    tolerance
-        Share of the exact slip time, between 0 and 0.5 (where the limit is short at every speed by less).
-
     Raises
     ------
     InputError
-        For a tolerance outside that range.
+        For a tolerance, a share of the exact slip time, that is not between 0 and 0.5 (where the limit is
+        short at every speed by less).
 
     Notes
     -----
@@ -176,10 +159,6 @@ def integrate_motion(
 
     Parameters
     ----------
-    block
-        `SpringBlock`.
-    speed_mm_s
-        v.
     cycles
         Slips to be followed.
     samples_per_phase
