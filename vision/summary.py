@@ -129,14 +129,8 @@ def consistency_warnings(
 ) -> list[str]:
     """What was found and does not fit together, each with what to do about it.
 
-    Parameters
-    ----------
-    tracks
-        From `vision.track_sheets`.
-    sample
-        As given: its sheets per block are compared with the ridges per side.
-    assumed
-        The sample that is used where none was given.
+    The sheets per block of the sample given, or assumed where none was, are compared with the ridges per
+    side.
     """
     found, lines = TrackMetadata.of(tracks), []
     if found.ridges_beyond:

@@ -82,15 +82,8 @@ class Budget:
 
 
 def systematic_budget(results: Results) -> Budget:
-    """The budget of a run, empty where it has neither sheets nor fits.
+    """The budget of a run, as `vision.analyse` returns it; empty where it has neither sheets nor fits.
 
-    Parameters
-    ----------
-    results
-        What `vision.analyse` returns.
-
-    Notes
-    -----
     The force's part is that of the fits (everything fitted again with each source moved). What the strip's
     rows and uneven light do to places of sheets is the same in every frame: displacements and σ_x are free of
     it. The pixel size scales σ_x/Λ_st; its error is known where it was measured only, not where it was given.
@@ -132,13 +125,6 @@ def systematic_budget(results: Results) -> Budget:
 def uneven_light_px(strip: xr.DataArray, tracks: xr.Dataset) -> float | None:
     r"""RMS over the sheets of how far the light's slope shifts their places, px; None where it is not known.
 
-    Parameters
-    ----------
-    strip, tracks
-        I(x, t) and x(n, t).
-
-    Notes
-    -----
     A ridge of height C (negative where dark) over a level V, Gaussian with standard width :math:`\sigma`, in
     light L(x), has its maximum at
 

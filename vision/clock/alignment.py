@@ -389,19 +389,6 @@ class Alignments:
 def align(trains: SlipTrains, settings: ClockSettings = ClockSettings()) -> Alignments:
     r"""Find the alignments of two trains and test whether the best one is ambiguous.
 
-    Parameters
-    ----------
-    trains
-        The slips that camera and load cell saw.
-    settings
-        See `ClockSettings`.
-
-    Returns
-    -------
-    The alignments, best first, with the reason why the best is ambiguous or "".
-
-    Notes
-    -----
     The best alignment is not ambiguous where
 
     - it pairs enough slips to be no coincidence of unrelated recordings;

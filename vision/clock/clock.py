@@ -311,14 +311,9 @@ def _contradiction(given: Clock, found: Alignments) -> tuple[str, ...]:
 def clock_from_column(force: xr.Dataset) -> tuple[float, float] | None:
     """Straight line through the column of video times that the testing machine wrote beside its own.
 
-    Parameters
-    ----------
-    force
-        From `read_force`. A value is repeated until the next frame arrives: only the first sample of each
-        counts. Values more than 5 σ off the line are left out.
+    A value is repeated until the next frame arrives: only the first sample of each counts. Values more than
+    5 σ off the line are left out.
 
-    Returns
-    -------
     (offset_s, drift_ppm); None without a usable column: one with under ten different values, or whose seconds
     differ from the machine's by over 2 %, is no clock of the recording.
     """

@@ -344,20 +344,11 @@ def shells_figure(shells: pd.DataFrame, fits: ModelFits | None = None) -> Figure
 def origin_px(tracks: xr.Dataset) -> Floats:
     """Position of every sheet in the first stretch in which most sheets were measured, (sheet,) in px.
 
-    Parameters
-    ----------
-    tracks
-        From `vision.track_sheets`.
-
-    Returns
-    -------
     Medians over up to `ORIGIN_FRAMES` frames, the same frames for all sheets: the first run of frames in
     which nearly as many sheets as ever have a position. A sheet without one there starts, in its own first
     frames, at the displacement that its neighbours have in these frames (linear in n). NaN for a sheet that
     was never found.
 
-    Notes
-    -----
     A mean or median over all frames depends on which of them have a position: a gap would shift the whole
     curve against its neighbours'.
     """
@@ -396,16 +387,9 @@ def _first_stretch(known: Bools) -> tuple[int, int]:
 def outward_px(tracks: xr.Dataset, sheets: Ints | None = None) -> Floats:
     """Mean displacement of sheets away from the axis since the origin, px, (frame,).
 
-    Parameters
-    ----------
-    tracks
-        From `vision.track_sheets`.
-    sheets
-        Indices of those that count; None for all. Only those with a position in most frames are used, or all
-        of them where there is none.
+    sheets: indices of those that count; None for all. Only those with a position in most frames are used,
+    or all of them where there is none.
 
-    Returns
-    -------
     NaN in frames in which one of the sheets used has no position: without it the mean would jump. Where this
     leaves no frame, the mean over the sheets that have one.
     """

@@ -63,7 +63,8 @@ def read_tables(path: Path) -> list[Table]:
 
     Parameters
     ----------
-        path Text as MTS TestSuite (text and CSV), MTS 793, Instron Bluehill, Zwick TRA, Shimadzu Trapezium
+    path
+        Text as MTS TestSuite (text and CSV), MTS 793, Instron Bluehill, Zwick TRA, Shimadzu Trapezium
         and LabVIEW (.lvm) write it, plain tables with or without a header, one column with a unit in each
         line; or a MATLAB .mat file, v4 to v7.3.
 

@@ -60,21 +60,10 @@ class Lines:
 
 
 def fit_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: float = 0.0) -> Lines:
-    """Lines through (x, y) over many stretches.
+    """Lines through (x, y), NaN left out, over many stretches: half-open ranges of samples, one per line.
 
-    Parameters
-    ----------
-    x, y
-        The signal; NaN is left out.
-    start, stop
-        Half-open ranges of samples, one per line.
-    lag
-        Time constant, in samples, of a first-order low-pass that y went through. An exponential of free
-        height then takes up the transient, and the line is the one before the low-pass.
-
-    Returns
-    -------
-    One line per stretch, NaN where there are not enough samples.
+    lag: time constant, in samples, of a first-order low-pass that y went through. An exponential of free
+    height then takes up the transient, and the line is the one before the low-pass.
     """
     row, index = _known_samples(x, y, start, stop)
     rows = _Rows(row, start.size, least=4 if lag else 3)

@@ -429,15 +429,6 @@ def sample_flags(
 ) -> Strings:
     """One word per sample: the first of these that applies, else "ok".
 
-    Parameters
-    ----------
-    time_s, load, displacement
-        Columns of the recording, one value per sample.
-    settings
-        ``gap_intervals`` and ``saturated_run``.
-
-    Returns
-    -------
     "nan": time, load or displacement is not a number. "backwards": time is earlier than a time already seen.
     "repeated": time is the same. "saturated": one of a run of equal samples at the largest absolute load.
     "gap": the time before this sample spans several sampling intervals (the sample itself is good).

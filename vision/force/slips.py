@@ -39,24 +39,10 @@ def find_slips(
 ) -> Slips:
     """Slips of a sawtooth without spikes.
 
-    Parameters
-    ----------
-    y
-        Load, finite.
-    sigma
-        Standard deviation of its white noise, in the unit of y.
-    threshold
-        Smallest drop that is a slip. By default 4 sigma, or the middle of the widest gap in the logarithm of
-        the drops where one separates small from large ones.
-    settings
-        See `ForceSettings`.
+    y: load, finite.  sigma: standard deviation of its white noise, in the unit of y.  threshold: smallest
+    drop that is a slip; by default 4 sigma, or the middle of the widest gap in the logarithm of the drops
+    where one separates small from large ones.  Empty arrays where there are no slips.
 
-    Returns
-    -------
-    The slips in order; empty arrays where there are none.
-
-    Notes
-    -----
     A step filter as wide as 0.15 periods, the period found stretch by stretch, proposes drops. Neighbouring
     sticks are joined where one line, straight or with a knee, fits both as well as two, or where the load
     falls between two drops. What remains is kept where the lines on both sides, extended to the drop, differ
