@@ -14,7 +14,7 @@ import xarray as xr
 
 import vision
 from vision.experiment import preset, simulate, with_settings
-from vision.experiment.sheet_film import sheet_pull
+from vision.experiment.mechanics import sheet_pull
 from vision.experiment.sheet_model import SheetPull, pull_sheets
 from vision.figures.labels import plus_minus
 from vision.models import ModelFits, equations

@@ -31,7 +31,7 @@ from vision.experiment import Experiment, with_settings
 from vision.experiment.images import frame_blocks
 from vision.experiment.mechanics import frame_times
 from vision.experiment.scene import make_scene
-from vision.experiment.video_files import write_video
+from vision.experiment.simulate import write_video
 from vision.numeric import Pixels
 
 HERE = Path(__file__).parent

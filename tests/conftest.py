@@ -25,3 +25,19 @@ def pytest_xdist_auto_num_workers():
 def without_pictures(monkeypatch):
     """PNGs of one byte, where pictures are not what is tested: drawing takes most of a short run's time."""
     monkeypatch.setattr("vision.figures.drawing.png", lambda figure, **how: b".")
+
+
+@pytest.fixture(scope="session")
+def video_only():
+    """A run without force and without pixel size, for figures and reports."""
+    from tests.scenes import analysed
+
+    return analysed.video_only()
+
+
+@pytest.fixture(scope="session")
+def pulled():
+    """A run with everything."""
+    from tests.scenes import analysed
+
+    return analysed.with_force()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -31,6 +32,13 @@ class InputError(ValueError):
     def __init__(self, about: str | os.PathLike[str], expected: str, found: str, advice: str = "") -> None:
         parts = f"{os.fspath(about)}: expected {expected}; found {found}"
         super().__init__(" ".join(f"{parts}; {advice}".split()) if advice else " ".join(parts.split()))
+
+
+def check_positive(**values: float | None) -> None:
+    """Raises `InputError` for an argument, by name, that is neither None nor a positive, finite number."""
+    for name, value in values.items():
+        if value is not None and not 0 < value < math.inf:
+            raise InputError(f"`{name}`", "a positive number", f"{value!r}")
 
 
 @contextmanager

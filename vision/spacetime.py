@@ -90,7 +90,12 @@ def space_time(
         "time_s": time_s,
     }
     if around is None or sheet is None:
-        _refuse_window(around, sheet, width_um, width_px, follow)
+        # Half of what a window needs does not ask for the whole strip.
+        if sheet is not None:
+            raise InputError("`sheet`", "tracks to find the sheet in", "none", "give `around`")
+        if around is not None or width_um is not None or width_px is not None or follow:
+            advice = 'give `sheet`, such as ("right", 1)'
+            raise InputError("the window", "a sheet to centre it on", "none", advice)
         return record(part.assign_attrs(about), "space_time", **given)
     TRACKS.check(around)
     place = _find(around, sheet, part)
@@ -108,55 +113,31 @@ def space_time(
     return record(diagram, "space_time", **given)
 
 
-def _refuse_window(
-    around: xr.Dataset | None,
-    sheet: Sheet | None,
-    width_um: float | None,
-    width_px: float | None,
-    follow: bool,
-) -> None:
-    """Refuse half of what a window needs: it does not ask for the whole strip."""
-    if sheet is not None:
-        raise InputError("`sheet`", "tracks to find the sheet in", "none", "give `around`")
-    if around is not None or width_um is not None or width_px is not None or follow:
-        raise InputError(
-            "the window", "a sheet to centre it on", "none", 'give `sheet`, such as ("right", 1)'
-        )
-
-
 def _part(
     strip: xr.DataArray, frames: slice | None, time_s: tuple[float | None, float | None] | None
 ) -> xr.DataArray:
     """The frames asked for, as a view."""
-    numbers = np.asarray(strip["frame"].values)
-    keep = np.ones(numbers.size, bool)
+    numbers, times = np.asarray(strip["frame"].values), np.asarray(strip["time_s"].values, np.float64)
+    keep, asked, clock = np.ones(numbers.size, bool), [], bool(np.isfinite(times).any())
     if frames is not None:
         keep &= _within(numbers, frames.start, frames.stop)
+        asked.append(f"frames {frames.start}:{frames.stop}")
     if time_s is not None:
-        times = np.asarray(strip["time_s"].values, np.float64)
-        if not np.isfinite(times).any():
+        if not clock:
             raise InputError("`time_s`", "frames with times", "a recording without a clock", "give `fps`")
         keep &= _within(times, *time_s)
+        asked.append(f"time {time_s[0]}:{time_s[1]} s")
     found = np.flatnonzero(keep)
     if not found.size:
-        raise InputError("space-time diagram", f"a part of {_extent(strip)}", _asked(frames, time_s))
+        there = f"frames {numbers[0]} to {numbers[-1]}"
+        there += f" ({np.nanmin(times):.6g} to {np.nanmax(times):.6g} s)" if clock else ""
+        raise InputError("space-time diagram", f"a part of {there}", " and ".join(asked))
     return strip.isel(frame=slice(int(found[0]), int(found[-1]) + 1))
 
 
 def _within(values: NDArray[Any], start: float | None, stop: float | None) -> Bools:
     low, high = -np.inf if start is None else start, np.inf if stop is None else stop
     return np.asarray((values >= low) & (values < high))
-
-
-def _extent(strip: xr.DataArray) -> str:
-    numbers, times = strip["frame"].values, np.asarray(strip["time_s"].values, np.float64)
-    clock = f" ({np.nanmin(times):.6g} to {np.nanmax(times):.6g} s)" if np.isfinite(times).any() else ""
-    return f"frames {numbers[0]} to {numbers[-1]}{clock}"
-
-
-def _asked(frames: slice | None, time_s: tuple[float | None, float | None] | None) -> str:
-    asked = [] if frames is None else [f"frames {frames.start}:{frames.stop}"]
-    return " and ".join(asked + ([] if time_s is None else [f"time {time_s[0]}:{time_s[1]} s"]))
 
 
 def _find(tracks: xr.Dataset, sheet: Sheet, part: xr.DataArray) -> _Place:

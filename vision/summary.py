@@ -23,7 +23,6 @@ from vision.video import VideoSettings
 if TYPE_CHECKING:
     from vision.clock import Clock
     from vision.figures import Results
-    from vision.models import ModelFits
 
 
 def summary_lines(results: Results) -> list[str]:
@@ -34,9 +33,10 @@ def summary_lines(results: Results) -> list[str]:
     if results.force is not None and results.sticks is not None:
         sizes, lowpass = event_sizes(results.force, results.sticks), lowpass_correction(results.sticks)
         lines.append(f"events     {len(results.sticks)} stick-slip events; {sizes}; {lowpass}")
-    if results.fits is not None:
-        lines.append(f"models     {_models(results.fits)}")
-        lines += [f"           {note}" for note in results.fits.notes]
+    if (fits := results.fits) is not None:
+        mu, a, n_hat = (both_errors(one) for one in (fits.mu, fits.amplitude, fits.n_hat_N))
+        lines.append(f"models     μ {mu}, A {a}, N̂ {n_hat} N")
+        lines += [f"           {note}" for note in fits.notes]
     elif reason := results.reasons.get("fits"):
         lines.append(f"models     none: {reason}")
     if results.clock is not None:
@@ -147,14 +147,8 @@ def consistency_warnings(
 ) -> list[str]:
     """What was found and does not fit together, each with what to do about it.
 
-    Parameters
-    ----------
-    tracks
-        From `vision.track_sheets`.
-    sample
-        As given: its sheets per block are compared with the ridges per side.
-    assumed
-        The sample that is used where none was given.
+    The sheets per block of the sample given, or assumed where none was, are compared with the ridges per
+    side.
     """
     found, lines = TrackMetadata.of(tracks), []
     if found.ridges_beyond:
@@ -241,11 +235,7 @@ def findings(tracks: xr.Dataset) -> dict[str, Any]:
             "tilt_deg": strip.tilt_deg,
         },
         "clock": {"kind": strip.clock_kind, "fps": strip.fps},
-        "ridges": {
-            "polarity": found.ridges,
-            "fwhm_px": found.ridge_fwhm_px,
-            "pitch_px": found.pitch_px,
-        },
+        "ridges": {"polarity": found.ridges, "fwhm_px": found.ridge_fwhm_px, "pitch_px": found.pitch_px},
         "sheets": {"count": found.sheets, "other_ridges_left_out": found.ridges_dropped},
         "axis": {
             "px": found.axis_px,
@@ -354,17 +344,12 @@ def frame_times(strip: StripMetadata) -> str:
     """The frame rate and what it was taken from."""
     if not math.isfinite(strip.fps) and strip.clock_kind == "playback":
         return "the file holds no frame rate: give the camera's with `fps`"
-    rate = f"{strip.fps:g} frames/s"
     kinds: Mapping[str, str] = {
-        "playback": f"{rate} is the file's playback rate: confirm it or give the camera's with `fps`",
-        "file": f"{rate}, from the recording's own time stamps",
-        "given": f"{rate}, as given",
+        "playback": " is the file's playback rate: confirm it or give the camera's with `fps`",
+        "file": ", from the recording's own time stamps",
+        "given": ", as given",
     }
-    return kinds[strip.clock_kind]
-
-
-def _models(fits: ModelFits) -> str:
-    return f"μ {both_errors(fits.mu)}, A {both_errors(fits.amplitude)}, N̂ {both_errors(fits.n_hat_N)} N"
+    return f"{strip.fps:g} frames/s{kinds[strip.clock_kind]}"
 
 
 def _clocks(clock: Clock) -> str:

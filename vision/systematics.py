@@ -47,32 +47,16 @@ SOURCES = {
     "pixel_size": "pixel size",
     "clock": "clock",
 }
-_FITTED = {
-    "mu": "mu",
-    "T0_N": "t0_N",
-    "A": "amplitude",
-    "N_hat_N": "n_hat_N",
-    "Y_eff_GPa": "modulus_GPa",
-    "Lambda_hat_mm": "scale_mm",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Budget:
-    """Errors of the quantities that a run has, in their units.
-
-    Parameters
-    ----------
-    values, statistical
-        Quantity (a key of `QUANTITIES`) to its value and standard error: of positions and of σ_x/Λ_st the
-        median of the standard errors. NaN where not known.
-    sources
-        Source (as in `SOURCES`) to what it contributes to each quantity; None where that is not known, no
-        entry where it has no part in it.
-    """
+    """Errors of the quantities that a run has (keys of `QUANTITIES`), in their units; NaN where not known."""
 
     values: Mapping[str, float]
-    statistical: Mapping[str, float]
+    statistical: Mapping[str, float]  # standard errors; of positions and of σ_x/Λ_st their median
+    # source (as in `SOURCES`) to what it contributes to each quantity; None where that is not known, no entry
+    # where it has no part in it
     sources: Mapping[str, Mapping[str, float | None]]
 
     def total(self, quantity: str) -> float:
@@ -98,15 +82,8 @@ class Budget:
 
 
 def systematic_budget(results: Results) -> Budget:
-    """The budget of a run, empty where it has neither sheets nor fits.
+    """The budget of a run, as `vision.analyse` returns it; empty where it has neither sheets nor fits.
 
-    Parameters
-    ----------
-    results
-        What `vision.analyse` returns.
-
-    Notes
-    -----
     The force's part is that of the fits (everything fitted again with each source moved). What the strip's
     rows and uneven light do to places of sheets is the same in every frame: displacements and σ_x are free of
     it. The pixel size scales σ_x/Λ_st; its error is known where it was measured only, not where it was given.
@@ -126,11 +103,11 @@ def systematic_budget(results: Results) -> Budget:
         light = None if results.strip is None else uneven_light_px(results.strip, results.tracks)
         add("light", "x_px", light)
     if results.fits is not None:
-        for quantity, name in _FITTED.items():
-            estimate = getattr(results.fits, name)
+        fitted = results.fits.named()
+        for quantity, estimate in fitted.items():
             values[quantity], statistical[quantity] = estimate.value, estimate.error
         for source, parts in results.fits.budget.items():
-            for quantity in (*_FITTED, "K_N_per_mm"):
+            for quantity in (*fitted, "K_N_per_mm"):
                 add(source, quantity, parts[quantity])
     if results.sticks is not None and results.fits is not None:
         values["K_N_per_mm"] = float(nan_median(results.sticks["K_N_per_mm"].to_numpy(float)))
@@ -148,13 +125,6 @@ def systematic_budget(results: Results) -> Budget:
 def uneven_light_px(strip: xr.DataArray, tracks: xr.Dataset) -> float | None:
     r"""RMS over the sheets of how far the light's slope shifts their places, px; None where it is not known.
 
-    Parameters
-    ----------
-    strip, tracks
-        I(x, t) and x(n, t).
-
-    Notes
-    -----
     A ridge of height C (negative where dark) over a level V, Gaussian with standard width :math:`\sigma`, in
     light L(x), has its maximum at
 

@@ -1,10 +1,18 @@
-"""The likelihood of one clock: pairs of slips, and their sizes as evidence."""
+"""The likelihood of one clock, pairs of slips and their sizes as evidence; and which clocks are ambiguous."""
 
 import numpy as np
 import pytest
 
-from tests.scenes.slip_trains import slip_sizes
-from vision.clock.alignment import CandidateClocks, SlipSizes, SlipTrains, fit_clocks, size_evidence
+from tests.scenes.slip_trains import pair, slip_sizes
+from vision.clock.alignment import (
+    CandidateClocks,
+    SlipSizes,
+    SlipTrains,
+    align,
+    exceeds_permutation_null,
+    fit_clocks,
+    size_evidence,
+)
 
 COUNT = 40
 
@@ -63,3 +71,196 @@ def test_a_camera_that_sees_no_difference_says_nothing():
     assert evidence(SlipSizes.of(np.full(COUNT, 3.0), 0.1), force) == 0
     assert evidence(SlipSizes.of(3 + 0.1 * rng.standard_normal(COUNT), 0.15), force) == 0
     assert evidence(SlipSizes.of(np.full(COUNT, np.nan)), force) == 0
+
+
+FRAME_S = 0.05
+RUNS = 500
+
+
+def aligned(seed, runs, **settings):
+    """(alignments, their errors in s)."""
+    rng = np.random.default_rng(seed)
+    pairs = [pair(rng, frame_s=FRAME_S, **settings) for _ in range(runs)]
+    found = [align(p.trains) for p in pairs]
+    return found, np.array([p.error_s(a) for p, a in zip(pairs, found, strict=True)])
+
+
+def believed(found):
+    return np.array([not a.ambiguity for a in found])
+
+
+def test_a_hundred_slips_set_the_clocks_to_two_milliseconds():
+    """A failure means that frames are put into the wrong part of a stick at 50 ms a frame."""
+    found, error = aligned(1, 30)
+    assert believed(found).all()
+    assert np.sqrt(np.mean(error**2)) < 2e-3  # 50 ms/sqrt(12 * 100) is 1.4 ms
+
+
+@pytest.mark.parametrize("slips", [12, 16, 20])
+def test_few_slips_set_the_clocks_to_a_third_of_a_frame(slips):
+    """A failure means that short clips cannot be synchronised by their slips."""
+    found, error = aligned(slips, 40, video=slips)
+    assert believed(found).mean() >= 0.85
+    assert np.abs(error[believed(found)]).max() < FRAME_S / 3
+
+
+def test_missed_and_false_slips_cost_little():
+    """A failure means that a threshold set too low or too high spoils the clocks."""
+    found, error = aligned(3, 30, video=94, missed=(0.3, 0.0), false=(0.3, 0.0))
+    assert believed(found).mean() >= 0.9
+    assert np.sqrt(np.mean(error[believed(found)] ** 2)) < 3e-3
+
+
+def test_stated_errors_are_the_true_ones():
+    """A failure means that the clock's error bar cannot be used."""
+    found, error = aligned(4, 60, video=30, period_s=1.03)
+    ok = believed(found)
+    z = error[ok] / np.array([a.errors()[0] for a in found])[ok]
+    assert ok.mean() > 0.9
+    assert 0.8 < np.sqrt(np.mean(z**2)) < 1.2
+
+
+@pytest.mark.parametrize("drift_ppm", [-3000.0, 3000.0])
+def test_drift_is_found(drift_ppm):
+    """A failure means that a poor camera clock shifts the ends of a long test by whole sticks."""
+    found, error = aligned(5, 8, video=150, drift_ppm=drift_ppm)
+    drift = np.array([1e6 * a.clocks.drift[0] for a in found])
+    assert believed(found).all()
+    assert np.abs(error).max() < 6e-3
+    assert np.abs(drift - drift_ppm).max() < 300
+
+
+@pytest.mark.parametrize(("video", "force"), [(30, 200), (200, 40)])
+def test_one_recording_may_cover_part_of_the_other(video, force):
+    """A failure means that the video must cover the whole pull, or the force recording the whole video."""
+    found, error = aligned(6, 20, video=video, force=force, lost=0.01)
+    assert believed(found).mean() >= 0.8
+    assert np.abs(error[believed(found)]).max() < FRAME_S / 3
+
+
+def hostile(rng):
+    """Short, even, damaged, partly covered, drifting: everything that has led to a wrong alignment before."""
+    video = int(rng.choice([8, 12, 16, 20, 30, 60, 100]))
+    missed, false = rng.choice([0, 0, 0.1, 0.3], 2), rng.choice([0, 0, 0.1, 0.3], 2)
+    return {
+        "video": video,
+        "force": int(np.clip(video * rng.choice([0.5, 1, 1, 2, 4]), 8, 250)),
+        "jitter": float(rng.choice([0, 0.003, 0.01, 0.02, 0.04, 0.07, 0.1])),
+        "missed": tuple(missed),
+        "false": tuple(false),
+        "drift_ppm": float(rng.choice([-3000, -50, 50, 1000, 3000])),
+        "trend": float(rng.choice([0, 0, -0.0025])),
+        "lost": float(rng.choice([0, 0.01, 0.05])),
+        "period_s": float(rng.choice([0.3, 0.5, 1.0])),
+        "frame_s": float(rng.choice([0.02, 0.05, 0.1])),
+    }
+
+
+@pytest.fixture(scope="module")
+def hostile_runs():
+    """(believed, wrong) of 500 hostile runs."""
+    rng, rows = np.random.default_rng(7), []
+    while len(rows) < RUNS:
+        settings = hostile(rng)
+        p = pair(rng, **settings)
+        if min(len(p.trains.video_s), len(p.trains.force_s)) >= 4:
+            a = align(p.trains)
+            rows.append((not a.ambiguity, abs(p.error_s(a)) > max(settings["frame_s"], 0.03)))
+    return np.array(rows).T
+
+
+def test_a_wrong_alignment_is_never_believed(hostile_runs):
+    """A failure means that results shifted by whole sticks are reported as good."""
+    ok, wrong = hostile_runs
+    assert not (ok & wrong).any()
+    assert ok.mean() > 0.15  # it is not that nothing is ever believed
+
+
+def test_the_best_alignment_without_judgement_is_often_wrong(hostile_runs):
+    """A failure means that the runs above are too easy to prove anything."""
+    ok, wrong = hostile_runs
+    assert wrong.mean() > 0.3
+    assert wrong[~ok].mean() > 0.4
+
+
+def test_even_slips_are_ambiguous_and_say_why():
+    """A failure means that a shift by one slip of a clock-like train is a coin toss called certain."""
+    found, _ = aligned(9, 10, video=60, jitter=0.0, period_s=0.487)
+    assert not believed(found).any()
+    assert any("nearly as well" in a.ambiguity for a in found)
+    shifts = [np.diff(np.sort(a.clocks.offset_s[:3])) for a in found]
+    assert np.median(np.concatenate(shifts) / 0.487) == pytest.approx(1, abs=0.1)
+
+
+def test_unreported_lost_frames_are_not_believed_blindly():
+    """A failure means that a clock that jumps is taken for one that drifts, and its error bar is wrong."""
+    rng = np.random.default_rng(10)
+    for _ in range(10):
+        p = pair(rng, video=100, frame_s=FRAME_S)
+        jumps = np.searchsorted(np.sort(rng.uniform(*p.trains.video_s[[0, -1]], 12)), p.trains.video_s)
+        a = align(SlipTrains(p.trains.video_s - FRAME_S * jumps, p.trains.error_s, p.trains.force_s))
+        assert a.ambiguity
+
+
+@pytest.fixture(scope="module")
+def nearly_even():
+    """{whose sizes: (believed, off by over a frame)} of short clips of nearly even slips."""
+    runs = {}
+    for name, about in {
+        "none": {},
+        "shared": {"sizes": 0.07},
+        "foreign": {"sizes": 0.07, "foreign": True},
+    }.items():
+        rng = np.random.default_rng(4)
+        pairs = [pair(rng, video=30, force=60, jitter=0.03, missed=(0.1, 0.1), **about) for _ in range(25)]
+        found = [align(p.trains) for p in pairs]
+        off = np.array([abs(p.error_s(a)) > FRAME_S for p, a in zip(pairs, found, strict=True)])
+        runs[name] = np.array([not a.ambiguity for a in found]), off
+    return runs
+
+
+def test_sizes_decide_where_times_hardly_do(nearly_even):
+    """A failure means that clocks are called ambiguous although the sizes tell the alignments apart."""
+    assert nearly_even["shared"][0].mean() > nearly_even["none"][0].mean() + 0.3
+    assert nearly_even["shared"][1].mean() < nearly_even["none"][1].mean()
+
+
+def test_sizes_that_disagree_are_doubted_but_do_not_mislead(nearly_even):
+    """A failure means that lucky times are believed against the sizes, or sizes beat the times."""
+    assert nearly_even["foreign"][0].mean() <= nearly_even["none"][0].mean()
+    assert not any((ok & off).any() for ok, off in nearly_even.values())
+
+
+def unrelated_pairs(runs):
+    """Trains of different tests, from uneven to nearly even, with and without sizes, damaged."""
+    rng = np.random.default_rng(5)
+    for _ in range(runs):
+        video, share = int(rng.choice([12, 20, 30, 60])), rng.choice([0, 0.1, 0.2], 4)
+        yield pair(
+            rng,
+            video=video,
+            force=video * int(rng.choice([1, 2, 4])),
+            jitter=float(rng.choice([0.005, 0.015, 0.03, 0.07])),
+            frame_s=float(rng.choice([0.02, 0.05, 0.1])),
+            missed=tuple(share[:2]),
+            false=tuple(share[2:]),
+            sizes=rng.choice([None, 0.07]),
+            unrelated=True,
+        ).trains
+
+
+def test_recordings_of_different_tests_are_never_believed():
+    """A failure means that a force file that does not belong to the video goes unnoticed."""
+    assert all(align(trains).ambiguity for trains in unrelated_pairs(300))
+
+
+def test_shuffled_slips_reach_what_unrelated_ones_do():
+    """A failure means that the comparison with chance compares with something else, or is never passed."""
+    rng, believed = np.random.default_rng(6), {}
+    for unrelated in (False, True):
+        pairs = [pair(rng, video=30, force=60, jitter=0.04, unrelated=unrelated) for _ in range(10)]
+        best = [align(p.trains).fits.log_likelihood[0] for p in pairs]
+        beats = [exceeds_permutation_null(p.trains, a, 0.0) for p, a in zip(pairs, best, strict=True)]
+        believed[unrelated] = np.mean(beats)
+    assert believed[False] > 0.9
+    assert believed[True] < 0.4  # one in seventeen, with the lead of 0 tried here

@@ -11,8 +11,8 @@ import xarray as xr
 
 import vision
 from vision.experiment import force_recording, preset, profiles, with_settings, write_force
+from vision.experiment.mechanics import sheet_pull
 from vision.experiment.scene import Scene, make_scene
-from vision.experiment.sheet_film import sheet_pull
 from vision.models import equations
 from vision.sheets import track_sheets
 

@@ -1,4 +1,7 @@
-"""The folder of a synthetic test: all of its files or none, with the truth in them."""
+"""The folder of a synthetic test: all of its files or none, and every one read back as it was drawn."""
+
+import itertools
+import struct
 
 import numpy as np
 import pytest
@@ -6,7 +9,18 @@ import xarray as xr
 
 from tests.scenes.experiments import SMALL
 from vision.errors import InputError
-from vision.experiment import preset, simulate, with_settings
+from vision.experiment import (
+    force_recording,
+    frame_blocks,
+    make_scene,
+    preset,
+    simulate,
+    simulate_pull,
+    with_settings,
+)
+from vision.experiment.simulate import RawAviWriter
+from vision.force.recording import read_force
+from vision.video import open_video
 
 
 def test_truth_file_holds_everything(tmp_path):
@@ -77,3 +91,108 @@ def test_progress_counts_every_frame(tmp_path):
     seen = []
     simulate(SMALL, tmp_path / "t", progress=lambda done, total: seen.append((done, total)))
     assert seen[-1] == (24, 24)
+
+
+def drawn(experiment):
+    return np.concatenate(list(frame_blocks(make_scene(experiment))))
+
+
+def read(path):
+    return np.concatenate([block.pixels for block in open_video(path).blocks()])
+
+
+@pytest.mark.parametrize(
+    ("container", "bits"),
+    [
+        ("raw", 8),
+        ("ffv1", 8),
+        ("ffv1", 10),
+        ("ffv1", 12),
+        ("ffv1", 16),
+        ("tiff", 8),
+        ("tiff", 12),
+        ("png", 8),
+        ("png", 16),
+    ],
+)
+def test_lossless_containers_hold_the_frames_exactly(tmp_path, container, bits):
+    """A failure means the reader or the writer changes values."""
+    e = with_settings(SMALL, {"camera.bits": bits})
+    test = simulate(e, tmp_path / "t", container=container)
+    pixels = read(test.video)
+    assert pixels.dtype == (np.uint8 if bits == 8 else np.uint16)
+    assert np.array_equal(pixels, drawn(e))
+
+
+@pytest.mark.parametrize(("container", "tolerance"), [("mjpeg", 3.0), ("h264", 8.0)])
+def test_lossy_containers_hold_them_nearly(tmp_path, container, tolerance):
+    """RMS difference in grey levels; h264 also rescales to its limited range, undone here."""
+    test = simulate(SMALL, tmp_path / "t", container=container)
+    pixels = read(test.video).astype(float)
+    frames = drawn(SMALL).astype(float)
+    if container == "h264":
+        pixels = (pixels - 16) * 255 / 219
+    assert pixels.shape == frames.shape
+    assert np.sqrt(((pixels - frames) ** 2).mean()) < tolerance
+
+
+def test_raw_avi_in_several_segments(tmp_path):
+    """OpenDML: a file over 1 GiB goes on in RIFF AVIX parts; here the parts are small."""
+    frames = np.random.default_rng(0).integers(0, 256, (150, 7, 9), dtype=np.uint8)
+    path = tmp_path / "long.avi"
+    with RawAviWriter(path, width=9, height=7, fps=29.97, segment_bytes=6000) as writer:
+        for frame in frames:
+            writer.write(frame)
+    data = path.read_bytes()
+    assert data.count(b"AVIX") > 1
+    sizes, at = [], 0
+    while at < len(data):
+        name, size = struct.unpack_from("<4sI", data, at)
+        assert name == b"RIFF"
+        sizes.append(size)
+        at += size + 8
+    assert at == len(data)
+    assert np.array_equal(read(path), frames)
+
+
+def test_load_cell_low_pass_noise_and_quantum():
+    """A failure means the force file is cleaner or dirtier than its settings say."""
+    quiet = with_settings(SMALL, {"load_cell.noise_N": 0, "load_cell.drift_N": 0, "load_cell.quantum_N": 0})
+    pull = simulate_pull(quiet.mechanics, seed=0)
+    record = force_recording(quiet, pull)
+    exact = pull.force_N(record["time_s"].to_numpy())
+    lag = 0.003 * pull.stiffness_N_per_mm[0] / 60
+    steady = (record["time_s"] > 0.5) & (record["time_s"] < 2.5)
+    assert (exact - record["load_N"])[steady].mean() == pytest.approx(lag, rel=0.05)
+    loud = force_recording(
+        with_settings(quiet, {"load_cell.noise_N": 0.5, "load_cell.quantum_N": 0.01}), pull
+    )
+    assert (loud["load_N"] - record["load_N"]).std() == pytest.approx(0.5, rel=0.1)
+    assert (loud["load_N"] * 100 % 1).round(6).isin([0, 1]).all()
+
+
+STYLES = itertools.product(
+    ("mts", "instron", "zwick", "csv"), ((".", "utf-8-sig", "N"), (",", "latin-1", "kN"))
+)
+
+
+@pytest.mark.parametrize(("layout", "style"), list(STYLES))
+def test_force_files_are_read_back_in_every_layout(tmp_path, layout, style):
+    """Machine layouts, decimal comma, latin-1 and kN, as physicists' files have them."""
+    decimal, encoding, unit = style
+    changes = {"layout": layout, "decimal": decimal, "encoding": encoding, "unit": unit}
+    e = with_settings(SMALL, {f"force_file.{key}": value for key, value in changes.items()})
+    test = simulate(with_settings(e, {"camera.duration_s": 0.05}), tmp_path / "t")
+    record = force_recording(e, simulate_pull(e.mechanics, seed=0))
+    force = read_force(test.force, d0_mm=13.0)
+    assert force["load_N"].values == pytest.approx(record["load_N"].to_numpy(), abs=1e-6)
+    assert force["d_mm"].values == pytest.approx(13 + record["crosshead_mm"].to_numpy(), abs=1e-6)
+
+
+def test_mts_file_looks_like_the_machine_wrote_it(tmp_path):
+    """BOM, CRLF, trailing tab and spaces, the camera's clock as a column of its own."""
+    test = simulate(with_settings(SMALL, {"force_file.video_time": "true"}), tmp_path / "t")
+    data = test.force.read_bytes()
+    assert data.startswith(b"\xef\xbb\xbfFile Path:")
+    assert b"\r\nCrosshead \tLoad \tTime \tVideo Time \t\r\nmm\tN\tsec\tsec\r\n" in data
+    assert b"\n" not in data.replace(b"\r\n", b"")

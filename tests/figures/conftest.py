@@ -1,17 +1,18 @@
-"""Runs that several tests draw."""
+"""What several tests of figures look at."""
 
 import pytest
 
-from tests.scenes import analysed
+from tests.scenes.report_data import make_tracks, sawtooth
+
+JUMP_PX = 4.0
 
 
-@pytest.fixture(scope="session")
-def video_only():
-    """A run without force and without pixel size."""
-    return analysed.video_only()
+@pytest.fixture(scope="module")
+def tracks():
+    """Ten sheets that open by `JUMP_PX` and close again, a thousand frames."""
+    return make_tracks(sawtooth(1000, 10, jump_px=JUMP_PX))
 
 
-@pytest.fixture(scope="session")
-def pulled():
-    """A run with everything."""
-    return analysed.with_force()
+def by_label(figure):
+    """The series of a figure's panel by their labels."""
+    return {series.label: series for series in figure.panel.series}

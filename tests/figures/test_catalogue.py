@@ -1,4 +1,4 @@
-"""Which figures a run has, and the ones that put others together."""
+"""Which figures a run has, those that put others together, those of the publication; notebooks."""
 
 import itertools
 from dataclasses import replace
@@ -9,9 +9,21 @@ import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tests.scenes.analysed import Found
-from vision.figures import FIGURES, figures_of, kymograph, missing_parts, overview, sections_of
-from vision.figures.camera import space_time_figure
+from tests.scenes.report_data import make_profile, make_tracks, sawtooth
+from vision.escaping import html_table
+from vision.figures import (
+    FIGURES,
+    figures_of,
+    kymograph,
+    missing_parts,
+    overview,
+    publication_figures_of,
+    sections_of,
+)
+from vision.figures.camera import intensity_figure, single_sheets_figure, space_time_figure
+from vision.figures.catalogue import slips_of
 from vision.figures.figure import Figure, Image, Panel
+from vision.figures.positions import mean_deformation_figure
 
 
 def scene(*, sheets=7, frames=40, rows=60, columns=400, times_s=None, nothing_found=False):
@@ -191,3 +203,74 @@ def test_each_missing_part_is_named(pulled, changes, reason, gone):
 def test_nothing_is_missing_from_a_whole_run(pulled):
     """A failure means that a reader is told to give what was given."""
     assert missing_parts(pulled) == []
+
+
+def test_a_whole_run_has_them_all_with_their_numbers(pulled):
+    """A failure means that a figure of the publication is not there, or does not say which one it is."""
+    figures = publication_figures_of(pulled)
+    assert [f.name for f in figures] == ["force_insets", "single_sheets", "mean_deformation", "intensity"]
+    assert all(f"figure {FIGURES[f.name].paper} of the publication" in f.caption for f in figures)
+
+
+def test_the_mean_deformation_is_that_of_the_sticks(pulled):
+    """A failure means that a curve is not the mean, or its band not the spread, of the sticks it names."""
+    figure = mean_deformation_figure(pulled.motion, threshold=pulled.threshold)
+    curve = figure.panel.series[0]
+    ratio = pulled.motion["ratio"].to_numpy()
+    order = np.argsort(pulled.motion["side"].values * pulled.motion["n"].values)
+    np.testing.assert_allclose(curve.y, np.nanmean(ratio, axis=0)[order])
+    spread = np.nanstd(ratio, axis=0, ddof=1)[order]
+    np.testing.assert_allclose(curve.high - curve.y, spread, atol=1e-12)
+    assert f"{pulled.motion['d_v_mm'].values.mean():.2f} mm" in curve.label
+
+
+def test_one_ridge_moves_inwards_and_back():
+    """A failure means that the three frames are not start and end of a stick and after its slip."""
+    tracks = make_tracks(sawtooth(400, 12, period=50, noise_px=0.001))
+    strip = make_profile(tracks, 260)
+    figure = intensity_figure(strip, tracks, tracks["time_s"].values[50:351:50] - 0.5 / 60)
+    lines = [s for s in figure.panels[1].series if s.dashed]
+    start, end, after = (float(s.x[0]) for s in lines)
+    assert start - end == pytest.approx(4.0, abs=0.5)  # the jump, right side: inwards is to the left
+    assert abs(after - start) < 0.3
+    assert len(intensity_figure(strip, tracks).panels) == 1  # without slips no stick is known
+
+
+def test_space_time_of_two_sheets_over_four_slips(pulled):
+    """A failure means the wrong sheets, or slips marked elsewhere than in the force."""
+    slips, source = slips_of(pulled)
+    figure = single_sheets_figure(pulled.strip, pulled.tracks, slips, pixel_size_um=10.0)
+    assert source == "the force"
+    assert [panel.title.split("\n")[0] for panel in figure.panels] == ["right, n = 23", "right, n = 10"]
+    inside = slips[(slips > 0) & (slips < float(pulled.tracks["time_s"][-1]))]
+    np.testing.assert_allclose(figure.panels[0].marks, inside[:4])
+    assert single_sheets_figure(pulled.strip, pulled.tracks, inside[:1]) is None
+
+
+def test_k_is_marked_where_it_is_taken(pulled):
+    """A failure means that the dots or arrows of F − F_v are not K's stretch, ΔF and Λ_st."""
+    panel = FIGURES["sticks"].make(pulled).panel
+    first = pulled.sticks.iloc[0]
+    dots = next(s for s in panel.series if s.label == "K is taken here")
+    length = first["stick_length_um"]
+    assert dots.x.min() >= 0.24 * length
+    assert dots.x.max() <= 0.76 * length
+    drop, stick = panel.arrows
+    assert drop.y == (0.0, pytest.approx(first["dF_N"]))
+    assert stick.x == (0.0, pytest.approx(length))
+
+
+def test_clock_and_models_are_short_tables(pulled):
+    """A failure means that a notebook shows a wall of numbers, or a value without its error."""
+    clock, fits = pulled.clock._repr_html_(), pulled.fits._repr_html_()
+    assert f"{pulled.clock.offset_s:.4f}" in clock
+    assert f"{pulled.clock.matched} matched" in clock
+    assert "nan" not in clock
+    assert f"{pulled.fits.mu.value:.5g} ± {pulled.fits.mu.error:.2g}" in fits
+    assert clock.count("<tr>") <= 8
+    assert fits.count("<tr>") <= 14
+
+
+def test_text_cannot_break_the_table():
+    """A failure means that a file's name injects markup into a notebook."""
+    assert "<script>" not in html_table("<script>", {"<script>": "<script>"})

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.scenes.report_data import make_tracks, sawtooth
+from tests.figures.conftest import JUMP_PX, by_label
+from tests.scenes.report_data import make_tracks
 from vision.clock import video_slips
 from vision.figures import figures_of, force_overview_figure
 from vision.figures.force import (
@@ -16,17 +17,6 @@ from vision.figures.force import (
 )
 from vision.figures.positions import outward_px
 from vision.report.text import methods
-
-JUMP_PX = 4.0
-
-
-@pytest.fixture(scope="module")
-def tracks():
-    return make_tracks(sawtooth(1000, 10, jump_px=JUMP_PX))
-
-
-def by_label(figure):
-    return {series.label: series for series in figure.panel.series}
 
 
 def test_all_sheets_opening_is_positive(tracks):

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vision.force.lowpass import deconvolve_lowpass
-from vision.force.slips import find_slips
+from vision.force.slips import deconvolve_lowpass, find_slips
 from vision.force.sticks import find_corners
 
 

@@ -11,8 +11,15 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from vision.clock.alignment import CandidateClocks, ClockFits, SlipSizes, SlipTrains, fit_clocks
-from vision.clock.ambiguity import Alignments, align
+from vision.clock.alignment import (
+    Alignments,
+    CandidateClocks,
+    ClockFits,
+    SlipSizes,
+    SlipTrains,
+    align,
+    fit_clocks,
+)
 from vision.clock.settings import ClockSettings
 from vision.clock.slips import force_slips, video_slips
 from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata
@@ -72,11 +79,11 @@ class Clock:
 
     offset_s: float
     drift_ppm: float
-    residual_ms: float
-    matched: int
+    residual_ms: float = math.nan
+    matched: int = 0
     unmatched_video: int
     unmatched_force: int
-    margin: float
+    margin: float = math.nan
     status: Status
     how: How
     error_ms: float = math.nan
@@ -227,13 +234,18 @@ def _from_slips(
             "check whether the two files belong together, or give `offset_s`",
         )
     error, drift_error = found.errors()
+    clocks, fits = found.clocks, found.fits
+    facts = clocks.offset_s, 1e6 * clocks.drift, fits.log_likelihood, fits.matched
     return replace(
-        _compared(found.clocks, found.fits, "events"),
+        _compared(clocks, fits, "events"),
         margin=found.margin,
         status="ambiguous" if found.ambiguity else "ok",
         error_ms=1e3 * float(np.hypot(error, drops.attrs["lag_s"])),
         drift_err_ppm=1e6 * drift_error,
-        candidates=_candidates(found),
+        candidates=tuple(
+            Candidate(offset_s=float(a), drift_ppm=float(b), log_likelihood=float(c), matched=int(m))
+            for a, b, c, m in zip(*(fact[:5] for fact in facts), strict=True)
+        ),
         warnings=(f"clocks ambiguous: {found.ambiguity}; give `offset_s`",) if found.ambiguity else (),
     )
 
@@ -247,17 +259,8 @@ def _compared(clocks: CandidateClocks, fits: ClockFits, how: How) -> Clock:
         matched=int(fits.matched[0]),
         unmatched_video=int(fits.video[0] - fits.matched[0]),
         unmatched_force=int(fits.force[0] - fits.matched[0]),
-        margin=math.nan,
         status="given",
         how=how,
-    )
-
-
-def _candidates(found: Alignments) -> tuple[Candidate, ...]:
-    facts = (found.clocks.offset_s, 1e6 * found.clocks.drift, found.fits.log_likelihood, found.fits.matched)
-    return tuple(
-        Candidate(offset_s=float(a), drift_ppm=float(b), log_likelihood=float(c), matched=int(m))
-        for a, b, c, m in zip(*(fact[:5] for fact in facts), strict=True)
     )
 
 
@@ -275,11 +278,8 @@ def _given(
         return Clock(
             offset_s=line[0],
             drift_ppm=line[1],
-            residual_ms=math.nan,
-            matched=0,
             unmatched_video=len(seen),
             unmatched_force=len(drops),
-            margin=math.nan,
             status="given",
             how=how,
         )
@@ -311,20 +311,19 @@ def _contradiction(given: Clock, found: Alignments) -> tuple[str, ...]:
 def clock_from_column(force: xr.Dataset) -> tuple[float, float] | None:
     """Straight line through the column of video times that the testing machine wrote beside its own.
 
-    Parameters
-    ----------
-    force
-        From `read_force`. A value is repeated until the next frame arrives: only the first sample of each
-        counts. Values more than 5 σ off the line are left out.
+    A value is repeated until the next frame arrives: only the first sample of each counts. Values more than
+    5 σ off the line are left out.
 
-    Returns
-    -------
     (offset_s, drift_ppm); None without a usable column: one with under ten different values, or whose seconds
     differ from the machine's by over 2 %, is no clock of the recording.
     """
     if "video_time_s" not in force:
         return None
-    video, machine = _first_samples(force["video_time_s"].to_numpy(), force["time_s"].to_numpy())
+    video, machine = force["video_time_s"].to_numpy(), force["time_s"].to_numpy()
+    known = np.isfinite(video) & np.isfinite(machine)
+    video, machine = video[known], machine[known]
+    new = np.flatnonzero(np.diff(video) > 0) + 1
+    video, machine = video[new], machine[new]
     if len(video) < 10:
         return None
     centre = float(np.median(video))
@@ -334,19 +333,11 @@ def clock_from_column(force: xr.Dataset) -> tuple[float, float] | None:
     return middle - slope * centre, 1e6 * (slope - 1)
 
 
-def _first_samples(video: Floats, machine: Floats) -> tuple[Floats, Floats]:
-    """Both times at the first sample of each value."""
-    known = np.isfinite(video) & np.isfinite(machine)
-    video, machine = video[known], machine[known]
-    new = np.flatnonzero(np.diff(video) > 0) + 1
-    return video[new], machine[new]
-
-
 def _robust_line(x: Floats, y: Floats) -> tuple[float, float]:
     """Slope and intercept without outliers; starts from the median of slopes across half the data."""
     half = len(x) // 2
     rise, run = y[-half:] - y[:half], x[-half:] - x[:half]
-    slope = float(np.median(rise[run > 0] / run[run > 0])) if np.any(run > 0) else float("nan")
+    slope = float(np.median(rise[run > 0] / run[run > 0])) if np.any(run > 0) else math.nan
     intercept = float(np.median(y - slope * x))
     for _ in range(10):
         away = np.abs(y - intercept - slope * x)

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 class ClockSettings:
     """Everything in the alignment that can be tuned.
 
-    The tests named below make trains and recordings with a known clock: `tests/clock/test_ambiguity.py` is
+    The tests named below make trains and recordings with a known clock: `tests/clock/test_alignment.py` is
     where wrong alignments must never pass.
     """
 
     # Slips of the camera
     step_significance: float = 6.0
     """Standard errors by which a common step must stand out. Larger → small slips are missed; smaller → noise
-    counts as slips. `test_video_slips.py`: all slips are found at 3 to 20, noise alone makes one at 3."""
+    counts as slips. `test_slips.py`: all slips are found at 3 to 20, noise alone makes one at 3."""
     step_part_significance: float = 3.0
     """The same for a frame that shows part of a step. Larger → slips during an exposure are placed less well;
     smaller → noise is taken for parts, and errors are two to four times those stated at 1.5."""
@@ -31,7 +31,7 @@ class ClockSettings:
     # Slips of the load cell
     window_of_period: float = 0.3
     """Part of the time between slips that is searched for the whole of a drop, each way. Larger → the next
-    slip comes into view; smaller → the transient of a slow low-pass is cut off. `test_force_slips.py`."""
+    slip comes into view; smaller → the transient of a slow low-pass is cut off. `test_slips.py`."""
     drop_end: float = 0.01
     """Of the steepest drop: a drop ends where its slope is less. Larger → the transient is cut off and slips
     are late by 0.2 ms at 0.02; smaller → noise is taken for a transient."""

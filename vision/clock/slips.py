@@ -55,7 +55,7 @@ def force_slips(
     time, load = good["time_s"].to_numpy().astype(float), good["load_N"].to_numpy().astype(float)
     begin, end, drop = _bounds(sticks)
     if not len(begin) or len(time) < 3:
-        return pd.DataFrame({"time_s": np.empty(0), "error_s": np.empty(0), "drop_N": np.empty(0)})
+        return pd.DataFrame(dict.fromkeys(("time_s", "error_s", "drop_N"), np.empty(0)))
     interval = float(np.median(np.diff(time)))
     steepest, of = np.unique(_steepest(time, load, begin, end), return_index=True)
     middle, delay, duration = _mean_times(time, load, steepest, settings)

@@ -89,15 +89,15 @@ class Comparison:
         return {
             "Y_eff_GPa": asdict(self.modulus) | {"from": list(self.modulus_from)},
             "joint": [asdict(one) for one in self.joint],
-            "collapse": None
-            if self.collapse is None
-            else {name: item for name, item in vars(self.collapse).items() if name != "table"},
-            "irregular": [
-                {name: item for name, item in vars(one).items() if name not in ("d_mm", "variation")}
-                for one in self.irregular
-            ],
+            "collapse": None if self.collapse is None else _without(self.collapse, "table"),
+            "irregular": [_without(one, "d_mm", "variation") for one in self.irregular],
             "trends": [asdict(one) for one in self.trends],
         }
+
+
+def _without(item: Collapse | Irregularity, *names: str) -> dict[str, Any]:
+    """The fields of a dataclass but for these."""
+    return {name: value for name, value in vars(item).items() if name not in names}
 
 
 def compare(
@@ -106,7 +106,7 @@ def compare(
     *,
     main_sample: str | None = None,
     modulus_GPa: float | None = None,
-    settings: CompareSettings | None = None,
+    settings: CompareSettings = CompareSettings(),
 ) -> Comparison:
     """Put several finished tests side by side: one table, one μ, the collapse, the trends.
 
@@ -137,17 +137,16 @@ def compare(
     >>> found = vision.compare(["old_tracks", "new_tracks"], "tests.csv")  # doctest: +SKIP
     >>> found.table[["run", "mu", "mu_err"]]  # doctest: +SKIP
     """
-    tuning = settings or CompareSettings()
     read = read_tests(runs, table)
     tests = _sharing_geometry(read.tests)
     warnings = list(read.warnings)
-    modulus, source = _modulus(tests, main_sample, modulus_GPa, tuning)
+    modulus, source = _modulus(tests, main_sample, modulus_GPa, settings)
     main = None if modulus_GPa is not None else tests[0].sample_name if main_sample is None else main_sample
-    tests, fits, unfitted = _fits(tests, modulus, main, tuning)
+    tests, fits, unfitted = _fits(tests, modulus, main, settings)
     for test, fit in zip(tests, fits, strict=True):
         warnings += [f"{test.run}: {note}" for note in fit.notes if "𝒯0" in note or "misfit" in note]
-    if modulus_GPa is None and any(f.scale_mm.value != f.scale_mm.value for f in fits):
-        lost = ", ".join(t.run for t, f in zip(tests, fits, strict=True) if np.isnan(f.scale_mm.value))
+    lost = ", ".join(t.run for t, f in zip(tests, fits, strict=True) if np.isnan(f.scale_mm.value))
+    if modulus_GPa is None and lost:
         warnings.append(f"no Λ̂ with Y_eff = {modulus.value:.3g} GPa: {lost} (`modulus_GPa`, `main_sample`)")
     rows = _table(tests, fits)
     shared = {name: shared_shifts(tests, fits, name) for name in QUANTITIES}
@@ -158,10 +157,10 @@ def compare(
         table=rows,
         modulus=modulus,
         modulus_from=source,
-        joint=_joint(tests, fits, tuning),
+        joint=_joint(tests, fits, settings),
         collapse=collapse(tests, fits, modulus),
-        irregular=tuple(find_irregular(test, tuning) for test in tests),
-        trends=find_trends(rows.assign(**own), tuning, shared=shared),
+        irregular=tuple(find_irregular(test, settings) for test in tests),
+        trends=find_trends(rows.assign(**own), settings, shared=shared),
         failures=(*read.failures, *unfitted),
         warnings=tuple(warnings),
     )
@@ -179,10 +178,7 @@ def _sharing_geometry(tests: Sequence[TractionTest]) -> tuple[TractionTest, ...]
 
 
 def _modulus(
-    tests: Sequence[TractionTest],
-    main_sample: str | None,
-    given: float | None,
-    tuning: CompareSettings,
+    tests: Sequence[TractionTest], main_sample: str | None, given: float | None, settings: CompareSettings
 ) -> tuple[Estimate, tuple[str, ...]]:
     if given is not None:
         if not 0 < given < 1e6:
@@ -193,21 +189,21 @@ def _modulus(
     if main not in names:
         known = ", ".join(sorted(set(names)))
         raise InputError("`main_sample`", f"one of the tests' samples ({known})", f"'{main}'")
-    modulus, source = common_modulus(tests, main, tuning)
+    modulus, source = common_modulus(tests, main, settings)
     if not np.isfinite(modulus.value):
         raise InputError("`modulus_GPa`", "tests of the main sample that give Y_eff", "none", "give it")
     return modulus, source
 
 
 def _fits(
-    tests: Sequence[TractionTest], modulus: Estimate, main: str | None, tuning: CompareSettings
+    tests: Sequence[TractionTest], modulus: Estimate, main: str | None, settings: CompareSettings
 ) -> tuple[tuple[TractionTest, ...], tuple[TestFit, ...], list[str]]:
     """The tests that can be fitted, their fits, and one line for each of the others."""
     done: dict[TractionTest, TestFit] = {}
     errors = []
     for test in tests:
         try:
-            fit = fit_test(test, modulus, tuning)
+            fit = fit_test(test, modulus, settings)
             done[test] = systematic_shifts(test, fit, modulus, test.sample_name == main)
         except InputError as error:
             errors.append(error)
@@ -242,14 +238,14 @@ def _table(tests: Sequence[TractionTest], fits: Sequence[TestFit]) -> pd.DataFra
 
 
 def _joint(
-    tests: Sequence[TractionTest], fits: Sequence[TestFit], tuning: CompareSettings
+    tests: Sequence[TractionTest], fits: Sequence[TestFit], settings: CompareSettings
 ) -> tuple[JointFriction, ...]:
     names = list(dict.fromkeys(test.sample_name for test in tests))
     groups = {name: [k for k, test in enumerate(tests) if test.sample_name == name] for name in names}
     if len(names) > 1:
         groups["all samples"] = list(range(len(tests)))
     return tuple(
-        fit_joint([tests[k] for k in which], [fits[k] for k in which], name, tuning)
+        fit_joint([tests[k] for k in which], [fits[k] for k in which], name, settings)
         for name, which in groups.items()
         if len(which) > 1
     )
@@ -257,21 +253,17 @@ def _joint(
 
 def _overlay(found: Comparison) -> ComparedTests:
     """What the figures draw, as plain tables."""
-    main = found.joint[0] if found.joint else None
-    mu = found.fits[0].mu if main is None else main.mu
-    amplitude = found.fits[0].values["A"] if main is None else main.amplitude
+    main, first, c = found.joint[0] if found.joint else None, found.fits[0], found.collapse
     return ComparedTests(
         events=found.events(),
         table=found.table,
         sample=found.tests[0].sample,
-        mu=mu,
-        amplitude=amplitude,
+        mu=first.mu if main is None else main.mu,
+        amplitude=first.values["A"] if main is None else main.amplitude,
         modulus=found.modulus,
         joint_name="" if main is None else main.sample,
-        collapse=None if found.collapse is None else found.collapse.table,
-        rms=(np.nan,) * 3
-        if found.collapse is None
-        else (found.collapse.rms_before, found.collapse.rms_after, found.collapse.rms_noise),
+        collapse=None if c is None else c.table,
+        rms=(np.nan,) * 3 if c is None else (c.rms_before, c.rms_after, c.rms_noise),
         irregular=tuple(vars(one) for one in found.irregular),
         trends=tuple(asdict(one) for one in found.trends),
         sticks=_sticks(found.tests),
@@ -294,7 +286,7 @@ def _sticks(tests: Sequence[TractionTest]) -> tuple[tuple[float, Figure], ...]:
     return tuple(sorted(chosen.items(), key=lambda item: item[0]))
 
 
-# --- in words ---
+# --- in words -----------------------------------------------------------------------------------------------
 
 
 def summary_lines(found: Comparison) -> list[str]:

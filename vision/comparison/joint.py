@@ -55,33 +55,19 @@ class CompareSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class TestFit:
-    """What one test gives with T* and Y_eff fixed.
-
-    Parameters
-    ----------
-    values
-        μ, 𝒯0, A, N̂ and Λ̂ by their names in tests.csv, with standard errors; N̂ and Λ̂ are NaN where K is not
-        that of M_eff sheets with this Y_eff.
-    shifts
-        Source of a systematic error to by how much it moves each of them (one standard error of the source):
-        "d0" is the test's own, "Y_eff" all tests share, others belong to the sample.
-    chi2_dof
-        Squared deviation from the models over that between neighbouring events, mean of the three fits.
-    peak_scatter
-        Root mean square deviation of the peaks from the fit, as a share of them.
-    used
-        Which events.
-    notes
-        What limits the result.
-    """
+    """What one test gives with T* and Y_eff fixed."""
 
     __test__ = False
+    # μ, 𝒯0, A, N̂ and Λ̂ by their names in tests.csv, with standard errors; N̂ and Λ̂ are NaN where K is not that
+    # of M_eff sheets with this Y_eff
     values: Mapping[str, Estimate]
+    # source of a systematic error to by how much it moves each of them (one standard error of the source):
+    # "d0" is the test's own, "Y_eff" all tests share, others belong to the sample
     shifts: Mapping[str, Mapping[str, float]]
-    chi2_dof: float
-    peak_scatter: float
-    used: Bools = field(repr=False)
-    notes: tuple[str, ...] = ()
+    chi2_dof: float  # squared deviation over that between neighbouring events, mean of the three fits
+    peak_scatter: float  # root mean square deviation of the peaks from the fit, as a share of them
+    used: Bools = field(repr=False)  # which events
+    notes: tuple[str, ...] = ()  # what limits the result
 
     @property
     def mu(self) -> Estimate:
@@ -107,33 +93,17 @@ class TestFit:
 class JointFriction:
     """One μ for several tests of one sample.
 
-    Parameters
-    ----------
-    sample
-        Name.
-    runs
-        Which tests.
-    mu
-        The common friction coefficient. Its error holds what differs from test to test: noise, each test's
-        d0, and what the tests' own μ differ by beyond that; the systematic one is that of the geometry, which
-        all tests of a sample share.
-    t0_N
-        Offset of each test.
-    at_limit
-        Runs whose offset is as large as it may be.
-    disagreement
-        χ²/dof of the tests' own μ about the common one.
-    amplitude
-        A, the weighted mean of the slow tests.
+    The error of μ holds what differs from test to test: noise, each test's d0, and what the tests' own μ
+    differ by beyond that; the systematic one is that of the geometry, which all tests of a sample share.
     """
 
-    sample: str
+    sample: str  # its name
     runs: tuple[str, ...]
     mu: Estimate
-    t0_N: tuple[float, ...]
-    at_limit: tuple[str, ...]
-    disagreement: float
-    amplitude: Estimate
+    t0_N: tuple[float, ...]  # offset of each test
+    at_limit: tuple[str, ...]  # runs whose offset is as large as it may be
+    disagreement: float  # χ²/dof of the tests' own μ about the common one
+    amplitude: Estimate  # A, the weighted mean of the slow tests
 
     @property
     def disagrees(self) -> bool:
@@ -156,32 +126,18 @@ def usable_range(test: TractionTest) -> Bools:
 # --- one test -----------------------------------------------------------------------------------------------
 
 
-def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings | None = None) -> TestFit:
+def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = CompareSettings()) -> TestFit:
     r"""μ, 𝒯0 and A of one test with T* fixed, Λ̂ and N̂ with Y_eff fixed.
 
-    Parameters
-    ----------
-    test
-        Of `read_tests`.
-    modulus
-        Y_eff in GPa with its error.
-    settings
-        Tunable constants.
+    test: of `read_tests`.  modulus: Y_eff in GPa with its error.  Raises: InputError for peaks that do not
+    fall with d.
 
-    Raises
-    ------
-    InputError
-        For peaks that do not fall with d.
-
-    Notes
-    -----
     .. math:: F_p = \mathcal T(d_p; \mu) + \mathcal T_0, \quad \Delta F = A\, \mathcal N(d_v; \mu), \quad
         K = M \sqrt{1 - d_v/\hat\Lambda}\; \epsilon W Y_\mathrm{eff} / L
 
     K knows μ only through Λ̂, so Λ̂ alone is fitted and N̂ follows with the errors of both. The weights and
     errors are those of `fit_models`. Source: publication, section on the effective number of sheets.
     """
-    tuning = settings or CompareSettings()
     used = usable_range(test)
     events = test.events[used]
     try:
@@ -194,10 +150,10 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings | 
         found = f"others (μ = {mu.value:.3g} ± {mu.error:.2g})"
         raise InputError(test.folder, "peak forces that fall with d as Eq. 1 does", found, "check `d0_mm`")
     notes = []
-    if abs(t0.value) > tuning.t0_limit_N:
-        notes.append(f"offset 𝒯0 = {t0.value:.3g} N lies beyond ±{tuning.t0_limit_N:g} N")
-    if test.speed_mm_min > 1.05 * tuning.slow_mm_min:
-        notes.append(f"A, N̂ and Λ̂ are defined for V up to {tuning.slow_mm_min:g} mm/min")
+    if abs(t0.value) > settings.t0_limit_N:
+        notes.append(f"offset 𝒯0 = {t0.value:.3g} N lies beyond ±{settings.t0_limit_N:g} N")
+    if test.speed_mm_min > 1.05 * settings.slow_mm_min:
+        notes.append(f"A, N̂ and Λ̂ are defined for V up to {settings.slow_mm_min:g} mm/min")
     if not np.isfinite(values["Lambda_hat_mm"].value):
         notes.append("K is not that of M_eff sheets with this Y_eff: no Λ̂")
     if chi2 > 3:
@@ -245,15 +201,9 @@ def _n_hat(mu: Estimate, scale: Estimate, sample: Sample) -> Estimate:
 def systematic_shifts(test: TractionTest, fit: TestFit, modulus: Estimate, main: bool) -> TestFit:
     """The fit with what each error of d0, the geometry and Y_eff moves it by.
 
-    Parameters
-    ----------
-    test, fit
-        Of `fit_test`.
-    modulus
-        Y_eff; its systematic error is that of the main sample's geometry.
-    main
-        Whether the test is of the main sample: there K fixes Y_eff times the geometry, whose errors leave
-        Λ̂ as it is.
+    test, fit: of `fit_test`.  modulus: Y_eff; its systematic error is that of the main sample's geometry.
+    main: whether the test is of the main sample: there K fixes Y_eff times the geometry, whose errors leave
+    Λ̂ as it is.
     """
     events, sample = test.events[fit.used], test.sample
     shifts: dict[str, dict[str, float]] = {}
@@ -290,16 +240,15 @@ _GEOMETRY = {"thickness_mm": 1, "width_mm": 1, "length_mm": -1, "t_star_N": 0}
 
 
 def common_modulus(
-    tests: Sequence[TractionTest], main: str, settings: CompareSettings | None = None
+    tests: Sequence[TractionTest], main: str, settings: CompareSettings = CompareSettings()
 ) -> tuple[Estimate, tuple[str, ...]]:
     """Y_eff of the main sample in GPa, the weighted mean of its slow tests, and which runs these are.
 
     The run's own fit is used where it has one, else Λ̂ and Y_eff are fitted here. The error holds how far the
     tests disagree; the systematic one is that of ε, W and L, NaN where none of their errors is known.
     """
-    tuning = settings or CompareSettings()
     mine = [test for test in tests if test.sample_name == main]
-    slow = [test for test in mine if not test.speed_mm_min > 1.05 * tuning.slow_mm_min] or mine
+    slow = [test for test in mine if not test.speed_mm_min > 1.05 * settings.slow_mm_min] or mine
     value, error, _ = weighted_mean([_own_modulus(test) for test in slow])
     relative = [
         slow[0].errors[name] / getattr(slow[0].sample, name)
@@ -338,20 +287,12 @@ def fit_joint(
     tests: Sequence[TractionTest],
     fits: Sequence[TestFit],
     sample: str,
-    settings: CompareSettings | None = None,
+    settings: CompareSettings = CompareSettings(),
 ) -> JointFriction:
     """One μ for several tests, each with an offset 𝒯0 of its own within ±10 N.
 
-    Parameters
-    ----------
-    tests, fits
-        Which tests, and what each gives.
-    sample
-        Name.
-    settings
-        Tunable constants.
+    tests, fits: which, and what each gives.  sample: its name.
     """
-    tuning = settings or CompareSettings()
     parts = []
     for test, fit in zip(tests, fits, strict=True):
         d, peak = test.column("d_p_mm")[fit.used], test.column("F_p_N")[fit.used]
@@ -362,7 +303,7 @@ def fit_joint(
     def rest(mu: float, part: tuple[Floats, Floats, Floats, Sample]) -> tuple[Floats, float]:
         d, peak, width, geometry = part
         off = peak - equations.traction(d, mu=mu, sample=geometry)
-        t0 = float(np.clip(np.average(off, weights=width**-2), -tuning.t0_limit_N, tuning.t0_limit_N))
+        t0 = float(np.clip(np.average(off, weights=width**-2), -settings.t0_limit_N, settings.t0_limit_N))
         return (off - t0) / width, t0
 
     def misfit(mu: float) -> float:
@@ -373,33 +314,30 @@ def fit_joint(
     mu = float(
         scipy.optimize.minimize_scalar(misfit, bounds=reach, method="bounded", options={"xatol": 1e-9}).x
     )
-    offsets = [rest(mu, part)[1] for part in parts]
-    bound = [abs(t0) >= tuning.t0_limit_N for t0 in offsets]
+    offsets = {test.run: rest(mu, part)[1] for test, part in zip(tests, parts, strict=True)}
     step = 1e-5
-    information = np.array(
-        [
-            # of μ in each test, beside its offset
-            np.sum((rest(mu + step, part)[0] - rest(mu - step, part)[0]) ** 2) / (2 * step) ** 2
-            for part in parts
-        ]
-    )
+    # Of μ in each test, beside its offset.
+    changes = [rest(mu + step, part)[0] - rest(mu - step, part)[0] for part in parts]
+    information = np.array([np.sum(change**2) / (2 * step) ** 2 for change in changes])
     share = information / information.sum()
     widening = float(np.mean([max(fit.chi2_dof, 1.0) for fit in fits]))
     by_d0 = np.array([fit.shifts.get("d0", {}).get("mu", 0.0) for fit in fits])
     errors = np.array([fit.own_error("mu") for fit in fits])
     between = float(np.var(own, ddof=1) - np.mean(errors**2))
     variance = widening / information.sum() + np.sum((share * by_d0) ** 2) + max(between, 0.0) / own.size
+    shared = shared_shifts(tests, fits, "mu")
+    systematic = float(np.linalg.norm(shared @ share)) if len(shared) else float("nan")
     slow = [
         fit.values["A"]
         for test, fit in zip(tests, fits, strict=True)
-        if not test.speed_mm_min > 1.05 * tuning.slow_mm_min
+        if not test.speed_mm_min > 1.05 * settings.slow_mm_min
     ]
     return JointFriction(
         sample=sample,
-        runs=tuple(test.run for test in tests),
-        mu=Estimate(mu, float(np.sqrt(variance)), _together(shared_shifts(tests, fits, "mu"), share)),
-        t0_N=tuple(offsets),
-        at_limit=tuple(test.run for test, held in zip(tests, bound, strict=True) if held),
+        runs=tuple(offsets),
+        mu=Estimate(mu, float(np.sqrt(variance)), systematic),
+        t0_N=tuple(offsets.values()),
+        at_limit=tuple(run for run, t0 in offsets.items() if abs(t0) >= settings.t0_limit_N),
         disagreement=float(np.sum(((own - mu) / errors) ** 2) / (own.size - 1)),
         amplitude=Estimate(*weighted_mean(slow)[:2]),
     )
@@ -419,36 +357,18 @@ def shared_shifts(tests: Sequence[TractionTest], fits: Sequence[TestFit], quanti
     return np.array(list(found.values())).reshape(-1, len(fits))
 
 
-def _together(shifts: Floats, share: Floats) -> float:
-    """What the shared sources move a weighted mean by, together; NaN where there are none."""
-    return float(np.linalg.norm(shifts @ share)) if len(shifts) else float("nan")
-
-
-# --- the collapse ---
+# --- the collapse -------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class Collapse:
-    """How well the tests fall on the master curve.
+    """How well the tests fall on the master curve; distances are root mean squares of K/K_eff, in sheets."""
 
-    Parameters
-    ----------
-    table
-        One row an event: ``run``, ``d_v_mm``, ``d_hat``, ``sheets`` (K/K_eff) and its error, ``model``.
-    common_scale_mm
-        The one Λ̂ that fits all tests best.
-    rms_before, rms_after
-        Root mean square distance of K/K_eff, in sheets, from the master curve with the one Λ̂, and with each
-        test's own.
-    rms_noise
-        What the scatter between neighbouring events alone gives.
-    """
-
-    table: pd.DataFrame
-    common_scale_mm: float
-    rms_before: float
-    rms_after: float
-    rms_noise: float
+    table: pd.DataFrame  # a row an event: run, d_v_mm, d_hat, sheets (K/K_eff), sheets_err, model
+    common_scale_mm: float  # the one Λ̂ that fits all tests best
+    rms_before: float  # from the master curve with the one Λ̂
+    rms_after: float  # and with each test's own
+    rms_noise: float  # what the scatter between neighbouring events alone gives
 
 
 def collapse(tests: Sequence[TractionTest], fits: Sequence[TestFit], modulus: Estimate) -> Collapse | None:

@@ -35,43 +35,21 @@ _ALIKE = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TractionTest:
-    """One finished run and what the table says of it.
+    """One finished run and what the table says of it."""
 
-    Parameters
-    ----------
-    run
-        Name by which it is told from the others.
-    folder
-        Run folder.
-    sample_name
-        Of the sample; "" where it is not known.
-    speed_mm_min, n_test, humidity_percent, temperature_C
-        Pulling velocity, number of previous tests, air; NaN where not known.
-    sample
-        Geometry and adhesion.
-    events
-        Whole events with separation, force and stiffness, in order of d_v_mm.
-    fit_range_mm
-        Separations over which the run's own fits were made; None where it has none.
-    modulus_GPa, modulus_err_GPa
-        Y_eff of the run's own fit; NaN where it has none.
-    errors
-        Standard errors of d0 and the geometry that the run was given, by ``d0_mm`` or field of the sample.
-    """
-
-    run: str
+    run: str  # name by which it is told from the others
     folder: Path
-    sample_name: str
-    speed_mm_min: float
-    n_test: float
+    sample_name: str  # "" where it is not known
+    speed_mm_min: float  # pulling velocity; NaN, as the next three, where not known
+    n_test: float  # number of previous tests
     humidity_percent: float
     temperature_C: float
-    sample: Sample
-    events: pd.DataFrame
-    fit_range_mm: tuple[float, float] | None
-    modulus_GPa: float
+    sample: Sample  # geometry and adhesion
+    events: pd.DataFrame  # whole ones with separation, force and stiffness, in order of d_v_mm
+    fit_range_mm: tuple[float, float] | None  # of the run's own fits; None where it has none
+    modulus_GPa: float  # Y_eff of the run's own fit; NaN where it has none
     modulus_err_GPa: float
-    errors: Mapping[str, float]
+    errors: Mapping[str, float]  # of d0 and the geometry, as given, by d0_mm or field of the sample
 
     def column(self, name: str) -> Floats:
         """One column of the events."""
@@ -136,9 +114,7 @@ def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame
 # --- the table ----------------------------------------------------------------------------------------------
 
 
-def _read_table(
-    table: str | Path | pd.DataFrame | None,
-) -> tuple[pd.DataFrame | None, Path, list[str]]:
+def _read_table(table: str | Path | pd.DataFrame | None) -> tuple[pd.DataFrame | None, Path, list[str]]:
     """Known columns with checked values, the folder that names are relative to, and what is wrong."""
     if table is None:
         return None, Path(), []
@@ -166,15 +142,11 @@ def _csv(path: Path) -> pd.DataFrame:
         text = path.read_text(encoding="utf-8-sig")
         first = text.lstrip().partition("\n")[0]
         mark = max((",", ";", "\t"), key=first.count)
-        decimal = "." if mark == "," else ","
         rows = pd.read_csv(path, sep=mark, dtype=str, encoding="utf-8-sig", skipinitialspace=True)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(path, "a CSV table of tests", str(reason).lower()) from error
-    shown: pd.DataFrame = rows.apply(
-        lambda column: column.str.replace(",", ".") if decimal == "," else column
-    )
-    return shown
+    return rows if mark == "," else rows.apply(lambda column: column.str.replace(",", "."))
 
 
 def _numbers(
@@ -206,11 +178,7 @@ def _found(name: str, base: Path) -> Path:
 
 
 def _rows_of_runs(
-    folders: Sequence[Path],
-    rows: pd.DataFrame | None,
-    base: Path,
-    failures: list[str],
-    warnings: list[str],
+    folders: Sequence[Path], rows: pd.DataFrame | None, base: Path, failures: list[str], warnings: list[str]
 ) -> dict[Path, Mapping[str, Any]]:
     """The table's row of each run. Runs without a row, and rows without a run, are warned about."""
     if rows is None:

@@ -21,48 +21,26 @@ LEAST_TESTS = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Trend:
-    """One quantity against one predictor.
+    """One quantity against one predictor."""
 
-    Parameters
-    ----------
-    quantity, predictor
-        Columns of tests.csv.
-    tests
-        How many have both.
-    slope, slope_err, slope_systematic, intercept
-        Weighted line, on its own; the systematic error is that of the geometry and Y_eff.
-    scatter
-        Standard deviation from test to test about the line, beyond the tests' own errors.
-    spearman, p
-        Rank correlation, and how often random orders correlate as well.
-    partial_slope, partial_slope_err, partial_slope_systematic, partial_p
-        With the other predictor held fixed; NaN where that is not known.
-    p_adjusted
-        Of the partial slope where there is one, else of the rank correlation, times the number of trends
-        looked at (Holm).
-    claimed
-        Whether `p_adjusted` is below the significance, and the slope beyond its systematic errors.
-    reason
-        Why there is no trend at all; "" where it was looked for.
-    """
-
-    quantity: str
+    quantity: str  # columns of tests.csv
     predictor: str
-    tests: int
-    slope: float = np.nan
+    tests: int  # how many have both
+    slope: float = np.nan  # weighted line, on its own
     slope_err: float = np.nan
-    slope_systematic: float = np.nan
+    slope_systematic: float = np.nan  # error of the geometry and Y_eff
     intercept: float = np.nan
-    scatter: float = np.nan
-    spearman: float = np.nan
-    p: float = np.nan
-    partial_slope: float = np.nan
+    scatter: float = np.nan  # standard deviation of tests about the line, beyond their own errors
+    spearman: float = np.nan  # rank correlation
+    p: float = np.nan  # how often random orders correlate as well
+    partial_slope: float = np.nan  # with the other predictor held fixed; NaN where that is not known
     partial_slope_err: float = np.nan
     partial_slope_systematic: float = np.nan
     partial_p: float = np.nan
+    # of the partial slope where there is one, else of the rank correlation, times the trends looked at (Holm)
     p_adjusted: float = np.nan
-    claimed: bool = False
-    reason: str = ""
+    claimed: bool = False  # `p_adjusted` is below the significance, the slope beyond its systematic errors
+    reason: str = ""  # why there is no trend at all; "" where it was looked for
 
     @property
     def beyond_systematic(self) -> bool:
@@ -74,23 +52,14 @@ class Trend:
 
 def find_trends(
     table: pd.DataFrame,
-    settings: CompareSettings | None = None,
+    settings: CompareSettings = CompareSettings(),
     *,
     shared: Mapping[str, Floats] | None = None,
 ) -> tuple[Trend, ...]:
-    r"""All trends of a table of tests.
+    r"""All trends of a table of tests, tests.csv: the quantities with their errors, n_test and RH_percent.
 
-    Parameters
-    ----------
-    table
-        tests.csv: the quantities with their errors, n_test and RH_percent.
-    settings
-        Tunable constants.
-    shared
-        Of each quantity, what errors that several tests have in common move it by, (source, test).
+    shared: of each quantity, what errors that several tests have in common move it by, (source, test).
 
-    Notes
-    -----
     Weights are 1/(error² + s²), s the scatter between tests beyond their errors, found so that
     χ²/dof is 1 where it would be larger. The p value of Spearman's ρ is the share of random orders with a
     |ρ| as large. Partial slopes come from y = a + b₁ n_test + b₂ RH; their p value permutes the residuals of
@@ -99,15 +68,14 @@ def find_trends(
     twenty claims any trend where there is none. An error of the geometry moves all tests of a sample
     together, which no permutation knows of: a slope within two of its systematic errors is not claimed.
     """
-    tuning = settings or CompareSettings()
     found = [
-        _trend(table, quantity, predictor, (shared or {}).get(quantity), tuning)
+        _trend(table, quantity, predictor, (shared or {}).get(quantity), settings)
         for quantity in QUANTITIES
         for predictor in PREDICTORS
     ]
     adjusted = holm(np.array([t.p if np.isnan(t.partial_p) else t.partial_p for t in found]))
     return tuple(
-        replace(t, p_adjusted=float(p), claimed=bool(p < tuning.significance and t.beyond_systematic))
+        replace(t, p_adjusted=float(p), claimed=bool(p < settings.significance and t.beyond_systematic))
         for t, p in zip(found, adjusted, strict=True)
     )
 
@@ -123,7 +91,7 @@ def holm(p: Floats) -> Floats:
 
 
 def _trend(
-    table: pd.DataFrame, quantity: str, predictor: str, shared: Floats | None, tuning: CompareSettings
+    table: pd.DataFrame, quantity: str, predictor: str, shared: Floats | None, settings: CompareSettings
 ) -> Trend:
     error_of = with_word(quantity, "err")
     y, error, x = (table[name].to_numpy(float) for name in (quantity, error_of, predictor))
@@ -134,10 +102,10 @@ def _trend(
         return Trend(**about, reason=f"{count} tests with both, at least {LEAST_TESTS} needed")
     if not np.ptp(x[known]) > 0:
         return Trend(**about, reason=f"{predictor} never changes")
-    rng = np.random.default_rng(tuning.seed)
+    rng = np.random.default_rng(settings.seed)
     moved = np.zeros((0, y.size)) if shared is None else np.nan_to_num(shared)
     line, covariance, scatter = weighted_fit(_design(x[known]), y[known], error[known])
-    rho, p = spearman(x[known], y[known], rng, tuning.draws)
+    rho, p = spearman(x[known], y[known], rng, settings.draws)
     found = Trend(
         **about,
         slope=float(line[1]),
@@ -162,7 +130,7 @@ def _trend(
         partial_slope=float(plane[1]),
         partial_slope_err=float(np.sqrt(covariance[1, 1])),
         partial_slope_systematic=_moved_slope(design, error, scatter, covariance, moved[:, known]),
-        partial_p=_partial_p(design, y, 1 / np.hypot(error, scatter), rng, tuning.draws),
+        partial_p=_partial_p(design, y, 1 / np.hypot(error, scatter), rng, settings.draws),
     )
 
 
@@ -225,79 +193,52 @@ def _t_of_slope(design: Floats, y: Floats) -> Floats:
     return np.asarray(value[:, 1] / (np.linalg.norm(inverse[1]) * np.maximum(spread, 1e-300)))
 
 
-# --- a change within one test ---
+# --- a change within one test -------------------------------------------------------------------------------
 
 LEAST_SIDE = 10  # events on either side of a change
 
 
 @dataclass(frozen=True, kw_only=True)
 class Irregularity:
-    """Running coefficient of variation of ΔF, and where it changes.
-
-    Parameters
-    ----------
-    run, speed_mm_min
-        Of the test.
-    d_mm, variation
-        Separation of each event and the running coefficient of variation there.
-    change_mm, change_err_mm
-        Where it rises, and its standard error; NaN where there is no change.
-    before, after
-        Coefficient of variation on either side; the same where there is no change.
-    p
-        How often a test without a change looks as changed as this one.
-    reason
-        Why there is no change point; "" where there is one.
-    """
+    """Running coefficient of variation of ΔF, and where it changes."""
 
     run: str
     speed_mm_min: float
-    d_mm: Floats = field(repr=False)
-    variation: Floats = field(repr=False)
-    change_mm: float
+    d_mm: Floats = field(repr=False)  # separation of each event
+    variation: Floats = field(repr=False)  # running coefficient of variation there
+    change_mm: float  # where it rises; NaN where there is no change
     change_err_mm: float
-    before: float
+    before: float  # coefficient of variation on either side; the same where there is no change
     after: float
-    p: float
-    reason: str
+    p: float  # how often a test without a change looks as changed as this one
+    reason: str  # why there is no change point; "" where there is one
 
 
-def find_irregular(test: TractionTest, settings: CompareSettings | None = None) -> Irregularity:
+def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettings()) -> Irregularity:
     r"""Where the scatter of ΔF changes for good.
 
-    Parameters
-    ----------
-    test
-        Of `read_tests`.
-    settings
-        Tunable constants.
-
-    Notes
-    -----
     The relative deviation r of ΔF from its own smooth course has the running coefficient of variation
     √⟨r²⟩. The change point is the split that best divides log|r| into two levels, which single large events
     cannot mimic. It is claimed where fewer than 1 % of random orders of r divide as well, the scatter rises
     by half or more, and two levels describe it better (BIC) than a smooth rise, as that of noise over a
     falling ΔF. Its error is the spread of the place over 200 bootstrap draws within the two parts.
     """
-    tuning = settings or CompareSettings()
     d, drop = test.column("d_v_mm"), test.column("dF_N")
     nan = float("nan")
     whole: dict[str, Any] = {"run": test.run, "speed_mm_min": test.speed_mm_min, "d_mm": d}
-    window = tuning.smooth_events | 1
+    window = settings.smooth_events | 1
     if d.size < max(2 * window, 2 * LEAST_SIDE + 1):
         unknown: dict[str, Any] = dict.fromkeys(("change_mm", "change_err_mm", "before", "after", "p"), nan)
         reason = f"{d.size} events, at least {2 * window} needed"
         return Irregularity(**whole, **unknown, variation=np.full(d.size, nan), reason=reason)
     r = drop / np.maximum(scipy.signal.savgol_filter(drop, window, 2), 1e-3 * float(drop.max())) - 1
-    r *= 1 / np.sqrt(1 - _leverage(window))  # a smooth course takes part of the scatter with it
-    square = np.convolve(r**2, np.ones(window), "same") / np.convolve(
-        np.ones(d.size), np.ones(window), "same"
-    )
+    own = scipy.signal.savgol_coeffs(window, 2)[window // 2]  # share of its own value in the smoothed one
+    r *= 1 / np.sqrt(1 - own)  # a smooth course takes part of the scatter with it
+    square, count = (np.convolve(part, np.ones(window), "same") for part in (r**2, np.ones(d.size)))
     level = np.log(np.abs(r) + 0.05 * float(np.median(np.abs(r))) + 1e-12)
     at = int(_splits(level[np.newaxis])[0])
-    rng = np.random.default_rng(tuning.seed)
-    draws = min(tuning.draws, 500)  # enough to tell 1 % from 2 %
+    rng = np.random.default_rng(settings.seed)
+    draws = min(settings.draws, 500)  # enough to tell 1 % from 2 %
     shuffled = rng.permuted(np.tile(level, (draws, 1)), axis=1)
     best = _gains(level[np.newaxis])[0].max()
     p = float((1 + np.sum(_gains(shuffled).max(axis=1) >= best)) / (draws + 1))
@@ -311,7 +252,7 @@ def find_irregular(test: TractionTest, settings: CompareSettings | None = None) 
         error = float(np.hypot(np.std(d[places]), np.median(np.diff(d))))
     return Irregularity(
         **whole,
-        variation=np.sqrt(square),
+        variation=np.sqrt(square / count),
         change_mm=nan if reason else float((d[at - 1] + d[at]) / 2),
         change_err_mm=error,
         before=both if reason else before,
@@ -319,13 +260,6 @@ def find_irregular(test: TractionTest, settings: CompareSettings | None = None) 
         p=p,
         reason=reason,
     )
-
-
-def _leverage(window: int) -> float:
-    """Share of its own value in the smoothed one."""
-    unit = np.zeros(2 * window + 1)
-    unit[window] = 1
-    return float(scipy.signal.savgol_filter(unit, window, 2)[window])
 
 
 def _gains(level: Floats) -> Floats:
@@ -349,9 +283,7 @@ def _steady_rise_is_better(level: Floats, d: Floats, at: int) -> bool:
     change counts as three parameters, since it is the best of many (Hall, Osborn & Sakkas 2013).
     """
     n = level.size
-    steps = float(
-        np.sum((level[:at] - level[:at].mean()) ** 2) + np.sum((level[at:] - level[at:].mean()) ** 2)
-    )
+    steps = sum(float(np.sum((part - part.mean()) ** 2)) for part in (level[:at], level[at:]))
     smooth = []
     for degree in (1, 2):
         curve = np.polynomial.Polynomial.fit(d, level, degree)

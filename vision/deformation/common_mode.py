@@ -67,12 +67,7 @@ class Drift:
 
 
 def drift_model(
-    line: Creep,
-    side: Ints,
-    n: Ints,
-    frames: StickFrames,
-    vibration_px: Floats,
-    settings: DeformationSettings,
+    line: Creep, side: Ints, n: Ints, frames: StickFrames, vibration_px: Floats, settings: DeformationSettings
 ) -> BothSides | OneSide:
     """The way in which drift can be separated from creep with the sheets in view.
 
@@ -228,12 +223,7 @@ class OneSide:
 
     @classmethod
     def of(
-        cls,
-        line: Creep,
-        n: Ints,
-        frames: StickFrames,
-        vibration_px: Floats,
-        settings: DeformationSettings,
+        cls, line: Creep, n: Ints, frames: StickFrames, vibration_px: Floats, settings: DeformationSettings
     ) -> OneSide:
         """From the lines fitted to all sheets; what of the vibration (F,) looks like creep is taken to be as
         much as if it were white, where nothing tells."""

@@ -19,15 +19,18 @@ from vision.deformation.common_mode import (
 )
 from vision.deformation.creep import (
     Creep,
+    ErrorModel,
     LateSlips,
+    Noise,
     StickFrames,
     correct_pixel_locking,
     find_late_slips,
     fit_creep,
+    fixed_pattern_px,
     frames_of_sticks,
+    measure_noise,
     pixel_locking_slope,
 )
-from vision.deformation.noise import ErrorModel, Noise, fixed_pattern_px, measure_noise
 from vision.deformation.settings import DeformationSettings
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Ints, nan_median
@@ -302,6 +305,9 @@ def _measure(
         pattern = fixed_pattern_px(close, errors.of(close), noise, settings)
         errors = ErrorModel(noise, pattern, settings.scale_error)
     camera = drift_model(line, sheets.side, sheets.n, frames, vibration, settings) if common_mode else None
+    # Independent frames over frames: the sweep's variance for white noise over that for correlated noise.
+    white = fit_creep(steady, frames, 2, settings)
+    independent = nan_median(white.inverse[..., 1, 1] / line.inverse[..., 1, 1], axis=1)
     curve = _Curve.of(line, parabola, errors, camera, settings).shortened(slips)
     return _Deformation(
         rms_px=np.where(line.good, _rms(x_px, frames), np.nan),
@@ -312,17 +318,11 @@ def _measure(
         count=line.count,
         good=line.good,
         uneven=noise.excess > 1,
-        effective_frames=frames.counts * _independent(fit_creep(steady, frames, 2, settings), line),
+        effective_frames=np.where(np.isfinite(independent), frames.counts * independent, frames.counts),
         drift_px=2 * curve.drift,
         noise=noise,
         camera_movement=camera.movement if camera else "not taken off",
     )
-
-
-def _independent(white: Creep, line: Creep) -> Floats:
-    """Independent frames over frames: the sweep's variance for white noise over that for correlated noise."""
-    share = nan_median(white.inverse[..., 1, 1] / line.inverse[..., 1, 1], axis=1)
-    return np.where(np.isfinite(share), share, 1.0)
 
 
 def _rms(x_px: Floats, frames: StickFrames) -> Floats:

@@ -49,15 +49,15 @@ class DeformationSettings:
 
     correlation_positions: int = 10_000
     """Positions, about, from which the noise's autocorrelation is estimated.  More take longer; with fewer
-    its error grows, by which the stated errors are off (test_noise)."""
+    its error grows, by which the stated errors are off (test_creep)."""
 
     predicted_dof: float = 5.0
     """Weight of the predicted noise of a sheet against its residuals, as degrees of freedom.  It steadies
-    sheets seen in few frames; larger hides sheets noisier than predicted (test_noise: a noisy sheet)."""
+    sheets seen in few frames; larger hides sheets noisier than predicted (test_creep: a noisy sheet)."""
 
     uneven_probability: float = 1e-6
     """Chance below which residuals are too large for the sheet's noise.  Larger flags quiet sticks "uneven";
-    smaller lets jumps within a stick pass for noise (test_noise: a sheet that slips by itself)."""
+    smaller lets jumps within a stick pass for noise (test_creep: a sheet that slips by itself)."""
 
     least_sheets: int = 5
     """Sheets from which common-mode motion is separated from their own noise, and drift with one side in

@@ -1,7 +1,17 @@
-"""The traction test itself, before any instrument: stick-slip events, d(t), F(t), and the two clocks.
+r"""The traction test itself, before any instrument: stick-slip events, d(t), F(t), x(n, t), the two clocks.
 
 The pull starts at time 0 of the machine's clock at d0 with zero force. A first elastic loading ends in
-slip 0; event i is the stick between slips i and i + 1.
+slip 0; event i is the stick between slips i and i + 1. In a stick a sheet creeps towards the axis at constant
+speed; in a slip it jumps back out as half a cosine.
+
+With ``mechanics.model = "sheets"`` thresholds decide which sheets stick and for how long (`sheet_model`); the
+one thing added here is how far a sheet is seen to move. What it creeps between two slips of the assembly,
+s(n) = d − d_v − (T(n) − T_v(n))/k, its free part takes up by bending inwards, and the slip gives it back:
+
+.. math:: x(n, t) = \hat x(n) \mp \sqrt{12}\, r\, s(n, t)
+
+with one r for all sheets (`sheets.outer_ratio`): a sheet that creeps all the way has σ_x/Λ_st = r, one that
+sticks to the end has 0. It uses neither M_eff nor a shell.
 """
 
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
@@ -12,8 +22,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 
-from vision.experiment.settings import Experiment, Mechanics
+from vision.experiment.settings import Experiment, Mechanics, Sheets
+from vision.experiment.sheet_model import SheetPull, pull_sheets
 from vision.models import equations as eq
 from vision.numeric import Bools, Floats, Ints
 from vision.sample import PUBLISHED, Sample
@@ -27,6 +39,9 @@ def random_stream(seed: int, part: str, *numbers: int) -> np.random.Generator:
     """
     key = (zlib.crc32(part.encode()), *numbers)
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=key)))
+
+
+# --- the pull -----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,6 +216,9 @@ def _stick_shape(u: Floats, m: Mechanics) -> Floats:
     return u + m.softening * u * (1 - u) / 2
 
 
+# --- the camera's clock and the sheets at rest --------------------------------------------------------------
+
+
 @dataclass(frozen=True, kw_only=True)
 class FrameTimes:
     """Times of mid-exposure, one entry per frame that reached the file.
@@ -238,3 +256,276 @@ def camera_time(machine_s: Floats, experiment: Experiment) -> Floats:
     """Video time of a moment on the force clock."""
     clocks = experiment.clocks
     return (np.asarray(machine_s) - clocks.offset_s) / (1 + clocks.drift_ppm * 1e-6)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RestingComb:
+    """The ridges at rest, left to right: position, side (-1, +1), n from 1, and distance from the axis
+    in pitches."""
+
+    axis_px: float
+    rest_px: Floats
+    side: Ints
+    n: Ints
+    rank: Floats
+
+
+def comb_at_rest(experiment: Experiment) -> RestingComb:
+    """Ridges with uneven pitch, centred in the frame.
+
+    With an odd number the middle one stands on the axis and counts as n = 1 on the right.
+    """
+    sheets, count = experiment.sheets, experiment.ridges_in_view
+    middle = (experiment.camera.width - 1) / 2
+    right = {"both": (count + 1) // 2, "right": count, "left": 0}[sheets.side]
+    place = np.arange(count) - (count - right)
+    side = np.where(place >= 0, 1, -1)
+    n = np.where(place >= 0, place + 1, -place)
+    odd = sheets.side == "both" and count % 2 == 1
+    steps = place + (0.0 if odd else 0.5)
+    axis = middle - steps.mean() * sheets.pitch_px
+    rng = random_stream(experiment.seed, "comb")
+    uneven = sheets.pitch_jitter * rng.uniform(-1, 1, count)
+    rank = np.abs(steps) + (0.0 if odd else 0.5)
+    rest = axis + (steps + uneven) * sheets.pitch_px
+    return RestingComb(axis_px=axis, rest_px=rest, side=side, n=n, rank=rank)
+
+
+# --- the sheets' motion -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class SheetMotion:
+    """Displacement from rest of every sheet, px, as a function of the machine's time.
+
+    `sweep_px` (inward motion from valley to peak), `ratio` (σ_x/Λ_st) and `delay_s` are (stick, sheet).
+    """
+
+    sweep_px: Floats
+    ratio: Floats
+    delay_s: Floats
+    integral_px_s: Floats
+
+    def mean_px(self, from_s: Floats, to_s: Floats) -> Floats:
+        """Displacement (time, sheet) averaged between two times, exactly."""
+        span = (np.asarray(to_s) - from_s)[:, None]
+        return (self._primitive(to_s) - self._primitive(from_s)) / span
+
+    def _primitive(self, time_s: Floats) -> Floats:
+        """Integral of the displacement from the start."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion(SheetMotion):
+    """The motion that belongs to events from equations.
+
+    Segment k runs from one slip to the next: every sheet stays for its `delay_s`, jumps within `slip_s`
+    to `outer` and creeps to `inner`. The first segment has no slip.
+    """
+
+    begin_s: Floats
+    length_s: Floats
+    slip_s: float
+    stop_s: float
+    before_px: Floats
+    outer_px: Floats
+    inner_px: Floats
+
+    def _primitive(self, time_s: Floats) -> Floats:
+        t = np.clip(time_s, 0, self.stop_s)
+        k = np.clip(np.searchsorted(self.begin_s, t, side="right") - 1, 0, None)
+        inside = _segment_integral(self, k, (t - self.begin_s[k])[:, None])
+        early, late = np.minimum(time_s, 0)[:, None], np.maximum(time_s - self.stop_s, 0)[:, None]
+        outside = early * self.outer_px[0] + late * self._final_px()
+        return np.asarray(self.integral_px_s[k] + inside + outside)
+
+    def _final_px(self) -> Floats:
+        """Where the sheets stay when the machine has stopped."""
+        last = np.clip(np.searchsorted(self.begin_s, self.stop_s, side="right") - 1, 0, None)
+        share = np.clip((self.stop_s - self.begin_s[last] - self.slip_s) / self.length_s[last], 0, 1)
+        return np.asarray(self.outer_px[last] + share * (self.inner_px[last] - self.outer_px[last]))
+
+
+def _segment_integral(motion: Motion, k: Ints, tau: Floats) -> Floats:
+    """Integral of the displacement over the first tau seconds of segments k: rest, half cosine, straight
+    line."""
+    before, outer, inner = motion.before_px[k], motion.outer_px[k], motion.inner_px[k]
+    delay = motion.delay_s[k]
+    slip = np.where(k > 0, motion.slip_s, 1e-12)[:, None]
+    creep = motion.length_s[k][:, None] - slip - delay
+    held = np.minimum(tau, delay)
+    u = np.clip(tau - delay, 0, slip)
+    v = np.maximum(tau - delay - slip, 0)
+    jump = before * u + (outer - before) * (u / 2 - slip / (2 * np.pi) * np.sin(np.pi * u / slip))
+    return np.asarray(before * held + jump + outer * v + (inner - outer) * v**2 / (2 * creep))
+
+
+def sheet_motion(experiment: Experiment, pull: Pull, comb: RestingComb) -> Motion:
+    r"""The motion that belongs to a pull: creep, jumps, slow spreading, delays between sheets.
+
+    Notes
+    -----
+    The sweep of a sheet in one stick is √12 σ_x (uniform creep), with
+
+    .. math:: \sigma_x / \Lambda_\mathrm{st} = r_\mathrm{outer}\,(\mathrm{rank}/M)^p
+
+    and p such that it falls to the stiff threshold at M_eff.
+    """
+    sheets, m = experiment.sheets, experiment.mechanics
+    rng = random_stream(experiment.seed, "motion")
+    stiff_share = pull.effective_sheets / experiment.sample.sheets_per_block
+    ratio = _deformation_ratio(comb.rank / experiment.ridges_per_side, stiff_share, sheets)
+    ratio = ratio * np.maximum(1 + sheets.sweep_scatter * rng.standard_normal(ratio.shape), 0)
+    stick_um = 1000 * (pull.d_end_mm - pull.d_start_mm)[:, None]
+    sweep = np.sqrt(12) * ratio * stick_um / experiment.camera.pixel_size_um
+    spread = sheets.spread_per_mm * (pull.d_start_mm - m.d0_mm)[:, None] * (comb.rest_px - comb.axis_px)
+    outer, inner = spread + comb.side * sweep / 2, spread - comb.side * sweep / 2
+    if len(sweep) > 1:  # the initial loading is longer than a stick and ends where the first stick would
+        inner[0] = -comb.side * sweep[1] / 2
+        outer[0] = inner[0] + comb.side * sweep[0]
+    begin = np.concatenate([[0.0], pull.end_s[:-1]])
+    length = np.diff(np.append(begin, pull.end_s[-1]))
+    delay = sheets.slip_delay_s * rng.uniform(0, 1, sweep.shape)
+    delay = np.minimum(delay, 0.5 * np.maximum(length - m.slip_s, 0)[:, None])
+    delay[0] = 0
+    motion = Motion(
+        begin_s=begin,
+        length_s=length,
+        slip_s=m.slip_s,
+        stop_s=pull.stop_s,
+        before_px=np.vstack([outer[:1], inner[:-1]]),
+        outer_px=outer,
+        inner_px=inner,
+        delay_s=delay,
+        integral_px_s=np.zeros_like(sweep),
+        sweep_px=sweep,
+        ratio=ratio,
+    )
+    whole = _segment_integral(motion, np.arange(len(length)), length[:, None])
+    motion.integral_px_s[1:] = np.cumsum(whole, axis=0)[:-1]
+    return motion
+
+
+def _deformation_ratio(rank_share: Floats, stiff_share: Floats, sheets: Sheets) -> Floats:
+    """σ_x/Λ_st (event, sheet) for sheets at rank/M and events at which M_eff/M of the sheets are stiff."""
+    if sheets.outer_ratio <= sheets.stiff_ratio:
+        return np.broadcast_to(sheets.outer_ratio * rank_share, (len(stiff_share), len(rank_share))).copy()
+    power = (
+        np.log(sheets.stiff_ratio / sheets.outer_ratio) / np.log(np.clip(stiff_share, 0.02, 0.98))[:, None]
+    )
+    return np.asarray(sheets.outer_ratio * rank_share**power)
+
+
+# --- resolved by sheets -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResolvedPull(Pull):
+    """A pull whose force is a path, straight between its points."""
+
+    path_s: Floats
+    path_N: Floats
+
+    def force_N(self, time_s: Floats) -> Floats:
+        """F(t) in N."""
+        return np.asarray(np.interp(time_s, self.path_s, self.path_N))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResolvedMotion(SheetMotion):
+    """Straight between the points of a path; before and after it the sheets stay as they are."""
+
+    path_s: Floats
+    path_px: Floats
+
+    def _primitive(self, time_s: Floats) -> Floats:
+        at, x = self.path_s, self.path_px
+        t = np.clip(time_s, at[0], at[-1])
+        k = np.clip(np.searchsorted(at, t, side="right") - 1, 0, at.size - 2)
+        tau, length = (t - at[k])[:, None], (at[k + 1] - at[k])[:, None]
+        inside = self.integral_px_s[k] + tau * (x[k] + (x[k + 1] - x[k]) * tau / (2 * length))
+        early, late = np.minimum(time_s - at[0], 0)[:, None], np.maximum(time_s - at[-1], 0)[:, None]
+        return np.asarray(inside + early * x[0] + late * x[-1])
+
+
+def sheet_pull(experiment: Experiment) -> SheetPull:
+    """The sheet-resolved pull of an experiment: its sample, friction, speed, unequal thresholds."""
+    m = experiment.mechanics
+    count = 2 * experiment.sample.sheets_per_block
+    spread = np.clip(random_stream(experiment.seed, "thresholds").standard_normal(count), -3, 3)
+    return SheetPull(
+        sample=experiment.sample,
+        mu=m.mu,
+        amplitude=m.amplitude,
+        modulus_GPa=m.modulus_GPa,
+        speed_mm_min=m.speed_mm_min,
+        d0_mm=m.d0_mm,
+        d_end_mm=m.d_end_mm,
+        positions="middles",
+        slips="together",
+        threshold_factor=tuple((1 + m.threshold_scatter * spread).tolist()),
+    )
+
+
+def resolved_test(experiment: Experiment, comb: RestingComb) -> tuple[ResolvedPull, ResolvedMotion]:
+    """Pull and motion of a test with ``mechanics.model = "sheets"``."""
+    m, result = experiment.mechanics, pull_sheets(sheet_pull(experiment))
+    after_slip = np.flatnonzero(result["slipped"].values.any(axis=1))
+    valley = np.append(0, after_slip)
+    peak = np.append(after_slip - 1, result.sizes["step"] - 1)
+    at = result["time_s"].values.copy()
+    # A slip takes two steps of one time in the model: here it is given its duration.
+    following = np.append(at, np.inf)[after_slip + 1]
+    at[after_slip] += np.minimum(m.slip_s, 0.5 * (following - at[after_slip]))
+    begin, end, force = at[valley], at[peak], result["force_N"].values
+    central = [np.interp(begin + share * (end - begin), at, force) for share in (0.25, 0.75)]
+    length_mm = np.maximum(end - begin, 1e-9) * m.speed_mm_min / 60
+    stiffness = (central[1] - central[0]) / (0.5 * length_mm)
+    ended = end.copy()
+    ended[-1] = np.nextafter(end[-1], np.inf)  # the machine stops before the last one slips
+    pull = ResolvedPull(
+        settings=m,
+        start_s=begin,
+        end_s=ended,
+        d_start_mm=m.d0_mm + begin * m.speed_mm_min / 60,
+        d_end_mm=m.d0_mm + end * m.speed_mm_min / 60,
+        low_N=force[valley],
+        high_N=force[peak],
+        stiffness_N_per_mm=stiffness,
+        effective_sheets=stiffness / (2 * float(result.attrs["stiffness_N_per_mm"])),
+        stop_s=float(at[-1]),
+        path_s=at,
+        path_N=force,
+    )
+    return pull, _resolved_motion(experiment, comb, result, at, valley, peak)
+
+
+def _resolved_motion(
+    experiment: Experiment, comb: RestingComb, result: xr.Dataset, at: Floats, valley: Ints, peak: Ints
+) -> ResolvedMotion:
+    stretch = result["load_N"].values / result.attrs["stiffness_N_per_mm"]
+    d = result["d_mm"].values
+    since = valley[np.searchsorted(valley, np.arange(d.size), side="right") - 1]
+    crept_mm = (d - d[since])[:, np.newaxis] - (stretch - stretch[since])
+    model = zip(result["side"].values.tolist(), result["n"].values.tolist(), strict=True)
+    place = {one: i for i, one in enumerate(model)}
+    seen = [place[one] for one in zip(comb.side.tolist(), comb.n.tolist(), strict=True)]
+    px_per_mm = 1000 / experiment.camera.pixel_size_um
+    path = -comb.side * np.sqrt(12) * experiment.sheets.outer_ratio * px_per_mm * crept_mm[:, seen]
+    spans, before, after = np.diff(at)[:, np.newaxis], path[:-1], path[1:]
+    pieces = ((before + after) / 2 * spans, (before**2 + before * after + after**2) / 3 * spans)
+    none = np.zeros((1, path.shape[1]))
+    integral, square = (np.concatenate([none, np.cumsum(piece, axis=0)]) for piece in pieces)
+    length_s = np.maximum(at[peak] - at[valley], 1e-9)[:, np.newaxis]
+    mean = (integral[peak] - integral[valley]) / length_s
+    variance = (square[peak] - square[valley]) / length_s - mean**2
+    stick_px = length_s * experiment.mechanics.speed_mm_min / 60 * px_per_mm
+    return ResolvedMotion(
+        path_s=at,
+        path_px=path,
+        integral_px_s=integral,
+        sweep_px=comb.side * (path[valley] - path[peak]),
+        ratio=np.sqrt(np.maximum(variance, 0)) / stick_px,
+        delay_s=np.zeros((valley.size, path.shape[1])),
+    )

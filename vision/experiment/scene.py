@@ -1,5 +1,9 @@
 """One experiment made ready to be drawn: ridges, light and surface at any frame, before the sensor.
 
+Tilt, bowed sheets and lens distortion are a map that is fixed in time: a point at x on the middle row is seen
+on row z at x + s(x, z), with s = tan(tilt) ζ + bow(x) (ζ / half height)² + distortion, where ζ is the row
+counted from the middle.
+
 Light is in fractions of the sensor's saturation. A ridge is known by the integral of its shape from minus
 infinity, so the light in any cell of a line is a difference of two values and is exact: shapes are never
 sampled at points. Every shape has its centroid at zero.
@@ -21,21 +25,17 @@ import xarray as xr
 from vision.experiment.mechanics import (
     FrameTimes,
     Pull,
+    RestingComb,
+    SheetMotion,
     camera_time,
+    comb_at_rest,
     frame_times,
     random_stream,
+    resolved_test,
+    sheet_motion,
     simulate_pull,
 )
-from vision.experiment.motion import (
-    Geometry,
-    Motion,
-    RestingComb,
-    camera_geometry,
-    comb_at_rest,
-    sheet_motion,
-)
-from vision.experiment.settings import Experiment, Optics, RidgeShape
-from vision.experiment.sheet_film import ResolvedMotion, resolved_test
+from vision.experiment.settings import Experiment, RidgeShape
 from vision.numeric import Floats, Floats32
 
 # --- ridges -------------------------------------------------------------------------------------------------
@@ -62,20 +62,13 @@ def _ridge_appearance(experiment: Experiment) -> RidgeAppearance:
     width = optics.fwhm_px * np.exp(optics.fwhm_spread * np.clip(rng.standard_normal(count), -2, 2))
     unequal = np.exp(optics.contrast_spread * np.clip(rng.standard_normal(count), -2, 2))
     shoulder = np.where(rng.uniform(size=count) < 0.5, -1.0, 1.0)
-    height = _ridge_height(optics) * unequal
+    # Of Michelson contrast c over a gap of brightness b: bright 2 b c / (1 - c), dark -2 b c / (1 + c).
+    sign = 1 if optics.polarity == "bright" else -1
+    height = sign * 2 * optics.level * optics.contrast / (1 - sign * optics.contrast) * unequal
     height[rng.permutation(count)[: optics.faint_sheets]] *= 0.2
     return RidgeAppearance(
         shape=optics.shape, fwhm_px=width, height=height, psf_px=optics.psf_px, shoulder_side=shoulder
     )
-
-
-def _ridge_height(optics: Optics) -> float:
-    """Height of a ridge of Michelson contrast c over a gap of brightness b.
-
-    Bright 2 b c / (1 - c), dark -2 b c / (1 + c).
-    """
-    sign = 1 if optics.polarity == "bright" else -1
-    return sign * 2 * optics.level * optics.contrast / (1 - sign * optics.contrast)
 
 
 def _light_up_to(u: Floats, ridges: RidgeAppearance) -> Floats:
@@ -138,6 +131,63 @@ def _light_per_cell(positions_px: Floats, brightness: Floats, ridges: RidgeAppea
     return np.asarray(total[: frames * cells].reshape(frames, cells))
 
 
+# --- from sheets to pixels ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Geometry:
+    """The fixed map from sheet coordinates to pixels."""
+
+    width: int
+    height: int
+    tilt: float
+    bow_px: float
+    axis_px: float
+    half_comb_px: float
+    distortion: float
+
+    @property
+    def straight(self) -> bool:
+        """True where every row shows the same."""
+        return self.tilt == 0 and self.bow_px == 0 and self.distortion == 0
+
+    @property
+    def zeta_px(self) -> Floats:
+        """ζ of every row."""
+        return np.arange(self.height, dtype=float) - (self.height - 1) / 2
+
+    def shift_px(self, x_px: Floats, zeta_px: Floats, zeta2_px2: Floats | None = None) -> Floats:
+        """s(x, z) in px. Polynomial in ζ, so means of ζ and ζ² over rows give the mean shift."""
+        z2 = zeta_px**2 if zeta2_px2 is None else zeta2_px2
+        out = np.clip((x_px - self.axis_px) / self.half_comb_px, -1.5, 1.5)
+        bowed = -self.bow_px * out * np.abs(out) * z2 / (self.height / 2) ** 2
+        off = x_px - (self.width - 1) / 2
+        corner2 = (self.width / 2) ** 2 + (self.height / 2) ** 2
+        lens = self.distortion * off * (off**2 + z2) / corner2
+        return np.asarray(self.tilt * zeta_px + bowed + lens)
+
+    def source_px(self, x_px: Floats, zeta_px: Floats) -> Floats:
+        """The inverse: which x is seen at pixel coordinate x_px of a row."""
+        source = np.broadcast_to(x_px, np.broadcast_shapes(x_px.shape, zeta_px.shape)).astype(float)
+        for _ in range(12):  # contracts by the local stretch, a few per cent at most
+            source = x_px - self.shift_px(source, zeta_px)
+        return source
+
+
+def camera_geometry(experiment: Experiment, comb: RestingComb) -> Geometry:
+    """Geometry of an experiment; the bow is that of the outermost sheet over the frame's height."""
+    optics, camera = experiment.optics, experiment.camera
+    return Geometry(
+        width=camera.width,
+        height=camera.height,
+        tilt=float(np.tan(np.radians(optics.tilt_deg))),
+        bow_px=experiment.sheets.bow_px,
+        axis_px=comb.axis_px,
+        half_comb_px=float(np.max(np.abs(comb.rest_px - comb.axis_px))) or 1.0,
+        distortion=optics.distortion,
+    )
+
+
 # --- everything that one experiment fixes -------------------------------------------------------------------
 
 _CELLS_PER_PX = 8
@@ -160,7 +210,7 @@ class Scene:
     experiment: Experiment
     pull: Pull
     comb: RestingComb
-    motion: Motion | ResolvedMotion
+    motion: SheetMotion
     ridges: RidgeAppearance
     geometry: Geometry
     times: FrameTimes
@@ -322,7 +372,7 @@ def make_scene(experiment: Experiment) -> Scene:
     """Work out the pull, the sheets' motion, their appearance and the frame times of an experiment."""
     comb = comb_at_rest(experiment)
     pull: Pull
-    motion: Motion | ResolvedMotion
+    motion: SheetMotion
     if experiment.mechanics.model == "sheets":
         pull, motion = resolved_test(experiment, comb)
     else:
@@ -339,7 +389,7 @@ def make_scene(experiment: Experiment) -> Scene:
     )
 
 
-# --- truth.nc ---
+# --- truth.nc -----------------------------------------------------------------------------------------------
 
 _MEANING = {
     "x_px": (
@@ -381,12 +431,27 @@ def truth_of(scene: Scene) -> xr.Dataset:
         M_eff, without the initial loading. Attributes: every setting as JSON, the rows of the default strip,
         the clocks, the axis.
     """
-    data = {**_of_frames(scene), **_of_events(scene), **_of_sheets(scene)}
+    comb, ridges, e, rows = scene.comb, scene.ridges, scene.experiment, strip_slice(scene.experiment)
+    of_sheets = {"side": comb.side, "n": comb.n, "fwhm_px": ridges.fwhm_px, "height": ridges.height}
+    data = _of_frames(scene) | _of_events(scene) | {name: ("sheet", one) for name, one in of_sheets.items()}
     dataset = xr.Dataset(data, coords={"sheet": np.arange(len(scene.comb.n))})
     for name, (units, meaning) in _MEANING.items():
         dataset[name].attrs |= {"units": units, "long_name": meaning}
     dataset["shell"].attrs |= {"flag_values": np.array([0, 1], np.int8), "flag_meanings": "mobile stiff"}
-    dataset.attrs |= _facts(scene)
+    dataset.attrs |= {
+        "settings": json.dumps(asdict(e)),
+        "seed": e.seed,
+        "strip_z0": rows.start,
+        "strip_z1": rows.stop,
+        "axis_px": comb.axis_px,
+        "offset_s": e.clocks.offset_s,
+        "drift_ppm": e.clocks.drift_ppm,
+        "pixel_size_um": e.camera.pixel_size_um,
+        "fps": e.camera.fps,
+        "frames_lost": scene.times.lost,
+        "first_slip_s": float(scene.pull.end_s[0]),
+        "positions": "pixel centres at integers",
+    }
     return dataset
 
 
@@ -428,36 +493,6 @@ def _of_events(scene: Scene) -> dict[str, Any]:
         "sweep_um": (both, sweep),
         "ratio": (both, ratio),
         "shell": (both, (ratio < e.sheets.stiff_ratio).astype(np.int8)),
-    }
-
-
-def _of_sheets(scene: Scene) -> dict[str, Any]:
-    """Place and appearance of every sheet."""
-    comb, ridges = scene.comb, scene.ridges
-    return {
-        "side": ("sheet", comb.side),
-        "n": ("sheet", comb.n),
-        "fwhm_px": ("sheet", ridges.fwhm_px),
-        "height": ("sheet", ridges.height),
-    }
-
-
-def _facts(scene: Scene) -> dict[str, Any]:
-    """Settings and what is one number for the whole test."""
-    e, rows = scene.experiment, strip_slice(scene.experiment)
-    return {
-        "settings": json.dumps(asdict(e)),
-        "seed": e.seed,
-        "strip_z0": rows.start,
-        "strip_z1": rows.stop,
-        "axis_px": scene.comb.axis_px,
-        "offset_s": e.clocks.offset_s,
-        "drift_ppm": e.clocks.drift_ppm,
-        "pixel_size_um": e.camera.pixel_size_um,
-        "fps": e.camera.fps,
-        "frames_lost": scene.times.lost,
-        "first_slip_s": float(scene.pull.end_s[0]),
-        "positions": "pixel centres at integers",
     }
 
 

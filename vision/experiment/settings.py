@@ -265,7 +265,7 @@ class Experiment:
                 _check_value(f"{part.name}.{name}", getattr(value, name), kind)
         _check_pull(self)
         _check_view(self)
-        _check_camera(self.camera)
+        _check_camera(self)
 
     @property
     def ridges_per_side(self) -> int:
@@ -368,93 +368,77 @@ def _plain_type(declared: Any) -> type:
     """float, int, bool or str."""
     if get_origin(declared) is Literal:
         return str
-    if NoneType in get_args(declared):
-        declared = get_args(declared)[0]
+    declared = _without_none(declared)
     kind: type = get_args(declared)[0] if get_origin(declared) is Annotated else declared
     return kind
 
 
-def _require(condition: bool, setting: str, expected: str, found: object, advice: str = "") -> None:
-    """InputError about a setting unless the condition holds."""
-    if not condition:
-        raise InputError(f"setting {setting}", expected, str(found), advice)
+def _without_none(declared: Any) -> Any:
+    """The type of a setting that may also be None."""
+    return get_args(declared)[0] if NoneType in get_args(declared) else declared
 
 
 def _check_value(name: str, value: Any, declared: Any) -> None:
     """That a value is one of the choices, or a number within the range, of its declared type."""
     if get_origin(declared) is Literal:
         choices = get_args(declared)
-        _require(value in choices, name, ", ".join(choices), value)
+        wanted = [(value in choices, ", ".join(choices))]
+    elif value is None and NoneType in get_args(declared):
         return
-    if NoneType in get_args(declared):
-        if value is None:
-            return
-        declared = get_args(declared)[0]
-    _require(math.isfinite(value), name, "a finite number", value)
-    for expected in getattr(declared, "__metadata__", ()):
-        _require(_IN_RANGE[expected](value), name, expected, value)
+    else:
+        ranges = getattr(_without_none(declared), "__metadata__", ())
+        wanted = [(math.isfinite(value), "a finite number"), *((_IN_RANGE[r](value), r) for r in ranges)]
+    for fine, expected in wanted:
+        if not fine:
+            raise InputError(f"setting {name}", expected, str(value))
+
+
+def _require(
+    e: Experiment, setting: str, fine: bool, expected: str, found: str = "", advice: str = ""
+) -> None:
+    """InputError about a setting unless it is fine; what is found is its value, if not told."""
+    if not fine:
+        group, _, key = setting.partition(".")
+        value = getattr(getattr(e, group), key)
+        raise InputError(f"setting {setting}", expected, found or str(value), advice)
 
 
 def _check_pull(e: Experiment) -> None:
     """The pull ends before the blocks are apart, and the video sees some of it."""
-    m, camera, clocks = e.mechanics, e.camera, e.clocks
-    _require(m.d0_mm < m.d_end_mm, "mechanics.d_end_mm", f"more than d0 = {m.d0_mm:g} mm", m.d_end_mm)
-    _require(
-        m.d_end_mm < e.sample.length_mm,
-        "mechanics.d_end_mm",
-        f"less than the sheet length {e.sample.length_mm:g} mm",
-        m.d_end_mm,
-        "beyond it the blocks are apart",
-    )
-    _require(
-        m.early_stiffness_ratio >= 1, "mechanics.early_stiffness_ratio", "1 or more", m.early_stiffness_ratio
-    )
+    m, offset, video_s, length = e.mechanics, e.clocks.offset_s, e.camera.duration_s, e.sample.length_mm
+    end = "mechanics.d_end_mm"
+    _require(e, end, m.d0_mm < m.d_end_mm, f"more than d0 = {m.d0_mm:g} mm")
+    expected, advice = f"less than the sheet length {length:g} mm", "beyond it the blocks are apart"
+    _require(e, end, m.d_end_mm < length, expected, advice=advice)
+    _require(e, "mechanics.early_stiffness_ratio", m.early_stiffness_ratio >= 1, "1 or more")
     pull_s = (m.d_end_mm - m.d0_mm) / (m.speed_mm_min / 60)
-    _require(
-        -camera.duration_s < clocks.offset_s < pull_s,
-        "clocks.offset_s",
-        f"a video that sees some of the pull, {-camera.duration_s:g} to {pull_s:g} s",
-        f"{clocks.offset_s:g} s",
-        "set the offset (force clock at video time 0) to suit the speed",
-    )
+    expected = f"a video that sees some of the pull, {-video_s:g} to {pull_s:g} s"
+    advice = "set the offset (force clock at video time 0) to suit the speed"
+    _require(e, "clocks.offset_s", -video_s < offset < pull_s, expected, f"{offset:g} s", advice)
 
 
 def _check_view(e: Experiment) -> None:
     """The sheets in view exist and fit in the frame."""
-    sheets, camera, count = e.sheets, e.camera, e.ridges_in_view
+    sheets, width, count = e.sheets, e.camera.width, e.ridges_in_view
     comb_px = count * sheets.pitch_px
-    _require(
-        comb_px <= camera.width,
-        "sheets.count",
-        f"sheets that fit in {camera.width} px",
-        f"{count} sheets {sheets.pitch_px:g} px apart = {comb_px:g} px",
-        "widen the frame or take fewer or closer sheets",
-    )
+    found = f"{count} sheets {sheets.pitch_px:g} px apart = {comb_px:g} px"
+    advice = "widen the frame or take fewer or closer sheets"
+    _require(e, "sheets.count", comb_px <= width, f"sheets that fit in {width} px", found, advice)
     possible = e.ridges_per_side * 2 + 1 if sheets.side == "both" else e.ridges_per_side
-    _require(count <= possible, "sheets.count", f"at most {possible} with this per_side", count)
-    faint = e.optics.faint_sheets
-    _require(faint <= count, "optics.faint_sheets", "at most the sheets in view", faint)
+    _require(e, "sheets.count", count <= possible, f"at most {possible} with this per_side", str(count))
+    _require(e, "optics.faint_sheets", e.optics.faint_sheets <= count, "at most the sheets in view")
 
 
-def _check_camera(camera: Camera) -> None:
+def _check_camera(e: Experiment) -> None:
     """The sensor can take these frames."""
-    longest = 1 / camera.fps
-    _require(8 <= camera.bits <= 16, "camera.bits", "8 to 16", camera.bits)
-    _require(
-        camera.exposure_s <= longest,
-        "camera.exposure_s",
-        f"at most 1/fps = {longest:.4g} s",
-        camera.exposure_s,
-    )
-    _require(
-        camera.duration_s * camera.fps >= 1, "camera.duration_s", "at least one frame", camera.duration_s
-    )
-    _require(
-        camera.black_level < 2**camera.bits - 1, "camera.black_level", "below saturation", camera.black_level
-    )
+    camera, longest = e.camera, 1 / e.camera.fps
+    _require(e, "camera.bits", 8 <= camera.bits <= 16, "8 to 16")
+    _require(e, "camera.exposure_s", camera.exposure_s <= longest, f"at most 1/fps = {longest:.4g} s")
+    _require(e, "camera.duration_s", camera.duration_s * camera.fps >= 1, "at least one frame")
+    _require(e, "camera.black_level", camera.black_level < 2**camera.bits - 1, "below saturation")
 
 
-# --- ready-made experiments ---
+# --- ready-made experiments ---------------------------------------------------------------------------------
 
 
 def preset(name: str, *, seed: int = 0) -> Experiment:
@@ -484,10 +468,7 @@ def preset(name: str, *, seed: int = 0) -> Experiment:
 
 _PRESETS = {
     "paper": Experiment(),
-    "late": Experiment(
-        clocks=Clocks(offset_s=240.0, drift_ppm=50.0),
-        camera=Camera(duration_s=15.0),
-    ),
+    "late": Experiment(clocks=Clocks(offset_s=240.0, drift_ppm=50.0), camera=Camera(duration_s=15.0)),
     "fast": Experiment(
         mechanics=Mechanics(speed_mm_min=10.0, early_stiffness_ratio=1.8, slip_s=0.005),
         camera=Camera(fps=160.0, duration_s=5.0, exposure_s=0.002),

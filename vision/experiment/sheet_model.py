@@ -31,7 +31,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from vision.errors import InputError
+from vision.errors import InputError, check_positive
+from vision.models.equations import sheet_stiffness
 from vision.models.friction import StaticFriction
 from vision.numeric import Bools, Floats
 from vision.sample import PUBLISHED, Sample
@@ -99,10 +100,7 @@ class SheetPull:
 
     def __post_init__(self) -> None:
         names = ("mu", "modulus_GPa", "speed_mm_min", "d0_mm", "shortest_stick_um", "longest_step_um")
-        for name in names:
-            value = getattr(self, name)
-            if not math.isfinite(value) or value <= 0:
-                raise InputError(f"`{name}`", "a positive number", f"{value!r}")
+        check_positive(**{name: getattr(self, name) for name in names})
         if not self.machine_N_per_mm > 0:
             raise InputError("`machine_N_per_mm`", "a positive number", f"{self.machine_N_per_mm!r}")
         if not self.d0_mm < self.d_end_mm < math.inf:
@@ -122,8 +120,7 @@ class SheetPull:
     @property
     def stiffness_N_per_mm(self) -> float:
         """k of one sheet."""
-        sheet = self.sample
-        return 1000 * self.modulus_GPa * sheet.thickness_mm * sheet.width_mm / sheet.length_mm
+        return float(sheet_stiffness(modulus_GPa=self.modulus_GPa, sample=self.sample))
 
     @property
     def n(self) -> Floats:
@@ -134,7 +131,10 @@ class SheetPull:
 
 def equation_normal_N(pull: SheetPull, d_mm: float) -> Floats:
     """Eq. 2 for the sheets of one side, (M,): (T*/2μ) (exp(α(1 − (n/M)²)) − 1)."""
-    return np.asarray(pull.sample.t_star_N / (2 * pull.mu) * np.expm1(_exponent(pull, d_mm)))
+    count = int(pull.sample.sheets_per_block)
+    alpha = 2 * pull.sample.thickness_mm * pull.mu * count**2 / d_mm
+    excess = np.expm1(alpha * (1 - (pull.n / count) ** 2))
+    return np.asarray(pull.sample.t_star_N / (2 * pull.mu) * excess)
 
 
 def threshold_loads_N(pull: SheetPull, d_mm: float) -> Floats:
@@ -143,12 +143,6 @@ def threshold_loads_N(pull: SheetPull, d_mm: float) -> Floats:
     Twice their sum is the traction: 0.934 of Eq. 1 at d = 13 mm and 0.944 at 18 mm, at n − ½ equal to 5e-6.
     """
     return _threshold(pull, equation_normal_N(pull, d_mm))
-
-
-def _exponent(pull: SheetPull, d_mm: float) -> Floats:
-    count = int(pull.sample.sheets_per_block)
-    alpha = 2 * pull.sample.thickness_mm * pull.mu * count**2 / d_mm
-    return np.asarray(alpha * (1 - (pull.n / count) ** 2))
 
 
 def _threshold(pull: SheetPull, normal: Floats) -> Floats:
@@ -438,19 +432,9 @@ def _left_to_right(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def loads_at(result: xr.Dataset, d_mm: ArrayLike) -> Floats:
-    """Loads in N at given separations, (d, sheet); the side after the slip where one happens at d.
+    """Loads in N of `pull_sheets` at given separations, (d, sheet); those after a slip that happens at d.
 
-    Parameters
-    ----------
-    result
-        Of `pull_sheets`.
-    d_mm
-        Within the pull.
-
-    Raises
-    ------
-    InputError
-        For separations outside the pull.
+    Raises: InputError for separations outside the pull.
     """
     known, wanted = result["d_mm"].values, np.atleast_1d(np.asarray(d_mm, float))
     if not ((wanted >= known[0]) & (wanted <= known[-1])).all():
@@ -467,17 +451,9 @@ def loads_at(result: xr.Dataset, d_mm: ArrayLike) -> Floats:
 def slip_share(result: xr.Dataset, d_v_mm: ArrayLike, d_p_mm: ArrayLike) -> xr.DataArray:
     """How far each sheet slipped within stretches of the pull, over their length: 0 stuck, 1 sliding.
 
-    Parameters
-    ----------
-    result
-        Of `pull_sheets`.
-    d_v_mm, d_p_mm
-        Ends of the stretches, such as the sticks of `vision.find_stick_slip` on the force.
-
-    Returns
-    -------
-    xarray.DataArray
-        (event, sheet): 1 − ΔT / (k Λ_st), with the load a sheet gained over what it gains where it sticks.
+    (event, sheet): 1 − ΔT / (k Λ_st), with the load a sheet gained over what it gains where it sticks.
+    result: of `pull_sheets`.  d_v_mm, d_p_mm: ends of the stretches, such as the sticks of
+    `vision.find_stick_slip`.
     """
     first, last = np.atleast_1d(np.asarray(d_v_mm, float)), np.atleast_1d(np.asarray(d_p_mm, float))
     if first.shape != last.shape or not (last > first).all():

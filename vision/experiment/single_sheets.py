@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from vision.errors import InputError
 from vision.experiment.mechanics import random_stream
+from vision.models.equations import sheet_stiffness
 from vision.models.friction import PUBLISHED_FRICTION, RADIUS_MM, StaticFriction
 from vision.models.modulus import STRIP
 from vision.numeric import Floats
@@ -27,47 +28,25 @@ from vision.sample import Sample
 
 @dataclass(frozen=True, kw_only=True)
 class DiscTest:
-    """Two discs of paper that turn against each other, at one normal force after the other.
+    """Two discs of paper that turn against each other, at one normal force after the other."""
 
-    Parameters
-    ----------
-    loads_N
-        One measurement each.
-    law
-        True μ_s(N).
-    mu_dynamic
-        True μ_d at every load.
-    radius_mm, speed_rad_s, end_deg
-        R, Ω and how far the discs turn.
-    peak_deg, peak_width_deg
-        Where μ_s lies and how quickly μ falls to μ_d behind it.
-    ripple, ripple_deg
-        Slow variation of μ_d: its share and its period.
-    fine_Hz, fine_s, coarse_Hz
-        Sampling of the first `fine_s`, an interval of its own, and of the rest.
-    torque_noise_mN_m, normal_noise_N, normal_drift
-        White noise of both channels, and by which share N falls until the end.
-    seed
-        Of the noise.
-    """
-
-    loads_N: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0)
-    law: StaticFriction = PUBLISHED_FRICTION
-    mu_dynamic: float = 0.44
+    loads_N: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0)  # one measurement each
+    law: StaticFriction = PUBLISHED_FRICTION  # true μ_s(N)
+    mu_dynamic: float = 0.44  # true μ_d at every load
     radius_mm: float = RADIUS_MM
-    speed_rad_s: float = 0.1
-    end_deg: float = 125.0
-    peak_deg: float = 0.12
-    peak_width_deg: float = 0.04
-    ripple: float = 0.01
-    ripple_deg: float = 11.0
-    fine_Hz: float = 1000.0
+    speed_rad_s: float = 0.1  # Ω
+    end_deg: float = 125.0  # how far the discs turn
+    peak_deg: float = 0.12  # where μ_s lies
+    peak_width_deg: float = 0.04  # how quickly μ falls to μ_d behind it
+    ripple: float = 0.01  # slow variation of μ_d, as a share
+    ripple_deg: float = 11.0  # its period
+    fine_Hz: float = 1000.0  # sampling of the first `fine_s`, an interval of its own
     fine_s: float = 0.5
-    coarse_Hz: float = 20.0
-    torque_noise_mN_m: float = 0.01
+    coarse_Hz: float = 20.0  # and of the rest
+    torque_noise_mN_m: float = 0.01  # white
     normal_noise_N: float = 0.003
-    normal_drift: float = 0.0
-    seed: int = 0
+    normal_drift: float = 0.0  # share by which N falls until the end
+    seed: int = 0  # of the noise
 
     def friction(self, load_N: float, angle_deg: ArrayLike) -> Floats:
         """True μ(φ): a quarter sine up to μ_s, a Gaussian down to μ_d with its ripple."""
@@ -78,6 +57,12 @@ class DiscTest:
         slow = self.mu_dynamic * self.ripple * np.sin(2 * np.pi * later / self.ripple_deg)
         rise = peak * np.sin(0.5 * np.pi * np.clip(x / self.peak_deg, 0, 1))
         return np.where(x < self.peak_deg, rise, self.mu_dynamic + fall + slow)
+
+    def times_s(self) -> tuple[Floats, Floats]:
+        """Sampling times of the fine and of the coarse interval."""
+        end_s = math.radians(self.end_deg) / self.speed_rad_s
+        coarse = np.arange(self.fine_s, end_s, 1 / self.coarse_Hz)
+        return np.arange(0, self.fine_s, 1 / self.fine_Hz), coarse
 
     def truth(self) -> pd.DataFrame:
         """N_N, mu_s and mu_d (exact mean over 0.3° to 120°) of each measurement."""
@@ -125,33 +110,14 @@ def write_rheocompass(
     """A RheoCompass export: one result per load with an interval of waiting, one finely and one coarsely
     sampled.
 
-    Parameters
-    ----------
-    path
-        File to write.
-    test
-        `DiscTest`.
-    encoding, separator, decimal
-        Of the text. A decimal comma within commas is quoted.
-    torque_unit, angle_unit
-        As the columns are exported.
-    unit_rows
-        Rows between the names and the data, of which the last has the units.
-
-    Returns
-    -------
-    The truth, one row per result, in file order.
+    A decimal comma within commas is quoted.  unit_rows: rows between the names and the data, of which the
+    last has the units.  Returns the truth, one row per result, in file order.
     """
     torque = {"mN·m": 1.0, "µN·m": 1e3, "N·m": 1e-3}[torque_unit]
     angle = {"mrad": 1.0, "rad": 1e-3, "°": math.degrees(1e-3)}[angle_unit]
     names = ["Point No.", "Time", "Torque", "Normal Force", "Deflection Angle", "Rotational Speed", "Status"]
     units = ["", "[s]", f"[{torque_unit}]", "[N]", f"[{angle_unit}]", "[1/min]", ""]
-    end_s = math.radians(test.end_deg) / test.speed_rad_s
-    times = (
-        np.arange(-2.0, 0.0, 0.1),
-        np.arange(0, test.fine_s, 1 / test.fine_Hz),
-        np.arange(test.fine_s, end_s, 1 / test.coarse_Hz),
-    )
+    times = (np.arange(-2.0, 0.0, 0.1), *test.times_s())
     rows: list[Sequence[str]] = [["Project:", "Paper on paper"], ["Test:", "Disc 25 mm"], []]
     for number, load in enumerate(test.loads_N):
         rows += [["Result:", f"Friction {load:g} N"], []]
@@ -162,51 +128,28 @@ def write_rheocompass(
             rows.append(["Interval and data points:", str(interval), str(len(record))])
             rows.append(["Interval data:", *names])
             rows += [["", *([""] * len(names))]] * (unit_rows - 1) + [["", *units]]
-            scaled = record[["time_s", "torque_mN_m", "normal_force_N", "angle_mrad", "speed_rpm"]] * [
-                1.0,
-                torque,
-                1.0,
-                angle,
-                1.0,
-            ]
+            columns = ["time_s", "torque_mN_m", "normal_force_N", "angle_mrad", "speed_rpm"]
+            scaled = record[columns] * np.array([1.0, torque, 1.0, angle, 1.0])
             rows += [
                 ["", str(point), *(f"{value:.7g}".replace(".", decimal) for value in values), "TG"]
                 for point, values in enumerate(scaled.itertuples(index=False), start=1)
             ]
             rows.append([])
-    text = "\r\n".join(separator.join(_quoted(cell, separator) for cell in row) for row in rows)
+    quoted = [[f'"{cell}"' if separator in cell else cell for cell in row] for row in rows]
+    text = "\r\n".join(map(separator.join, quoted))
     Path(path).write_bytes(text.encode(encoding))
     return test.truth()
-
-
-def _quoted(cell: str, separator: str) -> str:
-    return f'"{cell}"' if separator in cell else cell
 
 
 def write_rheometer_csv(
     path: str | os.PathLike[str], test: DiscTest, *, load_N: float | None = None, normal: bool = True
 ) -> pd.DataFrame:
-    """A plain table of one measurement with names and units in its header.
+    """A plain table of one measurement with names and units in its header; its truth, one row.
 
-    Parameters
-    ----------
-    path, test
-        File and `DiscTest`.
-    load_N
-        Which load; the first by default.
-    normal
-        Whether the normal force is recorded.
-
-    Returns
-    -------
-    The truth, one row.
+    load_N: which load, by default the first.  normal: whether the normal force is recorded.
     """
     load = test.loads_N[0] if load_N is None else load_N
-    end_s = math.radians(test.end_deg) / test.speed_rad_s
-    time = np.concatenate(
-        [np.arange(0, test.fine_s, 1 / test.fine_Hz), np.arange(test.fine_s, end_s, 1 / test.coarse_Hz)]
-    )
-    record = disc_record(test, load, time)
+    record = disc_record(test, load, np.concatenate(test.times_s()))
     columns = {
         "Time (s)": record["time_s"],
         "Torque (mN·m)": record["torque_mN_m"],
@@ -215,8 +158,7 @@ def write_rheometer_csv(
     if normal:
         columns["Normal force (N)"] = record["normal_force_N"]
     pd.DataFrame(columns).to_csv(path, index=False, float_format="%.7g", encoding="utf-8")
-    one = DiscTest(**{**vars(test), "loads_N": (load,)})
-    return one.truth()
+    return replace(test, loads_N=(load,)).truth()
 
 
 # --- one sheet, pulled and pushed ---------------------------------------------------------------------------
@@ -224,56 +166,29 @@ def write_rheometer_csv(
 
 @dataclass(frozen=True, kw_only=True)
 class CyclesTest:
-    """One sheet between two clamps whose distance goes back and forth.
+    """One sheet between two clamps whose distance goes back and forth."""
 
-    Parameters
-    ----------
-    sheet
-        ε, W and the free length L = Δ0.
-    modulus_GPa
-        True Y_p.
-    cycles, speed_mm_min, rate_Hz
-        Number, |dΔ/dt| and sampling.
-    stretch_mm, slack_mm
-        How far beyond and below Δ0 the clamps go; below it the sheet buckles and carries nothing.
-    knee_mm
-        Width over which it becomes taut.
-    friction_N, friction_N_per_mm
-        Height f_y and stiffness of a Jenkins element beside it, which makes the loop.
-    growth
-        Share by which the modulus grows from cycle to cycle.
-    machine_stiffness_N_per_mm
-        In series; infinite by default.
-    noise_N, quantum_mm
-        Noise of the load, steps of the recorded displacement.
-    absolute
-        Whether the recorded displacement is Δ itself or starts at 0 at Δ = L.
-    seed
-        Of the noise.
-    """
-
-    sheet: Sample = STRIP
-    modulus_GPa: float = 2.5
+    sheet: Sample = STRIP  # ε, W and the free length L = Δ0
+    modulus_GPa: float = 2.5  # true Y_p
     cycles: int = 5
-    speed_mm_min: float = 1.0
+    speed_mm_min: float = 1.0  # |dΔ/dt|
     rate_Hz: float = 50.0
-    stretch_mm: float = 0.08
-    slack_mm: float = 0.05
-    knee_mm: float = 0.002
-    friction_N: float = 0.8
-    friction_N_per_mm: float = 200.0
-    growth: float = 0.0
-    machine_stiffness_N_per_mm: float = math.inf
-    noise_N: float = 0.05
-    quantum_mm: float = 5e-5
-    absolute: bool = False
-    seed: int = 0
+    stretch_mm: float = 0.08  # how far beyond Δ0 the clamps go
+    slack_mm: float = 0.05  # and below it, where the sheet buckles and carries nothing
+    knee_mm: float = 0.002  # width over which it becomes taut
+    friction_N: float = 0.8  # height f_y of a Jenkins element beside it, which makes the loop
+    friction_N_per_mm: float = 200.0  # its stiffness
+    growth: float = 0.0  # share by which the modulus grows from cycle to cycle
+    machine_stiffness_N_per_mm: float = math.inf  # in series
+    noise_N: float = 0.05  # of the load
+    quantum_mm: float = 5e-5  # steps of the recorded displacement
+    absolute: bool = False  # the recorded displacement is Δ itself, or starts at 0 at Δ = L
+    seed: int = 0  # of the noise
 
     @property
     def stiffness_N_per_mm(self) -> float:
         """True k = εWY/L of the first cycle."""
-        sheet = self.sheet
-        return 1000 * self.modulus_GPa * sheet.thickness_mm * sheet.width_mm / sheet.length_mm
+        return float(sheet_stiffness(modulus_GPa=self.modulus_GPa, sample=self.sheet))
 
     @property
     def loop_mJ(self) -> float:
@@ -321,9 +236,7 @@ def _jenkins(position: Floats, limit: float, stiffness: float) -> Floats:
 def write_cycles(path: str | os.PathLike[str], test: CyclesTest) -> pd.DataFrame:
     """The recording as MTS TestSuite exports it: tabs, names with trailing spaces, units below.
 
-    Returns
-    -------
-    The truth, one row per cycle: ``k_N_per_mm``, ``Y_p_GPa``, ``loop_mJ``.
+    Returns the truth, one row per cycle: ``k_N_per_mm``, ``Y_p_GPa``, ``loop_mJ``.
     """
     record = cycles_record(test)
     head = (

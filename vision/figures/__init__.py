@@ -17,21 +17,8 @@ from vision.figures.catalogue import (
     publication_figures_of,
     sections_of,
 )
-from vision.figures.figure import (
-    Arrow,
-    Band,
-    Figure,
-    Image,
-    Panel,
-    Series,
-    load_figures,
-    save_figures,
-)
-from vision.figures.force import (
-    clocks_figure,
-    force_figure,
-    force_overview_figure,
-)
+from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series, load_figures, save_figures
+from vision.figures.force import clocks_figure, force_figure, force_overview_figure
 from vision.figures.labels import both_errors, percent, plus_minus, signed
 from vision.figures.positions import (
     deformation_figure,

@@ -16,16 +16,7 @@ from vision.figures.decimate import grey_levels, grey_limits, time_rows
 from vision.figures.figure import Band, Figure, Image, Panel, Range, Series
 from vision.figures.labels import UM_PER_MM, displacement_unit, from_zero, position_unit, time_axis
 from vision.figures.positions import decimated_tracks, sheet_series
-from vision.figures.style import (
-    DATA,
-    LEFT_ON_GREY,
-    MODEL,
-    PEAK,
-    QUIET,
-    RIGHT_ON_GREY,
-    VALLEY,
-    sheet_inks,
-)
+from vision.figures.style import DATA, LEFT_ON_GREY, MODEL, PEAK, QUIET, RIGHT_ON_GREY, VALLEY, sheet_inks
 from vision.numeric import Floats, Pixels, nan_median
 from vision.spacetime import space_time
 
@@ -506,9 +497,8 @@ def single_sheets_figure(
     except InputError:  # a sheet that is not seen in these frames
         return None
     who = " and ".join(f"n = {n} ({side})" for side, n in names)
-    made = kymograph_figure(diagrams, pixel_size_um=pixel_size_um, slips_s=some, slips_from=slips_from)
     return replace(
-        made,
+        kymograph_figure(diagrams, pixel_size_um=pixel_size_um, slips_s=some, slips_from=slips_from),
         name="single_sheets",
         title="Space-time diagrams of single sheets",
         caption=(

@@ -208,9 +208,7 @@ FIGURES: Mapping[str, CatalogueEntry] = {
     ),
     "space_time": CatalogueEntry(_CAMERA, _space_time, ("strip", "tracks")),
     "tracks": CatalogueEntry(
-        _POSITIONS,
-        lambda r: positions.tracks_figure(r.tracks, pixel_size_um=r.pixel_size_um),
-        ("tracks",),
+        _POSITIONS, lambda r: positions.tracks_figure(r.tracks, pixel_size_um=r.pixel_size_um), ("tracks",)
     ),
     "outer_inner": CatalogueEntry(
         _POSITIONS,
@@ -268,10 +266,7 @@ FIGURES: Mapping[str, CatalogueEntry] = {
     ),
     "shells": CatalogueEntry(_SHELL, lambda r: positions.shells_figure(r.shells, r.fits), ("shells",)),
     "force_insets": CatalogueEntry(
-        "",
-        lambda r: force.force_insets_figure(r.force, r.sticks, r.fits),
-        ("force", "separation"),
-        paper="2",
+        "", lambda r: force.force_insets_figure(r.force, r.sticks, r.fits), ("force", "separation"), paper="2"
     ),
     "single_sheets": CatalogueEntry("", _single_sheets, ("strip", "tracks"), paper="7b and c"),
     "mean_deformation": CatalogueEntry(

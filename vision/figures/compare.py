@@ -16,15 +16,13 @@ from vision.models import Estimate, equations
 from vision.numeric import Floats
 from vision.sample import Sample
 
-SHOWN_TRENDS = {
-    "n_test": "previous tests n_test",
-    "RH_percent": "relative humidity (%)",
-}
-_QUANTITY: Mapping[str, tuple[str, str, str]] = {
+SHOWN_TRENDS = {"n_test": "previous tests n_test", "RH_percent": "relative humidity (%)"}
+_QUANTITY = {
     "mu": ("μ", "mu_err", "μ"),
     "N_hat_N": ("N̂ (N)", "N_hat_err_N", "N̂"),
     "Lambda_hat_mm": ("Λ̂ (mm)", "Lambda_hat_err_mm", "Λ̂"),
 }
+"""Label of the axis, column of the error, and symbol."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,15 +32,12 @@ class ComparedTests:
     events: pd.DataFrame  # all events with ``run``, ``sample``, ``V_mm_min`` and ``used``
     table: pd.DataFrame  # tests.csv
     sample: Sample  # geometry of the first test, for the model curves
-    # mu, amplitude, modulus: of the joint fit, A, and the Y_eff held fixed
-    mu: Estimate
-    amplitude: Estimate
-    modulus: Estimate
+    mu: Estimate  # of the joint fit
+    amplitude: Estimate  # A
+    modulus: Estimate  # the Y_eff held fixed
     joint_name: str  # sample of the joint fit; "" where there is none
-    # one row an event: ``run``, ``d_v_mm``, ``d_hat``, ``sheets``; None without
-    collapse: pd.DataFrame | None
-    # distance from the master curve before and after the collapse, and that of noise alone
-    rms: tuple[float, float, float]
+    collapse: pd.DataFrame | None  # one row an event: ``run``, ``d_v_mm``, ``d_hat``, ``sheets``
+    rms: tuple[float, float, float]  # distance from the master curve before and after, that of noise alone
     irregular: Sequence[Mapping[str, Any]]  # running variation of ΔF and its change point, one mapping a test
     trends: Sequence[Mapping[str, Any]]  # one mapping a trend
     sticks: Sequence[tuple[float, Figure]]  # velocity and figure of single sticks, one a velocity
@@ -50,9 +45,8 @@ class ComparedTests:
 
 def compare_figures(overlay: ComparedTests) -> list[Figure]:
     """Every figure that these tests allow, in reading order."""
-    single = (peaks_figure, drops_figure, stiffnesses_figure)
     made = [
-        *(make(overlay) for make in single),
+        *(make(overlay) for make in (peaks_figure, drops_figure, stiffnesses_figure)),
         *sticks_figures(overlay),
         collapse_figure(overlay),
         irregular_figure(overlay),
@@ -178,20 +172,20 @@ def sticks_figures(o: ComparedTests) -> list[Figure]:
     )
     made = [
         Figure.of(
-            f"sticks_V{v:g}".replace(".", "p"),
-            panel,
-            caption,
-            title=f"Stick-slip events at V = {v:g} mm/min",
+            f"sticks_V{v:g}".replace(".", "p"), panel, caption, title=f"Stick-slip events at V = {v:g} mm/min"
         )
         for v, panel in panels
     ]
     if len(panels) > 1:
         parts = tuple(replace(panel, title=f"V = {v:g} mm/min") for v, panel in panels)
         title = "Single stick-slip events at several velocities"
-        made.append(
-            Figure(name="sticks", title=title, caption=caption, panels=parts, columns=2, width_in=13.0)
-        )
+        made.append(_page("sticks", title, caption, parts))
     return made
+
+
+def _page(name: str, title: str, caption: str, panels: tuple[Panel, ...]) -> Figure:
+    """Several panels on one page."""
+    return Figure(name=name, title=title, caption=caption, panels=panels, columns=2, width_in=13.0)
 
 
 # --- the collapse -------------------------------------------------------------------------------------------
@@ -270,11 +264,10 @@ def irregular_figure(o: ComparedTests) -> Figure | None:
     series: list[Series] = []
     lines, said = [], []
     for v, one in known:
-        name = _velocity_name(v)
-        k = names.index(name)
+        k = names.index(name := _velocity_name(v))
         label = "" if any(curve.label == name for curve in series) else name
-        curve = Series(label=label, x=one["d_mm"], y=one["variation"], ink=inks[k], dashed=k % 2 == 1)
-        series.append(curve)
+        x, y = one["d_mm"], one["variation"]
+        series.append(Series(label=label, x=x, y=y, ink=inks[k], dashed=k % 2 == 1))
         if np.isfinite(one["change_mm"]):
             lines.append(float(one["change_mm"]))
             place = plus_minus(Estimate(one["change_mm"], one["change_err_mm"]))
@@ -312,9 +305,7 @@ def trends_figures(o: ComparedTests) -> list[Figure]:
     if len(made) > 1:
         parts = tuple(replace(figure.panel, title=figure.title) for figure in made)
         caption = " ".join(f"({figure.title}) {figure.caption}" for figure in made)
-        made.append(
-            Figure(name="trends", title="Trends", caption=caption, panels=parts, columns=2, width_in=13.0)
-        )
+        made.append(_page("trends", "Trends", caption, parts))
     return made
 
 

@@ -17,18 +17,9 @@ def minmax_decimate(x: Floats, y: NDArray[np.floating], *, most: int) -> tuple[F
 
     No average is taken, so a slip keeps its whole jump however short it is.
 
-    Parameters
-    ----------
-    x
-        (points,).
-    y
-        (points, columns), NaN where there is nothing.
-    most
-        Largest number of points wanted.
-
-    Returns
-    -------
-    x and y, two points an interval; unchanged where they are few enough. NaN for an interval without values.
+    x (points,); y (points, columns), NaN where there is nothing; most: largest number of points wanted.
+    Returns x and y, two points an interval; unchanged where they are few enough. NaN for an interval
+    without values.
     """
     if len(x) <= most:
         return np.asarray(x, np.float64), np.asarray(y, np.float64)
@@ -78,19 +69,11 @@ def minmax_by_x(x: Floats, y: Floats, *, bins: int) -> tuple[Floats, Floats]:
 def time_rows(values: NDArray[np.floating], time: Floats, *, most: int) -> tuple[Floats32, Floats]:
     """Rows of an image at equal steps of time, each the mean of its frames.
 
-    Parameters
-    ----------
-    values
-        (frames, columns), NaN in lost frames. Read in parts.
-    time
-        (frames,), rising.
-    most
-        Largest number of rows wanted; fewer where the recording has fewer frame intervals.
+    values: (frames, columns), NaN in lost frames, read in parts.  time: (frames,), rising.  most: largest
+    number of rows wanted; fewer where the recording has fewer frame intervals.
 
-    Returns
-    -------
-    Rows (k, columns), and their k + 1 edges in time. A row without a frame between two rows with frames, as
-    where the frame times jitter, repeats the one before; in longer gaps rows are NaN.
+    Returns rows (k, columns), and their k + 1 edges in time. A row without a frame between two rows with
+    frames, as where the frame times jitter, repeats the one before; in longer gaps rows are NaN.
     """
     steps = np.diff(time)
     step = float(np.median(steps)) if steps.size else 0.0

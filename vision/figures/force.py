@@ -413,10 +413,8 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
     whole = force_figure(force, sticks, fits).panel
     usable = sticks[sticks["d_v_mm"].notna()]
     rise = float(usable["t_p_s"].iloc[0]) if len(usable) else np.inf  # to the first slip
-    panels = [
-        replace(whole, title="Whole test", aspect=0.6),
-        _part(force, (-np.inf, rise), (), "Initial response"),
-    ]
+    panels = [replace(whole, title="Whole test", aspect=0.6)]
+    panels.append(_part(force, (-np.inf, rise), (), "Initial response"))
     for share, title in ((0.1, "Early stick-slip events"), (0.85, "Late stick-slip events")):
         start = int(share * len(usable))
         panels.append(_some_events(force, usable.iloc[start : start + SHOWN_STICKS], title))

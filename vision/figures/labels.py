@@ -80,15 +80,8 @@ UM_PER_MM = 1000
 
 
 def time_axis(data: xr.Dataset | xr.DataArray) -> tuple[Floats, str]:
-    """Times of the frames and the label of their axis.
+    """Times of the frames of tracks or I(x, t), and the label of their axis.
 
-    Parameters
-    ----------
-    data
-        Tracks, or I(x, t).
-
-    Returns
-    -------
     Seconds, (frame,), and their label, which says where they come from the file's playback rate alone. Frame
     numbers where the times are unknown, stand still or run backwards; single times that repeat are kept.
     """

@@ -244,9 +244,21 @@ def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event:
 
 def deformation_figure(motion: xr.Dataset, *, threshold: float = 0.1) -> Figure:
     """σ_x over stick length against the sheet's number for a few separations, with standard errors."""
+    chosen = np.flatnonzero(np.isfinite(motion["ratio"].to_numpy()).any(axis=1))
+    if chosen.size:
+        chosen = chosen[np.unique(np.linspace(0, chosen.size - 1, 5).astype(int))]
+    numbers, order = signed_number(motion)
+    series = []
+    for k, (ink, place) in enumerate(zip(ordered_inks(chosen.size), chosen, strict=True)):
+        stick = motion.isel(event=place, sheet=order)
+        value, error = stick["ratio"].to_numpy(), stick["ratio_err"].to_numpy()
+        look: dict[str, Any] = {"look": "both", "hollow": k % 2 == 1, "width": 1.0}
+        look |= {"low": np.maximum(value - error, 0), "high": value + error}
+        label = f"d_v = {float(stick['d_v_mm']):.2f} mm"
+        series.append(Series(label=label, x=numbers, y=value, ink=ink, **look))
     return Figure.of(
         "deformation",
-        _ratio_panel(_ratios(motion), threshold),
+        _ratio_panel(tuple(series), threshold),
         "σ_x/Λ_st: RMS displacement over a stick, without camera noise and common-mode motion, over the "
         "length of the stick, with standard errors; sticks spread over the video, later ones brighter, every "
         f"other one hollow. Shaded: below {threshold:g}, where a sheet counts as stiff.",
@@ -263,23 +275,6 @@ def _ratio_panel(series: tuple[Series, ...], threshold: float) -> Panel:
         bands=(Band(low=0.0, high=threshold, label=f"stiff (below {threshold:g})"),),
         whole_numbers=True,
     )
-
-
-def _ratios(motion: xr.Dataset) -> tuple[Series, ...]:
-    """The ratio of a few sticks from first to last, with standard errors."""
-    chosen = np.flatnonzero(np.isfinite(motion["ratio"].to_numpy()).any(axis=1))
-    if chosen.size:
-        chosen = chosen[np.unique(np.linspace(0, chosen.size - 1, 5).astype(int))]
-    numbers, order = signed_number(motion)
-    series = []
-    for k, (ink, place) in enumerate(zip(ordered_inks(chosen.size), chosen, strict=True)):
-        stick = motion.isel(event=place, sheet=order)
-        value, error = stick["ratio"].to_numpy(), stick["ratio_err"].to_numpy()
-        look: dict[str, Any] = {"look": "both", "hollow": k % 2 == 1, "width": 1.0}
-        look |= {"low": np.maximum(value - error, 0), "high": value + error}
-        label = f"d_v = {float(stick['d_v_mm']):.2f} mm"
-        series.append(Series(label=label, x=numbers, y=value, ink=ink, **look))
-    return tuple(series)
 
 
 def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = 0.1) -> Figure | None:
@@ -349,20 +344,11 @@ def shells_figure(shells: pd.DataFrame, fits: ModelFits | None = None) -> Figure
 def origin_px(tracks: xr.Dataset) -> Floats:
     """Position of every sheet in the first stretch in which most sheets were measured, (sheet,) in px.
 
-    Parameters
-    ----------
-    tracks
-        From `vision.track_sheets`.
-
-    Returns
-    -------
     Medians over up to `ORIGIN_FRAMES` frames, the same frames for all sheets: the first run of frames in
     which nearly as many sheets as ever have a position. A sheet without one there starts, in its own first
     frames, at the displacement that its neighbours have in these frames (linear in n). NaN for a sheet that
     was never found.
 
-    Notes
-    -----
     A mean or median over all frames depends on which of them have a position: a gap would shift the whole
     curve against its neighbours'.
     """
@@ -401,16 +387,9 @@ def _first_stretch(known: Bools) -> tuple[int, int]:
 def outward_px(tracks: xr.Dataset, sheets: Ints | None = None) -> Floats:
     """Mean displacement of sheets away from the axis since the origin, px, (frame,).
 
-    Parameters
-    ----------
-    tracks
-        From `vision.track_sheets`.
-    sheets
-        Indices of those that count; None for all. Only those with a position in most frames are used, or all
-        of them where there is none.
+    sheets: indices of those that count; None for all. Only those with a position in most frames are used,
+    or all of them where there is none.
 
-    Returns
-    -------
     NaN in frames in which one of the sheets used has no position: without it the mean would jump. Where this
     leaves no frame, the mean over the sheets that have one.
     """

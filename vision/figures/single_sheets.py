@@ -153,12 +153,7 @@ def modulus_figure(
 ) -> Figure:
     """F(Δ) with the fitted parts, the loading branches about their lines, and the modulus of each cycle.
 
-    Parameters
-    ----------
-    force, cycles
-        Of `vision.read_force` and `measure_cycles`.
-    clamp_distance_mm
-        As given to `measure_cycles`.
+    clamp_distance_mm: as given to `measure_cycles`, which made the cycles.
     """
     facts = CyclesMetadata.of(cycles)
     thickness, width, length = facts.sheet

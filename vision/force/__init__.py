@@ -1,8 +1,7 @@
 """A testing machine's recording becomes stick-slip events."""
 
-from vision.force.columns import parse_columns
 from vision.force.events import detection_limit, find_stick_slip
-from vision.force.recording import good_samples, read_force
+from vision.force.recording import good_samples, parse_columns, read_force
 from vision.force.settings import ForceSettings
 
 __all__ = [

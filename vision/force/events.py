@@ -12,10 +12,16 @@ import xarray as xr
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
 from vision.errors import InputError
 from vision.force.lines import fit_broken_lines, flat_ranges
-from vision.force.lowpass import SlipTransients, deconvolve_lowpass, estimate_lowpass
 from vision.force.recording import is_compression
 from vision.force.settings import ForceSettings
-from vision.force.slips import Slips, find_slips, stick_middles
+from vision.force.slips import (
+    Slips,
+    SlipTransients,
+    deconvolve_lowpass,
+    estimate_lowpass,
+    find_slips,
+    stick_middles,
+)
 from vision.force.sticks import Corners, Extremes, Signal, find_corners, find_extremes, measure_sticks
 from vision.numeric import Bools, Floats, nan_median
 
@@ -190,11 +196,7 @@ class _SlipAnalysis:
 
 
 def _analyse_slips(
-    signal: Signal,
-    slips: Slips,
-    lowpass_s: float | str,
-    two_slopes: bool | None,
-    settings: ForceSettings,
+    signal: Signal, slips: Slips, lowpass_s: float | str, two_slopes: bool | None, settings: ForceSettings
 ) -> _SlipAnalysis:
     """What the recording shows, and what of the load cell's low-pass is to be corrected."""
     given = 0.0 if isinstance(lowpass_s, str) else lowpass_s / signal.interval_s
@@ -298,16 +300,11 @@ def _with_bias(
     corners = _corners(signal, slips, two_slopes, tau, settings)
     extremes = find_extremes(signal.clean, corners.middle, corners.valley - corners.peak)
     other = measure_sticks(signal, corners, extremes, tau, two_slopes, compliance, settings)
-    pairs = {
-        "F_v_N": "F_v_err_N",
-        "F_p_N": "F_p_err_N",
-        "dF_N": "dF_err_N",
-        "stick_length_um": "stick_length_err_um",
-        "K_N_per_mm": "K_err_N_per_mm",
-    }
+    pairs = [(f"{name}_N", f"{name}_err_N") for name in ("F_v", "F_p", "dF")]
+    pairs += [("stick_length_um", "stick_length_err_um"), ("K_N_per_mm", "K_err_N_per_mm")]
     # The bias is the same in each event: added, not in squares.
-    bias = {value: (other[value] - events[value]).abs().fillna(0.0) for value in pairs}
-    biased = events.assign(**{error: events[error] + bias[value] for value, error in pairs.items()})
+    bias = {error: (other[value] - events[value]).abs().fillna(0.0) for value, error in pairs}
+    biased = events.assign(**{error: events[error] + added for error, added in bias.items()})
     for name, value in (("dF", "dF_N"), ("K", "K_N_per_mm")):
         ratio = (other[value] / events[value] - 1).to_numpy(float)
         share = float(nan_median(np.where(np.isfinite(ratio), ratio, np.nan)))
@@ -331,11 +328,9 @@ def _all_flags(
         "negative": events["F_v_N"].to_numpy(float) < -3 * signal.sigma,
         regime: np.full(len(events), regime != "stick-slip"),
     }
-    added = ["+".join(word for word, mark in marks.items() if mark[k]) for k in range(len(events))]
-    return [
-        "+".join(part for part in (old if old != "ok" or not new else "", new) if part)
-        for old, new in zip(events["flag"], added, strict=True)
-    ]
+    own = [[] if flag == "ok" else [flag] for flag in events["flag"]]
+    added = [[word for word, mark in marks.items() if mark[k]] for k in range(len(events))]
+    return ["+".join(old + new) or "ok" for old, new in zip(own, added, strict=True)]
 
 
 def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips) -> list[str]:
@@ -389,8 +384,8 @@ def _resolution(values: Floats) -> float:
 class Regime:
     """What kind of motion a recording shows."""
 
-    # "stick-slip", "oscillation" (rise and fall equally long, both rounded, a narrow line in the
-    # spectrum) or "cycles" (rise and fall equally long and both straight)
+    # "stick-slip"; or rise and fall equally long, "oscillation": both rounded, a narrow line in the spectrum,
+    # "cycles": both straight
     name: str
     fall_over_rise: float  # median duration of falls over that of rises
     line_share: float  # share of the load's variance within 20 % of the frequency of the slips

@@ -1,4 +1,4 @@
-"""Files of testing machines as tables: text in any layout, and MATLAB."""
+"""Files of testing machines as tables: text in any layout, and MATLAB; names and units of their columns."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import h5py
 import numpy as np
@@ -19,9 +19,10 @@ import scipy
 
 from vision.errors import InputError
 from vision.files import check_regular, reading
-from vision.force.columns import TIME_OF_DAY, Table, split_name, unit_of, without_brackets
 from vision.isolation import try_out
 from vision.numeric import Bools, Floats
+
+Dimension = Literal["time", "force", "length", "ratio"]
 
 
 class _Most:
@@ -38,12 +39,32 @@ _WANTED, _WANTED_MAT = "a force recording", "a MATLAB .mat file"
 LEAST_ROWS = 3
 
 
+@dataclass(frozen=True)
+class Table:
+    """One block of numbers of a file with its header, before anything is known about its meaning."""
+
+    names: tuple[str, ...]  # one per column
+    units: tuple[str, ...]  # "" where none is written
+    numbers: Floats  # (rows, columns), NaN where a cell is empty or not a number
+    facts: dict[str, str] = field(default_factory=dict)  # layout, encoding, separator, decimal
+
+    def listing(self) -> str:
+        """The columns for a message: 1 "Time" [s], 2 "Load" [N] …; the first value where there is no name."""
+        shown = []
+        for k, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
+            first = self.numbers[0, k] if len(self.numbers) else float("nan")
+            named = f'"{name}"' + (f" [{unit}]" if unit else "")
+            shown.append(f"{k + 1} " + (named if name else f"(no name, starts {first:g})"))
+        return ", ".join(shown)
+
+
 def read_tables(path: Path) -> list[Table]:
     """Every block of numbers of a recording, in file order.
 
     Parameters
     ----------
-        path Text as MTS TestSuite (text and CSV), MTS 793, Instron Bluehill, Zwick TRA, Shimadzu Trapezium
+    path
+        Text as MTS TestSuite (text and CSV), MTS 793, Instron Bluehill, Zwick TRA, Shimadzu Trapezium
         and LabVIEW (.lvm) write it, plain tables with or without a header, one column with a unit in each
         line; or a MATLAB .mat file, v4 to v7.3.
 
@@ -64,6 +85,83 @@ def read_tables(path: Path) -> list[Table]:
         raise InputError(path, f"at most {_Most.bytes >> 30} GiB", f"{size >> 20} MiB", "export a part of it")
     with reading(path, _WANTED, "export it again"):
         return _read_mat(path) if path.suffix.lower() == ".mat" else _read_text(path)
+
+
+# --- units --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit as written: what it measures and how many s, N or mm it is."""
+
+    text: str
+    dimension: Dimension
+    factor: float
+
+
+TIME_OF_DAY = "time of day"  # in place of the unit of a column of clock times, which are read as seconds
+
+# Written forms, case kept: mN and MN differ.
+_FACTORS: dict[Dimension, dict[str, float]] = {
+    "time": {
+        **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "seg", TIME_OF_DAY), 1.0),
+        **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
+        **dict.fromkeys(("µs", "us"), 1e-6),
+        **dict.fromkeys(("min", "minute", "minutes", "Minuten"), 60.0),
+        **dict.fromkeys(("h", "hr", "hour", "hours"), 3600.0),
+    },
+    "force": {
+        **dict.fromkeys(("N", "newton", "newtons"), 1.0),
+        **{"kN": 1e3, "MN": 1e6, "daN": 10.0, "mN": 1e-3, "µN": 1e-6, "uN": 1e-6},
+        **dict.fromkeys(("lbf", "lb", "lbs"), 4.4482216152605),
+        **dict.fromkeys(("kgf", "kp", "kg"), 9.80665),
+        **dict.fromkeys(("gf", "g"), 9.80665e-3),
+    },
+    "length": {
+        **{"mm": 1.0, "cm": 10.0, "m": 1000.0, "µm": 1e-3, "um": 1e-3, "nm": 1e-6},
+        **dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), 1.0),
+        **dict.fromkeys(("meter", "meters", "metre", "metres"), 1000.0),
+        **dict.fromkeys(("micron", "microns", "micrometer", "micrometers"), 1e-3),
+        **dict.fromkeys(("in", "inch", "inches", '"'), 25.4),
+        "ft": 304.8,
+    },
+    "ratio": dict.fromkeys(("1", "-", "N/N", "dimensionless"), 1.0),
+}
+_EXACT = {text: Unit(text, dim, f) for dim, table in _FACTORS.items() for text, f in table.items()}
+_LOWER = {text.lower(): unit for text, unit in _EXACT.items() if text not in {"mN", "MN"}}
+_GREEK_MU = str.maketrans({"\u03bc": "µ"})
+
+
+def without_brackets(text: str) -> str:
+    """The unit without the brackets and spaces around it: "(kN)" and " [kN] " are both "kN"."""
+    return text.strip().strip("()[]{}<>").strip().removesuffix(".")
+
+
+def unit_of(text: str) -> Unit | None:
+    """The unit a text stands for; None where it is not a unit of time, force or length.
+
+    Case decides between mN and MN and is otherwise ignored.
+    """
+    key = without_brackets(text).translate(_GREEK_MU)
+    return _EXACT.get(key) or _LOWER.get(key.lower())
+
+
+_BRACKETED = re.compile(r"^(?P<name>.*?)\s*[\(\[\{<](?P<unit>[^()\[\]{}<>]*)[\)\]\}>]\s*$")
+_TRAILING = re.compile(r"^(?P<name>.*\S)(?:\s*[,/]\s*|_|\s+in\s+)(?P<unit>[^\s,/_]+)\s*$")
+
+
+def split_name(header: str) -> tuple[str, str]:
+    """("Load", "kN") from "Load (kN)", "Load [kN]", "Load, kN", "Load / kN", "Load in kN" or "load_kN".
+
+    A unit in brackets is split off whatever it is; the other forms only where the ending is a known unit.
+    """
+    bracketed = _BRACKETED.match(header)
+    if bracketed:
+        return bracketed["name"].strip(), bracketed["unit"].strip()
+    trailing = _TRAILING.match(header)
+    if trailing and unit_of(trailing["unit"]):
+        return trailing["name"].strip(), trailing["unit"].strip()
+    return header.strip(), ""
 
 
 # --- text ---------------------------------------------------------------------------------------------------
@@ -377,12 +475,8 @@ def _fit(cells: list[str], width: int) -> tuple[str, ...]:
 def _drop_empty(table: Table) -> Table:
     """Without the nameless columns that hold nothing: the trace of a separator at the end of each line."""
     keep = [k for k, name in enumerate(table.names) if name or np.isfinite(table.numbers[:, k]).any()]
-    return Table(
-        tuple(table.names[k] for k in keep),
-        tuple(table.units[k] for k in keep),
-        table.numbers[:, keep],
-        table.facts,
-    )
+    names, units = (tuple(part[k] for k in keep) for part in (table.names, table.units))
+    return Table(names, units, table.numbers[:, keep], table.facts)
 
 
 def _suffixed_column(path: Path, lines: list[str], encoding: str) -> Table:
@@ -398,10 +492,10 @@ def _suffixed_column(path: Path, lines: list[str], encoding: str) -> Table:
             "export the recording as text with one row per sample",
         )
     facts = {"layout": "one column", "encoding": encoding, "separator": "none", "decimal": "."}
-    if len(found) >= len(plain):
-        values = np.array([float(match["number"]) for match in found])
-        return Table(("",), (found[0]["unit"],), values[:, np.newaxis], facts)
-    return Table(("",), ("",), np.array([float(line) for line in plain])[:, np.newaxis], facts)
+    with_unit = len(found) >= len(plain)
+    numbers = [float(match["number"]) for match in found] if with_unit else [float(line) for line in plain]
+    unit = found[0]["unit"] if with_unit else ""
+    return Table(("",), (unit,), np.array(numbers)[:, np.newaxis], facts)
 
 
 # --- MATLAB -------------------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,6 @@ class Lines:
     All are NaN with fewer than three samples or where x does not vary.
     """
 
-    # slope, mean_x, mean_y: of each line
     slope: Floats
     mean_x: Floats
     mean_y: Floats
@@ -60,25 +60,12 @@ class Lines:
 
 
 def fit_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: float = 0.0) -> Lines:
-    """Lines through (x, y) over many stretches.
+    """Lines through (x, y), NaN left out, over many stretches: half-open ranges of samples, one per line.
 
-    Parameters
-    ----------
-    x, y
-        The signal; NaN is left out.
-    start, stop
-        Half-open ranges of samples, one per line.
-    lag
-        Time constant, in samples, of a first-order low-pass that y went through. An exponential of free
-        height then takes up the transient, and the line is the one before the low-pass.
-
-    Returns
-    -------
-    One line per stretch, NaN where there are not enough samples.
+    lag: time constant, in samples, of a first-order low-pass that y went through. An exponential of free
+    height then takes up the transient, and the line is the one before the low-pass.
     """
-    row, index = flat_ranges(start, stop)
-    keep = np.isfinite(y[index]) & np.isfinite(x[index])
-    row, index = row[keep], index[keep]
+    row, index = _known_samples(x, y, start, stop)
     rows = _Rows(row, start.size, least=4 if lag else 3)
     with np.errstate(divide="ignore", invalid="ignore"):
         mean_x, mean_y = rows.mean(x[index]), rows.mean(y[index])
@@ -104,6 +91,13 @@ def fit_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: float = 0.0
     return Lines(slope, mean_x, mean_y, sxx, spread, rows.count)
 
 
+def _known_samples(x: Floats, y: Floats, start: Ints, stop: Ints) -> tuple[Ints, Ints]:
+    """`flat_ranges` of the samples whose x and y are known."""
+    row, index = flat_ranges(start, stop)
+    keep = np.isfinite(y[index]) & np.isfinite(x[index])
+    return row[keep], index[keep]
+
+
 class _Rows:
     """Sums over the samples of each row; the count is NaN for rows of fewer than `least`."""
 
@@ -123,16 +117,13 @@ class _Rows:
 class BrokenLines:
     """Continuous lines of two slopes, one per stretch."""
 
-    # first, second: slope before and after the knee
-    first: Floats
-    second: Floats
+    first: Floats  # slope before the knee
+    second: Floats  # and after it
     knee: Floats  # where the slope changes, as a fraction of the stretch
-    # low, span: the stretches in x
-    low: Floats
-    span: Floats
+    low: Floats  # where each stretch begins in x
+    span: Floats  # and its length
     level: Floats  # value at low
-    # how many times smaller the squared residual is than a single line's; about 1 where one line does
-    gain: Floats
+    gain: Floats  # how many times smaller the squared residual is than a single line's
 
     @property
     def knee_x(self) -> Floats:
@@ -153,9 +144,7 @@ def fit_broken_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: floa
 
     Parameters are those of `fit_lines`.
     """
-    row, index = flat_ranges(start, stop)
-    keep = np.isfinite(y[index]) & np.isfinite(x[index])
-    row, index = row[keep], index[keep]
+    row, index = _known_samples(x, y, start, stop)
     low, span = _extent(x[index], row, start.size)
     u = (x[index] - low[row]) / span[row]
     late = lag / np.maximum(stop - start - 1.0, 1.0)
@@ -182,6 +171,8 @@ def fit_broken_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: floa
 def lagged_hinge(t: Floats, tau: Floats | float) -> Floats:
     """max(0, t) after a first-order low-pass of time constant tau (in the unit of t)."""
     late = np.maximum(t, 0.0)
+    if not np.any(tau):
+        return late
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(np.greater(tau, 0), late + tau * np.expm1(-late / tau), late)
 
@@ -214,16 +205,24 @@ class _Hinges:
     transient: Floats
     late: Floats
 
+    @cached_property
+    def _shared(self) -> tuple[_Rows, Floats, Floats, Floats]:
+        """Sums over rows, and what all knees share: columns of the design, their products, those with y."""
+        rows, known = _Rows(self.row, self.late.size, least=0), np.isfinite(self.u)
+        columns = np.where(known, [np.ones_like(self.u), self.u, np.zeros_like(self.u), self.transient], 0.0)
+        products = np.zeros((self.late.size, 4, 4))
+        for a, b in ((0, 0), (0, 1), (0, 3), (1, 1), (1, 3), (3, 3)):
+            products[:, a, b] = products[:, b, a] = rows.total(columns[a] * columns[b])
+        return rows, columns, products, np.stack([rows.total(column * self.y) for column in columns], axis=1)
+
     def fit(self, knee: float | Floats) -> tuple[Floats, Floats]:
         """(sum of squares left, (a, b, c, transient)) of every row."""
-        rows = self.late.size
+        rows, columns, products, with_y = self._shared  # what belongs to the hinge is written anew each time
         hinge = lagged_hinge(self.u - knee, self.late[self.row])
-        design = np.stack([np.ones_like(self.u), self.u, hinge, self.transient], axis=1)
-        design[~np.isfinite(self.u)] = 0.0
-        matrix = np.zeros((rows, 4, 4))
-        right = np.zeros((rows, 4))
-        np.add.at(matrix, self.row, design[:, :, np.newaxis] * design[:, np.newaxis, :])
-        np.add.at(right, self.row, design * self.y[:, np.newaxis])
-        solution = (np.linalg.pinv(matrix, hermitian=True) @ right[:, :, np.newaxis])[:, :, 0]
-        residual = self.y - np.sum(design * solution[self.row], axis=1)
-        return np.bincount(self.row, weights=residual**2, minlength=rows).astype(float), solution
+        columns[2] = np.where(np.isfinite(hinge), hinge, 0.0)
+        for k in range(4):
+            products[:, 2, k] = products[:, k, 2] = rows.total(columns[2] * columns[k])
+        with_y[:, 2] = rows.total(columns[2] * self.y)
+        solution = (np.linalg.pinv(products, hermitian=True) @ with_y[:, :, np.newaxis])[:, :, 0]
+        residual = self.y - np.sum(columns * solution.T[:, self.row], axis=0)
+        return rows.total(residual**2), solution

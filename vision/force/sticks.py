@@ -11,11 +11,10 @@ import pandas as pd
 import xarray as xr
 
 from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines, flat_ranges
-from vision.force.lowpass import DeconvolvedLoad, SlipTransients
 from vision.force.recording import find_spikes, noise_sigma, usable
 from vision.force.settings import ForceSettings
-from vision.force.slips import stick_lines, stick_middles
-from vision.numeric import Bools, Floats, Ints
+from vision.force.slips import DeconvolvedLoad, SlipTransients, stick_lines, stick_middles
+from vision.numeric import Bools, Floats, Ints, nan_median
 from vision.signals import running_mean
 
 # A slip of a spring and block is half a cosine: its 90 % and 10 % crossings lie 0.59 of half its length from
@@ -29,10 +28,9 @@ _HALF_COSINE, _STRAIGHT = 0.59, 0.8
 class Corners:
     """Begin (peak) and end (valley) of each slip, in samples, fractions included."""
 
-    # peak, valley, middle: begin, end, and where the load is half-way down
     peak: Floats
     valley: Floats
-    middle: Floats
+    middle: Floats  # where the load is half-way down
     drop: Floats  # height between the stick lines
     error: Floats  # standard error of one corner's place
     knee: Floats  # where the stick before and after changes slope: one more than slips, NaN where it does not
@@ -67,7 +65,7 @@ def find_corners(
     # and 50 % 0.4 samples apart, and more where deconvolution leaves a sample part of the way down.
     blur = np.hypot(0.4 * signal.width, 0.5 if signal.late else 0.0)
     onset, end = (np.sqrt(np.maximum(part**2 - blur**2, 0.0)) for part in (middle - high, low - middle))
-    usual_onset, usual_end = _known_median(onset), _known_median(end)
+    usual_onset, usual_end = (float(np.nan_to_num(nan_median(part))) for part in (onset, end))
     if usual_onset + usual_end < 1.0:
         # Not resolved. Half of what is seen: the rest may be the sampling's or a low-pass too short to tell.
         usual_onset = usual_end = 0.25 * (usual_onset + usual_end)
@@ -75,9 +73,8 @@ def find_corners(
     clear = base.drop > 20 * signal.sigma  # noise would scatter the length of smaller ones
     clear &= np.isfinite(onset) & np.isfinite(end)
     onset = _half_length(np.where(clear, onset, usual_onset), base.before_slope, base.drop)
-    end = _half_length(
-        np.where(clear, np.minimum(end, usual_end * 2), usual_end), base.after_slope, base.drop
-    )
+    end = np.where(clear, np.minimum(end, usual_end * 2), usual_end)
+    end = _half_length(end, base.after_slope, base.drop)
     middle = middle - signal.late
     last = signal.load.size - 1.0
     return Corners(
@@ -108,11 +105,6 @@ def _errors(signal: DeconvolvedLoad, drop: Floats, length: float, settings: Forc
     unsure = np.hypot(settings.corner_error, settings.shape_error * length)
     steepest = np.pi / 2 * np.maximum(drop, signal.sigma) / max(length, signal.width)
     return np.hypot(signal.sigma / steepest, unsure)
-
-
-def _known_median(distance: Floats) -> float:
-    known = distance[np.isfinite(distance)]
-    return float(np.median(known)) if known.size else 0.0
 
 
 @dataclass(frozen=True)
@@ -203,14 +195,11 @@ def _interpolated(u: Floats, index: Ints, level: float, at: Ints) -> Floats:
 class Extremes:
     """Highest load before and lowest load after the middle of each slip, spikes aside."""
 
-    # peak, valley: where, in samples
-    peak: Floats
+    peak: Floats  # where, in samples
     valley: Floats
-    # high, low: the load there, averaged over `width` samples
-    high: Floats
+    high: Floats  # the load there, averaged over `width` samples
     low: Floats
-    # highest, lowest: the single largest and smallest sample
-    highest: Floats
+    highest: Floats  # the single largest and smallest sample
     lowest: Floats
     width: Ints  # samples averaged for each slip: a 24th of it, so that a half cosine loses next to nothing
 
@@ -290,12 +279,10 @@ def is_slow(fall: Floats, rise: Floats, settings: ForceSettings) -> Bools:
 class Signal:
     """The good samples of a force recording."""
 
-    # time, travel: of each sample, s, and of the sample's end, mm
-    time: Floats
-    travel: Floats
-    # load, clean: as recorded and with spikes replaced by their neighbours, N
-    load: Floats
-    clean: Floats
+    time: Floats  # s
+    travel: Floats  # of the sample's end, mm
+    load: Floats  # as recorded, N
+    clean: Floats  # with spikes replaced by their neighbours, N
     is_spike: Bools  # samples that are spikes
     sigma: float  # noise of the load, N
     damage: dict[str, Ints]  # for each kind of bad sample, how many of them came before each good one

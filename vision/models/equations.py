@@ -199,12 +199,7 @@ def sheet_stiffness(*, modulus_GPa: ArrayLike, sample: Sample = PUBLISHED) -> Fl
 
 
 def assembly_stiffness(
-    d_mm: ArrayLike,
-    *,
-    mu: ArrayLike,
-    n_hat_N: ArrayLike,
-    modulus_GPa: ArrayLike,
-    sample: Sample = PUBLISHED,
+    d_mm: ArrayLike, *, mu: ArrayLike, n_hat_N: ArrayLike, modulus_GPa: ArrayLike, sample: Sample = PUBLISHED
 ) -> Floats:
     r"""Stiffness of the sample in N/mm; 0 where d-hat > 1.
 
@@ -256,12 +251,7 @@ def second_moment_mm4(*, sample: Sample = PUBLISHED) -> float:
 
 
 def bending_force_N(
-    n: ArrayLike,
-    d_mm: ArrayLike,
-    *,
-    lever_mm: ArrayLike,
-    modulus_GPa: ArrayLike,
-    sample: Sample = PUBLISHED,
+    n: ArrayLike, d_mm: ArrayLike, *, lever_mm: ArrayLike, modulus_GPa: ArrayLike, sample: Sample = PUBLISHED
 ) -> Floats:
     r"""Force in N that bends sheet n back to the pull, applied at a distance λ (`lever_mm`) from the clamp
     end.
@@ -277,12 +267,7 @@ def bending_force_N(
 
 
 def bending_length_mm(
-    n: ArrayLike,
-    d_mm: ArrayLike,
-    *,
-    n_hat_N: ArrayLike,
-    modulus_GPa: ArrayLike,
-    sample: Sample = PUBLISHED,
+    n: ArrayLike, d_mm: ArrayLike, *, n_hat_N: ArrayLike, modulus_GPa: ArrayLike, sample: Sample = PUBLISHED
 ) -> Floats:
     r"""Distance λ in mm at which N̂ bends sheet n back to the pull: `bending_force_N` solved for λ.
 

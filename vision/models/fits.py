@@ -10,11 +10,12 @@ import pandas as pd
 import xarray as xr
 
 from vision.data import FORCE, ForceMetadata
-from vision.errors import InputError
+from vision.errors import InputError, check_positive
 from vision.models import equations
 from vision.models.single_fits import (
     FAILURES,
     LARGEST_SCALE,
+    PARAMETERS,
     Estimate,
     Fit,
     ModelFits,
@@ -95,7 +96,10 @@ def fit_models(
     FORCE.check(force)
     _check_force(force)
     held = _held(mu, modulus_GPa)
-    errors = _geometry_errors(geometry_err)
+    errors = dict(geometry_err or {})
+    for name, value in errors.items():
+        if name not in _GEOMETRY or not 0 <= value < np.inf:
+            raise InputError("`geometry_err`", f"errors of {', '.join(_GEOMETRY)}", f"{name}: {value!r}")
     whole = _usable(sticks, sample, force)
     doubt = _doubtful_units(whole, sample, force)
     with np.errstate(all="ignore"):  # fits may stray; what comes out is checked
@@ -108,8 +112,7 @@ def fit_models(
             raise
         except FAILURES as error:
             raise _undetermined(str(error), doubt) from error
-        parts = (fits.mu, fits.t0_N, fits.amplitude, fits.n_hat_N, fits.modulus_GPa, fits.scale_mm)
-        if not all(np.isfinite((part.value, part.error)).all() for part in parts):
+        if not all(np.isfinite((one.value, one.error)).all() for one in fits.named().values()):
             raise _undetermined("values or errors that are not finite", doubt)
         left_out = {"flagged": len(sticks) - len(whole)} | left_out
         lowpass = {name: float(sticks.attrs.get(name, 0.0)) for name in _LOWPASS}
@@ -132,18 +135,9 @@ def fit_models(
 
 def _held(mu: float | None, modulus_GPa: float | None) -> dict[str, float]:
     """Parameters that are given, by their field in `ModelFits`."""
+    check_positive(mu=mu, modulus_GPa=modulus_GPa)
     held = {"mu": mu, "modulus_GPa": modulus_GPa}
-    for name, value in held.items():
-        if value is not None and not 0 < value < np.inf:
-            raise InputError(f"`{name}`", "a positive number", f"{value!r}")
     return {name: float(value) for name, value in held.items() if value is not None}
-
-
-def _geometry_errors(given: Mapping[str, float] | None) -> dict[str, float]:
-    for name, value in (given or {}).items():
-        if name not in _GEOMETRY or not 0 <= value < np.inf:
-            raise InputError("`geometry_err`", f"errors of {', '.join(_GEOMETRY)}", f"{name}: {value!r}")
-    return dict(given or {})
 
 
 def _undetermined(reason: str, doubt: str = "") -> InputError:
@@ -377,7 +371,7 @@ def _fit_all(events: pd.DataFrame, given: Sample, free_t_star: bool, held: Mappi
         scale_mm=stiffness.estimate(0),
         bending_mm=bending,
         goodness={"peaks": peaks.goodness, "drops": drops.goodness, "stiffness": stiffness.goodness},
-        correlation=_correlations(peaks, stiffness, free_t_star) | correlation,
+        correlation=correlation,
         d_mm=span,
         sample=given,
         notes=_notes(peaks, stiffness, span, free_t_star),
@@ -388,7 +382,7 @@ def _fit_all(events: pd.DataFrame, given: Sample, free_t_star: bool, held: Mappi
 def _derived(
     stiffness: Fit, peaks: Fit, sample: Sample, free_t_star: bool, d_mm: float
 ) -> tuple[Estimate, Estimate, dict[str, float]]:
-    """(N̂, λ of the outermost sheet, the correlation of N̂ and Y_eff), errors carried through to first order.
+    """(N̂, λ of the outermost sheet, all correlations), errors carried through to first order.
 
     N̂ = T*/2μ (exp(2 μ ε M²/Λ̂) − 1) depends on μ itself: that part of its error is much of it.
     """
@@ -415,26 +409,15 @@ def _derived(
     spread = slopes @ covariance @ slopes.T
     values, errors = both(parameters), np.sqrt(np.diag(spread))
     together = float(spread[0, 2] / (errors[0] * errors[2])) if errors[0] * errors[2] > 0 else 0.0
-    n_hat, bending = (Estimate(float(values[k]), float(errors[k])) for k in (0, 1))
-    return n_hat, bending, {"N_hat_N,Y_eff_GPa": together}
-
-
-def _correlations(peaks: Fit, stiffness: Fit, free_t_star: bool) -> dict[str, float]:
     found = {"mu,T0_N": peaks.correlation(0, 1), "Lambda_hat_mm,Y_eff_GPa": stiffness.correlation(0, 1)}
-    return found | ({"mu,T_star_N": peaks.correlation(0, 2)} if free_t_star else {})
+    found |= {"mu,T_star_N": peaks.correlation(0, 2)} if free_t_star else {}
+    n_hat, bending = (Estimate(float(values[k]), float(errors[k])) for k in (0, 1))
+    return n_hat, bending, found | {"N_hat_N,Y_eff_GPa": together}
 
 
 # --- systematic errors --------------------------------------------------------------------------------------
 
 _LOWPASS = ("lowpass_dF_share", "lowpass_K_share")
-_BUDGET = {
-    "mu": "mu",
-    "T0_N": "t0_N",
-    "A": "amplitude",
-    "N_hat_N": "n_hat_N",
-    "Y_eff_GPa": "modulus_GPa",
-    "Lambda_hat_mm": "scale_mm",
-}
 
 
 def _with_systematics(
@@ -455,11 +438,11 @@ def _with_systematics(
         try:
             found = _fit_all(moved, sample, free_t_star, held)
         except FAILURES:
-            return dict.fromkeys(_BUDGET, float("nan"))
-        return {name: getattr(found, part).value for name, part in _BUDGET.items()}
+            return dict.fromkeys(PARAMETERS, float("nan"))
+        return {name: one.value for name, one in found.named().items()}
 
     def half(plus: Mapping[str, float], minus: Mapping[str, float]) -> dict[str, float | None]:
-        return {name: abs(plus[name] - minus[name]) / 2 for name in _BUDGET}
+        return {name: abs(plus[name] - minus[name]) / 2 for name in PARAMETERS}
 
     def shifted(by: float) -> pd.DataFrame:
         return events.assign(d_v_mm=events["d_v_mm"] + by, d_p_mm=events["d_p_mm"] + by)
@@ -469,7 +452,7 @@ def _with_systematics(
         ramp = by * (events["d_p_mm"] - events["d_p_mm"].min()) / span
         return events.assign(F_p_N=events["F_p_N"] + ramp, K_N_per_mm=events["K_N_per_mm"] + by / span)
 
-    unknown: dict[str, float | None] = dict.fromkeys((*_BUDGET, "K_N_per_mm", "ratio"))
+    unknown: dict[str, float | None] = dict.fromkeys((*PARAMETERS, "K_N_per_mm", "ratio"))
     budget = {"d0": unknown}
     if np.isfinite(d0_err):
         moved = half(again(shifted(d0_err)), again(shifted(-d0_err)))
@@ -486,7 +469,7 @@ def _with_systematics(
         parts = [part for source in budget.values() if (part := source[name]) is not None]
         return replace(estimate, systematic_error=float(np.sqrt(np.sum(np.square(parts)))))
 
-    changed = {part: systematic(name, getattr(fits, part)) for name, part in _BUDGET.items()}
+    changed = {PARAMETERS[name]: systematic(name, one) for name, one in fits.named().items()}
     return replace(fits, budget=budget, **changed)  # type: ignore[arg-type]
 
 
@@ -494,7 +477,7 @@ def _unresolved(
     fits: ModelFits, force: xr.Dataset, events: pd.DataFrame, lowpass: Mapping[str, float]
 ) -> dict[str, dict[str, float | None]]:
     """What the load cell's low-pass and the time between samples hide, as a share of all drops and slopes."""
-    none: dict[str, float | None] = dict.fromkeys((*_BUDGET, "K_N_per_mm", "ratio"), 0.0)
+    none: dict[str, float | None] = dict.fromkeys((*PARAMETERS, "K_N_per_mm", "ratio"), 0.0)
     unseen = _unseen_valleys(force, events)
     if not any(lowpass.values()):
         return {"sampling": none | {"A": abs(fits.amplitude.value * unseen)}} if unseen else {}

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from vision.errors import InputError
+from vision.errors import InputError, check_positive
 from vision.models.rheometer import ROTATION, RotationMetadata
 from vision.numeric import Floats, mad_sigma
 
@@ -98,37 +98,19 @@ def rim_slip_torque_N_m(
 
 @dataclass(frozen=True, kw_only=True)
 class DiscFriction:
-    """Friction coefficients of one measurement with their standard errors.
+    """Friction coefficients of one measurement with their standard errors."""
 
-    Parameters
-    ----------
-    source, measurement
-        File and measurement.
-    N_N, N_err_N
-        Mean normal force over the range of μ_d and its error; the error is 0 where N was given.
-    mu_s, mu_s_err
-        Static coefficient, the first maximum; NaN where the curve has none.
-    mu_d, mu_d_err
-        Dynamic coefficient, the mean over the range of angles; NaN where the rotation does not reach it.
-    peak_deg
-        Travelled angle of the maximum.
-    samples_before_dynamic
-        Samples from the start to the range of μ_d, in which the peak must be resolved.
-    warnings
-        What may spoil these numbers.
-    """
-
-    source: str
+    source: str  # file
     measurement: str
-    N_N: float
-    N_err_N: float
-    mu_s: float
+    N_N: float  # mean normal force over the range of μ_d
+    N_err_N: float  # 0 where N was given
+    mu_s: float  # the first maximum; NaN where the curve has none
     mu_s_err: float
-    mu_d: float
+    mu_d: float  # the mean over the range of angles; NaN where the rotation does not reach it
     mu_d_err: float
-    peak_deg: float
-    samples_before_dynamic: int
-    warnings: tuple[str, ...] = ()
+    peak_deg: float  # travelled angle of the maximum
+    samples_before_dynamic: int  # from the start to the range of μ_d, in which the peak must be resolved
+    warnings: tuple[str, ...] = ()  # what may spoil these numbers
 
 
 def friction_curve(
@@ -164,10 +146,9 @@ def friction_curve(
     """
     ROTATION.check(rotation)
     about = f"{RotationMetadata.of(rotation).source}: {RotationMetadata.of(rotation).measurement}"
-    _positive(radius_mm, "radius_mm")
+    check_positive(radius_mm=radius_mm, normal_force_N=normal_force_N)
     rows = len(rotation)
     if normal_force_N is not None:
-        _positive(normal_force_N, "normal_force_N")
         load, error = np.full(rows, float(normal_force_N)), np.zeros(rows)
     elif "normal_force_N" not in rotation or rotation["normal_force_N"].isna().all():
         raise InputError(about, "a normal force", "none recorded", "give `normal_force_N`")
@@ -189,11 +170,6 @@ def friction_curve(
             "N_err_N": error,
         }
     )
-
-
-def _positive(value: float, name: str) -> None:
-    if not math.isfinite(value) or value <= 0:
-        raise InputError(f"`{name}`", "a positive number", f"{value!r}")
 
 
 def _running_load(rotation: pd.DataFrame, window_s: float) -> tuple[Floats, Floats]:
@@ -365,19 +341,11 @@ def _parabola(mu: Floats, peak: int, half: int, noise: float) -> tuple[float, fl
 def friction_table(measured: Iterable[DiscFriction]) -> pd.DataFrame:
     """One row per measurement: file, measurement, N_N, mu_s, mu_s_err, mu_d, mu_d_err, N_err_N, peak_deg,
     warnings."""
+    names = ("measurement", "N_N", "mu_s", "mu_s_err", "mu_d", "mu_d_err", "N_err_N", "peak_deg")
     rows = [
-        {
-            "file": Path(one.source).name,
-            "measurement": one.measurement,
-            "N_N": one.N_N,
-            "mu_s": one.mu_s,
-            "mu_s_err": one.mu_s_err,
-            "mu_d": one.mu_d,
-            "mu_d_err": one.mu_d_err,
-            "N_err_N": one.N_err_N,
-            "peak_deg": one.peak_deg,
-            "warnings": "; ".join(one.warnings),
-        }
+        {"file": Path(one.source).name}
+        | {name: getattr(one, name) for name in names}
+        | {"warnings": "; ".join(one.warnings)}
         for one in measured
     ]
     return pd.DataFrame(rows)
@@ -390,33 +358,18 @@ def friction_table(measured: Iterable[DiscFriction]) -> pd.DataFrame:
 class StaticFriction:
     r"""The law μ_s(N) = a (1 + b/N), with the publication's numbers by default.
 
-    Parameters
-    ----------
-    a, a_err
-        Coefficient at large loads.
-    b_N, b_err_N
-        Load at which adhesion doubles it.
-    correlation
-        Of the two.
-    chi2_dof
-        Of the fit; NaN with two points. Above 1 the errors are scaled by its square root.
-    points
-        Measurements fitted.
-
-    Notes
-    -----
     .. math:: \mu_s(N) = a\,(1 + b/N), \qquad \mu_s N = a\,(N + b)
 
     Source: the publication's appendix "Single sheets characterization", after Crassous et al. 1999.
     """
 
-    a: float = 0.507
-    b_N: float = 0.143
+    a: float = 0.507  # coefficient at large loads
+    b_N: float = 0.143  # load at which adhesion doubles it
     a_err: float = math.nan
     b_err_N: float = math.nan
-    correlation: float = math.nan
-    chi2_dof: float = math.nan
-    points: int = 0
+    correlation: float = math.nan  # of the two
+    chi2_dof: float = math.nan  # NaN with two points; above 1 the errors are scaled by its square root
+    points: int = 0  # measurements fitted
 
     def mu_s(self, N_N: ArrayLike) -> Floats:
         """Static coefficient under a load; infinite at zero load, where the force itself is a b."""
@@ -474,9 +427,8 @@ def fit_static_friction(N_N: ArrayLike, mu_s: ArrayLike, mu_s_err: ArrayLike | N
     if (load <= 0).any():
         raise InputError("`N_N`", "positive loads", f"{load.min():.3g} N")
     if load.size < 2 or float(np.ptp(load)) < 0.01 * float(load.max()):
-        raise InputError(
-            "the law μ_s = a(1 + b/N)", "two different normal forces with a μ_s", f"{_distinct(load)}"
-        )
+        found = ", ".join(f"{value:.3g} N" for value in np.unique(load)) or "no μ_s at all"
+        raise InputError("the law μ_s = a(1 + b/N)", "two different normal forces with a μ_s", found)
     weighted = bool((error > 0).all())
     sigma = error if weighted else np.ones_like(mu)
     design = np.stack([np.ones_like(load), 1 / load], axis=1) / sigma[:, np.newaxis]
@@ -505,10 +457,6 @@ def fit_static_friction(N_N: ArrayLike, mu_s: ArrayLike, mu_s_err: ArrayLike | N
         chi2_dof=chi2_dof,
         points=int(load.size),
     )
-
-
-def _distinct(load: Floats) -> str:
-    return ", ".join(f"{value:.3g} N" for value in np.unique(load)) or "no μ_s at all"
 
 
 def threshold_curves(

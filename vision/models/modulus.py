@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from vision.data import FORCE, Metadata, Schema, Variable, record
-from vision.errors import InputError
+from vision.errors import InputError, check_positive
 from vision.numeric import Floats, Ints
 from vision.sample import Sample
 from vision.signals import find_maxima, running_mean
@@ -105,16 +105,8 @@ CYCLES = Schema(
 def turning_points(displacement: ArrayLike, *, settings: ModulusSettings = ModulusSettings()) -> Ints:
     """Samples at which a displacement turns back, its first and last sample included.
 
-    Parameters
-    ----------
-    displacement
-        (samples,), without NaN, any unit; noise and steps of the resolution are smoothed.
-    settings
-        `ModulusSettings`: how far it must go back.
-
-    Returns
-    -------
-    Rising indices that alternate between low and high; [0, last] for a displacement that only rises.
+    Rising indices that alternate between low and high; [0, last] for a displacement that only rises. It is
+    without NaN, in any unit; noise and steps of the resolution are smoothed.
     """
     raw = np.asarray(displacement, float)
     last = raw.size - 1
@@ -149,17 +141,9 @@ def looks_like_cycles(
 ) -> bool:
     """Whether a recording is made of push–pull cycles rather than one pull.
 
-    Parameters
-    ----------
-    time, displacement
-        (samples,), any unit; rows with NaN or with times that do not rise are left out.
-    settings
-        `ModulusSettings`: how far the displacement must go back to count.
-
-    Returns
-    -------
     True where the displacement turns back at least twice by a fifth of its range: on such a recording rises
     and falls of the force are loading and unloading, not stick and slip. One pull with one return is none.
+    Samples with NaN, or with times that do not rise, are left out.
     """
     at, position = np.asarray(time, float), np.asarray(displacement, float)
     kept = np.isfinite(at) & np.isfinite(position)
@@ -171,10 +155,7 @@ def looks_like_cycles(
 def cycles_seen(force: xr.Dataset) -> str:
     """One line that says how many push–pull cycles a recording holds; "" for a single pull.
 
-    Parameters
-    ----------
-    force
-        As `vision.read_force` returns it; without a recorded displacement nothing can be told and it is "".
+    Without a recorded displacement nothing can be told and it is "".
     """
     if "crosshead_mm" not in force:
         return ""
@@ -255,8 +236,7 @@ def measure_cycles(
     Source: appendix "Single sheets characterization".
     """
     machine = machine_stiffness_N_per_mm
-    if machine is not None and (not math.isfinite(machine) or machine <= 0):
-        raise InputError("`machine_stiffness_N_per_mm`", "a positive number", f"{machine!r}")
+    check_positive(machine_stiffness_N_per_mm=machine)
     cycles, facts = _clean(force, sheet, clamp_distance_mm, machine or math.inf, settings)
     source = facts.source
     branches = _loading_branches(cycles)
@@ -277,23 +257,21 @@ def measure_cycles(
             "none",
             "is tension negative, or the recording too coarse?",
         )
-    if min(row["k_N_per_mm"] for row in rows) <= 0:
+    if (least := min(row["k_N_per_mm"] for row in rows)) <= 0:
         advice = "`machine_stiffness_N_per_mm` may be too small" if machine else "is tension negative?"
-        found = f"a slope of {min(row['k_N_per_mm'] for row in rows):.3g} N/mm"
+        found = f"a slope of {least:.3g} N/mm"
         raise InputError(source, "a force that rises with Δ on loading branches", found, advice)
     table = pd.DataFrame(rows)
     table.insert(0, "cycle", np.arange(1, len(rows) + 1))
     table["drift_N"] = table["F_max_N"].diff()
-    warnings = [*facts.warnings, *([f"{skipped} loading branches with too few samples"] if skipped else [])]
     stiffness = math.nan if machine is None else machine
-    notes = [*facts.notes, *_remarks(table, sheet, stiffness)]
-    meta = CyclesMetadata(
-        source=source,
+    few = [f"{skipped} loading branches with too few samples"] if skipped else []
+    meta = replace(
+        facts,
         sheet=(sheet.thickness_mm, sheet.width_mm, sheet.length_mm),
-        clamp_distance_from=facts.clamp_distance_from,
         machine_stiffness_N_per_mm=stiffness,
-        notes=notes,
-        warnings=warnings,
+        notes=[*facts.notes, *_remarks(table, sheet, stiffness)],
+        warnings=[*facts.warnings, *few],
     )
     table.attrs.update(meta.attrs())
     return record(table, "measure_cycles", machine_stiffness_N_per_mm=stiffness, part=settings.part)
@@ -308,13 +286,7 @@ _ORIGINS = {
 def clamp_distance(
     force: xr.Dataset, *, sheet: Sample = STRIP, clamp_distance_mm: float | None = None
 ) -> Floats:
-    """Δ in mm of every sample, as `measure_cycles` takes it, without a correction for the machine.
-
-    Parameters
-    ----------
-    force, sheet, clamp_distance_mm
-        As in `measure_cycles`.
-    """
+    """Δ in mm of every sample, as `measure_cycles` takes it, without a correction for the machine."""
     crosshead = force["crosshead_mm"].values.astype(float)
     known = crosshead[np.isfinite(crosshead)]
     how = _origin(known, sheet, clamp_distance_mm)
@@ -323,8 +295,7 @@ def clamp_distance(
 
 def _origin(crosshead: Floats, sheet: Sample, clamp_distance_mm: float | None) -> str:
     if clamp_distance_mm is not None:
-        if not math.isfinite(clamp_distance_mm) or clamp_distance_mm <= 0:
-            raise InputError("`clamp_distance_mm`", "a positive number", f"{clamp_distance_mm!r}")
+        check_positive(clamp_distance_mm=clamp_distance_mm)
         return "given"
     return "column" if abs(float(np.median(crosshead)) - sheet.length_mm) < sheet.length_mm / 2 else "length"
 
@@ -368,8 +339,7 @@ def _branch(
     line = _line(delta[chosen], load[chosen])
     return {
         **_row(line, sheet),
-        **_loop(delta, load, smooth, start, stop, following),
-        "K_tangent_N_per_mm": math.nan if following is None else _tangent(cycles, stop, following),
+        **_unloading(cycles, start, stop, following),
         "t_start_s": float(cycles.time[start]),
         "t_end_s": float(cycles.time[stop]),
         "fit_from_mm": float(delta[chosen][0]),
@@ -377,15 +347,6 @@ def _branch(
         "F_max_N": float(smooth[start : stop + 1].max()),
         "samples": chosen.stop - chosen.start,
     }
-
-
-def _tangent(cycles: _Cycles, top: int, stop: int) -> float:
-    """Slope over the first fifth of the fall of the force, less what the turn itself blunts.
-
-    Friction within the sample has to turn back before anything slides: this is its stiffness as a whole.
-    """
-    part = _part(-cycles.smooth, top, stop, (0.05, 0.25))
-    return _line(cycles.delta[part], cycles.load[part]).slope if part.stop - part.start > 2 else math.nan
 
 
 def _clean(
@@ -484,18 +445,25 @@ def _row(line: _Line, sheet: Sample) -> dict[str, float]:
     }
 
 
-def _loop(
-    delta: Floats, load: Floats, smooth: Floats, start: int, top: int, stop: int | None
-) -> dict[str, float]:
-    """Energy lost between loading and unloading, and how far Δ at F = 0 has moved."""
-    loop_mJ = residual = math.nan
-    if stop is not None:
-        # Closed over the range of Δ that both branches cover: cycles need not return to where they began.
-        up, down = slice(start, top + 1), slice(top, stop + 1)
-        shared = max(float(delta[start]), float(delta[stop]))
-        loop_mJ = _work(delta[up], load[up], shared) + _work(delta[down], load[down], shared)
-        residual = _zero(delta[down][::-1], smooth[down][::-1]) - _zero(delta[up], smooth[up])
-    return {"loop_mJ": loop_mJ, "residual_mm": residual}
+def _unloading(cycles: _Cycles, start: int, top: int, stop: int | None) -> dict[str, float]:
+    """Energy lost between loading and unloading, how far Δ at F = 0 has moved, and the slope after the turn.
+
+    That slope is over the first fifth of the fall of the force, less what the turn itself blunts: friction
+    within the sample has to turn back before anything slides, so it is its stiffness as a whole.
+    """
+    if stop is None:
+        return dict.fromkeys(("loop_mJ", "residual_mm", "K_tangent_N_per_mm"), math.nan)
+    delta, load, smooth = cycles.delta, cycles.load, cycles.smooth
+    # Closed over the range of Δ that both branches cover: cycles need not return to where they began.
+    up, down = slice(start, top + 1), slice(top, stop + 1)
+    shared = max(float(delta[start]), float(delta[stop]))
+    turn = _part(-smooth, top, stop, (0.05, 0.25))
+    tangent = _line(delta[turn], load[turn]).slope if turn.stop - turn.start > 2 else math.nan
+    return {
+        "loop_mJ": _work(delta[up], load[up], shared) + _work(delta[down], load[down], shared),
+        "residual_mm": _zero(delta[down][::-1], smooth[down][::-1]) - _zero(delta[up], smooth[up]),
+        "K_tangent_N_per_mm": tangent,
+    }
 
 
 def _work(delta: Floats, load: Floats, above: float) -> float:
@@ -539,20 +507,10 @@ class MeanValue:
 
 
 def mean_over_cycles(cycles: pd.DataFrame, column: str) -> MeanValue:
-    """Mean of a column of `measure_cycles` over the cycles.
+    """Mean of a column of `measure_cycles`, such as "Y_p_GPa", over the cycles.
 
-    Parameters
-    ----------
-    cycles
-        Of `measure_cycles`.
-    column
-        Its name, such as "Y_p_GPa".
-
-    Returns
-    -------
-    MeanValue
-        Every cycle weighs the same. The error is the larger of what the scatter over √n and the errors of the
-        fits give; with one cycle the scatter is NaN.
+    Every cycle weighs the same. The error is the larger of what the scatter over √n and the errors of the
+    fits give; with one cycle the scatter is NaN.
     """
     CYCLES.check(cycles)
     values = cycles[column].to_numpy(float)
@@ -560,19 +518,15 @@ def mean_over_cycles(cycles: pd.DataFrame, column: str) -> MeanValue:
     if not values.size:
         return MeanValue(value=math.nan, error=math.nan, scatter=math.nan)
     scatter = float(values.std(ddof=1)) if values.size > 1 else math.nan
-    given = _error_of(column)
+    # Y_p_err_GPa from Y_p_GPa: the unit comes last.
+    unit = next((unit for unit in ("_N_per_mm", "_GPa", "_N", "_mm", "_mJ") if column.endswith(unit)), "")
+    given = f"{column.removesuffix(unit)}_err{unit}"
     fitted = 0.0
     if given in cycles:
         errors = cycles[given].to_numpy(float)
         fitted = float(np.sqrt(np.nansum(errors**2))) / values.size
     spread = scatter / math.sqrt(values.size) if values.size > 1 else 0.0
     return MeanValue(value=float(values.mean()), error=max(fitted, spread) or math.nan, scatter=scatter)
-
-
-def _error_of(column: str) -> str:
-    """Y_p_err_GPa from Y_p_GPa: the unit comes last."""
-    unit = next((unit for unit in ("_N_per_mm", "_GPa", "_N", "_mm", "_mJ") if column.endswith(unit)), "")
-    return f"{column.removesuffix(unit)}_err{unit}"
 
 
 def summarise_modulus(cycles: pd.DataFrame) -> dict[str, MeanValue]:

@@ -95,13 +95,7 @@ _QUANTITIES = (
         "N",
     ),
     _Quantity("time_s", ("time", "zeit", "temps"), ("date", "stamp"), _TIME, "s"),
-    _Quantity(
-        "speed_rad_s",
-        (),
-        ("shear",),
-        _SPEED,
-        with_unit=("speed", "drehzahl", "vitesse", "velocity"),
-    ),
+    _Quantity("speed_rad_s", (), ("shear",), _SPEED, with_unit=("speed", "drehzahl", "vitesse", "velocity")),
 )
 _MARKS = ("Project:", "Test:", "Result:", "Interval and data points:", "Interval data:")
 _STEP = "[step]"  # of a TRIOS export: before the step's name, its columns, their units and the rows
@@ -156,7 +150,9 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
             _tried(path, block)
     rotations = _joined(blocks)
     if not rotations:
-        raise InputError(path, "a rotation", _nothing(blocks), "export torque and deflection angle")
+        problems = list(dict.fromkeys(block.problem for block in blocks if block.problem))
+        found = "; ".join(problems[:3]) or "no rows of numbers"
+        raise InputError(path, "a rotation", found, "export torque and deflection angle")
     left_out = _left_out(blocks, {k: _words(lines[k], _separator(lines[k]))[1] for k in results})
     return [_finished(path, parts, blocks, left_out) for parts in rotations]
 
@@ -172,9 +168,9 @@ class _Block:
     result: str
     line: int
     name: str
-    names: list[str]
-    units: list[str]
-    cells: pd.DataFrame
+    names: list[str] = field(default_factory=list)
+    units: list[str] = field(default_factory=list)
+    cells: pd.DataFrame = field(default_factory=pd.DataFrame)
     warnings: list[str] = field(default_factory=list)
     problem: str = ""
     waiting: bool = False
@@ -245,9 +241,8 @@ def _intervals(lines: list[str], starts: list[int], results: list[int]) -> list[
         header = next((k for k in range(start, stop) if marks[k] == "Interval data:"), None)
         name = f"{result or 'result'}, interval {said[1] or len(blocks) + 1}"
         if header is None or header + 1 >= stop:
-            nothing = _Block(result, before, name, [], [], pd.DataFrame())
-            nothing.problem = "no 'Interval data:' with columns and rows"
-            blocks.append(nothing)
+            problem = "no 'Interval data:' with columns and rows"
+            blocks.append(_Block(result, before, name, problem=problem))
         else:
             blocks.append(_interval(result, before, name, lines[header:stop], said[2]))
     repeated = {b.name for b in blocks if sum(b.name == other.name for other in blocks) > 1}
@@ -291,9 +286,7 @@ def _steps(lines: list[str], starts: list[int]) -> list[_Block]:
             (k for k in range(start + 3, end) if not lines[k].strip(" \t,;") or lines[k].startswith("[")), end
         )
         if stop - start < 5:
-            nothing = _Block("", start, name, [], [], pd.DataFrame())
-            nothing.problem = "no columns and rows"
-            blocks.append(nothing)
+            blocks.append(_Block("", start, name, problem="no columns and rows"))
             continue
         cells = _cells(lines[start + 2 : stop], _separator(lines[start + 2])).map(str.strip)
         names, units = ([str(cell) for cell in cells.iloc[row]] for row in (0, 1))
@@ -397,20 +390,13 @@ def _rotation(path: Path, block: _Block) -> None:
 def _column(path: Path, block: _Block, quantity: _Quantity) -> pd.Series[float] | None:
     """The numbers of one quantity in its SI unit; None where there is no such column."""
     low = [name.lower() for name in block.names]
-    fits = [
-        k
-        for k, name in enumerate(low)
-        if any(word in name for word in quantity.words) and not any(word in name for word in quantity.never)
-    ]
-    known = [k for k in fits if _unit(block.units[k]) in quantity.units]
-    if not fits:
-        known = [
-            k
-            for k, name in enumerate(low)
-            if any(word in name for word in quantity.with_unit)
-            and not any(word in name for word in quantity.never)
-            and _unit(block.units[k]) in quantity.units
-        ]
+
+    def named(words: Sequence[str]) -> list[int]:
+        able = [k for k, name in enumerate(low) if not any(word in name for word in quantity.never)]
+        return [k for k in able if any(word in low[k] for word in words)]
+
+    fits = named(quantity.words)
+    known = [k for k in fits or named(quantity.with_unit) if _unit(block.units[k]) in quantity.units]
     if not fits and not known:
         return None
     k = min(known or fits, key=lambda index: len(low[index]))  # "Time" before "Interval Time"
@@ -485,9 +471,8 @@ def _finished(path: Path, parts: list[_Block], blocks: list[_Block], left_out: S
     """One measurement: parts joined, the angle from 0, signs along the rotation."""
     table = pd.concat([part.values for part in parts], ignore_index=True)
     time = table["time_s"].to_numpy(float)
-    if not np.all(
-        np.diff(time) >= 0
-    ):  # "Interval Time" starts again at 0; without times only the order is known
+    if not np.all(np.diff(time) >= 0):
+        # "Interval Time" starts again at 0; without times only the order is known.
         steps = np.diff(time, prepend=time[:1])
         usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
         table["time_s"] = np.cumsum(np.where(steps >= 0, steps, usual))
@@ -511,8 +496,3 @@ def _finished(path: Path, parts: list[_Block], blocks: list[_Block], left_out: S
     table = table[columns]
     table.attrs.update(facts.attrs())
     return record(table, "read_rheometer", path=str(path))
-
-
-def _nothing(blocks: list[_Block]) -> str:
-    lines = list(dict.fromkeys(block.problem for block in blocks if block.problem))
-    return "; ".join(lines[:3]) or "no rows of numbers"

@@ -22,6 +22,15 @@ from vision.numeric import Bools, Floats
 from vision.sample import Sample
 
 FAILURES = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)  # of a fit to strange events
+PARAMETERS = {
+    "mu": "mu",
+    "T0_N": "t0_N",
+    "A": "amplitude",
+    "N_hat_N": "n_hat_N",
+    "Y_eff_GPa": "modulus_GPa",
+    "Lambda_hat_mm": "scale_mm",
+}
+"""Names in models.json of what is fitted, and the fields of `ModelFits`."""
 LARGEST_SCALE = 20.0  # Λ̂ over d at which K no longer falls as M_eff does: a limit, not a result
 
 
@@ -36,21 +45,12 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Goodness:
-    """How well one model follows its points.
+    """How well one model follows its points."""
 
-    Parameters
-    ----------
-    points
-        How many.
-    scatter
-        Root mean square of the deviation over the model.
-    chi2_dof
-        Squared deviations over the point-to-point scatter of neighbours, which knows no model: about 1 where
-        the model's shape is right, more where it is not.
-    """
-
-    points: int
-    scatter: float
+    points: int  # how many
+    scatter: float  # root mean square of the deviation over the model
+    # squared deviations over the point-to-point scatter of neighbours, which knows no model: about 1 where
+    # the model's shape is right, more where it is not
     chi2_dof: float
 
 
@@ -112,6 +112,10 @@ class ModelFits:
     input_errors: Mapping[str, float] = field(default_factory=dict)
     budget: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
 
+    def named(self) -> dict[str, Estimate]:
+        """What is fitted, by the names in models.json."""
+        return {name: getattr(self, part) for name, part in PARAMETERS.items()}
+
     def reduced_separation(self, d_mm: ArrayLike) -> Floats:
         """Separation over Lambda-hat, without unit."""
         return np.asarray(d_mm, float) / self.scale_mm.value
@@ -136,17 +140,10 @@ class ModelFits:
         return float(np.mean([good.chi2_dof for good in self.goodness.values()]))
 
     def _repr_html_(self) -> str:
-        named = {
-            "μ": (self.mu, ""),
-            "𝒯0": (self.t0_N, "N"),
-            "A": (self.amplitude, ""),
-            "N̂": (self.n_hat_N, "N"),
-            "Y_eff": (self.modulus_GPa, "GPa"),
-            "Λ̂": (self.scale_mm, "mm"),
-        }
+        shown = (("μ", ""), ("𝒯0", "N"), ("A", ""), ("N̂", "N"), ("Y_eff", "GPa"), ("Λ̂", "mm"))
         rows = {
             name: f"{one.value:.5g}" + (f" ± {one.error:.2g}" if np.isfinite(one.error) else "") + f" {unit}"
-            for name, (one, unit) in named.items()
+            for (name, unit), one in zip(shown, self.named().values(), strict=True)
         }
         rows["d"] = f"{self.d_mm[0]:.2f} to {self.d_mm[1]:.2f} mm"
         rows |= {
@@ -158,15 +155,7 @@ class ModelFits:
 
     def to_json(self) -> dict[str, Any]:
         """The content of models.json: values with errors, how well they fit, and the sample; no NaN in it."""
-        named = {
-            "mu": self.mu,
-            "T0_N": self.t0_N,
-            "A": self.amplitude,
-            "N_hat_N": self.n_hat_N,
-            "Y_eff_GPa": self.modulus_GPa,
-            "Lambda_hat_mm": self.scale_mm,
-            "bending_length_mm": self.bending_mm,
-        }
+        named = self.named() | {"bending_length_mm": self.bending_mm}
         if np.isfinite(self.t_star_N.error):
             named["T_star_N"] = self.t_star_N
         content = {
@@ -198,7 +187,7 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-# --- single fits ---
+# --- single fits --------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -246,16 +235,12 @@ def fit_weighted(
     bread = np.linalg.pinv(jacobian.T @ jacobian)
     meat = jacobian.T @ (jacobian * residual[:, np.newaxis] ** 2)
     free = max(y.size - value.size, 1)
-    goodness = _goodness(model(value), y, residual, free)
-    # Deviations that hang together from event to event count for fewer than they are.
-    wider = max(goodness.chi2_dof, 1.0) if np.isfinite(goodness.chi2_dof) else 1.0
-    return Fit(value, bread @ meat @ bread * (y.size / free * wider), goodness, residual)
-
-
-def _goodness(model: Floats, y: Floats, residual: Floats, free: int) -> Goodness:
     neighbours = float(np.sum(np.diff(residual) ** 2) / (2 * max(residual.size - 1, 1)))
     chi2 = float(np.sum(residual**2) / free / neighbours) if neighbours > 0 else float("nan")
-    return Goodness(int(y.size), float(np.sqrt(np.mean((y / model - 1) ** 2))), chi2)
+    goodness = Goodness(int(y.size), float(np.sqrt(np.mean((y / model(value) - 1) ** 2))), chi2)
+    # Deviations that hang together from event to event count for fewer than they are.
+    wider = max(chi2, 1.0) if np.isfinite(chi2) else 1.0
+    return Fit(value, bread @ meat @ bread * (y.size / free * wider), goodness, residual)
 
 
 def fit_peaks(events: pd.DataFrame, sample: Sample, free_t_star: bool, held: Mapping[str, float]) -> Fit:

@@ -14,14 +14,14 @@ spring-block model"; Elmer 1997.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from vision.errors import InputError
+from vision.errors import InputError, check_positive
 from vision.numeric import Bools, Floats
 
 
@@ -49,11 +49,9 @@ class SpringBlock:
     mu_dynamic: float
 
     def __post_init__(self) -> None:
-        for part in fields(self):
-            value = getattr(self, part.name)
-            least = "zero or more" if part.name == "mu_dynamic" else "a positive number"
-            if not math.isfinite(value) or value < 0 or (value == 0 and part.name != "mu_dynamic"):
-                raise InputError(f"`{part.name}`", least, f"{value!r}")
+        check_positive(**{name: value for name, value in vars(self).items() if name != "mu_dynamic"})
+        if not 0 <= self.mu_dynamic < math.inf:
+            raise InputError("`mu_dynamic`", "zero or more", f"{self.mu_dynamic!r}")
         if self.mu_dynamic >= self.mu_static:
             raise InputError("`mu_dynamic`", f"less than μ_s = {self.mu_static:g}", f"{self.mu_dynamic:g}")
 
@@ -71,41 +69,18 @@ class SpringBlock:
 
 @dataclass(frozen=True, kw_only=True)
 class StickSlipCycle:
-    """One period of the stationary motion; each field has the shape of the speeds it was computed for.
+    """One period of the stationary motion; each field has the shape of the speeds it was computed for."""
 
-    Parameters
-    ----------
-    stick_time_s, slip_time_s
-        t_st and t_sl.
-    slip_length_mm
-        Λ_sl = v t_sl, by which the spring's far end moves meanwhile.
-    lowest_elongation_mm, highest_elongation_mm
-        u0 at the end and μ_s w / k at the start of the slip.
-    force_drop_N
-        Δf = 2 (μ_s − μ_d) w.
-    """
-
-    stick_time_s: Floats
-    slip_time_s: Floats
-    slip_length_mm: Floats
-    lowest_elongation_mm: Floats
-    highest_elongation_mm: Floats
-    force_drop_N: Floats
+    stick_time_s: Floats  # t_st
+    slip_time_s: Floats  # t_sl
+    slip_length_mm: Floats  # Λ_sl = v t_sl, by which the spring's far end moves meanwhile
+    lowest_elongation_mm: Floats  # u0, at the end of the slip
+    highest_elongation_mm: Floats  # μ_s w / k, at its start
+    force_drop_N: Floats  # Δf = 2 (μ_s − μ_d) w
 
 
 def stick_slip(block: SpringBlock, speed_mm_s: ArrayLike) -> StickSlipCycle:
-    r"""The stationary cycle, exact at every pulling speed.
-
-    Parameters
-    ----------
-    block
-        `SpringBlock`.
-    speed_mm_s
-        v, positive.
-
-    Returns
-    -------
-    StickSlipCycle
+    r"""The stationary cycle, exact at every pulling speed v, mm/s.
 
     Raises
     ------
@@ -160,17 +135,11 @@ def _cycle(block: SpringBlock, speed: Floats, slip_time_s: Floats) -> StickSlipC
 def slow_speed_limit_mm_s(block: SpringBlock, *, tolerance: float = 0.05) -> float:
     r"""Speed above which the slow limit's slip time is short by more than a tolerance.
 
-    Parameters
-    ----------
-    block
-        `SpringBlock`.
-    tolerance
-        Share of the exact slip time, between 0 and 0.5 (where the limit is short at every speed by less).
-
     Raises
     ------
     InputError
-        For a tolerance outside that range.
+        For a tolerance, a share of the exact slip time, that is not between 0 and 0.5 (where the limit is
+        short at every speed by less).
 
     Notes
     -----
@@ -190,10 +159,6 @@ def integrate_motion(
 
     Parameters
     ----------
-    block
-        `SpringBlock`.
-    speed_mm_s
-        v.
     cycles
         Slips to be followed.
     samples_per_phase
@@ -313,10 +278,7 @@ class RateState:
     critical_length_um: float
 
     def __post_init__(self) -> None:
-        for part in fields(self):
-            value = getattr(self, part.name)
-            if not math.isfinite(value) or value <= 0:
-                raise InputError(f"`{part.name}`", "a positive number", f"{value!r}")
+        check_positive(**vars(self))
         if self.b <= self.a:
             raise InputError("`b`", f"more than a = {self.a:g}", f"{self.b:g}")
 

@@ -1,7 +1,6 @@
 """A file becomes frames becomes I(x, t)."""
 
-from vision.video.follow import Follow, await_video
-from vision.video.frames import FramesRead, FrameStore
+from vision.video.frames import Follow, FramesRead, FrameStore, await_video
 from vision.video.reader import Block, Facts, Reader
 from vision.video.settings import VideoSettings
 from vision.video.strip import ReadingLog, reference_frame, strip_profile, strip_profiles

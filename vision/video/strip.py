@@ -20,8 +20,17 @@ import xarray as xr
 from vision.data import STRIP, STRIP_PARTS, StripMetadata, record
 from vision.errors import InputError
 from vision.numeric import Floats32, Pixels, Strings
-from vision.video.follow import Follow, growth, held_back, part_of
-from vision.video.frames import STATUS_TYPE, FramesRead, FrameStore, count_frames, is_blank
+from vision.video.frames import (
+    STATUS_TYPE,
+    Follow,
+    FramesRead,
+    FrameStore,
+    count_frames,
+    growth,
+    held_back,
+    is_blank,
+    part_of,
+)
 from vision.video.reader import Block
 from vision.video.settings import DEFAULTS, VideoSettings
 from vision.video.strip_find import Strip, choose_strip, measure_strip

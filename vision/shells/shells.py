@@ -1,26 +1,25 @@
-"""How many sheets of one side are stiff, from all its sheets together.
-
-Each sheet's true ratio is taken to scatter about a profile that rises with n, and its measurement about the
-true ratio. Where noise is small, the sheet's own measurement decides; where it is large, its neighbours do.
-"""
+"""Which sheets are stiff, and the size of the stiff inner shell of each side in each stick phase."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+import pandas as pd
 import scipy
 import xarray as xr
 
+from vision.data import MOTION, ShellMetadata, record
+from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShellSettings:
     """Everything in the statistics of shells that can be tuned; measured on the scenes of
-    `tests/shells/test_sizes.py`."""
+    `tests/shells/test_shells.py`."""
 
     sheet_scatters: tuple[float, ...] = (0.03, 0.08, 0.15, 0.25)
     """Relative scatter of the sheets about a smooth profile, of which the likeliest is taken. One value of
@@ -42,6 +41,161 @@ class ShellSettings:
     """Random profiles per event. More → smoother intervals, slower."""
     significance: float = 1e-3
     """Probability of chance below which a fall of the ratio with n, or a rise, is accepted."""
+
+
+def classify_sheets(motion: xr.Dataset, *, threshold: float = 0.1, certainty: float = 0.9) -> xr.Dataset:
+    """Probability that each sheet is stiff, taken on its own.
+
+    Parameters
+    ----------
+    motion
+        From `horizontal_deformation`.
+    threshold
+        σ_x/Λ_st below which a sheet is stiff.
+    certainty
+        Probability from which on a sheet is called stiff or mobile.
+
+    Returns
+    -------
+    `motion` with two more variables (event, sheet): p_stiff, the probability that the true ratio lies below
+    the threshold given `ratio_signed` and its normal error (NaN where there is no ratio), and shell: "stiff",
+    "mobile" or "undetermined".
+
+    Raises
+    ------
+    InputError
+        For a threshold that is not above 0 or a certainty not between 0.5 and 1.
+    """
+    MOTION.check(motion)
+    _check(threshold, certainty)
+    value, error = motion["ratio_signed"].to_numpy(), np.maximum(motion["ratio_err"].to_numpy(), LEAST_ERROR)
+    p = scipy.special.ndtr((threshold - value) / error) - scipy.special.ndtr((-threshold - value) / error)
+    shell = np.select([p >= certainty, p <= 1 - certainty], ["stiff", "mobile"], default="undetermined")
+    about = {"units": "1", "long_name": f"probability that the true ratio is below {threshold:g}"}
+    judged = motion.assign(
+        p_stiff=(("event", "sheet"), p, about),
+        shell=(("event", "sheet"), shell, {"long_name": f"at a certainty of {certainty:g}"}),
+    )
+    judged = judged.assign_attrs(ShellMetadata(threshold=threshold, certainty=certainty).attrs())
+    return record(judged, "classify_sheets", threshold=threshold, certainty=certainty)
+
+
+def deformation_table(motion: xr.Dataset, *, threshold: float = 0.1, certainty: float = 0.9) -> pd.DataFrame:
+    """The table of `deformation.csv`: one row per event and sheet, event after event.
+
+    Parameters are those of `classify_sheets`.
+    """
+    judged = classify_sheets(motion, threshold=threshold, certainty=certainty)
+    events, sheets = judged.sizes["event"], judged.sizes["sheet"]
+    columns = {
+        "event": np.repeat(judged["event"].to_numpy(), sheets),
+        "index": np.tile(judged["sheet"].to_numpy(), events),
+        "side": np.tile(judged["side"].to_numpy(), events),
+        "n": np.tile(judged["n"].to_numpy(), events),
+    }
+    lengths = ["sigma_x_um", "sigma_x_corrected_um", "sweep_um"]
+    columns |= {name: judged[name].to_numpy().ravel() for name in lengths}
+    columns["stick_length_um"] = np.repeat(judged["stick_length_um"].to_numpy(), sheets)
+    rest = ["ratio", "ratio_err", "p_stiff", "shell", "frames", "flag"]
+    return pd.DataFrame(columns | {name: judged[name].to_numpy().ravel() for name in rest})
+
+
+def classify_shells(
+    motion: xr.Dataset,
+    *,
+    threshold: float = 0.1,
+    certainty: float = 0.9,
+    effective_sheets: Callable[[Floats], Floats] | None = None,
+    settings: ShellSettings = ShellSettings(),
+) -> pd.DataFrame:
+    """Size of the stiff inner shell of each side in each stick phase, one row per event and side.
+
+    The ratio should not fall with n. Some thousand rising profiles, from power laws to steps, are each
+    weighted by how well they fit all sheets of that side, and true ratios are drawn about them, near each
+    sheet's own measurement as far as its error is small; the number below the threshold is counted in each
+    draw. The size is the median, the interval holds `certainty` of the draws. Sheets far off every profile
+    are counted by their own measurement. Errors that all sheets of an event share are not allowed for, except
+    that of the stick length.
+
+    Parameters
+    ----------
+    motion
+        From `horizontal_deformation`.
+    threshold
+        σ_x/Λ_st below which a sheet is stiff.
+    certainty
+        Probability that the interval holds the true size.
+    effective_sheets
+        The force's M_eff at d in mm, for example `ModelFits.effective_sheets`.
+    settings
+        See `ShellSettings`.
+
+    Returns
+    -------
+    A table with the columns
+
+    - event, d_v_mm, side;
+    - stiff_sheets, stiff_low, stiff_high: missing (<NA>) with fewer than three ratios on that side; unknown
+      sheets inside a shell count as part of it;
+    - M_eff_model: NaN without a model;
+    - stiff_breakpoint, which needs no threshold: the n at which a flat inner part with a rising straight line
+      after it fits best; NaN where the rise is not significant or fewer than five ratios are known;
+    - monotone: False where the ratio falls with n by more than chance (isotonic regression);
+    - sheets_known: number of sheets with a ratio.
+
+    Raises
+    ------
+    InputError
+        For a threshold that is not above 0 or a certainty not between 0.5 and 1.
+
+    Notes
+    -----
+    Source: paper, shaded region of the deformation figure.
+    """
+    MOTION.check(motion)
+    _check(threshold, certainty)
+    sides = [Side.of(motion, side) for side in np.unique(motion["side"].to_numpy())]
+    table = pd.concat([_side_table(side, motion, threshold, certainty, settings) for side in sides])
+    table = table.sort_values(["event", "side"], ignore_index=True)
+    table.attrs |= ShellMetadata(threshold=threshold, certainty=certainty).attrs()
+    table = record(table, "classify_shells", threshold=threshold, certainty=certainty)
+    return table if effective_sheets is None else with_model(table, effective_sheets)
+
+
+def with_model(shells: pd.DataFrame, effective_sheets: Callable[[Floats], Floats]) -> pd.DataFrame:
+    """The same table with M_eff_model filled in: the force's M_eff per side at d_v, mm."""
+    d_mm = shells["d_v_mm"].to_numpy(float)
+    return shells.assign(M_eff_model=np.asarray(effective_sheets(d_mm), float))
+
+
+def _side_table(
+    side: Side, motion: xr.Dataset, threshold: float, certainty: float, settings: ShellSettings
+) -> pd.DataFrame:
+    known = side.known.sum(axis=1)
+    names = ("stiff_sheets", "stiff_low", "stiff_high")
+    sizes = shell_sizes(side, threshold=threshold, certainty=certainty, settings=settings)
+    d_v = motion["d_v_mm"].to_numpy() if "d_v_mm" in motion.coords else np.full(known.size, np.nan)
+    return pd.DataFrame(
+        {"event": motion["event"].to_numpy(), "d_v_mm": d_v, "side": side.side}
+        | {
+            name: pd.Series(count).astype("Int64").where(known >= 3)  # fewer are no profile
+            for name, count in zip(names, sizes, strict=True)
+        }
+        | {
+            "M_eff_model": np.nan,
+            "stiff_breakpoint": breakpoint_n(side, settings.significance),
+            "monotone": isotonic(side, settings.significance)[1],
+            "sheets_known": known,
+        }
+    )
+
+
+def _check(threshold: float, certainty: float) -> None:
+    """Raises InputError for a threshold or certainty that cannot be meant."""
+    if not (np.isfinite(threshold) and threshold > 0):
+        raise InputError("`threshold`", "a number above 0", f"{threshold:g}", "0.1 is the publication's")
+    if not 0.5 < certainty < 1:
+        raise InputError("`certainty`", "a probability above 0.5 and below 1", f"{certainty:g}")
 
 
 # --- the sheets of one side ---------------------------------------------------------------------------------
@@ -158,7 +312,7 @@ def shell_sizes(
     they are taken to be misread. So are all sheets of an event where the ratio falls with n beyond chance
     even without the outliers.
     """
-    profiles = _crossing(tuple(side.n), threshold)
+    profiles = _Profiles.crossing(tuple(side.n), threshold)
     sheets = _Ratios.of(side, threshold, settings)
     sheets = replace(sheets, alone=_outliers(sheets, profiles.thinned()))
     relative = _likeliest_scatter(sheets, profiles.thinned())
@@ -187,8 +341,9 @@ class _Profiles:
     half_square: Floats32
 
     @classmethod
-    def crossing(cls, n: Floats, threshold: float) -> _Profiles:
-        """Curves at n (sheet,), from the centre outwards, that cross the threshold t at a place b.
+    @lru_cache(maxsize=4)  # for the next sticks of the same sheets; 4 MB each
+    def crossing(cls, sheets: tuple[float, ...], threshold: float) -> _Profiles:
+        """Curves at the sheets' numbers n, from the centre outwards, that cross the threshold t at a place b.
 
         t (c + (C - c) h/(1 + h)) with h ∝ max(1 + (n - b)/a, 0)^q: nothing moves up to b - a, then a power
         law, levelling off towards a ceiling C. Power laws through the centre (a = b, c = 0), flat cores with
@@ -196,6 +351,7 @@ class _Profiles:
         from inside the innermost to beyond the outermost sheet, are equally frequent, half a sheet apart
         where sheets are not very many.
         """
+        n = np.array(sheets)
         apart = max(0.5, (n[-1] - n[0]) / 120)
         place = np.arange(n[0] - 3, n[-1] + 6, apart) + apart / 2
         foot, bend = np.geomspace(0.6, 30, 7), (0.6, 1.4, 4.0)
@@ -240,13 +396,8 @@ class _Ratios:
 
     def at(self, events: slice | Ints) -> _Ratios:
         """Some of the events."""
-        return replace(
-            self,
-            value=self.value[events],
-            variance=self.variance[events],
-            usual=self.usual[events],
-            alone=self.alone[events],
-        )
+        names = ("value", "variance", "usual", "alone")
+        return replace(self, **{name: getattr(self, name)[events] for name in names})
 
     def scatter(self, ratio: Floats, relative: float) -> Floats:
         """Variance of true ratios about profiles of this ratio, and of real profiles about those tried."""
@@ -258,12 +409,6 @@ class _Ratios:
     def about_profile(self, relative: float) -> Floats:
         """Variance of the measurements about the profile; inf for those that do not follow it."""
         return np.where(self.alone, np.inf, self.variance + self.scatter(self.usual, relative))
-
-
-@lru_cache(maxsize=4)
-def _crossing(n: tuple[float, ...], threshold: float) -> _Profiles:
-    """`_Profiles.crossing`, kept for the next sticks of the same sheets; 4 MB each."""
-    return _Profiles.crossing(np.array(n), threshold)
 
 
 def _blocks(events: int) -> Iterator[slice]:
