@@ -37,6 +37,17 @@ def test_a_load_cell_that_is_mostly_saturated_is_flagged(tmp_path: Path) -> None
     np.testing.assert_array_equal(force["flag"].values == "saturated", load == load.max())
 
 
+def test_a_load_in_coarse_steps_is_not_saturated(tmp_path: Path) -> None:
+    """A failure means that the top of a sawtooth is left out since the load cell stays at each of its steps
+    for a while; or that the true limit of such a load cell passes."""
+    time = np.arange(2000) / 100
+    coarse = np.round((20 + time % 4 * 0.07) / 0.02) * 0.02  # 28 samples a step
+    for load, limit in ((coarse, False), (np.minimum(coarse, 20.16), True)):
+        text = "time (s),load (N)\n" + rows(time, load, sep=",")
+        flags = read_force(written(tmp_path, text), speed_mm_min=1)["flag"].values
+        np.testing.assert_array_equal(flags == "saturated", limit & (load == load.max()))
+
+
 def test_only_a_recorded_crosshead_starts_anywhere(tmp_path: Path) -> None:
     """A failure means a warning about a crosshead in a file that has none."""
     force = read_force(written(tmp_path, "time (s),load (N)\n" + rows(TIME, LOAD, sep=",")), d0_mm=13)

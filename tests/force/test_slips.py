@@ -15,6 +15,7 @@ from vision.force import find_stick_slip, read_force
 from vision.force.slips import deconvolve_lowpass, estimate_lowpass, find_slips
 from vision.force.sticks import find_corners
 from vision.models import fit_models
+from vision.numeric import Floats
 
 
 @pytest.mark.parametrize("snr", [6.0, 40.0])
@@ -51,6 +52,44 @@ def test_knees_are_not_slips() -> None:
     bump = 500 * np.minimum(phase / 0.3, (1 - phase) / 0.7)
     bent = test.force.assign(load_N=("time_s", test.force["load_N"].to_numpy() + bump))
     assert len(find_stick_slip(bent)) == len(find_stick_slip(test.force))
+
+
+def pull(level_N: Floats, drops_N: Floats, *, ramp_s: float, seed: int) -> tuple[Floats, Floats, float]:
+    """(load, time of each slip, noise) at 200 Hz: sticks that rise at 0.07 N/s up to the level,
+    after the whole load has been built up from zero."""
+    rate, slope, slips, knots = 200, 0.07, [], [(0.0, level_N[0] - 0.2)]
+    for top, drop in zip(level_N, drops_N, strict=True):
+        at, load = knots[-1]
+        slips.append(at + max(0.2, (top - load) / slope))
+        knots += [(slips[-1], top), (slips[-1] + 0.01, top - drop)]
+    places, loads = np.array(knots).T
+    time = np.arange(0, places[-1], 1 / rate)
+    load = np.interp(time, places, loads) * np.clip(time / ramp_s, 0, 1)
+    return load + np.random.default_rng(seed).normal(0, 0.004, time.size), np.array(slips), 0.004
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_slip_is_joined_to_the_build_up_of_the_load(seed: int) -> None:
+    """A failure means that all slips are lost for a minute after the load has been built up: two thirds of
+    these were."""
+    drops = np.random.default_rng(seed).uniform(0.15, 0.35, 40)
+    load, slips, sigma = pull(np.full(40, 20.0), drops, ramp_s=15, seed=seed)
+    found = find_slips(load, sigma).edge / 200
+    late = slips[(slips > 16) & (slips < load.size / 200 - 1)]
+    assert (np.abs(found[:, None] - late).min(axis=0) < 0.05).all()
+    assert np.sum(found > 16) <= late.size + 1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_stick_is_lost_beside_one_that_falls(seed: int) -> None:
+    """A failure means that one stick in which the load falls takes the slips around it: half were lost
+    where the friction falls along the pull."""
+    rng = np.random.default_rng(seed)
+    level = 20 - 0.012 * np.arange(250) + rng.normal(0, 0.01, 250)
+    drops = rng.uniform(0.03, 0.06, 250)
+    load, slips, sigma = pull(level, drops, ramp_s=1e-9, seed=seed)
+    found = find_slips(load, sigma).edge / 200
+    assert np.mean(np.abs(found[:, None] - slips[:-1]).min(axis=0) < 0.05) > 0.9
 
 
 FAST = {"speed": 10.0, "rate": 2000.0, "noise": 0.05, "d1": 13.8, "slip_s": 0.005}

@@ -450,14 +450,18 @@ def sample_flags(
 
 
 def _saturated(load: Floats, least: int) -> Bools:
-    """Runs of at least so many samples at exactly the largest |load|; none in a load that never changes."""
+    """Runs of at least so many samples at exactly the largest |load|; none in a load that never changes.
+
+    A load in coarse steps stays at each of them for a while: longer than twice that, for nine runs in ten.
+    """
     finite = np.abs(load[np.isfinite(load)])
     if not finite.size or np.ptp(finite) == 0:
         return np.zeros(load.shape, dtype=bool)
-    at_limit = np.abs(load) == finite.max()
-    begins = np.flatnonzero(np.diff(at_limit, prepend=~at_limit[:1]))
+    begins = np.flatnonzero(np.r_[True, load[1:] != load[:-1]])
     length = np.diff(np.append(begins, load.size))
-    return np.asarray(at_limit & np.repeat(length >= least, length))
+    at_limit = np.abs(load[begins]) == finite.max()
+    steps = float(np.quantile(length[~at_limit], 0.9))
+    return np.repeat(at_limit & (length >= max(least, 2 * steps)), length)
 
 
 def usable(flags: Strings) -> Bools:

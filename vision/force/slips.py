@@ -154,47 +154,61 @@ def _join_weak(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) -> 
 
 
 def _join_parts(y: Floats, edge: Ints, settings: ForceSettings) -> Ints:
-    """Joins the parts of one slip: between two of them the load falls, or is too short for a line."""
+    """Joins the parts of one slip: between two of them the load falls, or is too short for a line.
+
+    A part that is joined to a stick belongs to it: the line through both may fall, but the stick rises.
+    """
+    rises = stick_lines(y, edge, settings).slope > 0
     while edge.size > 1:
-        falling = np.flatnonzero(~(stick_lines(y, edge, settings).slope[1:-1] > 0))
+        falling = np.flatnonzero(~rises[1:-1])
         if not falling.size:
             break
         drop = np.nan_to_num(_stick_drops(y, edge, settings), nan=-np.inf)
-        edge = np.delete(edge, np.where(drop[falling] < drop[falling + 1], falling, falling + 1))
+        gone = np.where(drop[falling] < drop[falling + 1], falling, falling + 1)
+        kept = np.setdiff1d(np.arange(edge.size), gone)
+        rises = np.logical_or.reduceat(rises, np.r_[0, kept + 1])
+        edge = edge[kept]
     return edge
 
 
 def _join_knees(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) -> Ints:
-    """Joins what a line with a knee, without any drop, fits as well as two lines.
+    """Joins what a line with a knee, without any drop, fits as well as the lines on both sides.
 
-    The load never falls at a knee, but lines that meet a little before an edge lie apart at it.
+    The load never falls at a knee, but lines that meet a little before an edge lie apart at it. A stretch
+    that was joined is told by its knee from then on: one line would fit it so badly that a knee anywhere does
+    as well, and slip after slip would be joined to it.
     """
     x = np.arange(y.size, dtype=float)
+    bounds = np.r_[0, edge, y.size]
+    told = fit_lines(x, y, bounds[:-1], bounds[1:]).squares
     doubtful = np.arange(edge.size)
     while doubtful.size:
         bounds = np.r_[0, edge, y.size]
         low, at, high = bounds[doubtful], edge[doubtful], bounds[doubtful + 2]
-        knee = _is_knee(x, y, low, at, high, settings.split_sigmas * sigma)
+        bent = _squares_with_knee(x, y, low, at, high)
+        knee = bent - (told[doubtful] + told[doubtful + 1]) < (settings.split_sigmas * sigma) ** 2
         # One of two neighbours at a time: the other may be a slip once they are joined.
-        gone = doubtful[knee]
-        gone = gone[np.diff(gone, prepend=-2) > 1]
+        first = np.diff(doubtful[knee], prepend=-2) > 1
+        gone = doubtful[knee][first]
         beside = np.setdiff1d(np.r_[gone - 1, gone + 1], gone)
         beside = beside[(beside >= 0) & (beside < edge.size)]
         doubtful = beside - np.searchsorted(gone, beside)
-        edge = np.delete(edge, gone)
+        told[gone] = bent[knee][first]
+        told, edge = np.delete(told, gone + 1), np.delete(edge, gone)
     return edge
 
 
-def _is_knee(x: Floats, y: Floats, low: Ints, edge: Ints, high: Ints, tolerance: float) -> Bools:
-    """Whether a line with a knee fits [low, high) about as well as one line before and one after the edge."""
+def _squares_with_knee(x: Floats, y: Floats, low: Ints, edge: Ints, high: Ints) -> Floats:
+    """Sum of squares over [low, high) about a line with a knee where the lines on both sides of the edge
+    meet; infinite where they do not."""
     before, after = fit_lines(x, y, low, edge), fit_lines(x, y, edge, high)
     here = np.asarray(edge - 0.5, dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):
         meet = here - (before.at(here) - after.at(here)) / (before.slope - after.slope)
     knee = (meet > low) & (meet < high) & (high - low >= LEAST_FOR_KNEE)
-    squares = bend_squares(x, y, low[knee], high[knee], meet[knee])
-    knee[knee] = squares - (before.squares + after.squares)[knee] < tolerance**2
-    return np.asarray(knee)
+    squares = np.full(edge.size, np.inf)
+    squares[knee] = bend_squares(x, y, low[knee], high[knee], meet[knee])
+    return squares
 
 
 def _split_gain(a: Lines, b: Lines) -> Floats:
