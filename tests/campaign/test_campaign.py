@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from tests.campaign.scenes import environment, films, table
-from vision.campaign.tables import open_tables
+from vision.campaign.results import open_tables
 from vision.command.main import run
 
 pytest.importorskip("snakemake", reason="pip install '.[campaign]'")
@@ -175,7 +175,7 @@ def test_films_in_object_storage_are_fetched(tmp_path, capsys):
 @pytest.mark.slow
 def test_snakemake_alone_does_the_same(tmp_path):
     """The Snakefile needs no `track campaign` beside it."""
-    from vision.campaign.engine import SNAKEFILE, profile_of
+    from vision.campaign.jobs import SNAKEFILE, profile_of
 
     films(tmp_path, 2)
     path, out = table(tmp_path / "t.csv", ["t0.tif", "t1.tif"], fps=20), tmp_path / "out"

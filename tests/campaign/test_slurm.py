@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from tests.campaign.scenes import environment, films, table
-from vision.campaign.engine import profile_of
+from vision.campaign.jobs import profile_of
 
 pytestmark = pytest.mark.slow
 pytest.importorskip("snakemake_executor_plugin_slurm", reason="pip install '.[campaign]'")

@@ -1,6 +1,7 @@
 """The plan: which films there are, which are done, what the others take, and which share a job.
 
-A film is done when a finished run has its key: what is in its files and how it is to be analysed.
+A film is done when a finished run has its key: what is in its files and how it is to be analysed. What became
+of it is in one small file, written by its job.
 """
 
 from __future__ import annotations
@@ -8,22 +9,87 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 import vision
+from vision.campaign.films import PATHS, Check, Row, is_remote
 from vision.campaign.settings import CampaignSettings
-from vision.campaign.states import FINISHED, State, read_state
-from vision.campaign.table import PATHS, Check, Row, is_remote
 from vision.errors import InputError
 from vision.files import Stamp, reading, shortened
 from vision.run import describe_input, plain, whole_file, write_json
 from vision.run.reading import read_json
 from vision.video import open_video, video_files
+
+# --- states -----------------------------------------------------------------------------------------------
+
+
+Word = Literal["waiting", "running", "done", "warnings", "partial", "failed"]
+FINISHED: tuple[Word, ...] = ("done", "warnings", "partial")
+"""Not done again while the film's key is the same. ``partial``: the film is tracked, but its force recording
+cannot be used or a late stage failed; only other input or another version changes that."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class State:
+    """One film's state.
+
+    Parameters
+    ----------
+    name, key
+        Of the film when its job began.
+    state
+        waiting, running, done, warnings, partial or failed.
+    reason
+        One line: the first warning, or what went wrong.
+    seconds
+        How long it took.
+    warnings
+        All warnings of the run.
+    attempts
+        How often it was tried with this key.
+    at
+        Seconds since 1970 when this was written.
+    """
+
+    name: str
+    key: str = ""
+    state: Word = "waiting"
+    reason: str = ""
+    seconds: float = 0.0
+    warnings: tuple[str, ...] = ()
+    attempts: int = 0
+    at: float = 0.0
+
+
+def read_state(out: Path, name: str) -> State:
+    """A film's state; "waiting" where there is no file, or a damaged one."""
+    try:
+        content = json.loads(_path(out, name).read_text(encoding="utf-8"))
+        known = {part.name for part in fields(State)}
+        content = {part: value for part, value in content.items() if part in known}
+        return State(**{**content, "warnings": tuple(content.get("warnings", ()))})
+    except (OSError, ValueError, TypeError, AttributeError):
+        return State(name=name)
+
+
+def write_state(out: Path, state: State) -> None:
+    """Write a film's state, whole.  Raises: InputError."""
+    with whole_file(_path(out, state.name)) as path:
+        write_json(asdict(state) | {"at": time.time()}, path)
+
+
+def _path(out: Path, name: str) -> Path:
+    return out / "states" / f"{name}.json"
+
+
+# --- the plan ---------------------------------------------------------------------------------------------
+
 
 PLAN = "plan.json"
 LAYOUT = 1  # of the campaign's folder; another one is not touched
@@ -37,7 +103,7 @@ class PlannedFilm:
     Parameters
     ----------
     name, film, options, facts
-        As in the table (`vision.campaign.table.Row`).
+        As in the table (`vision.campaign.films.Row`).
     key
         Of what is in its files and how it is analysed; another key, another run.
     frames, rows, columns, size_bytes

@@ -12,22 +12,20 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from vision.campaign import engine
-from vision.campaign.page import duration, write_page
+from vision.campaign import jobs
+from vision.campaign.films import Check, Checked, FolderWatch, Row, is_remote, read_campaign, safe_name
+from vision.campaign.jobs import Outcome, run_job
 from vision.campaign.plan import (
     Plan,
     PlannedFilm,
+    State,
     check_folder,
     make_plan,
     read_plan,
     vanished_rows,
     write_plan,
 )
-from vision.campaign.pool import needs_pool, pool, read_remarks, write_remarks
-from vision.campaign.states import State
-from vision.campaign.table import Check, Checked, Row, is_remote, read_campaign, safe_name
-from vision.campaign.watch import FolderWatch
-from vision.campaign.worker import Outcome, run_job
+from vision.campaign.results import duration, needs_pool, pool, read_remarks, write_page, write_remarks
 from vision.command.console import attempt, complain, in_columns, say
 from vision.command.options import GROUPS, CampaignOptions, RunOptions, option_fields, option_names
 from vision.command.settings import merged, number, parse_option, read_config, settings_of
@@ -49,7 +47,7 @@ def campaign(table: Path | None, options: CampaignOptions) -> int:
     check = _checker(options.config)
     rows = [] if table is None else _read(table, check, options.watch)
     if not (options.dry_run or options.plan):
-        engine.check_engine(options.executor, [row.film for row in rows])
+        jobs.check_engine(options.executor, [row.film for row in rows])
     # On a cluster jobs are of full length: each one's start costs more there.
     cores = options.cores or (usable_cores() if options.executor == "local" else 1)
     config = options.config and options.config.absolute()
@@ -59,12 +57,12 @@ def campaign(table: Path | None, options: CampaignOptions) -> int:
     if options.dry_run:
         return _dry_run(make(rows, keep=False), options.cores or usable_cores())
     if options.plan:
-        with engine.campaign_lock(target):
+        with jobs.campaign_lock(target):
             write_plan(make(rows))
         return 0
     profile = _profile(options)
     watcher = None if options.watch is None else FolderWatch(options.watch)
-    with engine.campaign_lock(target):
+    with jobs.campaign_lock(target):
         if watcher is None:
             return _conduct(make(rows), options, profile)
 
@@ -176,22 +174,22 @@ def _dry_run(plan: Plan, cores: int) -> int:
 
 def _profile(options: CampaignOptions) -> Path:
     """The folder of the Snakemake profile.  Raises: InputError."""
-    where = options.profile or engine.profile_of(options.executor)
+    where = options.profile or jobs.profile_of(options.executor)
     if not (where / "config.yaml").is_file():
         found = "no config.yaml in it" if where.is_dir() else "no such folder"
-        advice = f"copy {engine.HERE / 'profiles'}"
+        advice = f"copy {jobs.HERE / 'profiles'}"
         raise InputError("`profile`", "a folder with a Snakemake profile", found, advice)
     return where.absolute()
 
 
 def _conduct(plan: Plan, options: CampaignOptions, profile: Path) -> int:
     """Take a plan to its end: films, pool, page and summary; the exit status."""
-    run = partial(engine.run_snakemake, profile=profile, executor=options.executor, cores=options.cores)
+    run = partial(jobs.run_snakemake, profile=profile, executor=options.executor, cores=options.cores)
     write_plan(plan)
     write_page(plan, live=bool(plan.jobs))
     started, unwritten = time.perf_counter(), False
     try:
-        plan = engine.run_films(
+        plan = jobs.run_films(
             plan, lambda left: run(left, "films", watch=_progress(left, quiet=options.quiet))
         )
         if needs_pool(plan):
@@ -210,7 +208,7 @@ def _conduct(plan: Plan, options: CampaignOptions, profile: Path) -> int:
         complain(line)
     pooled = not needs_pool(plan)
     if not pooled:
-        complain(f"the tests could not be compared; see {plan.out / engine.LOG}")
+        complain(f"the tests could not be compared; see {plan.out / jobs.LOG}")
     if not options.quiet:
         say(_summary(plan, states, time.perf_counter() - started))
     good = pooled and all(state.state == "done" for state in states)

@@ -14,10 +14,8 @@ import pytest
 
 import vision
 from tests.campaign.scenes import films, planned
-from vision.campaign.engine import close_states
-from vision.campaign.page import write_page
-from vision.campaign.tables import open_tables
-from vision.campaign.worker import Outcome, copy_or_give_up, run_job
+from vision.campaign.jobs import Outcome, close_states, copy_or_give_up, run_job
+from vision.campaign.results import open_tables, write_page
 from vision.errors import InputError
 from vision.run import run_folder
 from vision.sheets import track_sheets  # noqa: F401  # imported once, before the job forks
