@@ -19,12 +19,10 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message
 
 from vision.errors import InputError, with_options
-from vision.review.diagram import Grey
-from vision.review.first_view import NAME, read_first_view, write_first_view
-from vision.review.server import failed, refused
+from vision.review.recordings import Grey
+from vision.review.server import FIRST_VIEW, failed, read_first_view, refused, write_first_view
 from vision.review.session import Session
-from vision.run.folder import whole_file
-from vision.run.provenance import plain
+from vision.run.folder import plain, whole_file
 
 MOST_POINTS = 20_000  # of a curve
 AT_ONCE = 4
@@ -56,7 +54,7 @@ def keep_first_view(session: Session) -> None:
         return
     with suppress(InputError):
         session.found.check_there()
-        with whole_file(folder / NAME) as path:
+        with whole_file(folder / FIRST_VIEW) as path:
             write_first_view(path, folder, first_answers(session), film)
 
 

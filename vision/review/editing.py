@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from vision.errors import InputError
 from vision.numeric import Floats, Ints, nan_median
-from vision.review.diagram import Diagram
-from vision.review.positions import CELLS, DOUBTFUL, FLAGS, Positions
+from vision.review.recordings import Diagram
+from vision.review.stored import CELLS, DOUBTFUL, FLAGS, Positions
 from vision.sheets.corrections import OF_SHEETS, Correction, check_there, follow_ridge, not_taken
 from vision.sheets.numbering import number_sheets
 from vision.sheets.ridges import Ridges

@@ -16,8 +16,7 @@ from vision.deformation import horizontal_deformation
 from vision.errors import InputError, with_options
 from vision.numeric import Floats, Floats32, Ints, Pixels
 from vision.review.editing import apply, usual_places
-from vision.review.positions import Positions, read_positions
-from vision.review.stored import decided_clock
+from vision.review.stored import Positions, decided_clock, read_positions
 from vision.sheets.corrections import OF_STRETCHES, Correction
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.subpixel import fit_sheets, position_noise

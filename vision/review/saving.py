@@ -27,9 +27,8 @@ from vision.isolation import PACKAGES
 from vision.numeric import Floats, Floats32, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.review.editing import Before, usual_places
-from vision.review.positions import Positions, read_positions
-from vision.run.folder import clean_up, put_in_place
-from vision.run.provenance import Origin, Parameter, plain
+from vision.review.stored import Positions, read_positions
+from vision.run.folder import Origin, Parameter, clean_up, plain, put_in_place
 from vision.run.reading import input_of, parameters_of, read_run, read_strip, read_table, tracks_of
 from vision.run.writing import write_run
 from vision.sheets.corrections import Correction, Decisions

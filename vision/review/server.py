@@ -1,21 +1,26 @@
 """The server of `track review`: a page on the loopback address, for whoever has the token.
 
-It is there before the run has been read, which takes longer than to load the page. Answers that are kept with
-the run are given at once; other questions wait until it has been read.
+It is there before the run has been read, which takes longer than to load the page. Answers to what a page
+asks first are kept in the run's folder and given at once; other questions wait until the run has been read.
+This module imports nothing that takes time, for it is what is waited for.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import hashlib
 import hmac
+import json
 import secrets
 import socket
-from collections.abc import Callable, Mapping
+import zlib
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile, ZipFile
 
 import uvicorn
 from starlette.applications import Starlette
@@ -25,6 +30,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from vision import __version__
 from vision.errors import InputError, with_options
 
 MOST_BODY_BYTES = 1_000_000
@@ -292,3 +298,74 @@ async def _run(server: uvicorn.Server, listening: socket.socket, ready: Callable
     if server.started:
         await asyncio.get_running_loop().run_in_executor(None, ready)
     await serving
+
+
+# --- the first view: answers kept in the run folder -------------------------------------------------------
+
+
+FIRST_VIEW = "first_view.zip"
+READ = ("run.json", "corrections.toml")
+SIZED = ("tracks.nc", "kymograph.tif", "events.csv", "clock.json")
+MOST_BYTES = 64 << 20  # more is not a first view
+
+
+def read_first_view(folder: Path, film: Path | None = None) -> dict[str, bytes]:
+    """Answers by their questions; none where they are not those about this run, or damaged.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    film
+        Where the film lies now, if not where it was when it was tracked.
+    """
+    try:
+        with ZipFile(folder / FIRST_VIEW) as kept:
+            if (
+                kept.comment != _state(folder, film)
+                or sum(one.file_size for one in kept.filelist) > MOST_BYTES
+            ):
+                return {}
+            return {name: kept.read(name) for name in kept.namelist()}
+    except (OSError, ValueError, RuntimeError, EOFError, BadZipFile, zlib.error):  # all that ZipFile raises
+        return {}
+
+
+def write_first_view(
+    path: Path, folder: Path, answers: Mapping[str, bytes], film: Path | None = None
+) -> None:
+    """The file that `read_first_view` finds in the run folder.
+
+    Parameters
+    ----------
+    path
+        Where it is written.
+    folder
+        The run folder.
+    answers
+        By their questions.
+    film
+        Where the film lies now, if not where it was when it was tracked.
+    """
+    with ZipFile(path, "w") as kept:
+        for name, content in answers.items():
+            kept.writestr(name, content)
+        kept.comment = _state(folder, film)
+
+
+def _state(folder: Path, film: Path | None) -> bytes:
+    """A digest of what the answers follow from: the run, its decisions, whether its inputs are there, and the
+    program that gave them."""
+    texts = [(folder / name).read_bytes() if (folder / name).exists() else b"" for name in READ]
+    facts = json.loads(texts[0])
+    texts += [path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))]
+    inputs = [Path(str(one["path"])) for one in facts.get("inputs") or []]
+    places = [*inputs, *(folder.absolute().parent / one for one in inputs), *([film] if film else [])]
+    known = [__version__, *_facts(folder / name for name in SIZED), *_facts(places, dated=True)]
+    return hashlib.sha256(b"\0".join([*texts, json.dumps(known).encode()])).hexdigest().encode()
+
+
+def _facts(paths: Iterable[Path], *, dated: bool = False) -> list[Any]:
+    """Sizes, and times of the last change; nothing of files that are not there."""
+    found = [path.stat() if path.exists() else None for path in paths]
+    return [one and [one.st_size, one.st_mtime_ns if dated else 0] for one in found]

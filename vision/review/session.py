@@ -19,16 +19,13 @@ from vision.figures.decimate import minmax_decimate
 from vision.files import reading
 from vision.numeric import Floats, Floats32, Ints
 from vision.pipeline import Settings
-from vision.review.diagram import Diagram, Tiles
 from vision.review.editing import Before, apply, take_back, usual_places
 from vision.review.effects import READY, Effects, records
-from vision.review.film import Recordings
-from vision.review.positions import FLAGS, WHYS, positions_of
+from vision.review.recordings import Diagram, Recordings, Tiles
 from vision.review.saving import SaveJob, Saver, Trial, pack, unpack
-from vision.review.stored import Found, claim, decided_clock
+from vision.review.stored import FLAGS, WHYS, Found, claim, decided_clock, positions_of
 from vision.review.tracks_file import Stored, read_tracks
-from vision.run.folder import whole_file
-from vision.run.provenance import plain
+from vision.run.folder import plain, whole_file
 from vision.run.writing import CORRECTIONS
 from vision.sheets.corrections import (
     KEYS,
