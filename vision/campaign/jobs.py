@@ -45,18 +45,10 @@ JOBS = ".jobs"
 PLUGINS = {"https": "http", "gs": "gcs", "az": "azure"}  # not called as their addresses begin
 
 
-def profile_of(executor: str) -> Path:
-    """The shipped profile of an executor."""
-    return HERE / "profiles" / executor
-
-
 def check_engine(executor: str, films: Iterable[str] = ()) -> None:
     """Refuse early where Snakemake, a storage plugin or the cluster's commands are missing.
 
-    Raises
-    ------
-    InputError
-        In one line.
+    Raises: InputError.
     """
     if importlib.util.find_spec("snakemake") is None:
         raise InputError("track campaign", "Snakemake 9", "none", "pip install 'sheetvision[campaign]'")
@@ -76,10 +68,7 @@ def check_engine(executor: str, films: Iterable[str] = ()) -> None:
 def campaign_lock(out: Path) -> Iterator[None]:
     """Claim a campaign's folder for this process; the claim ends with it, however that ends.
 
-    Raises
-    ------
-    InputError
-        Where another campaign runs there, or the folder cannot be written.
+    Raises: InputError where another campaign runs there, or the folder cannot be written.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -106,35 +95,14 @@ def run_snakemake(
     target: Literal["films", "pool"],
     *,
     profile: Path,
-    executor: str = "local",
-    cores: int | None = None,
+    executor: str,
+    cores: int | None,
     watch: Callable[[], None] | None = None,
 ) -> int:
-    """Run the Snakefile for a written plan.
+    """Run the Snakefile for a written plan with a folder of a Snakemake profile; its exit status.
 
-    Parameters
-    ----------
-    plan
-        The campaign's.
-    target
-        Its films, or the pool.
-    profile
-        Folder of a Snakemake profile.
-    executor
-        local or slurm.
-    cores
-        Jobs at a time, in place of the profile's.
-    watch
-        Called about every second.
-
-    Returns
-    -------
-    Snakemake's exit status.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        After its jobs have ended.
+    `cores`, jobs at a time, goes before the profile's; `watch` is called about every second. A
+    KeyboardInterrupt passes after its jobs have ended.
     """
     command = [sys.executable, "-P", "-m", "snakemake"]
     command += ["--snakefile", str(SNAKEFILE), "--profile", str(profile)]
@@ -171,14 +139,10 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
 
 
 def run_films(plan: Plan, run: Callable[[Plan], int]) -> Plan:
-    """Run the films of a plan and give each its state.
+    """Run the films of a plan and give each its state; the plan with the jobs that were run.
 
     Snakemake starts nothing at all if a film in object storage is not there. Such a film has failed, and the
     others are run without it.
-
-    Returns
-    -------
-    The plan with the jobs that were run.
     """
     while plan.jobs:
         log = plan.out / LOG
@@ -205,19 +169,13 @@ def close_states(plan: Plan) -> None:
             state = plan.state(film)
             if state.state not in ("waiting", "running"):
                 continue
-            with suppress(InputError):  # a full disk: the page still tells
-                write_state(plan.out, unfinished(plan, state))
-
-
-def unfinished(plan: Plan, state: State) -> State:
-    """The state of a film whose job ended without a word."""
-    if shutil.disk_usage(plan.out).free < 1_000_000:
-        why = f"the disk of {plan.out} is full"
-    elif state.state == "running":
-        why = f"its job ended without a result (killed, or out of memory or time); see {LOG}"
-    else:
-        why = f"its job never began; {_last_line(plan.out / LOG)}"
-    return replace(state, state="failed", reason=why)
+            if shutil.disk_usage(plan.out).free < 1_000_000:
+                why = f"the disk of {plan.out} is full"
+            elif state.state == "running":
+                why = f"its job ended without a result (killed, or out of memory or time); see {LOG}"
+            else:
+                why = f"its job never began; {_last_line(plan.out / LOG)}"
+            _note(plan.out, replace(state, state="failed", reason=why))
 
 
 def _last_line(log: Path) -> str:
@@ -239,24 +197,12 @@ STATES: dict[int, Word] = {0: "done", 1: "warnings"}  # by the exit status of a 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a film's analysis ended with.
+    """What a film's analysis ended with."""
 
-    Parameters
-    ----------
-    status
-        Its exit status, as of `track`.
-    reason
-        One line where that is 2 or 3.
-    warnings
-        Of the analysis, one line each.
-    analysis
-        What was found; None where nothing was.
-    """
-
-    status: int
-    reason: str = ""
-    warnings: tuple[str, ...] = ()
-    analysis: Analysis | None = None
+    status: int  # its exit status, as of `track`
+    reason: str = ""  # one line where that is 2 or 3
+    warnings: tuple[str, ...] = ()  # one line each
+    analysis: Analysis | None = None  # None where nothing was found
 
 
 Work = Callable[[PlannedFilm, Path, Path], Outcome]
@@ -274,20 +220,8 @@ def run_job(
     """Take every film of a job that is not done; 0 if all are now, else 1.
 
     A child process, forked after the imports, takes them. If it dies of one film (a decoder that crashes,
-    memory), that film has failed and another child takes the rest.
-
-    Parameters
-    ----------
-    plan
-        The campaign's.
-    job
-        A job of it.
-    work
-        Analyses one film.
-    fetched
-        Local copies of the job's films in object storage, in their order.
-    settings
-        Tunable constants.
+    memory), that film has failed and another child takes the rest. `fetched` are local copies of the job's
+    films in object storage, in their order.
     """
     tuning = settings or CampaignSettings()
     copies = dict(zip(plan.remote(job), fetched, strict=False))
@@ -300,18 +234,13 @@ def run_job(
             if code == 0:
                 break
             at = int.from_bytes(turn[0:8], "little")
-            _died(plan, todo[at], code)
+            state = plan.state(todo[at])
+            if state.state == "running":  # the process died of it
+                how = f"signal {-code} ({signal.strsignal(-code)})" if code < 0 else f"status {code}"
+                why = f"the process of this film ended with {how}"
+                _note(plan.out, replace(state, state="failed", reason=why, seconds=time.time() - state.at))
             left = list(todo[at + 1 :])
     return 0 if all(plan.finished(film) for film in films) else 1
-
-
-def _died(plan: Plan, film: PlannedFilm, code: int) -> None:
-    """The film at which its process died has failed."""
-    state = plan.state(film)
-    if state.state == "running":
-        how = f"signal {-code} ({signal.strsignal(-code)})" if code < 0 else f"status {code}"
-        why = f"the process of this film ended with {how}"
-        _note(plan.out, replace(state, state="failed", reason=why, seconds=time.time() - state.at))
 
 
 def _in_child(work: Callable[[], None]) -> int:
@@ -399,13 +328,14 @@ def _one(
     if outcome.analysis is None or not run.is_file():
         return state
     write_partitions(plan.out, film.name, outcome.analysis)
-    _thumbnail(target / "overview.png", plan.out / "thumbnails" / f"{film.name}.png", tuning.thumbnail_px)
-    warnings = outcome.warnings
+    with suppress(OSError, ValueError), Image.open(target / "overview.png") as image:  # no thumbnail, no harm
+        image.thumbnail((tuning.thumbnail_px, 4 * tuning.thumbnail_px))
+        (plan.out / "thumbnails").mkdir(exist_ok=True)
+        image.convert("RGB").quantize(32).save(plan.out / "thumbnails" / f"{film.name}.png", optimize=True)
+    warnings, word = outcome.warnings, STATES.get(outcome.status, "partial")
     reason = outcome.reason or (shortened(warnings[0], 300) if warnings else "")
     more = f" (and {len(warnings) - 1} more)" if outcome.status == 1 and len(warnings) > 1 else ""
-    return replace(
-        state, state=STATES.get(outcome.status, "partial"), reason=reason + more, warnings=warnings
-    )
+    return replace(state, state=word, reason=reason + more, warnings=warnings)
 
 
 @contextmanager
@@ -414,10 +344,7 @@ def _source(
 ) -> Iterator[Path]:
     """Where a film is read from: itself, what Snakemake fetched, or a copy on the node's own disk.
 
-    Raises
-    ------
-    InputError
-        Where the disk has no room for the copy, or the film's disk stops answering.
+    Raises: InputError where the disk has no room for the copy, or the film's disk stops answering.
     """
     if is_remote(film.film):
         if film.film not in copies:
@@ -431,10 +358,8 @@ def _source(
     files = [file for file in inputs_of(film.film, {}) if file.is_file()]
     room, needed = shutil.disk_usage(tempfile.gettempdir()).free, sum(file.stat().st_size for file in files)
     if needed > 0.95 * room:
-        found = f"{room / 1e9:.1f} GB free"
-        raise InputError(
-            tempfile.gettempdir(), f"room for {needed / 1e9:.1f} GB of {path.name}", found, "set TMPDIR"
-        )
+        wanted, found = f"room for {needed / 1e9:.1f} GB of {path.name}", f"{room / 1e9:.1f} GB free"
+        raise InputError(tempfile.gettempdir(), wanted, found, "set TMPDIR")
     with tempfile.TemporaryDirectory(prefix="track-") as folder:
         for file in files:
             copy_or_give_up(file, Path(folder) / file.name, stalled_s=tuning.stalled_seconds)
@@ -444,28 +369,15 @@ def _source(
 def copy_or_give_up(source: Path, target: Path, *, stalled_s: float) -> None:
     """Copy a file from a disk that may stop answering: reading it would then never return.
 
-    Parameters
-    ----------
-    source, target
-        Files.
-    stalled_s
-        Longest time in which the copy does not grow.
-
-    Raises
-    ------
-    InputError
-        After that time.
-    OSError
-        Where the file cannot be read or written.
+    Raises: InputError after so many seconds in which the copy does not grow, OSError as `shutil.copyfile`.
     """
-    ended: list[OSError | None] = []
+    failed: list[OSError] = []
 
     def copy() -> None:
         try:
             shutil.copyfile(source, target)
-            ended.append(None)
         except OSError as error:
-            ended.append(error)
+            failed.append(error)
 
     copying = threading.Thread(target=copy, daemon=True)  # one that is stuck does not keep the process
     copying.start()
@@ -478,14 +390,5 @@ def copy_or_give_up(source: Path, target: Path, *, stalled_s: float) -> None:
         elif copying.is_alive() and time.monotonic() - since > stalled_s:
             found = f"none for {stalled_s:.0f} s, after {size / 1e6:.1f} MB"
             raise InputError(source, "data from its disk", found, "look at the network, and run again")
-    if ended and ended[0] is not None:
-        raise ended[0]
-
-
-def _thumbnail(picture: Path, small: Path, width: int) -> None:
-    """A small copy of a picture; none is no failure."""
-    with suppress(OSError, ValueError):
-        small.parent.mkdir(parents=True, exist_ok=True)
-        with Image.open(picture) as image:
-            image.thumbnail((width, 4 * width))
-            image.convert("RGB").quantize(32).save(small, optimize=True)
+    if failed:
+        raise failed[0]

@@ -54,34 +54,15 @@ def page_age(out: Path) -> float:
 
 
 def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> list[State]:
-    """Write index.html and campaign.csv from the films' states.
+    """Write index.html and campaign.csv from the films' states, which are returned in the plan's order.
 
-    Parameters
-    ----------
-    plan
-        The campaign's.
-    live
-        Whether the page renews itself.
-    remarks
-        Lines above the table.
-
-    Returns
-    -------
-    The states, in the plan's order.
-
-    Raises
-    ------
-    InputError
-        Where they cannot be written.
+    live: whether the page renews itself.  remarks: lines above the table.  Raises: InputError.
     """
     states = [plan.state(film) for film in plan.films]
+    films = list(zip(plan.films, states, strict=True))
     counts = Counter(str(state.state) for state in states)
     facts = [name for name in SHOWN if any(name in film.facts for film in plan.films)]
-    left = sum(
-        film.seconds
-        for film, state in zip(plan.films, states, strict=True)
-        if state.state in ("waiting", "running")
-    )
+    left = sum(film.seconds for film, state in films if state.state in ("waiting", "running"))
     text = (
         Environment(autoescape=True, undefined=StrictUndefined)
         .from_string(TEMPLATE.read_text(encoding="utf-8"))
@@ -96,29 +77,21 @@ def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> list
             pool=(plan.out / "pool" / "report.html").is_file(),
             remarks=remarks,
             facts=[SHOWN[name] for name in facts],
-            films=[_row(plan, film, state, facts) for film, state in zip(plan.films, states, strict=True)],
+            films=[_row(plan, film, state, facts) for film, state in films],
         )
     )
     with whole_file(plan.out / PAGE) as path:
         path.write_text(text, encoding="utf-8", errors="replace")
-    _write_csv(plan, states)
-    return states
-
-
-def _write_csv(plan: Plan, states: Sequence[State]) -> None:
-    """campaign.csv: film, state, reason, seconds, run."""
+    runs = [
+        f"runs/{film.name}" if (plan.run_of(film.name) / "run.json").is_file() else "" for film in plan.films
+    ]
     rows = [
-        {
-            "film": film.film,
-            "state": state.state,
-            "reason": state.reason,
-            "seconds": round(state.seconds, 3),
-            "run": f"runs/{film.name}" if (plan.run_of(film.name) / "run.json").is_file() else "",
-        }
-        for film, state in zip(plan.films, states, strict=True)
+        (film.film, state.state, state.reason, round(state.seconds, 3), run)
+        for (film, state), run in zip(films, runs, strict=True)
     ]
     with whole_file(plan.out / "campaign.csv") as path:
         write_table(pd.DataFrame(rows, columns=["film", "state", "reason", "seconds", "run"]), path)
+    return states
 
 
 def _row(plan: Plan, film: PlannedFilm, state: State, facts: list[str]) -> dict[str, Any]:
@@ -215,31 +188,24 @@ def open_tables(out: str | Path, table: str) -> ds.Dataset:
 def write_partitions(out: Path, film: str, analysis: Analysis) -> None:
     """Write a film's part of each table; what it does not have, an earlier run of it may have had: that goes.
 
-    Raises
-    ------
-    InputError
-        Where it cannot be written.
+    Raises: InputError.
     """
-    tables: dict[str, pd.DataFrame] = {}
-    if analysis.tracks is not None:
-        tables["sheets"] = sheets_table(analysis.tracks)
-    if analysis.sticks is not None:
-        tables["sticks"] = analysis.sticks
-    if analysis.motion is not None:
-        tables["deformation"] = deformation_table(analysis.motion, threshold=analysis.threshold)
-    for name in ("sheets", "sticks", "deformation"):
-        place = _partition(out, name, film)
-        if name in tables:
+    tracks, motion = analysis.tracks, analysis.motion
+    tables = {
+        "sheets": None if tracks is None else sheets_table(tracks),
+        "sticks": analysis.sticks,
+        "deformation": None if motion is None else deformation_table(motion, threshold=analysis.threshold),
+    }
+    for name in (*tables, "positions"):
+        place, table = _partition(out, name, film), tables.get(name)
+        if name == "positions" and tracks is not None:
             with whole_file(place) as path:
-                pq.write_table(as_arrow(tables[name]), path)
+                _write_positions(tracks, path, analysis.pixel_size_um)
+        elif table is not None:
+            with whole_file(place) as path:
+                pq.write_table(as_arrow(table), path)
         else:
             place.unlink(missing_ok=True)
-    place = _partition(out, "positions", film)
-    if analysis.tracks is None:
-        place.unlink(missing_ok=True)
-        return
-    with whole_file(place) as path:
-        _write_positions(analysis.tracks, path, analysis.pixel_size_um)
 
 
 def _write_positions(tracks: xr.Dataset, path: Path, size_um: float | None) -> None:
@@ -318,21 +284,8 @@ COLUMNS = ("sample", "V_mm_min", "n_test", "RH_percent", "T_C")
 def pool(plan: Plan, *, command: str = "", options: Mapping[str, str] | None = None) -> list[str]:
     """Compare all finished runs with a force recording; close the tables of all films.
 
-    Parameters
-    ----------
-    plan
-        The campaign's.
-    command, options
-        For run.json (`vision.run.Origin`).
-
-    Returns
-    -------
-    Remarks: runs that could not be compared, warnings of the comparison, or why there is none.
-
-    Raises
-    ------
-    InputError
-        Where the results cannot be written.
+    command, options: for run.json (`vision.run.Origin`).  Returns remarks: runs that could not be compared,
+    warnings of the comparison, or why there is none.  Raises: InputError where nothing can be written.
     """
     done = [(film, state) for film in plan.films if (state := plan.finished(film))]
     write_tests(plan.out, {film.name: _facts(plan, film, state) for film, state in done})
@@ -340,33 +293,25 @@ def pool(plan: Plan, *, command: str = "", options: Mapping[str, str] | None = N
     tests = [film for film, _ in done if (plan.run_of(film.name) / "events.csv").is_file()]
     if not tests:
         return ["no finished test has events of a force recording, so there is no comparison"]
-    table = pd.DataFrame(
-        [
-            {"run": str(plan.run_of(film.name))} | {name: film.facts.get(name) for name in COLUMNS}
-            for film in tests
-        ]
-    )
+    runs = [plan.run_of(film.name) for film in tests]
+    table = pd.DataFrame([{name: film.facts.get(name) for name in COLUMNS} for film in tests])
+    table.insert(0, "run", [str(run) for run in runs])
     try:
-        found = compare([plan.run_of(film.name) for film in tests], table.dropna(axis="columns", how="all"))
+        found = compare(runs, table.dropna(axis="columns", how="all"))
     except InputError as error:
         return [f"no comparison: {error}"]
-    origin = Origin(
-        command=command,
-        inputs=[test.folder / "events.csv" for test in found.tests],
-        options=options or {},
-    )
+    inputs = [test.folder / "events.csv" for test in found.tests]
+    origin = Origin(command=command, inputs=inputs, options=options or {})
     write_comparison(found, plan.out / POOL, origin, overwrite=True, report=plan.report)
     return [*found.failures, *found.warnings]
 
 
 def _facts(plan: Plan, film: PlannedFilm, state: State) -> dict[str, Any]:
     """A film's row in the table of tests."""
-    facts = read_json(plan.run_of(film.name) / "run.json")
-    frames = facts.get("frames") or {}
-    numbers = {name: film.facts.get(name, float("nan")) for name in COLUMNS[1:]}
+    frames = read_json(plan.run_of(film.name) / "run.json").get("frames") or {}
     return {
         "sample": film.facts.get("sample"),
-        **{name: float(value) for name, value in numbers.items()},
+        **{name: float(film.facts.get(name, "nan")) for name in COLUMNS[1:]},
         "notes": film.facts.get("notes"),
         "path": film.film,
         "key": film.key,

@@ -174,7 +174,7 @@ def _dry_run(plan: Plan, cores: int) -> int:
 
 def _profile(options: CampaignOptions) -> Path:
     """The folder of the Snakemake profile.  Raises: InputError."""
-    where = options.profile or jobs.profile_of(options.executor)
+    where = options.profile or jobs.HERE / "profiles" / options.executor
     if not (where / "config.yaml").is_file():
         found = "no config.yaml in it" if where.is_dir() else "no such folder"
         advice = f"copy {jobs.HERE / 'profiles'}"
