@@ -36,8 +36,7 @@ READING = ".reading"  # ending of what is kept while a long film is read
 
 
 def check_target(target: Path, *, overwrite: bool) -> None:
-    """Refuse early what would fail late: an existing folder, one that is no run, a place that cannot be
-    written.
+    """Refuse early a folder that exists or is no run, or a place that cannot be written.
 
     Raises: InputError.
     """
@@ -60,14 +59,13 @@ def check_new(target: Path, *, overwrite: bool, kind: str = "file") -> None:
 def _check_earlier(target: Path, *, overwrite: bool) -> None:
     """Only a run folder of one's own may be replaced, and only if asked for."""
     check_new(target, overwrite=overwrite, kind="folder")
+    wanted = "a run folder to overwrite"
     if not (target.is_dir() and (not any(target.iterdir()) or (target / MARK).is_file())):
-        raise InputError(
-            target, "a run folder to overwrite", "something else (no run.json in it)", "give another `out`"
-        )
+        raise InputError(target, wanted, "something else (no run.json in it)", "give another `out`")
     if target.samefile(Path.cwd()):
-        raise InputError(target, "a run folder to overwrite", "the working directory", "go one folder up")
+        raise InputError(target, wanted, "the working directory", "go one folder up")
     if not os.access(target, os.W_OK | os.X_OK):
-        raise InputError(target, "a run folder to overwrite", "one that is read-only", "give another `out`")
+        raise InputError(target, wanted, "one that is read-only", "give another `out`")
 
 
 @contextmanager
@@ -78,10 +76,7 @@ def run_folder(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
     as it was. What a killed process left behind is removed, or put back where the kill came between moving
     an earlier run aside and putting the new one in its place.
 
-    Raises
-    ------
-    InputError
-        Where the target exists or cannot be written, or the disk is full.
+    Raises: InputError where the target exists or cannot be written, or the disk is full.
     """
     clean_up(target)
     check_target(target, overwrite=overwrite)
@@ -156,10 +151,7 @@ def put_in_place(made: Path, target: Path, *, overwrite: bool) -> None:
     Where the file system can exchange two names in one step, the target is at every moment the old run or
     the new one; elsewhere a kill between two renames leaves the old run aside, and `clean_up` puts it back.
 
-    Raises
-    ------
-    InputError
-        Where another run has taken the place meanwhile.
+    Raises: InputError where another run has taken the place meanwhile.
     """
     if not target.exists():
         made.rename(target)
@@ -194,10 +186,7 @@ def whole_file(target: Path, *, durable: bool = False) -> Iterator[Path]:
 
     durable: it is on the disk when this returns, whatever ends the machine; that takes some milliseconds.
 
-    Raises
-    ------
-    InputError
-        Where it cannot be written; an earlier file is as it was then.
+    Raises: InputError where it cannot be written; an earlier file is as it was then.
     """
     made, missing = None, _missing_parents(target)
     try:
@@ -305,16 +294,13 @@ class Origin:
 
 def versions() -> dict[str, str]:
     """Versions of sheetvision, Python and the libraries that touch the numbers."""
-
-    known = {name: _version(name) for name in PACKAGES}
-    return {"sheetvision": vision.__version__, "python": platform.python_version(), **known}
-
-
-def _version(name: str) -> str:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"
+    known = {"sheetvision": vision.__version__, "python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            known[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            known[name] = "unknown"
+    return known
 
 
 def describe_input(
@@ -326,10 +312,7 @@ def describe_input(
     and the last among them; of the whole content where that is shorter, or where ``whole`` asks for it.
     ``pace`` is called after every part with the bytes read and their number.
 
-    Raises
-    ------
-    InputError
-        For an input that is gone or cannot be read.
+    Raises: InputError for an input that is gone or cannot be read.
     """
     digest = hashlib.sha256()
     try:
@@ -355,13 +338,8 @@ def describe_input(
 class Checksums:
     """Describes inputs by all of their bytes while the film is read, so that the disk gives each byte once.
 
-    A thread reads them in turn, not further ahead of the film than `AHEAD_BYTES`, so that the system's memory
-    still holds what one of the two has read when the other comes to it.
-
-    Parameters
-    ----------
-    paths
-        Inputs, the film first; none for nothing to do.
+    A thread reads them in turn, the film first, not further ahead of it than `AHEAD_BYTES`, so that the
+    system's memory still holds what one of the two has read when the other comes to it.
     """
 
     def __init__(self, paths: Sequence[Path]) -> None:

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 import numpy as np
@@ -49,13 +48,11 @@ AGAIN = "run track again"
 
 @dataclass(frozen=True)
 class RunFolder:
-    """A run folder: facts, what run.json says; tracks, x(n, t) as `track_sheets` gave it, None for a run of
-    a force recording alone.
-    """
+    """A run folder."""
 
     folder: Path
-    facts: Mapping[str, Any]
-    tracks: xr.Dataset | None
+    facts: Mapping[str, Any]  # what run.json says
+    tracks: xr.Dataset | None  # as `track_sheets` gave them; None for a run of a force recording alone
 
     @property
     def pixel_size_um(self) -> float | None:
@@ -83,8 +80,7 @@ def is_run(folder: Path) -> bool:
 
 
 def check_mark(target: Path, mark: str) -> None:
-    """Keep results from being overwritten by something made from them: a run folder at `target` must be of
-    the same kind, with `mark` in its run.json.
+    """Keep a run from being overwritten by what is made from it: `mark` stands in an earlier one's run.json.
 
     Raises: InputError.
     """
@@ -223,23 +219,17 @@ def _read_tracks(path: Path) -> xr.Dataset:
             StripMetadata.of(tracks)
         except InputError as error:
             raise InputError(path, wanted, shortened(str(error)), AGAIN) from error
-        _check_numbers(tracks, path, wanted)
+        numbers = [str(name) for name in TRACKS.variables if name in tracks.variables and name not in words]
+        odd = [name for name in numbers if tracks[name].dtype.kind not in "fiu"]
+        if odd:
+            raise InputError(path, wanted, f"no numbers in {', '.join(odd)}", AGAIN)
     return tracks
-
-
-def _check_numbers(tracks: xr.Dataset, path: Path, wanted: str) -> None:
-    """Refuse variables that are no numbers.  Raises: InputError."""
-    odd = [str(name) for name in TRACKS.variables if name in tracks.variables and name not in ("flag", "why")]
-    odd = [name for name in odd if tracks[name].dtype.kind not in "fiu"]
-    if odd:
-        raise InputError(path, wanted, f"no numbers in {', '.join(odd)}", AGAIN)
 
 
 def stored_kymograph(path: Path) -> tuple[int, np.dtype[Any], tuple[int, int]]:
     """Where in the file of a space-time diagram its values begin, their type and shape (frame, x).
 
-    For reading a part at a time: it is never mapped, as a mapping of a file that shrinks ends the
-    process.
+    For reading a part at a time: it is never mapped, as a mapping of a file that shrinks ends the process.
     Raises: InputError for a damaged file.
     """
     wanted = "a space-time diagram as track writes it"
@@ -289,39 +279,28 @@ class Checkpoint:
     A folder beside the run folder, hidden as the run folder itself is until it is whole, holds one file that
     grows by a record per frame (status, time, the strip's mean) and one that says what is read and how. It
     exists once the reading has taken `after_s`, and until the run folder is written: `done` removes it. A
-    record that was cut short by a kill is left out. Without `resume`, what an earlier run left is removed.
+    record that was cut short by a kill is left out.
 
-    Parameters
-    ----------
-    target
-        The run folder to come.
-    resume
-        Go on where an interrupted run of the same film with the same settings ended; from the first frame
-        where nothing was kept.
-    after_s
-        Seconds of reading after which frames are kept.
+    With `resume` a run goes on where an interrupted one of the same film with the same settings ended, or
+    from the first frame where nothing was kept; without, what an earlier run left is removed. Frames are
+    numbered without gaps (`vision.video.Reader`), and each row is computed from its frame alone, so that the
+    result is the same bit for bit. A disk that is full costs the checkpoint, not the run.
 
     Raises
     ------
     InputError
         With `resume`: on entering, where another process reads into the same folder; from `begin`, where the
         film or the way it is read is another one.
-
-    Notes
-    -----
-    Frames are numbered without gaps (`vision.video.Reader`), and each row is computed from its frame alone,
-    so that the result is the same bit for bit. A disk that is full costs the checkpoint, not the run.
     """
 
     def __init__(
         self, target: Path, *, resume: bool = False, after_s: float = VideoSettings.resume_after_s
     ) -> None:
-        self.folder = existing_parent(target)
-        """Where I(x, t) may spill: on the disk that has room for results."""
-        self.resumed = 0
-        """Frames taken over from the interrupted run."""
-        self.kept = 0
-        """Frames in the file by now."""
+        self.folder = existing_parent(
+            target
+        )  # where I(x, t) may spill: on the disk that has room for results
+        self.resumed = 0  # frames taken over from the interrupted run
+        self.kept = 0  # frames in the file by now
         self._target, self._place = target, reading_folder(target)
         self._resume, self._after_s = resume, after_s
         self._began = time.monotonic()
@@ -343,12 +322,7 @@ class Checkpoint:
                 self.done()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        where: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._file is not None:
             self._file.close()
         if self._lock is not None:
@@ -359,7 +333,7 @@ class Checkpoint:
         """Leave nothing to resume: the run folder is written."""
         if self._own:
             shutil.rmtree(self._place, ignore_errors=True)
-        self.__exit__(None, None, None)
+        self.__exit__()
         self._file, self._own, self.kept = None, False, 0
 
     def begin(self, video: Video, rows: slice, columns: slice) -> Iterator[FramesRead]:
@@ -436,14 +410,12 @@ def _facts(video: Video, rows: slice, columns: slice) -> dict[str, Any]:
         "frames": [video.first, video.stop],
         "fps": video.given_fps,
         "timestamps": None if given is None else hashlib.sha256(given.tobytes()).hexdigest(),
-        "inputs": _fingerprints(video),
+        # size and content of every file of the film; its name and time may change
+        "inputs": [
+            {k: v for k, v in describe_input(path).items() if k not in ("path", "modified_s")}
+            for path in video_files(video.path)
+        ],
     }
-
-
-def _fingerprints(video: Video) -> list[dict[str, Any]]:
-    """Size and content of every file of the film; its name and time may change."""
-    described = [describe_input(path) for path in video_files(video.path)]
-    return [{k: v for k, v in one.items() if k not in ("path", "modified_s")} for one in described]
 
 
 def _first_odd(status: NDArray[np.uint8]) -> int:
