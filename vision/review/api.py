@@ -34,15 +34,7 @@ FORCE_POINTS = 4096  # for which a page asks of the whole recording
 
 
 def answers(session: Session, stop: Callable[[], None]) -> ASGIApp:
-    """What answers the questions about an open run.
-
-    Parameters
-    ----------
-    session
-        The open run.
-    stop
-        Ends the server.
-    """
+    """What answers the questions about an open run; `stop` ends the server."""
     routes = Api(session, stop).routes()
     return Starlette(routes=routes, exception_handlers={HTTPException: failed, Exception: failed})
 
@@ -59,13 +51,7 @@ def keep_first_view(session: Session) -> None:
 
 
 def first_answers(session: Session) -> dict[str, bytes]:
-    """What a page asks before anybody has touched it: the whole test, and the first frame.
-
-    Returns
-    -------
-    dict
-        The answers by their questions, as the page puts them.
-    """
+    """Answers by their questions to what a page asks first: the whole test, and the first frame."""
     first, frames, tiles = int(session.positions.frame[0]), session.diagram.frames, session.tiles
     rows, columns, factor = tiles.settings.rows, tiles.settings.columns, tiles.settings.factor
     questions = [f"/api/{name}" for name in ("times", "film", f"frame/{first}.png", f"ridges/{first}")]
@@ -106,33 +92,13 @@ async def _asked(app: ASGIApp, question: str) -> bytes | None:
     return body if sent[0]["status"] == 200 else None
 
 
-class Windows:
-    """Which windows of a browser have the run open."""
-
-    def __init__(self) -> None:
-        self._seen: dict[str, float] = {}
-
-    def others(self, window: str) -> int:
-        """How many besides this one, which is noted."""
-        now = time.monotonic()
-        # a window that has not asked for 6 s is closed: pages ask every two seconds
-        self._seen = {name: at for name, at in self._seen.items() if now - at < 6.0}
-        if window:
-            self._seen[window[:64]] = now
-        return len(self._seen.keys() - {window[:64]})
-
-    def leave(self, window: str) -> None:
-        """This one was closed."""
-        self._seen.pop(window[:64], None)
-
-
 class Api:
     """Answers for one session."""
 
     def __init__(self, session: Session, stop: Callable[[], None]) -> None:
         self.session, self._stop = session, stop
         self._threads = anyio.CapacityLimiter(AT_ONCE)
-        self._windows = Windows()
+        self._windows: dict[str, float] = {}  # of browsers that have the run open, and when they asked last
 
     def routes(self) -> list[Route]:
         """Every address that is served."""
@@ -194,7 +160,13 @@ class Api:
         return _json(self.session.state() | self._company(request))
 
     def _company(self, request: Request) -> dict[str, Any]:
-        return {"other_windows": self._windows.others(request.headers.get("x-window", ""))}
+        """How many other windows there are; this one is noted."""
+        window, now = request.headers.get("x-window", "")[:64], time.monotonic()
+        # a window that has not asked for 6 s is closed: pages ask every two seconds
+        self._windows = {name: at for name, at in self._windows.items() if now - at < 6.0}
+        if window:
+            self._windows[window] = now
+        return {"other_windows": len(self._windows.keys() - {window})}
 
     def film(self, request: Request) -> Response:
         """The film's picture, or why it cannot be shown."""
@@ -314,7 +286,7 @@ class Api:
 
     def leave(self, request: Request, body: Mapping[str, Any]) -> Response:
         """A window was closed, or is loaded anew."""
-        self._windows.leave(request.headers.get("x-window", ""))
+        self._windows.pop(request.headers.get("x-window", "")[:64], None)
         return _json({})
 
     def quit(self, request: Request, body: Mapping[str, Any]) -> Response:

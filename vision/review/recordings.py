@@ -60,22 +60,17 @@ class Diagram:
         self.path, self.first_column, self.settings = path, first_column, settings
         self._offset, self._dtype, (self.frames, self.columns) = stored_kymograph(path)
         self._file = path.open("rb")  # kept open: saving puts another file in its place
+        self.close = self._file.close
         self._lock = Lock()
         self.shared_rows = lru_cache(PARTS_KEPT)(self.rows)
 
-    def close(self) -> None:
-        """Let the file go."""
-        self._file.close()
-
     def rows(self, start: int, stop: int) -> Floats32:
         """These frames, (frame, x), grey levels; NaN in frames that are not there."""
-        return self._read(
-            start, np.empty((max(0, min(stop, self.frames) - start), self.columns), self._dtype)
-        )
+        count = max(0, min(stop, self.frames) - start)
+        return self._read(start, np.empty((count, self.columns), self._dtype))
 
     def parts(self, frames: int, first: range) -> Iterator[Floats32]:
-        """So many frames from each of these on, in memory that is used again: new memory would take longer
-        than reading."""
+        """So many frames from each of these on, in memory used again, which is faster than new memory."""
         space = np.empty((min(frames, self.frames), self.columns), self._dtype)
         for start in first:
             yield self._read(start, space[: self.frames - start])
@@ -94,8 +89,7 @@ class Diagram:
         return np.concatenate([self.rows(int(row), int(row) + 1) for row in at])
 
     def ridges(self, positions: Positions, rows: slice) -> Ridges:
-        """Candidates in these rows of the positions, as the tracking saw them; columns counted from the
-        diagram's first."""
+        """Candidates in these rows of the positions, as the tracking saw them; x from the first column."""
         profile = self.rows(positions.first_row + rows.start, positions.first_row + rows.stop)
         return find_ridges(profile, positions.comb, settings=self.settings)
 
@@ -125,19 +119,9 @@ class TileSettings:
 class Tiles:
     """The pyramid of one space-time diagram.
 
-    Parameters
-    ----------
-    diagram
-        I(x, t), on disk.
-    bright
-        Whether ridges are bright. A coarse row shows each column's largest value in its frames (the smallest
-        where ridges are dark), so that a ridge that was somewhere for one frame is still seen.
-    settings
-        How it is cut.
-
-    Notes
-    -----
-    A row of level l holds ``factor**l`` frames; columns are never merged. Level 0 is the recording itself.
+    A row of level l holds ``factor**l`` frames; columns are never merged. Level 0 is the recording itself. A
+    coarse row shows each column's largest value in its frames (the smallest where ridges are not `bright`),
+    so that a ridge that was somewhere for one frame is still seen.
     """
 
     def __init__(
@@ -193,10 +177,7 @@ class Tiles:
     def part(self, level: int, x: int, y: int) -> Grey:
         """One tile in 8 bits; those at the right and lower edge are smaller.
 
-        Raises
-        ------
-        InputError
-            For a tile that is not there.
+        Raises: InputError for a tile that is not there.
         """
         rows, columns = self.settings.rows, self.settings.columns
         step = self.settings.factor**level if 0 <= level < self.levels else 0
@@ -230,40 +211,23 @@ much makes jumps slower, half as much enters the file again at each longer step.
 
 
 class Film:
-    """Random access to a recording.
+    """Random access to a recording, opened as the run read it.
 
-    Parameters
-    ----------
-    video
-        As the run read it, with its rotation.
-
-    Notes
-    -----
     Uncompressed films, stacks and single images are read in place. In a compressed one the frame is found by
     its time from the key frame before it, and playing forward goes on from the frame shown last.
     """
 
     def __init__(self, video: Video) -> None:
-        self._video = video
+        self._video, self.shape = video, video.shape  # (rows, columns) after rotation
         self._lock = Lock()
         self._frames: Iterator[tuple[float, Pixels]] = iter(())
         self._shown_s = np.inf
         self._ahead: tuple[float, Pixels] | None = None
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(rows, columns) after rotation."""
-        return self._video.shape
-
     def picture(self, number: int, time_s: float) -> Pixels | None:
         """One frame, turned as the run's were; None where it cannot be read.
 
-        Parameters
-        ----------
-        number
-            In the film.
-        time_s
-            By the camera's clock; only what the file itself stamped is used.
+        time_s: by the camera's clock; only what the file itself stamped is used.
         """
         with self._lock:
             reader = self._video.reader
@@ -303,17 +267,7 @@ class Film:
 
 
 class Recordings:
-    """Film and force of a run, each opened at the first need.
-
-    Parameters
-    ----------
-    found
-        The run.
-    settings
-        As it was made with.
-    moved
-        Where the film lies now, if not where it was when it was tracked.
-    """
+    """Film and force of a run, each opened at the first need; `moved` is where the film lies now."""
 
     def __init__(self, found: Found, settings: Settings, moved: Path | None) -> None:
         self.found, self.settings, self.moved = found, settings, moved

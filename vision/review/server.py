@@ -54,17 +54,7 @@ HEADERS = {
 class Guard:
     """Refuses requests that do not come from this page, before anything else sees them.
 
-    Parameters
-    ----------
-    app
-        What is guarded.
-    port
-        On which it is served.
-    token
-        What every request must carry: in the address of the page, then in a cookie or the header X-Token.
-
-    Notes
-    -----
+    Every request must carry the token: in the address of the page, then in a cookie or the header X-Token.
     The Host must be a name of the loopback address (a foreign name that resolves to it could otherwise be
     read by a foreign page: DNS rebinding), and the Origin, where a browser states one, this server. Bodies
     over 1 MB are refused, also where their length was stated wrongly or not at all.
@@ -172,16 +162,9 @@ class Page:
 
 
 class Awaited:
-    """Answers that are there once the run has been read; until then those that were kept.
+    """Answers that are there once the run has been read; until then those that were kept, by their questions.
 
-    Parameters
-    ----------
-    answers
-        Of the run.
-    kept
-        Answers by their questions.
-    begin
-        Called with the first question that has none among them.
+    `begin` is called with the first question that has none among them.
     """
 
     def __init__(self, answers: Future[ASGIApp], kept: Mapping[str, bytes], begin: Callable[[], Any]) -> None:
@@ -207,15 +190,7 @@ class Awaited:
 
 
 def make_app(answers: ASGIApp, *, port: int, token: str) -> ASGIApp:
-    """The page, and what it asks about the run.
-
-    Parameters
-    ----------
-    answers
-        To what begins with /api/.
-    port, token
-        For `Guard`.
-    """
+    """The page, and what it asks about the run (all that begins with /api/), guarded."""
     page = Page(f"review_{port}", token)
     routes = [
         Route("/", page.index, methods=["GET"]),
@@ -312,19 +287,12 @@ MOST_BYTES = 64 << 20  # more is not a first view
 def read_first_view(folder: Path, film: Path | None = None) -> dict[str, bytes]:
     """Answers by their questions; none where they are not those about this run, or damaged.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-    film
-        Where the film lies now, if not where it was when it was tracked.
+    film: where it lies now, if not where it was when it was tracked.
     """
     try:
         with ZipFile(folder / FIRST_VIEW) as kept:
-            if (
-                kept.comment != _state(folder, film)
-                or sum(one.file_size for one in kept.filelist) > MOST_BYTES
-            ):
+            size = sum(one.file_size for one in kept.filelist)
+            if kept.comment != _state(folder, film) or size > MOST_BYTES:
                 return {}
             return {name: kept.read(name) for name in kept.namelist()}
     except (OSError, ValueError, RuntimeError, EOFError, BadZipFile, zlib.error):  # all that ZipFile raises
@@ -334,19 +302,7 @@ def read_first_view(folder: Path, film: Path | None = None) -> dict[str, bytes]:
 def write_first_view(
     path: Path, folder: Path, answers: Mapping[str, bytes], film: Path | None = None
 ) -> None:
-    """The file that `read_first_view` finds in the run folder.
-
-    Parameters
-    ----------
-    path
-        Where it is written.
-    folder
-        The run folder.
-    answers
-        By their questions.
-    film
-        Where the film lies now, if not where it was when it was tracked.
-    """
+    """Write the file that `read_first_view` finds in the run folder: answers by their questions."""
     with ZipFile(path, "w") as kept:
         for name, content in answers.items():
             kept.writestr(name, content)

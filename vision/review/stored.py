@@ -17,7 +17,7 @@ from vision.clock import Candidate, Clock, video_slips
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints
-from vision.review.tracks_file import Stored, read_tracks
+from vision.review.tracks_file import Stored
 from vision.run.folder import MARK, Parameter, lock_open_file
 from vision.run.reading import AGAIN, parameters_of, read_json, read_table
 from vision.run.tables import attrs_of_netcdf
@@ -32,24 +32,12 @@ COLUMNS = ("event", "t_v_s", "t_p_s", "stick_length_um")
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """What a run folder holds, read once.
-
-    Parameters
-    ----------
-    folder
-        The run folder.
-    facts, parameters
-        run.json, and what the run was made with by the names of the command's options.
-    stamp
-        By which another run in its place is recognised.
-    clock, events
-        As far as the run has them.
-    """
+    """What a run folder holds, read once."""
 
     folder: Path
-    facts: Mapping[str, Any]
-    parameters: Mapping[str, Parameter]
-    stamp: tuple[int, int, int]
+    facts: Mapping[str, Any]  # run.json
+    parameters: Mapping[str, Parameter]  # by the names of the command's options
+    stamp: tuple[int, int, int]  # by which another run in its place is recognised
     clock: Clock | None = None
     events: pd.DataFrame | None = None
 
@@ -88,9 +76,7 @@ class Found:
     @property
     def applied(self) -> list[Correction]:
         """Decisions that its tables already follow."""
-        return [
-            correction_of(entry["kind"], _as_entry(entry)) for entry in self.facts.get("corrections") or []
-        ]
+        return [correction_of(one["kind"], _as_entry(one)) for one in self.facts.get("corrections") or []]
 
 
 def _stamp(folder: Path) -> tuple[int, int, int]:
@@ -159,10 +145,7 @@ def claim(folder: Path) -> IO[str]:
     Beside it, as saving puts another folder in the run's place. The claim ends with the process, however that
     ends. Where the system has no such locks (Windows) nothing is claimed.
 
-    Raises
-    ------
-    InputError
-        Where another process reviews the run, or the place cannot be written.
+    Raises: InputError where another process reviews the run, or the place cannot be written.
     """
     path = folder.resolve()
     path = path.with_name(f".{path.name}.review")
@@ -211,38 +194,22 @@ slips in a part their usual size is not known well."""
 
 @dataclass(frozen=True, kw_only=True)
 class Positions:
-    """Every sheet in every frame.
+    """Every sheet in every frame."""
 
-    Parameters
-    ----------
-    frame, time_s
-        Numbers in the film, and seconds of the camera's clock, (frame,).
-    x_px, err_px
-        Position and standard error, (frame, sheet); NaN where there is none. In single precision, 1e-4 px,
-        which is enough to look at; saving does not use them.
-    withheld_px
-        The doubted ridge, (frame, sheet).
-    flag, why
-        Places in `FLAGS` and `WHYS`, (frame, sheet).
-    side, n
-        As numbered from the axis, (sheet,).
-    attrs
-        Of the tracks: how they were found.
-    first_row
-        Of the run, at which a part of it begins.
-    """
-
-    frame: Ints
-    time_s: Floats
+    frame: Ints  # numbers in the film, (frame,)
+    time_s: Floats  # of the camera's clock, (frame,)
+    # (frame, sheet), NaN where there is none. In single precision, 1e-4 px, which is enough to look at;
+    # saving does not use them.
     x_px: Floats32
-    err_px: Floats32
-    withheld_px: Floats32
-    flag: Codes
-    why: Codes
+    err_px: Floats32  # standard error
+    withheld_px: Floats32  # the doubted ridge
+    flag: Codes  # place in `FLAGS`, (frame, sheet)
+    why: Codes  # place in `WHYS`, (frame, sheet)
+    # as numbered from the axis, (sheet,)
     side: Ints
     n: Ints
-    attrs: Mapping[str, Any]
-    first_row: int = 0
+    attrs: Mapping[str, Any]  # of the tracks: how they were found
+    first_row: int = 0  # of the run, at which a part of it begins
 
     @property
     def sheets(self) -> int:
@@ -281,16 +248,13 @@ class Positions:
         values: dict[str, Any] = {
             "x_px": self.x_px[rows].astype(np.float64),
             "x_err_px": self.err_px[rows].astype(np.float64),
+            "time_s": self.time_s[rows],
+            "side": self.side,
+            "n": self.n,
         }
-        variables = {name: (TRACKS[name].dims, data, TRACKS[name].attrs) for name, data in values.items()}
-        coords = {
-            "frame": self.frame[rows],
-            "sheet": np.arange(self.sheets),
-            "time_s": ("frame", self.time_s[rows], TRACKS["time_s"].attrs),
-            "side": ("sheet", self.side, TRACKS["side"].attrs),
-            "n": ("sheet", self.n, TRACKS["n"].attrs),
-        }
-        return xr.Dataset(variables, coords, dict(self.attrs))
+        data = {name: (TRACKS[name].dims, one, TRACKS[name].attrs) for name, one in values.items()}
+        axes = {"frame": self.frame[rows], "sheet": np.arange(self.sheets)}
+        return xr.Dataset(data, axes, dict(self.attrs)).set_coords(["time_s", "side", "n"])
 
     def slips_s(self) -> Floats:
         """When the sheets themselves step outwards, whatever the clock, s; a part of the film at a time."""
@@ -317,17 +281,6 @@ def _slips_in(tracks: xr.Dataset) -> Floats:
         return np.asarray(video_slips(tracks)["time_s"], np.float64)
     except InputError:
         return np.empty(0)
-
-
-def read_positions(path: Path, rows: slice = slice(None)) -> Positions:
-    """Of a tracks.nc, or of some of its frames.
-
-    Raises
-    ------
-    InputError
-        For a file that is not there, damaged, or no tracks.
-    """
-    return positions_of(read_tracks(path, rows))
 
 
 def positions_of(stored: Stored) -> Positions:
