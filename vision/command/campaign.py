@@ -32,6 +32,7 @@ from vision.command.settings import merged, number, parse_option, read_config, s
 from vision.command.track import REFUSED, command_line, run_name, track_one
 from vision.errors import InputError, with_options
 from vision.isolation import usable_cores
+from vision.run import Parameter
 
 
 def campaign(table: Path | None, options: CampaignOptions) -> int:
@@ -106,7 +107,7 @@ def _checker(config: Path | None) -> Check:
     def alone(name: str, text: str) -> tuple[Any, str]:
         try:
             value = parse_option(Path("table"), name, text)
-            settings_of(merged(*_groups({name: value})))
+            settings_of(_merged({name: value}))
         except InputError as error:
             return None, str(error).partition(": ")[2]
         return value, ""
@@ -116,7 +117,7 @@ def _checker(config: Path | None) -> Check:
         problems = [(name, why) for name, (_, why) in found.items() if why]
         values = {name: value for name, (value, why) in found.items() if not why}
         try:
-            parameters = merged(*_groups(values), config=config)
+            parameters = _merged(values, config)
             settings_of(parameters)
         except InputError as error:
             return Checked(values={}, problems=[*problems, ("", str(error))])
@@ -125,12 +126,11 @@ def _checker(config: Path | None) -> Check:
     return check
 
 
-def _groups(values: Mapping[str, Any]) -> list[Any]:
-    """The groups of options of the command line, from values by name."""
-    return [
-        group(**{one.name: values[one.name] for one in fields(group) if one.name in values})
-        for group in GROUPS
-    ]
+def _merged(values: Mapping[str, Any], config: Path | None = None) -> dict[str, Parameter]:
+    """Every option of `track`, from values by name."""
+    names = [{one.name for one in fields(group)} & values.keys() for group in GROUPS]
+    given = zip(GROUPS, names, strict=True)
+    return merged(*(group(**{name: values[name] for name in own}) for group, own in given), config=config)
 
 
 def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:
@@ -160,9 +160,9 @@ def _dry_run(plan: Plan, cores: int) -> int:
         size = film.doubt or f"{film.frames} frames x {film.columns} px, about {duration(film.seconds)}"
         lines.append((film.name, what, size if film.name in waiting else ""))
     say(in_columns(lines, "<<"))
-    total = sum(job.seconds for job in plan.jobs.values())
-    longest = max((job.seconds for job in plan.jobs.values()), default=0.0)
+    seconds = [job.seconds for job in plan.jobs.values()]
     memory = max((job.memory_mb for job in plan.jobs.values()), default=0)
+    total, longest = sum(seconds), max(seconds, default=0.0)
     line = (
         f"{len(waiting)} of {len(plan.films)} films would run in {len(plan.jobs)} jobs: about "
         f"{duration(total)} of computing, {duration(max(total / cores, longest))} with "
@@ -236,7 +236,6 @@ def _progress(plan: Plan, *, quiet: bool) -> Callable[[], None] | None:
 
 
 def _summary(plan: Plan, states: Sequence[State], seconds: float) -> list[str]:
-
     counts = Counter(state.state for state in states)
     ran = sum(len(job.films) for job in plan.jobs.values())
     said = ", ".join(f"{count} {word}" for word, count in sorted(counts.items()))
@@ -281,7 +280,7 @@ def _watch(
 def _take(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> Outcome:
     """What a job does with a film, read from `source`: the same as `track`."""
     values = {name: parse_option(plan.out, name, text) for name, text in film.options.items()}
-    parameters = merged(*_groups(values), config=plan.config)
+    parameters = _merged(values, plan.config)
     local = not is_remote(film.film)
     video = Path(film.film) if local else source
 

@@ -51,6 +51,7 @@ from vision.run import (
 )
 from vision.run.comparing import MARK, write_comparison
 from vision.run.export import Format, film_of, frame_step_s, unevenness_s, write_overlay, write_space_time_tif
+from vision.run.reading import AGAIN
 from vision.sheets import pixel_size_from_pitch
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
@@ -72,8 +73,7 @@ class Preview:
 
     video: Video  # the whole film
     frame: Pixels  # the first frame of those tracked that shows something
-    # strip, tracks: of the consecutive frames
-    strip: xr.DataArray
+    strip: xr.DataArray  # of the consecutive frames
     tracks: xr.Dataset
     counts: Ints  # ridges in each of the frames spread over the film
 
@@ -97,13 +97,7 @@ def preview(video: Path, reading: VideoOptions, config: Path | None, output: Out
 
 
 def look(path: Path, settings: Settings) -> Preview:
-    """Read, track and count a few frames.
-
-    Raises
-    ------
-    InputError
-        As `track` does.
-    """
+    """Read, track and count a few frames.  Raises: InputError as `track` does."""
     film = open_recording(path, settings)
     strip_settings = settings.tuning.video
     rows = choose_strip(film, settings.rows, columns=settings.columns, settings=strip_settings).rows
@@ -182,7 +176,7 @@ def kymograph(
     check_mark(target, DIAGRAMS)
     parameters = merged(reading)
     if is_run(video_or_run):
-        with reading_of(video_or_run, "a run folder as track writes it", "run track again"):
+        with reading_of(video_or_run, "a run folder as track writes it", AGAIN):
             source = _from_run(video_or_run, reading)
         options["frames"] = parse_range(reading.frames, "--frames")
     else:
@@ -229,10 +223,7 @@ def _space_time_options(window: WindowOptions) -> dict[str, Any]:
 def _from_run(folder: Path, reading: VideoOptions) -> Source:
     """A run's kymograph.tif, tracks and slips; a pixel size given now goes before the run's own.
 
-    Raises
-    ------
-    InputError
-        For options that only a video takes, for columns that the run does not have, and for a damaged run.
+    Raises: InputError for options that only a video takes, columns that the run lacks, and a damaged run.
     """
     taken = ("columns", "frames", "pixel_size")
     given = [name for name, value in vars(reading).items() if value is not None and name not in taken]
@@ -245,7 +236,7 @@ def _from_run(folder: Path, reading: VideoOptions) -> Source:
     files = ("kymograph.tif", "tracks.nc", "events.csv", "clock.json")
     slips_s, slips_from = slip_times(run.tracks, slip_times_s(run))
     return Source(
-        strip=strip if columns is None else _cut(strip, columns, folder),
+        strip=_cut(strip, columns or slice(None), folder),
         tracks=run.tracks,
         slips_s=slips_s,
         slips_from=slips_from,
@@ -381,8 +372,7 @@ def overlay(run: Path, film: Path | None, frames: str | None, output: OutputOpti
     with frame_progress("drawing", quiet=output.quiet) as progress, whole_file(target) as path:
         written = write_overlay(made, source, path, frames=part, progress=progress)
     if not output.quiet:
-        rows, columns = written.shape
-        size = f"{written.frames} frames of {columns} x {rows} px"
+        size = f"{written.frames} frames of {written.shape[1]} x {written.shape[0]} px"
         megabytes = target.stat().st_size / 1e6
         say([f"{size}, played at {written.fps:g} frames/s, {megabytes:.1f} MB -> {target}"])
     return 0
@@ -399,7 +389,7 @@ def certify(run: Path, films: int, most_frames: int, output: OutputOptions) -> i
         check_new(target, overwrite=output.overwrite, kind="folder")
     if target.exists() and not target.is_dir():
         raise InputError(target, "a folder", "a file", "give another `out`")
-    settings = replace(CertifySettings(), films=films, most_frames=most_frames)
+    settings = CertifySettings(films=films, most_frames=most_frames)
     with frame_progress("films", quiet=output.quiet) as progress:
         certificate = certify_run(finished, settings=settings, progress=progress)
     write_certificate(certificate, target)
