@@ -60,8 +60,8 @@ class Guard:
     over 1 MB are refused, also where their length was stated wrongly or not at all.
     """
 
-    def __init__(self, app: ASGIApp, *, port: int, token: str) -> None:
-        self.app, self.token, self.cookie = app, token, f"review_{port}"
+    def __init__(self, app: ASGIApp, *, port: int, token: str, cookie: str) -> None:
+        self.app, self.token, self.cookie = app, token, cookie
         self.hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -137,30 +137,6 @@ async def failed(request: Request, error: Exception) -> Response:
     return refused(status, " ".join(str(text).split()))
 
 
-class Page:
-    """The page's files, by names that were there when the server started."""
-
-    def __init__(self, cookie: str, token: str) -> None:
-        self._cookie, self._token = cookie, token
-        self._files = {path.name: path for path in PAGE.glob("*") if path.suffix in KINDS}
-
-    def index(self, request: Request) -> Response:
-        """index.html; the token goes into a cookie that no script and no other site sees."""
-        answer = self._answer("index.html")
-        answer.set_cookie(self._cookie, self._token, httponly=True, samesite="strict", path="/")
-        return answer
-
-    def file(self, request: Request) -> Response:
-        """Any other."""
-        return self._answer(request.path_params["name"])
-
-    def _answer(self, name: str) -> Response:
-        path = self._files.get(name)
-        if path is None:
-            raise HTTPException(404, "no such file")
-        return Response(path.read_bytes(), media_type=f"{KINDS[path.suffix]}; charset=utf-8")
-
-
 class Awaited:
     """Answers that are there once the run has been read; until then those that were kept, by their questions.
 
@@ -190,15 +166,28 @@ class Awaited:
 
 
 def make_app(answers: ASGIApp, *, port: int, token: str) -> ASGIApp:
-    """The page, and what it asks about the run (all that begins with /api/), guarded."""
-    page = Page(f"review_{port}", token)
+    """The page, its files by names that were there at the start, and answers about the run; guarded."""
+    files = {path.name: path for path in PAGE.glob("*") if path.suffix in KINDS}
+    cookie = f"review_{port}"
+
+    def file(request: Request) -> Response:
+        path = files.get(request.path_params.get("name", "index.html"))
+        if path is None:
+            raise HTTPException(404, "no such file")
+        return Response(path.read_bytes(), media_type=f"{KINDS[path.suffix]}; charset=utf-8")
+
+    def index(request: Request) -> Response:
+        answer = file(request)  # the token goes into a cookie that no script and no other site sees
+        answer.set_cookie(cookie, token, httponly=True, samesite="strict", path="/")
+        return answer
+
     routes = [
-        Route("/", page.index, methods=["GET"]),
-        Route("/page/{name}", page.file, methods=["GET"]),
+        Route("/", index, methods=["GET"]),
+        Route("/page/{name}", file, methods=["GET"]),
         Route("/api/{question:path}", answers),
     ]
     app = Starlette(routes=routes, exception_handlers={HTTPException: failed, Exception: failed})
-    return Guard(app, port=port, token=token)
+    return Guard(app, port=port, token=token, cookie=cookie)
 
 
 def serve(
