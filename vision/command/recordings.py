@@ -10,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 
-from vision.command.console import complain, frame_progress, one_line, say
+from vision.command.console import complain, conclude, frame_progress, one_line, say
 from vision.command.options import (
     FrictionOptions,
     ModulusOptions,
@@ -317,14 +317,12 @@ def simulate(
         experiment = with_settings(experiment, changes)
     with frame_progress("drawing", quiet=quiet) as progress:
         test = make_test(experiment, directory, container=container, overwrite=overwrite, progress=progress)
-    if not quiet:
-        lost = f", {test.frames_lost} lost" if test.frames_lost else ""
-        camera, sheets = experiment.camera, experiment.ridges_in_view
-        files = {"video": test.video, "force": test.force, "truth": test.truth, "stamps": test.timestamps}
-        what = f"{test.frames} frames{lost} of {camera.width} x {camera.height} px, {sheets} sheets"
-        lines = (f"{name:<6} {path}" for name, path in files.items())
-        say([f"{what}, seed {experiment.seed}", *lines])
-    return 0
+    lost = f", {test.frames_lost} lost" if test.frames_lost else ""
+    size = f"{experiment.camera.width} x {experiment.camera.height} px, {experiment.ridges_in_view} sheets"
+    files = {"video": test.video, "force": test.force, "truth": test.truth, "stamps": test.timestamps}
+    lines = [f"{test.frames} frames{lost} of {size}, seed {experiment.seed}"]
+    lines += [f"{name:<6} {path}" for name, path in files.items()]
+    return conclude(lines, (), quiet=quiet)
 
 
 def _given(options: SimulateOptions) -> dict[str, Any]:

@@ -329,10 +329,8 @@ def export(run: Path, to: Format, output: OutputOptions) -> int:
     exported = export_run(read_run(run), to, out=output.out, overwrite=output.overwrite)
     for note in exported.notes:
         complain(note)
-    if not output.quiet:
-        folder = "/" if exported.target.is_dir() else ""
-        say([f"{to} -> {exported.target}{folder}"])
-    return 0
+    folder = "/" if exported.target.is_dir() else ""
+    return conclude([f"{to} -> {exported.target}{folder}"], (), quiet=output.quiet)
 
 
 def figures(
@@ -355,9 +353,7 @@ def figures(
     for file in files:
         with whole_file(file) as path:
             made[file.stem].save(path)
-    if not output.quiet:
-        say([f"{len(files)} figures -> {target}/"])
-    return 0
+    return conclude([f"{len(files)} figures -> {target}/"], (), quiet=output.quiet)
 
 
 def overlay(run: Path, film: Path | None, frames: str | None, output: OutputOptions) -> int:
@@ -371,11 +367,9 @@ def overlay(run: Path, film: Path | None, frames: str | None, output: OutputOpti
     source = film_of(made, film)
     with frame_progress("drawing", quiet=output.quiet) as progress, whole_file(target) as path:
         written = write_overlay(made, source, path, frames=part, progress=progress)
-    if not output.quiet:
-        size = f"{written.frames} frames of {written.shape[1]} x {written.shape[0]} px"
-        megabytes = target.stat().st_size / 1e6
-        say([f"{size}, played at {written.fps:g} frames/s, {megabytes:.1f} MB -> {target}"])
-    return 0
+    size = f"{written.frames} frames of {written.shape[1]} x {written.shape[0]} px"
+    line = f"{size}, played at {written.fps:g} frames/s, {target.stat().st_size / 1e6:.1f} MB -> {target}"
+    return conclude([line], (), quiet=output.quiet)
 
 
 def certify(run: Path, films: int, most_frames: int, output: OutputOptions) -> int:
