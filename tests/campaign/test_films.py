@@ -14,7 +14,7 @@ from vision.command.options import option_fields
 from vision.command.track import run_name
 from vision.errors import InputError
 
-# --- the table --------------------------------------------------------------------------------------------
+# --- the table ----------------------------------------------------------------------------------------------
 
 
 def read(path, config=None, awaited=None):
@@ -173,7 +173,7 @@ def test_names_are_one_part_of_a_path_and_one_line():
     assert safe_name("..") == "film"
 
 
-# --- a folder that is watched -----------------------------------------------------------------------------
+# --- a folder that is watched -------------------------------------------------------------------------------
 
 
 TUNING = CampaignSettings(still_seconds=10.0, abandoned_seconds=600.0)

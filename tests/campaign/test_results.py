@@ -28,7 +28,7 @@ from vision.campaign.results import (
 )
 from vision.errors import InputError
 
-# --- tables -----------------------------------------------------------------------------------------------
+# --- tables -------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +109,7 @@ def test_a_hundred_million_rows_open_lazily(tmp_path):
         table.to_table(columns=["x_px"])
 
 
-# --- the page ---------------------------------------------------------------------------------------------
+# --- the page -----------------------------------------------------------------------------------------------
 
 
 HOSTILE = "<script>alert(1)</script> \"'><img src=x onerror=alert(2)> {{7*7}}"

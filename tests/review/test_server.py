@@ -396,7 +396,7 @@ def test_the_page_is_there_before_the_run_has_been_read():
     assert "damaged" in told["error"]
 
 
-# --- the first view ---------------------------------------------------------------------------------------
+# --- the first view -----------------------------------------------------------------------------------------
 
 
 PORT, TOKEN = 54321, "a-token-of-this-test"

@@ -317,7 +317,7 @@ def test_text_that_a_spreadsheet_would_run_is_quoted(cell, tmp_path):
     assert rows[1][1].value == -1
 
 
-# --- Fiji -------------------------------------------------------------------------------------------------
+# --- Fiji ---------------------------------------------------------------------------------------------------
 
 
 def diagram_of(values, *, first_x=100, times=None, bits=8):

@@ -128,7 +128,7 @@ def test_an_earlier_run_is_replaced_whole(exchange, tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
-# --- run.json ---------------------------------------------------------------------------------------------
+# --- run.json -----------------------------------------------------------------------------------------------
 
 
 def test_the_checksum_of_a_small_input_is_that_of_all_of_it(tmp_path):

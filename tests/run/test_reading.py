@@ -56,7 +56,7 @@ def test_a_diagram_may_be_larger_than_any_frame(folder, monkeypatch):
     assert read_strip(read_run(folder)).shape == (60, 180)
 
 
-# --- what an interrupted run kept -------------------------------------------------------------------------
+# --- what an interrupted run kept ---------------------------------------------------------------------------
 
 
 ROWS = slice(2, 10)

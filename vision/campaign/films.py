@@ -21,7 +21,7 @@ from vision.files import Stamp, check_regular, shortened
 from vision.video import open_video, video_files
 from vision.video.high_speed import PIXELS
 
-# --- the table --------------------------------------------------------------------------------------------
+# --- the table ----------------------------------------------------------------------------------------------
 
 
 FACTS = ("sample", "V_mm_min", "n_test", "RH_percent", "T_C", "notes")
@@ -266,7 +266,7 @@ def _twice(row: Row, first: Row) -> str:
     return f"expected each film once; found {Path(row.film).name} also in row {first.row}, {how}"
 
 
-# --- a folder that is watched -----------------------------------------------------------------------------
+# --- a folder that is watched -------------------------------------------------------------------------------
 
 
 FILMS = {".avi", ".mp4", ".m4v", ".mkv", ".mov", ".cine", PIXELS, ".tif", ".tiff"}

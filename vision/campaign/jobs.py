@@ -35,7 +35,7 @@ from vision.files import shortened
 from vision.pipeline import Analysis
 from vision.run.folder import lock_open_file
 
-# --- Snakemake, a process ---------------------------------------------------------------------------------
+# --- Snakemake, a process -----------------------------------------------------------------------------------
 
 
 HERE = Path(__file__).parent
@@ -189,7 +189,7 @@ def _last_line(log: Path) -> str:
     return f"{LOG} says: {shortened(told[-1])}" if told else f"see {LOG} and what the batch system wrote"
 
 
-# --- one job ----------------------------------------------------------------------------------------------
+# --- one job ------------------------------------------------------------------------------------------------
 
 
 STATES: dict[int, Word] = {0: "done", 1: "warnings"}  # by the exit status of a film's analysis

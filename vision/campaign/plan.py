@@ -26,7 +26,7 @@ from vision.run import describe_input, plain, whole_file, write_json
 from vision.run.reading import read_json
 from vision.video import open_video, video_files
 
-# --- states -----------------------------------------------------------------------------------------------
+# --- states -------------------------------------------------------------------------------------------------
 
 
 Word = Literal["waiting", "running", "done", "warnings", "partial", "failed"]
@@ -69,7 +69,7 @@ def _path(out: Path, name: str) -> Path:
     return out / "states" / f"{name}.json"
 
 
-# --- the plan ---------------------------------------------------------------------------------------------
+# --- the plan -----------------------------------------------------------------------------------------------
 
 
 PLAN = "plan.json"

@@ -29,7 +29,7 @@ from vision.run.reading import read_json
 from vision.run.tables import ROWS_PER_CHUNK, sheets_table, tracks_table, write_table
 from vision.shells import deformation_table
 
-# --- the page ---------------------------------------------------------------------------------------------
+# --- the page -----------------------------------------------------------------------------------------------
 
 
 PAGE = "index.html"
@@ -130,7 +130,7 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-# --- tables: Parquet datasets, a partition for each film, written by its own job --------------------------
+# --- tables: Parquet datasets, a partition for each film, written by its own job ----------------------------
 
 
 TABLES = ("tests", "sheets", "sticks", "deformation", "positions")
@@ -274,7 +274,7 @@ def as_arrow(table: pd.DataFrame) -> pa.Table:
     return pa.table(columns)
 
 
-# --- the comparison ---------------------------------------------------------------------------------------
+# --- the comparison -----------------------------------------------------------------------------------------
 
 
 POOL, KEPT = "pool", "pool.json"

@@ -29,7 +29,7 @@ from vision.sheets.settings import TrackingSettings
 from vision.video import Video
 from vision.video.encoded import EncodedReader
 
-# --- I(x, t) ----------------------------------------------------------------------------------------------
+# --- I(x, t) ------------------------------------------------------------------------------------------------
 
 
 PARTS_KEPT = 4
@@ -202,7 +202,7 @@ def _extremes(values: Floats32, step: int, *, bright: bool) -> Floats32:
     return np.asarray(out, np.float32)
 
 
-# --- film and force ---------------------------------------------------------------------------------------
+# --- film and force -----------------------------------------------------------------------------------------
 
 
 AHEAD_S = 1.0

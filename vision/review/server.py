@@ -264,7 +264,7 @@ async def _run(server: uvicorn.Server, listening: socket.socket, ready: Callable
     await serving
 
 
-# --- the first view: answers kept in the run folder -------------------------------------------------------
+# --- the first view: answers kept in the run folder ---------------------------------------------------------
 
 
 FIRST_VIEW = "first_view.zip"

@@ -163,7 +163,7 @@ def claim(folder: Path) -> IO[str]:
     return file
 
 
-# --- x(n, t): a test of 100 000 frames and 50 sheets in 70 MB, flags as codes in place of words -----------
+# --- x(n, t) held leanly: a test of 100 000 frames and 50 sheets in 70 MB -----------------------------------
 
 
 Codes = NDArray[np.uint8]

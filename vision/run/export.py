@@ -294,7 +294,7 @@ def _struct(table: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-# --- I(x, t) as Fiji reads it: µm and s per pixel ---------------------------------------------------------
+# --- I(x, t) as Fiji reads it: µm and s per pixel -----------------------------------------------------------
 
 
 ROWS = 4096  # written at once, so that memory does not grow with the recording
@@ -406,7 +406,7 @@ def _display(diagram: xr.DataArray, low: float, step: float) -> dict[str, float]
     return {"min": (dark - low) / step + 1, "max": (bright - low) / step + 1}
 
 
-# --- the film with its tracks drawn on it -----------------------------------------------------------------
+# --- the film with its tracks drawn on it -------------------------------------------------------------------
 
 
 Progress = Callable[[int, int | None], None]

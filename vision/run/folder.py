@@ -242,7 +242,7 @@ def _unwritable(target: Path, error: OSError) -> InputError:
     return InputError(target, "a place that can be written", found, "nothing was written; give another `out`")
 
 
-# --- run.json: inputs, versions, parameters ---------------------------------------------------------------
+# --- run.json: inputs, versions, parameters -----------------------------------------------------------------
 
 
 PACKAGES = ("av", "h5netcdf", "numpy", "opencv-python-headless", "pandas", "scipy", "tifffile", "xarray")

@@ -264,7 +264,7 @@ def _read_tif(path: Path, frames: int) -> Floats32:
     return rows.rows()
 
 
-# --- what an interrupted run kept -------------------------------------------------------------------------
+# --- what an interrupted run kept ---------------------------------------------------------------------------
 
 
 FRAMES, FACTS = "frames", "reading.json"
@@ -296,9 +296,8 @@ class Checkpoint:
     def __init__(
         self, target: Path, *, resume: bool = False, after_s: float = VideoSettings.resume_after_s
     ) -> None:
-        self.folder = existing_parent(
-            target
-        )  # where I(x, t) may spill: on the disk that has room for results
+        # where I(x, t) may spill: on the disk that has room for results
+        self.folder = existing_parent(target)
         self.resumed = 0  # frames taken over from the interrupted run
         self.kept = 0  # frames in the file by now
         self._target, self._place = target, reading_folder(target)
