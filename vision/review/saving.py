@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from vision.clock import Clock
 from vision.errors import InputError
 from vision.isolation import PACKAGES
-from vision.numeric import Floats, Floats32, Ints
+from vision.numeric import Floats, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.review.editing import Before, usual_places
 from vision.review.stored import Positions, positions_of
@@ -373,32 +373,24 @@ def _pairs(old_px: Floats, new_px: Floats, pitch_px: float) -> tuple[Ints, Ints]
 
 
 def _of_positions(before: Positions, after: Positions, old: Ints, new: Ints) -> dict[str, Any]:
-    """How the positions of the sheets in both runs differ, a sheet at a time."""
-    gained, lost, differ, other = 0, 0, 0, 0
-    moved: list[Floats32] = []
-    for a, b in zip(old, new, strict=True):
-        was, will = before.x_px[:, a], after.x_px[:, b]
-        there, then = np.isfinite(was), np.isfinite(will)
-        gained, lost = gained + int((then & ~there).sum()), lost + int((there & ~then).sum())
-        both = there & then
-        away = np.abs(will - was)[both]
-        error = np.hypot(before.err_px[:, a], after.err_px[:, b])[both]
-        differ += int((away > DIFFERENT * error).sum())
-        other += int((away > 0.5 * before.track_facts.pitch_px).sum())
-        moved.append(away)
-    all_moved = np.concatenate(moved) if moved else np.empty(0, np.float32)
+    """How the positions of the sheets in both runs differ."""
+    was, will = before.x_px[:, old], after.x_px[:, new]
+    there, then = np.isfinite(was), np.isfinite(will)
+    both = there & then
+    moved = np.abs(will - was)[both]
+    error = np.hypot(before.err_px[:, old], after.err_px[:, new])[both]
     return {
         "sheets": [[int((part.side == side).sum()) for side in (-1, 1)] for part in (before, after)],
         "positions": [int(np.isfinite(part.x_px).sum()) for part in (before, after)],
         "doubtful": [int(part.doubtful.sum()) for part in (before, after)],
         "error_px": [float(np.nanmedian(part.err_px)) for part in (before, after)],
-        "gained": gained,
-        "lost": lost,
-        "compared": len(all_moved),
-        "differ": differ,
-        "other_ridge": other,
-        "median_px": float(np.median(all_moved)) if all_moved.size else None,
-        "largest_px": float(all_moved.max()) if all_moved.size else None,
+        "gained": int((then & ~there).sum()),
+        "lost": int((there & ~then).sum()),
+        "compared": len(moved),
+        "differ": int((moved > DIFFERENT * error).sum()),
+        "other_ridge": int((moved > 0.5 * before.track_facts.pitch_px).sum()),
+        "median_px": float(np.median(moved)) if moved.size else None,
+        "largest_px": float(moved.max()) if moved.size else None,
     }
 
 
