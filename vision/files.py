@@ -18,23 +18,10 @@ be none; the largest cameras for film have 70 million (tests/video/test_broken.p
 
 
 def check_regular(path: Path, wanted: str) -> os.stat_result:
-    """Refuse what is no regular file: a pipe or a device would wait, or give, for ever.
+    """Facts of a regular file; a pipe or a device would wait, or give, for ever.
 
-    Parameters
-    ----------
-    path
-        The file.
-    wanted
-        What it should be, for the message.
-
-    Returns
-    -------
-    Its facts.
-
-    Raises
-    ------
-    InputError
-        For anything else, and for a file that is not there.
+    wanted: what it should be, for the message.
+    Raises: InputError for anything else, and for a file that is not there.
     """
     try:
         facts = path.stat()
@@ -48,12 +35,9 @@ def check_regular(path: Path, wanted: str) -> os.stat_result:
 
 
 def check_pixels(path: Path, rows: int, columns: int) -> None:
-    """Refuse a frame of no pixels, or of more than `MOST_PIXELS`.
+    """Refuse a frame of no pixels, or of more than `MOST_PIXELS`, before memory is taken for it.
 
-    Raises
-    ------
-    InputError
-        Before memory is taken for it.
+    Raises: InputError.
     """
     if not (rows > 0 and columns > 0 and rows * columns <= MOST_PIXELS):
         wanted = f"frames of 1 to {MOST_PIXELS // 1_000_000} million pixels"
@@ -62,23 +46,10 @@ def check_pixels(path: Path, rows: int, columns: int) -> None:
 
 @contextmanager
 def reading(path: Path, wanted: str, advice: str = "copy or export it again") -> Iterator[None]:
-    """Turn whatever a decoder raises inside into one line.
+    """Turn whatever a decoder raises inside into one line: what is read, what it should be, what to do.
 
     Decoders raise what they like for damaged data: struct errors, assertions, overflows, wrong types.
-
-    Parameters
-    ----------
-    path
-        What is read.
-    wanted
-        What it should be.
-    advice
-        What to do.
-
-    Raises
-    ------
-    InputError
-        In place of every other exception.
+    Raises: InputError in place of every other exception.
     """
     try:
         yield

@@ -100,10 +100,9 @@ def run_parser(path: Path, parser: str, wanted: str, *, seconds: float | None = 
     )
     try:  # a `with` alone would wait for a process that never ends
         out, _ = child.communicate(task.encode() + b"\n", timeout=wall_s)
+        found = _found(child.returncode, out, seconds)
     except subprocess.TimeoutExpired:
         found = f"one whose reading does not end within {wall_s:g} s"
-    else:
-        found = _found(child.returncode, out, seconds)
     finally:
         child.kill()
         with child:  # closes its pipes

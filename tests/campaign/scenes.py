@@ -3,8 +3,8 @@
 import os
 
 from tests.scenes.comb_video import frames_of, positions, write_video
+from vision.campaign.films import Row
 from vision.campaign.plan import make_plan, write_plan
-from vision.campaign.table import Row
 
 
 def films(folder, count, frames=30):

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from tests.campaign.scenes import environment, films, table
-from vision.campaign.tables import open_tables
+from vision.campaign.results import open_tables
 from vision.command.main import run
 
 pytest.importorskip("snakemake", reason="pip install '.[campaign]'")
@@ -175,13 +175,13 @@ def test_films_in_object_storage_are_fetched(tmp_path, capsys):
 @pytest.mark.slow
 def test_snakemake_alone_does_the_same(tmp_path):
     """The Snakefile needs no `track campaign` beside it."""
-    from vision.campaign.engine import SNAKEFILE, profile_of
+    from vision.campaign.jobs import HERE, SNAKEFILE
 
     films(tmp_path, 2)
     path, out = table(tmp_path / "t.csv", ["t0.tif", "t1.tif"], fps=20), tmp_path / "out"
     for target in ("films", "pool"):
         subprocess.run(
-            [sys.executable, "-m", "snakemake", "-s", SNAKEFILE, "--profile", profile_of("local"),
+            [sys.executable, "-m", "snakemake", "-s", SNAKEFILE, "--profile", HERE / "profiles" / "local",
              "--config", f"table={path}", f"out={out}", "--", target],
             env=environment(HERE), cwd=tmp_path, check=True, capture_output=True, timeout=100,
         )  # fmt: skip

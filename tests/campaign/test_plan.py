@@ -6,18 +6,20 @@ import os
 import pytest
 
 from tests.campaign.scenes import films, planned, rows
+from vision.campaign.films import Checked
 from vision.campaign.plan import (
     PlannedFilm,
+    State,
     check_folder,
     make_plan,
     read_plan,
+    read_state,
     share,
     vanished_rows,
     write_plan,
+    write_state,
 )
 from vision.campaign.settings import CampaignSettings
-from vision.campaign.states import State, read_state, write_state
-from vision.campaign.table import Checked
 from vision.command.main import run
 from vision.errors import InputError
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from tests.campaign.scenes import environment, films, table
-from vision.campaign.engine import profile_of
+from vision.campaign import jobs
 
 pytestmark = pytest.mark.slow
 pytest.importorskip("snakemake_executor_plugin_slurm", reason="pip install '.[campaign]'")
@@ -115,7 +115,7 @@ def test_forty_films_one_killed_job_one_drained_node_one_bad_film(cluster, tmp_p
     (tmp_path / "t7.tif").write_bytes(b"II*\0nothing")
     path, out = table(tmp_path / "t.csv", [f"t{k}.tif" for k in range(40)], fps=20), tmp_path / "out"
     profile = tmp_path / "profile"
-    shutil.copytree(profile_of("slurm"), profile)
+    shutil.copytree(jobs.HERE / "profiles" / "slurm", profile)
     settings = (profile / "config.yaml").read_text()
     settings = settings.replace("checks: 15", "checks: 5").replace("checks: 10", "checks: 5")
     (profile / "config.yaml").write_text(settings + "slurm-status-command: squeue\n")

@@ -62,7 +62,7 @@ def refused(capsys, *arguments):
     return said.err
 
 
-# --- files that are no recordings ---------------------------------------------------------------
+# --- files that are no recordings ---------------------------------------------------------------------------
 
 
 def note(path, frames):
@@ -150,7 +150,7 @@ def test_what_is_no_recording_is_refused_in_one_line(case, place, frames, capsys
     assert expected in said
 
 
-# --- arguments that do not fit ------------------------------------------------------------------
+# --- arguments that do not fit ------------------------------------------------------------------------------
 
 ARGUMENTS = {
     "strip outside": (["--strip", "5:99"], "0:12"),
@@ -229,7 +229,7 @@ def test_results_may_lie_among_the_images(place, frames):
     assert run(["images", "--quiet", "--out", "images/run"]) == 0
 
 
-# --- the machine ------------------------------------------------------------------------------------
+# --- the machine --------------------------------------------------------------------------------------------
 
 
 def limited(size):

@@ -85,7 +85,7 @@ def test_seconds_that_are_no_range_are_refused(text):
 def test_sheets_are_sides_and_numbers_or_indices():
     """A failure means another sheet than asked for."""
     assert parse_sheets(["right:23,left:1", " 47 "]) == [("right", 23), ("left", 1), 47]
-    assert parse_sheets(None) == []
+    assert parse_sheets(()) == []
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from tests.scenes.served import Served, Started
 from vision.command.settings import settings_of_run
 from vision.pipeline import Settings, analyse
 from vision.review.api import keep_first_view
-from vision.review.first_view import read_first_view
+from vision.review.server import read_first_view
 from vision.review.session import Session
 from vision.run import Origin, Parameter, write_run
 from vision.run.reading import read_run

@@ -1,6 +1,10 @@
 """The HTTP interface: who is refused, and that a page gets what it asks for."""
 
+from __future__ import annotations
+
+import json
 import re
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from queue import Queue
 from threading import Event, Thread
@@ -11,8 +15,12 @@ from starlette.testclient import TestClient
 
 from tests.scenes.reviewed import FIXTURE, SETTINGS, remedies, truth
 from tests.scenes.served import PATIENCE_S, Address, Served, app_of
+from vision.command.commands import track
+from vision.command.options import RunOptions, VideoOptions
+from vision.command.settings import settings_of_run
 from vision.errors import InputError
-from vision.review.server import MOST_BODY_BYTES, serve
+from vision.review.api import first_answers, keep_first_view
+from vision.review.server import FIRST_VIEW, MOST_BODY_BYTES, read_first_view, serve
 from vision.review.session import Session
 
 PORT, TOKEN = 54321, "a-token-of-this-test"
@@ -386,3 +394,96 @@ def test_the_page_is_there_before_the_run_has_been_read():
         status, told = asked.result()
     assert (status, opened.get(timeout=PATIENCE_S)) == (422, "refused")
     assert "damaged" in told["error"]
+
+
+# --- the first view -----------------------------------------------------------------------------------------
+
+
+PORT, TOKEN = 54321, "a-token-of-this-test"
+
+
+@pytest.fixture
+def kept(run):
+    """A run folder with its first view."""
+    with Session(run, SETTINGS) as session:
+        keep_first_view(session)
+    return run
+
+
+def test_kept_answers_are_those_of_the_run(kept):
+    """A failure means that a review begins with pictures or numbers of something else."""
+    answers = read_first_view(kept)
+    assert {"/api/run", "/api/times", "/api/frame/0.png", "/api/force?points=4096"} <= set(answers)
+    with Session(kept, SETTINGS) as session:
+        client = TestClient(app_of(session, port=PORT, token=TOKEN), base_url=f"http://127.0.0.1:{PORT}")
+        for question, content in answers.items():
+            assert client.get(question, headers={"X-Token": TOKEN}).content == content, question
+
+
+def test_a_copied_run_keeps_its_first_view(kept, tmp_path):
+    """A failure means that a run from another disk, with newer times of its files, opens slowly."""
+    assert read_first_view(shutil.copytree(kept, tmp_path / "copy", copy_function=shutil.copy))
+
+
+def test_a_run_with_decisions_begins_with_them(kept):
+    """A failure means that a decision seems lost when the review is opened again."""
+    with Session(kept, SETTINGS) as session:
+        session.decide(remedies()[0])
+        assert read_first_view(kept) == {}
+        keep_first_view(session)
+        decided = len(session.decisions)
+    told = json.loads(read_first_view(kept)["/api/run"])
+    assert (len(told["decisions"]), told["revision"]) == (decided, 0)
+    with Session(kept, SETTINGS) as session:
+        assert session.revision == 0
+
+
+def changed(run):
+    (run / "run.json").write_bytes((run / "run.json").read_bytes() + b" ")
+
+
+def other_tracks(run):
+    (run / "tracks.nc").write_bytes((run / "tracks.nc").read_bytes()[:-1])
+
+
+def cut_short(run):
+    (run / FIRST_VIEW).write_bytes((run / FIRST_VIEW).read_bytes()[:-300])
+
+
+def flipped(run):
+    content = bytearray((run / FIRST_VIEW).read_bytes())
+    content[len(content) // 2] ^= 1
+    (run / FIRST_VIEW).write_bytes(content)
+
+
+def emptied(run):
+    (run / FIRST_VIEW).write_bytes(b"")
+
+
+@pytest.mark.parametrize("harm", [changed, other_tracks, cut_short, flipped, emptied])
+def test_of_another_run_or_damaged_it_is_not_used(kept, harm):
+    """A failure means that a review shows what is no longer true."""
+    harm(kept)
+    assert read_first_view(kept) == {}
+
+
+def test_of_a_film_that_has_gone_since_it_is_not_used(run, tmp_path):
+    """A failure means that a film is shown that is not there."""
+    film = shutil.copy(FIXTURE / "video.avi", tmp_path / "video.avi")
+    with Session(run, SETTINGS, film=film) as session:
+        keep_first_view(session)
+    assert "/api/frame/0.png" in read_first_view(run, film)
+    assert read_first_view(run) == {}
+    film.unlink()
+    assert read_first_view(run, film) == {}
+
+
+def test_of_a_long_film_it_is_kept_with_the_run(monkeypatch, tmp_path):
+    """A failure means that the first review of a long film waits until all of it has been read."""
+    monkeypatch.setattr("vision.command.track.LONG_FRAMES", 30)
+    run = tmp_path / "run"
+    options = RunOptions(out=run, report=False, quiet=True)
+    track(FIXTURE / "video.avi", reading=VideoOptions(frames="0:40"), run=options)
+    kept = read_first_view(run)
+    with Session(run, settings_of_run(run)) as session:
+        assert first_answers(session) == kept

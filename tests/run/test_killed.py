@@ -86,7 +86,7 @@ SCRIPT = """
 import importlib.util, sys
 from pathlib import Path
 spec = importlib.util.spec_from_file_location("folder", sys.argv[1])
-module = importlib.util.module_from_spec(spec)
+module = sys.modules["folder"] = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(module)
 with module.run_folder(Path(sys.argv[2]), overwrite=True) as made:
     for name in ("run.json", "tracks.csv", "tracks.nc"):

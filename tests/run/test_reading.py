@@ -1,5 +1,8 @@
-"""Finished run folders whose files are damaged, shrink or grow."""
+"""Runs read back: finished ones, and what an interrupted one kept."""
 
+from __future__ import annotations
+
+import errno
 import os
 import shutil
 from pathlib import Path
@@ -8,9 +11,12 @@ import numpy as np
 import pytest
 
 from tests.scenes.comb_video import write_video
+from tests.scenes.films import comb, write_avi, write_encoded
 from vision.command.main import run
 from vision.errors import InputError
-from vision.run import read_run, read_strip
+from vision.run import Checkpoint, read_run, read_strip
+from vision.run.folder import clean_up, reading_folder, run_folder
+from vision.video import VideoSettings, open_video, strip_profile
 
 
 @pytest.fixture(scope="module")
@@ -48,3 +54,157 @@ def test_a_diagram_may_be_larger_than_any_frame(folder, monkeypatch):
     """A failure means that the diagram of a long film, over 100 million values, is refused."""
     monkeypatch.setattr("vision.files.MOST_PIXELS", 1000)
     assert read_strip(read_run(folder)).shape == (60, 180)
+
+
+# --- what an interrupted run kept ---------------------------------------------------------------------------
+
+
+ROWS = slice(2, 10)
+SETTINGS = VideoSettings(resume_after_s=0.0)
+STOP_AT = 500
+FORMATS = {
+    "a.avi": write_avi,
+    "mjpeg.avi": lambda path, frames: encoded(path, frames, "mjpeg", "yuvj420p"),
+    "h264.mkv": lambda path, frames: encoded(path, frames, "libx264", "yuv420p"),
+}
+
+
+def encoded(path, frames, codec, pix_fmt):
+    return write_encoded(path, frames[:, :, :48], codec=codec, pix_fmt=pix_fmt, source="gray")
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return comb(count=1200)
+
+
+@pytest.fixture
+def film(tmp_path, frames):
+    return write_avi(tmp_path / "a.avi", frames)
+
+
+def profile(video, target, *, resume=False, stop_at=None, **how):
+    """The strip, and the frames taken over; as if Ctrl-C came once `stop_at` frames are read."""
+
+    def progress(done, total):
+        if stop_at is not None and done >= stop_at:
+            raise KeyboardInterrupt
+
+    with Checkpoint(target, resume=resume, after_s=0) as log:
+        rows = how.pop("rows", ROWS)
+        strip = strip_profile(open_video(video, **how), rows, progress=progress, log=log)
+        return strip, log.resumed
+
+
+def interrupt(video, target, **how):
+    with pytest.raises(KeyboardInterrupt):
+        profile(video, target, stop_at=STOP_AT, **how)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_the_result_is_that_of_one_run_bit_for_bit(name, tmp_path, frames):
+    """A failure means that a resumed run reports other positions, or frames twice or never."""
+    film = FORMATS[name](tmp_path / name, frames)
+    whole = strip_profile(open_video(film), ROWS)
+    interrupt(film, tmp_path / "out")
+    strip, resumed = profile(film, tmp_path / "out", resume=True)
+    assert STOP_AT <= resumed < 1200
+    assert strip.identical(whole)
+    assert strip.values.tobytes() == whole.values.tobytes()
+
+
+def test_a_run_can_be_interrupted_again_and_again(film, tmp_path):
+    """A failure means that the second kill loses what the first had left."""
+    whole = strip_profile(open_video(film), ROWS)
+    for stop_at in (300, 600, 900):
+        with pytest.raises(KeyboardInterrupt):
+            profile(film, tmp_path / "out", resume=True, stop_at=stop_at)
+    strip, resumed = profile(film, tmp_path / "out", resume=True)
+    assert resumed >= 900
+    assert strip.identical(whole)
+
+
+def test_a_record_cut_by_the_kill_is_left_out(film, tmp_path):
+    """A failure means that half a row, or a block a crash left unwritten, becomes a frame."""
+    interrupt(film, tmp_path / "out")
+    kept = reading_folder(tmp_path / "out") / "frames"
+    record = 9 + 4 * 50
+    os.truncate(kept, 400 * record + 100)
+    with kept.open("r+b") as file:
+        file.seek(390 * record)
+        file.write(bytes(10 * record))
+    strip, resumed = profile(film, tmp_path / "out", resume=True)
+    assert resumed == 390
+    assert strip.identical(strip_profile(open_video(film), ROWS))
+
+
+@pytest.mark.parametrize(
+    ("name", "now"),
+    [
+        ("strip", {"rows": slice(3, 10)}),
+        ("rotate", {"rotate": 180}),
+        ("fps", {"fps": 50.0}),
+        ("frames", {"frames": slice(10, 1100)}),
+    ],
+)
+def test_other_settings_are_refused_in_one_line(name, now, film, tmp_path):
+    """A failure means that rows averaged in two ways are joined into one I(x, t)."""
+    interrupt(film, tmp_path / "out")
+    with pytest.raises(InputError, match=rf"{name}.*as before, to resume.*`resume`") as caught:
+        profile(film, tmp_path / "out", resume=True, **now)
+    assert "\n" not in str(caught.value)
+    assert profile(film, tmp_path / "out", resume=True)[1] >= STOP_AT  # what was kept is kept
+
+
+def test_another_film_is_refused(film, tmp_path, frames):
+    """A failure means that two films are joined."""
+    interrupt(film, tmp_path / "out")
+    write_avi(film, frames[::-1])
+    with pytest.raises(InputError, match="the same film, to resume"):
+        profile(film, tmp_path / "out", resume=True)
+
+
+def test_without_resume_what_was_kept_is_removed(film, tmp_path):
+    """A failure means that hidden files pile up, or that a new run is not new."""
+    interrupt(film, tmp_path / "out")
+    assert profile(film, tmp_path / "out")[1] == 0
+    interrupt(film, tmp_path / "out")
+    clean_up(tmp_path / "out")
+    assert [p.name for p in tmp_path.iterdir()] == ["a.avi"]
+
+
+def test_nothing_is_kept_of_a_short_reading_or_after_the_run(film, tmp_path):
+    """A failure means that every film is written twice, or that leftovers stay beside the results."""
+    with Checkpoint(tmp_path / "out") as log:
+        strip_profile(open_video(film), ROWS, log=log)
+        assert not reading_folder(tmp_path / "out").exists()
+    with Checkpoint(tmp_path / "out", after_s=0) as log:
+        strip_profile(open_video(film), ROWS, log=log)
+        with run_folder(tmp_path / "out") as folder:
+            (folder / "run.json").write_text("{}")
+        assert log.kept == 1200  # writing the run folder does not clear what is in use
+        log.done()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.avi", "out"]
+
+
+def test_two_runs_into_one_folder_do_not_share_what_they_keep(film, tmp_path):
+    """A failure means that rows of two processes are mixed in one file."""
+    with Checkpoint(tmp_path / "out", after_s=0) as first:
+        strip_profile(open_video(film), ROWS, log=first)
+        strip, _ = profile(film, tmp_path / "out")
+        assert (first.kept, strip.sizes["frame"]) == (1200, 1200)
+        assert (reading_folder(tmp_path / "out") / "frames").stat().st_size == 1200 * (9 + 4 * 50)
+        with pytest.raises(InputError, match="still runs"):
+            profile(film, tmp_path / "out", resume=True)
+
+
+def test_a_full_disk_costs_only_what_could_be_resumed(film, tmp_path, monkeypatch):
+    """A failure means that keeping the frames ends a run that would have fitted."""
+
+    def full(self, part):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Checkpoint, "_write", full)
+    strip, _ = profile(film, tmp_path / "out")
+    assert strip.sizes["frame"] == 1200
+    assert [p.name for p in tmp_path.iterdir()] == ["a.avi"]

@@ -1,6 +1,7 @@
 """The plan: which films there are, which are done, what the others take, and which share a job.
 
-A film is done when a finished run has its key: what is in its files and how it is to be analysed.
+A film is done when a finished run has its key: what is in its files and how it is to be analysed. What became
+of it is in one small file, written by its job.
 """
 
 from __future__ import annotations
@@ -8,22 +9,68 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 import vision
+from vision.campaign.films import PATHS, Check, Row, is_remote
 from vision.campaign.settings import CampaignSettings
-from vision.campaign.states import FINISHED, State, read_state
-from vision.campaign.table import PATHS, Check, Row, is_remote
 from vision.errors import InputError
 from vision.files import Stamp, reading, shortened
 from vision.run import describe_input, plain, whole_file, write_json
 from vision.run.reading import read_json
 from vision.video import open_video, video_files
+
+# --- states -------------------------------------------------------------------------------------------------
+
+
+Word = Literal["waiting", "running", "done", "warnings", "partial", "failed"]
+FINISHED: tuple[Word, ...] = ("done", "warnings", "partial")
+"""Not done again while the film's key is the same. ``partial``: the film is tracked, but its force recording
+cannot be used or a late stage failed; only other input or another version changes that."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class State:
+    """One film's state."""
+
+    name: str
+    key: str = ""  # of the film when its job began
+    state: Word = "waiting"
+    reason: str = ""  # one line: the first warning, or what went wrong
+    seconds: float = 0.0  # how long it took
+    warnings: tuple[str, ...] = ()  # all of the run
+    attempts: int = 0  # with this key
+    at: float = 0.0  # when this was written, seconds since 1970
+
+
+def read_state(out: Path, name: str) -> State:
+    """A film's state; "waiting" where there is no file, or a damaged one."""
+    try:
+        content = json.loads(_path(out, name).read_text(encoding="utf-8"))
+        known = {part.name: content[part.name] for part in fields(State) if part.name in content}
+        return State(**{**known, "warnings": tuple(content.get("warnings", ()))})
+    except (OSError, ValueError, TypeError, AttributeError):
+        return State(name=name)
+
+
+def write_state(out: Path, state: State) -> None:
+    """Write a film's state, whole.  Raises: InputError."""
+    with whole_file(_path(out, state.name)) as path:
+        write_json(asdict(state) | {"at": time.time()}, path)
+
+
+def _path(out: Path, name: str) -> Path:
+    return out / "states" / f"{name}.json"
+
+
+# --- the plan -----------------------------------------------------------------------------------------------
+
 
 PLAN = "plan.json"
 LAYOUT = 1  # of the campaign's folder; another one is not touched
@@ -32,34 +79,23 @@ FINGERPRINTS = "fingerprints.json"
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedFilm:
-    """One test of the plan.
+    """One test of the plan."""
 
-    Parameters
-    ----------
-    name, film, options, facts
-        As in the table (`vision.campaign.table.Row`).
-    key
-        Of what is in its files and how it is analysed; another key, another run.
-    frames, rows, columns, size_bytes
-        What its header says; 0 where it cannot be read.
-    seconds, memory_mb
-        Estimates.
-    doubt
-        Why the estimates are none; the film is tried all the same.
-    """
-
+    # as in the table (`vision.campaign.films.Row`)
     name: str
     film: str
     options: Mapping[str, str]
     facts: Mapping[str, Any]
-    key: str
+    key: str  # of what is in its files and how it is analysed; another key, another run
+    # what its header says; 0 where it cannot be read
     frames: int = 0
     rows: int = 0
     columns: int = 0
     size_bytes: int = 0
+    # estimates
     seconds: float = 0.0
     memory_mb: int = 0
-    doubt: str = ""
+    doubt: str = ""  # why the estimates are none; the film is tried all the same
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,36 +110,17 @@ class Job:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What a campaign does.
+    """What a campaign does."""
 
-    Parameters
-    ----------
-    out
-        The campaign's folder.
-    films
-        All tests, in the table's order.
-    jobs
-        Those that are to be done, by the job's name.
-    config
-        The TOML file of options for all films; None without.
-    stage
-        Whether films are copied to the node's own disk first.
-    report
-        Whether each run gets its page.
-    started_in
-        The working directory: files that the configuration names are relative to it.
-    version, layout
-        Of the program and of the folder; others are not touched.
-    """
-
-    out: Path
-    films: tuple[PlannedFilm, ...]
-    jobs: Mapping[str, Job]
-    config: Path | None = None
-    stage: bool = False
-    report: bool = True
-    started_in: Path = field(default_factory=Path.cwd)
-    version: str = field(default_factory=lambda: vision.__version__)
+    out: Path  # the campaign's folder
+    films: tuple[PlannedFilm, ...]  # all tests, in the table's order
+    jobs: Mapping[str, Job]  # those that are to be done, by the job's name
+    config: Path | None = None  # TOML file of options for all films
+    stage: bool = False  # whether films are copied to the node's own disk first
+    report: bool = True  # whether each run gets its page
+    started_in: Path = field(default_factory=Path.cwd)  # what the configuration names is relative to it
+    # of the program and of the folder; others are not touched
+    version: str = vision.__version__
     layout: int = LAYOUT
 
     def film(self, name: str) -> PlannedFilm:
@@ -131,8 +148,7 @@ class Plan:
 
     def pool_key(self) -> str:
         """Of the finished films and their facts; another key, another pool."""
-        done = [(film.name, film.key, dict(film.facts)) for film in self.films if self.finished(film)]
-        return _digest(done)
+        return _digest([(film.name, film.key, film.facts) for film in self.films if self.finished(film)])
 
 
 def make_plan(
@@ -152,10 +168,8 @@ def make_plan(
     ----------
     rows
         Of the table.
-    out
-        The campaign's folder; need not be there.
-    config, stage, report
-        As in `Plan`.
+    out, config, stage, report
+        As in `Plan`; the folder need not be there.
     cores
         How many jobs run at a time.
     settings
@@ -186,21 +200,9 @@ def make_plan(
 
 
 def vanished_rows(out: Path, check: Check, folder: Path) -> list[Row]:
-    """Rows of films of an earlier plan that were done and have left the folder since.
+    """Rows of films of the earlier plan in `out` that were done and have left the watched folder since.
 
-    Parameters
-    ----------
-    out
-        The campaign's folder.
-    check
-        Turns options into values, as for the table.
-    folder
-        Where they were.
-
-    Raises
-    ------
-    InputError
-        Where the earlier plan cannot be read.
+    `check` turns options into values, as for the table.  Raises: InputError for a damaged plan.
     """
     if not (out / PLAN).is_file():
         return []
@@ -222,13 +224,7 @@ def vanished_rows(out: Path, check: Check, folder: Path) -> list[Row]:
 
 
 def check_folder(out: Path) -> None:
-    """Refuse a folder that is no campaign, or one of another version, before anything in it is touched.
-
-    Raises
-    ------
-    InputError
-        In one line.
-    """
+    """Refuse a folder that is no campaign, or one of another version.  Raises: InputError."""
     try:
         empty = not out.exists() or (out.is_dir() and not any(out.iterdir()))
     except OSError as error:
@@ -244,20 +240,16 @@ def check_folder(out: Path) -> None:
     content = read_json(out / PLAN)
     version, layout = content.get("version"), content.get("layout")
     if version != vision.__version__ or layout != LAYOUT:
-        wanted = f"a campaign of sheetvision {vision.__version__}"
-        found = f"one of {shortened(str(version), 20)}" + (
-            "" if layout == LAYOUT else f", layout {shortened(str(layout), 20)}"
-        )
-        raise InputError(
-            out, wanted, found, "its runs are kept; give another `out`, or go on with that version"
-        )
+        found = f"one of {shortened(str(version), 20)}"
+        found += "" if layout == LAYOUT else f", layout {shortened(str(layout), 20)}"
+        advice = "its runs are kept; give another `out`, or go on with that version"
+        raise InputError(out, f"a campaign of sheetvision {vision.__version__}", found, advice)
 
 
-def write_plan(plan: Plan) -> Path:
+def write_plan(plan: Plan) -> None:
     """Write plan.json, whole.  Raises: InputError."""
     with whole_file(plan.out / PLAN) as path:
         write_json(asdict(plan), path)
-    return plan.out / PLAN
 
 
 def read_plan(path: Path) -> Plan:
@@ -276,27 +268,21 @@ def read_plan(path: Path) -> Plan:
 
 
 def _film(row: Row, known: dict[str, Any], tuning: CampaignSettings) -> PlannedFilm:
-    values = {name: plain(value) for name, value in row.values.items() if name not in PATHS}
-    contents = (
-        [] if is_remote(row.film) else [_fingerprint(path, known) for path in inputs_of(row.film, row.values)]
-    )
-    key = _digest([LAYOUT, row.film if is_remote(row.film) else "", contents, values])
+    values = {name: value for name, value in row.values.items() if name not in PATHS}
+    remote = is_remote(row.film)
+    contents = [] if remote else [_fingerprint(path, known) for path in inputs_of(row.film, row.values)]
     facts = _header(row)
     megasamples = facts.get("frames", 0) * facts.get("columns", 0) / 1e6
-    seconds = (
-        tuning.base_seconds
-        + megasamples * tuning.seconds_per_megasample
-        + megasamples * facts.get("rows", 0) / 1000 * tuning.seconds_per_gigapixel
-    )
-    memory = tuning.base_memory_mb + megasamples * tuning.memory_mb_per_megasample
+    per_megasample = tuning.seconds_per_megasample
+    per_megasample += facts.get("rows", 0) / 1000 * tuning.seconds_per_gigapixel
     return PlannedFilm(
         name=row.name,
         film=row.film,
         options=dict(row.options),
         facts=dict(row.facts),
-        key=key,
-        seconds=round(seconds, 2),
-        memory_mb=math.ceil(memory),
+        key=_digest([LAYOUT, row.film if remote else "", contents, values]),
+        seconds=round(tuning.base_seconds + megasamples * per_megasample, 2),
+        memory_mb=math.ceil(tuning.base_memory_mb + megasamples * tuning.memory_mb_per_megasample),
         **facts,
     )
 
@@ -317,8 +303,7 @@ def _header(row: Row) -> dict[str, Any]:
         frames, (rows, columns) = video.estimated or 0, video.shape
     except (InputError, OSError) as error:
         return {"doubt": shortened(str(error))}
-    numbers = {"frames": frames, "rows": rows, "columns": columns, "size_bytes": size}
-    return {name: int(number) for name, number in numbers.items()}
+    return {"frames": int(frames), "rows": int(rows), "columns": int(columns), "size_bytes": size}
 
 
 def _fingerprint(path: Path, known: dict[str, Any]) -> str:

@@ -21,7 +21,7 @@ from vision.deformation import horizontal_deformation
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Ints, nan_median
 from vision.run import RunFolder, read_strip, read_table
-from vision.run.overlay import film_of
+from vision.run.export import film_of
 from vision.run.reading import read_json, tracks_of
 from vision.sheets import TrackingSettings, track_sheets
 from vision.sheets.quality import BetweenSlips, left_out, spatial_scatter

@@ -12,28 +12,27 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from vision.campaign import engine
-from vision.campaign.page import duration, write_page
+from vision.campaign import jobs
+from vision.campaign.films import Check, Checked, FolderWatch, Row, is_remote, read_campaign, safe_name
+from vision.campaign.jobs import Outcome, run_job
 from vision.campaign.plan import (
     Plan,
     PlannedFilm,
+    State,
     check_folder,
     make_plan,
     read_plan,
     vanished_rows,
     write_plan,
 )
-from vision.campaign.pool import needs_pool, pool, read_remarks, write_remarks
-from vision.campaign.states import State
-from vision.campaign.table import Check, Checked, Row, is_remote, read_campaign, safe_name
-from vision.campaign.watch import FolderWatch
-from vision.campaign.worker import Outcome, run_job
+from vision.campaign.results import duration, needs_pool, pool, read_remarks, write_page, write_remarks
 from vision.command.console import attempt, complain, in_columns, say
 from vision.command.options import GROUPS, CampaignOptions, RunOptions, option_fields, option_names
 from vision.command.settings import merged, number, parse_option, read_config, settings_of
 from vision.command.track import REFUSED, command_line, run_name, track_one
 from vision.errors import InputError, with_options
 from vision.isolation import usable_cores
+from vision.run import Parameter
 
 
 def campaign(table: Path | None, options: CampaignOptions) -> int:
@@ -49,7 +48,7 @@ def campaign(table: Path | None, options: CampaignOptions) -> int:
     check = _checker(options.config)
     rows = [] if table is None else _read(table, check, options.watch)
     if not (options.dry_run or options.plan):
-        engine.check_engine(options.executor, [row.film for row in rows])
+        jobs.check_engine(options.executor, [row.film for row in rows])
     # On a cluster jobs are of full length: each one's start costs more there.
     cores = options.cores or (usable_cores() if options.executor == "local" else 1)
     config = options.config and options.config.absolute()
@@ -59,12 +58,12 @@ def campaign(table: Path | None, options: CampaignOptions) -> int:
     if options.dry_run:
         return _dry_run(make(rows, keep=False), options.cores or usable_cores())
     if options.plan:
-        with engine.campaign_lock(target):
+        with jobs.campaign_lock(target):
             write_plan(make(rows))
         return 0
     profile = _profile(options)
     watcher = None if options.watch is None else FolderWatch(options.watch)
-    with engine.campaign_lock(target):
+    with jobs.campaign_lock(target):
         if watcher is None:
             return _conduct(make(rows), options, profile)
 
@@ -108,7 +107,7 @@ def _checker(config: Path | None) -> Check:
     def alone(name: str, text: str) -> tuple[Any, str]:
         try:
             value = parse_option(Path("table"), name, text)
-            settings_of(merged(*_groups({name: value})))
+            settings_of(_merged({name: value}))
         except InputError as error:
             return None, str(error).partition(": ")[2]
         return value, ""
@@ -118,7 +117,7 @@ def _checker(config: Path | None) -> Check:
         problems = [(name, why) for name, (_, why) in found.items() if why]
         values = {name: value for name, (value, why) in found.items() if not why}
         try:
-            parameters = merged(*_groups(values), config=config)
+            parameters = _merged(values, config)
             settings_of(parameters)
         except InputError as error:
             return Checked(values={}, problems=[*problems, ("", str(error))])
@@ -127,12 +126,11 @@ def _checker(config: Path | None) -> Check:
     return check
 
 
-def _groups(values: Mapping[str, Any]) -> list[Any]:
-    """The groups of options of the command line, from values by name."""
-    return [
-        group(**{one.name: values[one.name] for one in fields(group) if one.name in values})
-        for group in GROUPS
-    ]
+def _merged(values: Mapping[str, Any], config: Path | None = None) -> dict[str, Parameter]:
+    """Every option of `track`, from values by name."""
+    names = [{one.name for one in fields(group)} & values.keys() for group in GROUPS]
+    given = zip(GROUPS, names, strict=True)
+    return merged(*(group(**{name: values[name] for name in own}) for group, own in given), config=config)
 
 
 def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:
@@ -162,9 +160,9 @@ def _dry_run(plan: Plan, cores: int) -> int:
         size = film.doubt or f"{film.frames} frames x {film.columns} px, about {duration(film.seconds)}"
         lines.append((film.name, what, size if film.name in waiting else ""))
     say(in_columns(lines, "<<"))
-    total = sum(job.seconds for job in plan.jobs.values())
-    longest = max((job.seconds for job in plan.jobs.values()), default=0.0)
+    seconds = [job.seconds for job in plan.jobs.values()]
     memory = max((job.memory_mb for job in plan.jobs.values()), default=0)
+    total, longest = sum(seconds), max(seconds, default=0.0)
     line = (
         f"{len(waiting)} of {len(plan.films)} films would run in {len(plan.jobs)} jobs: about "
         f"{duration(total)} of computing, {duration(max(total / cores, longest))} with "
@@ -176,22 +174,22 @@ def _dry_run(plan: Plan, cores: int) -> int:
 
 def _profile(options: CampaignOptions) -> Path:
     """The folder of the Snakemake profile.  Raises: InputError."""
-    where = options.profile or engine.profile_of(options.executor)
+    where = options.profile or jobs.HERE / "profiles" / options.executor
     if not (where / "config.yaml").is_file():
         found = "no config.yaml in it" if where.is_dir() else "no such folder"
-        advice = f"copy {engine.HERE / 'profiles'}"
+        advice = f"copy {jobs.HERE / 'profiles'}"
         raise InputError("`profile`", "a folder with a Snakemake profile", found, advice)
     return where.absolute()
 
 
 def _conduct(plan: Plan, options: CampaignOptions, profile: Path) -> int:
     """Take a plan to its end: films, pool, page and summary; the exit status."""
-    run = partial(engine.run_snakemake, profile=profile, executor=options.executor, cores=options.cores)
+    run = partial(jobs.run_snakemake, profile=profile, executor=options.executor, cores=options.cores)
     write_plan(plan)
     write_page(plan, live=bool(plan.jobs))
     started, unwritten = time.perf_counter(), False
     try:
-        plan = engine.run_films(
+        plan = jobs.run_films(
             plan, lambda left: run(left, "films", watch=_progress(left, quiet=options.quiet))
         )
         if needs_pool(plan):
@@ -210,7 +208,7 @@ def _conduct(plan: Plan, options: CampaignOptions, profile: Path) -> int:
         complain(line)
     pooled = not needs_pool(plan)
     if not pooled:
-        complain(f"the tests could not be compared; see {plan.out / engine.LOG}")
+        complain(f"the tests could not be compared; see {plan.out / jobs.LOG}")
     if not options.quiet:
         say(_summary(plan, states, time.perf_counter() - started))
     good = pooled and all(state.state == "done" for state in states)
@@ -238,7 +236,6 @@ def _progress(plan: Plan, *, quiet: bool) -> Callable[[], None] | None:
 
 
 def _summary(plan: Plan, states: Sequence[State], seconds: float) -> list[str]:
-
     counts = Counter(state.state for state in states)
     ran = sum(len(job.films) for job in plan.jobs.values())
     said = ", ".join(f"{count} {word}" for word, count in sorted(counts.items()))
@@ -283,7 +280,7 @@ def _watch(
 def _take(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> Outcome:
     """What a job does with a film, read from `source`: the same as `track`."""
     values = {name: parse_option(plan.out, name, text) for name, text in film.options.items()}
-    parameters = merged(*_groups(values), config=plan.config)
+    parameters = _merged(values, plan.config)
     local = not is_remote(film.film)
     video = Path(film.film) if local else source
 

@@ -147,9 +147,9 @@ def export(
     to
         Format.
     """
-    from vision.command import finished
+    from vision.command import views
 
-    return finished.export(run, to, output)
+    return views.export(run, to, output)
 
 
 def figures(
@@ -183,9 +183,9 @@ def figures(
     to
         Format.
     """
-    from vision.command import finished
+    from vision.command import views
 
-    return finished.figures(run, names, compare, to, output)
+    return views.figures(run, names, compare, to, output)
 
 
 def overlay(
@@ -215,9 +215,9 @@ def overlay(
     frames
         Part of the film, A:B, frame numbers as in tracks.csv.
     """
-    from vision.command import finished
+    from vision.command import views
 
-    return finished.overlay(run, film, frames, output)
+    return views.overlay(run, film, frames, output)
 
 
 def certify(
@@ -246,9 +246,9 @@ def certify(
     most_frames
         Frames imitated, from the middle of the run.
     """
-    from vision.command import finished
+    from vision.command import views
 
-    return finished.certify(run, films, most_frames, output)
+    return views.certify(run, films, most_frames, output)
 
 
 def compare(
@@ -284,9 +284,9 @@ def compare(
     report
         Write report.html.
     """
-    from vision.command import finished
+    from vision.command import views
 
-    return finished.compare(runs, table, main_sample, fix_yeff, report, output)
+    return views.compare(runs, table, main_sample, fix_yeff, report, output)
 
 
 def review(

@@ -20,8 +20,9 @@ T = TypeVar("T")
 
 
 def hold_streams() -> None:
-    """Closed standard streams (`2>&-`) lead nowhere; otherwise the next file opened takes their place, and
-    messages are written into it.  Letters that a stream's encoding lacks become "?".
+    """Closed standard streams (`2>&-`) lead nowhere; otherwise messages go into the next file opened.
+
+    Letters that a stream's encoding lacks become "?".
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
@@ -150,10 +151,8 @@ def _unexpected(error: Exception) -> str:
 def one_line(error: Exception) -> str:
     """What went wrong, where, and what to do."""
     if isinstance(error, UnusedCliTokensError):
-        extra = " ".join(error.unused_tokens or ())
-        error = InputError(
-            extra, "one input", "more", "quote a glob of images; track --help lists the options"
-        )
+        advice = "quote a glob of images; track --help lists the options"
+        error = InputError(" ".join(error.unused_tokens or ()), "one input", "more", advice)
     elif isinstance(error, CycloptsError):
         return " ".join(str(error).split()) + " (track --help lists the options)"
     elif isinstance(error, OSError):
@@ -161,7 +160,6 @@ def one_line(error: Exception) -> str:
         found = (error.strerror or str(error)).lower()
         error = InputError(about, "a file or folder that can be used", found, "check the path and its rights")
     elif isinstance(error, MemoryError):
-        error = InputError(
-            "the recording", "enough memory", "not enough memory", "take a part of it (`frames`)"
-        )
+        advice = "take a part of it (`frames`)"
+        error = InputError("the recording", "enough memory", "not enough memory", advice)
     return str(error)

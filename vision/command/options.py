@@ -13,13 +13,7 @@ from cyclopts import Parameter as Option
 
 
 def _whole(kind: Any, tokens: Sequence[Any]) -> int:
-    """A whole number as it is written: 1.5 is none, where a conversion would round it.
-
-    Raises
-    ------
-    ValueError
-        For anything else.
-    """
+    """A whole number as it is written, 1.5 is none: a conversion would round it.  Raises: ValueError."""
     text = str(tokens[0].value).strip()
     if not re.fullmatch(r"[-+]?[0-9]{1,9}(?:\.0{1,9})?", text):
         raise ValueError("give a whole number")

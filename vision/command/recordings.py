@@ -10,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 
-from vision.command.console import complain, frame_progress, one_line, say
+from vision.command.console import complain, conclude, frame_progress, one_line, say
 from vision.command.options import (
     FrictionOptions,
     ModulusOptions,
@@ -41,7 +41,7 @@ from vision.models.friction import (
 )
 from vision.models.modulus import ModulusSettings, measure_cycles, summarise_modulus
 from vision.models.rheometer import read_rheometer
-from vision.pipeline import Analysis, analyse
+from vision.pipeline import analyse
 from vision.run import Origin, check_target, run_folder, write_json, write_run
 from vision.run.tables import write_table
 from vision.sample import Sample
@@ -58,20 +58,8 @@ def force(
 ) -> int:
     """A force recording alone; the exit status.
 
-    Parameters
-    ----------
-    file
-        The recording.
-    groups
-        Options of the recording and the sample.
-    config
-        TOML file of options.
-    output
-        Where the results go.
-    free_t_star
-        Whether T* is fitted too.
-    limit
-        Whether the detection limit is measured.
+    groups: options of the recording and the sample.  free_t_star: whether T* is fitted too.
+    limit: whether the detection limit is measured.
     """
     parameters = merged(*groups, config=config)
     target = output.out or Path(f"{file.stem}_force")
@@ -79,20 +67,15 @@ def force(
     analysis = analyse(None, file, replace(settings_of(parameters), t_star_fitted=free_t_star))
     parameters |= parameters_given({"free_t_star": free_t_star})
     origin = Origin(command=command_line(), inputs=(file,), parameters=parameters, options=option_names())
-    facts = {"detection_limit": _limit(analysis) if limit else None}
-    write_run(analysis, target, origin, overwrite=output.overwrite, facts=facts)
+    found = None
+    if limit and analysis.force is not None and analysis.sticks is not None:
+        table = detection_limit(analysis.force, analysis.sticks)
+        found = {"limit_N": table.attrs["limit_N"], "tried": table.to_dict("records")}
+    write_run(analysis, target, origin, overwrite=output.overwrite, facts={"detection_limit": found})
     if analysis.force is not None:
         for note in ForceMetadata.of(analysis.force).notes:
             complain(f"{file.name}: {note}")
     return finish(analysis, target, "force.png", quiet=output.quiet)
-
-
-def _limit(analysis: Analysis) -> dict[str, Any] | None:
-    """The smallest slip that is found, and what was tried."""
-    if analysis.force is None or analysis.sticks is None:
-        return None
-    table = detection_limit(analysis.force, analysis.sticks)
-    return {"limit_N": table.attrs["limit_N"], "tried": table.to_dict("records")}
 
 
 # --- single sheets ------------------------------------------------------------------------------------------
@@ -104,25 +87,25 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     target = output.out or Path(f"{file.stem}_modulus")
     check_target(target, overwrite=output.overwrite)
     shares = parse_pair(options.part, "--part", "two shares A:B with 0 <= A < B <= 1", most=1)
-    sheet = Sample(thickness_mm=options.thickness, width_mm=options.width, length_mm=options.length)
     columns = parse_columns(options.force_columns) if options.force_columns else None
     with known_as(columns="force_columns"):
         force = read_force(file, columns=columns)
     cycles = measure_cycles(
         force,
-        sheet=sheet,
+        sheet=Sample(thickness_mm=options.thickness, width_mm=options.width, length_mm=options.length),
         clamp_distance_mm=options.clamp_distance,
         machine_stiffness_N_per_mm=options.machine_stiffness,
         settings=ModulusSettings(part=shares),
     )
     means = summarise_modulus(cycles)
     notes, warnings = list(cycles.attrs["notes"]), list(cycles.attrs["warnings"])
-    if (options.thickness, options.width, options.length) == (0.1, 45.0, 16.8):
+    size = {"thickness_mm": options.thickness, "width_mm": options.width, "length_mm": options.length}
+    if tuple(size.values()) == (0.1, 45.0, 16.8):
         notes.append("the publication's sheet is assumed: ε = 0.1, W = 45, L = 16.8 mm")
     content = {
         **means,
         "cycles": len(cycles),
-        "sheet": {"thickness_mm": options.thickness, "width_mm": options.width, "length_mm": options.length},
+        "sheet": size,
         "clamp_distance_from": cycles.attrs["clamp_distance_from"],
         "machine_stiffness_N_per_mm": options.machine_stiffness,
         "notes": notes,
@@ -167,7 +150,7 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
             complain(line)
         return 2
     law, why = _law(found)
-    notes = [*found.notes, *([why] if why else [])]
+    notes = [*found.notes, *filter(None, [why])]
     table = friction_table(found.measured)
     content: dict[str, Any] = dict.fromkeys(("a", "a_err", "b_N", "b_err_N", "chi2_dof"))
     content |= asdict(law) if law else {}
@@ -192,7 +175,7 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     if not output.quiet:
         count = f"{len(found.measured)} measurements of {len(files)} files"
         say([f"{count} -> {target}", *_friction_summary(found, law), RIM_CAVEAT])
-    for line in [*found.failures, *found.warnings, *([why] if why else [])]:
+    for line in filter(None, (*found.failures, *found.warnings, why)):
         complain(line)
     return 1 if found.failures or found.warnings else 0
 
@@ -246,11 +229,8 @@ class _Found:
 
     @property
     def warnings(self) -> list[str]:
-        return [
-            f"{Path(one.source).name}, {one.measurement}: {line}"
-            for one in self.measured
-            for line in one.warnings
-        ]
+        told = [(one, line) for one in self.measured for line in one.warnings]
+        return [f"{Path(one.source).name}, {one.measurement}: {line}" for one, line in told]
 
 
 def _measure(
@@ -333,26 +313,16 @@ def simulate(
 ) -> int:
     """A synthetic traction test with known truth; the exit status."""
     experiment = ready_made(preset)
-    for changes in (
-        settings_from_toml(toml) if toml else {},
-        _given(options),
-        dict(map(_pair, set_)),
-    ):
+    for changes in (settings_from_toml(toml) if toml else {}, _given(options), dict(map(_pair, set_))):
         experiment = with_settings(experiment, changes)
     with frame_progress("drawing", quiet=quiet) as progress:
         test = make_test(experiment, directory, container=container, overwrite=overwrite, progress=progress)
-    if not quiet:
-        lost = f", {test.frames_lost} lost" if test.frames_lost else ""
-        camera, sheets = experiment.camera, experiment.ridges_in_view
-        files = {"video": test.video, "force": test.force, "truth": test.truth, "stamps": test.timestamps}
-        say(
-            [
-                f"{test.frames} frames{lost} of {camera.width} x {camera.height} px, {sheets} sheets, "
-                f"seed {experiment.seed}",
-                *(f"{name:<6} {path}" for name, path in files.items()),
-            ]
-        )
-    return 0
+    lost = f", {test.frames_lost} lost" if test.frames_lost else ""
+    size = f"{experiment.camera.width} x {experiment.camera.height} px, {experiment.ridges_in_view} sheets"
+    files = {"video": test.video, "force": test.force, "truth": test.truth, "stamps": test.timestamps}
+    lines = [f"{test.frames} frames{lost} of {size}, seed {experiment.seed}"]
+    lines += [f"{name:<6} {path}" for name, path in files.items()]
+    return conclude(lines, (), quiet=quiet)
 
 
 def _given(options: SimulateOptions) -> dict[str, Any]:

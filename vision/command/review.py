@@ -51,8 +51,7 @@ def review(
         raise InputError(
             folder, "a run without further options", "some", "give the video, or run track again"
         )
-    from vision.review.first_view import read_first_view
-    from vision.review.server import serve
+    from vision.review.server import read_first_view, serve
 
     def opened(address: str) -> None:
         say([f"review     {address}", "           Ctrl-C ends it"])

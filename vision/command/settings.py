@@ -35,19 +35,13 @@ def parameters_given(
 
 
 def merged(*groups: Any, config: Path | None = None) -> dict[str, Parameter]:
-    """Every option of these groups with its value and origin.
+    """Every option of these groups with its value and origin: the command line wins over the file.
 
-    The command line wins over the file, the file over the default.
-
-    Raises
-    ------
-    InputError
-        For a TOML file that cannot be read, names an unknown option or gives it a wrong value.
+    Raises: InputError for a TOML file that cannot be read, names an unknown option or gives it a wrong value.
     """
-    typed = {name: value for group in groups for name, value in vars(group).items()}
     filed = read_config(config) if config else {}
     found: dict[str, Parameter] = {}
-    for name, value in typed.items():
+    for name, value in ((name, value) for group in groups for name, value in vars(group).items()):
         if value is not None:
             found[name] = Parameter(_plain(name, value), "given")
         elif filed.get(name) is not None:
@@ -60,17 +54,12 @@ def merged(*groups: Any, config: Path | None = None) -> dict[str, Parameter]:
 def _pixel_size(options: Mapping[str, Parameter]) -> dict[str, Parameter]:
     """The pixel size in µm from the one option that gives it; one typed wins over another in a file.
 
-    Raises
-    ------
-    InputError
-        For two of them.
+    Raises: InputError for two of them.
     """
-    names = ("pixel_size", "scale", "pitch")
+    names, none = ("pixel_size", "scale", "pitch"), Parameter(None, "default")
     hows = [options[name].how for name in names if options[name].value is not None]
     how: Literal["given", "config"] = "given" if "given" in hows else "config"
-    chosen = {
-        name: options[name] if options[name].how == how else Parameter(None, "default") for name in names
-    }
+    chosen = {name: options[name] if options[name].how == how else none for name in names}
     given = [flag_of(name) for name in names if chosen[name].value is not None]
     if len(given) > 1:
         raise InputError(" and ".join(given), "one of --pixel-size, --scale and --pitch", f"{len(given)}")
@@ -104,21 +93,10 @@ def read_config(path: Path) -> dict[str, Any]:
 
 
 def parse_option(source: Path, name: str, value: Any) -> Any:
-    """One option's value through the same conversion as on the command line.
+    """One option's value, text or a number, through the same conversion as on the command line.
 
-    Parameters
-    ----------
-    source
-        Where it stands: a TOML file or a table.
-    name
-        The option, with underscores.
-    value
-        Text or a number.
-
-    Raises
-    ------
-    InputError
-        For an unknown option, or a value that it cannot have.
+    source: where it stands, a TOML file or a table.  name: the option, with underscores.
+    Raises: InputError for an unknown option, or a value that it cannot have.
     """
     known = option_fields()
     if name not in known:
@@ -196,10 +174,7 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
 def settings_of_run(folder: Path) -> Settings:
     """The settings that a run was made with; its corrections are read from the run folder.
 
-    Raises
-    ------
-    InputError
-        For a folder that is no run, or one whose run.json is damaged.
+    Raises: InputError for a folder that is no run, or one whose run.json is damaged.
     """
     facts = folder / "run.json"
     parameters = parameters_of(folder, read_json(facts)) | {"corrections": Parameter(None, "default")}
@@ -286,9 +261,8 @@ def parse_pixel_size(text: str | None) -> float | None:
     match = re.fullmatch(r"\s*(\S+?)\s*(mm|um|µm|μm)?(/px)?\s*", text)
     value = _float(match[1]) * UM_PER[match[2] or "um"] if match else math.nan
     if not 1e-6 <= value < math.inf:
-        raise InputError(
-            "--pixel-size", "a number from 1e-06 (µm per px)", f"'{text}'", "write 10, 10um or 0.01mm"
-        )
+        wanted = "a number from 1e-06 (µm per px)"
+        raise InputError("--pixel-size", wanted, f"'{text}'", "write 10, 10um or 0.01mm")
     return value
 
 
@@ -320,10 +294,7 @@ def parse_pitch(text: str | None) -> float | None:
 def parse_length(text: str, option: str) -> dict[str, float]:
     """A positive length with its unit: {"width_um": …} for mm, um and µm, {"width_px": …} for px.
 
-    Raises
-    ------
-    InputError
-        Also for a number without a unit, as µm and px are both likely.
+    Raises: InputError, also for a number without a unit, as µm and px are both likely.
     """
     match = re.fullmatch(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(mm|um|µm|μm|px)\s*", text)
     value = _float(match[1]) if match else math.nan
@@ -346,25 +317,21 @@ def parse_seconds(text: str | None, option: str) -> tuple[float | None, float | 
     return start, stop
 
 
-def parse_sheets(texts: Sequence[str] | None) -> list[Sheet]:
+def parse_sheets(texts: Sequence[str]) -> list[Sheet]:
     """Sheets as side and number (right:23) or index from the left (47), several with commas.
 
-    Raises
-    ------
-    InputError
-        For anything else.
+    Raises: InputError.
     """
-    return [_sheet(part.strip()) for text in texts or () for part in text.split(",")]
+    return [_sheet(part.strip()) for text in texts for part in text.split(",")]
 
 
 def _sheet(text: str) -> Sheet:
+    side, _, n = text.partition(":")
     if re.fullmatch(r"[0-9]{1,9}", text):
         return int(text)
-    side, _, n = text.partition(":")
     if side not in ("left", "right") or not re.fullmatch(r"[0-9]{1,9}", n) or int(n) < 1:
-        raise InputError(
-            "--sheet", "left or right and a number, or an index", f"'{text}'", "write right:23 or 47"
-        )
+        wanted = "left or right and a number, or an index"
+        raise InputError("--sheet", wanted, f"'{text}'", "write right:23 or 47")
     return side, int(n)
 
 

@@ -1,10 +1,11 @@
-"""Commands that look at a recording: preview and kymograph."""
+"""Commands that look: at a recording (preview, kymograph), or at finished runs (export to compare)."""
 
 from __future__ import annotations
 
 import itertools
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from vision.command.console import conclude, frame_progress
-from vision.command.options import OutputOptions, VideoOptions, WindowOptions
+from vision.certify import CertifySettings, certify_run, statements, write_certificate
+from vision.command.console import complain, conclude, frame_progress, in_columns, say
+from vision.command.options import OutputOptions, VideoOptions, WindowOptions, option_names
 from vision.command.settings import (
     merged,
     parameters_given,
@@ -25,9 +27,11 @@ from vision.command.settings import (
     settings_of,
 )
 from vision.command.track import command_line, run_name
+from vision.comparison import compare as compare_runs
+from vision.comparison.comparison import summary_lines
 from vision.data import StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError
-from vision.figures import kymograph_figure, preview_figure, slip_times
+from vision.figures import kymograph_figure, load_figures, preview_figure, slip_times
 from vision.files import reading as reading_of
 from vision.numeric import Floats, Ints, Pixels
 from vision.pipeline import Settings, analyse, open_recording, track_strip
@@ -36,6 +40,7 @@ from vision.run import (
     check_mark,
     check_new,
     check_target,
+    export_run,
     is_run,
     read_run,
     read_strip,
@@ -44,7 +49,9 @@ from vision.run import (
     whole_file,
     write_json,
 )
-from vision.run.tiff import frame_step_s, unevenness_s, write_space_time_tif
+from vision.run.comparing import MARK, write_comparison
+from vision.run.export import Format, film_of, frame_step_s, unevenness_s, write_overlay, write_space_time_tif
+from vision.run.reading import AGAIN
 from vision.sheets import pixel_size_from_pitch
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
@@ -66,8 +73,7 @@ class Preview:
 
     video: Video  # the whole film
     frame: Pixels  # the first frame of those tracked that shows something
-    # strip, tracks: of the consecutive frames
-    strip: xr.DataArray
+    strip: xr.DataArray  # of the consecutive frames
     tracks: xr.Dataset
     counts: Ints  # ridges in each of the frames spread over the film
     warnings: tuple[str, ...]  # about the strip, the light, and positions in the frames that were tracked
@@ -89,13 +95,7 @@ def preview(video: Path, reading: VideoOptions, config: Path | None, output: Out
 
 
 def look(path: Path, settings: Settings) -> Preview:
-    """Read, track and count a few frames.
-
-    Raises
-    ------
-    InputError
-        As `track` does.
-    """
+    """Read, track and count a few frames.  Raises: InputError as `track` does."""
     film = open_recording(path, settings)
     strip_settings = settings.tuning.video
     chosen = choose_strip(film, settings.rows, columns=settings.columns, settings=strip_settings)
@@ -180,7 +180,7 @@ def kymograph(
     check_mark(target, DIAGRAMS)
     parameters = merged(reading)
     if is_run(video_or_run):
-        with reading_of(video_or_run, "a run folder as track writes it", "run track again"):
+        with reading_of(video_or_run, "a run folder as track writes it", AGAIN):
             source = _from_run(video_or_run, reading)
         options["frames"] = parse_range(reading.frames, "--frames")
     else:
@@ -227,10 +227,7 @@ def _space_time_options(window: WindowOptions) -> dict[str, Any]:
 def _from_run(folder: Path, reading: VideoOptions) -> Source:
     """A run's kymograph.tif, tracks and slips; a pixel size given now goes before the run's own.
 
-    Raises
-    ------
-    InputError
-        For options that only a video takes, for columns that the run does not have, and for a damaged run.
+    Raises: InputError for options that only a video takes, columns that the run lacks, and a damaged run.
     """
     taken = ("columns", "frames", "pixel_size")
     given = [name for name, value in vars(reading).items() if value is not None and name not in taken]
@@ -243,7 +240,7 @@ def _from_run(folder: Path, reading: VideoOptions) -> Source:
     files = ("kymograph.tif", "tracks.nc", "events.csv", "clock.json")
     slips_s, slips_from = slip_times(run.tracks, slip_times_s(run))
     return Source(
-        strip=strip if columns is None else _cut(strip, columns, folder),
+        strip=_cut(strip, columns or slice(None), folder),
         tracks=run.tracks,
         slips_s=slips_s,
         slips_from=slips_from,
@@ -326,3 +323,100 @@ def _slips_shown(source: Source, diagram: xr.DataArray) -> str:
     half = frame_step_s(times) / 2
     seen = (source.slips_s >= times[0] - half) & (source.slips_s <= times[-1] + half)
     return f"{seen.sum()} in the part shown, from {source.slips_from}"
+
+
+# --- finished runs: export, figures, overlay, certify, compare ----------------------------------------------
+
+
+def export(run: Path, to: Format, output: OutputOptions) -> int:
+    """Tables of a run for another program; the exit status."""
+    exported = export_run(read_run(run), to, out=output.out, overwrite=output.overwrite)
+    for note in exported.notes:
+        complain(note)
+    folder = "/" if exported.target.is_dir() else ""
+    return conclude([f"{to} -> {exported.target}{folder}"], (), quiet=output.quiet)
+
+
+def figures(
+    run: Path | None, names: Sequence[str], compare: Path | None, to: str, output: OutputOptions
+) -> int:
+    """The figures of a run or of a comparison, a file each; the exit status."""
+    if compare is not None:  # what stands where the run does is the first figure's name
+        names = names if run is None else (str(run), *names)
+        run = compare
+    if run is None:
+        raise InputError("track figures", "a run folder", "none", "give RUN, or --compare DIR")
+    folder = read_run(run).folder
+    made = {figure.name: figure for figure in load_figures(folder / "figures.npz")}
+    if unknown := [name for name in names if name not in made]:
+        raise InputError(run, f"figures of this run ({', '.join(made)})", ", ".join(unknown))
+    target = output.out or Path(f"{folder.resolve().name}_figures")
+    files = [target / f"{name}.{to}" for name in names or made]
+    for file in files:
+        check_new(file, overwrite=output.overwrite)
+    for file in files:
+        with whole_file(file) as path:
+            made[file.stem].save(path)
+    return conclude([f"{len(files)} figures -> {target}/"], (), quiet=output.quiet)
+
+
+def overlay(run: Path, film: Path | None, frames: str | None, output: OutputOptions) -> int:
+    """The film of a run with its tracks drawn on it; the exit status."""
+    part = parse_range(frames, "--frames")
+    made = read_run(run)
+    target = output.out or Path(f"{made.folder.resolve().name}_overlay.mp4")
+    if target.suffix.lower() != ".mp4":
+        raise InputError("`out`", "a name that ends in .mp4", f"'{target}'")
+    check_new(target, overwrite=output.overwrite)
+    source = film_of(made, film)
+    with frame_progress("drawing", quiet=output.quiet) as progress, whole_file(target) as path:
+        written = write_overlay(made, source, path, frames=part, progress=progress)
+    size = f"{written.frames} frames of {written.shape[1]} x {written.shape[0]} px"
+    line = f"{size}, played at {written.fps:g} frames/s, {target.stat().st_size / 1e6:.1f} MB -> {target}"
+    return conclude([line], (), quiet=output.quiet)
+
+
+def certify(run: Path, films: int, most_frames: int, output: OutputOptions) -> int:
+    """The certificate of a run; the exit status."""
+    for name, value, least in (("--films", films, 1), ("--most-frames", most_frames, 30)):
+        if value < least:
+            raise InputError(name, f"a whole number from {least}", f"{value}")
+    finished = read_run(run)
+    target = output.out or Path(f"{finished.folder.resolve().name}_certificate")
+    if (target / "certificate.json").exists():
+        check_new(target, overwrite=output.overwrite, kind="folder")
+    if target.exists() and not target.is_dir():
+        raise InputError(target, "a folder", "a file", "give another `out`")
+    settings = CertifySettings(films=films, most_frames=most_frames)
+    with frame_progress("films", quiet=output.quiet) as progress:
+        certificate = certify_run(finished, settings=settings, progress=progress)
+    write_certificate(certificate, target)
+    lines = [*in_columns(statements(certificate), "<"), f"-> {target}/"]
+    return conclude(lines, certificate.warnings, quiet=output.quiet)
+
+
+def compare(
+    runs: Sequence[Path],
+    table: Path | None,
+    main_sample: str | None,
+    fix_yeff: float | None,
+    report: bool,
+    output: OutputOptions,
+) -> int:
+    """Several runs side by side; the exit status."""
+    target = output.out or Path("comparison")
+    check_target(target, overwrite=output.overwrite)
+    check_mark(target, MARK)
+    found = compare_runs(runs, table, main_sample=main_sample, modulus_GPa=fix_yeff)
+    origin = Origin(
+        command=command_line(),
+        inputs=[*(test.folder / "events.csv" for test in found.tests), *([table] if table else [])],
+        parameters=parameters_given({"table": table, "main_sample": main_sample, "fix_yeff": fix_yeff}),
+        options=option_names(),
+    )
+    write_comparison(found, target, origin, overwrite=output.overwrite, report=report)
+    for line in (*found.failures, *found.warnings):
+        complain(line)
+    if not output.quiet:
+        say([f"{len(found.tests)} tests -> {target}/", *summary_lines(found)])
+    return 1 if found.failures or found.warnings else 0

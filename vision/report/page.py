@@ -121,13 +121,9 @@ def _title(results: Results) -> str:
 @cache
 def _assets() -> dict[str, str]:
     """The plotting library and the page's own style and script, as shipped with the package."""
-    places = {
-        "plot_css": "uPlot.min.css",
-        "plot_js": "uPlot.iife.min.js",
-        "css": "report.css",
-        "js": "report.js",
-    }
-    return {name: _asset(place) for name, place in places.items()}
+    plot = {"plot_css": "uPlot.min.css", "plot_js": "uPlot.iife.min.js"}
+    own = {"css": "report.css", "js": "report.js"}
+    return {name: _asset(place) for name, place in (plot | own).items()}
 
 
 @cache
@@ -192,21 +188,10 @@ def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
 
 
 def _series_data(series: Series, place: Callable[[Floats], int]) -> dict[str, Any]:
-    data: dict[str, Any] = {
-        "label": series.label,
-        "html": str(to_html(series.label)),
-        "textLabel": to_unicode(series.label),
-        "x": place(series.x),
-        "y": place(series.y),
-        "ink": series.ink,
-        "look": series.look,
-        "dashed": series.dashed,
-        "hollow": series.hollow,
-        "shift": series.shift,
-        "width": series.width,
-        "axis": series.axis,
-        "sheet": series.sheet,
-    }
+    same = ("label", "ink", "look", "dashed", "hollow", "shift", "width", "axis", "sheet")
+    data: dict[str, Any] = {name: getattr(series, name) for name in same}
+    data |= {"html": str(to_html(series.label)), "textLabel": to_unicode(series.label)}
+    data |= {"x": place(series.x), "y": place(series.y)}
     if series.low is not None and series.high is not None:
         data |= {"low": place(series.low), "high": place(series.high)}
     return data | ({"text": series.text} if series.text else {})
@@ -320,13 +305,12 @@ def doubt_table(results: Results) -> FactsTable:
         )
         for row in table.head(100).to_dict("records")
     )
-    more = len(table) - len(rows)
     note = (
         "No position is given there; a file of corrections settles them by hand, and this list says of what."
     )
-    return FactsTable(
-        "Doubtful stretches", heads, rows, note + f" {more} shorter ones: run.json." * (more > 0)
-    )
+    if more := len(table) - len(rows):
+        note += f" {more} shorter ones: run.json."
+    return FactsTable("Doubtful stretches", heads, rows, note)
 
 
 def _digits(value: float | None, unknown: str = "—", *, places: int | None = None) -> str:

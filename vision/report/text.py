@@ -229,12 +229,9 @@ def _tracking(tracks: xr.Dataset) -> str:
         if noise > 0
         else ""
     )
-    origin = {
-        "given": "given",
-        "motion": "found from motion",
-        "geometry": "the middle of the ridges in view",
-    }[t.axis_how]
-    axis = f" at {t.axis_px:.1f} px ({origin})" if math.isfinite(t.axis_px) else ""
+    origin = {"motion": "found from motion", "geometry": "the middle of the ridges in view"}
+    where = f" at {t.axis_px:.1f} px ({origin.get(t.axis_how, t.axis_how)})"
+    axis = where if math.isfinite(t.axis_px) else ""
     return (
         f"The {t.sheets} sheets appear as {t.ridges} ridges {t.ridge_fwhm_px:.1f} px wide and "
         f"{t.pitch_px:.1f} px apart. Their positions x(n,t) were located {method}; identities were kept "

@@ -19,12 +19,10 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message
 
 from vision.errors import InputError, with_options
-from vision.review.diagram import Grey
-from vision.review.first_view import NAME, read_first_view, write_first_view
-from vision.review.server import failed, refused
+from vision.review.recordings import Grey
+from vision.review.server import FIRST_VIEW, failed, read_first_view, refused, write_first_view
 from vision.review.session import Session
-from vision.run.folder import whole_file
-from vision.run.provenance import plain
+from vision.run.folder import plain, whole_file
 
 MOST_POINTS = 20_000  # of a curve
 AT_ONCE = 4
@@ -36,15 +34,7 @@ FORCE_POINTS = 4096  # for which a page asks of the whole recording
 
 
 def answers(session: Session, stop: Callable[[], None]) -> ASGIApp:
-    """What answers the questions about an open run.
-
-    Parameters
-    ----------
-    session
-        The open run.
-    stop
-        Ends the server.
-    """
+    """What answers the questions about an open run; `stop` ends the server."""
     routes = Api(session, stop).routes()
     return Starlette(routes=routes, exception_handlers={HTTPException: failed, Exception: failed})
 
@@ -56,18 +46,12 @@ def keep_first_view(session: Session) -> None:
         return
     with suppress(InputError):
         session.found.check_there()
-        with whole_file(folder / NAME) as path:
+        with whole_file(folder / FIRST_VIEW) as path:
             write_first_view(path, folder, first_answers(session), film)
 
 
 def first_answers(session: Session) -> dict[str, bytes]:
-    """What a page asks before anybody has touched it: the whole test, and the first frame.
-
-    Returns
-    -------
-    dict
-        The answers by their questions, as the page puts them.
-    """
+    """Answers by their questions to what a page asks first: the whole test, and the first frame."""
     first, frames, tiles = int(session.positions.frame[0]), session.diagram.frames, session.tiles
     rows, columns, factor = tiles.settings.rows, tiles.settings.columns, tiles.settings.factor
     questions = [f"/api/{name}" for name in ("times", "film", f"frame/{first}.png", f"ridges/{first}")]
@@ -108,65 +92,59 @@ async def _asked(app: ASGIApp, question: str) -> bytes | None:
     return body if sent[0]["status"] == 200 else None
 
 
-class Windows:
-    """Which windows of a browser have the run open."""
-
-    def __init__(self) -> None:
-        self._seen: dict[str, float] = {}
-
-    def others(self, window: str) -> int:
-        """How many besides this one, which is noted."""
-        now = time.monotonic()
-        # a window that has not asked for 6 s is closed: pages ask every two seconds
-        self._seen = {name: at for name, at in self._seen.items() if now - at < 6.0}
-        if window:
-            self._seen[window[:64]] = now
-        return len(self._seen.keys() - {window[:64]})
-
-    def leave(self, window: str) -> None:
-        """This one was closed."""
-        self._seen.pop(window[:64], None)
-
-
 class Api:
-    """Answers for one session."""
+    """Answers for one session: each address that is served, and what it gives."""
 
     def __init__(self, session: Session, stop: Callable[[], None]) -> None:
         self.session, self._stop = session, stop
         self._threads = anyio.CapacityLimiter(AT_ONCE)
-        self._windows = Windows()
+        self._windows: dict[str, float] = {}  # of browsers that have the run open, and when they asked last
 
     def routes(self) -> list[Route]:
-        """Every address that is served."""
-        get = {
-            "/api/run": self.run,
-            "/api/state": self.state,
-            "/api/film": self.film,
-            "/api/frame/{frame:int}.png": self.frame,
-            "/api/kymograph/{level:int}/{x:int}/{y:int}.png": self.tile,
-            "/api/tracks": self.tracks,
-            "/api/times": self.times,
-            "/api/slips": self.slips,
-            "/api/force": self.force,
-            "/api/stick/{event:int}": self.stick,
-            "/api/ridges/{frame:int}": self.ridges,
-            "/api/save": self.saving,
-            "/api/retrack": self.retracking,
-            "/api/retracked/{frame:int}": self.retracked,
+        """Every address."""
+        run, trial, effects = self.session, self.session.trial, self.session.effects
+        get: dict[str, Callable[[Request], Response]] = {
+            "/api/run": lambda ask: _json(run.summary() | self._company(ask)),
+            "/api/state": self._state,
+            "/api/film": self._film,
+            "/api/frame/{frame:int}.png": self._frame,
+            "/api/kymograph/{level:int}/{x:int}/{y:int}.png": self._tile,
+            "/api/tracks": self._tracks,
+            "/api/times": lambda ask: _floats(run.positions.time_s[:, None]),  # s, one per frame
+            "/api/slips": lambda ask: _json({"slips": run.slips(), "film": run.film_slips()}),
+            "/api/force": self._force,
+            # a page asks for each stick that the cursor passes
+            "/api/stick/{event:int}": lambda ask: _json(effects.stick(ask.path_params["event"])),
+            "/api/ridges/{frame:int}": lambda ask: _json(run.ridges(ask.path_params["frame"])),
+            "/api/save": lambda ask: _json(run.saving()),
+            "/api/retrack": lambda ask: _json(trial.state()),
+            "/api/retracked/{frame:int}": lambda ask: _json(trial.at(ask.path_params["frame"])),
         }
-        post = {
-            "/api/preview": self.preview,
-            "/api/decisions": self.decide,
-            "/api/undo": self.undo,
-            "/api/redo": self.redo,
-            "/api/strip": self.strip,
-            "/api/clock": self.clock,
-            "/api/save": self.save,
-            "/api/retrack": self.retrack,
-            "/api/retrack/keep": self.keep_retracked,
-            "/api/retrack/cancel": self.cancel_retracking,
-            "/api/leave": self.leave,
-            "/api/quit": self.quit,
+        post: dict[str, Callable[[Request, Mapping[str, Any]], Response]] = {
+            "/api/preview": lambda ask, body: _tried(
+                lambda: effects.preview(_table(body, "decision"), body.get("frame"))
+            ),
+            "/api/strip": lambda ask, body: _tried(
+                lambda: effects.strip_preview(body.get("rows"), body.get("frame"))
+            ),
+            "/api/clock": lambda ask, body: _tried(
+                lambda: effects.clock_preview(
+                    body.get("offset_s"), body.get("drift_ppm", 0.0), body.get("frame")
+                )
+            ),
+            "/api/decisions": lambda ask, body: self._changed(
+                ask, body, lambda: run.decide(_table(body, "decision"))
+            ),
+            "/api/undo": lambda ask, body: self._changed(ask, body, run.undo),
+            "/api/redo": lambda ask, body: self._changed(ask, body, run.redo),
+            "/api/save": lambda ask, body: _done(run.save, run.saving),
+            "/api/retrack": lambda ask, body: _done(
+                lambda: trial.start(_table(body, "decision")), trial.state
+            ),
+            "/api/retrack/keep": lambda ask, body: self._changed(ask, body, trial.keep),
+            "/api/retrack/cancel": lambda ask, body: _done(trial.discard),
+            "/api/leave": lambda ask, body: _done(lambda: self._windows.pop(_window(ask), None)),
+            "/api/quit": lambda ask, body: _done(self._stop, lambda: {"ended": True}),
         }
         routes = [Route(path, self._threaded(work), methods=["GET"]) for path, work in get.items()]
         return routes + [
@@ -185,144 +163,66 @@ class Api:
 
         return answer
 
-    # --- what is shown --------------------------------------------------------------------------------------
-
-    def run(self, request: Request) -> Response:
-        """The run at a glance."""
-        return _json(self.session.summary() | self._company(request))
-
-    def state(self, request: Request) -> Response:
+    def _state(self, request: Request) -> Response:
         """Revision, decisions, and whether another window has the run open."""
         return _json(self.session.state() | self._company(request))
 
     def _company(self, request: Request) -> dict[str, Any]:
-        return {"other_windows": self._windows.others(request.headers.get("x-window", ""))}
+        """How many other windows there are; this one is noted."""
+        window, now = _window(request), time.monotonic()
+        # a window that has not asked for 6 s is closed: pages ask every two seconds
+        self._windows = {name: at for name, at in self._windows.items() if now - at < 6.0}
+        if window:
+            self._windows[window] = now
+        return {"other_windows": len(self._windows.keys() - {window})}
 
-    def film(self, request: Request) -> Response:
-        """The film's picture, or why it cannot be shown."""
+    def _film(self, request: Request) -> Response:
+        """Size of the film's picture, or why it cannot be shown."""
         try:
             rows, columns = self.session.recordings.film().shape
         except InputError as error:
             return _json({"rows": None, "columns": None, "error": with_options(str(error), {})})
         return _json({"rows": rows, "columns": columns, "error": ""})
 
-    def frame(self, request: Request) -> Response:
+    def _frame(self, request: Request) -> Response:
         """One frame of the film."""
         frame, session = request.path_params["frame"], self.session
         row = session.positions.row_of(frame)
         return _png(session.recordings.picture(frame, float(session.positions.time_s[row])))
 
-    def tile(self, request: Request) -> Response:
+    def _tile(self, request: Request) -> Response:
         """One tile of I(x, t)."""
-        place = (request.path_params[name] for name in ("level", "x", "y"))
-        return _png(self.session.tiles.part(*place))
+        return _png(self.session.tiles.part(*(request.path_params[name] for name in ("level", "x", "y"))))
 
-    def tracks(self, request: Request) -> Response:
+    def _tracks(self, request: Request) -> Response:
         """Curves of all sheets as float32, row after row."""
         first, stop = _number(request, "first", 0), _number(request, "stop", 1 << 40)
-        points = max(2, min(_number(request, "points", 2000), MOST_POINTS))
         what = request.query_params.get("what", "x")
-        return _floats(self.session.curves(first, stop, points, what))
+        return _floats(self.session.curves(first, stop, _points(request), what))
 
-    def times(self, request: Request) -> Response:
-        """Seconds of the camera's clock as float64, one per frame."""
-        return _floats(self.session.positions.time_s[:, None])
-
-    def slips(self, request: Request) -> Response:
-        """Frames after the slips, and after the sheets' own steps, whatever the clock; a second's work."""
-        return _json({"slips": self.session.slips(), "film": self.session.film_slips()})
-
-    def force(self, request: Request) -> Response:
+    def _force(self, request: Request) -> Response:
         """Time by the force clock, load and separation as float64, row after row."""
-        points = max(2, min(_number(request, "points", 2000), MOST_POINTS))
         span = (_seconds(request, "first_s", float("-inf")), _seconds(request, "stop_s", float("inf")))
-        return _floats(self.session.recordings.force(*span, points))
-
-    def stick(self, request: Request) -> Response:
-        """σ_x/Λ_st of one stick, or why there is none: a page asks for each stick that the cursor passes."""
-        return _json(self.session.effects.stick(request.path_params["event"]))
-
-    def ridges(self, request: Request) -> Response:
-        """Candidates of one frame."""
-        return _json(self.session.ridges(request.path_params["frame"]))
-
-    # --- what is decided ------------------------------------------------------------------------------------
-
-    def preview(self, request: Request, body: Mapping[str, Any]) -> Response:
-        """What a decision would change."""
-        decision = _table(body, "decision")
-        return _tried(lambda: self.session.effects.preview(decision, body.get("frame")))
-
-    def decide(self, request: Request, body: Mapping[str, Any]) -> Response:
-        """Keep a decision."""
-        return self._changed(request, body, lambda: self.session.decide(_table(body, "decision")))
-
-    def undo(self, request: Request, body: Mapping[str, Any]) -> Response:
-        """Take the last decision back."""
-        return self._changed(request, body, self.session.undo)
-
-    def redo(self, request: Request, body: Mapping[str, Any]) -> Response:
-        """Make it again."""
-        return self._changed(request, body, self.session.redo)
+        return _floats(self.session.recordings.force(*span, _points(request)))
 
     def _changed(self, request: Request, body: Mapping[str, Any], work: Callable[[], None]) -> Response:
-        """Refused where the page has not seen what another window decided meanwhile."""
+        """A change; refused where the page has not seen what another window decided meanwhile."""
         with self.session.lock:
-            seen = body.get("revision", self.session.revision)
-            if seen != self.session.revision:
+            if body.get("revision", self.session.revision) != self.session.revision:
                 raise HTTPException(409, "the run was changed in another window: look again")
             work()
-            return self.state(request)
+            return self._state(request)
 
-    def strip(self, request: Request, body: Mapping[str, Any]) -> Response:
-        """Ridges and noise of other rows."""
-        return _tried(lambda: self.session.effects.strip_preview(body.get("rows"), body.get("frame")))
 
-    def clock(self, request: Request, body: Mapping[str, Any]) -> Response:
-        """Sticks and slips by another clock, which is not kept."""
-        offset_s, drift_ppm = body.get("offset_s"), body.get("drift_ppm", 0.0)
-        return _tried(lambda: self.session.effects.clock_preview(offset_s, drift_ppm, body.get("frame")))
+def _window(request: Request) -> str:
+    """Which window asks; "" where it does not say."""
+    return request.headers.get("x-window", "")[:64]
 
-    def save(self, request: Request, body: Mapping[str, Any]) -> Response:
-        """Begin to re-run what follows from the decisions."""
-        self.session.save()
-        return _json(self.session.saving())
 
-    def saving(self, request: Request) -> Response:
-        """How far saving is."""
-        return _json(self.session.saving())
-
-    def retrack(self, request: Request, body: Mapping[str, Any]) -> Response:
-        """Begin to track again under a decision that is not kept yet."""
-        self.session.trial.start(_table(body, "decision"))
-        return _json(self.session.trial.state())
-
-    def retracking(self, request: Request) -> Response:
-        """How far that is; at last what it would change."""
-        return _json(self.session.trial.state())
-
-    def retracked(self, request: Request) -> Response:
-        """The run as it was tracked again, about one frame."""
-        return _json(self.session.trial.at(request.path_params["frame"]))
-
-    def keep_retracked(self, request: Request, body: Mapping[str, Any]) -> Response:
-        """Keep the decision, and the run as it was tracked again."""
-        return self._changed(request, body, self.session.trial.keep)
-
-    def cancel_retracking(self, request: Request, body: Mapping[str, Any]) -> Response:
-        """Throw it away, finished or not."""
-        self.session.trial.discard()
-        return _json({})
-
-    def leave(self, request: Request, body: Mapping[str, Any]) -> Response:
-        """A window was closed, or is loaded anew."""
-        self._windows.leave(request.headers.get("x-window", ""))
-        return _json({})
-
-    def quit(self, request: Request, body: Mapping[str, Any]) -> Response:
-        """End the server once this is answered."""
-        self._stop()
-        return _json({"ended": True})
+def _done(work: Callable[[], Any], told: Callable[[], Mapping[str, Any]] = dict) -> Response:
+    """Something that changes no decision, and how things stand then."""
+    work()
+    return _json(told())
 
 
 def _tried(work: Callable[[], Mapping[str, Any]]) -> Response:
@@ -356,6 +256,10 @@ def _number(request: Request, name: str, default: int) -> int:
     if not text.isdecimal() or len(text) > 15:
         raise HTTPException(400, f"{name} is a whole number from 0")
     return int(text)
+
+
+def _points(request: Request) -> int:
+    return max(2, min(_number(request, "points", 2000), MOST_POINTS))
 
 
 def _seconds(request: Request, name: str, default: float) -> float:

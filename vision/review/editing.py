@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.numeric import Floats, Ints, nan_median
-from vision.review.diagram import Diagram
-from vision.review.positions import CELLS, DOUBTFUL, FLAGS, Positions
+from vision.numeric import Floats, Floats32, Ints, nan_median
+from vision.review.recordings import Diagram
+from vision.review.stored import CELLS, DOUBTFUL, FLAGS, Positions
 from vision.sheets.corrections import OF_SHEETS, Correction, check_there, follow_ridge, not_taken
 from vision.sheets.numbering import number_sheets
 from vision.sheets.ridges import Ridges
@@ -28,39 +28,25 @@ _EMPTY: Mapping[str, Any] = {"flag": FLAGS.index("missing"), "why": 0}
 
 @dataclass(frozen=True, kw_only=True)
 class Before:
-    """What a decision replaced: enough to take it back.
+    """What a decision replaced: enough to take it back."""
 
-    Parameters
-    ----------
-    how
-        "swap", "cells" (of one sheet), "deleted", "added", "numbering" or "nothing".
-    first, stop
-        Rows.
-    sheets
-        Columns.
-    arrays
-        Earlier values by their names.
-    axis_px, axis_how
-        Of the numbering.
-    """
-
-    how: str
-    first: int = 0
-    stop: int = 0
-    sheets: tuple[int, ...] = ()
-    arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    how: str  # "swap", "cells" (of one sheet), "deleted", "added", "numbering" or "nothing"
+    first: int = 0  # row
+    stop: int = 0  # row
+    sheets: tuple[int, ...] = ()  # columns
+    arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # earlier values by their names
+    # of the numbering
     axis_px: float = np.nan
     axis_how: str = ""
 
 
 def usual_places(positions: Positions) -> Floats:
     """Median position of every sheet, from frames spread over the run."""
-    return nan_median(positions.x_px[:: max(1, len(positions.x_px) // MEDIAN_ROWS)].astype(np.float64))
+    return _usual(positions.x_px)
 
 
-def usual_errors(positions: Positions) -> Floats:
-    """Median standard error of every sheet, likewise."""
-    return nan_median(positions.err_px[:: max(1, len(positions.err_px) // MEDIAN_ROWS)].astype(np.float64))
+def _usual(values: Floats32) -> Floats:
+    return nan_median(values[:: max(1, len(values) // MEDIAN_ROWS)].astype(np.float64))
 
 
 def apply(positions: Positions, decision: Correction, diagram: Diagram) -> tuple[Positions, Before]:
@@ -68,21 +54,9 @@ def apply(positions: Positions, decision: Correction, diagram: Diagram) -> tuple
 
     Arrays are changed in place where the number of sheets stays. New positions are those of the sliding
     window with the sheet's usual error; saving measures them like all others. Decisions about strip and clock
-    change nothing here.
+    change nothing here. Sheets are counted as in these positions; ridges are looked for in the diagram.
 
-    Parameters
-    ----------
-    positions
-        As they are.
-    decision
-        With an index as seen in them.
-    diagram
-        Where ridges are looked for.
-
-    Raises
-    ------
-    InputError
-        Where the decision does not fit the positions; nothing is changed then.
+    Raises: InputError where the decision does not fit the positions; nothing is changed then.
     """
     if decision.kind == "axis":
         return _with_axis(positions, float(decision.x_px or 0.0))
@@ -124,11 +98,9 @@ def take_back(positions: Positions, before: Before) -> Positions:
                 getattr(positions, name)[rows, before.sheets[0]] = arrays[name]
             return positions
         case "deleted":
-            wider = _inserted(positions, before.sheets[0], arrays)
-            return replace(wider, side=arrays["side"], n=arrays["n"])
+            return replace(_inserted(positions, before.sheets[0], arrays), side=arrays["side"], n=arrays["n"])
         case "added":
-            fewer = _removed(positions, before.sheets[0])
-            return replace(fewer, side=arrays["side"], n=arrays["n"])
+            return replace(_removed(positions, before.sheets[0]), side=arrays["side"], n=arrays["n"])
         case "numbering":
             attrs = dict(positions.attrs) | {"axis_px": before.axis_px, "axis_how": before.axis_how}
             return replace(positions, side=arrays["side"], n=arrays["n"], attrs=attrs)
@@ -145,7 +117,7 @@ def _swap(positions: Positions, rows: slice, sheets: tuple[int, ...]) -> None:
 def _put(positions: Positions, rows: slice, sheet: int, x: Floats, flag: NDArray[Any]) -> None:
     """New positions and flags of one sheet; its usual error, and no doubt where there is none any more."""
     known = positions.err_px[:, sheet][np.isfinite(positions.err_px[:, sheet])]
-    error = np.median(known) if known.size else np.nanmedian(usual_errors(positions))
+    error = np.median(known) if known.size else np.nanmedian(_usual(positions.err_px))
     settled = flag != DOUBTFUL
     positions.x_px[rows, sheet] = x
     positions.err_px[rows, sheet] = np.where(np.isfinite(x), error, np.nan)
@@ -176,8 +148,7 @@ def _assigned(
     positions: Positions, decision: Correction, part: slice, diagram: Diagram
 ) -> tuple[Floats, NDArray[Any]]:
     """Positions and flags of these rows, with the ridge followed."""
-    sheet = decision.sheets[0]
-    start, other = _followed(positions, decision, part, diagram, without=sheet)
+    start, other = _followed(positions, decision, part, diagram, without=decision.sheets[0])
     if (other >= 0).any():
         row = int((other >= 0).argmax())
         raise not_taken(decision, int(positions.frame[part.start + row]), int(other[row]))
@@ -228,9 +199,8 @@ def _followed(
     start, other = np.full(len(positions.frame), np.nan), np.full(len(positions.frame), -1)
     at, wanted = (part.stop - 1 if back else part.start), decision
     while True:
-        rows = (
-            slice(max(part.start, at + 1 - BLOCK), at + 1) if back else slice(at, min(at + BLOCK, part.stop))
-        )
+        first, stop = (at + 1 - BLOCK, at + 1) if back else (at, at + BLOCK)
+        rows = slice(max(part.start, first), min(part.stop, stop))
         ridges = diagram.ridges(positions, rows)
         owned = _whole_pixels(positions.x_px[rows] - np.float64(origin), ridges)
         if without is not None:
@@ -273,9 +243,8 @@ def _fitted(positions: Positions, start_px: Floats, rows: Ints, diagram: Diagram
         first, last = int(rows[part][0]), int(rows[part][-1]) + 1
         profile = diagram.rows(positions.first_row + first, positions.first_row + last)[rows[part] - first]
         bright = profile if comb.sign > 0 else -profile
-        x[part] = fit_sheets(bright, start_px[part, None], fit=fit, window_px=facts.window_px, comb=comb)[0][
-            :, 0
-        ]
+        found, _ = fit_sheets(bright, start_px[part, None], fit=fit, window_px=facts.window_px, comb=comb)
+        x[part] = found[:, 0]
     return x + diagram.first_column
 
 
@@ -314,7 +283,6 @@ def _removed(positions: Positions, sheet: int) -> Positions:
 
 def _inserted(positions: Positions, sheet: int, values: Mapping[str, Any]) -> Positions:
     """One more column of these values, NaN where there are none."""
-    cells = {
-        name: np.insert(getattr(positions, name), sheet, values.get(name, np.nan), axis=1) for name in CELLS
-    }
+    earlier = {name: getattr(positions, name) for name in CELLS}
+    cells = {k: np.insert(one, sheet, values.get(k, np.nan), axis=1) for k, one in earlier.items()}
     return replace(positions, **cells)

@@ -16,8 +16,8 @@ from vision.deformation import horizontal_deformation
 from vision.errors import InputError, with_options
 from vision.numeric import Floats, Floats32, Ints, Pixels
 from vision.review.editing import apply, usual_places
-from vision.review.positions import Positions, read_positions
-from vision.review.stored import decided_clock
+from vision.review.stored import Positions, decided_clock, positions_of
+from vision.review.tracks_file import read_tracks
 from vision.sheets.corrections import OF_STRETCHES, Correction
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.subpixel import fit_sheets, position_noise
@@ -37,13 +37,7 @@ READY = ("ok", "given")  # of a clock
 
 
 class Effects:
-    """Measures what decisions change; keeps none.
-
-    Parameters
-    ----------
-    run
-        The session whose positions, clock and film are looked at.
-    """
+    """Measures what decisions would change in a session; keeps none."""
 
     def __init__(self, run: Session) -> None:
         self.run = run
@@ -53,17 +47,8 @@ class Effects:
     def preview(self, request: Mapping[str, Any], frame: Any = None) -> dict[str, Any]:
         """What a decision would change: positions about a frame, numbering, and σ_x/Λ_st of the stick there.
 
-        Parameters
-        ----------
-        request
-            The decision.
-        frame
-            Where the page looks; the decision's first frame if it is not within its frames.
-
-        Raises
-        ------
-        InputError
-            Where the decision does not fit.
+        frame: where the page looks; the decision's first frame if it is not within its frames.
+        Raises: InputError where the decision does not fit.
         """
         decision = self.run.decision_of(request)
         with self.run.lock:
@@ -90,21 +75,13 @@ class Effects:
             }
 
     def of_other(self, tracks: Path, frame: int) -> dict[str, Any]:
-        """What another run's tracks would change: positions about a frame, numbering and the stick there.
-
-        Parameters
-        ----------
-        tracks
-            tracks.nc of the other run.
-        frame
-            Where the page looks.
-        """
+        """What another run's tracks.nc would change: positions about a frame, numbering, the stick there."""
         at = self.run.positions.row_of(frame)
         event = self._event_at(at)
         near = None if event is None else self._near(event)
         decision = Correction(kind="strip")
         rows = self._window(decision, at, near)
-        after = read_positions(tracks, rows)
+        after = positions_of(read_tracks(tracks, rows))
         shown = _about(at - rows.start)
         return {
             "frames": after.frame[shown],
@@ -115,8 +92,7 @@ class Effects:
         }
 
     def _looked_at(self, decision: Correction, frame: Any) -> int:
-        """Row that a preview is about: the frame looked at, where the decision changes it, and not far from
-        where a ridge is first followed."""
+        """Row that a preview is about: the frame looked at, as far as the decision changes it."""
         numbers = self.run.positions.frame
         first = max(decision.first, int(numbers[0]))
         last = int(numbers[-1]) if decision.stop is None else min(decision.stop - 1, int(numbers[-1]))
@@ -126,8 +102,7 @@ class Effects:
         return min(int(np.searchsorted(numbers, looked)), len(numbers) - 1)
 
     def _window(self, decision: Correction, at: int, near: Near | None) -> slice:
-        """Rows that a preview works on: those around one, with the sticks there, and from where a ridge is
-        first followed."""
+        """Rows that a preview works on: around one, with the sticks there, from where a ridge is followed."""
         numbers = self.run.positions.frame
         a, b, _ = _about(at).indices(len(numbers))
         if near is not None:
@@ -148,13 +123,9 @@ class Effects:
     def clock_preview(self, offset_s: Any, drift_ppm: Any = 0.0, frame: Any = None) -> dict[str, Any]:
         """Sticks and slips by another clock, and σ_x/Λ_st of the stick at a frame.
 
-        Raises
-        ------
-        InputError
-            Without a force recording.
+        Raises: InputError without a force recording.
         """
-        request = {"kind": "clock", "offset_s": offset_s, "drift_ppm": drift_ppm}
-        decision = self.run.decision_of(request)
+        decision = self.run.decision_of({"kind": "clock", "offset_s": offset_s, "drift_ppm": drift_ppm})
         if self.run.found.events is None:
             raise InputError("the clock", "a run with a force recording", "none")
         with self.run.lock:
@@ -169,15 +140,12 @@ class Effects:
     def strip_preview(self, rows: Any, frame: Any) -> dict[str, Any]:
         """Ridges of one frame in other rows, and the noise of positions in the frames about it.
 
-        Raises
-        ------
-        InputError
-            For rows outside the picture, or without a ridge.
+        Raises: InputError for rows outside the picture, or without a ridge.
         """
-        decision = self.run.decision_of({"kind": "strip", "rows": rows})
-        top, bottom = decision.rows or (0, 0)
-        if bottom > self.run.recordings.film().shape[0]:
-            raise InputError("the strip", f"rows within 0:{self.run.recordings.film().shape[0]}", f"{rows}")
+        top, bottom = self.run.decision_of({"kind": "strip", "rows": rows}).rows or (0, 0)
+        height = self.run.recordings.film().shape[0]
+        if bottom > height:
+            raise InputError("the strip", f"rows within 0:{height}", f"{rows}")
         at = self.run.positions.row_of(frame if isinstance(frame, int) else int(self.run.positions.frame[0]))
         pictures, here = self._pictures(at)
         first = self.run.diagram.first_column
@@ -219,8 +187,7 @@ class Effects:
     # --- deformation ----------------------------------------------------------------------------------------
 
     def stick(self, event: int) -> dict[str, Any]:
-        """σ_x/Λ_st of every sheet in one stick and the shell of each side, of the positions as they are: what
-        a preview starts from. Without sheets there is a reason."""
+        """σ_x/Λ_st of every sheet in one stick and the shell of each side; without sheets, the reason."""
         with self.run.lock:
             return {"event": event, **self._now(event)}
 
@@ -228,10 +195,9 @@ class Effects:
         """Of the positions as they are; kept until a decision changes them."""
         if self._known[0] != self.run.revision:
             self._known = self.run.revision, {}
-        known = self._known[1]
-        if event not in known:
-            known[event] = self._by_clock(event)
-        return known[event]
+        if event not in self._known[1]:
+            self._known[1][event] = self._by_clock(event)
+        return self._known[1][event]
 
     def _by_clock(self, event: int, clock: Clock | None = None) -> dict[str, Any]:
         """Of the positions as they are, by the run's clock or another."""
@@ -292,21 +258,20 @@ class Effects:
             shells = classify_shells(one, threshold=settings.threshold, settings=settings.tuning.shells)
         except InputError as error:
             return _unknown(error)
-        names = ("ratio", "ratio_err", "p_stiff", "shell", "flag")
-        columns = {"index": sheets["sheet"], "side": sheets["side"], "n": sheets["n"]}
-        table = pd.DataFrame({name: values.values for name, values in columns.items()})
-        table = table.assign(**{name: sheets[name].values for name in names})
+        names = ("side", "n", "ratio", "ratio_err", "p_stiff", "shell", "flag")
+        table = pd.DataFrame(
+            {"index": sheets["sheet"].values} | {name: sheets[name].values for name in names}
+        )
         sizes = shells[["side", "stiff_sheets", "stiff_low", "stiff_high"]].astype(object)
         return {"sheets": records(table), "shells": records(sizes.where(sizes.notna(), None))}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Near:
-    """One stick, with those around it from which noise and camera movement are measured: their rows, and the
-    clock by which they lie there."""
+    """One stick, with those around it from which noise and camera movement are measured."""
 
     event: int
-    clock: Clock
+    clock: Clock  # by which they lie in these rows
     sticks: pd.DataFrame
     rows: Ints
 

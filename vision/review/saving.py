@@ -24,16 +24,15 @@ from numpy.typing import NDArray
 from vision.clock import Clock
 from vision.errors import InputError
 from vision.isolation import PACKAGES
-from vision.numeric import Floats, Floats32, Ints
+from vision.numeric import Floats, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.review.editing import Before, usual_places
-from vision.review.positions import Positions, read_positions
-from vision.run.folder import clean_up, put_in_place
-from vision.run.provenance import Origin, Parameter, plain
+from vision.review.stored import Positions, positions_of
+from vision.review.tracks_file import read_tracks
+from vision.run.folder import Origin, Parameter, clean_up, plain, put_in_place
 from vision.run.reading import input_of, parameters_of, read_run, read_strip, read_table, tracks_of
 from vision.run.writing import write_run
 from vision.sheets.corrections import Correction, Decisions
-from vision.video import Video
 
 if TYPE_CHECKING:
     from vision.review.session import Session
@@ -47,53 +46,25 @@ DIFFERENT = 3.0
 
 @dataclass(frozen=True, kw_only=True)
 class SaveJob:
-    """What is to be saved.
+    """What is to be saved."""
 
-    Parameters
-    ----------
-    folder, settings
-        The run, and the settings that it was made with, without corrections.
-    applied
-        Decisions that it already follows.
-    decisions
-        Those that it shall follow.
-    clock
-        The run's, kept where no decision changes it.
-    film
-        Where the film lies now, if not where it was. Without the film all but another strip can be saved.
-    beside
-        Files of the review that are kept with the run: content by name.
-    options
-        Names of arguments and the command's options that the report shows in their place.
-    into
-        Where the run is written, if it shall not take the old one's place.
-    """
-
-    folder: Path
-    settings: Settings
-    applied: tuple[Correction, ...]
-    decisions: Decisions
-    clock: Clock | None = None
+    folder: Path  # the run
+    settings: Settings  # that it was made with, without corrections
+    applied: tuple[Correction, ...]  # decisions that it already follows
+    decisions: Decisions  # those that it shall follow
+    clock: Clock | None = None  # the run's, kept where no decision changes it
+    # where the film lies now, if not where it was; without the film all but another strip can be saved
     film: Path | None = None
-    beside: Mapping[str, bytes] | None = None
+    beside: Mapping[str, bytes] | None = None  # files of the review kept with the run: content by name
+    # names of arguments and the command's options that the report shows in their place
     options: Mapping[str, str] = field(default_factory=dict)
-    into: Path | None = None
+    into: Path | None = None  # where the run is written, if it shall not take the old one's place
 
 
 def save_run(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: None) -> None:
     """Run what follows from the decisions again and replace the run folder.
 
-    Parameters
-    ----------
-    job
-        What is to be saved.
-    tell
-        Called with what is being done.
-
-    Raises
-    ------
-    InputError
-        Where a decision does not fit, or a file is gone; the run stays as it was.
+    Raises: InputError where a decision does not fit, or a file is gone; the run stays as it was.
     """
     tell("reading the run")
     folder, settings = job.folder, replace(job.settings, corrections=job.decisions.corrections)
@@ -111,8 +82,12 @@ def save_run(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: None) -> 
     def read(done: int, total: int | None) -> None:
         tell("reading the film" if done != total else "measuring", done, total or 0)
 
+    try:
+        video = open_recording(input_of(folder, inputs[0], job.film), job.settings)
+    except InputError:  # it is gone; it is needed for another strip alone
+        video = None
     analysis = analyse(
-        _recording(job, inputs),
+        video,
         None if force is None else input_of(folder, inputs[-1]),
         settings if settings.pitch_um is None else replace(settings, pixel_size_um=None),
         earlier=earlier,
@@ -133,22 +108,12 @@ def save_run(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: None) -> 
     )
 
 
-def _recording(job: SaveJob, inputs: list[Any]) -> Video | None:
-    """The film, for its first frame and another strip; None where it is gone."""
-    try:
-        return open_recording(input_of(job.folder, inputs[0], job.film), job.settings)
-    except InputError:
-        return None
-
-
 # --- in a process of its own --------------------------------------------------------------------------------
 
 
 class Saver:
     """One run at a time that is made again, beside the server.
 
-    Notes
-    -----
     A process of its own keeps the page answering and gives its memory back. It writes nothing once the
     server that started it is gone.
     """
@@ -167,18 +132,8 @@ class Saver:
     def start(self, job: SaveJob, finished: Callable[[Mapping[str, Any]], None]) -> None:
         """Begin.
 
-        Parameters
-        ----------
-        job
-            What is to be done.
-        finished
-            Called, in a thread, when the run has been written, with its `differences` from the old one where
-            that has kept its place.
-
-        Raises
-        ------
-        InputError
-            While another one is being made.
+        finished: called, in a thread, when the run has been written, with its `differences` from the old one
+        where that has kept its place.  Raises: InputError while another one is being made.
         """
         if self.running:
             raise InputError("the run", "one that is not being tracked or saved", "one that is", "wait")
@@ -248,11 +203,8 @@ def in_child(server: int) -> None:
     """Save what standard input holds, and tell how it goes, a line of JSON each: ["stage", text, frames done,
     their number], ["found", differences, 0, 0] where a run is put beside, at last ["end", error, 0, 0].
 
-    Parameters
-    ----------
-    server
-        The process that waits for it. Once it is gone, the run is left as it was: its decisions are in
-        corrections.toml.
+    server: the process that waits for it. Once it is gone, the run is left as it was: its decisions are in
+    corrections.toml.
     """
     lines, sys.stdout = sys.stdout, sys.stderr
 
@@ -281,15 +233,8 @@ def in_child(server: int) -> None:
 
 
 class Trial:
-    """Tracks a run again under a decision that is not kept, and says what that would change.
+    """Tracks a session's run again under a decision that is not kept, and says what that would change.
 
-    Parameters
-    ----------
-    run
-        The session.
-
-    Notes
-    -----
     The new run is written whole, beside the old one, with the decision in its corrections.toml. Keeping it is
     a change of two names: what is kept is exactly what was shown, and the film is not read a second time.
     """
@@ -317,10 +262,7 @@ class Trial:
     def at(self, frame: int) -> dict[str, Any]:
         """Positions about a frame, and σ_x/Λ_st of the stick there, before and after.
 
-        Raises
-        ------
-        InputError
-            Where nothing was tracked again.
+        Raises: InputError where nothing was tracked again.
         """
         with self.run.lock:
             return self.run.effects.of_other(self._ready() / "tracks.nc", frame)
@@ -334,10 +276,7 @@ class Trial:
     def keep(self) -> None:
         """Put the new run, whose corrections.toml holds the decision, in the old one's place.
 
-        Raises
-        ------
-        InputError
-            Where nothing was tracked again, or it cannot be written; the run stays as it was.
+        Raises: InputError where nothing was tracked again, or it cannot be written; the run stays as it was.
         """
         run = self.run
         with run.lock:
@@ -379,28 +318,15 @@ def _beside(folder: Path) -> Path:
 def differences(before: Path, after: Path) -> dict[str, Any]:
     """What one run folder says that another one does not.
 
-    Parameters
-    ----------
-    before, after
-        Run folders.
-
-    Returns
-    -------
-    dict
-        Pairs are before and after. Of the whole runs: sheets (left and right), positions, doubtful
-        (positions), error_px (median). Of the sheets that both have, each other's nearest within half a
-        pitch: gained and lost (positions); of the positions in both, their number compared, how many differ
-        by more than `DIFFERENT` errors, how many lie on other_ridge, more than half a pitch away, median_px
-        and largest_px (of the difference). ratios: known (pairs), median and largest (of the difference), of
-        (compared), other_shell (called otherwise). shells: of each side the median number of stiff sheets,
-        and in how many sticks it is other. Both None where a run has none.
-
-    Raises
-    ------
-    InputError
-        For damaged files.
+    Pairs are before and after. Of the whole runs: sheets (left and right), positions, doubtful (positions),
+    error_px (median). Of the sheets that both have, each other's nearest within half a pitch: gained and lost
+    (positions); of the positions in both, their number compared, how many differ by more than `DIFFERENT`
+    errors, how many lie on other_ridge, more than half a pitch away, median_px and largest_px (of the
+    difference). ratios: known (pairs), median and largest (of the difference), of (compared), other_shell
+    (called otherwise). shells: of each side the median number of stiff sheets, and in how many sticks it is
+    other. Both None where a run has none.  Raises: InputError for damaged files.
     """
-    old, new = (read_positions(folder / "tracks.nc") for folder in (before, after))
+    old, new = (positions_of(read_tracks(folder / "tracks.nc")) for folder in (before, after))
     pairs = _pairs(usual_places(old), usual_places(new), old.track_facts.pitch_px)
     return _of_positions(old, new, *pairs) | _of_deformation(before, after, *pairs)
 
@@ -447,34 +373,24 @@ def _pairs(old_px: Floats, new_px: Floats, pitch_px: float) -> tuple[Ints, Ints]
 
 
 def _of_positions(before: Positions, after: Positions, old: Ints, new: Ints) -> dict[str, Any]:
-    """How the positions of the sheets in both runs differ, a sheet at a time."""
-    known, gained, lost, differ, other = np.zeros(2, np.int64), 0, 0, 0, 0
-    moved: list[Floats32] = []
-    for a, b in zip(old, new, strict=True):
-        was, will = before.x_px[:, a], after.x_px[:, b]
-        there, then = np.isfinite(was), np.isfinite(will)
-        gained, lost = gained + int((then & ~there).sum()), lost + int((there & ~then).sum())
-        both = there & then
-        away = np.abs(will - was)[both]
-        error = np.hypot(before.err_px[:, a], after.err_px[:, b])[both]
-        differ += int((away > DIFFERENT * error).sum())
-        other += int((away > 0.5 * before.track_facts.pitch_px).sum())
-        moved.append(away)
-    for k, part in enumerate((before, after)):
-        known[k] = np.isfinite(part.x_px).sum()
-    all_moved = np.concatenate(moved) if moved else np.empty(0, np.float32)
+    """How the positions of the sheets in both runs differ."""
+    was, will = before.x_px[:, old], after.x_px[:, new]
+    there, then = np.isfinite(was), np.isfinite(will)
+    both = there & then
+    moved = np.abs(will - was)[both]
+    error = np.hypot(before.err_px[:, old], after.err_px[:, new])[both]
     return {
         "sheets": [[int((part.side == side).sum()) for side in (-1, 1)] for part in (before, after)],
-        "positions": known,
+        "positions": [int(np.isfinite(part.x_px).sum()) for part in (before, after)],
         "doubtful": [int(part.doubtful.sum()) for part in (before, after)],
         "error_px": [float(np.nanmedian(part.err_px)) for part in (before, after)],
-        "gained": gained,
-        "lost": lost,
-        "compared": len(all_moved),
-        "differ": differ,
-        "other_ridge": other,
-        "median_px": float(np.median(all_moved)) if all_moved.size else None,
-        "largest_px": float(all_moved.max()) if all_moved.size else None,
+        "gained": int((then & ~there).sum()),
+        "lost": int((there & ~then).sum()),
+        "compared": len(moved),
+        "differ": int((moved > DIFFERENT * error).sum()),
+        "other_ridge": int((moved > 0.5 * before.track_facts.pitch_px).sum()),
+        "median_px": float(np.median(moved)) if moved.size else None,
+        "largest_px": float(moved.max()) if moved.size else None,
     }
 
 
@@ -483,12 +399,8 @@ def _of_positions(before: Positions, after: Positions, old: Ints, new: Ints) -> 
 
 def pack(steps: Sequence[Before | None]) -> bytes:
     """What the decisions replaced, in their order, as the content of an .npz file."""
-    facts = [
-        None
-        if step is None
-        else {name: getattr(step, name) for name in ("how", "first", "stop", "sheets", "axis_px", "axis_how")}
-        for step in steps
-    ]
+    names = ("how", "first", "stop", "sheets", "axis_px", "axis_how")
+    facts = [step and {name: getattr(step, name) for name in names} for step in steps]
     arrays: dict[str, Any] = {
         f"{k}.{name}": values
         for k, step in enumerate(steps)
@@ -501,8 +413,10 @@ def pack(steps: Sequence[Before | None]) -> bytes:
 
 
 def unpack(path: Path) -> list[Before | None]:
-    """The inverse of `pack`; nothing for a file that is not there or damaged: then a decision can still be
-    taken back, but is seen only when it is saved."""
+    """The inverse of `pack`; nothing for a file that is not there or damaged.
+
+    Then a decision can still be taken back, but is seen only when it is saved.
+    """
     try:
         with np.load(path, allow_pickle=False) as kept:
             facts = json.loads(kept["facts"].tobytes())

@@ -1,21 +1,26 @@
 """The server of `track review`: a page on the loopback address, for whoever has the token.
 
-It is there before the run has been read, which takes longer than to load the page. Answers that are kept with
-the run are given at once; other questions wait until it has been read.
+It is there before the run has been read, which takes longer than to load the page. Answers to what a page
+asks first are kept in the run's folder and given at once; other questions wait until the run has been read.
+This module imports nothing that takes time, for it is what is waited for.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import hashlib
 import hmac
+import json
 import secrets
 import socket
-from collections.abc import Callable, Mapping
+import zlib
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile, ZipFile
 
 import uvicorn
 from starlette.applications import Starlette
@@ -25,6 +30,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from vision import __version__
 from vision.errors import InputError, with_options
 
 MOST_BODY_BYTES = 1_000_000
@@ -48,24 +54,14 @@ HEADERS = {
 class Guard:
     """Refuses requests that do not come from this page, before anything else sees them.
 
-    Parameters
-    ----------
-    app
-        What is guarded.
-    port
-        On which it is served.
-    token
-        What every request must carry: in the address of the page, then in a cookie or the header X-Token.
-
-    Notes
-    -----
+    Every request must carry the token: in the address of the page, then in a cookie or the header X-Token.
     The Host must be a name of the loopback address (a foreign name that resolves to it could otherwise be
     read by a foreign page: DNS rebinding), and the Origin, where a browser states one, this server. Bodies
     over 1 MB are refused, also where their length was stated wrongly or not at all.
     """
 
-    def __init__(self, app: ASGIApp, *, port: int, token: str) -> None:
-        self.app, self.token, self.cookie = app, token, f"review_{port}"
+    def __init__(self, app: ASGIApp, *, port: int, token: str, cookie: str) -> None:
+        self.app, self.token, self.cookie = app, token, cookie
         self.hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -141,41 +137,10 @@ async def failed(request: Request, error: Exception) -> Response:
     return refused(status, " ".join(str(text).split()))
 
 
-class Page:
-    """The page's files, by names that were there when the server started."""
-
-    def __init__(self, cookie: str, token: str) -> None:
-        self._cookie, self._token = cookie, token
-        self._files = {path.name: path for path in PAGE.glob("*") if path.suffix in KINDS}
-
-    def index(self, request: Request) -> Response:
-        """index.html; the token goes into a cookie that no script and no other site sees."""
-        answer = self._answer("index.html")
-        answer.set_cookie(self._cookie, self._token, httponly=True, samesite="strict", path="/")
-        return answer
-
-    def file(self, request: Request) -> Response:
-        """Any other."""
-        return self._answer(request.path_params["name"])
-
-    def _answer(self, name: str) -> Response:
-        path = self._files.get(name)
-        if path is None:
-            raise HTTPException(404, "no such file")
-        return Response(path.read_bytes(), media_type=f"{KINDS[path.suffix]}; charset=utf-8")
-
-
 class Awaited:
-    """Answers that are there once the run has been read; until then those that were kept.
+    """Answers that are there once the run has been read; until then those that were kept, by their questions.
 
-    Parameters
-    ----------
-    answers
-        Of the run.
-    kept
-        Answers by their questions.
-    begin
-        Called with the first question that has none among them.
+    `begin` is called with the first question that has none among them.
     """
 
     def __init__(self, answers: Future[ASGIApp], kept: Mapping[str, bytes], begin: Callable[[], Any]) -> None:
@@ -201,23 +166,28 @@ class Awaited:
 
 
 def make_app(answers: ASGIApp, *, port: int, token: str) -> ASGIApp:
-    """The page, and what it asks about the run.
+    """The page, its files by names that were there at the start, and answers about the run; guarded."""
+    files = {path.name: path for path in PAGE.glob("*") if path.suffix in KINDS}
+    cookie = f"review_{port}"
 
-    Parameters
-    ----------
-    answers
-        To what begins with /api/.
-    port, token
-        For `Guard`.
-    """
-    page = Page(f"review_{port}", token)
+    def file(request: Request) -> Response:
+        path = files.get(request.path_params.get("name", "index.html"))
+        if path is None:
+            raise HTTPException(404, "no such file")
+        return Response(path.read_bytes(), media_type=f"{KINDS[path.suffix]}; charset=utf-8")
+
+    def index(request: Request) -> Response:
+        answer = file(request)  # the token goes into a cookie that no script and no other site sees
+        answer.set_cookie(cookie, token, httponly=True, samesite="strict", path="/")
+        return answer
+
     routes = [
-        Route("/", page.index, methods=["GET"]),
-        Route("/page/{name}", page.file, methods=["GET"]),
+        Route("/", index, methods=["GET"]),
+        Route("/page/{name}", file, methods=["GET"]),
         Route("/api/{question:path}", answers),
     ]
     app = Starlette(routes=routes, exception_handlers={HTTPException: failed, Exception: failed})
-    return Guard(app, port=port, token=token)
+    return Guard(app, port=port, token=token, cookie=cookie)
 
 
 def serve(
@@ -292,3 +262,55 @@ async def _run(server: uvicorn.Server, listening: socket.socket, ready: Callable
     if server.started:
         await asyncio.get_running_loop().run_in_executor(None, ready)
     await serving
+
+
+# --- the first view: answers kept in the run folder ---------------------------------------------------------
+
+
+FIRST_VIEW = "first_view.zip"
+READ = ("run.json", "corrections.toml")
+SIZED = ("tracks.nc", "kymograph.tif", "events.csv", "clock.json")
+MOST_BYTES = 64 << 20  # more is not a first view
+
+
+def read_first_view(folder: Path, film: Path | None = None) -> dict[str, bytes]:
+    """Answers by their questions; none where they are not those about this run, or damaged.
+
+    film: where it lies now, if not where it was when it was tracked.
+    """
+    try:
+        with ZipFile(folder / FIRST_VIEW) as kept:
+            size = sum(one.file_size for one in kept.filelist)
+            if kept.comment != _state(folder, film) or size > MOST_BYTES:
+                return {}
+            return {name: kept.read(name) for name in kept.namelist()}
+    except (OSError, ValueError, RuntimeError, EOFError, BadZipFile, zlib.error):  # all that ZipFile raises
+        return {}
+
+
+def write_first_view(
+    path: Path, folder: Path, answers: Mapping[str, bytes], film: Path | None = None
+) -> None:
+    """Write the file that `read_first_view` finds in the run folder: answers by their questions."""
+    with ZipFile(path, "w") as kept:
+        for name, content in answers.items():
+            kept.writestr(name, content)
+        kept.comment = _state(folder, film)
+
+
+def _state(folder: Path, film: Path | None) -> bytes:
+    """A digest of what the answers follow from: the run, its decisions, whether its inputs are there, and the
+    program that gave them."""
+    texts = [(folder / name).read_bytes() if (folder / name).exists() else b"" for name in READ]
+    facts = json.loads(texts[0])
+    texts += [path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))]
+    inputs = [Path(str(one["path"])) for one in facts.get("inputs") or []]
+    places = [*inputs, *(folder.absolute().parent / one for one in inputs), *([film] if film else [])]
+    known = [__version__, *_facts(folder / name for name in SIZED), *_facts(places, dated=True)]
+    return hashlib.sha256(b"\0".join([*texts, json.dumps(known).encode()])).hexdigest().encode()
+
+
+def _facts(paths: Iterable[Path], *, dated: bool = False) -> list[Any]:
+    """Sizes, and times of the last change; nothing of files that are not there."""
+    found = [path.stat() if path.exists() else None for path in paths]
+    return [one and [one.st_size, one.st_mtime_ns if dated else 0] for one in found]

@@ -13,22 +13,19 @@ from typing import Any, Self
 import numpy as np
 
 from vision.clock import Clock
-from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.figures.decimate import minmax_decimate
 from vision.files import reading
-from vision.numeric import Floats, Floats32, Ints
+from vision.numeric import Floats, Floats32, Ints, nearest
 from vision.pipeline import Settings
-from vision.review.diagram import Diagram, Tiles
-from vision.review.editing import Before, apply, take_back, usual_places
+from vision.review.editing import SAME_RIDGE_PX, Before, apply, take_back, usual_places
 from vision.review.effects import READY, Effects, records
-from vision.review.film import Recordings
-from vision.review.positions import FLAGS, WHYS, positions_of
+from vision.review.recordings import Diagram, Recordings, Tiles
 from vision.review.saving import SaveJob, Saver, Trial, pack, unpack
-from vision.review.stored import Found, claim, decided_clock
+from vision.review.stored import FLAGS, WHYS, Found, claim, decided_clock, positions_of
 from vision.review.tracks_file import Stored, read_tracks
-from vision.run.folder import whole_file
-from vision.run.provenance import plain
+from vision.run.folder import plain, whole_file
+from vision.run.reading import AGAIN
 from vision.run.writing import CORRECTIONS
 from vision.sheets.corrections import (
     KEYS,
@@ -48,6 +45,9 @@ REPLACED = "corrections.npz"  # what saved decisions replaced, so that they can 
 class Session:
     """A run, its decisions, and the positions that follow from them.
 
+    Every decision is on disk, in corrections.toml, before the call that made it returns. The run's tables
+    follow when it is saved.
+
     Parameters
     ----------
     folder
@@ -60,11 +60,6 @@ class Session:
         Names of arguments and the command's options that a report shows in their place.
     tracks
         Of the run, where they are being read already.
-
-    Notes
-    -----
-    Every decision is on disk, in corrections.toml, before the call that made it returns. The run's tables
-    follow when it is saved.
     """
 
     def __init__(
@@ -82,9 +77,9 @@ class Session:
         self.revision = 0
         self._claim = claim(folder)
         self.trial.sweep()  # what a killed review left
-        self._film_slips: tuple[int, Floats] = (-1, np.empty(0))
+        self._film_slips: tuple[int, list[int]] = (-1, [])
         try:
-            with reading(folder, "a run folder as track writes it", "run track again"):
+            with reading(folder, "a run folder as track writes it", AGAIN):
                 self._load(tracks)
                 self.revision = 0  # whatever was taken up: pages know it from the first view
                 self.recordings = Recordings(self.found, settings, film)
@@ -115,7 +110,7 @@ class Session:
             built.result()
         if len(self.positions.frame) != self.diagram.frames:
             frames = f"{len(self.positions.frame)} rows, one per frame of tracks.nc"
-            raise InputError(self.diagram.path, frames, f"{self.diagram.frames}", "run track again")
+            raise InputError(self.diagram.path, frames, f"{self.diagram.frames}", AGAIN)
         self.applied = self.found.applied
         path = self.folder / CORRECTIONS
         decided = read_decisions(path) if path.exists() else Decisions(corrections=tuple(self.applied))
@@ -179,7 +174,7 @@ class Session:
         )
 
     def saving(self) -> dict[str, Any]:
-        """How far saving is."""
+        """How far it is."""
         return self.saver.progress() | {"changed": self.changed}
 
     def reload(self) -> None:
@@ -294,21 +289,21 @@ class Session:
         """Everything a page needs at first, of any length of the film."""
         with self.lock:
             positions, facts, strip = self.positions, self.positions.track_facts, self.positions.strip_facts
-            frames, columns = self.diagram.frames, self.diagram.columns
+            decided = last_of(self.pending, "strip")
             return {
                 "name": self.folder.resolve().name,
                 "source": strip.source,
-                "frames": frames,
+                "frames": self.diagram.frames,
                 "first_frame": int(positions.frame[0]),
                 "time_first_s": positions.time_s[0],
                 "time_last_s": positions.time_s[-1],
                 "fps": strip.fps,
                 "clock_kind": strip.clock_kind,
-                "columns": columns,
+                "columns": self.diagram.columns,
                 "first_column": self.diagram.first_column,
                 "pixel_size_um": self.found.pixel_size_um,
                 "threshold": self.settings.threshold,
-                "strip": self._rows(strip),
+                "strip": (decided and decided.rows) or (strip.strip_z0, strip.strip_z1),
                 "axis_px": facts.axis_px,
                 "axis_range_px": [facts.axis_low_px, facts.axis_high_px],
                 "pitch_px": facts.pitch_px,
@@ -325,20 +320,12 @@ class Session:
                 **self.state(),
             }
 
-    def _rows(self, strip: StripMetadata) -> tuple[int, int]:
-        """Rows of the strip, as decided on."""
-        decided = last_of(self.pending, "strip")
-        return (strip.strip_z0, strip.strip_z1) if decided is None or decided.rows is None else decided.rows
-
     def state(self) -> dict[str, Any]:
         """What changes with each decision."""
-        pending = len(self.pending)
+        saved = len(self.decisions) - len(self.pending)
         return {
             "revision": self.revision,
-            "decisions": [
-                _listed(one) | {"saved": k < len(self.decisions) - pending}
-                for k, one in enumerate(self.decisions)
-            ],
+            "decisions": [_listed(one) | {"saved": k < saved} for k, one in enumerate(self.decisions)],
             "undone": [_listed(one) for one in self.undone],
             "can_undo": bool(self.decisions),
             "can_redo": bool(self.undone),
@@ -388,30 +375,25 @@ class Session:
         if clock is None or events is None:
             return []
         start, stop = (clock.to_video_s(events[name].to_numpy(float)) for name in ("t_v_s", "t_p_s"))
-        first, last = self._frames_at(start), self._frames_at(stop)
+        frames = {"first": self._frames_at(start), "stop": self._frames_at(stop) + 1}
         time_s = self.positions.time_s
         inside = (stop > np.nanmin(time_s)) & (start < np.nanmax(time_s))
-        table = events[["event", "stick_length_um"]].assign(first=first, stop=last + 1)
-        return records(table[inside])
+        return records(events[["event", "stick_length_um"]].assign(**frames)[inside])
 
     def slips(self, clock: Clock | None = None) -> list[int]:
         """First frames after the slips: of the force where its clock is sure, else of the sheets' steps."""
         clock, time_s = clock or self.clock, self.positions.time_s
-        if clock is not None and self.found.events is not None and clock.status in READY:
-            at = clock.to_video_s(self.found.events["t_p_s"].to_numpy(float))
-            at = at[(at > np.nanmin(time_s)) & (at < np.nanmax(time_s))]
-        else:
-            at = self._video_slips_s()
+        if clock is None or self.found.events is None or clock.status not in READY:
+            return self.film_slips()
+        at = clock.to_video_s(self.found.events["t_p_s"].to_numpy(float))
+        at = at[(at > np.nanmin(time_s)) & (at < np.nanmax(time_s))]
         return sorted({int(frame) for frame in self._frames_at(at)})
 
     def film_slips(self) -> list[int]:
         """First frames after the sheets' own steps, whatever the clock."""
-        return sorted({int(frame) for frame in self._frames_at(self._video_slips_s())})
-
-    def _video_slips_s(self) -> Floats:
-        """Kept until a decision changes the positions: a second's work for a long film."""
-        if self._film_slips[0] != self.revision:
-            self._film_slips = self.revision, self.positions.slips_s()
+        if self._film_slips[0] != self.revision:  # kept, as a long film takes a second
+            frames = self._frames_at(self.positions.slips_s())
+            self._film_slips = self.revision, sorted({int(frame) for frame in frames})
         return self._film_slips[1]
 
     def _frames_at(self, seconds: Floats) -> Ints:
@@ -427,20 +409,8 @@ class Session:
         """(rows, 1 + sheets): frame number, then a value of each sheet; extremes of intervals where there
         are more rows than points.
 
-        Parameters
-        ----------
-        first, stop
-            Frames, half-open.
-        points
-            Rows wanted at most.
-        what
-            "x" (px), "err" (px), "withheld" (px), or "flag": place in `FLAGS`, the worst
-            of each interval.
-
-        Raises
-        ------
-        InputError
-            For another name.
+        what: "x" (px), "err" (px), "withheld" (px), or "flag", place in `FLAGS`, the worst of each interval.
+        Raises: InputError for another name.
         """
         names = {"x": "x_px", "err": "err_px", "withheld": "withheld_px"}
         if what not in (*names, "flag"):
@@ -466,14 +436,10 @@ class Session:
             x = seen.x_px[0][known].astype(float) + self.diagram.first_column
             owner = _owners(x, positions.x_px[row])
             doubted = _owners(x, positions.withheld_px[row])
+            contrast, fwhm_px = seen.contrast[0][known], seen.fwhm_px[0][known]
             candidates = [
-                {
-                    "x_px": x[k],
-                    "contrast": seen.contrast[0][known][k],
-                    "fwhm_px": seen.fwhm_px[0][known][k],
-                    "sheet": int(owner[k]) if owner[k] >= 0 else None,
-                    "doubted_sheet": int(doubted[k]) if doubted[k] >= 0 else None,
-                }
+                {"x_px": x[k], "contrast": contrast[k], "fwhm_px": fwhm_px[k]}
+                | {"sheet": owner[k], "doubted_sheet": doubted[k]}
                 for k in range(len(x))
             ]
             expected = positions.expected_px(np.array([row]))[0]
@@ -498,13 +464,10 @@ def _common(one: Sequence[Correction], other: Sequence[Correction]) -> int:
     return next((k for k, (a, b) in pairs if a.what != b.what), min(len(one), len(other)))
 
 
-def _owners(x: Floats, positions: Floats | Floats32) -> Ints:
-    """Index of the sheet whose position is this candidate's, -1 for none; within 2 px, the nearest."""
-    distance = np.abs(np.asarray(positions, float)[None, :] - x[:, None])
-    distance = np.where(np.isfinite(distance), distance, np.inf)
-    nearest = distance.argmin(axis=1)
-    near = distance[np.arange(len(x)), nearest] <= 2.0
-    return np.where(near, nearest, -1).astype(np.int64)
+def _owners(x: Floats, positions: Floats32) -> list[int | None]:
+    """Index of the sheet whose position is this candidate's, None for none; within 2 px, the nearest."""
+    sheet, distance = nearest(np.broadcast_to(positions.astype(float), (len(x), len(positions))), x)
+    return [int(k) if away <= SAME_RIDGE_PX else None for k, away in zip(sheet, distance, strict=True)]
 
 
 def _worst(frame: Floats, codes: Any, points: int) -> tuple[Floats, Any]:

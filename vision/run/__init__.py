@@ -1,17 +1,28 @@
 """The run folder: written whole or not at all, read back, exported."""
 
-from vision.run.checkpoint import Checkpoint
 from vision.run.export import export_run
-from vision.run.folder import check_new, check_target, run_folder, whole_file
-from vision.run.provenance import (
+from vision.run.folder import (
     Checksums,
     Origin,
     Parameter,
+    check_new,
+    check_target,
     describe_input,
     plain,
+    run_folder,
+    whole_file,
     write_json,
 )
-from vision.run.reading import RunFolder, check_mark, is_run, read_run, read_strip, read_table, slip_times_s
+from vision.run.reading import (
+    Checkpoint,
+    RunFolder,
+    check_mark,
+    is_run,
+    read_run,
+    read_strip,
+    read_table,
+    slip_times_s,
+)
 from vision.run.writing import write_run
 
 __all__ = [

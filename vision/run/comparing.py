@@ -17,8 +17,7 @@ from vision.figures.compare import compare_sections
 from vision.models import Estimate
 from vision.report.page import render_page
 from vision.report.text import Answer, citation
-from vision.run.folder import run_folder
-from vision.run.provenance import Origin, write_json
+from vision.run.folder import Origin, run_folder, write_json
 from vision.run.tables import write_table
 
 MARK = "compare"  # of run.json: tells a comparison from a run

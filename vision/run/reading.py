@@ -1,28 +1,44 @@
-"""A finished run folder, read back."""
+"""A run read back: a finished one from its folder, an interrupted one from what was kept beside it."""
 
 from __future__ import annotations
 
 import glob
+import hashlib
 import json
 import math
-from collections.abc import Mapping
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 import pandas as pd
 import tifffile
 import xarray as xr
+from numpy.typing import NDArray
 
+import vision
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.files import check_regular, reading, shortened
 from vision.isolation import try_out
 from vision.numeric import Floats, Floats32
-from vision.run.folder import MARK
-from vision.run.provenance import Parameter, describe_input
+from vision.run.folder import (
+    MARK,
+    Parameter,
+    describe_input,
+    existing_parent,
+    lock_folder,
+    plain,
+    reading_folder,
+    write_json,
+)
 from vision.run.tables import attrs_of_netcdf
+from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files
 from vision.video.frames import ProfileStore
 from vision.video.stacks import check_tiff
 from vision.video.uncompressed import read_fully
@@ -32,13 +48,11 @@ AGAIN = "run track again"
 
 @dataclass(frozen=True)
 class RunFolder:
-    """A run folder: facts, what run.json says; tracks, x(n, t) as `track_sheets` gave it, None for a run of
-    a force recording alone.
-    """
+    """A run folder."""
 
     folder: Path
-    facts: Mapping[str, Any]
-    tracks: xr.Dataset | None
+    facts: Mapping[str, Any]  # what run.json says
+    tracks: xr.Dataset | None  # as `track_sheets` gave them; None for a run of a force recording alone
 
     @property
     def pixel_size_um(self) -> float | None:
@@ -66,8 +80,7 @@ def is_run(folder: Path) -> bool:
 
 
 def check_mark(target: Path, mark: str) -> None:
-    """Keep results from being overwritten by something made from them: a run folder at `target` must be of
-    the same kind, with `mark` in its run.json.
+    """Keep a run from being overwritten by what is made from it: `mark` stands in an earlier one's run.json.
 
     Raises: InputError.
     """
@@ -206,23 +219,17 @@ def _read_tracks(path: Path) -> xr.Dataset:
             StripMetadata.of(tracks)
         except InputError as error:
             raise InputError(path, wanted, shortened(str(error)), AGAIN) from error
-        _check_numbers(tracks, path, wanted)
+        numbers = [str(name) for name in TRACKS.variables if name in tracks.variables and name not in words]
+        odd = [name for name in numbers if tracks[name].dtype.kind not in "fiu"]
+        if odd:
+            raise InputError(path, wanted, f"no numbers in {', '.join(odd)}", AGAIN)
     return tracks
-
-
-def _check_numbers(tracks: xr.Dataset, path: Path, wanted: str) -> None:
-    """Refuse variables that are no numbers.  Raises: InputError."""
-    odd = [str(name) for name in TRACKS.variables if name in tracks.variables and name not in ("flag", "why")]
-    odd = [name for name in odd if tracks[name].dtype.kind not in "fiu"]
-    if odd:
-        raise InputError(path, wanted, f"no numbers in {', '.join(odd)}", AGAIN)
 
 
 def stored_kymograph(path: Path) -> tuple[int, np.dtype[Any], tuple[int, int]]:
     """Where in the file of a space-time diagram its values begin, their type and shape (frame, x).
 
-    For reading a part at a time: it is never mapped, as a mapping of a file that shrinks ends the
-    process.
+    For reading a part at a time: it is never mapped, as a mapping of a file that shrinks ends the process.
     Raises: InputError for a damaged file.
     """
     wanted = "a space-time diagram as track writes it"
@@ -255,3 +262,162 @@ def _read_tif(path: Path, frames: int) -> Floats32:
             read_fully(file, part.data.cast("B"), path)
             rows.append(part.astype(np.float32, copy=False))
     return rows.rows()
+
+
+# --- what an interrupted run kept ---------------------------------------------------------------------------
+
+
+FRAMES, FACTS = "frames", "reading.json"
+STATUS = ("", "ok", "corrupt", "lost")  # by their number in the file; 0 is what a crash leaves unwritten
+PART = 4096  # frames read back at a time
+RESTART = "run without `resume` to start at the first frame"
+
+
+class Checkpoint:
+    """Keeps I(x, t) block by block while a film is read, and gives it back to a run that resumes.
+
+    A folder beside the run folder, hidden as the run folder itself is until it is whole, holds one file that
+    grows by a record per frame (status, time, the strip's mean) and one that says what is read and how. It
+    exists once the reading has taken `after_s`, and until the run folder is written: `done` removes it. A
+    record that was cut short by a kill is left out.
+
+    With `resume` a run goes on where an interrupted one of the same film with the same settings ended, or
+    from the first frame where nothing was kept; without, what an earlier run left is removed. Frames are
+    numbered without gaps (`vision.video.Reader`), and each row is computed from its frame alone, so that the
+    result is the same bit for bit. A disk that is full costs the checkpoint, not the run.
+
+    Raises
+    ------
+    InputError
+        With `resume`: on entering, where another process reads into the same folder; from `begin`, where the
+        film or the way it is read is another one.
+    """
+
+    def __init__(
+        self, target: Path, *, resume: bool = False, after_s: float = VideoSettings.resume_after_s
+    ) -> None:
+        # where I(x, t) may spill: on the disk that has room for results
+        self.folder = existing_parent(target)
+        self.resumed = 0  # frames taken over from the interrupted run
+        self.kept = 0  # frames in the file by now
+        self._target, self._place = target, reading_folder(target)
+        self._resume, self._after_s = resume, after_s
+        self._began = time.monotonic()
+        self._own = False  # whether the folder is this run's
+        self._off = False  # whether nothing is kept: another run has the folder, or it cannot be written
+        self._lock: int | None = None
+        self._file: BinaryIO | None = None
+        self._facts: Callable[[], dict[str, Any]] = dict
+
+    def __enter__(self) -> Self:
+        if self._place.is_dir():
+            self._lock = lock_folder(self._place)
+            self._own = self._lock is not None or os.name != "posix"
+            self._off = not self._own
+            if self._off and self._resume:
+                found, advice = "one that still runs", "wait for it, or give another `out`"
+                raise InputError(self._target, "an interrupted run to resume", found, advice)
+            if not self._resume:
+                self.done()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._file is not None:
+            self._file.close()
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def done(self) -> None:
+        """Leave nothing to resume: the run folder is written."""
+        if self._own:
+            shutil.rmtree(self._place, ignore_errors=True)
+        self.__exit__()
+        self._file, self._own, self.kept = None, False, 0
+
+    def begin(self, video: Video, rows: slice, columns: slice) -> Iterator[FramesRead]:
+        """What an interrupted run kept of this reading, part by part; nothing where there is none."""
+        self._began = time.monotonic()
+        self._facts = partial(_facts, video, rows, columns)
+        width = columns.stop - columns.start
+        self._record = np.dtype([("status", "u1"), ("time_s", "<f8"), ("intensity", "<f4", width)])
+        if not (self._own and (self._place / FACTS).is_file()):
+            return
+        self._check()
+        frames = self._place / FRAMES
+        with reading(frames, "frames of an interrupted run", RESTART):
+            self._file = frames.open("r+b", buffering=0)
+        while (part := np.fromfile(self._file, self._record, PART)).size:
+            whole = part[: _first_odd(part["status"])]
+            self.kept += whole.size
+            yield FramesRead(whole["intensity"], np.array(STATUS)[whole["status"]], whole["time_s"])
+            if whole.size < part.size:
+                break
+        self.resumed = self.kept
+        self._file.truncate(self.kept * self._record.itemsize)
+        self._file.seek(0, os.SEEK_END)
+
+    def add(self, frames: FrameStore) -> None:
+        """Keep what is new, once reading has taken long enough."""
+        if self._off or (self._file is None and time.monotonic() - self._began < self._after_s):
+            return
+        try:
+            if self._file is None:
+                self._start()
+            for start in range(self.kept, frames.count, PART):
+                self._write(frames.part(start, min(start + PART, frames.count)))
+        except (OSError, InputError):  # the run itself may still succeed
+            self.done()
+            self._off = True
+
+    def _start(self) -> None:
+        """Make the folder; the facts come last, as frames without them are nothing."""
+        self.done()
+        self._place.mkdir(parents=True)
+        self._own, self._lock = True, lock_folder(self._place)
+        self._file = (self._place / FRAMES).open("wb", buffering=0)
+        write_json(self._facts(), self._place / FACTS)
+
+    def _write(self, part: FramesRead) -> None:
+        records = np.empty(part.status.size, self._record)
+        records["status"] = [STATUS.index(status) for status in part.status]
+        records["time_s"], records["intensity"] = part.times_s, part.intensity
+        assert self._file is not None
+        data = memoryview(records.tobytes())
+        while data:
+            data = data[self._file.write(data) :]
+        self.kept += records.size
+
+    def _check(self) -> None:
+        """Refuse to go on with another film, or with the same one read otherwise."""
+        kept = read_json(self._place / FACTS)
+        for name, now in plain(self._facts()).items():
+            if kept.get(name) != now:
+                about = "the same film" if name == "inputs" else f"{name} {kept.get(name)} as before"
+                found = "one that was changed or replaced" if name == "inputs" else str(now)
+                raise InputError(self._target, f"{about}, to resume", found, RESTART)
+
+
+def _facts(video: Video, rows: slice, columns: slice) -> dict[str, Any]:
+    """What I(x, t) depends on."""
+    given = video.given_times_s
+    return {
+        "sheetvision": vision.__version__,
+        "strip": [rows.start, rows.stop],
+        "columns": [columns.start, columns.stop],
+        "rotate": video.rotate,
+        "frames": [video.first, video.stop],
+        "fps": video.given_fps,
+        "timestamps": None if given is None else hashlib.sha256(given.tobytes()).hexdigest(),
+        # size and content of every file of the film; its name and time may change
+        "inputs": [
+            {k: v for k, v in describe_input(path).items() if k not in ("path", "modified_s")}
+            for path in video_files(video.path)
+        ],
+    }
+
+
+def _first_odd(status: NDArray[np.uint8]) -> int:
+    """How many records come before the first one that was not written."""
+    odd = np.flatnonzero((status == 0) | (status >= len(STATUS)))
+    return int(odd[0]) if odd.size else status.size

@@ -21,10 +21,9 @@ from vision.figures import (
 )
 from vision.pipeline import Analysis
 from vision.report import write_report
-from vision.run.folder import run_folder
-from vision.run.provenance import Origin, write_json
+from vision.run.export import write_kymograph_tif
+from vision.run.folder import Origin, run_folder, write_json
 from vision.run.tables import sheets_table, write_table, write_tracks_csv, write_tracks_nc
-from vision.run.tiff import write_kymograph_tif
 from vision.sample import PUBLISHED
 from vision.sheets import doubtful_stretches
 from vision.sheets.corrections import Decisions, corrections_text, ordered

@@ -131,7 +131,7 @@ class VideoSettings:
     # interrupted runs
     resume_after_s: float = 10.0
     """Seconds of reading after which what was read is kept for `--resume`. Smaller writes for films that are
-    read again as fast, larger loses more to a kill (tests/run/test_checkpoint.py)."""
+    read again as fast, larger loses more to a kill (tests/run/test_reading.py)."""
 
     # recordings that are followed while they are written; all in tests/video/test_follow.py
     follow_poll_s: float = 0.5

@@ -1,6 +1,7 @@
 /* Curves on the diagram's time axis, the displacement of the chosen sheets and the force, and the deformation in one stick. */
 
-import { colours, curveThrough, line, steps, Surface, timeAxis, timeCursor } from "./surface.js";
+import { getBytes, Store } from "./server.js";
+import { colours, curveThrough, line, steps, Surface, timeAxis, timeCursor, wrapped } from "./surface.js";
 
 const CASES = { one: 0, near: 2 }; // sheets on either side of the chosen one
 
@@ -24,7 +25,7 @@ export class Displacement {
     const { view, tiles } = this, sheets = this.sheets();
     const blocks = tiles.tracks(tiles.level((view.last - view.first) / s.plotWidth), view.first, view.last);
     const [low, high] = this.range(blocks, sheets);
-    const y = s.yAxis(low, high, { label: "δx (px)" }), x = timeAxis(s, view, false);
+    const y = s.yAxis(low, high, "δx (px)"), x = timeAxis(s, view, false);
     s.clipped(() => {
       const order = [...sheets].sort((a, b) => (a.index === view.sheet) - (b.index === view.sheet));
       const rows = joined(blocks, view);
@@ -80,7 +81,7 @@ function joined(blocks, view) {
 }
 
 /** Wheel, drag and click of a picture that has time along x. */
-export function alongTime(canvas, surface, view, { grab = () => null } = {}) {
+function alongTime(canvas, surface, view, { grab = () => null } = {}) {
   let held = null;
   const frame = (x) => view.first + ((x - surface.left) * (view.last - view.first)) / surface.plotWidth;
   canvas.addEventListener("pointerdown", (event) => {
@@ -111,6 +112,27 @@ export function alongTime(canvas, surface, view, { grab = () => null } = {}) {
   }, { passive: false });
 }
 
+/** The force recording on its own clock: coarse as a whole at once, finer where it is looked at. */
+export class ForceRecording {
+  constructor(arrived) {
+    this.coarse = true; // while the program has not read the run
+    this.parts = new Store(async (key) => {
+      const rows = new Float64Array(await getBytes(`api/force?points=4096${key}`));
+      return { count: rows.length / 3, time: (k) => rows[3 * k], load: (k) => rows[3 * k + 1] };
+    }, arrived, 40);
+  }
+
+  /** The load between two times of the force clock, in as many points as can be seen; null until it is there. */
+  between(from, to) {
+    const whole = this.parts.get("");
+    if (!whole?.count || this.coarse) return whole;
+    // stretches on a grid of powers of two, so that panning asks rarely
+    const span = 2 ** Math.ceil(Math.log2(Math.max(1e-3, to - from))), first = Math.floor(from / span) * span;
+    if (2 * span >= whole.time(whole.count - 1) - whole.time(0)) return whole;
+    return this.parts.get(`&first_s=${first}&stop_s=${first + 2 * span}`) ?? whole;
+  }
+}
+
 export class Force {
   constructor(canvas, view, page) {
     this.view = view; this.page = page;
@@ -135,7 +157,7 @@ export class Force {
     if (!(low <= high)) [low, high] = [0, 1];
     const margin = 0.06 * (high - low) || 1;
     low -= margin; high += margin;
-    const y = s.yAxis(low, high, { label: "F (N)" });
+    const y = s.yAxis(low, high, "F (N)");
     s.clipped(() => {
       if (view.tool?.slide) this.slips(s, c, x, colour);
       if (force) {
@@ -202,7 +224,7 @@ export class Stick {
     // what is far off before or after must not flatten what is right: it is marked at the edge
     const [values, others] = [after ?? before, before ?? after].map((stick) => stick.sheets.map((one) => one.ratio).filter(Number.isFinite));
     const high = Math.max(2.2 * threshold, 1.12 * Math.min(Math.max(0, ...values), Math.max(0, ...others)));
-    const y = s.yAxis(Math.min(-0.04 * high, 1.1 * Math.min(0, ...values)), high, { label: "σₓ/Λₛₜ" });
+    const y = s.yAxis(Math.min(-0.04 * high, 1.1 * Math.min(0, ...values)), high, "σₓ/Λₛₜ");
     this.nAxis(s, c, colour, x);
     const chosen = page.state.sheets[view.sheet];
     if (chosen) { c.fillStyle = colour.grid; c.globalAlpha = 0.8; c.fillRect(x(chosen) - 4, s.top, 8, s.plotHeight); c.globalAlpha = 1; }
@@ -242,14 +264,4 @@ export class Stick {
     }
     c.globalAlpha = 1;
   }
-}
-
-/** Text broken into lines that fit, centred. */
-export function wrapped(c, text, left, width, y, height) {
-  const lines = [""];
-  for (const word of text.split(" ")) {
-    const longer = `${lines.at(-1)} ${word}`.trim();
-    if (c.measureText(longer).width > width - 10 && lines.at(-1)) lines.push(word); else lines[lines.length - 1] = longer;
-  }
-  lines.forEach((part, i) => c.fillText(part, left + width / 2, y + (i - (lines.length - 1) / 2) * height));
 }

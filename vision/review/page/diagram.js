@@ -174,7 +174,7 @@ export class Diagram {
       if (this.tracksShown) this.tracks(c, at);
       this.marks(c, at);
     });
-    s.yAxis(view.low, view.high, { grid: false, label: "x (px)" });
+    s.yAxis(view.low, view.high, "x (px)", { grid: false });
     const place = timeAxis(s, view, true);
     s.frame();
     timeCursor(s, place, view, "#ffffff", "rgba(0,0,0,0.7)");

@@ -1,8 +1,7 @@
 /* The film at the chosen frame, with the strip, the sheets' ridges and their numbers. */
 
-import { wrapped } from "./curves.js";
 import { getImage, Store } from "./server.js";
-import { colours, edged, line, ON_GREY, Surface } from "./surface.js";
+import { colours, edged, line, ON_GREY, Surface, wrapped } from "./surface.js";
 
 export class Film {
   constructor(canvas, view, page) {

@@ -1,11 +1,10 @@
 /* The page: joins the views, the lists, the decisions and the program that serves them. */
 
-import { Displacement, Force, Stick } from "./curves.js";
+import { Displacement, Force, ForceRecording, Stick } from "./curves.js";
 import { Decisions, element, KINDS } from "./decisions.js";
 import { Diagram, Tiles } from "./diagram.js";
 import { effectOfClock, effectOfStrip, effectOfTrial, effectOn } from "./effect.js";
 import { Film } from "./film.js";
-import { ForceRecording } from "./force.js";
 import { getBytes, getJson, Gone, leave, post, Store, tryOut } from "./server.js";
 import { number, themeChanged } from "./surface.js";
 import { View } from "./view.js";

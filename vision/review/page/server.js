@@ -6,13 +6,8 @@ export class Gone extends Error {}
 const WINDOW = crypto.randomUUID(); // by which the program tells windows apart
 
 async function request(path, { headers = {}, ...options } = {}) {
-  let answer;
-  try {
-    answer = await fetch(path, { headers: { "X-Window": WINDOW, ...headers }, ...options });
-  } catch (error) {
-    if (error.name === "AbortError") throw error;
-    throw new Gone("the program does not answer");
-  }
+  const answer = await fetch(path, { headers: { "X-Window": WINDOW, ...headers }, ...options })
+    .catch(() => { throw new Gone("the program does not answer"); });
   if (!answer.ok) {
     const text = await answer.text();
     let message = text;
@@ -22,14 +17,12 @@ async function request(path, { headers = {}, ...options } = {}) {
   return answer;
 }
 
-export async function getJson(path, options) { return (await request(path, options)).json(); }
-export async function getBytes(path, options) { return (await request(path, options)).arrayBuffer(); }
-export async function getImage(path, options) { return createImageBitmap(await (await request(path, options)).blob()); }
+export async function getJson(path) { return (await request(path)).json(); }
+export async function getBytes(path) { return (await request(path)).arrayBuffer(); }
+export async function getImage(path) { return createImageBitmap(await (await request(path)).blob()); }
 
-export async function post(path, body = {}, options = {}) {
-  const answer = await request(path, {
-    method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body), ...options,
-  });
+export async function post(path, body = {}) {
+  const answer = await request(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
   return answer.json();
 }
 

@@ -66,10 +66,8 @@ export class Surface {
     work(c); c.restore();
   }
 
-  /** Where the pointer is: px in the canvas, and whether inside the plot. */
-  pointer(event) {
-    return { x: event.offsetX, y: event.offsetY };
-  }
+  /** Where the pointer is, px in the canvas. */
+  pointer(event) { return { x: event.offsetX, y: event.offsetY }; }
 
   frame() {
     const c = this.context;
@@ -78,7 +76,7 @@ export class Surface {
   }
 
   /** Ticks of a vertical axis at the left; returns value → y. */
-  yAxis(low, high, { grid = true, label = "", format = null } = {}) {
+  yAxis(low, high, label, { grid = true } = {}) {
     const c = this.context, colour = colours();
     const place = (value) => this.top + this.plotHeight * (1 - (value - low) / (high - low || 1));
     const [ticks, digits] = steps(low, high, Math.max(3, Math.floor(this.plotHeight / 26)));
@@ -87,7 +85,7 @@ export class Surface {
       const y = Math.round(place(value)) + 0.5;
       if (grid) { c.strokeStyle = colour.grid; line(c, this.left, y, this.left + this.plotWidth, y); }
       c.fillStyle = colour.soft;
-      c.fillText(format ? format(value) : number(value, digits), this.left - 5, Math.max(this.top + 5, Math.min(this.top + this.plotHeight - 4, y)));
+      c.fillText(number(value, digits), this.left - 5, Math.max(this.top + 5, Math.min(this.top + this.plotHeight - 4, y)));
     }
     this.yLabel(label);
     return place;
@@ -163,6 +161,16 @@ export function curveThrough(c, from, to, at, width) {
 export function edged(c, text, x, y, colour) {
   c.lineJoin = "round"; c.lineWidth = 3.5; c.strokeStyle = "rgba(0,0,0,0.85)"; c.strokeText(text, x, y);
   c.fillStyle = colour; c.fillText(text, x, y);
+}
+
+/** Text broken into lines that fit, centred. */
+export function wrapped(c, text, left, width, y, height) {
+  const lines = [""];
+  for (const word of text.split(" ")) {
+    const longer = `${lines.at(-1)} ${word}`.trim();
+    if (c.measureText(longer).width > width - 10 && lines.at(-1)) lines.push(word); else lines[lines.length - 1] = longer;
+  }
+  lines.forEach((part, i) => c.fillText(part, left + width / 2, y + (i - (lines.length - 1) / 2) * height));
 }
 
 /** Round values between two numbers, about `most` but no fewer than two, and the digits they need. */

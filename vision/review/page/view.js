@@ -41,12 +41,10 @@ export class View extends EventTarget {
   }
 
   /** Moves the cursor; the range follows it. */
-  goTo(frame, { centre = false } = {}) {
+  goTo(frame) {
     this.frame = Math.max(this.begin, Math.min(this.end - 1, Math.round(frame)));
     const width = this.last - this.first;
-    if (centre || this.frame < this.first || this.frame >= this.last) {
-      this.setFrames(this.frame - width / 2, this.frame + width / 2);
-    }
+    if (this.frame < this.first || this.frame >= this.last) this.setFrames(this.frame - width / 2, this.frame + width / 2);
     this.changed();
   }
 

@@ -1,12 +1,17 @@
-"""The pyramid of the space-time diagram: nothing that happened for one frame is lost in it."""
+"""What a review shows of a run's recordings: the diagram's tiles and single frames of the film."""
+
+from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 import tifffile
 
 from vision.errors import InputError
-from vision.review.diagram import Diagram, Tiles, TileSettings
+from vision.review.recordings import Diagram, Film, Tiles, TileSettings
 from vision.sheets import TrackingSettings
+from vision.video import open_video, strip_profile
 
 FRAMES, COLUMNS = 5000, 700
 
@@ -115,3 +120,40 @@ def test_a_diagram_that_was_cut_short_is_named(values, make):
         file.truncate(2_000_000)
     with pytest.raises(InputError, match="cut short"):
         tiles.diagram.rows(900, 1000)
+
+
+# --- film ---------------------------------------------------------------------------------------------------
+
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+
+
+@pytest.mark.parametrize("name", ["paper/video.avi", "hostile/video.mkv", "dark/video.mp4", "deep/video.tif"])
+def test_the_frame_asked_for_is_shown(name):
+    """MJPEG, FFV1 with lost frames, H.264, TIFF. A failure means that a frame beside it is looked at."""
+    video = open_video(FIXTURES / name)
+    strip = strip_profile(video, slice(2, 20))
+    film = Film(video)
+    known = np.flatnonzero(np.isfinite(strip.values[:, 0]))
+    order = [*known[10:16], *np.random.default_rng(0).permutation(known)[:12]]
+    off = []
+    for row in order:
+        picture = film.picture(int(strip["frame"].values[row]), float(strip["time_s"].values[row]))
+        away = np.abs(strip.values[known] - picture[2:20].mean(axis=0)).mean(axis=1)
+        off.append(known[away.argmin()] - row)
+        assert away.min() < 0.3 * np.sort(away)[1] or away.min() < 1e-3
+    assert off == [0] * len(order)
+
+
+def test_a_turned_film_is_turned():
+    """A failure means that a turned film is shown lying beside its upright tracks."""
+    film = Film(open_video(FIXTURES / "dark/video.mp4", rotate=90))
+    still = Film(open_video(FIXTURES / "dark/video.mp4"))
+    np.testing.assert_array_equal(film.picture(7, np.nan), np.rot90(still.picture(7, np.nan), k=-1))
+
+
+@pytest.mark.parametrize("name", ["dark/video.mp4", "paper/video.avi"])
+def test_a_frame_behind_the_end_is_none(name):
+    """A failure means that the last frame is shown for frames that the film does not have."""
+    film = Film(open_video(FIXTURES / name))
+    assert film.picture(100_000, np.nan) is None

@@ -1,14 +1,20 @@
-"""TABLE.csv: every problem of every row, before anything starts."""
+"""Which films: every problem of every row, and films that a camera still writes."""
+
+from __future__ import annotations
 
 import pytest
 
 from tests.campaign.scenes import films, table
-from vision.campaign.table import read_campaign, safe_name
+from tests.scenes.comb_video import frames_of, positions, write_video
+from vision.campaign.films import FolderWatch, Row, read_campaign, safe_name
+from vision.campaign.settings import CampaignSettings
 from vision.command.campaign import _checker
 from vision.command.main import run
 from vision.command.options import option_fields
 from vision.command.track import run_name
 from vision.errors import InputError
+
+# --- the table ----------------------------------------------------------------------------------------------
 
 
 def read(path, config=None, awaited=None):
@@ -81,6 +87,7 @@ def test_every_problem_of_every_row_in_one_table(tmp_path, capsys, monkeypatch):
      ("Temperature", "T_C"), ("sheets_per_blok", "sheets_per_block"), ("d_0", "d0")],
 )  # fmt: skip
 def test_the_nearest_name_of_an_unknown_column(tmp_path, column, nearest):
+    """A failure means that a misspelt column is refused without a hint, or with a wrong one."""
     films(tmp_path, 1)
     found = problems(table(tmp_path / "t.csv", ["t0.tif"], **{column: 1}))
     assert [text.endswith(f"the nearest is {nearest}") for _, _, text in found] == [True]
@@ -120,6 +127,7 @@ def test_films_of_one_name_need_names(tmp_path):
     [(b"", "0 lines"), (b"film\n", "1 lines"), (b"\xff\xfe\x00", "utf-8"), (b'film\n"open', "end of data")],
 )
 def test_what_is_no_table(tmp_path, content, word):
+    """A failure means that a file of another kind ends in a traceback, or starts an empty campaign."""
     (tmp_path / "t.csv").write_bytes(content)
     with pytest.raises(InputError, match=word):
         read(tmp_path / "t.csv")
@@ -148,6 +156,7 @@ def test_films_that_are_still_to_come(tmp_path):
     ],
 )
 def test_bad_arguments_end_in_one_line(tmp_path, monkeypatch, capsys, arguments, word):
+    """A failure means that a wrong argument is found only after a folder was made, or is a traceback."""
     monkeypatch.chdir(tmp_path)
     films(tmp_path, 1)
     table(tmp_path / "t.csv", ["t0.tif"], fps=20)
@@ -159,5 +168,99 @@ def test_bad_arguments_end_in_one_line(tmp_path, monkeypatch, capsys, arguments,
 
 
 def test_names_are_one_part_of_a_path_and_one_line():
+    """A failure means that the name of a film leads out of the folder of the runs."""
     assert safe_name("a/b\\c\n<d>:e") == "a_b_c__d__e"
     assert safe_name("..") == "film"
+
+
+# --- a folder that is watched -------------------------------------------------------------------------------
+
+
+TUNING = CampaignSettings(still_seconds=10.0, abandoned_seconds=600.0)
+
+
+class Clock:
+    """Seconds that a test sets."""
+
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+def complete(watch):
+    return [film.name for film in watch.films() if watch.complete(film)]
+
+
+def test_a_film_is_taken_when_it_stands_still(tmp_path, clock):
+    """A failure means that half a film is analysed, or that a film is never taken."""
+    watch = FolderWatch(tmp_path, TUNING, clock)
+    whole = write_video(tmp_path / "whole.tif", frames_of(positions(30))).read_bytes()
+    film = tmp_path / "film.tif"
+    film.write_bytes(whole[:20_000])
+    (tmp_path / "notes.txt").write_text("no film")
+    (tmp_path / ".hidden.tif").write_bytes(whole)
+    assert complete(watch) == []
+    clock.now = 8.0
+    film.write_bytes(whole[:40_000])  # the camera goes on
+    assert complete(watch) == []
+    clock.now = 11.0
+    assert complete(watch) == ["whole.tif"]
+    film.write_bytes(whole)
+    assert complete(watch) == ["whole.tif"]
+    clock.now = 30.0
+    assert complete(watch) == ["film.tif", "whole.tif"]
+
+
+def test_a_cut_film_is_taken_in_the_end(tmp_path, clock):
+    """The camera's computer failed: nobody will finish this film, and it should be named."""
+    watch = FolderWatch(tmp_path, TUNING, clock)
+    content = write_video(tmp_path / "t.tif", frames_of(positions(30))).read_bytes()
+    (tmp_path / "t.tif").write_bytes(content[:30_000])
+    assert complete(watch) == []
+    clock.now = 300.0
+    assert complete(watch) == []  # it stands still, but its pages are not all there
+    clock.now = 601.0
+    assert complete(watch) == ["t.tif"]
+
+
+def test_two_files_of_one_recording_come_together(tmp_path, clock):
+    """A failure means that frames are analysed before the file that says what they are has come."""
+    watch = FolderWatch(tmp_path, TUNING, clock)
+    (tmp_path / "p.mraw").write_bytes(bytes(100))
+    clock.now = 700.0
+    assert complete(watch) == []
+
+
+def test_rows_wait_for_all_their_files(tmp_path, clock):
+    """A failure means that a film is analysed without the force recording that its row names."""
+    watch = FolderWatch(tmp_path, TUNING, clock)
+    film = write_video(tmp_path / "t.tif", frames_of(positions(30)))
+    for name in ("t.tiff", "other.tif"):
+        (tmp_path / name).write_bytes(film.read_bytes())
+    row = Row(row=2, film=str(film), name="t", options={"force": str(tmp_path / "t.txt")})
+
+    def new(path):
+        return Row(row=0, film=str(path), name=path.stem)
+
+    def names():
+        return sorted(ready.name for ready in watch.rows([row], new))
+
+    assert names() == []
+    clock.now = 20.0
+    assert names() == ["other", "t.tiff"]  # "t" is the row's
+    (tmp_path / "t.txt").write_text("0 1\n")
+    assert names() == ["other", "t.tiff"]
+    clock.now = 40.0
+    assert names() == ["other", "t", "t.tiff"]
+
+
+def test_a_folder_that_is_none(tmp_path):
+    """A failure means that a campaign waits for films in a folder that is not there."""
+    with pytest.raises(InputError, match="no such folder"):
+        FolderWatch(tmp_path / "gone")

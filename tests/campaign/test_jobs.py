@@ -14,10 +14,8 @@ import pytest
 
 import vision
 from tests.campaign.scenes import films, planned
-from vision.campaign.engine import close_states
-from vision.campaign.page import write_page
-from vision.campaign.tables import open_tables
-from vision.campaign.worker import Outcome, copy_or_give_up, run_job
+from vision.campaign.jobs import Outcome, close_states, copy_or_give_up, run_job
+from vision.campaign.results import open_tables, write_page
 from vision.errors import InputError
 from vision.run import run_folder
 from vision.sheets import track_sheets  # noqa: F401  # imported once, before the job forks
@@ -100,6 +98,7 @@ def test_states_follow_the_exit_status(tmp_path, analysis, status, state):
 
 
 def test_staged_films_are_read_from_the_node_s_disk(tmp_path, analysis, monkeypatch):
+    """A failure means that a node reads over the network after all, keeps the copy, or fills its disk."""
     disk = tmp_path / "scratch"
     disk.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(disk))

@@ -1,4 +1,4 @@
-"""TABLE.csv: a row is a test. Read whole, with every problem of every row, before anything starts."""
+"""Which films: TABLE.csv, checked whole before anything starts, and a folder into which a camera writes."""
 
 from __future__ import annotations
 
@@ -6,15 +6,23 @@ import csv
 import difflib
 import glob
 import io
+import math
 import re
+import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from vision.campaign.settings import CampaignSettings
 from vision.comparison.tests import LIMITS
 from vision.errors import InputError
-from vision.files import check_regular, shortened
+from vision.files import Stamp, check_regular, shortened
+from vision.video import open_video, video_files
+from vision.video.high_speed import PIXELS
+
+# --- the table ----------------------------------------------------------------------------------------------
+
 
 FACTS = ("sample", "V_mm_min", "n_test", "RH_percent", "T_C", "notes")
 PATHS = ("force", "timestamps", "corrections")  # options that name a file, relative to the table
@@ -32,48 +40,25 @@ _ALIKE = {
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """Something in the table that keeps the campaign from starting.
+    """Something in the table that keeps the campaign from starting."""
 
-    Parameters
-    ----------
-    row
-        Line of the file, 1 for the heading.
-    column
-        "" where it is the row as a whole.
-    text
-        What was expected and what was found.
-    """
-
-    row: int
-    column: str
-    text: str
+    row: int  # line of the file, 1 for the heading
+    column: str  # "" where it is the row as a whole
+    text: str  # what was expected and what was found
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One test.
+    """One test."""
 
-    Parameters
-    ----------
-    row
-        Line of the file; 0 for a film that no table names.
-    film
-        Path, quoted glob, or an address in object storage (``s3://…``).
-    name
-        What its folder is called.
-    options
-        As typed, by their names in a TOML file.
-    values
-        The same as the pipeline takes them, with those of the configuration file and the defaults.
-    facts
-        What describes the test: sample, V_mm_min, n_test, RH_percent, T_C, notes.
-    """
-
-    row: int
-    film: str
-    name: str
+    row: int  # line of the file; 0 for a film that no table names
+    film: str  # path, quoted glob, or an address in object storage (s3://…)
+    name: str  # what its folder is called
+    # as typed, by their names in a TOML file
     options: Mapping[str, str] = field(default_factory=dict)
+    # the same as the pipeline takes them, with those of the configuration file and the defaults
     values: Mapping[str, Any] = field(default_factory=dict)
+    # what describes the test: sample, V_mm_min, n_test, RH_percent, T_C, notes
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -132,24 +117,20 @@ def read_campaign(
         Where the file is no table or has no rows.
     """
     header, lines = _lines(path)
-    known = ("film", "name", *FACTS, *options)
-    columns, problems = _columns(header, known)
+    columns, problems = _columns(header, ("film", "name", *FACTS, *options))
     rows: list[Row] = []
     for number, cells in lines:
-        given = {
-            name: cell.strip() for name, cell in zip(columns, cells, strict=False) if name and cell.strip()
-        }
-        extra = [cell for cell in cells[len(columns) :] if cell.strip()]
-        found = [("", f"expected {len(columns)} cells; found {len(cells)}")] if extra else []
-        row, wrong = _row(number, given, path.absolute().parent, check, name_of, awaited)
-        found += wrong
+        pairs = zip(columns, cells, strict=False)
+        given = {name: cell.strip() for name, cell in pairs if name and cell.strip()}
+        extra = any(cell.strip() for cell in cells[len(columns) :])
+        row, found = _row(number, given, path.absolute().parent, check, name_of, awaited)
+        found += [("", f"expected {len(columns)} cells; found {len(cells)}")] * extra
         problems += [Problem(row=number, column=column, text=text) for column, text in found]
         rows.append(row)
-    problems += clashes(rows)
+    problems += _clashes(rows)
     bad = {problem.row for problem in problems}
-    return tuple(row for row in rows if row.row not in bad), tuple(
-        sorted(problems, key=lambda p: (p.row, p.column))
-    )
+    good = tuple(row for row in rows if row.row not in bad)
+    return good, tuple(sorted(problems, key=lambda p: (p.row, p.column)))
 
 
 def _lines(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
@@ -180,14 +161,11 @@ def _columns(header: Sequence[str], known: Sequence[str]) -> tuple[list[str], li
     columns, problems = [], []
     for name in header:
         column = ours.get(_plain(name), "")
-        if not name.strip():
-            columns.append("")
-            continue
-        if not column:
+        if name.strip() and not column:
             found = f"'{shortened(name, 60)}'; the nearest is {_nearest(name, ours)}"
             text = f"expected a column of a campaign; found {found}"
             problems.append(Problem(row=1, column=shortened(name, 30), text=text))
-        elif column in columns:
+        elif column and column in columns:
             problems.append(Problem(row=1, column=column, text="expected each column once; found it twice"))
         columns.append(column)
     if "film" not in columns:
@@ -229,12 +207,10 @@ def _row(
     problems += checked.problems
     name = safe_name(given.get("name", "") or name_of(Path(film)))
     if len(name.encode()) > MOST_LETTERS:
-        problems.append(
-            ("name", f"expected a name of at most {MOST_LETTERS} letters; give one in a column name")
-        )
-    return Row(
-        row=number, film=film, name=name, options=options, values=checked.values, facts=facts
-    ), problems
+        text = f"expected a name of at most {MOST_LETTERS} letters; give one in a column name"
+        problems.append(("name", text))
+    row = Row(row=number, film=film, name=name, options=options, values=checked.values, facts=facts)
+    return row, problems
 
 
 def _film(text: str, base: Path) -> tuple[str, list[tuple[str, str]]]:
@@ -261,26 +237,22 @@ def _facts(given: Mapping[str, str]) -> tuple[dict[str, Any], list[tuple[str, st
         if low <= value <= high:
             facts[name] = value
         else:
-            problems.append(
-                (name, f"expected a number from {low:g} to {high:g}; found '{shortened(given[name], 40)}'")
-            )
+            found = shortened(given[name], 40)
+            problems.append((name, f"expected a number from {low:g} to {high:g}; found '{found}'"))
     return facts, problems
 
 
-def clashes(rows: Iterable[Row]) -> list[Problem]:
+def _clashes(rows: Iterable[Row]) -> list[Problem]:
     """Rows of one film, and films whose folders would have one name."""
     problems: list[Problem] = []
     films: dict[str, Row] = {}
     names: dict[str, Row] = {}
     for row in rows:
-        same = films.setdefault(row.film, row)
         if not row.film:
             continue
-        if same is not row:
+        if (same := films.setdefault(row.film, row)) is not row:
             problems.append(Problem(row=row.row, column="film", text=_twice(row, same)))
-            continue
-        other = names.setdefault(row.name.casefold(), row)
-        if other is not row:
+        elif (other := names.setdefault(row.name.casefold(), row)) is not row:
             found = f"'{row.name}' also in row {other.row}; add a column name"
             text = f"expected films of different names; found {found}"
             problems.append(Problem(row=row.row, column="name", text=text))
@@ -288,10 +260,93 @@ def clashes(rows: Iterable[Row]) -> list[Problem]:
 
 
 def _twice(row: Row, first: Row) -> str:
-    differ = [
-        name
-        for name in sorted({*row.options, *first.options})
-        if row.options.get(name) != first.options.get(name)
-    ]
+    names = sorted({*row.options, *first.options})
+    differ = [name for name in names if row.options.get(name) != first.options.get(name)]
     how = f"with another {', '.join(differ)}" if differ else "with the same settings"
     return f"expected each film once; found {Path(row.film).name} also in row {first.row}, {how}"
+
+
+# --- a folder that is watched -------------------------------------------------------------------------------
+
+
+FILMS = {".avi", ".mp4", ".m4v", ".mkv", ".mov", ".cine", PIXELS, ".tif", ".tiff"}
+
+
+class FolderWatch:
+    """Which files of a folder, not searched below, are complete films.
+
+    A film is complete when its size and time stood still and its index can be read. One that stays
+    cut (the camera's computer failed) is taken in the end, too, and named by its own warnings.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        settings: CampaignSettings | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        if not folder.is_dir():
+            found = "a file" if folder.exists() else "no such folder"
+            raise InputError(folder, "a folder to watch", found, "check the path")
+        self.folder = folder
+        self._settings = settings or CampaignSettings()
+        self._clock = clock
+        self._seen: dict[Path, tuple[Stamp, float]] = {}
+
+    def films(self) -> list[Path]:
+        """Every film in the folder, complete or not, in order of their names."""
+        files = [file for file in sorted(self.folder.iterdir()) if file.suffix.lower() in FILMS]
+        return [file for file in files if not file.name.startswith(".") and file.is_file()]
+
+    def complete(self, film: Path) -> bool:
+        """Whether a film stands still and can be opened whole."""
+        try:
+            ages = [self._still(file) for file in video_files(film)]
+        except InputError:
+            return False  # a recording of two files of which one is to come
+        if min(ages) < self._settings.still_seconds:
+            return False
+        try:
+            whole = not open_video(film).reader.facts.warnings
+        except InputError:
+            whole = False
+        return whole or min(ages) >= self._settings.abandoned_seconds
+
+    def rows(self, table: Sequence[Row], new: Callable[[Path], Row]) -> list[Row]:
+        """What can be done now: rows of the table whose files stand still, and complete films without a row.
+
+        `new` makes a row for those; two of one name (a.avi, a.mp4) are told apart by their endings.
+        """
+        named = {Path(row.film).resolve() for row in table}
+        used = {row.name.casefold() for row in table}
+        ready = [row for row in table if self._ready(row)]
+        for film in self.films():
+            if film.resolve() not in named:
+                row = new(film)
+                row = replace(row, name=safe_name(film.name)) if row.name.casefold() in used else row
+                used.add(row.name.casefold())
+                ready += [row] if self.complete(film) else []
+        return ready
+
+    def _ready(self, row: Row) -> bool:
+        """Whether a row's files that lie in the folder stand still; those elsewhere were there before."""
+        given = (Path(row.options[name]) for name in PATHS if name in row.options)
+        ages = [self._still(file) for file in given if self._here(file)]
+        film = Path(row.film)
+        whole = not self._here(film) or self.complete(film)  # looked at also while others are awaited
+        return whole and min(ages, default=math.inf) >= self._settings.still_seconds
+
+    def _here(self, file: Path) -> bool:
+        return file.parent.resolve() == self.folder.resolve()
+
+    def _still(self, file: Path) -> float:
+        """For how long a file has not changed, s, as far as was seen; -1 for one that is not there."""
+        now, stamp = self._clock(), Stamp.of(file)
+        if stamp.facts is None:
+            self._seen.pop(file, None)
+            return -1.0
+        earlier = self._seen.get(file)
+        if earlier is None or earlier[0] != stamp:
+            self._seen[file] = (stamp, now)
+            return 0.0
+        return now - earlier[1]

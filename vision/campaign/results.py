@@ -1,0 +1,351 @@
+"""What all films come to: one page of states, the tables, and the comparison of the finished tests."""
+
+from __future__ import annotations
+
+import base64
+import shutil
+import time
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
+import xarray as xr
+from jinja2 import Environment, StrictUndefined
+
+from vision.campaign.plan import FINISHED, Plan, PlannedFilm, State
+from vision.comparison import compare
+from vision.errors import InputError
+from vision.files import reading
+from vision.pipeline import Analysis
+from vision.run import Origin, whole_file, write_json
+from vision.run.comparing import write_comparison
+from vision.run.reading import read_json
+from vision.run.tables import ROWS_PER_CHUNK, sheets_table, tracks_table, write_table
+from vision.shells import deformation_table
+
+# --- the page -----------------------------------------------------------------------------------------------
+
+
+PAGE = "index.html"
+WORDS = ("failed", "partial", "warnings", "running", "waiting", "done")
+
+TEMPLATE = Path(__file__).with_name("index.html.jinja")
+SHOWN = {
+    "sample": "sample",
+    "V_mm_min": "V (mm/min)",
+    "n_test": "tests before",
+    "RH_percent": "RH (%)",
+    "T_C": "T (°C)",
+}
+
+
+def page_age(out: Path) -> float:
+    """Seconds since index.html was written; infinite for never."""
+    try:
+        return time.time() - (out / PAGE).stat().st_mtime
+    except OSError:
+        return float("inf")
+
+
+def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> list[State]:
+    """Write index.html and campaign.csv from the films' states, which are returned in the plan's order.
+
+    live: whether the page renews itself.  remarks: lines above the table.  Raises: InputError.
+    """
+    states = [plan.state(film) for film in plan.films]
+    films = list(zip(plan.films, states, strict=True))
+    counts = Counter(str(state.state) for state in states)
+    facts = [name for name in SHOWN if any(name in film.facts for film in plan.films)]
+    left = sum(film.seconds for film, state in films if state.state in ("waiting", "running"))
+    text = (
+        Environment(autoescape=True, undefined=StrictUndefined)
+        .from_string(TEMPLATE.read_text(encoding="utf-8"))
+        .render(
+            title=plan.out.name,
+            live=live,
+            refresh=10,  # seconds
+            now=time.strftime("%Y-%m-%d %H:%M:%S"),
+            ended=len(states) - counts["waiting"] - counts["running"],
+            counts=[(word, counts[word]) for word in WORDS if counts[word]],
+            left=duration(left) if live and left else "",
+            pool=(plan.out / "pool" / "report.html").is_file(),
+            remarks=remarks,
+            facts=[SHOWN[name] for name in facts],
+            films=[_row(plan, film, state, facts) for film, state in films],
+        )
+    )
+    with whole_file(plan.out / PAGE) as path:
+        path.write_text(text, encoding="utf-8", errors="replace")
+    runs = [
+        f"runs/{film.name}" if (plan.run_of(film.name) / "run.json").is_file() else "" for film in plan.films
+    ]
+    rows = [
+        (film.film, state.state, state.reason, round(state.seconds, 3), run)
+        for (film, state), run in zip(films, runs, strict=True)
+    ]
+    with whole_file(plan.out / "campaign.csv") as path:
+        write_table(pd.DataFrame(rows, columns=["film", "state", "reason", "seconds", "run"]), path)
+    return states
+
+
+def _row(plan: Plan, film: PlannedFilm, state: State, facts: list[str]) -> dict[str, Any]:
+    run = plan.run_of(film.name)
+    known = state.state in FINISHED and (run / "run.json").is_file()
+    page = "report.html" if (run / "report.html").is_file() else "overview.png"
+    return {
+        "state": state.state,
+        "name": film.name,
+        "file": Path(film.film).name,
+        "link": f"runs/{quote(film.name, safe='')}/{page}" if known else "",
+        "picture": _data_uri(plan.out / "thumbnails" / f"{film.name}.png") if known else "",
+        "facts": [_shown(film.facts.get(name)) for name in facts],
+        "frames": film.frames or "",
+        "seconds": f"{state.seconds:.1f}" if state.seconds else "",
+        "warnings": state.warnings,
+        "reason": state.reason or (film.doubt if state.state == "waiting" else ""),
+    }
+
+
+def _shown(fact: Any) -> str:
+    return "" if fact is None else f"{fact:g}" if isinstance(fact, float) else str(fact)
+
+
+def _data_uri(path: Path) -> str:
+    try:
+        return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode()
+    except OSError:
+        return ""
+
+
+def duration(seconds: float) -> str:
+    """A time as people say it."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+# --- tables: Parquet datasets, a partition for each film, written by its own job ----------------------------
+
+
+TABLES = ("tests", "sheets", "sticks", "deformation", "positions")
+FOLDER = "tables"
+FILE = "part.parquet"
+
+
+def open_tables(out: str | Path, table: str) -> ds.Dataset:
+    """One table of all tests of a campaign, opened lazily.
+
+    Parameters
+    ----------
+    out
+        The campaign's folder.
+    table
+        ``tests`` (a row a film), ``sheets``, ``sticks`` (a row an event), ``deformation`` (event and sheet)
+        or ``positions`` (frame and sheet). Each has the column ``film``.
+
+    Returns
+    -------
+    pyarrow.dataset.Dataset
+        ``.to_table(columns=…, filter=…)`` reads what is asked for.
+
+    Raises
+    ------
+    InputError
+        Where there is no such table.
+
+    Examples
+    --------
+    >>> positions = open_tables("campaign", "positions")  # doctest: +SKIP
+    >>> positions.to_table(columns=["time_s", "x_um"], filter=ds.field("film") == "old_3")  # doctest: +SKIP
+    """
+    if table not in TABLES:
+        raise InputError("`table`", f"one of {', '.join(TABLES)}", f"'{table}'")
+    folder = Path(out) / FOLDER / table
+    files = sorted(folder.glob(f"film=*/{FILE}"))
+    if not files:
+        raise InputError(folder, "tables of a campaign", "none", "run track campaign first")
+    with reading(folder, "tables as track campaign writes them", "run track campaign again"):
+        # that of all films together, where the pool has written it: they may differ in columns
+        both = [path for path in (files[0], folder / "_common_metadata") if path.is_file()]
+        schema = pa.unify_schemas([pq.read_schema(path) for path in both])
+        film = pa.field("film", pa.string())
+        partitioning = ds.HivePartitioning(pa.schema([film]), segment_encoding="uri")
+        return ds.dataset(
+            [str(file) for file in files],
+            format="parquet",
+            schema=schema.append(film),
+            partitioning=partitioning,
+            partition_base_dir=str(folder),
+        )
+
+
+def write_partitions(out: Path, film: str, analysis: Analysis) -> None:
+    """Write a film's part of each table; what it does not have, an earlier run of it may have had: that goes.
+
+    Raises: InputError.
+    """
+    tracks, motion = analysis.tracks, analysis.motion
+    tables = {
+        "sheets": None if tracks is None else sheets_table(tracks),
+        "sticks": analysis.sticks,
+        "deformation": None if motion is None else deformation_table(motion, threshold=analysis.threshold),
+    }
+    for name in (*tables, "positions"):
+        place, table = _partition(out, name, film), tables.get(name)
+        if name == "positions" and tracks is not None:
+            with whole_file(place) as path:
+                _write_positions(tracks, path, analysis.pixel_size_um)
+        elif table is not None:
+            with whole_file(place) as path:
+                pq.write_table(as_arrow(table), path)
+        else:
+            place.unlink(missing_ok=True)
+
+
+def _write_positions(tracks: xr.Dataset, path: Path, size_um: float | None) -> None:
+    """In pieces, so that memory does not grow with the recording."""
+    step = max(1, ROWS_PER_CHUNK // max(1, tracks.sizes["sheet"]))
+    writer = None
+    try:
+        for start in range(0, max(1, tracks.sizes["frame"]), step):
+            part = tracks.isel(frame=slice(start, start + step))
+            table = as_arrow(tracks_table(part, pixel_size_um=size_um))
+            writer = writer or pq.ParquetWriter(path, table.schema)
+            writer.write_table(table)
+    finally:
+        if writer is not None:
+            writer.close()
+
+
+def write_tests(out: Path, tests: Mapping[str, Mapping[str, Any]]) -> None:
+    """The table of tests, a partition for each film.  Raises: InputError."""
+    for film, facts in tests.items():
+        with whole_file(_partition(out, "tests", film)) as path:
+            pq.write_table(as_arrow(pd.DataFrame([facts])), path)
+
+
+def close_tables(out: Path, films: Collection[str]) -> None:
+    """Remove the parts of other films, and write each table's common schema.  Raises: InputError."""
+    kept = {_partition(out, "x", film).parent.name for film in films}
+    for table in TABLES:
+        folder = out / FOLDER / table
+        for part in folder.glob("film=*"):
+            if part.name not in kept:
+                shutil.rmtree(part, ignore_errors=True)
+        schemas = list(_schemas(folder))
+        if schemas:
+            with whole_file(folder / "_common_metadata") as path:
+                pq.write_metadata(pa.unify_schemas(schemas), path)
+
+
+def _schemas(folder: Path) -> Iterator[pa.Schema]:
+    for file in sorted(folder.glob(f"film=*/{FILE}")):
+        with reading(file, "a table as track campaign writes it", "run track campaign again"):
+            yield pq.read_schema(file)
+
+
+def _partition(out: Path, table: str, film: str) -> Path:
+    return out / FOLDER / table / f"film={quote(film, safe='')}" / FILE
+
+
+def as_arrow(table: pd.DataFrame) -> pa.Table:
+    """A table with one type for each kind of column, whatever one film happens to hold.
+
+    Numbers are double where the column may lack some, whole ones int64; words are strings, also where all
+    are missing.
+    """
+    columns = {}
+    for name, column in table.items():
+        if pd.api.types.is_bool_dtype(column):
+            kind = pa.bool_()
+        elif pd.api.types.is_integer_dtype(column):
+            kind = pa.int64()
+        elif pd.api.types.is_float_dtype(column):
+            kind = pa.float64()
+        else:
+            kind, column = pa.string(), column.astype("string")  # noqa: PLW2901
+        columns[str(name)] = pa.array(column, type=kind, from_pandas=True)
+    return pa.table(columns)
+
+
+# --- the comparison -----------------------------------------------------------------------------------------
+
+
+POOL, KEPT = "pool", "pool.json"
+COLUMNS = ("sample", "V_mm_min", "n_test", "RH_percent", "T_C")
+
+
+def pool(plan: Plan, *, command: str = "", options: Mapping[str, str] | None = None) -> list[str]:
+    """Compare all finished runs with a force recording; close the tables of all films.
+
+    command, options: for run.json (`vision.run.Origin`).  Returns remarks: runs that could not be compared,
+    warnings of the comparison, or why there is none.  Raises: InputError where nothing can be written.
+    """
+    done = [(film, state) for film in plan.films if (state := plan.finished(film))]
+    write_tests(plan.out, {film.name: _facts(plan, film, state) for film, state in done})
+    close_tables(plan.out, [film.name for film, _ in done])
+    tests = [film for film, _ in done if (plan.run_of(film.name) / "events.csv").is_file()]
+    if not tests:
+        return ["no finished test has events of a force recording, so there is no comparison"]
+    runs = [plan.run_of(film.name) for film in tests]
+    table = pd.DataFrame([{name: film.facts.get(name) for name in COLUMNS} for film in tests])
+    table.insert(0, "run", [str(run) for run in runs])
+    try:
+        found = compare(runs, table.dropna(axis="columns", how="all"))
+    except InputError as error:
+        return [f"no comparison: {error}"]
+    inputs = [test.folder / "events.csv" for test in found.tests]
+    origin = Origin(command=command, inputs=inputs, options=options or {})
+    write_comparison(found, plan.out / POOL, origin, overwrite=True, report=plan.report)
+    return [*found.failures, *found.warnings]
+
+
+def _facts(plan: Plan, film: PlannedFilm, state: State) -> dict[str, Any]:
+    """A film's row in the table of tests."""
+    frames = read_json(plan.run_of(film.name) / "run.json").get("frames") or {}
+    return {
+        "sample": film.facts.get("sample"),
+        **{name: float(film.facts.get(name, "nan")) for name in COLUMNS[1:]},
+        "notes": film.facts.get("notes"),
+        "path": film.film,
+        "key": film.key,
+        "state": state.state,
+        "warnings": len(state.warnings),
+        "seconds": state.seconds,
+        "frames_read": _count(frames.get("read")),
+        "frames_lost": _count(frames.get("lost")),
+        "run": str(Path("runs") / film.name),
+    }
+
+
+def _count(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) else float("nan")
+
+
+def needs_pool(plan: Plan) -> bool:
+    """Whether the finished films or what the table says of them have changed since the last pool."""
+    return _kept(plan).get("key") != plan.pool_key()
+
+
+def write_remarks(plan: Plan, lines: Sequence[str]) -> None:
+    """Keep what was said of a pool, with what it was made from.  Raises: InputError."""
+    with whole_file(plan.out / KEPT) as path:
+        write_json({"key": plan.pool_key(), "remarks": list(lines)}, path)
+
+
+def read_remarks(plan: Plan) -> tuple[str, ...]:
+    """What was said of the last pool."""
+    return tuple(str(line) for line in _kept(plan).get("remarks", ()))
+
+
+def _kept(plan: Plan) -> dict[str, Any]:
+    try:
+        return read_json(plan.out / KEPT)
+    except InputError:
+        return {}
