@@ -85,9 +85,9 @@ def assign_detections(
     found = np.where(doubtful, np.nan, paired)
     expected = _expected(found[0], identities.rest_px)
     rows, sheet, faint = _faint_ridges(profile, found, expected, doubtful, comb, settings)
-    found[:, rows, sheet] = faint
-    # a second look may find no more than a ridge that happens to be near
-    found[:, hops(neighbour_residual(found[0]), comb, settings) & np.isnan(paired[0])] = np.nan
+    if len(rows):  # a second look may find no more than a ridge that happens to be near
+        found[:, rows, sheet] = faint
+        found[:, hops(neighbour_residual(found[0]), comb, settings) & np.isnan(paired[0])] = np.nan
     flag = np.where(np.isfinite(found[0]), "ok", "missing").astype("<U8")
     flag[_merged(found[0], found[1], expected, comb, settings)] = "merged"
     half = comb.fwhm_px / 2
@@ -131,13 +131,15 @@ def _doubts(
 
 def _settled(why: Strings, paired: Floats, comb: RidgeComb, settings: TrackingSettings) -> Strings:
     """The doubts without those that the pattern settles: it fits this numbering and no other one."""
+    open_ = (why == "jump") | (why == "margin")
+    if not open_.any():
+        return why
     x, contrast, fwhm = paired
     with np.errstate(divide="ignore", invalid="ignore"):
         looks = np.log(contrast), np.log(fwhm)
     known = np.where(why == "tear", np.nan, x)
     sure = anchored(known, *looks, np.isfinite(known) & (why == ""), comb, settings)
-    settles = sure & ((why == "jump") | (why == "margin"))
-    return np.where(settles, "", why)
+    return np.where(sure & open_, "", why)
 
 
 def _other_ridges(

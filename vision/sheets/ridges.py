@@ -163,12 +163,17 @@ def profile_noise(profile: Floats32) -> float:
     return float(np.median(np.abs(spread)) / (NORMAL_MEDIAN * np.sqrt(924.0)))
 
 
-def _smoothed(profile: Floats32, sigma_px: float) -> Floats32:
-    """Profiles (frame, x) smoothed along x with a Gaussian; NaN taken as 0."""
-    clean = np.nan_to_num(np.ascontiguousarray(profile, np.float32), nan=0.0)
+def _smoothed(profile: Floats32, sigma_px: float, wall_px: int = 0) -> Floats32:
+    """Profiles (frame, x) smoothed along x with a Gaussian, with room for walls on both sides; what is not
+    finite is taken as 0."""
+    finite = np.isfinite(profile)
+    clean = profile if finite.all() else np.where(finite, profile, np.float32(0))
     half = max(1, int(np.ceil(4 * sigma_px)))
     kernel = cv2.getGaussianKernel(2 * half + 1, sigma_px).reshape(1, -1)
-    return np.asarray(cv2.filter2D(clean, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE), np.float32)
+    line = np.empty((len(profile), profile.shape[1] + 2 * wall_px), np.float32)
+    inner = line[:, wall_px : wall_px + profile.shape[1]]
+    cv2.filter2D(clean, cv2.CV_32F, kernel, dst=inner, borderType=cv2.BORDER_REPLICATE)
+    return line
 
 
 def _noise_floor(noise: float, smoothing_px: float, settings: TrackingSettings) -> float:
@@ -226,8 +231,8 @@ def _measure_within(
 ) -> RidgeComb | None:
     """What stands out from so many pixels on both sides (from the whole picture, if None)."""
     sigma = 1.0
-    line = _smoothed(sample if polarity == "bright" else -sample, sigma)
-    walled = np.pad(line, ((0, 0), (1, 1)), constant_values=line.min())
+    walled = _smoothed(sample if polarity == "bright" else -sample, sigma, wall_px=1)
+    walled[:, [0, -1]] = walled[:, 1:-1].min()
     floor = _noise_floor(noise, sigma, settings)
     reach = walled.shape[1] if reach_px is None else reach_px
     maxima = find_maxima(walled.ravel(), least_prominence=floor, reach=reach)
@@ -298,7 +303,7 @@ def find_ridges(profile: Floats32, comb: RidgeComb, *, settings: TrackingSetting
     -----
     Source: paper, appendix B (local maxima of I(x)).
     """
-    block = 256
+    block = 64  # what is made of one fits into a core's cache
     starts = range(0, len(profile), block)
     with ThreadPoolExecutor(2) as pool:
         parts = list(pool.map(lambda i: _find_block(profile[i : i + block], i, comb, settings), starts))
@@ -319,8 +324,8 @@ def _find_block(profile: Floats32, start: int, comb: RidgeComb, settings: Tracki
     smoothing_px = max(0.5, settings.smoothing_widths * comb.fwhm_px)
     threshold = max(_noise_floor(comb.noise, smoothing_px, settings), settings.faint_fraction * comb.contrast)
     reach_px = max(4, round(settings.surroundings_widths * comb.fwhm_px))
-    walled = np.pad(_smoothed(profile * comb.sign, smoothing_px), ((0, 0), (1, 1)), mode="edge")
-    walled[:, [0, -1]] += 1  # a wall is no ridge, and what slopes up to it is none either
+    walled = _smoothed(profile if comb.sign > 0 else -profile, smoothing_px, wall_px=1)
+    walled[:, [0, -1]] = walled[:, [1, -2]] + 1  # a wall is no ridge, nor is what slopes up to it
     maxima = find_maxima(
         walled.ravel(),
         least_prominence=threshold,
