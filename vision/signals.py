@@ -103,7 +103,7 @@ def find_maxima(
     high = level[top[some]] - left >= least_prominence
     some, left = some[high], left[high]
     right = ground.lowest(some, first[dip], to_right=True)
-    prominence = level[top[some]] - np.maximum(left, right)
+    prominence = np.asarray(level[top[some]] - np.maximum(left, right), np.float64)
     enough = prominence >= least_prominence
     return Maxima(at[some[enough]], prominence[enough])
 

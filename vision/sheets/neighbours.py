@@ -95,7 +95,7 @@ def places_in_comb(x_px: Floats) -> Floats:
 
 
 def _between(moved: Floats, place: Floats, k: int) -> Floats:
-    """Displacement said by the k-th neighbours on both sides, linear between them; NaN where one is missing."""
+    """Displacement said by the k-th neighbours, linear between them; NaN where one of both is missing."""
     said = np.full_like(moved, np.nan)
     if moved.shape[1] <= 2 * k:
         return said

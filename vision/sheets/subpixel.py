@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from vision.errors import InputError
@@ -196,11 +197,18 @@ def template_shift(
 
 
 def gather(profile: NDArray[np.floating], starts: Starts, offsets: NDArray[np.integer]) -> Floats:
-    """Pixels at `offsets` from each start, (points, offsets), NaN outside the frame."""
-    columns = starts.x[:, None] + offsets
-    inside = (columns >= 0) & (columns < profile.shape[1])
-    flat = starts.frame[:, None] * profile.shape[1] + np.clip(columns, 0, profile.shape[1] - 1)
-    return np.where(inside, profile.ravel()[flat].astype(np.float64), np.nan)
+    """Pixels at consecutive `offsets` from each start, (points, offsets), NaN outside the frame."""
+    missing = max(0, len(offsets) - profile.shape[1])
+    padded = np.pad(profile, ((0, 0), (0, missing)), constant_values=np.nan) if missing else profile
+    last = padded.shape[1] - 1
+    wanted = starts.x + offsets[0]
+    first = np.clip(wanted, 0, last + 1 - len(offsets))
+    pixels = sliding_window_view(padded, len(offsets), axis=1)[starts.frame, first].astype(np.float64)
+    cut = np.flatnonzero(first != wanted)  # a few, near the ends
+    columns = starts.x[cut, None] + offsets
+    inside = np.clip(columns, 0, last)
+    pixels[cut] = np.where(columns == inside, padded[starts.frame[cut, None], inside], np.nan)
+    return np.asarray(pixels, np.float64)
 
 
 def _quadratic_norm(offsets: NDArray[np.integer]) -> float:
