@@ -11,11 +11,13 @@ import platform
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, is_dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Self
 
 import vision
 from vision.errors import InputError, with_options
+from vision.video.threads import answered
 
 PACKAGES = ("av", "h5netcdf", "numpy", "opencv-python-headless", "pandas", "scipy", "tifffile", "xarray")
 MIB = 1 << 20
@@ -59,7 +61,8 @@ class Origin:
             "versions": versions(),
             "parameters": dict(self.parameters),
             "inputs": [
-                self.described.get(path) or describe_input(path, whole=self.checksum) for path in self.inputs
+                self.described.get(path) or answered(partial(describe_input, path, whole=self.checksum), path)
+                for path in self.inputs
             ],
         }
 
