@@ -15,13 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median, nan_quantile
-from vision.sheets.ridges import RidgeComb
+from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
-from vision.sheets.subpixel import FRAMES_PER_BLOCK, Starts, gather
+from vision.sheets.subpixel import Starts, gather
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
-FITTED_AT_ONCE = 128  # frames: what is made of them fits into a core's cache
 SCENE_FRAMES = 5  # before and after a change of scene that are compared
 LAGS = {True: (16, 12, 8, 6, 4, 3, 2, 1), False: (4, 3, 2, 1)}
 """Frames apart at which neighbours are compared, where the codec carries content from frame to frame and
@@ -223,7 +222,7 @@ def distortion(
         unlike[rows] = _odd_rms(residual)
 
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(fit, (slice(i, i + FITTED_AT_ONCE) for i in range(0, len(bright), FITTED_AT_ONCE))))
+        list(pool.map(fit, (slice(i, i + FRAMES_PER_BLOCK) for i in range(0, len(bright), FRAMES_PER_BLOCK))))
     usual = nan_median(slant)
     odd = np.sqrt(2) * _odd_rms(own - nan_median(own, axis=1)[:, None])
     floor, sigmas, times = settings.distortion_floor, settings.distortion_sigmas, settings.distortion_residual

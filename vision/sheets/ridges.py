@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import cv2
@@ -21,6 +22,7 @@ from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import find_maxima, half_widths
 
 Polarity = Literal["bright", "dark"]
+FRAMES_PER_BLOCK = 128  # worked on at once: what is made of them fits into a core's cache
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ class Ridges:
     contrast: Floats32
     fwhm_px: Floats32
 
-    @property
+    @cached_property
     def count(self) -> Ints:
         """Candidates in each frame (frame,)."""
         return np.asarray(np.isfinite(self.x_px).sum(axis=1), np.int64)
@@ -303,10 +305,13 @@ def find_ridges(profile: Floats32, comb: RidgeComb, *, settings: TrackingSetting
     -----
     Source: paper, appendix B (local maxima of I(x)).
     """
-    block = 64  # what is made of one fits into a core's cache
-    starts = range(0, len(profile), block)
+    starts = range(0, len(profile), FRAMES_PER_BLOCK)
+
+    def find(start: int) -> _Peaks:
+        return _find_block(profile[start : start + FRAMES_PER_BLOCK], start, comb, settings)
+
     with ThreadPoolExecutor(2) as pool:
-        parts = list(pool.map(lambda i: _find_block(profile[i : i + block], i, comb, settings), starts))
+        parts = list(pool.map(find, starts))
     return _padded(parts, len(profile))
 
 
@@ -349,11 +354,12 @@ def _padded(parts: list[_Peaks], frames: int) -> Ridges:
     frame, x, contrast, fwhm = (np.concatenate(column) for column in zip(*parts, strict=True))
     counts = np.bincount(frame, minlength=frames)
     rank = np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)
-    shape = (frames, max(1, int(counts.max(initial=0))))
+    width = max(1, int(counts.max(initial=0)))
+    place = frame * width + rank
 
     def spread(values: NDArray[np.generic]) -> Floats32:
-        table = np.full(shape, np.nan, np.float32)
-        table[frame, rank] = values
-        return table
+        table = np.full(frames * width, np.nan, np.float32)
+        table[place] = values
+        return table.reshape(frames, width)
 
     return Ridges(spread(x), spread(contrast), spread(fwhm))

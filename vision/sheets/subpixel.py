@@ -18,13 +18,12 @@ from numpy.typing import NDArray
 
 from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median
-from vision.sheets.ridges import RidgeComb
+from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 FitName = Literal["sliding", "paper", "template"]
 FitChoice = Literal["auto", "sliding", "paper", "template"]
 
-FRAMES_PER_BLOCK = 512
 LEAST_TRIPLES = 8  # groups of three consecutive frames from which noise is measured
 
 
