@@ -221,11 +221,12 @@ def _after_jumps(
 
 
 def _expected(start: Floats, rest: Floats) -> Floats:
-    """Where each sheet must be in each frame: its rest position moved as its neighbours are; NaN with fewer
-    than half of the sheets detected."""
-    moved = fill_rows(start - rest, np.median(rest, axis=0))
-    enough = np.isfinite(start).mean(axis=1) >= 0.5
-    return np.where(enough[:, None], rest + moved, np.nan)
+    """Where each sheet must be in frames in which one is missing: its rest position moved as its neighbours
+    are. NaN with fewer than half of the sheets detected, and in all other frames."""
+    expected = np.full(start.shape, np.nan)
+    rows = np.isnan(start).any(axis=1) & (np.isfinite(start).mean(axis=1) >= 0.5)
+    expected[rows] = rest[rows] + fill_rows(start[rows] - rest[rows], nan_median(rest))
+    return expected
 
 
 def _faint_ridges(
@@ -270,6 +271,8 @@ def _merged(
     """Missing sheets and the detected neighbours that they have become one ridge with: where they must be
     within a ridge's width of each other, or where the neighbour is as high as more than one sheet."""
     missing = np.isnan(start)
+    if not missing.any():
+        return missing
     apart = np.abs(np.diff(np.where(missing, expected, start), axis=1))
     height = contrast / nan_median(contrast)
     double = height > settings.merged_height * nan_median(height, axis=1)[:, None]  # of which: exposure
