@@ -209,7 +209,7 @@ def _targets_of(
         advice = "track --help lists the options"
         raise InputError("VIDEO", "a video file, a folder or a quoted glob of images", "none", advice)
     for video in videos:
-        if not video.exists() and not glob.has_magic(str(video)):
+        if not answered(video.exists, video) and not glob.has_magic(str(video)):
             raise InputError(video, "a video", "no such file", "check the path; options begin with --")
     if all(_is_still(video) for video in videos):
         found = f"{len(videos)} still images"
