@@ -47,7 +47,7 @@ def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
         return np.full(count.shape, np.nan)
     last = np.maximum(count - 1, 0)
     low, high = last // 2, np.minimum(count // 2, last)
-    if lanes.shape[-1] < 200:
+    if lanes.shape[-1] < 1000:
         lanes.sort(axis=-1)  # NaN comes last
         pair = _in_lanes(lanes, low) + _in_lanes(lanes, high)
     else:  # selecting the upper of the two in the middle is faster than sorting all
