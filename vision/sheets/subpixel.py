@@ -147,11 +147,12 @@ def sliding_vertex(profile: NDArray[np.floating], starts: Starts, *, window_px: 
     column = left % width
     left = left[(column >= half) & (column <= width - 2 - half)]  # the parabola stands inside the frame
     at, found = _nearest(left, slope, starts.frame * width + starts.x, half)
-    four = slope[np.clip(at[:, None] + np.arange(-1, 3), 0, len(slope) - 1)].astype(np.float64)
+    four = slope[np.clip(at + np.arange(-1, 3)[:, None], 0, len(slope) - 1)].astype(np.float64)
     step, steepness = _cubic_zero(four)
-    found &= np.isfinite(step) & (at // width == starts.frame)
+    frame, column = np.divmod(at, width)
+    found &= np.isfinite(step) & (frame == starts.frame)
     err = 1 / np.sqrt((np.arange(-half, half + 1) ** 2).sum()) / np.abs(steepness)
-    return FittedPositions(np.where(found, at % width + step, np.nan), np.where(found, err, np.nan))
+    return FittedPositions(np.where(found, column + step, np.nan), np.where(found, err, np.nan))
 
 
 def template_shift(
@@ -245,9 +246,9 @@ def _nearest(left: Ints, slope: Floats32, start: Ints, reach: int) -> tuple[Ints
 
 
 def _cubic_zero(four: Floats) -> tuple[Floats, Floats]:
-    """Zero in [0, 1] of the cubic through values at −1, 0, 1, 2, and its derivative there; Newton from the
-    chord."""
-    a, b, c, d = four.T
+    """Zero in [0, 1] of the cubic through values at −1, 0, 1, 2 (4, points), and its derivative there; Newton
+    from the chord."""
+    a, b, c, d = four
     cubic = np.stack([(-a + 3 * b - 3 * c + d) / 6, (a - 2 * b + c) / 2, c - b / 2 - a / 3 - d / 6, b])
     with np.errstate(divide="ignore", invalid="ignore"):
         t = b / (b - c)
