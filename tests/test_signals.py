@@ -32,6 +32,19 @@ def test_maxima_apart_are_those_of_scipy(seed):
     assert len(expected) < len(found.at)
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_maxima_of_lines_with_flat_tops_are_those_of_scipy(seed):
+    """A failure means that a saturated ridge, or one among noise, is missed or stands elsewhere."""
+    rng = np.random.default_rng(seed)
+    line = rng.integers(0, 12, 500).repeat(rng.integers(1, 6, 500)).astype(np.float32)
+    line += rng.normal(0, 0.2, line.size).astype(np.float32) * (seed % 2)
+    found = find_maxima(line, least_prominence=2.0, reach=25, widest=4)
+    expected, facts = find_peaks(line, prominence=2.0, wlen=51, plateau_size=(None, 4))
+    np.testing.assert_array_equal(found.at, expected)
+    np.testing.assert_array_equal(found.prominence, facts["prominences"])
+    assert len(expected) > 20
+
+
 def test_a_width_is_that_at_half_the_height():
     """A failure means that windows of fits, which follow the ridges' width, are too narrow or too wide."""
     line = 5 + 80 * np.exp(-((np.arange(200) - 100.0) ** 2) / (2 * 6.0**2))

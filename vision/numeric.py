@@ -41,33 +41,41 @@ def mad_sigma(values: NDArray[np.floating], axis: int | None = None) -> Any:
 
 def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
     """Median along an axis of what is not NaN; NaN, without a warning, where nothing is left."""
-    given = np.asarray(values, np.float64)
-    count = np.isfinite(given).sum(axis=axis, keepdims=True)
-    if given.shape[axis] == 0:
-        return np.full(count.squeeze(axis).shape, np.nan)
+    lanes = np.array(np.moveaxis(np.asarray(values), axis, -1), np.float64, order="C")
+    count = np.isfinite(lanes).sum(axis=-1)
+    if lanes.shape[-1] == 0:
+        return np.full(count.shape, np.nan)
     last = np.maximum(count - 1, 0)
     low, high = last // 2, np.minimum(count // 2, last)
-    if given.shape[axis] < 200:
-        ordered = np.sort(given, axis=axis)  # NaN comes last
-    else:  # selecting the middle ones is faster than sorting all
-        ordered = np.moveaxis(given, axis, -1)
-        ordered = np.moveaxis(np.partition(ordered, np.unique([low, high]), axis=-1), -1, axis)
-    pair = np.take_along_axis(ordered, low, axis) + np.take_along_axis(ordered, high, axis)
-    return np.asarray(np.where(count > 0, pair / 2, np.nan).squeeze(axis), np.float64)
+    if lanes.shape[-1] < 1000:
+        lanes.sort(axis=-1)  # NaN comes last
+        pair = _in_lanes(lanes, low) + _in_lanes(lanes, high)
+    else:  # selecting the upper of the two in the middle is faster than sorting all
+        pair = np.empty(count.shape)
+        for k in np.ndindex(count.shape):
+            lane, middle = lanes[k], int(high[k])
+            lane.partition(middle)
+            pair[k] = lane[middle] + (lane[middle] if low[k] == middle else lane[:middle].max())
+    return np.where(count > 0, pair / 2, np.nan)
+
+
+def _in_lanes(lanes: Floats, place: Ints) -> Floats:
+    """The value at one place of each lane, the last axis."""
+    return np.take_along_axis(lanes, place[..., None], axis=-1)[..., 0]
 
 
 def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -> Floats:
     """Quantile along an axis of what is not NaN, linear between values; NaN where nothing is left."""
-    ordered = np.sort(np.asarray(values, np.float64), axis=axis)  # NaN comes last
-    count = np.isfinite(ordered).sum(axis=axis, keepdims=True)
-    if ordered.shape[axis] == 0:
-        return np.full(count.squeeze(axis).shape, np.nan)
+    ordered = np.array(np.moveaxis(np.asarray(values), axis, -1), np.float64, order="C")
+    ordered.sort(axis=-1)  # NaN comes last
+    count = np.isfinite(ordered).sum(axis=-1)
+    if ordered.shape[-1] == 0:
+        return np.full(count.shape, np.nan)
     place = fraction * np.maximum(count - 1, 0)
     low = np.floor(place).astype(np.int64)
     high = np.minimum(low + 1, np.maximum(count - 1, 0))
-    below, above = np.take_along_axis(ordered, low, axis), np.take_along_axis(ordered, high, axis)
-    found = below + (above - below) * (place - low)
-    return np.asarray(np.where(count > 0, found, np.nan).squeeze(axis), np.float64)
+    below, above = _in_lanes(ordered, low), _in_lanes(ordered, high)
+    return np.where(count > 0, below + (above - below) * (place - low), np.nan)
 
 
 def nearest(places: NDArray[np.floating], at: NDArray[np.floating]) -> tuple[Ints, Floats]:

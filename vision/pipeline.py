@@ -418,6 +418,7 @@ def open_recording(video: Video | str | Path, chosen: Settings, follow: Follow |
         frames=chosen.frames,
         fps=chosen.fps,
         timestamps=chosen.timestamps,
+        answer_s=chosen.tuning.video.answer_s,
     )
     if follow is None:
         return opened()

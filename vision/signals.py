@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from vision.numeric import Floats, Ints
+from vision.numeric import Bools, Floats, Ints
 
 
 def running_median(
@@ -89,22 +89,21 @@ def find_maxima(
     Between two neighbouring extrema a line only rises or only falls, so that it is enough to go from one
     minimum to the next.
     """
-    ends = np.append(np.flatnonzero(line[1:] != line[:-1]), len(line) - 1)  # of runs of equal values
-    level = line[ends]
+    first, last = _turns(line)
+    level = line[last]
     rises = level[1:] > level[:-1]
     top = 1 + np.flatnonzero(rises[:-1] & ~rises[1:])
     dip = np.flatnonzero(np.append(True, ~rises) & np.append(rises, True))  # before and after each maximum
-    starts = np.where(dip > 0, ends[dip - 1] + 1, 0)
-    at = (ends[top - 1] + 1 + ends[top]) // 2
-    some = np.arange(len(top))
-    if widest is not None:
-        some = some[ends[top] - ends[top - 1] <= widest]
+    at = (first[top] + last[top]) // 2
     ground = _Ground(line, at, level[top], level[dip], reach)
-    left = ground.lowest(some, ends[dip], to_right=False)
+    some = np.flatnonzero(ground.may_stand_out(least_prominence))
+    if widest is not None:
+        some = some[(last[top] - first[top])[some] < widest]
+    left = ground.lowest(some, last[dip], to_right=False)
     high = level[top[some]] - left >= least_prominence
     some, left = some[high], left[high]
-    right = ground.lowest(some, starts, to_right=True)
-    prominence = level[top[some]] - np.maximum(left, right)
+    right = ground.lowest(some, first[dip], to_right=True)
+    prominence = np.asarray(level[top[some]] - np.maximum(left, right), np.float64)
     enough = prominence >= least_prominence
     return Maxima(at[some[enough]], prominence[enough])
 
@@ -124,6 +123,19 @@ def half_widths(line: NDArray[np.floating], maxima: Maxima) -> Floats:
         return _to_half(line, maxima.at, half, -1) + _to_half(line, maxima.at, half, 1)
 
 
+def _turns(line: NDArray[np.floating]) -> tuple[Ints, Ints]:
+    """First and last place of the runs of equal values at which a line may turn, its ends included.
+
+    In between it only rises or only falls. There are few of them: all that follows is done on these alone.
+    """
+    rises, falls = line[1:] > line[:-1], line[1:] < line[:-1]
+    other = (rises[1:] != rises[:-1]) | (falls[1:] != falls[:-1])
+    knots = np.concatenate([[0], 1 + np.flatnonzero(other), [len(line) - 1]])
+    value = line[knots]
+    changes = np.flatnonzero(value[1:] != value[:-1])
+    return knots[np.append(0, changes + 1)], knots[np.append(changes, len(knots) - 1)]
+
+
 class _Ground(NamedTuple):
     """A line with its maxima (K,) and the minima around them (K + 1,)."""
 
@@ -132,6 +144,16 @@ class _Ground(NamedTuple):
     height: NDArray[np.floating]
     depth: NDArray[np.floating]
     reach: int
+
+    def may_stand_out(self, least: float) -> Bools:
+        """False for maxima that cannot rise by so much, since they stand too little above the minimum between
+        them and a higher neighbour: most of those that noise makes, (K,)."""
+        height, depth = self.height.astype(np.float64), self.depth.astype(np.float64)
+        up = np.diff(height)
+        found = np.ones(len(height), np.bool_)
+        found[1:] &= (up >= 0) | (height[1:] - depth[1:-1] >= least)
+        found[:-1] &= (up <= 0) | (height[:-1] - depth[1:-1] >= least)
+        return found
 
     def lowest(self, maxima: Ints, place: Ints, *, to_right: bool) -> Floats:
         """Lowest value on one side of the maxima, within reach and before anything higher.

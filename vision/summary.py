@@ -206,8 +206,13 @@ def _these(sheets: pd.Series) -> str:
 
 def flag_counts(tracks: xr.Dataset) -> dict[str, int]:
     """How often each flag occurs."""
-    names, counts = np.unique(tracks["flag"].values, return_counts=True)
-    return {str(name): int(count) for name, count in zip(names, counts, strict=True)}
+    flags = tracks["flag"].values
+    ok = flags == "ok"  # most are: only the others are sorted
+    names, counts = np.unique(flags[~ok], return_counts=True)
+    found = {str(name): int(count) for name, count in zip(names, counts, strict=True)}
+    if ok.any():
+        found["ok"] = int(ok.sum())
+    return dict(sorted(found.items()))
 
 
 def noise_figures(tracks: xr.Dataset, pixel_size_um: float | None) -> dict[str, float]:

@@ -5,7 +5,9 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +18,10 @@ import xarray as xr
 
 from tests.scenes.comb_video import frames_of, positions, write_video
 from vision import pipeline
+from vision.command import track
 from vision.command.main import run
 from vision.run import writing
+from vision.video.threads import answered
 
 FILES = {
     "tracks.csv",
@@ -223,3 +227,18 @@ def test_a_run_without_force_loads_only_what_it_needs(video):
         check=False,
     )
     assert done.stdout.strip() == "[]", done.stderr
+
+
+@pytest.mark.parametrize("others", [(), ("other.avi",)])
+def test_a_disk_that_does_not_answer_is_one_line(video, others, monkeypatch, capsys):
+    """A failure means that a command typed with a film on a lost mount never comes back."""
+    lost, real = threading.Event(), Path.exists
+    monkeypatch.setattr(Path, "exists", lambda path: lost.wait(20) if path.name == video.name else real(path))
+    monkeypatch.setattr(track, "answered", partial(answered, answer_s=0.2))
+    try:
+        assert run([str(video), *others]) == 2
+    finally:
+        lost.set()
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert "comb.tif: expected a disk or network that answers; found no answer for 0.2 s" in line

@@ -7,6 +7,7 @@ from tests.scenes.combs import ridges, strip
 from vision.errors import InputError
 from vision.sheets import Starts, choose_window, paper_vertex, sliding_vertex, template_shift, track_sheets
 from vision.sheets.ridges import RidgeComb
+from vision.sheets.subpixel import gather
 
 PLACES = np.linspace(49.5, 51.5, 201)
 
@@ -90,3 +91,17 @@ def test_impossible_windows_are_refused(window):
     picture = strip(ridges(np.tile([30.0, 60.0], (5, 1)), width=100))
     with pytest.raises(InputError, match="odd number"):
         track_sheets(picture, window_px=window)
+
+
+@pytest.mark.parametrize("columns", [5, 60])
+def test_pixels_outside_the_frame_are_unknown(columns):
+    """A failure means that a fit near an edge takes pixels of the other edge, or of another frame."""
+    rng = np.random.default_rng(0)
+    profile = rng.normal(size=(4, columns)).astype(np.float32)
+    starts = Starts(rng.integers(0, 4, 300), rng.integers(-columns, 2 * columns, 300))
+    offsets = np.arange(-3, 5)
+    found = gather(profile, starts, offsets)
+    for row, frame, start in zip(found, *starts, strict=True):
+        inside = [(j, start + k) for j, k in enumerate(offsets) if 0 <= start + k < columns]
+        assert np.isfinite(row).sum() == len(inside)
+        assert all(row[j] == profile[frame, x] for j, x in inside)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from vision.video.reader import Frame, decode_in_threads, frames_per_block, gather_blocks, luma
+from vision.video.reader import Frame, frames_per_block, gather_blocks, luma
 
 
 def test_single_frames_become_blocks_in_order():
@@ -25,14 +25,6 @@ def test_blocks_stay_small():
     assert frames_per_block(1, 1, 1) == 256
     assert frames_per_block(1000, 1000, 2) * 2_000_000 <= 16 << 20
     assert frames_per_block(100_000, 100_000, 2) == 1
-
-
-def test_threads_keep_the_order_and_raise_what_went_wrong():
-    """Failure: frames change places with the load of the machine, or an error ends a recording early."""
-    numbers = [frame.time_s for frame in decode_in_threads(lambda n: Frame(None, "ok", n), range(100))]
-    assert numbers == [*range(100)]
-    with pytest.raises(ZeroDivisionError):
-        list(decode_in_threads(lambda n: Frame(None, "ok", 1 / (50 - n)), range(100)))
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])

@@ -1,9 +1,6 @@
 import errno
 import os
-import threading
-import time
 import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +11,7 @@ from vision.data import STRIP, StripMetadata
 from vision.errors import InputError
 from vision.video import VideoSettings, open_video, reference_frame, strip_profile
 from vision.video.frames import ProfileStore, is_blank, lost_between
-from vision.video.strip import prefetch, row_means
-from vision.video.uncompressed import MappedReader
+from vision.video.strip import row_means
 
 
 @pytest.mark.parametrize(("dtype", "top"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, 1e4)])
@@ -156,69 +152,6 @@ def test_reference_frame_skips_a_white_start(tmp_path):
     frames = comb()
     frames[0] = 255
     assert np.array_equal(reference_frame(open_video(write_avi(tmp_path / "a.avi", frames))), frames[1])
-
-
-def test_prefetch_keeps_order_errors_and_ends():
-    """Failure: blocks are swapped, an error in the reading thread is swallowed, or its thread never ends."""
-    assert list(prefetch(iter(range(50)), Path("a"))) == list(range(50))
-
-    def broken():
-        yield 1
-        raise InputError("a", "b", "c")
-
-    items = prefetch(broken(), Path("a"))
-    assert next(items) == 1
-    with pytest.raises(InputError):
-        next(items)
-    closed = []
-
-    def endless():
-        try:
-            while True:
-                yield 0
-        finally:
-            closed.append(True)
-
-    items = prefetch(endless(), Path("a"))
-    next(items)
-    items.close()
-    assert closed == [True]
-
-
-def test_a_disk_that_never_answers_is_given_up(tmp_path, monkeypatch):
-    """Failure: a run whose network is gone waits for ever, or does not end when it is told to."""
-    video = open_video(write_avi(tmp_path / "a.avi", comb()))
-    lost = threading.Event()
-    stored = MappedReader._stored
-
-    def stops(reader, first, last, rows):
-        return stored(reader, first, last, rows) if last == first + 1 else lost.wait()
-
-    monkeypatch.setattr(MappedReader, "_stored", stops)
-    try:
-        with pytest.raises(
-            InputError, match=r"a\.avi: expected a disk .* answers; found no answer for 0\.2 s"
-        ):
-            strip_profile(video, settings=VideoSettings(answer_s=0.2))
-    finally:
-        lost.set()
-
-
-def test_a_reader_that_computes_is_waited_for(monkeypatch):
-    """Failure: a film is given up whose frames take long to decode on a busy machine."""
-    asked = []
-
-    def computed_s():
-        asked.append(len(asked))
-        return float(len(asked))
-
-    def slow():
-        while len(asked) < 6:
-            time.sleep(0.001)
-        yield 1
-
-    monkeypatch.setattr(time, "process_time", computed_s)
-    assert list(prefetch(slow(), Path("a"), VideoSettings(answer_s=0.01))) == [1]
 
 
 def test_a_full_disk_for_a_long_recording_is_reported(monkeypatch):

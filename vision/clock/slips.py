@@ -232,10 +232,9 @@ def _common(steps: _Steps, pattern: Floats, noise: Floats) -> tuple[Floats, Floa
     A uniform shift of all sheets is fitted along.
     """
     known = np.isfinite(steps.moved_px)
-    moved = np.where(known, steps.moved_px, 0.0)
-    w = known / noise**2
-    pp, pu, uu = w @ pattern**2, w @ (pattern * steps.uniform), w @ steps.uniform**2
-    pm, um = (w * moved) @ pattern, (w * moved) @ steps.uniform
+    each = np.stack([pattern, steps.uniform]) / noise**2  # two products of matrices hold all five sums
+    pp, pu, uu = np.stack([each[0] * pattern, each[0] * steps.uniform, each[1] * steps.uniform]) @ known.T
+    pm, um = each @ np.where(known, steps.moved_px, 0.0).T
     # With one sheet, or one side of a pair, the two cannot be told apart: all of it counts as a step.
     both = pp * uu - pu**2 > 1e-6 * pp * uu
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -30,6 +30,7 @@ from vision.sheets.corrections import read_decisions
 from vision.summary import findings, flag_counts, noise_figures
 from vision.video import Follow, open_video, video_files
 from vision.video.high_speed import PIXELS, is_photron
+from vision.video.threads import answered
 
 LONG_FRAMES = 20_000
 """Of a film whose first view in a review is kept with the run: seconds here, where tracking took minutes. A
@@ -153,8 +154,9 @@ def _resumable(checkpoint: Checkpoint) -> Iterator[None]:
 def run_name(video: Path) -> str:
     """Base name of the run folder: the file's or folder's own; of a pattern what is not a wildcard."""
     whole = video.absolute() if video.name else video.resolve()
-    if whole.exists():
-        return whole.name if whole.is_dir() else whole.stem
+    is_there, is_folder = answered(lambda: (whole.exists(), whole.is_dir()), video)
+    if is_there:
+        return whole.name if is_folder else whole.stem
     readable = "".join(c for c in whole.stem if c not in '*?[]<>|:"').strip("_-. ")
     return readable or whole.parent.name or "video"
 
@@ -207,7 +209,7 @@ def _targets_of(
         advice = "track --help lists the options"
         raise InputError("VIDEO", "a video file, a folder or a quoted glob of images", "none", advice)
     for video in videos:
-        if not video.exists() and not glob.has_magic(str(video)):
+        if not answered(video.exists, video) and not glob.has_magic(str(video)):
             raise InputError(video, "a video", "no such file", "check the path; options begin with --")
     if all(_is_still(video) for video in videos):
         found = f"{len(videos)} still images"

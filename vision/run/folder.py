@@ -19,11 +19,13 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, is_dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Self
 
 import vision
 from vision.errors import InputError, with_options
+from vision.video.threads import answered
 
 try:
     import fcntl
@@ -287,7 +289,8 @@ class Origin:
             "versions": versions(),
             "parameters": dict(self.parameters),
             "inputs": [
-                self.described.get(path) or describe_input(path, whole=self.checksum) for path in self.inputs
+                self.described.get(path) or answered(partial(describe_input, path, whole=self.checksum), path)
+                for path in self.inputs
             ],
         }
 

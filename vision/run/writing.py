@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import threading
 import time
 import traceback
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+import xarray as xr
 
 from vision.data import ForceMetadata, StickMetadata, StripMetadata
 from vision.figures import (
@@ -178,14 +182,8 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
 
 
 def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
-    size = analysis.pixel_size_um
     if analysis.tracks is not None and analysis.strip is not None:
-        write_tracks_csv(analysis.tracks, folder / "tracks.csv", pixel_size_um=size)
-        constant = systematic_budget(analysis).total("x_px")
-        path = folder / "tracks.nc"
-        write_tracks_nc(analysis.tracks, path, pixel_size_um=size, constant_error_px=constant)
-        sheets_table(analysis.tracks).to_csv(folder / "sheets.csv", index=False, lineterminator="\n")
-        write_kymograph_tif(analysis.strip, folder / "kymograph.tif", pixel_size_um=size)
+        _write_tracks(analysis, analysis.tracks, analysis.strip, folder)
     if analysis.sticks is not None:
         write_table(analysis.sticks, folder / "events.csv")
     if analysis.fits is not None:
@@ -202,6 +200,22 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
         write_table(table, folder / "deformation.csv")
     if analysis.shells is not None:
         write_table(analysis.shells, folder / "shells.csv")
+
+
+def _write_tracks(analysis: Analysis, tracks: xr.Dataset, strip: xr.DataArray, folder: Path) -> None:
+    """Every position as text in one thread, and the rest in this one: each takes as long as the other."""
+    size, stop = analysis.pixel_size_um, threading.Event()
+    with ThreadPoolExecutor(1) as beside:
+        text = beside.submit(write_tracks_csv, tracks, folder / "tracks.csv", pixel_size_um=size, stop=stop)
+        try:
+            constant = systematic_budget(analysis).total("x_px")
+            path = folder / "tracks.nc"
+            write_tracks_nc(tracks, path, pixel_size_um=size, constant_error_px=constant)
+            sheets_table(tracks).to_csv(folder / "sheets.csv", index=False, lineterminator="\n")
+            write_kymograph_tif(strip, folder / "kymograph.tif", pixel_size_um=size)
+            text.result()
+        finally:
+            stop.set()  # after Ctrl-C nothing waits for the whole table
 
 
 def _write_pictures(analysis: Analysis, folder: Path, figures: Sequence[Figure]) -> None:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vision.numeric import Bools, Floats, Floats32, Ints, nan_median, shifted
 from vision.sheets.alignment import Candidates, Pairing, align, values_of
@@ -236,11 +235,8 @@ def split_segments(
     place -= np.minimum.reduceat(place, start)[of_frame]
     drift = np.r_[0.0, np.cumsum(joints.moved_px)]
     drift -= drift[start + length // 2][of_frame]
-    tables = [
-        _means(values, of_frame, place)
-        for values in (ridges.x_px - drift[:, None], np.log(ridges.contrast), np.log(ridges.fwhm_px))
-    ]
-    return Segments(start, length, place, Candidates(*tables))
+    features = np.stack([ridges.x_px - drift[:, None], np.log(ridges.contrast), np.log(ridges.fwhm_px)])
+    return Segments(start, length, place, Candidates(*_means(features, of_frame, place)))
 
 
 class _Joints(NamedTuple):
@@ -292,8 +288,8 @@ def _pairs(
     count = paired.sum(axis=1)
     alone = ridges.count[rows] + ridges.count[rows + 1] - 2 * count
     holds = still.all(axis=1) & np.hstack(crossing).all(axis=1) & (alone <= count)
-    bright = np.log(ridges.contrast)
-    change = np.where(paired, shifted(bright[rows + 1], came) - bright[rows], 0.0)
+    bright_before, bright_after = np.log(ridges.contrast[rows]), np.log(ridges.contrast[rows + 1])
+    change = np.where(paired, shifted(bright_after, came) - bright_before, 0.0)
     total = np.maximum(count, 1)
     return _FramePairs(holds, step.sum(axis=1) / total, np.sqrt((change**2).sum(axis=1) / total))
 
@@ -305,12 +301,14 @@ def _spacing(x: Floats32) -> Floats32:
     return np.minimum(np.hstack([end, gap]), np.hstack([gap, end]))
 
 
-def _means(values: NDArray[np.floating], of_frame: Ints, place: Ints) -> Floats:
-    """Mean over the frames of each segment, (segments, places), NaN where there is nothing."""
-    frame, k = np.nonzero(np.isfinite(values))
+def _means(features: Floats, of_frame: Ints, place: Ints) -> Floats:
+    """Means of features (kinds, frame, K) over the frames of each segment, (kinds, segments, places), NaN
+    where there is nothing."""
+    known = np.isfinite(features[0])  # a candidate has all of them
+    frame, k = np.nonzero(known)
     column = place[frame] + k
     shape = (int(of_frame[-1]) + 1, int(column.max(initial=0)) + 1)
-    index = of_frame[frame] * shape[1] + column
-    count = np.bincount(index, minlength=shape[0] * shape[1])
-    total = np.bincount(index, values[frame, k].astype(np.float64), minlength=shape[0] * shape[1])
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(shape)
+    index, cells = of_frame[frame] * shape[1] + column, shape[0] * shape[1]
+    count = np.bincount(index, minlength=cells)
+    totals = np.stack([np.bincount(index, values[known], minlength=cells) for values in features])
+    return np.where(count > 0, totals / np.maximum(count, 1), np.nan).reshape(-1, *shape)

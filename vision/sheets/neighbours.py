@@ -8,10 +8,12 @@ numbering only, so that an earlier doubt ends.
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median, nan_quantile, shifted
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median, nan_quantile, shifted
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
@@ -57,12 +59,28 @@ def said_by_neighbours(x_px: Floats) -> Floats:
         return np.full(x_px.shape, np.nan)
     place = places_in_comb(x_px)
     moved = x_px - place
-    pairs = [_between(moved, place, k) for k in range(1, PAIRS + 1)]
-    few = np.isfinite(np.stack(pairs)).sum(axis=0) < 2  # towards the ends
-    two = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))  # one wrong sheet is never in the majority
-    lines = [np.where(few, _beyond(moved, step * a, step * b), np.nan) for step in (1, -1) for a, b in two]
-    said = nan_median(np.stack([*pairs, *lines]))
+    first, second, third = pairs = [_between(moved, place, k) for k in range(1, PAIRS + 1)]
+    low, high = np.minimum(first, second), np.maximum(first, second)
+    said = np.maximum(low, np.minimum(high, third))  # their median; NaN where one is missing
+    lacking = np.isnan(said)
+    said[lacking] = _said_by_fewer(moved, np.stack([pair[lacking] for pair in pairs]), *np.nonzero(lacking))
     return np.asarray(place + said + nan_median(moved - said), np.float64)
+
+
+def _said_by_fewer(moved: Floats, pairs: Floats, frame: Ints, sheet: Ints) -> Floats:
+    """Displacement said by what there is of the three pairs (3, points); where that is less than two, as
+    towards the ends, by lines through two sheets on one side, too: one wrong sheet is never in the majority.
+    """
+    few = np.isfinite(pairs).sum(axis=0) < 2
+    frame, sheet = frame[few], sheet[few]
+    two = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))
+    furthest = max(max(pair) for pair in two)
+    padded = np.pad(moved, ((0, 0), (furthest, furthest)), constant_values=np.nan)
+    lines = np.full((2 * len(two), len(few)), np.nan)
+    for line, (step, (near, far)) in zip(lines, product((1, -1), two), strict=True):
+        close, remote = (padded[frame, sheet + furthest + step * k] for k in (near, far))
+        line[few] = close + (close - remote) * near / (far - near)
+    return nan_median(np.concatenate([pairs, lines]))
 
 
 def places_in_comb(x_px: Floats) -> Floats:
@@ -77,19 +95,15 @@ def places_in_comb(x_px: Floats) -> Floats:
 
 
 def _between(moved: Floats, place: Floats, k: int) -> Floats:
-    """Displacement said by the k-th neighbours on both sides, linear between them."""
-    left, right = shifted(moved, -k), shifted(moved, k)
-    to_left = place - shifted(place[None], -k)
-    to_right = shifted(place[None], k) - place
+    """Displacement said by the k-th neighbours, linear between them; NaN where one of both is missing."""
+    said = np.full_like(moved, np.nan)
+    if moved.shape[1] <= 2 * k:
+        return said
+    to_left, to_right = place[k:-k] - place[: -2 * k], place[2 * k :] - place[k:-k]
     apart = to_left + to_right
     apart = np.where(apart > 0, apart, np.nan)  # two sheets in one place say nothing
-    return np.asarray((left * to_right + right * to_left) / apart)
-
-
-def _beyond(moved: Floats, near: int, far: int) -> Floats:
-    """Displacement said by two sheets on one side, on a line through them."""
-    close, remote = shifted(moved, near), shifted(moved, far)
-    return np.asarray(close + (close - remote) * near / (far - near))
+    said[:, k:-k] = (moved[:, : -2 * k] * to_right + moved[:, 2 * k :] * to_left) / apart
+    return said
 
 
 def torn(moved: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Bools:
@@ -124,11 +138,13 @@ def hops(residual: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
     """
     size = np.abs(residual)
     own = settings.leave_sigmas * nan_median(size) / NORMAL_MEDIAN
-    frame = 3.0 * nan_quantile(size, 0.75, axis=1)
-    least = np.fmax(np.fmax(own, comb.fwhm_px), frame[:, None])
-    padded = np.pad(size, ((0, 0), (PAIRS, PAIRS)), constant_values=np.nan)
+    found = np.asarray(size > np.fmax(own, comb.fwhm_px), bool)
+    rows = np.flatnonzero(found.any(axis=1))  # in most films none
+    some = size[rows]
+    padded = np.pad(some, ((0, 0), (PAIRS, PAIRS)), constant_values=np.nan)
     around = [padded[:, i : i + size.shape[1]] for i in range(2 * PAIRS + 1)]
-    return np.asarray((size > least) & (size >= np.fmax.reduce(around)), bool)
+    found[rows] &= (some > 3.0 * nan_quantile(some, 0.75, axis=1)[:, None]) & (some >= np.fmax.reduce(around))
+    return found
 
 
 def anchored(

@@ -9,14 +9,15 @@ neighbours have in common.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median, nan_quantile
-from vision.sheets.ridges import RidgeComb
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median, nan_quantile
+from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
-from vision.sheets.subpixel import FRAMES_PER_BLOCK, Starts, gather
+from vision.sheets.subpixel import Starts, gather
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
@@ -157,20 +158,20 @@ def not_one_ridge(
     half = max(3, round(min(0.6 * comb.fwhm_px, 0.5 * comb.pitch_px)))
     _, level, shape = _pictures(bright, x_px, half)
     own = nan_median(level)
-    own -= own.mean(axis=1, keepdims=True)
+    own -= own.mean(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        likeness = own @ (shape - shape.mean()) / np.linalg.norm(own, axis=1) / np.std(shape)
+        likeness = (shape - shape.mean()) @ own / np.linalg.norm(own, axis=0) / np.std(shape)
     return np.asarray(likeness / np.sqrt(len(shape)) < settings.least_likeness, bool)
 
 
 def _pictures(bright: Floats32, x_px: Floats, half: int) -> tuple[Floats, Floats, Floats]:
-    """Pixels around positions in some frames (frame, N, u), the same with mean 0 and deviation 1, and the
+    """Pixels around positions in some frames (frame, u, N), the same with mean 0 and deviation 1, and the
     median of these over all sheets and frames (u,)."""
     sample = np.unique(np.linspace(0, len(bright) - 1, 200).astype(int))
-    around = _around(bright, x_px, sample, half)
-    level = around - around.mean(axis=-1, keepdims=True)
-    level = level / level.std(axis=-1, keepdims=True)
-    return around, level, nan_median(level.reshape(-1, level.shape[-1]))
+    around = _around(bright[sample], x_px[sample], half)
+    level = around - around.mean(axis=1, keepdims=True)
+    level /= level.std(axis=1, keepdims=True)
+    return around, level, nan_median(level.swapaxes(1, 2).reshape(-1, level.shape[1]))
 
 
 def distortion(
@@ -215,16 +216,19 @@ def distortion(
     around, _, shape = _pictures(bright, x_px, half)
     if not np.isfinite(shape).all():
         return np.zeros_like(x_px)
-    own = nan_median(_shape_fit(around, shape)[1])  # each sheet's own residual, (N, u)
-    slant, unlike = np.full(x_px.shape, np.nan), np.full(x_px.shape, np.nan)
-    for start in range(0, len(bright), FRAMES_PER_BLOCK):
-        rows = np.arange(start, min(start + FRAMES_PER_BLOCK, len(bright)))
-        slant[rows], residual = _shape_fit(_around(bright, x_px, rows, half), shape)
+    own = nan_median(_shape_fit(around, shape)[1])  # each sheet's own residual, (u, N)
+    slant, unlike = np.empty(x_px.shape), np.empty(x_px.shape)
+
+    def fit(rows: slice) -> None:
+        slant[rows], residual = _shape_fit(_around(bright[rows], x_px[rows], half), shape)
         residual -= own
-        residual -= nan_median(residual, axis=1)[:, None]
-        unlike[rows] = np.sqrt((residual**2).mean(axis=-1))
+        residual -= nan_median(residual, axis=2)[..., None]
+        unlike[rows] = _odd_rms(residual)
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(fit, (slice(i, i + FRAMES_PER_BLOCK) for i in range(0, len(bright), FRAMES_PER_BLOCK))))
     usual = nan_median(slant)
-    odd = np.sqrt(2 * ((own - nan_median(own)) ** 2).mean(axis=-1))
+    odd = np.sqrt(2) * _odd_rms(own - nan_median(own, axis=1)[:, None])
     floor, sigmas, times = settings.distortion_floor, settings.distortion_sigmas, settings.distortion_residual
     off = np.abs(slant - usual)
     usual_off = float(nan_median((off / err_px).ravel())) / NORMAL_MEDIAN
@@ -247,13 +251,14 @@ def _beyond(size: Floats, least: Floats) -> Floats:
     return np.where(size > least, size, 0.0)
 
 
-def _around(bright: Floats32, x_px: Floats, rows: Ints, half: int) -> Floats:
-    """Grey levels at whole pixels from each position, (rows, N, u), by the cubic through four pixels."""
-    x = x_px[rows]
-    left = np.floor(np.nan_to_num(x, nan=-10.0 * half)).astype(np.int64)
-    starts = Starts(np.repeat(rows, x.shape[1]), left.ravel())
-    pixels = gather(bright, starts, np.arange(-half - 1, half + 3)).reshape(*x.shape, -1)
-    t = (x - left)[..., None]
+def _around(bright: Floats32, x_px: Floats, half: int) -> Floats:
+    """Grey levels at whole pixels from each position, (frame, u, N), by the cubic through four pixels."""
+    frames, sheets = x_px.shape
+    left = np.floor(np.nan_to_num(x_px, nan=-10.0 * half)).astype(np.int64)
+    starts = Starts(np.repeat(np.arange(frames), sheets), left.ravel())
+    pixels = gather(bright, starts, np.arange(-half - 1, half + 3))
+    pixels = pixels.reshape(frames, sheets, -1).swapaxes(1, 2).copy()
+    t = (x_px - left)[:, None]
     weights = (
         -t * (t - 1) * (t - 2) / 6,
         (t + 1) * (t - 1) * (t - 2) / 2,
@@ -261,7 +266,10 @@ def _around(bright: Floats32, x_px: Floats, rows: Ints, half: int) -> Floats:
         (t + 1) * t * (t - 1) / 6,
     )
     width = 2 * half + 1
-    return np.asarray(sum(w * pixels[..., i : i + width] for i, w in enumerate(weights)), np.float64)
+    around = weights[0] * pixels[:, :width]
+    for i in (1, 2, 3):
+        around += weights[i] * pixels[:, i : i + width]
+    return np.asarray(around, np.float64)
 
 
 def _bases(shape: Floats) -> tuple[Floats, Floats]:
@@ -278,16 +286,22 @@ def _slant_noise(shape: Floats) -> float:
 
 
 def _shape_fit(pixels: Floats, shape: Floats) -> tuple[Floats, Floats]:
-    """Change of the shift, px, where a slope is fitted too, (…,), and the odd part of the residual without it
-    in terms of the shape's slope, (…, u)."""
+    """Of pixels (frame, u, N) the change of the shift, px, where a slope is fitted too, (frame, N), and the
+    odd part of the residual without it in terms of the shape's slope: its left half (frame, u // 2, N), of
+    which the right one is the negative."""
     upright, sloping = _bases(shape)
-    rise = upright[:, 2]
-    first, second = (pixels @ np.linalg.pinv(basis).T for basis in (upright, sloping))
+    first, second = np.linalg.pinv(upright), np.linalg.pinv(sloping)
+    residual = np.eye(len(shape)) - upright @ first
+    odd = (residual - residual[::-1])[: len(shape) // 2] / np.sqrt(2 * (upright[:, 2] ** 2).mean())
+    found = np.concatenate([first[1:3], second[1:3], odd]) @ pixels  # all are linear in the pixels
+    height, shift, other_height, other_shift = (found[:, k] for k in range(4))
     with np.errstate(divide="ignore", invalid="ignore"):
-        change = second[..., 2] / second[..., 1] - first[..., 2] / first[..., 1]
-        residual = (pixels - first @ upright.T) / first[..., 1:2] / np.sqrt((rise**2).mean())
-    lopsided = (residual - residual[..., ::-1]) / np.sqrt(2)
-    return np.asarray(change, np.float64), np.asarray(lopsided, np.float64)
+        return other_shift / other_height - shift / height, found[:, 4:] / height[:, None]
+
+
+def _odd_rms(left_half: Floats) -> Floats:
+    """Root mean square over u of what is odd in u, from its left half (…, u // 2, N)."""
+    return np.asarray(np.sqrt((left_half**2).sum(axis=-2) / (left_half.shape[-2] + 0.5)), np.float64)
 
 
 class BetweenSlips:

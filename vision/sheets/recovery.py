@@ -85,9 +85,9 @@ def assign_detections(
     found = np.where(doubtful, np.nan, paired)
     expected = _expected(found[0], identities.rest_px)
     rows, sheet, faint = _faint_ridges(profile, found, expected, doubtful, comb, settings)
-    found[:, rows, sheet] = faint
-    # a second look may find no more than a ridge that happens to be near
-    found[:, hops(neighbour_residual(found[0]), comb, settings) & np.isnan(paired[0])] = np.nan
+    if len(rows):  # a second look may find no more than a ridge that happens to be near
+        found[:, rows, sheet] = faint
+        found[:, hops(neighbour_residual(found[0]), comb, settings) & np.isnan(paired[0])] = np.nan
     flag = np.where(np.isfinite(found[0]), "ok", "missing").astype("<U8")
     flag[_merged(found[0], found[1], expected, comb, settings)] = "merged"
     half = comb.fwhm_px / 2
@@ -131,13 +131,15 @@ def _doubts(
 
 def _settled(why: Strings, paired: Floats, comb: RidgeComb, settings: TrackingSettings) -> Strings:
     """The doubts without those that the pattern settles: it fits this numbering and no other one."""
+    open_ = (why == "jump") | (why == "margin")
+    if not open_.any():
+        return why
     x, contrast, fwhm = paired
     with np.errstate(divide="ignore", invalid="ignore"):
         looks = np.log(contrast), np.log(fwhm)
     known = np.where(why == "tear", np.nan, x)
     sure = anchored(known, *looks, np.isfinite(known) & (why == ""), comb, settings)
-    settles = sure & ((why == "jump") | (why == "margin"))
-    return np.where(settles, "", why)
+    return np.where(sure & open_, "", why)
 
 
 def _other_ridges(
@@ -219,11 +221,12 @@ def _after_jumps(
 
 
 def _expected(start: Floats, rest: Floats) -> Floats:
-    """Where each sheet must be in each frame: its rest position moved as its neighbours are; NaN with fewer
-    than half of the sheets detected."""
-    moved = fill_rows(start - rest, np.median(rest, axis=0))
-    enough = np.isfinite(start).mean(axis=1) >= 0.5
-    return np.where(enough[:, None], rest + moved, np.nan)
+    """Where each sheet must be in frames in which one is missing: its rest position moved as its neighbours
+    are. NaN with fewer than half of the sheets detected, and in all other frames."""
+    expected = np.full(start.shape, np.nan)
+    rows = np.isnan(start).any(axis=1) & (np.isfinite(start).mean(axis=1) >= 0.5)
+    expected[rows] = rest[rows] + fill_rows(start[rows] - rest[rows], nan_median(rest))
+    return expected
 
 
 def _faint_ridges(
@@ -268,6 +271,8 @@ def _merged(
     """Missing sheets and the detected neighbours that they have become one ridge with: where they must be
     within a ridge's width of each other, or where the neighbour is as high as more than one sheet."""
     missing = np.isnan(start)
+    if not missing.any():
+        return missing
     apart = np.abs(np.diff(np.where(missing, expected, start), axis=1))
     height = contrast / nan_median(contrast)
     double = height > settings.merged_height * nan_median(height, axis=1)[:, None]  # of which: exposure

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import cv2
@@ -21,6 +22,7 @@ from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import find_maxima, half_widths
 
 Polarity = Literal["bright", "dark"]
+FRAMES_PER_BLOCK = 128  # worked on at once: what is made of them fits into a core's cache
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ class Ridges:
     contrast: Floats32
     fwhm_px: Floats32
 
-    @property
+    @cached_property
     def count(self) -> Ints:
         """Candidates in each frame (frame,)."""
         return np.asarray(np.isfinite(self.x_px).sum(axis=1), np.int64)
@@ -163,12 +165,17 @@ def profile_noise(profile: Floats32) -> float:
     return float(np.median(np.abs(spread)) / (NORMAL_MEDIAN * np.sqrt(924.0)))
 
 
-def _smoothed(profile: Floats32, sigma_px: float) -> Floats32:
-    """Profiles (frame, x) smoothed along x with a Gaussian; NaN taken as 0."""
-    clean = np.nan_to_num(np.ascontiguousarray(profile, np.float32), nan=0.0)
+def _smoothed(profile: Floats32, sigma_px: float, wall_px: int = 0) -> Floats32:
+    """Profiles (frame, x) smoothed along x with a Gaussian, with room for walls on both sides; what is not
+    finite is taken as 0."""
+    finite = np.isfinite(profile)
+    clean = profile if finite.all() else np.where(finite, profile, np.float32(0))
     half = max(1, int(np.ceil(4 * sigma_px)))
     kernel = cv2.getGaussianKernel(2 * half + 1, sigma_px).reshape(1, -1)
-    return np.asarray(cv2.filter2D(clean, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE), np.float32)
+    line = np.empty((len(profile), profile.shape[1] + 2 * wall_px), np.float32)
+    inner = line[:, wall_px : wall_px + profile.shape[1]]
+    cv2.filter2D(clean, cv2.CV_32F, kernel, dst=inner, borderType=cv2.BORDER_REPLICATE)
+    return line
 
 
 def _noise_floor(noise: float, smoothing_px: float, settings: TrackingSettings) -> float:
@@ -226,8 +233,8 @@ def _measure_within(
 ) -> RidgeComb | None:
     """What stands out from so many pixels on both sides (from the whole picture, if None)."""
     sigma = 1.0
-    line = _smoothed(sample if polarity == "bright" else -sample, sigma)
-    walled = np.pad(line, ((0, 0), (1, 1)), constant_values=line.min())
+    walled = _smoothed(sample if polarity == "bright" else -sample, sigma, wall_px=1)
+    walled[:, [0, -1]] = walled[:, 1:-1].min()
     floor = _noise_floor(noise, sigma, settings)
     reach = walled.shape[1] if reach_px is None else reach_px
     maxima = find_maxima(walled.ravel(), least_prominence=floor, reach=reach)
@@ -298,10 +305,13 @@ def find_ridges(profile: Floats32, comb: RidgeComb, *, settings: TrackingSetting
     -----
     Source: paper, appendix B (local maxima of I(x)).
     """
-    block = 256
-    starts = range(0, len(profile), block)
+    starts = range(0, len(profile), FRAMES_PER_BLOCK)
+
+    def find(start: int) -> _Peaks:
+        return _find_block(profile[start : start + FRAMES_PER_BLOCK], start, comb, settings)
+
     with ThreadPoolExecutor(2) as pool:
-        parts = list(pool.map(lambda i: _find_block(profile[i : i + block], i, comb, settings), starts))
+        parts = list(pool.map(find, starts))
     return _padded(parts, len(profile))
 
 
@@ -319,8 +329,8 @@ def _find_block(profile: Floats32, start: int, comb: RidgeComb, settings: Tracki
     smoothing_px = max(0.5, settings.smoothing_widths * comb.fwhm_px)
     threshold = max(_noise_floor(comb.noise, smoothing_px, settings), settings.faint_fraction * comb.contrast)
     reach_px = max(4, round(settings.surroundings_widths * comb.fwhm_px))
-    walled = np.pad(_smoothed(profile * comb.sign, smoothing_px), ((0, 0), (1, 1)), mode="edge")
-    walled[:, [0, -1]] += 1  # a wall is no ridge, and what slopes up to it is none either
+    walled = _smoothed(profile if comb.sign > 0 else -profile, smoothing_px, wall_px=1)
+    walled[:, [0, -1]] = walled[:, [1, -2]] + 1  # a wall is no ridge, nor is what slopes up to it
     maxima = find_maxima(
         walled.ravel(),
         least_prominence=threshold,
@@ -344,11 +354,12 @@ def _padded(parts: list[_Peaks], frames: int) -> Ridges:
     frame, x, contrast, fwhm = (np.concatenate(column) for column in zip(*parts, strict=True))
     counts = np.bincount(frame, minlength=frames)
     rank = np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)
-    shape = (frames, max(1, int(counts.max(initial=0))))
+    width = max(1, int(counts.max(initial=0)))
+    place = frame * width + rank
 
     def spread(values: NDArray[np.generic]) -> Floats32:
-        table = np.full(shape, np.nan, np.float32)
-        table[frame, rank] = values
-        return table
+        table = np.full(frames * width, np.nan, np.float32)
+        table[place] = values
+        return table.reshape(frames, width)
 
     return Ridges(spread(x), spread(contrast), spread(fwhm))

@@ -13,17 +13,17 @@ from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median
-from vision.sheets.ridges import RidgeComb
+from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 FitName = Literal["sliding", "paper", "template"]
 FitChoice = Literal["auto", "sliding", "paper", "template"]
 
-FRAMES_PER_BLOCK = 512
 LEAST_TRIPLES = 8  # groups of three consecutive frames from which noise is measured
 
 
@@ -147,11 +147,12 @@ def sliding_vertex(profile: NDArray[np.floating], starts: Starts, *, window_px: 
     column = left % width
     left = left[(column >= half) & (column <= width - 2 - half)]  # the parabola stands inside the frame
     at, found = _nearest(left, slope, starts.frame * width + starts.x, half)
-    four = slope[np.clip(at[:, None] + np.arange(-1, 3), 0, len(slope) - 1)].astype(np.float64)
+    four = slope[np.clip(at + np.arange(-1, 3)[:, None], 0, len(slope) - 1)].astype(np.float64)
     step, steepness = _cubic_zero(four)
-    found &= np.isfinite(step) & (at // width == starts.frame)
+    frame, column = np.divmod(at, width)
+    found &= np.isfinite(step) & (frame == starts.frame)
     err = 1 / np.sqrt((np.arange(-half, half + 1) ** 2).sum()) / np.abs(steepness)
-    return FittedPositions(np.where(found, at % width + step, np.nan), np.where(found, err, np.nan))
+    return FittedPositions(np.where(found, column + step, np.nan), np.where(found, err, np.nan))
 
 
 def template_shift(
@@ -196,11 +197,18 @@ def template_shift(
 
 
 def gather(profile: NDArray[np.floating], starts: Starts, offsets: NDArray[np.integer]) -> Floats:
-    """Pixels at `offsets` from each start, (points, offsets), NaN outside the frame."""
-    columns = starts.x[:, None] + offsets
-    inside = (columns >= 0) & (columns < profile.shape[1])
-    flat = starts.frame[:, None] * profile.shape[1] + np.clip(columns, 0, profile.shape[1] - 1)
-    return np.where(inside, profile.ravel()[flat].astype(np.float64), np.nan)
+    """Pixels at consecutive `offsets` from each start, (points, offsets), NaN outside the frame."""
+    missing = max(0, len(offsets) - profile.shape[1])
+    padded = np.pad(profile, ((0, 0), (0, missing)), constant_values=np.nan) if missing else profile
+    last = padded.shape[1] - 1
+    wanted = starts.x + offsets[0]
+    first = np.clip(wanted, 0, last + 1 - len(offsets))
+    pixels = sliding_window_view(padded, len(offsets), axis=1)[starts.frame, first].astype(np.float64)
+    cut = np.flatnonzero(first != wanted)  # a few, near the ends
+    columns = starts.x[cut, None] + offsets
+    inside = np.clip(columns, 0, last)
+    pixels[cut] = np.where(columns == inside, padded[starts.frame[cut, None], inside], np.nan)
+    return np.asarray(pixels, np.float64)
 
 
 def _quadratic_norm(offsets: NDArray[np.integer]) -> float:
@@ -238,9 +246,9 @@ def _nearest(left: Ints, slope: Floats32, start: Ints, reach: int) -> tuple[Ints
 
 
 def _cubic_zero(four: Floats) -> tuple[Floats, Floats]:
-    """Zero in [0, 1] of the cubic through values at −1, 0, 1, 2, and its derivative there; Newton from the
-    chord."""
-    a, b, c, d = four.T
+    """Zero in [0, 1] of the cubic through values at −1, 0, 1, 2 (4, points), and its derivative there; Newton
+    from the chord."""
+    a, b, c, d = four
     cubic = np.stack([(-a + 3 * b - 3 * c + d) / 6, (a - 2 * b + c) / 2, c - b / 2 - a / 3 - d / 6, b])
     with np.errstate(divide="ignore", invalid="ignore"):
         t = b / (b - c)

@@ -241,12 +241,12 @@ class _Tracked:
 
 
 def _check(profile: Floats32, source: str) -> None:
-    good = profile[np.isfinite(profile).all(axis=1)]
+    good = np.flatnonzero(np.isfinite(profile).all(axis=1))
     if not len(good):
         raise InputError(source, "at least one usable frame", "none", "look at the frames' status")
     if profile.shape[1] < 8:
         raise InputError(source, "at least 8 columns", f"{profile.shape[1]}", "check `columns` and `rotate`")
-    if float(np.ptp(good, axis=1).max()) == 0:
+    if all(np.ptp(profile[frame]) == 0 for frame in good):  # the first frame of most films is not
         raise InputError(source, "a picture with ridges", "a constant one", "check `rows` and `columns`")
 
 
@@ -271,7 +271,8 @@ def _positions(
     bright = profile if comb.sign > 0 else -profile
     used: FitName = "sliding" if fit == "auto" else fit
     x, per_grey = fit_sheets(bright, start_px, fit=used, window_px=window_px, comb=comb)
-    noise = intensity_noise(profile[~frozen], x[~frozen], half_px=window_px // 2, fallback=comb.noise)
+    new = ~frozen if frozen.any() else slice(None)  # without a copy of all frames
+    noise = intensity_noise(profile[new], x[new], half_px=window_px // 2, fallback=comb.noise)
     if fit == "auto":
         usable = np.where(frozen[:, None], np.nan, x)
         matched, matched_per_grey, learned = learned_template(
@@ -323,7 +324,7 @@ def _errors(
 
 def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> xr.Dataset:
     flag = _flags(strip, found)
-    ok = np.isin(flag, ("ok", "blurred"))
+    ok = (flag == "ok") | (flag == "blurred")
     x = np.where(ok, found.x_px, np.nan) + found.origin_px
     contrast = np.where(ok, found.detections.contrast, np.nan)
     values: dict[str, Any] = {

@@ -23,12 +23,12 @@ from vision.video.reader import (
     Block,
     Facts,
     Frame,
-    decode_in_threads,
     full_scale,
     gather_blocks,
     luma,
     shape_text,
 )
+from vision.video.threads import in_threads
 
 # What cameras, microscopes and their programs write; no playlists, no lists of other files, no networks.
 _FORMATS = (
@@ -155,7 +155,7 @@ class MjpegReader(EncodedReader):
         """Frames in file order; those before `start` are not decoded."""
         with open_container(self._path) as container:
             jpegs = itertools.islice(self._jpegs(container), start, stop)
-            frames = decode_in_threads(self._decode, jpegs)
+            frames = in_threads(self._decode, jpegs)
             yield from gather_blocks(frames, start=start, rows=rows, columns=columns, dtype=np.uint8)
 
     def _jpegs(self, container: av.container.InputContainer) -> Iterator[tuple[bytes, float | None]]:

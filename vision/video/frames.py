@@ -22,6 +22,7 @@ from vision.files import Stamp
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings
 from vision.video.reader import Block
 from vision.video.settings import DEFAULTS, VideoSettings
+from vision.video.threads import answered
 from vision.video.video import Video, open_video, pixels_file
 
 STATUS_TYPE = "<U7"  # ok, blank, corrupt, lost
@@ -374,7 +375,9 @@ def await_video(
     InputError
         Where it cannot be opened and nothing has been written to it for `settings.follow_give_up_s`.
     """
-    watch = _Watch(pixels_file(Path(path)))
+    film = Path(path)
+    pixels = answered(lambda: pixels_file(film), film, settings.answer_s)
+    watch = _Watch(pixels, settings.answer_s)
     tell_at = time.monotonic() + settings.follow_tell_s
     while True:
         still_s = watch.still_s()
@@ -405,7 +408,7 @@ def growth(video: Video, follow: Follow, settings: VideoSettings) -> Iterator[tu
     InputError
         Where it was removed or replaced, or stands still and cannot be opened.
     """
-    watch = _Watch(video.watched)
+    watch = _Watch(video.watched, settings.answer_s)
     while not follow.stop.is_set():
         began = time.monotonic()
         yield video, False
@@ -429,7 +432,7 @@ def growth(video: Video, follow: Follow, settings: VideoSettings) -> Iterator[tu
 
 def _again(video: Video) -> Video:
     """The same recording as it is now.  Raises: InputError."""
-    change = video.stamp.change(video.watched)
+    change = answered(lambda: video.stamp.change(video.watched), video.path, video.answer_s)
     if change in ("was removed", "was replaced"):
         raise InputError(video.path, "a recording that only grows while it is followed", f"one that {change}")
     whole = video.first == 0 and video.stop is None
@@ -438,23 +441,27 @@ def _again(video: Video) -> Video:
         rotate=video.rotate,
         frames=None if whole else slice(video.first, video.stop),
         fps=video.given_fps,
+        answer_s=video.answer_s,
     )
 
 
 class _Watch:
     """How long a file or folder has stood still, by this process's own clock."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.stamp = Stamp.of(path)
+    def __init__(self, path: Path, answer_s: float) -> None:
+        self._path, self._answer_s = path, answer_s
+        self.stamp = self._now()
         self._since = time.monotonic()
 
     def still_s(self) -> float:
         """Seconds since a change was last seen; takes a new stamp."""
-        now = Stamp.of(self._path)
+        now = self._now()
         if now != self.stamp:
             self.stamp, self._since = now, time.monotonic()
         return time.monotonic() - self._since
+
+    def _now(self) -> Stamp:
+        return answered(lambda: Stamp.of(self._path), self._path, self._answer_s)
 
     def age_s(self) -> float:
         """Seconds since it was written to, by its own time; 0 for one that is not there."""

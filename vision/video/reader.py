@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypeVar
+from typing import Literal, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import DTypeLike
 
-from vision.isolation import usable_cores
 from vision.numeric import Floats, Pixels
 
 Status = Literal["ok", "corrupt", "lost"]
-Item = TypeVar("Item")
 
 LUMA_RULE = "BT.601 luma, 0.299 R + 0.587 G + 0.114 B, rounded"
 AS_STORED = "values as stored"
@@ -149,14 +145,6 @@ def gather_blocks(
         known = bool(np.isfinite(times_s).any())
         yield Block(pixels[: len(status)], start, tuple(status), times_s if known else None)
         start += len(status)
-
-
-def decode_in_threads(decode: Callable[[Item], Frame], items: Iterable[Item]) -> Iterator[Frame]:
-    """`decode` of each item in order, on all cores; at most 32 frames are held at once."""
-    source = iter(items)
-    with ThreadPoolExecutor(usable_cores()) as pool:
-        while batch := list(itertools.islice(source, 32)):
-            yield from pool.map(decode, batch)
 
 
 @dataclass(frozen=True)

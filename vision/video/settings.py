@@ -126,7 +126,7 @@ class VideoSettings:
     answer_s: float = 60.0
     """Seconds in which nothing is read and nothing computed, after which a recording is given up. Shorter
     gives up disks that have to start, longer waits for a connection that is lost
-    (test_a_disk_that_never_answers_is_given_up)."""
+    (test_threads.py)."""
 
     # interrupted runs
     resume_after_s: float = 10.0

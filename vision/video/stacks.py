@@ -29,11 +29,11 @@ from vision.video.reader import (
     Frame,
     ImagesReader,
     Reader,
-    decode_in_threads,
     full_scale,
     luma,
     shape_text,
 )
+from vision.video.threads import in_threads
 from vision.video.uncompressed import MappedReader
 
 IMAGES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"}
@@ -99,7 +99,7 @@ def _decode_pages(path: Path, numbers: Sequence[int]) -> Iterator[Frame]:
     with tifffile.TiffFile(path) as tif:
         tif.filehandle.set_lock(True)  # the threads share one file
         pages = _pages(tif, path)
-        yield from decode_in_threads(_decode_page, (pages[n] for n in numbers))
+        yield from in_threads(_decode_page, (pages[n] for n in numbers))
 
 
 def _decode_page(page: Page) -> Frame:
@@ -305,7 +305,7 @@ def open_sequence(path: Path) -> ImagesReader:
 
     def decode(numbers: Sequence[int]) -> Iterator[Frame]:
         one = partial(_decode_image, shape=facts.shape, dtype=first.dtype)
-        return decode_in_threads(one, (files[n] for n in numbers))
+        return in_threads(one, (files[n] for n in numbers))
 
     return ImagesReader(facts, first.dtype, len(files), decode)
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import math
-import queue
-import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 import numpy as np
 import xarray as xr
@@ -34,11 +31,10 @@ from vision.video.frames import (
 from vision.video.reader import Block
 from vision.video.settings import DEFAULTS, VideoSettings
 from vision.video.strip_find import Strip, choose_strip, measure_strip
+from vision.video.threads import prefetch
 from vision.video.video import Video, cut
 
 Progress = Callable[[int, int | None], None]
-Item = TypeVar("Item")
-Made = queue.Queue[tuple[Item] | Exception | None]
 
 
 class ReadingLog(Protocol):
@@ -170,7 +166,7 @@ def strip_profiles(
     edges = np.linspace(0, height, strips + 1).round().astype(int)
     parts = [slice(None), *(slice(*pair) for pair in pairwise(edges))]
     store = FrameStore((1 + strips) * width, expected=video.estimated, spill_bytes=settings.spill_bytes)
-    for block in prefetch(video.blocks(plan.strip.rows, plan.columns), video.path, settings):
+    for block in prefetch(video.blocks(plan.strip.rows, plan.columns), video.path, settings.answer_s):
         each = [_reduced(video, replace(block, pixels=block.pixels[:, part])) for part in parts]
         store.append(replace(each[0], intensity=np.concatenate([part.intensity for part in each], axis=1)))
         if progress is not None:
@@ -271,7 +267,9 @@ def _blocks(
     rows, columns, settings = plan.strip.rows, plan.columns, plan.settings
     if follow is None:
         rest = replace(video, first=video.first + store.count)
-        yield from ((video, block) for block in prefetch(rest.blocks(rows, columns), video.path, settings))
+        yield from (
+            (video, block) for block in prefetch(rest.blocks(rows, columns), video.path, settings.answer_s)
+        )
         return
     wanted = math.inf if video.stop is None else video.stop - video.first
     for now, whole in growth(video, follow, settings):
@@ -279,7 +277,7 @@ def _blocks(
         margin = 0 if whole else settings.follow_margin
         stop = None if now.stop is None else now.stop + margin
         rest = replace(now, first=video.first + store.count - again, stop=stop)
-        read = prefetch(rest.blocks(rows, columns), video.path, settings)
+        read = prefetch(rest.blocks(rows, columns), video.path, settings.answer_s)
         blocks = held_back(read if whole else _readable(read), margin)
         for block in _continued(now, blocks, store.copy(store.count - again, store.count)):
             yield now, block
@@ -382,77 +380,3 @@ def _metadata(video: Video, strip: Strip, read: FramesRead, settings: VideoSetti
         frames_corrupt=counts.corrupt,
         warnings=[*video.warnings, *video.changes, *strip.warnings, *counts.warnings],
     )
-
-
-# --- reading ahead ------------------------------------------------------------------------------------------
-
-
-def prefetch(items: Iterator[Item], path: Path, settings: VideoSettings = DEFAULTS) -> Iterator[Item]:
-    """The same items in the same order, up to two of them made ahead in one thread.
-
-    Decoders release the interpreter lock, so decoding and reducing share two cores. An exception raised by
-    `items` is raised here, at its place in the order. Abandoning the iterator stops the thread, or leaves it
-    behind where it is busy or blocked: Ctrl-C does not wait for it.
-
-    Parameters
-    ----------
-    items
-        Blocks or frames of a recording.
-    path
-        Of the recording, for the message.
-    settings
-        See `VideoSettings.answer_s`.
-
-    Raises
-    ------
-    InputError
-        Where nothing comes and nothing is computed for `settings.answer_s`: a read of a disk or a network
-        that does not answer never returns.
-    """
-    ready: Made[Item] = queue.Queue(maxsize=2)
-    abandoned = threading.Event()
-    worker = threading.Thread(target=_make_ahead, args=(items, ready, abandoned), daemon=True)
-    worker.start()
-    try:
-        while (entry := _awaited(ready, path, settings.answer_s)) is not None:
-            if isinstance(entry, Exception):
-                raise entry
-            yield entry[0]
-    finally:
-        abandoned.set()
-        worker.join(timeout=0.5)
-
-
-def _make_ahead(items: Iterator[Item], ready: Made[Item], abandoned: threading.Event) -> None:
-    """Put every item into the queue, each in a tuple; last None, or the exception that ended them."""
-
-    def hand_over(entry: tuple[Item] | Exception | None) -> None:
-        while not abandoned.is_set():
-            with contextlib.suppress(queue.Full):
-                ready.put(entry, timeout=0.1)
-                return
-
-    try:
-        for item in items:
-            hand_over((item,))
-            if abandoned.is_set():
-                break
-        hand_over(None)
-    except Exception as error:  # whatever it is, the thread that reads is where it is handled
-        hand_over(error)
-    finally:
-        close = getattr(items, "close", None)
-        if close is not None:
-            close()
-
-
-def _awaited(ready: Made[Item], path: Path, answer_s: float) -> tuple[Item] | Exception | None:
-    """The next entry; InputError where none comes, and this process computes nothing meanwhile."""
-    while True:
-        computed_s = time.process_time()
-        with contextlib.suppress(queue.Empty):
-            return ready.get(timeout=answer_s)
-        if time.process_time() - computed_s < 0.01 * answer_s:
-            wanted, found = "a disk or network that answers", f"no answer for {answer_s:g} s"
-            advice = "look at the connection, or copy the recording to another disk"
-            raise InputError(path, wanted, found, advice)

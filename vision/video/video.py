@@ -19,7 +19,9 @@ from vision.numeric import Floats, Ints, Pixels
 from vision.video.encoded import open_encoded
 from vision.video.high_speed import is_cine, is_photron, open_cine, open_photron, photron_files
 from vision.video.reader import Block, Facts, Reader
+from vision.video.settings import DEFAULTS
 from vision.video.stacks import IMAGES, is_tiff, open_sequence, open_stack
+from vision.video.threads import answered
 from vision.video.uncompressed import is_avi, open_raw_avi, read_avi_layout
 
 _SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
@@ -66,6 +68,8 @@ class Video:
         The file's size and time when it was opened.
     pixels
         The file that holds the pixels, where it is another than `path`.
+    answer_s
+        See `VideoSettings.answer_s`.
     """
 
     path: Path
@@ -78,6 +82,7 @@ class Video:
     warnings: tuple[str, ...] = ()
     stamp: Stamp = field(default_factory=Stamp)
     pixels: Path | None = None
+    answer_s: float = DEFAULTS.answer_s
 
     def __repr__(self) -> str:
         count = "an unknown number of" if self.expected is None else self.expected
@@ -207,14 +212,15 @@ class Video:
     @property
     def changes(self) -> tuple[str, ...]:
         """A warning if the file has been written to since it was opened."""
-        change = self.stamp.change(self.watched)
+        change = answered(lambda: self.stamp.change(self.watched), self.path, self.answer_s)
         if not change:
             return ()
         return (f"{self.path.name}: the recording {change} while it was read: run again when it is complete",)
 
     def frames(self) -> Iterator[Pixels]:
         """Every readable frame, whole."""
-        for block in self.blocks():
+        blocks = self.blocks()
+        while (block := answered(lambda: next(blocks, None), self.path, self.answer_s)) is not None:
             for pixels, status in zip(block.pixels, block.status, strict=True):
                 if status == "ok":
                     yield pixels
@@ -225,11 +231,12 @@ class Video:
         last = last if self.stop is None else min(last, self.stop)
         spread = np.linspace(self.first, max(last - 1, self.first), count)
         found = self.reader.sample(np.unique(np.round(spread).astype(np.int64)).tolist())
-        while True:
+
+        def following() -> Pixels | None:
             with reading(self.path, "a recording that can be read"):
-                pixels = next(found, None)
-            if pixels is None:
-                return
+                return next(found, None)
+
+        while (pixels := answered(following, self.path, self.answer_s)) is not None:
             yield self._turned(pixels)
 
     def _turned(self, pixels: Pixels) -> Pixels:
@@ -244,6 +251,7 @@ def open_video(
     frames: slice | None = None,
     fps: float | None = None,
     timestamps: str | os.PathLike[str] | None = None,
+    answer_s: float = DEFAULTS.answer_s,
 ) -> Video:
     """A recording, ready to be read in one pass.
 
@@ -261,6 +269,8 @@ def open_video(
     timestamps
         A text file with the time of every frame (`read_timestamps`). With neither `fps` nor `timestamps` the
         file's own time stamps count where it has them, else its playback rate.
+    answer_s
+        Longest wait, s, for a disk or network that does not answer (`VideoSettings.answer_s`).
 
     Returns
     -------
@@ -279,16 +289,14 @@ def open_video(
         raise InputError("`fps`", "a positive number of frames per second", str(fps))
     if fps is not None and timestamps is not None:
         raise InputError("`fps` and `timestamps`", "one of the two", "both")
-    pixels = pixels_file(where)
-    stamp = Stamp.of(pixels)
-    with reading(where, "a recording"):
-        reader = _open_reader(where)
+    reader, stamp, pixels = answered(lambda: _opened(where), where, answer_s)
     facts = reader.facts
     check_pixels(where, *facts.shape)
     first, stop = _frame_range(frames, facts.declared_frames, where)
     warnings, times_s = [*facts.warnings], None
     if timestamps is not None:
-        times_s, odd = read_timestamps(Path(timestamps))
+        table = Path(timestamps)
+        times_s, odd = answered(lambda: read_timestamps(table), table, answer_s)
         warnings += odd
         if facts.declared_frames not in (None, times_s.size):
             wanted = f"{facts.declared_frames} times, one per frame of {where.name}"
@@ -308,7 +316,16 @@ def open_video(
         warnings=tuple(warnings),
         stamp=stamp,
         pixels=pixels,
+        answer_s=answer_s,
     )
+
+
+def _opened(path: Path) -> tuple[Reader, Stamp, Path]:
+    """The reader, and the file that holds the pixels as it was before it was opened."""
+    pixels = pixels_file(path)
+    stamp = Stamp.of(pixels)
+    with reading(path, "a recording"):
+        return _open_reader(path), stamp, pixels
 
 
 def video_files(path: Path) -> tuple[Path, ...]:

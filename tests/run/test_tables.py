@@ -1,0 +1,62 @@
+"""tracks.csv and tracks.nc are written side by side."""
+
+import threading
+
+import pytest
+
+from tests.scenes import analysed
+from vision.pipeline import Analysis, Settings
+from vision.run import Origin, tables, write_run, writing
+
+
+@pytest.fixture(scope="module")
+def found():
+    seen = analysed.video_only()
+    return Analysis(settings=Settings(), strip=seen.strip, tracks=seen.tracks)
+
+
+def test_after_ctrl_c_nothing_waits_for_the_whole_table(found, tmp_path, monkeypatch):
+    """A failure means that an interrupted run of hours of film goes on writing text for seconds."""
+    begun, told = threading.Event(), []
+
+    def text(tracks, path, *, pixel_size_um, stop):
+        begun.set()
+        told.append(stop.wait(20))
+
+    def interrupted(*arguments, **options):
+        assert begun.wait(20)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(writing, "write_tracks_csv", text)
+    monkeypatch.setattr(writing, "write_tracks_nc", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_run(found, tmp_path / "run", Origin(command="track"))
+    assert told == [True]
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_table_that_is_told_to_stop_ends_with_its_part(found, tmp_path, monkeypatch):
+    """A failure means that the text goes on to its end all the same."""
+    path, stop = tmp_path / "tracks.csv", threading.Event()
+    monkeypatch.setattr(tables, "ROWS_PER_CHUNK", 1)
+    written = tables.csv.write_csv
+
+    def stopped(*arguments):
+        written(*arguments)
+        stop.set()
+
+    monkeypatch.setattr(tables.csv, "write_csv", stopped)
+    tables.write_tracks_csv(found.tracks, path, pixel_size_um=None, stop=stop)
+    assert len(path.read_text().splitlines()) == 1 + found.tracks.sizes["sheet"]
+
+
+def test_a_full_disk_under_the_text_fails_the_run(found, tmp_path, monkeypatch):
+    """A failure means a run folder without tracks.csv, or with half of it, that looks whole."""
+
+    def full(*arguments, **options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(writing, "write_tracks_csv", full)
+    with pytest.raises(ValueError, match="a full disk"):
+        write_run(found, tmp_path / "run", Origin(command="track"))
+    assert not (tmp_path / "run").exists()
