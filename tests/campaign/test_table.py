@@ -81,6 +81,7 @@ def test_every_problem_of_every_row_in_one_table(tmp_path, capsys, monkeypatch):
      ("Temperature", "T_C"), ("sheets_per_blok", "sheets_per_block"), ("d_0", "d0")],
 )  # fmt: skip
 def test_the_nearest_name_of_an_unknown_column(tmp_path, column, nearest):
+    """A failure means that a misspelt column is refused without a hint, or with a wrong one."""
     films(tmp_path, 1)
     found = problems(table(tmp_path / "t.csv", ["t0.tif"], **{column: 1}))
     assert [text.endswith(f"the nearest is {nearest}") for _, _, text in found] == [True]
@@ -120,6 +121,7 @@ def test_films_of_one_name_need_names(tmp_path):
     [(b"", "0 lines"), (b"film\n", "1 lines"), (b"\xff\xfe\x00", "utf-8"), (b'film\n"open', "end of data")],
 )
 def test_what_is_no_table(tmp_path, content, word):
+    """A failure means that a file of another kind ends in a traceback, or starts an empty campaign."""
     (tmp_path / "t.csv").write_bytes(content)
     with pytest.raises(InputError, match=word):
         read(tmp_path / "t.csv")
@@ -148,6 +150,7 @@ def test_films_that_are_still_to_come(tmp_path):
     ],
 )
 def test_bad_arguments_end_in_one_line(tmp_path, monkeypatch, capsys, arguments, word):
+    """A failure means that a wrong argument is found only after a folder was made, or is a traceback."""
     monkeypatch.chdir(tmp_path)
     films(tmp_path, 1)
     table(tmp_path / "t.csv", ["t0.tif"], fps=20)
@@ -159,5 +162,6 @@ def test_bad_arguments_end_in_one_line(tmp_path, monkeypatch, capsys, arguments,
 
 
 def test_names_are_one_part_of_a_path_and_one_line():
+    """A failure means that the name of a film leads out of the folder of the runs."""
     assert safe_name("a/b\\c\n<d>:e") == "a_b_c__d__e"
     assert safe_name("..") == "film"

@@ -60,6 +60,7 @@ def test_other_programs_read_the_folder_as_one_table(tmp_path, analyses):
 
 
 def test_types_do_not_depend_on_what_one_film_holds():
+    """A failure means that tables of films without events cannot be read together with the others."""
     full = pd.DataFrame({"flag": ["ok"], "x": [1.0], "n": [1], "s": pd.Series([None], dtype=object)})
     empty = full.iloc[:0]
     assert as_arrow(full).schema == as_arrow(empty).schema

@@ -62,6 +62,7 @@ def test_a_cut_film_is_taken_in_the_end(tmp_path, clock):
 
 
 def test_two_files_of_one_recording_come_together(tmp_path, clock):
+    """A failure means that frames are analysed before the file that says what they are has come."""
     watch = FolderWatch(tmp_path, TUNING, clock)
     (tmp_path / "p.mraw").write_bytes(bytes(100))
     clock.now = 700.0
@@ -92,5 +93,6 @@ def test_rows_wait_for_all_their_files(tmp_path, clock):
 
 
 def test_a_folder_that_is_none(tmp_path):
+    """A failure means that a campaign waits for films in a folder that is not there."""
     with pytest.raises(InputError, match="no such folder"):
         FolderWatch(tmp_path / "gone")

@@ -100,6 +100,7 @@ def test_states_follow_the_exit_status(tmp_path, analysis, status, state):
 
 
 def test_staged_films_are_read_from_the_node_s_disk(tmp_path, analysis, monkeypatch):
+    """A failure means that a node reads over the network after all, keeps the copy, or fills its disk."""
     disk = tmp_path / "scratch"
     disk.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(disk))

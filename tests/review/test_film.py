@@ -29,6 +29,7 @@ def test_the_frame_asked_for_is_shown(name):
 
 
 def test_a_turned_film_is_turned():
+    """A failure means that a turned film is shown lying beside its upright tracks."""
     film = Film(open_video(FIXTURES / "dark/video.mp4", rotate=90))
     still = Film(open_video(FIXTURES / "dark/video.mp4"))
     np.testing.assert_array_equal(film.picture(7, np.nan), np.rot90(still.picture(7, np.nan), k=-1))
@@ -36,5 +37,6 @@ def test_a_turned_film_is_turned():
 
 @pytest.mark.parametrize("name", ["dark/video.mp4", "paper/video.avi"])
 def test_a_frame_behind_the_end_is_none(name):
+    """A failure means that the last frame is shown for frames that the film does not have."""
     film = Film(open_video(FIXTURES / name))
     assert film.picture(100_000, np.nan) is None

@@ -37,6 +37,7 @@ def test_kept_answers_are_those_of_the_run(kept):
 
 
 def test_a_copied_run_keeps_its_first_view(kept, tmp_path):
+    """A failure means that a run from another disk, with newer times of its files, opens slowly."""
     assert read_first_view(shutil.copytree(kept, tmp_path / "copy", copy_function=shutil.copy))
 
 
