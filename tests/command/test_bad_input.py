@@ -17,8 +17,11 @@ from tests.scenes.films import write_avi, write_encoded
 from vision.command.console import complain, say
 from vision.command.main import run
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 ROOT = Path(__file__).parents[2]
 COMMAND = [sys.executable, str(ROOT / "cli.py")]
+UNDRAWN = [sys.executable, "-m", "tests.scenes.undrawn"]
 PLACE = os.environ | {"PYTHONPATH": str(ROOT)}
 
 
@@ -38,9 +41,9 @@ def video(place, frames):
     return write_video(place / "comb.tif", frames)
 
 
-def start(*arguments, **options):
+def start(*arguments, command=COMMAND, **options):
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "env": PLACE}
-    return subprocess.Popen([*COMMAND, *map(str, arguments)], **(pipes | options))
+    return subprocess.Popen([*command, *map(str, arguments)], **(pipes | options))
 
 
 def finish(*arguments, **options):
@@ -280,7 +283,7 @@ def test_an_interrupted_run_leaves_nothing(sent, place, video):
 
 def test_a_reader_that_leaves_is_no_failure(video):
     """A failure means a traceback, or a false status, from `track … | head -1`."""
-    shell = ["bash", "-o", "pipefail", "-c", '"$@" | true', "bash", *COMMAND, str(video)]
+    shell = ["bash", "-o", "pipefail", "-c", '"$@" | true', "bash", *UNDRAWN, str(video)]
     done = subprocess.run(shell, capture_output=True, text=True, env=PLACE, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert (video.parent / "comb_tracks" / "run.json").exists()
@@ -322,14 +325,14 @@ def test_bad_input_is_status_2_also_where_nobody_can_be_told(video, words, nowhe
 
 def test_closed_streams_do_not_end_up_in_the_results(video):
     """A failure means that the first file opened takes the place of standard error, and its messages."""
-    command = f"{' '.join(COMMAND)} comb.tif --out run <&- >&- 2>&-"
+    command = f"{' '.join(UNDRAWN)} comb.tif --out run <&- >&- 2>&-"
     assert subprocess.call(command, shell=True, env=PLACE, timeout=300) == 0
     assert Path("run/tracks.csv").read_text().startswith("frame,time_s,index")
 
 
 def test_two_runs_into_one_folder_keep_one_of_them_whole(video):
     """A failure means that a run silently replaces another's results, or that the two are mixed."""
-    both = [start(video, "--quiet", "--out", "run") for _ in range(2)]
+    both = [start(video, "--quiet", "--out", "run", command=UNDRAWN) for _ in range(2)]
     said = [process.communicate(timeout=300)[1] for process in both]
     assert sorted(process.returncode for process in both) == [0, 2], said
     assert "a new folder" in "".join(said) or "not empty" in "".join(said)

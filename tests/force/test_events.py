@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-import xarray as xr
 
 from tests.scenes.sawtooth import Test, plain, realistic, recording
 from vision.data import STICKS, StickMetadata
 from vision.errors import InputError
-from vision.force import ForceSettings, detection_limit, find_stick_slip, read_force
+from vision.force import ForceSettings, detection_limit, find_stick_slip
 
 FAST = {"speed": 10.0, "rate": 2000.0, "noise": 0.05, "d1": 13.8, "slip_s": 0.005}
-REAL = Path(__file__).parents[2] / "../shared/data"
 
 
 def matched(events: pd.DataFrame, truth: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -248,36 +245,6 @@ def test_detection_limit_lies_where_detection_fails() -> None:
     assert 2 <= limit.attrs["limit_N"] / 0.5 <= 7
     assert limit["recall"].iloc[0] < 0.2
     assert limit["recall"].iloc[-1] == 1
-
-
-@pytest.fixture(scope="module")
-def slow_friction() -> xr.Dataset:
-    path = REAL / "paper_on_paper_k168Nm_v42.mat"
-    if not path.is_file():
-        pytest.skip("the recording is not here")
-    return read_force(path, speed_mm_min=2.52)
-
-
-def test_paper_on_paper_slow(slow_friction: xr.Dataset) -> None:
-    """A failure means real sawteeth with impulsive noise are misread; K is the spring's over the weight."""
-    events = find_stick_slip(slow_friction)
-    assert 230 <= len(events) <= 270
-    assert events["K_N_per_mm"].median() == pytest.approx(0.61, abs=0.02)
-    assert (events["flag"] == "ok").all()
-    # Five of the largest slips, read off a plot.
-    seen = np.array([207.6, 211.9, 221.4, 227.9, 219.3])
-    assert np.abs(events["t_p_s"].to_numpy()[:, None] - seen).min(axis=0).max() < 0.15
-
-
-def test_paper_on_paper_fast() -> None:
-    """A failure means irregular, rounded events give nonsense; the spring is the same as in the slow pull."""
-    path = REAL / "paper_on_paper_k168Nm_v1100.mat"
-    if not path.is_file():
-        pytest.skip("the recording is not here")
-    events = find_stick_slip(read_force(path, speed_mm_min=66))
-    assert 100 <= len(events) <= 140
-    assert events["K_N_per_mm"].median() == pytest.approx(0.62, abs=0.04)
-    assert (events["dF_N"] > 0).all()
 
 
 @pytest.mark.parametrize("settings", [FAST | {"tau": 0.003}, {"rate": 200.0}, {"rate": 100.0, "tau": 0.01}])
