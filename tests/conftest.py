@@ -29,6 +29,15 @@ def pytest_xdist_auto_num_workers():
     return min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def harmless():
+    """Runs that these tests made are read without a process of their own that tries them first."""
+    from tests.scenes.harmless import harmless_files
+
+    with harmless_files():
+        yield
+
+
 @pytest.fixture(scope="module")
 def without_pictures():
     """PNGs of one byte for a module's tests and fixtures, where pictures are not what is tested."""
