@@ -45,6 +45,13 @@ def without_pictures():
         yield
 
 
+@pytest.fixture
+def no_picture():
+    """The same for one test."""
+    with undrawn():
+        yield
+
+
 @pytest.fixture(scope="session")
 def video_only():
     """A run without force and without pixel size."""

@@ -15,14 +15,6 @@ from tests.scenes.undrawn import undrawn
 from vision.command.main import run
 from vision.run import read_run, slip_times_s
 
-
-@pytest.fixture
-def no_picture():
-    """Where the picture is not what is looked at."""
-    with undrawn():
-        yield
-
-
 SHEET, COLUMN = ["--sheet", "right:4"], 7  # the outermost on the right
 
 

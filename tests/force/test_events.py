@@ -240,7 +240,7 @@ def test_compression_is_refused() -> None:
 
 def test_detection_limit_lies_where_detection_fails() -> None:
     """A failure means the stated smallest slip is not the smallest slip."""
-    test = realistic(d1=14.0, noise=0.5)
+    test = realistic(d1=13.5, noise=0.5)
     limit = detection_limit(test.force, find_stick_slip(test.force), injected=20)
     assert 2 <= limit.attrs["limit_N"] / 0.5 <= 7
     assert limit["recall"].iloc[0] < 0.2

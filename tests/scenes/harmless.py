@@ -1,4 +1,4 @@
-"""HDF5 files that are read without a process of their own: what was written here, and what one has read before.
+"""HDF5 files that are read without a process of their own: those written here, and those one has read before.
 
 Each start of such a process takes a quarter of a second, and most tests read the same few runs, or copies of
 them. A file that was damaged has another content, and is tried as ever.
