@@ -52,6 +52,15 @@ def no_picture():
         yield
 
 
+@pytest.fixture(scope="module")
+def browser():
+    """A real browser."""
+    from tests.scenes.browser import chromium
+
+    with chromium() as opened:
+        yield opened
+
+
 @pytest.fixture(scope="session")
 def video_only():
     """A run without force and without pixel size."""

@@ -152,7 +152,7 @@ def test_stiffness_errors_are_honest() -> None:
 
 def test_initial_loading_is_no_event() -> None:
     """A failure means the first rise, which has no valley, is passed off as a stick of its full height."""
-    test = realistic()
+    test = realistic(d1=13.6)
     events = find_stick_slip(test.force, lowpass_s="auto")
     first_peak = test.truth["t_v_s"][0] - 0.001
     assert events["t_v_s"][0] == pytest.approx(test.truth["t_v_s"][0], abs=0.01)
@@ -184,8 +184,9 @@ def test_machine_compliance_is_corrected_only_when_asked() -> None:
 
 def test_machine_compliance_shortens_sticks_and_lengthens_slips() -> None:
     """A failure means d is corrected at one corner only."""
-    events = find_stick_slip(realistic().force)
-    corrected = find_stick_slip(realistic().force, machine_stiffness_N_per_mm=1e5)
+    force = realistic(d1=13.6).force
+    events = find_stick_slip(force)
+    corrected = find_stick_slip(force, machine_stiffness_N_per_mm=1e5)
     taken = events["stick_length_um"] - corrected["stick_length_um"]
     np.testing.assert_allclose(taken, events["dF_N"] * 1e-2, rtol=1e-6)
     assert (corrected["slip_length_um"] > events["slip_length_um"]).all()
@@ -212,7 +213,7 @@ def test_two_slopes_of_fast_pulls() -> None:
 
 def test_damaged_sticks_are_flagged() -> None:
     """A failure means a stick with a hole or a clipped peak is taken for a good one."""
-    test = realistic()
+    test = realistic(d1=13.6)
     begin, end = test.truth["t_v_s"][10], test.truth["t_p_s"][10]
     time = test.force["time_s"].to_numpy()
     inside = (time > begin + 0.3 * (end - begin)) & (time < begin + 0.5 * (end - begin))
@@ -224,7 +225,7 @@ def test_damaged_sticks_are_flagged() -> None:
 
 def test_force_without_travel_gives_times_and_drops() -> None:
     """A failure means a recording without displacement or speed is useless, or gets invented lengths."""
-    test = realistic()
+    test = realistic(d1=13.6)
     events = find_stick_slip(test.force.assign(d_mm=test.force["d_mm"] * np.nan))
     assert len(events) == len(test.truth)
     assert events["dF_N"].notna().all()
