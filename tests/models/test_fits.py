@@ -374,7 +374,7 @@ def test_another_sample() -> None:
 def test_a_geometry_that_contradicts_the_peaks_is_refused() -> None:
     """A failure means μ = 0.128 ± 0.001 and 𝒯0 = −1e45 N from sheets told to be 10 mm thick."""
     with pytest.raises(InputError, match="an offset 𝒯0 of"):
-        fit(events(count=60), Sample(thickness_mm=10.0))
+        fit(events(), Sample(thickness_mm=10.0))
 
 
 def test_what_limits_the_result_is_said() -> None:
