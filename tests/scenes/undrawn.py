@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
 
-import pytest
-
 DRAWING = "vision.figures.drawing"
 BYTE = b"."
 
@@ -19,9 +17,13 @@ BYTE = b"."
 @contextmanager
 def undrawn() -> Iterator[None]:
     """Within this process, for as long as the block lasts. PDF, SVG and axes are drawn all the same."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(f"{DRAWING}.png", lambda figure, **how: BYTE)
+    from vision.figures import drawing  # which a process that draws nothing does not load
+
+    png, drawing.png = drawing.png, lambda figure, **how: BYTE
+    try:
         yield
+    finally:
+        drawing.png = png
 
 
 def undraw() -> None:
