@@ -78,6 +78,7 @@ def broken(*arguments, **options):
     raise ZeroDivisionError("nobody foresaw this")
 
 
+@pytest.mark.usefixtures("no_picture")
 def test_an_unforeseen_error_in_a_late_stage_costs_only_that_stage(monkeypatch, tmp_path, capsys):
     """A failure means that hours of tracking are lost to a defect of the fits."""
     monkeypatch.setattr(pipeline, "fit_models", broken)
@@ -90,6 +91,7 @@ def test_an_unforeseen_error_in_a_late_stage_costs_only_that_stage(monkeypatch, 
     assert (out / "events.csv").exists()
 
 
+@pytest.mark.usefixtures("no_picture")
 def test_an_unforeseen_error_in_the_report_costs_no_table(monkeypatch, tmp_path, capsys):
     """A failure means that a picture that cannot be drawn takes the positions with it."""
     monkeypatch.setattr(writing, "write_report", broken)
@@ -100,6 +102,7 @@ def test_an_unforeseen_error_in_the_report_costs_no_table(monkeypatch, tmp_path,
     assert json.loads((out / "run.json").read_text())["failures"] == ["pictures and report"]
 
 
+@pytest.mark.usefixtures("no_picture")
 def test_a_large_film_has_its_report_too(monkeypatch, tmp_path):
     """A failure means that films too large for a whole checksum end without their page."""
     monkeypatch.setattr(folder, "PARTS", 2)

@@ -32,6 +32,7 @@ def test_uneven_light_shifts_places_by_what_the_budget_says(gradient):
 
 
 def test_even_light_shifts_nothing():
+    """A failure means a systematic error where there is none to find."""
     _, picture = lit(0.0)
     assert uneven_light_px(picture, track_sheets(picture)) < 0.003
 
@@ -63,6 +64,7 @@ def test_the_budget_of_a_whole_run():
 
 
 def test_sources_add_in_squares():
+    """A failure means that parts of a budget add up linearly, or that an unknown one counts as zero."""
     parts = {"strip": {"x_px": 3.0}, "light": {"x_px": 4.0}, "clock": {"x_px": None}}
     budget = Budget(values={"x_px": 1.0}, statistical={"x_px": 0.1}, sources=parts)
     assert budget.total("x_px") == 5.0

@@ -281,7 +281,8 @@ class TrackMetadata(Metadata):
         Where a sheet may have been overlooked: "748 px (1.9 pitches)".
     scene_changes
         Where the picture changes for good: the first frame of the new scene (``frame``), by how much all
-        sheets are displaced (``moved_px``), change of the logarithm of their brightness (``brightness``).
+        sheets are displaced (``moved_px``), change of the logarithm of their brightness relative to each
+        other (``brightness``).
     ridges_beyond
         Ridges like the sheets that continue the comb beyond the number that was given.
     corrections_applied

@@ -90,9 +90,9 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
         frame = change["frame"]
         lines.append(
             f"the picture changes for good at frame {frame} (all sheets displaced by"
-            f" {change['moved_px']:.0f} px, their brightness changed by {100 * change['brightness']:.0f} %):"
-            " a cut, or the camera or the light was moved; sheets before and after may be others: give"
-            f" `frames` as 0:{frame} or {frame}:"
+            f" {change['moved_px']:.0f} px, their brightness relative to each other changed by"
+            f" {100 * change['brightness']:.0f} %): a cut, or the camera or the light was moved; sheets"
+            f" before and after may be others: give `frames` as 0:{frame} or {frame}:"
         )
     if wide := TrackMetadata.of(tracks).wide_spacings:
         where = ", ".join(wide)

@@ -16,7 +16,7 @@ from tests.scenes.films import write_avi
 from vision.command.main import run
 
 ROOT = Path(__file__).parents[2]
-COMMAND = [sys.executable, str(ROOT / "cli.py")]
+COMMAND = [sys.executable, "-m", "tests.scenes.undrawn"]
 
 
 @pytest.fixture

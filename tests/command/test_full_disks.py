@@ -14,6 +14,8 @@ from vision.command.main import run
 from vision.errors import InputError
 from vision.run.folder import run_folder
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 ROOT = Path(__file__).parents[2]
 COMMANDS = {
     "track": ["{film}", "--no-report", "--quiet", "--out", "{disk}/out"],
@@ -28,7 +30,9 @@ SIZE = 4 << 20
 CHILD = """
 import json, os, sys
 from pathlib import Path
+from tests.scenes.undrawn import undraw
 from vision.command.main import main
+undraw()
 commands, disk, left = json.loads(sys.argv[1])
 filler = Path(disk, "filler")
 for name, words in commands.items():

@@ -11,10 +11,10 @@ import tifffile
 import xarray as xr
 
 from tests.scenes.comb_video import frames_of, positions, write_video
+from tests.scenes.undrawn import undrawn
 from vision.command.main import run
 from vision.run import read_run, slip_times_s
 
-undrawn = pytest.mark.usefixtures("without_pictures")  # where the picture is not what is looked at
 SHEET, COLUMN = ["--sheet", "right:4"], 7  # the outermost on the right
 
 
@@ -24,7 +24,8 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
     video = write_video(folder / "comb.tif")
     options = ["--fps", "20", "--pixel-size", "10", "--columns", "10:170", "--quiet"]
-    assert run([str(video), *options, "--out", str(folder / "comb_tracks")]) == 0
+    with undrawn():
+        assert run([str(video), *options, "--out", str(folder / "comb_tracks")]) == 0
     return folder
 
 
@@ -65,7 +66,7 @@ def test_a_run_s_sheet_opens_in_fiji_with_its_motion(there, capsys):
     assert "40 frames x 20 px, 10 µm per px" in capsys.readouterr().out
 
 
-@undrawn
+@pytest.mark.usefixtures("no_picture")
 def test_grey_levels_are_those_of_the_run(there):
     """A failure means that intensities change on the way through a run folder."""
     assert run(["kymograph", "comb_tracks", "--columns", "40:100", "--quiet"]) == 0
@@ -76,7 +77,7 @@ def test_grey_levels_are_those_of_the_run(there):
     assert np.abs(grey - tifffile.imread("comb_tracks/kymograph.tif")[:, 31:91]).max() > 10
 
 
-@undrawn
+@pytest.mark.usefixtures("no_picture")
 def test_a_video_gives_what_its_run_gives(there):
     """A failure means that the two ways to a diagram disagree."""
     options = [*SHEET, "--width", "20px", "--frames", "5:55", "--quiet"]
@@ -89,7 +90,7 @@ def test_a_video_gives_what_its_run_gives(there):
     assert from_run[1:] == from_video[1:]
 
 
-@undrawn
+@pytest.mark.usefixtures("no_picture")
 def test_following_keeps_the_sheet_in_the_middle(there):
     """A failure means that --follow does nothing."""
     assert run(["kymograph", "comb_tracks", *SHEET, "--width", "19px", "--follow", "--quiet"]) == 0
@@ -125,7 +126,7 @@ def give_events(folder, status="ok"):
     return slips
 
 
-@undrawn
+@pytest.mark.usefixtures("no_picture")
 @pytest.mark.parametrize(("status", "known"), [("ok", True), ("given", True), ("ambiguous", False)])
 def test_slips_are_moved_to_the_video_s_clock_where_it_is_sure(there, status, known, capsys):
     """A failure means slips marked at the wrong time, or by a clock that may be wrong."""
@@ -143,7 +144,7 @@ def test_slips_are_moved_to_the_video_s_clock_where_it_is_sure(there, status, kn
     assert marked in capsys.readouterr().out
 
 
-@undrawn
+@pytest.mark.usefixtures("no_picture")
 def test_without_a_force_the_sheets_own_jumps_are_marked(there, capsys):
     """A failure means no marks, or marks at the wrong frames, in a run without force."""
     for part, jumps in (("0:19", 0), ("0:22", 1), ("0:60", 2), ("22:38", 0), ("42:60", 0)):
@@ -153,7 +154,7 @@ def test_without_a_force_the_sheets_own_jumps_are_marked(there, capsys):
     assert "not known" in capsys.readouterr().out  # no sheet asked for, so none tracked
 
 
-@undrawn
+@pytest.mark.usefixtures("no_picture")
 def test_jumps_are_not_marked_where_outward_is_a_guess(there, capsys):
     """A failure means marks in a recording whose sheets need not move outwards at all."""
     still = np.repeat(positions()[:1], 60, axis=0)
@@ -164,7 +165,7 @@ def test_jumps_are_not_marked_where_outward_is_a_guess(there, capsys):
     assert "0 in the part shown" in capsys.readouterr().out
 
 
-@undrawn
+@pytest.mark.usefixtures("no_picture")
 def test_run_json_traces_the_diagram_back(there):
     """A failure means that a figure in a paper cannot be made again."""
     assert run(["kymograph", "comb_tracks", *SHEET, "--quiet"]) == 0
@@ -176,7 +177,7 @@ def test_run_json_traces_the_diagram_back(there):
     assert facts["diagrams"][0]["s_per_row"] == pytest.approx(0.05)
 
 
-@undrawn
+@pytest.mark.usefixtures("no_picture")
 def test_a_lost_frame_is_empty_and_sets_the_exit_status(there, capsys):
     """A failure means that a lost frame passes for a black one, or goes unnoticed."""
     pixels = frames_of(positions())
@@ -192,7 +193,7 @@ def test_a_lost_frame_is_empty_and_sets_the_exit_status(there, capsys):
     assert "1 of 60 frames shown are empty" in capsys.readouterr().err
 
 
-@undrawn
+@pytest.mark.usefixtures("no_picture")
 def test_frames_without_the_sheet_are_counted(there, capsys):
     """A failure means that a window around a guessed place passes for a measured one."""
     with xr.open_dataset("comb_tracks/tracks.nc", engine="h5netcdf") as data:
@@ -270,7 +271,7 @@ def test_bad_input_ends_in_one_line_and_status_2(case, damaged, capsys):
     assert {p: p.stat().st_mtime_ns for p in damaged.rglob("*")} == before
 
 
-@undrawn
+@pytest.mark.usefixtures("no_picture")
 def test_earlier_diagrams_and_the_run_itself_are_kept(there, capsys):
     """A failure means that results are overwritten."""
     assert run(["kymograph", RUN, "--quiet"]) == 0

@@ -36,6 +36,7 @@ def test_a_run_has_the_settings_that_it_was_made_with(folder):
 
 
 def test_without_the_extra_it_says_what_to_install(folder, monkeypatch, capsys):
+    """A failure means a traceback of a missing package."""
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "uvicorn" else found(name))
     assert run(["review", str(folder)]) == 2
@@ -52,6 +53,7 @@ def test_without_the_extra_it_says_what_to_install(folder, monkeypatch, capsys):
     ],
 )
 def test_what_cannot_be_reviewed_is_one_line(folder, arguments, says, capsys, monkeypatch, tmp_path):
+    """A failure means a traceback, or options that are taken and do nothing."""
     monkeypatch.chdir(tmp_path)
     assert run(["review", *(str(folder) if name == "RUN" else name for name in arguments)]) == 2
     said = capsys.readouterr().err
@@ -95,6 +97,7 @@ def test_decisions_of_another_film_are_a_warning(folder, tmp_path, capsys, monke
 
 
 def test_a_second_review_is_refused(folder, capsys):
+    """A failure means that two reviews of a run overwrite each other's decisions."""
     with Session(folder, SETTINGS):
         assert run(["review", str(folder), "--no-browser"]) == 2
     assert "review" in capsys.readouterr().err

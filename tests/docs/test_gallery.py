@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vision.run import writing
+
 PROJECT = Path(__file__).parents[2]
 SCRIPTS = sorted((PROJECT / "docs" / "gallery").glob("*.py"))
 
@@ -29,6 +31,8 @@ def test_a_script_of_the_gallery_draws_its_picture(script, tmp_path, monkeypatch
     from matplotlib.image import imread
 
     monkeypatch.chdir(tmp_path)
+    # Pictures and pages of the runs behind an example, none of which it shows.
+    monkeypatch.setattr(writing, "_shown", lambda *arguments, **options: None)
     monkeypatch.setattr(sys, "argv", [str(script), str(tmp_path)])
     runpy.run_path(str(script), run_name="__main__")
     picture = imread(tmp_path / f"{script.stem}.png")

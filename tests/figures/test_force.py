@@ -43,6 +43,8 @@ def test_peaks_lie_on_the_force_curve_and_eq_1(pulled):
     highest = np.where(near, series["F"].y, -np.inf).max(axis=1)
     assert np.median(np.abs(highest - peaks.y) / peaks.y) < 0.02
     assert np.median(np.abs(np.interp(peaks.x, model.x, model.y) / peaks.y - 1)) < 0.03
+    assert 0.001 < pulled.fits.t_star_N.value < 0.01
+    assert f"with T* = {1000 * pulled.fits.t_star_N.value:g} mN and" in figure.caption
 
 
 def test_single_sticks_start_at_zero_and_rise_with_their_stiffness(pulled):

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import xarray as xr
 
 from tests.scenes.sawtooth import recording
 from vision.errors import InputError
-from vision.force import ForceSettings, find_stick_slip, read_force
+from vision.force import ForceSettings, find_stick_slip
 from vision.force.sticks import find_extremes
 
-REAL = Path(__file__).parents[2] / "../shared/data"
 STICK_S, DROP_N, RATE_HZ = 0.03, 8.0, 10_000.0
 
 
@@ -57,23 +54,6 @@ def test_a_sinusoid_is_an_oscillation() -> None:
     assert events["dF_N"].median() == pytest.approx(0.16, rel=0.06)
 
 
-def test_the_real_oscillation_is_one() -> None:
-    """A failure means forces off the recorded curve, or negative friction, from a model nobody asked for."""
-    path = REAL / "paper_on_paper_k1002Nm_v4300.mat"
-    if not path.is_file():
-        pytest.skip("the recording is not here")
-    force = read_force(path)
-    for lowpass_s in (0.0, "auto"):
-        events = find_stick_slip(force, lowpass_s=lowpass_s)
-        assert events.attrs["regime"] == "oscillation"
-        assert "swings by 0.19" in " ".join(events.attrs["warnings"]).replace("0.189", "0.19")
-        assert (events["F_v_N"] > 0.15).all()
-        assert (events["F_p_N"] <= events["F_p_raw_N"] + 1e-9).all()
-        assert (events["F_v_N"] >= events["F_v_raw_N"] - 1e-9).all()
-        assert 0.12 < events["dF_N"].median() < 0.2
-        assert not events["flag"].eq("ok").any()
-
-
 @pytest.mark.parametrize("known", [True, False])
 def test_a_purely_elastic_triangle_is_no_stick_slip(known: bool) -> None:
     """A failure means loading and unloading of one sheet pass as stick and slip."""
@@ -102,7 +82,7 @@ def test_negative_friction_is_flagged() -> None:
 def test_knees_are_seen_in_the_sticks_not_in_the_speed(speed: float) -> None:
     """A failure means ΔF jumps by 8 % between two speeds that nobody can tell apart."""
     rng = np.random.default_rng(3)
-    time = np.arange(0, 60, 1e-3)
+    time = np.arange(0, 20, 1e-3)
     phase = time % 0.3 / 0.3
     rise = np.where(phase < 0.4, 1.4 * phase, 0.56 + 0.44 * (phase - 0.4) / 0.6)
     load = 20 + 10 * rise + 0.02 * rng.standard_normal(time.size)

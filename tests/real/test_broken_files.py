@@ -9,7 +9,10 @@ import pytest
 from vision.command.main import run
 
 ARCHIVE = Path(__file__).parents[2] / "../shared/data/broken.tar.xz"
-pytestmark = pytest.mark.skipif(not ARCHIVE.is_file(), reason="the damaged files are not here")
+pytestmark = [
+    pytest.mark.skipif(not ARCHIVE.is_file(), reason="the damaged files are not here"),
+    pytest.mark.usefixtures("without_pictures"),
+]
 LIMIT_S = 300  # of one file on a busy machine; on a quiet one each takes less than two
 TABLES = {".csv", ".txt", ".mat"}
 SAID = {  # what must be said of files that lose frames

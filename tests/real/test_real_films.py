@@ -12,7 +12,10 @@ from vision.command.main import run
 from vision.numeric import nan_median
 
 DATA = Path(__file__).parents[2] / "../shared/data"
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the recordings are not here")
+pytestmark = [
+    pytest.mark.skipif(not DATA.is_dir(), reason="the recordings are not here"),
+    pytest.mark.usefixtures("without_pictures"),
+]
 
 
 @pytest.fixture(scope="module")

@@ -11,16 +11,10 @@ import pytest
 from PIL import Image
 
 from tests.scenes.analysed import FACTS
-from tests.scenes.browser import PATIENCE_MS, chromium
+from tests.scenes.browser import Visit, assert_shut_in
 from vision.figures import figures_of
 from vision.figures.labels import to_unicode
 from vision.report import write_report
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")
@@ -28,18 +22,11 @@ def report(pulled, tmp_path_factory):
     return write_report(tmp_path_factory.mktemp("page") / "report.html", pulled, FACTS)
 
 
-class Visit:
-    """An open page, with everything it complained about or asked for."""
+class ReportVisit(Visit):
+    """The open report, with every figure drawn."""
 
     def __init__(self, browser, path, **look):
-        self.context = browser.new_context(**{"viewport": {"width": 1280, "height": 900}} | look)
-        self.context.set_default_timeout(PATIENCE_MS)
-        self.page = self.context.new_page()
-        self.complaints, self.requests = [], []
-        self.page.on("console", lambda message: self.complaints.append(message.text))
-        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.page.on("request", lambda request: self.requests.append(request.url))
-        self.page.goto(path.as_uri())
+        super().__init__(browser, path.as_uri(), **look)
         self.page.wait_for_function(
             "[...document.querySelectorAll('figure[data-chart]')].every((f) => f.dataset.drawn === 'yes')"
         )
@@ -62,7 +49,7 @@ class Visit:
 
 @pytest.fixture
 def visit(browser, report):
-    opened = Visit(browser, report)
+    opened = ReportVisit(browser, report)
     yield opened
     opened.context.close()
 
@@ -94,15 +81,13 @@ def test_every_figure_draws_without_complaint_or_request(visit, pulled, report):
 
 def test_the_page_could_not_ask_the_network_if_it_tried(visit):
     """A failure means that a script that strayed into the page could send the data away."""
-    refused = visit.page.evaluate("fetch('http://127.0.0.1:9/').then(() => 'sent', (error) => error.name)")
-    assert refused == "TypeError"
-    assert any("Content Security Policy" in line for line in visit.complaints)
+    assert_shut_in(visit)
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
 def test_the_page_fits_its_window(browser, report, width, scheme):
     """A failure means that a phone shows a page cut off at the right, or in the wrong colours."""
-    visit = Visit(browser, report, viewport={"width": width, "height": 900}, color_scheme=scheme)
+    visit = ReportVisit(browser, report, viewport={"width": width, "height": 900}, color_scheme=scheme)
     assert visit.page.evaluate("document.documentElement.scrollWidth") <= width
     assert visit.page.evaluate("document.documentElement.dataset.theme") == scheme
     assert visit.complaints == []
@@ -261,7 +246,7 @@ def test_the_theme_button_repaints_the_figures(visit):
 
 def test_it_prints_light_and_whole(browser, report, tmp_path):
     """A failure means a black or cut-off printout."""
-    visit = Visit(browser, report, color_scheme="dark")
+    visit = ReportVisit(browser, report, color_scheme="dark")
     visit.page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
     assert visit.page.evaluate("document.documentElement.dataset.theme") == "light"
     assert visit.page.evaluate("document.getElementById('force').plot.width") <= 700

@@ -75,6 +75,9 @@ def check_csv(file):
     assert [cell for cell in cells if cell and bites(cell)] == []
 
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
+
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
     """A run folder of the film, in a folder of its own."""

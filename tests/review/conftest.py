@@ -6,7 +6,18 @@ import pytest
 
 from tests.scenes.doubted import doubted_run
 from tests.scenes.reviewed import PLANTED, SETTINGS, write_planted
+from tests.scenes.undrawn import undrawn
+from vision.review import saving
 from vision.review.session import Session
+
+
+@pytest.fixture(scope="session", autouse=True)
+def undrawn_runs():
+    """A review reads no picture of a run: none is drawn, here or in the processes that save one."""
+    with undrawn(), pytest.MonkeyPatch.context() as patch:
+        undraw = "from tests.scenes.undrawn import undraw; undraw()"
+        patch.setattr(saving, "_CHILD", saving._CHILD.replace("\nfrom ", f"\n{undraw}\nfrom "))
+        yield
 
 
 @pytest.fixture(scope="session")

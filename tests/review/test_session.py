@@ -364,8 +364,18 @@ def test_tracking_again_can_be_cancelled(clocked):
     clocked.decide({"kind": "axis", "x_px": 590.0})  # and it goes on
 
 
-def test_what_was_tried_out_does_not_outlive_another_decision(clocked):
+# In place of the process that tracks: it says that it has, as soon as it is asked.
+TRACKED_AT_ONCE = """
+import json, sys
+sys.stdin.buffer.read()
+for kind, content in (("found", {}), ("end", "")):
+    print(json.dumps([kind, content, 0, 0]))
+"""
+
+
+def test_what_was_tried_out_does_not_outlive_another_decision(clocked, monkeypatch):
     """A failure means that a run is kept that does not follow the decisions made meanwhile."""
+    monkeypatch.setattr(saving, "_CHILD", TRACKED_AT_ONCE)
     clocked.trial.start({"kind": "strip", "rows": "10:14"})
     with pytest.raises(InputError, match="being tracked"):
         clocked.decide({"kind": "axis", "x_px": 590.0})

@@ -35,6 +35,28 @@ def chromium() -> Iterator[Any]:
         opened.close()
 
 
+class Visit:
+    """An open page, with everything it complained about or asked for."""
+
+    def __init__(self, browser: Any, address: str, **look: Any) -> None:
+        self.context = browser.new_context(**{"viewport": {"width": 1280, "height": 800}} | look)
+        self.context.set_default_timeout(PATIENCE_MS)
+        self.page = self.context.new_page()
+        self.complaints: list[str] = []
+        self.requests: list[str] = []
+        self.page.on("console", lambda message: self.complaints.append(message.text))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.goto(address)
+
+
+def assert_shut_in(visit: Visit) -> None:
+    """The page could not ask the network if it tried."""
+    refused = visit.page.evaluate("fetch('http://127.0.0.1:9/').then(() => 'sent', (error) => error.name)")
+    assert refused == "TypeError"
+    assert any("Content Security Policy" in line for line in visit.complaints)
+
+
 def _without(reason: str) -> None:
     if REQUIRED:
         pytest.fail(reason)

@@ -239,6 +239,7 @@ x_px = 3.5
     ],
 )
 def test_decisions_that_cannot_be_read_are_named(tmp_path, text, names):
+    """A failure means that somebody looks through a file of decisions for the one that is wrong."""
     with pytest.raises(InputError) as error:
         written(tmp_path, text)
     assert names in str(error.value)

@@ -203,6 +203,7 @@ def test_sharp_slips_are_not_called_blurred():
 
 
 def test_auto_takes_the_template_where_it_is_better_and_says_so():
+    """A failure means that the less exact fit is taken, or another than the tables say."""
     x, picture = creeping(300)
     tracks = track_sheets(picture)
     assert (tracks.attrs["fit"], tracks.attrs["fit_asked"]) == ("template", "auto")

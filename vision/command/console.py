@@ -26,7 +26,8 @@ def hold_streams() -> None:
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))  # the lowest number: its own
+            nowhere = os.open(os.devnull, os.O_RDWR)  # the lowest number: its own
+            setattr(sys, name, os.fdopen(nowhere, mode, closefd=False))  # stays taken when it is replaced
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")

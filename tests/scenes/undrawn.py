@@ -1,0 +1,41 @@
+"""`track` without its pictures, where these are not what is tested: python -m tests.scenes.undrawn VIDEO …
+
+Files of one byte stand in their place. Drawing, and loading what draws, takes half of a short run's time.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import ModuleType
+
+DRAWING = "vision.figures.drawing"
+BYTE = b"."
+
+
+@contextmanager
+def undrawn() -> Iterator[None]:
+    """Within this process, for as long as the block lasts. PDF, SVG and axes are drawn all the same."""
+    from vision.figures import drawing  # which a process that draws nothing does not load
+
+    png, drawing.png = drawing.png, lambda figure, **how: BYTE
+    try:
+        yield
+    finally:
+        drawing.png = png
+
+
+def undraw() -> None:
+    """For the rest of this process, which then need not load matplotlib."""
+    stand_in = ModuleType(DRAWING)
+    stand_in.png = lambda figure, **how: BYTE  # type: ignore[attr-defined]
+    stand_in.write = lambda figure, path, **how: path.write_bytes(BYTE)  # type: ignore[attr-defined]
+    sys.modules[DRAWING] = stand_in
+
+
+if __name__ == "__main__":
+    from vision.command.main import main
+
+    undraw()
+    main()
