@@ -238,7 +238,7 @@ class TrackingSettings:
     merged_width: float = 1.25
     """The same for its width. Larger passes the middle of two sheets, smaller withholds blurred ones."""
 
-    touching_widths: float = 1.6
+    touching_widths: float = 1.9
     """Ridge widths to which a sheet has come near to its neighbour when it goes missing there: one lies
     behind the other. Larger withholds neighbours of sheets that faded, smaller gives one sheet as the other
     (test_a_sheet_behind_its_neighbour_is_not_given_as_the_other)."""
