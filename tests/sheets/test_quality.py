@@ -254,6 +254,25 @@ def test_ridges_that_nothing_pulls_keep_their_errors():
     assert float(track_sheets(picture).distorted.values[np.r_[:4, 8:16]].max()) < 0.01
 
 
+@pytest.mark.parametrize("moving", [False, True])
+def test_light_that_falls_off_over_a_ridge_is_in_its_error(moving):
+    """A stain on the window that sheets move under, or the edge of a shadow that moves over them: a Gaussian
+    times such light is a Gaussian again, and shifted. A failure means that no error says so: from the shape
+    alone one in a hundred, and one in twenty, are gross errors called ok."""
+    x = comb(200, per_side=13, axis_px=310, slip=0.6)
+    at, column = 310 - 3 * np.arange(200)[:, None] if moving else 80.0, np.arange(620)
+    light = (
+        1 - 0.5 / (1 + np.exp((column - at) / 5)) if moving else 1 - 0.6 * np.exp(-(((column - at) / 6) ** 2))
+    )
+    tracks = track_sheets(strip(ridges(x, width=620) * light, snr=60))
+    error = tracks.x_px.values - x
+    error -= np.nanmedian(error, axis=0)
+    gross = np.abs(error) > np.fmax(5 * tracks.x_err_px.values, 0.2)
+    assert gross.mean() < 0.004
+    assert (np.abs(error) > 0.2).mean() > 0.01
+    assert (tracks.flag.values == "ok").mean() > 0.99
+
+
 @pytest.mark.parametrize("lopsided", [0.0, 0.4])
 def test_ridges_lopsided_alike_are_not_distorted(lopsided):
     """A shoulder that every sheet has is its shape: it moves no sheet against another."""
@@ -348,6 +367,19 @@ def wrong_and_thick(tracks, x, width):
     thick = width[own] == 7
     wrong = int((np.abs(found - x[:, own]) > half[own]).sum())
     return wrong, np.isfinite(found[:, thick]).sum() / len(x) / (width == 7).sum()
+
+
+def test_the_middle_of_a_thick_and_a_thin_sheet_has_no_position():
+    """Sheets 7.5 px wide, beside one of which stands another, 2.5 px wide, 4 px away: one ridge. A failure
+    means that the place between both is given as the sheet's, with an error as large as the ridge."""
+    x, _ = creeping()
+    thin = x[:, 5:6] + 4.0
+    light = ridges(x, width=400, fwhm_px=7.5) + ridges(thin, width=400, fwhm_px=2.5, contrast=1.4)
+    for most, given in ((TrackingSettings().most_pulled, False), (np.inf, True)):
+        tracks = track_sheets(strip(light), settings=TrackingSettings(most_pulled=most, mark_pulled=np.inf))
+        assert (tracks.flag.values[:, 5] == "ok").any() == given
+        assert (np.delete(tracks.flag.values, 5, axis=1) == "ok").all()
+    assert np.median(np.abs(tracks.x_px.values[:, 5] - x[:, 5])) > 2
 
 
 def test_thin_sheets_taken_for_one_ridge_have_no_position():

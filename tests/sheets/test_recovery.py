@@ -48,6 +48,22 @@ def test_sheets_that_touch_are_one_ridge():
     assert (tracks.flag.values[touching][:, [7, 10]] == "ok").all()
 
 
+def test_a_sheet_behind_its_neighbour_is_not_given_as_the_other():
+    """The outermost sheet comes in and goes behind the next one, which hides it: no ridge is higher than one
+    sheet, and the one that is left may be either. A failure means that the wrong one is called ok."""
+    x = comb(120, per_side=8, axis_px=200)
+    come = np.clip(1.6 * np.sin(np.pi * (np.arange(120) - 15) / 80), 0, 1)
+    x[:, 15] -= come * (x[:, 15] - x[:, 14] - 3.0)
+    front, behind = (ridges(x[:, k], width=400) for k in (slice(0, 15), slice(15, 16)))
+    picture = strip(front + behind * (1 - np.minimum(front, 1)))
+    blind = TrackingSettings(touching_widths=0.0, merged_width=np.inf)
+    for settings, honest in ((TrackingSettings(), True), (blind, False)):
+        tracks = track_sheets(picture, settings=settings)
+        off = np.abs(tracks.x_px.values - x) > np.fmax(5 * tracks.x_err_px.values, 0.5)
+        assert (not (off & np.isin(tracks.flag.values, ("ok", "blurred"))).any()) is honest
+        assert (tracks.flag.values[:, :14] == "ok").all()
+
+
 @pytest.mark.parametrize(("away_px", "flag"), [(3.0, "merged"), (10.0, "missing")])
 def test_a_sheet_hidden_in_its_neighbour_s_ridge_is_merged_with_it(away_px, flag):
     """A failure means that the middle between two sheets passes for the position of one."""
@@ -85,6 +101,6 @@ def test_a_sheet_displaced_unlike_its_neighbours_is_doubtful():
     x[60:63, 5] -= 13.0  # two thirds of a pitch, alone
     got = flags(x)
     assert not (got[60:63, 5] == "ok").any()
-    # its neighbour, half covered by it, is measured with a larger error
-    assert np.isin(np.delete(got, 5, axis=1), ("ok", "blurred")).all()
+    # both are one ridge with its neighbour, or this is measured with a larger error
+    assert np.isin(np.delete(got, 5, axis=1), ("ok", "blurred", "merged")).all()
     assert (np.delete(got, (4, 5), axis=1) == "ok").all()

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tests.scenes.combs import comb, ridges, strip
 from vision.errors import InputError
-from vision.sheets import track_sheets, wide_spacings
+from vision.sheets import TrackingSettings, track_sheets, wide_spacings
 from vision.summary import tracking_warnings
 
 
@@ -52,6 +52,22 @@ def test_a_speck_far_outside_does_not_make_up_the_number():
     assert track_sheets(picture, sheets=16).sizes["sheet"] == 16
     with pytest.raises(InputError, match="16 and 1 far outside"):
         track_sheets(picture, sheets=17)
+
+
+@pytest.mark.parametrize("away_px", [-9.5, 10.0])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_mark_beside_sheets_that_hardly_move_has_no_position(away_px, seed):
+    """A stamp brighter than the sheets, half way from one to the next, hides them; they creep by a tenth of a
+    pixel, too little to tell from whole pixels. A failure means that the stamp is given as a sheet."""
+    truth = comb(120, per_side=8, axis_px=260, slip=0.03, uneven=0.12, seed=seed)
+    mark = np.full((120, 1), truth[:, 3].mean() + away_px)
+    picture = strip(ridges(truth, width=520) + 1.5 * ridges(mark, width=520, fwhm_px=9.0))
+    for least, stamped in ((TrackingSettings().mark_pulled, False), (np.inf, True)):
+        tracks = track_sheets(picture, settings=TrackingSettings(mark_pulled=least))
+        ok = tracks.flag.values == "ok"
+        off = np.abs(tracks.x_px.values[..., None] - truth[:, None]).min(axis=2)
+        assert (off[ok] > 4).any() == stamped
+        assert ok.sum() >= 14 * 120
 
 
 def test_a_few_sheets_are_no_comb_to_compare_with():

@@ -115,7 +115,7 @@ def torn(moved: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -
     """
     frames, sheets = moved.shape
     seen = np.isfinite(moved)
-    before = np.hstack([np.full((frames, 1), np.nan), _last_seen(moved)[:, :-1]])
+    before = np.hstack([np.full((frames, 1), np.nan), last_seen(moved)[:, :-1]])
     group = np.cumsum(np.abs(moved - before) > settings.tear_fraction * comb.pitch_px, axis=1)
     key = (group + sheets * np.arange(frames)[:, None])[seen]
     size = np.bincount(key, minlength=frames * sheets).reshape(frames, sheets)
@@ -123,7 +123,7 @@ def torn(moved: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -
     return np.asarray(seen & (own < size.max(axis=1, keepdims=True)), bool)
 
 
-def _last_seen(values: Floats) -> Floats:
+def last_seen(values: Floats) -> Floats:
     """NaN replaced by the last value before it in the row."""
     number = np.where(np.isfinite(values), np.arange(values.shape[1]), 0)
     return np.asarray(np.take_along_axis(values, np.maximum.accumulate(number, axis=1), axis=1), np.float64)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median, nan_quantile
+from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median, nan_quantile
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import Starts, gather
@@ -178,6 +178,7 @@ def distortion(
     bright: Floats32,
     x_px: Floats,
     err_px: Floats,
+    blurred: Bools,
     comb: RidgeComb,
     settings: TrackingSettings = DEFAULT,
 ) -> Floats:
@@ -189,6 +190,8 @@ def distortion(
         Profile with bright ridges (frame, x).
     x_px, err_px
         Positions and their errors from noise (frame, N), NaN where missing.
+    blurred
+        Ridges drawn over themselves (frame, N), which are lopsided anyway: 0.
     comb
         Width and pitch of the ridges.
     settings
@@ -208,7 +211,7 @@ def distortion(
     what differs from it in a frame; what all sheets of a frame have in common (blur, exposure) is left out.
     Where ridges are lopsided by themselves the mean residual says nothing. Where s usually changes by far
     more than noise makes it, something moves over the whole comb (its own reflection), and what is usual is
-    an error, too.
+    an error, too. What no shape tells, light that falls off over a ridge, is seen in the heights.
     """
     if comb.fwhm_px < settings.distortion_least_px:
         return np.zeros_like(x_px)
@@ -216,11 +219,11 @@ def distortion(
     around, _, shape = _pictures(bright, x_px, half)
     if not np.isfinite(shape).all():
         return np.zeros_like(x_px)
-    own = nan_median(_shape_fit(around, shape)[1])  # each sheet's own residual, (u, N)
-    slant, unlike = np.empty(x_px.shape), np.empty(x_px.shape)
+    own = nan_median(_shape_fit(around, shape).residual)  # each sheet's own residual, (u, N)
+    height, slant, unlike = np.empty((3, *x_px.shape))
 
     def fit(rows: slice) -> None:
-        slant[rows], residual = _shape_fit(_around(bright[rows], x_px[rows], half), shape)
+        height[rows], slant[rows], residual = _shape_fit(_around(bright[rows], x_px[rows], half), shape)
         residual -= own
         residual -= nan_median(residual, axis=2)[..., None]
         unlike[rows] = _odd_rms(residual)
@@ -242,8 +245,10 @@ def distortion(
         shifted = np.fmax(shifted, usual_off * err_px)
     if nan_median(odd) < settings.lopsided:
         rough = rough + _beyond(odd, np.fmax(times * nan_median(odd), floor))
+    height[blurred] = np.nan
+    shifted = np.fmax(shifted, _shift_by_light(x_px, height, comb, settings))
     size = np.hypot(shifted, settings.distortion_error * rough)
-    return np.where(np.isfinite(slant), size, 0.0)  # unknown too near the picture's edge
+    return np.where(np.isfinite(slant) & ~blurred, size, 0.0)  # unknown too near the picture's edge
 
 
 def _beyond(size: Floats, least: Floats) -> Floats:
@@ -285,10 +290,26 @@ def _slant_noise(shape: Floats) -> float:
     return float(np.linalg.norm(sloping - shift) / np.linalg.norm(shift))
 
 
-def _shape_fit(pixels: Floats, shape: Floats) -> tuple[Floats, Floats]:
-    """Of pixels (frame, u, N) the change of the shift, px, where a slope is fitted too, (frame, N), and the
-    odd part of the residual without it in terms of the shape's slope: its left half (frame, u // 2, N), of
-    which the right one is the negative."""
+class _ShapeFit(NamedTuple):
+    """Of pixels (frame, u, N).
+
+    Parameters
+    ----------
+    height
+        Grey levels (frame, N).
+    change
+        Of the shift, px, where a slope is fitted too, (frame, N).
+    residual
+        What the shape does not explain, its odd part, in terms of the shape's slope: the left half
+        (frame, u // 2, N), of which the right one is the negative.
+    """
+
+    height: Floats
+    change: Floats
+    residual: Floats
+
+
+def _shape_fit(pixels: Floats, shape: Floats) -> _ShapeFit:
     upright, sloping = _bases(shape)
     first, second = np.linalg.pinv(upright), np.linalg.pinv(sloping)
     residual = np.eye(len(shape)) - upright @ first
@@ -296,12 +317,74 @@ def _shape_fit(pixels: Floats, shape: Floats) -> tuple[Floats, Floats]:
     found = np.concatenate([first[1:3], second[1:3], odd]) @ pixels  # all are linear in the pixels
     height, shift, other_height, other_shift = (found[:, k] for k in range(4))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return other_shift / other_height - shift / height, found[:, 4:] / height[:, None]
+        return _ShapeFit(height, other_shift / other_height - shift / height, found[:, 4:] / height[:, None])
 
 
 def _odd_rms(left_half: Floats) -> Floats:
     """Root mean square over u of what is odd in u, from its left half (…, u // 2, N)."""
     return np.asarray(np.sqrt((left_half**2).sum(axis=-2) / (left_half.shape[-2] + 0.5)), np.float64)
+
+
+def _shift_by_light(
+    x_px: Floats, height: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
+) -> Floats:
+    r"""By how much light L that falls off over a ridge shifts it against its usual place, px, (frame, N); 0
+    where that is no more than usual.
+
+    A Gaussian times such light is a Gaussian again, and no shape tells that it is shifted by
+    :math:`\sigma_r^2 L'/L`. The heights tell: L along a sheet's own way, as far as both halves of the film
+    agree (what stands still: dirt); and what three sheets side by side have in common in a frame (what moves:
+    the edge of a shadow), taken twice, as an edge is steeper in its middle than from sheet to sheet.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        light = np.log(np.where(height > 0, height, np.nan))
+    light -= nan_median(light)
+    light -= nan_median(light, axis=1)[:, None]  # exposure
+    step = np.pad(
+        np.diff(light, axis=1) / np.diff(nan_median(x_px)), ((0, 0), (1, 1)), constant_values=np.nan
+    )
+    left, right = step[:, :-1], step[:, 1:]
+    across = 2 * np.fmin(np.abs(left), np.abs(right))
+    early = np.arange(len(light))[:, None] < len(light) / 2
+    halves = [
+        _slope_along(x_px, np.where(half, light, np.nan), comb.fwhm_px / 5, settings)
+        for half in (early, ~early)
+    ]
+    along = np.minimum(*(np.abs(slope - nan_median(slope)) for slope in halves))
+    limits = settings.distortion_sigmas, settings.distortion_floor
+    variance = (comb.fwhm_px / FWHM) ** 2
+    still = _unusual(variance * along, *limits)
+    moving = _unusual(variance * across, *limits)
+    return np.fmax(still, np.where(left * right > 0, moving, 0.0))
+
+
+def _unusual(size: Floats, times: float, floor: float) -> Floats:
+    """Sizes above a floor and so many times their median, else 0."""
+    return _beyond(size, np.fmax(times * nan_median(size.ravel()), floor))
+
+
+def _slope_along(x_px: Floats, values: Floats, step_px: float, settings: TrackingSettings) -> Floats:
+    """Slope of values against each sheet's own position, at its position in every frame, (frame, N).
+
+    From the median of the known values within one step to those of the next steps on both sides, or on one;
+    0 where their scatter explains it, NaN where there are none of either.
+    """
+    known = np.isfinite(x_px) & np.isfinite(values)
+    place = np.floor(np.nan_to_num(x_px - nan_quantile(x_px, 0.0)) / step_px).astype(np.int64)
+    columns = int(place.max(initial=0)) + 2
+    cell = 1 + place + columns * np.arange(x_px.shape[1])
+    count = np.bincount(cell[known], minlength=1 + columns * x_px.shape[1])
+    ordered = np.append(values[known][np.lexsort((values[known], cell[known]))], np.nan)
+    middle = np.where(count > 0, ordered[np.cumsum(count) - count + count // 2], np.nan)
+    within = nan_median(np.abs(values - middle[cell])) / NORMAL_MEDIAN  # of each sheet
+    slope = np.diff(middle)
+    known_in = np.maximum(count, 1)
+    noise = settings.distortion_sigmas * np.sqrt(1 / known_in[1:] + 1 / known_in[:-1])
+    sides = [
+        np.where(np.abs(slope[at]) > noise[at] * within, slope[at] / step_px, 0.0 * slope[at])
+        for at in (cell - 1, cell)
+    ]
+    return nan_median(np.stack(sides))
 
 
 class BetweenSlips:

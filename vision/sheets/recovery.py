@@ -16,7 +16,7 @@ import xarray as xr
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median, nearest
 from vision.sheets.alignment import values_of
 from vision.sheets.identities import Identities, fill_rows
-from vision.sheets.neighbours import anchored, hops, neighbour_residual, places_in_comb, torn
+from vision.sheets.neighbours import anchored, hops, last_seen, neighbour_residual, places_in_comb, torn
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
@@ -89,7 +89,8 @@ def assign_detections(
         found[:, rows, sheet] = faint
         found[:, hops(neighbour_residual(found[0]), comb, settings) & np.isnan(paired[0])] = np.nan
     flag = np.where(np.isfinite(found[0]), "ok", "missing").astype("<U8")
-    flag[_merged(found[0], found[1], expected, comb, settings)] = "merged"
+    flag[_merged(found, expected, comb, settings)] = "merged"
+    flag[_swallowed(found[0], doubtful, comb, settings)] = "merged"
     half = comb.fwhm_px / 2
     outside = (expected < half) | (expected > profile.shape[1] - 1 - half)
     flag[(flag != "ok") & outside] = "edge"
@@ -265,20 +266,36 @@ def _unshared(frame: Ints, x: Floats, keep: Bools) -> Bools:
     return alone
 
 
-def _merged(
-    start: Floats, contrast: Floats, expected: Floats, comb: RidgeComb, settings: TrackingSettings
-) -> Bools:
+def _merged(found: Floats, expected: Floats, comb: RidgeComb, settings: TrackingSettings) -> Bools:
     """Missing sheets and the detected neighbours that they have become one ridge with: where they must be
-    within a ridge's width of each other, or where the neighbour is as high as more than one sheet."""
+    within a ridge's width of each other, or where the neighbour is as high or as wide as more than one sheet.
+    `found` holds positions, contrasts and widths (3, frame, N)."""
+    start = found[0]
     missing = np.isnan(start)
     if not missing.any():
-        return missing
+        return np.zeros_like(missing)
     apart = np.abs(np.diff(np.where(missing, expected, start), axis=1))
-    height = contrast / nan_median(contrast)
-    double = height > settings.merged_height * nan_median(height, axis=1)[:, None]  # of which: exposure
+    size = found[1:] / nan_median(found[1:], axis=1)[:, None]
+    size /= nan_median(size, axis=2)[..., None]  # exposure, focus
+    double = (size[0] > settings.merged_height) | (size[1] > settings.merged_width)
     pair = (apart < settings.merged_widths * comb.fwhm_px) | double[:, 1:] | double[:, :-1]
-    pair &= missing[:, 1:] ^ missing[:, :-1]
-    none = np.zeros((len(start), 1), bool)
+    return _both(pair & (missing[:, 1:] ^ missing[:, :-1]))
+
+
+def _swallowed(start: Floats, doubtful: Bools, comb: RidgeComb, settings: TrackingSettings) -> Bools:
+    """Missing sheets, and the detected neighbours that they came near to before they went or after they came
+    back: one lies behind the other, no higher than either, and nothing tells which of both is seen."""
+    gap = np.diff(start, axis=1)
+    around = np.fmin(last_seen(gap.T).T, last_seen(gap[::-1].T).T[::-1])
+    near = min(settings.touching_widths * comb.fwhm_px, settings.touching_pitches * comb.pitch_px)
+    seen = np.isfinite(start)
+    missing = ~seen & ~doubtful  # a doubtful ridge is one of its own
+    return _both((around < near) & (missing[:, 1:] & seen[:, :-1] | seen[:, 1:] & missing[:, :-1]))
+
+
+def _both(pair: Bools) -> Bools:
+    """Both sheets of each pair of neighbours (frame, N − 1), (frame, N)."""
+    none = np.zeros((len(pair), 1), bool)
     return np.asarray(np.hstack([pair, none]) | np.hstack([none, pair]), bool)
 
 

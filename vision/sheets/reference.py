@@ -14,6 +14,7 @@ import numpy as np
 from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, mad_sigma, nan_median, nearest
 from vision.sheets.alignment import Candidates, ExpectedSheets, align, values_of
+from vision.sheets.neighbours import places_in_comb
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import running_median
@@ -409,6 +410,36 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
         odd = abs(width[end]) > np.log(settings.odd_width)
         none[end] = contrast[end] < np.log(settings.faint_end) and bool(seen < 0.5 or slow or odd)
     return none
+
+
+def marks(
+    x_px: Floats, err_px: Floats, pulled_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
+) -> Bools:
+    """Which sheets (N,) are marks, or lie under one: what is measured there is not the sheet.
+
+    They usually are distorted, and show a second sign: they move far less than the sheets on both sides, or
+    not at all and stand out of the comb's even spacing. One sign is not enough: dirt distorts sheets in their
+    places, combs are uneven, and sheets of the stiff centre hardly move.
+
+    Parameters
+    ----------
+    x_px, err_px, pulled_px
+        Positions, their errors from noise, and what distorts them, (frame, N), NaN where missing.
+    comb
+        Width and pitch of the ridges.
+    settings
+        The fields `mark_…`.
+    """
+    place = places_in_comb(x_px)
+    least = 5.0 * float(nan_median(err_px.ravel()))
+    quick = replace(settings, moving_px=least, static_fraction=settings.mark_motion)
+    unmoved = nan_median(np.abs(x_px - place)) < least
+    with np.errstate(divide="ignore", invalid="ignore"):  # sheets swapped by hand, or never seen
+        still = static_ridges(x_px - place, place, settings=quick)
+        uneven = np.abs(np.log(np.diff(place) / comb.pitch_px)) > settings.mark_uneven
+    astray = np.append(uneven, False) | np.insert(uneven, 0, False)
+    odd = nan_median(pulled_px) > settings.mark_pulled * comb.fwhm_px
+    return np.asarray(odd & (still | (astray & unmoved)), bool)
 
 
 def _beside(moved_px: Floats) -> Floats:

@@ -133,6 +133,19 @@ class TrackingSettings:
     """Spacing, in local pitches, in which a sheet may have been overlooked. Larger misses gaps, smaller
     raises false alarms on uneven combs; test_reference.py draws 40 combs with and without a gap."""
 
+    mark_pulled: float = 0.06
+    """Ridge widths by which a sheet must usually be distorted to be taken for a mark. Larger lets marks that
+    look like sheets pass, smaller relies on the other sign alone."""
+
+    mark_motion: float = 0.7
+    """Fraction of its neighbours' motion below which such a sheet stands still, in films that move by
+    hundredths of a pixel, too."""
+
+    mark_uneven: float = 0.25
+    """Logarithm of a spacing over the pitch from which on such a sheet, if it shows no motion, stands out of
+    place. Larger lets marks pass that took a sheet's place, smaller doubts dirty sheets of uneven combs
+    (test_reference.py)."""
+
     # --- alignment (alignment.py), nats ---
 
     spacing_spread: float = 0.08
@@ -222,6 +235,17 @@ class TrackingSettings:
     """Times its usual height from which a ridge beside a missing sheet is both of them. Larger passes sheets
     that touch, smaller withholds ridges that merely brighten (test_sheets_that_touch_are_one_ridge)."""
 
+    merged_width: float = 1.25
+    """The same for its width. Larger passes the middle of two sheets, smaller withholds blurred ones."""
+
+    touching_widths: float = 1.9
+    """Ridge widths to which a sheet has come near to its neighbour when it goes missing there: one lies
+    behind the other. Larger withholds neighbours of sheets that faded, smaller gives one sheet as the other
+    (test_a_sheet_behind_its_neighbour_is_not_given_as_the_other)."""
+
+    touching_pitches: float = 0.75
+    """Pitches to which it has come near, too: in dense combs all sheets are as near as two widths."""
+
     # --- frames, blur and distortion (quality.py) ---
 
     frozen_fraction: float = 0.3
@@ -264,6 +288,11 @@ class TrackingSettings:
     """Correlation of a sheet's mean picture with that of all below which it is no single ridge. It is -0.5 to
     0.4 where thin sheets side by side were taken for one, and 0.5 or more for ridges of all recordings tried.
     Larger drops markers of odd shape, smaller takes two sheets for one (test_quality.py)."""
+
+    most_pulled: float = 0.5
+    """Ridge widths by which a sheet's positions may usually be distorted for it to be one ridge still: beyond
+    a Gaussian's standard deviation a second sheet or a mark is as much of it. Larger gives places between two
+    sheets as one's, smaller withholds sheets in a shadow (test_degraded.py)."""
 
     distortion_sigmas: float = 5.0
     """Times its usual scatter by which a position must depend on a slope of the light for the ridge to be

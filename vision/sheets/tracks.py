@@ -27,7 +27,7 @@ from vision.sheets.quality import (
     spatial_scatter,
 )
 from vision.sheets.recovery import Detections, assign_detections
-from vision.sheets.reference import wide_spacings
+from vision.sheets.reference import marks, wide_spacings
 from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges, no_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import (
@@ -142,9 +142,11 @@ def track_sheets(
         np.where(frozen[:, None], np.nan, x), detections.contrast, detections.fwhm_px, comb, settings
     )
     bright = profile if comb.sign > 0 else -profile
-    detections.flag[(detections.flag == "ok") & not_one_ridge(bright, x, comb, settings)] = "merged"
-    pulled = distortion(bright, x, errors.err_px, comb, settings)
-    pulled[(blur.err_px > 0) | blur.blurred] = 0.0  # two ridges drawn over each other are lopsided anyway
+    pulled = distortion(bright, x, errors.err_px, (blur.err_px > 0) | blur.blurred, comb, settings)
+    several = not_one_ridge(bright, x, comb, settings)
+    several |= nan_median(pulled) > settings.most_pulled * comb.fwhm_px
+    several |= marks(x, errors.err_px, pulled, comb, settings)
+    detections.flag[(detections.flag == "ok") & several] = "merged"
     err = np.hypot(np.hypot(errors.err_px, blur.err_px), pulled)
     axis = None if axis_px is None else axis_px - origin_px
     numbering = number_sheets(x, axis_px=axis, settings=settings)
