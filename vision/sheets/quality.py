@@ -201,9 +201,10 @@ def distortion(
     ridge by about as much as it shows elsewhere). Of the residual only the odd part counts: widths differ,
     and move nothing. Each is split into the sheet's own mean, which is compared with the other sheets', and
     what differs from it in a frame; what all sheets of a frame have in common (blur, exposure) is left out.
-    Where ridges are lopsided by themselves the mean residual says nothing. Where s usually changes by far
-    more than noise makes it, something moves over the whole comb (its own reflection), and what is usual is
-    an error, too.
+    Narrow ridges between broad ones have a slope under them: a sheet's mean residual counts where its slope
+    is far beyond the others', or what is left without the slope. Where ridges are lopsided by themselves it
+    says nothing. Where s usually changes by far more than noise makes it, something moves over the whole comb
+    (its own reflection), and what is usual is an error, too.
     """
     if comb.fwhm_px < settings.distortion_least_px:
         return np.zeros_like(x_px)
@@ -211,16 +212,17 @@ def distortion(
     around, _, shape = _pictures(bright, x_px, half)
     if not np.isfinite(shape).all():
         return np.zeros_like(x_px)
-    own = nan_median(_shape_fit(around, shape)[1])  # each sheet's own residual, (N, u)
+    _, residual, straight = _shape_fit(around, shape)
+    own = nan_median(residual)  # each sheet's own, (N, u)
     slant, unlike = np.full(x_px.shape, np.nan), np.full(x_px.shape, np.nan)
     for start in range(0, len(bright), FRAMES_PER_BLOCK):
         rows = np.arange(start, min(start + FRAMES_PER_BLOCK, len(bright)))
-        slant[rows], residual = _shape_fit(_around(bright, x_px, rows, half), shape)
+        slant[rows], residual, _ = _shape_fit(_around(bright, x_px, rows, half), shape)
         residual -= own
         residual -= nan_median(residual, axis=1)[:, None]
         unlike[rows] = np.sqrt((residual**2).mean(axis=-1))
     usual = nan_median(slant)
-    odd = np.sqrt(2 * ((own - nan_median(own)) ** 2).mean(axis=-1))
+    odd, bent = (_size(part) for part in (own, nan_median(straight)))
     floor, sigmas, times = settings.distortion_floor, settings.distortion_sigmas, settings.distortion_residual
     off = np.abs(slant - usual)
     usual_off = float(nan_median((off / err_px).ravel())) / NORMAL_MEDIAN
@@ -228,14 +230,20 @@ def distortion(
     within = (0.0 if everywhere else usual_off) * err_px
     apart = np.abs(usual - nan_median(usual))
     between = nan_median(apart) / NORMAL_MEDIAN
-    shifted = _beyond(off, np.fmax(sigmas * within, floor)) + _beyond(apart, np.fmax(sigmas * between, floor))
+    sloping = _beyond(apart, np.fmax(sigmas * between, floor))
+    shifted = _beyond(off, np.fmax(sigmas * within, floor)) + sloping
     rough = _beyond(unlike, np.fmax(times * nan_median(unlike), floor))
     if everywhere:
         shifted = np.fmax(shifted, usual_off * err_px)
     if nan_median(odd) < settings.lopsided:
-        rough = rough + _beyond(odd, np.fmax(times * nan_median(odd), floor))
+        rough = rough + odd * ((sloping > 0) | (bent > np.fmax(times * nan_median(bent), floor)))
     size = np.hypot(shifted, settings.distortion_error * rough)
     return np.where(np.isfinite(slant), size, 0.0)  # unknown too near the picture's edge
+
+
+def _size(own: Floats) -> Floats:
+    """Size of the odd part (N, u) of each sheet's mean residual against the others', (N,)."""
+    return np.asarray(np.sqrt(2 * ((own - nan_median(own)) ** 2).mean(axis=-1)))
 
 
 def _beyond(size: Floats, least: Floats) -> Floats:
@@ -273,17 +281,18 @@ def _slant_noise(shape: Floats) -> float:
     return float(np.linalg.norm(sloping - shift) / np.linalg.norm(shift))
 
 
-def _shape_fit(pixels: Floats, shape: Floats) -> tuple[Floats, Floats]:
-    """Change of the shift, px, where a slope is fitted too, (…,), and the odd part of the residual without it
-    in terms of the shape's slope, (…, u)."""
+def _shape_fit(pixels: Floats, shape: Floats) -> tuple[Floats, Floats, Floats]:
+    """Change of the shift, px, where a slope is fitted too, (…,), and the odd part of the residual without
+    and with it, in terms of the shape's slope, (…, u)."""
     upright, sloping = _bases(shape)
     rise = upright[:, 2]
     first, second = (pixels @ np.linalg.pinv(basis).T for basis in (upright, sloping))
     with np.errstate(divide="ignore", invalid="ignore"):
         change = second[..., 2] / second[..., 1] - first[..., 2] / first[..., 1]
-        residual = (pixels - first @ upright.T) / first[..., 1:2] / np.sqrt((rise**2).mean())
-    lopsided = (residual - residual[..., ::-1]) / np.sqrt(2)
-    return np.asarray(change, np.float64), np.asarray(lopsided, np.float64)
+        fits = ((first, upright), (second, sloping))
+        residuals = ((pixels - found @ basis.T) / found[..., 1:2] for found, basis in fits)
+        without, straight = ((part - part[..., ::-1]) / np.sqrt(2 * (rise**2).mean()) for part in residuals)
+    return np.asarray(change, np.float64), np.asarray(without, np.float64), np.asarray(straight, np.float64)
 
 
 class BetweenSlips:
@@ -450,11 +459,10 @@ def shared_error(positions: BetweenSlips, *, between_frames: bool) -> float:
     return float(np.linalg.norm((found.together, *held)))
 
 
-def left_out(positions: BetweenSlips) -> float:
-    """What a codec left out of the motion that all sheets share, over what is left of it, see
-    `shared_error`."""
-    found = _shared(positions, between_frames=True)
-    return found.missing / max(found.seen, 1e-9)
+def common_shaking(x_px: Floats) -> float:
+    """What all sheets do together from frame to frame, px, from second differences in time without slips."""
+    positions = BetweenSlips(x_px)
+    return _deviation_of_all(positions.second((1,), nan_median(positions.x_px, axis=1)[:, None]))
 
 
 class _Shared(NamedTuple):
