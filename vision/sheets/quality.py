@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median, nan_quantile
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb
@@ -209,9 +210,11 @@ def distortion(
     ridge by about as much as it shows elsewhere). Of the residual only the odd part counts: widths differ,
     and move nothing. Each is split into the sheet's own mean, which is compared with the other sheets', and
     what differs from it in a frame; what all sheets of a frame have in common (blur, exposure) is left out.
-    Where ridges are lopsided by themselves the mean residual says nothing. Where s usually changes by far
-    more than noise makes it, something moves over the whole comb (its own reflection), and what is usual is
-    an error, too. What no shape tells, light that falls off over a ridge, is seen in the heights.
+    Narrow ridges between broad ones have a slope under them: a sheet's mean residual counts where its slope
+    is far beyond the others', or what is left without the slope. Where ridges are lopsided by themselves it
+    says nothing. Where s usually changes by far more than noise makes it, something moves over the whole comb
+    (its own reflection), and what is usual is an error, too. What no shape tells, light that falls off over a
+    ridge, is seen in the heights.
     """
     if comb.fwhm_px < settings.distortion_least_px:
         return np.zeros_like(x_px)
@@ -219,7 +222,8 @@ def distortion(
     around, _, shape = _pictures(bright, x_px, half)
     if not np.isfinite(shape).all():
         return np.zeros_like(x_px)
-    own = nan_median(_shape_fit(around, shape).residual)  # each sheet's own residual, (u, N)
+    own = nan_median(_shape_fit(around, shape).residual)  # each sheet's own, (u, N)
+    straight = nan_median(_residual_with_slope(around, shape))
     height, slant, unlike = np.empty((3, *x_px.shape))
 
     def fit(rows: slice) -> None:
@@ -231,7 +235,7 @@ def distortion(
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(fit, (slice(i, i + FRAMES_PER_BLOCK) for i in range(0, len(bright), FRAMES_PER_BLOCK))))
     usual = nan_median(slant)
-    odd = np.sqrt(2) * _odd_rms(own - nan_median(own, axis=1)[:, None])
+    odd, bent = (np.sqrt(2) * _odd_rms(part - nan_median(part, axis=1)[:, None]) for part in (own, straight))
     floor, sigmas, times = settings.distortion_floor, settings.distortion_sigmas, settings.distortion_residual
     off = np.abs(slant - usual)
     usual_off = float(nan_median((off / err_px).ravel())) / NORMAL_MEDIAN
@@ -239,12 +243,13 @@ def distortion(
     within = (0.0 if everywhere else usual_off) * err_px
     apart = np.abs(usual - nan_median(usual))
     between = nan_median(apart) / NORMAL_MEDIAN
-    shifted = _beyond(off, np.fmax(sigmas * within, floor)) + _beyond(apart, np.fmax(sigmas * between, floor))
+    sloping = _beyond(apart, np.fmax(sigmas * between, floor))
+    shifted = _beyond(off, np.fmax(sigmas * within, floor)) + sloping
     rough = _beyond(unlike, np.fmax(times * nan_median(unlike), floor))
     if everywhere:
         shifted = np.fmax(shifted, usual_off * err_px)
     if nan_median(odd) < settings.lopsided:
-        rough = rough + _beyond(odd, np.fmax(times * nan_median(odd), floor))
+        rough = rough + odd * ((sloping > 0) | (bent > np.fmax(times * nan_median(bent), floor)))
     height[blurred] = np.nan
     shifted = np.fmax(shifted, _shift_by_light(x_px, height, comb, settings))
     size = np.hypot(shifted, settings.distortion_error * rough)
@@ -312,12 +317,28 @@ class _ShapeFit(NamedTuple):
 def _shape_fit(pixels: Floats, shape: Floats) -> _ShapeFit:
     upright, sloping = _bases(shape)
     first, second = np.linalg.pinv(upright), np.linalg.pinv(sloping)
-    residual = np.eye(len(shape)) - upright @ first
-    odd = (residual - residual[::-1])[: len(shape) // 2] / np.sqrt(2 * (upright[:, 2] ** 2).mean())
-    found = np.concatenate([first[1:3], second[1:3], odd]) @ pixels  # all are linear in the pixels
+    found = (
+        np.concatenate([first[1:3], second[1:3], _odd_residual(upright, first)]) @ pixels
+    )  # all are linear
     height, shift, other_height, other_shift = (found[:, k] for k in range(4))
     with np.errstate(divide="ignore", invalid="ignore"):
         return _ShapeFit(height, other_shift / other_height - shift / height, found[:, 4:] / height[:, None])
+
+
+def _residual_with_slope(pixels: Floats, shape: Floats) -> Floats:
+    """The same residual where a slope is fitted too."""
+    basis = _bases(shape)[1]
+    fit = np.linalg.pinv(basis)
+    found = np.concatenate([fit[1:2], _odd_residual(basis, fit)]) @ pixels
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(found[:, 1:] / found[:, :1], np.float64)
+
+
+def _odd_residual(basis: Floats, fit: NDArray[np.floating]) -> Floats:
+    """What takes pixels to the left half of the odd part of their residual, over the shape's slope."""
+    residual = np.eye(len(basis)) - basis @ fit
+    odd = (residual - residual[::-1])[: len(basis) // 2]
+    return np.asarray(odd / np.sqrt(2 * (basis[:, 2] ** 2).mean()), np.float64)
 
 
 def _odd_rms(left_half: Floats) -> Floats:
