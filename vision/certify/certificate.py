@@ -507,11 +507,11 @@ def _doubts(like: Likeness, facts: StripMetadata, tracks: xr.Dataset, error_px: 
         )
     noise_px = max(float(np.nan_to_num(nan_median(tracks["x_noise_px"].values))), 1e-6)
     # The publication's fit errs by more than it scatters, and codecs that chain frames let it scatter less.
-    if not chained and TrackMetadata.of(tracks).fit != "paper" and error_px > 1.5 * noise_px:
+    if not chained and TrackMetadata.of(tracks).fit != "paper" and error_px > 1.3 * noise_px:
         lines.append(
             f"errors of the films, {error_px:.3f} px, are above the noise of the recording from frame to "
             f"frame, {noise_px:.3f} px: where its motion is not smooth, the films take some of it for "
-            "errors, and the true ones are smaller"
+            "errors, and the true ones are smaller, 0.5 to 0.8 times these in tests"
         )
     if not like.smooth.any():
         lines.append("slips follow each other so fast that motion and noise are hard to tell apart")
@@ -520,7 +520,7 @@ def _doubts(like: Likeness, facts: StripMetadata, tracks: xr.Dataset, error_px: 
         lines.append(
             f"something pulls ridges aside or hides them in {100 * disturbed:.0f} % of the film (dirt, a "
             "highlight, a hand): the films show what was recorded there, and the sheets around are taken for "
-            "where those were; errors may be other than stated here, 0.7 to 1.3 times in tests"
+            "where those were; the true errors were 0.4 to 1.9 times these in tests"
         )
     return lines
 
