@@ -275,6 +275,24 @@ def test_light_that_falls_off_over_a_ridge_is_in_its_error(moving):
     assert (tracks.flag.values == "ok").mean() > 0.99
 
 
+def test_a_lamp_that_moves_is_in_the_error(monkeypatch):
+    """A failure means that light whose slope over the comb changes shifts all sheets by twice their stated
+    errors, as it does without the term for it."""
+    x = comb(200, per_side=8, axis_px=200)
+    slope = 0.5 * np.sin(np.arange(200) / 40)[:, None] * np.linspace(-1, 1, 400)
+    picture = strip(ridges(x, width=400))
+    picture.values[:] = picture.values * (1 + slope)
+
+    def off_in_errors():
+        tracks = track_sheets(picture)
+        off = tracks.x_px.values - x
+        return np.sqrt(np.mean(((off - np.median(off, axis=0)) / tracks.x_err_px.values) ** 2))
+
+    assert off_in_errors() < 1.3
+    monkeypatch.setattr("vision.sheets.tracks.shift_by_lamp", lambda *what: 0.0)
+    assert off_in_errors() > 2
+
+
 @pytest.mark.parametrize("lopsided", [0.0, 0.4])
 def test_ridges_lopsided_alike_are_not_distorted(lopsided):
     """A shoulder that every sheet has is its shape: it moves no sheet against another."""

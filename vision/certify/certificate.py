@@ -298,7 +298,10 @@ def certify(
 
 
 def _tracking(tracks: xr.Dataset) -> Callable[[xr.DataArray], xr.Dataset]:
-    """`track_sheets` with what the run was asked for, and the fit that it used."""
+    """`track_sheets` with what the run was asked for, and the fit that it used.
+
+    Which sheets are none, or lie under a mark, the recording has told: its films are not asked again.
+    """
     steps = [step for step in tracks.attrs.get("operations", ()) if step["operation"] == "track_sheets"]
     asked = dict(steps[-1]["parameters"]) if steps else {}
     tuned = asked.pop("settings", {})
@@ -308,7 +311,7 @@ def _tracking(tracks: xr.Dataset) -> Callable[[xr.DataArray], xr.Dataset]:
         for name, value in tuned.items()
         if name in known
     }
-    chosen = TrackingSettings(**values)
+    chosen = TrackingSettings(**values | {"mark_pulled": math.inf, "most_pulled": math.inf})
     asked["fit"] = TrackMetadata.of(tracks).fit
     return lambda film: track_sheets(film, **asked, settings=chosen)
 

@@ -210,11 +210,11 @@ def distortion(
     ridge by about as much as it shows elsewhere). Of the residual only the odd part counts: widths differ,
     and move nothing. Each is split into the sheet's own mean, which is compared with the other sheets', and
     what differs from it in a frame; what all sheets of a frame have in common (blur, exposure) is left out.
-    Narrow ridges between broad ones have a slope under them: a sheet's mean residual counts where its slope
-    is far beyond the others', or what is left without the slope. Where ridges are lopsided by themselves it
-    says nothing. Where s usually changes by far more than noise makes it, something moves over the whole comb
-    (its own reflection), and what is usual is an error, too. What no shape tells, light that falls off over a
-    ridge, is seen in the heights.
+    Where ridges overlap, narrow ones between broad ones have a slope under them: a sheet's mean residual
+    counts where its slope is far beyond the others', or what is left without the slope. Where ridges are
+    lopsided by themselves it says nothing. Where s usually changes by far more than noise makes it, something
+    moves over the whole comb (its own reflection), and what is usual is an error, too. What no shape tells,
+    light that falls off over a ridge, is seen in the heights.
     """
     if comb.fwhm_px < settings.distortion_least_px:
         return np.zeros_like(x_px)
@@ -249,7 +249,10 @@ def distortion(
     if everywhere:
         shifted = np.fmax(shifted, usual_off * err_px)
     if nan_median(odd) < settings.lopsided:
-        rough = rough + odd * ((sloping > 0) | (bent > np.fmax(times * nan_median(bent), floor)))
+        unlike_others = odd > np.fmax(times * nan_median(odd), floor)
+        if comb.fwhm_px > settings.overlapping * comb.pitch_px:
+            unlike_others = (sloping > 0) | (bent > np.fmax(times * nan_median(bent), floor))
+        rough = rough + odd * unlike_others
     height[blurred] = np.nan
     shifted = np.fmax(shifted, _shift_by_light(x_px, height, comb, settings))
     size = np.hypot(shifted, settings.distortion_error * rough)
@@ -377,6 +380,22 @@ def _shift_by_light(
     still = _unusual(variance * along, *limits)
     moving = _unusual(variance * across, *limits)
     return np.fmax(still, np.where(left * right > 0, moving, 0.0))
+
+
+def shift_by_lamp(x_px: Floats, contrast: Floats, comb: RidgeComb) -> Floats:
+    r"""By how much light whose slope over the comb changes shifts all ridges of a frame, px, (frame, 1).
+
+    Light L that slopes shifts a Gaussian by :math:`\sigma_r^2 L'/L`, seen in the heights of sheets half a
+    comb apart against what is usual; twice, as the light between the ridges slopes, too. 0 for fewer than
+    four sheets.
+    """
+    half = x_px.shape[1] // 2
+    if half < 2:
+        return np.zeros((len(x_px), 1))
+    light = np.log(np.where(contrast > 0, contrast, np.nan))
+    slope = nan_median((light[:, half:] - light[:, :-half]) / (x_px[:, half:] - x_px[:, :-half]), axis=1)
+    shift = 2 * (comb.fwhm_px / FWHM) ** 2 * np.abs(slope - nan_median(slope))
+    return np.nan_to_num(shift)[:, None]
 
 
 def _unusual(size: Floats, times: float, floor: float) -> Floats:

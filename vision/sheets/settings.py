@@ -315,6 +315,11 @@ class TrackingSettings:
     """Times the usual by which a ridge's pixels must differ from the mean shape. Larger lets specks pass,
     smaller flags noise; test_quality.py, and test_degraded.py's dirt."""
 
+    overlapping: float = 0.45
+    """Width over pitch from which a slope under a ridge is its neighbours', and no sign of something strange.
+    Larger calls narrow ridges between broad ones distorted (11 px wide, 20 px apart: x_err_px of 0.5 px for
+    0.02), smaller misses a comb's own reflection (test_quality.py)."""
+
     lopsided: float = 0.1
     """Usual odd part of a sheet's mean residual, px, from which on ridges are lopsided by themselves. Larger
     takes shoulders of the paper for dirt (0.6 in test_certify.py's shouldered ridges), smaller overlooks dirt

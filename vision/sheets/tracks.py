@@ -24,6 +24,7 @@ from vision.sheets.quality import (
     repeated_frames,
     scene_changes,
     shared_error,
+    shift_by_lamp,
     spatial_scatter,
 )
 from vision.sheets.recovery import Detections, assign_detections
@@ -147,7 +148,8 @@ def track_sheets(
     several |= nan_median(pulled) > settings.most_pulled * comb.fwhm_px
     several |= marks(x, errors.err_px, pulled, comb, settings)
     detections.flag[(detections.flag == "ok") & several] = "merged"
-    err = np.hypot(np.hypot(errors.err_px, blur.err_px), pulled)
+    lamp = shift_by_lamp(x, detections.contrast, comb)
+    err = np.sqrt(errors.err_px**2 + blur.err_px**2 + pulled**2 + lamp**2)
     axis = None if axis_px is None else axis_px - origin_px
     numbering = number_sheets(x, axis_px=axis, settings=settings)
     found = _Tracked(
