@@ -13,6 +13,7 @@ from vision.clock.alignment import (
     fit_clocks,
     size_evidence,
 )
+from vision.clock.settings import ClockSettings
 
 COUNT = 40
 
@@ -264,3 +265,25 @@ def test_shuffled_slips_reach_what_unrelated_ones_do():
         believed[unrelated] = np.mean(beats)
     assert believed[False] > 0.9
     assert believed[True] < 0.4  # one in seventeen, with the lead of 0 tried here
+
+
+def test_stated_errors_are_not_widened_by_chance():
+    """A failure means that sound clocks are called ambiguous since their errors count as understated.
+
+    Errors that truly are too small are widened.
+    """
+
+    def widened(understated, gain):
+        found = []
+        for seed in range(100):
+            rng = np.random.default_rng(seed)
+            force_s = np.cumsum(4 * np.exp(rng.normal(0, 0.2, 20)))
+            seen, error_s = force_s + rng.normal(0, 0.02, 20), np.full(20, 0.02 / understated)
+            settings = ClockSettings(least_widening_gain=gain)
+            clock = CandidateClocks(np.zeros(1), np.zeros(1), np.zeros(1))
+            found.append(fit_clocks(SlipTrains(seen, error_s, force_s), clock, settings).error_scale[0] > 1)
+        return np.mean(found)
+
+    assert widened(1.0, ClockSettings().least_widening_gain) < 0.05
+    assert widened(2.5, ClockSettings().least_widening_gain) > 0.95
+    assert widened(1.0, 0.0) > 0.07

@@ -158,7 +158,8 @@ def fit_clocks(
     """Log-likelihood of each clock.
 
     Pairs are mutual nearest neighbours whose gain exceeds what two slips left unpaired cost. Stated errors
-    may be too small; they are widened, clock by clock, where that raises the likelihood.
+    may be too small; they are widened, clock by clock, where that raises the likelihood by more than chance
+    does.
     """
     mapped = clocks.map(trains.video_s)
     partner = _nearest(trains.force_s, mapped)
@@ -170,7 +171,8 @@ def fit_clocks(
     without_residual = trains.pair_gain(settings)
     gains = [without_residual - np.log(s) - 0.5 * z2 / s**2 for s in settings.error_scales]
     gain = np.stack([np.where(mutual, np.maximum(g, 0.0), 0.0) for g in gains])
-    best = np.argmax(gain.sum(axis=2), axis=0)
+    widened = np.array(settings.error_scales) > 1
+    best = np.argmax(gain.sum(axis=2) - settings.least_widening_gain * widened[:, None], axis=0)
     gain = np.take_along_axis(gain, best[None, :, None], axis=0)[0]
     paired = gain > 0
     partner = np.where(paired, partner, -1)

@@ -48,6 +48,9 @@ class ClockSettings:
     error_scales: tuple[float, ...] = (1.0, 1.4, 2.0)
     """By which stated errors of slips may be too small. Larger → chance pairs fit; 1 alone → slips are lost
     where errors are understated."""
+    least_widening_gain: float = 2.0
+    """Log-likelihood that wider errors must gain. Larger → slips whose errors are understated are lost; at 0
+    one of ten sound alignments counts as widened by chance, and may be called ambiguous."""
     share_seen: float = 0.75
     """Share of the other instrument's slips that either one is taken to see. Larger → missed slips cost more
     and damaged trains are called ambiguous; smaller → the lead over a shift by one slip shrinks."""
