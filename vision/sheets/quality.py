@@ -382,7 +382,9 @@ def _shift_by_light(
     return np.fmax(still, np.where(left * right > 0, moving, 0.0))
 
 
-def shift_by_lamp(x_px: Floats, contrast: Floats, comb: RidgeComb) -> Floats:
+def shift_by_lamp(
+    x_px: Floats, contrast: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
+) -> Floats:
     r"""By how much light whose slope over the comb changes shifts all ridges of a frame, px, (frame, 1).
 
     Light L that slopes shifts a Gaussian by :math:`\sigma_r^2 L'/L`, seen in the heights of sheets half a
@@ -393,9 +395,13 @@ def shift_by_lamp(x_px: Floats, contrast: Floats, comb: RidgeComb) -> Floats:
     if half < 2:
         return np.zeros((len(x_px), 1))
     light = np.log(np.where(contrast > 0, contrast, np.nan))
-    slope = nan_median((light[:, half:] - light[:, :-half]) / (x_px[:, half:] - x_px[:, :-half]), axis=1)
-    shift = 2 * (comb.fwhm_px / FWHM) ** 2 * np.abs(slope - nan_median(slope))
-    return np.nan_to_num(shift)[:, None]
+    slope = (light[:, half:] - light[:, :-half]) / (x_px[:, half:] - x_px[:, :-half])
+    slope -= nan_median(slope)
+    common = nan_median(slope, axis=1)
+    scatter = nan_median(np.abs(slope - common[:, None]), axis=1) / NORMAL_MEDIAN
+    error = 1.25 * scatter / np.sqrt(slope.shape[1])  # what covers or clips some sheets is no slope over all
+    seen = np.abs(common) > settings.distortion_sigmas * error
+    return np.where(seen, 2 * (comb.fwhm_px / FWHM) ** 2 * np.abs(common), 0.0)[:, None]
 
 
 def _unusual(size: Floats, times: float, floor: float) -> Floats:

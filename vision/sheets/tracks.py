@@ -148,7 +148,7 @@ def track_sheets(
     several |= nan_median(pulled) > settings.most_pulled * comb.fwhm_px
     several |= marks(x, errors.err_px, pulled, comb, settings)
     detections.flag[(detections.flag == "ok") & several] = "merged"
-    lamp = shift_by_lamp(x, detections.contrast, comb)
+    lamp = shift_by_lamp(x, detections.contrast, comb, settings)
     err = np.sqrt(errors.err_px**2 + blur.err_px**2 + pulled**2 + lamp**2)
     axis = None if axis_px is None else axis_px - origin_px
     numbering = number_sheets(x, axis_px=axis, settings=settings)
