@@ -111,3 +111,9 @@ def as_strip(grey: Floats32, *, origin: int = 0, status: Strings | None = None) 
     return xr.DataArray(
         grey, dims=("frame", "x"), coords=coords, name="intensity", attrs={"source": "scene.avi"}
     )
+
+
+def creeping(frames=120, snr=100):
+    """Truth and strip of sixteen sheets that creep by 3 px."""
+    x = comb(frames, per_side=8, axis_px=200) + np.linspace(0, 3, frames)[:, None]
+    return x, strip(ridges(x, width=400), snr=snr)

@@ -287,7 +287,7 @@ class TrackingSettings:
     least_likeness: float = 0.4
     """Correlation of a sheet's mean picture with that of all below which it is no single ridge. It is -0.5 to
     0.4 where thin sheets side by side were taken for one, and 0.5 or more for ridges of all recordings tried.
-    Larger drops markers of odd shape, smaller takes two sheets for one (test_quality.py)."""
+    Larger drops markers of odd shape, smaller takes two sheets for one (test_distortion.py)."""
 
     most_pulled: float = 0.5
     """Ridge widths by which a sheet's positions may usually be distorted for it to be one ridge still: beyond
@@ -296,13 +296,13 @@ class TrackingSettings:
 
     distortion_sigmas: float = 5.0
     """Times its usual scatter by which a position must depend on a slope of the light for the ridge to be
-    distorted. Larger lets pulled ones pass as ok, smaller flags noise; test_quality.py puts a highlight and a
+    distorted. Larger lets pulled ones pass as ok, smaller flags noise; test_distortion.py puts a highlight and a
     shadow beside a ridge."""
 
     distortion_everywhere: float = 2.0
     """Times the change of a position with a slope of the light that noise predicts, above which all ridges
     are distorted. It is 0.7 to 1.1 in films that are clean, soft or dirty, and 14 under a moving reflection
-    (test_quality.py): larger overlooks that, smaller takes the texture of the paper for it."""
+    (test_distortion.py): larger overlooks that, smaller takes the texture of the paper for it."""
 
     distortion_floor: float = 0.05
     """Least such difference, px: where noise is small, less does not matter."""
@@ -313,12 +313,12 @@ class TrackingSettings:
 
     distortion_residual: float = 3.0
     """Times the usual by which a ridge's pixels must differ from the mean shape. Larger lets specks pass,
-    smaller flags noise; test_quality.py, and test_degraded.py's dirt."""
+    smaller flags noise; test_distortion.py, and test_degraded.py's dirt."""
 
     overlapping: float = 0.45
     """Width over pitch from which a slope under a ridge is its neighbours', and no sign of something strange.
     Larger calls narrow ridges between broad ones distorted (11 px wide, 20 px apart: x_err_px of 0.5 px for
-    0.02), smaller misses a comb's own reflection (test_quality.py)."""
+    0.02), smaller misses a comb's own reflection (test_distortion.py)."""
 
     lopsided: float = 0.1
     """Usual odd part of a sheet's mean residual, px, from which on ridges are lopsided by themselves. Larger

@@ -13,18 +13,16 @@ from vision.data import STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Strings, nan_median
 from vision.sheets.corrections import Correction, apply_corrections, last_of
+from vision.sheets.distortion import distortion, not_one_ridge, shift_by_lamp
 from vision.sheets.identities import Identities, identify_sheets
 from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.quality import (
     BetweenSlips,
-    distortion,
     motion_blur,
-    not_one_ridge,
     repeated_frames,
     scene_changes,
     shared_error,
-    shift_by_lamp,
     spatial_scatter,
 )
 from vision.sheets.recovery import Detections, assign_detections
@@ -106,7 +104,7 @@ def track_sheets(
     -----
     x_err_px is the noise of the profile times the fit's error per grey level, enlarged where positions
     scatter by more both in time and between sheets, and where the ridge is pulled aside
-    (`vision.sheets.quality.distortion`); with ``fit="paper"`` also the locking to whole pixels. For lossy
+    (`vision.sheets.distortion.distortion`); with ``fit="paper"`` also the locking to whole pixels. For lossy
     video it is the scatter between sheets, since compression hides the noise and adds artefacts of its own.
     What is the same in all frames (uneven light, the choice of rows) is no part of it.
     """

@@ -1,0 +1,173 @@
+"""What pulls ridges aside is in their errors, and sheets that are several have no position."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.scenes.combs import comb, creeping, ridges, strip
+from tests.scenes.degraded import SCENE
+from tests.scenes.identity_cases import brightness
+from vision.experiment import preset, profiles, with_settings
+from vision.sheets import TrackingSettings, track_sheets
+
+
+def beside_a_ridge(what):
+    """Sixteen creeping sheets; in frames 40 to 80 something stands beside the sixth: a highlight that is no
+    ridge itself, or a shadow on its flank. Truth, strip, and the frames."""
+    x, picture = creeping()
+    at = x[40:80, 5, None] + (12 if what == "highlight" else 5)
+    away = (np.arange(picture.shape[1]) - at) / (12 if what == "highlight" else 3)
+    light = np.exp(-(away**2) / 2)
+    if what == "highlight":
+        picture.values[40:80] += 90 * light
+    else:
+        picture.values[40:80] *= 1 - 0.5 * light
+    return x, picture, slice(40, 80)
+
+
+@pytest.mark.parametrize("what", ["highlight", "shadow"])
+def test_ridges_that_are_pulled_aside_have_the_error_of_it(what):
+    """A failure means that what stands beside a ridge moves it by tenths of a pixel, and its error says
+    hundredths."""
+    x, picture, beside = beside_a_ridge(what)
+    tracks = track_sheets(picture)
+    off, stated = np.abs(tracks.x_px.values - x), tracks.x_err_px.values
+    assert np.median(off[beside, 5]) > 0.2
+    assert (off[beside, 5] < 3 * stated[beside, 5]).mean() > 0.9
+    assert float(tracks.distorted[5]) == pytest.approx(1 / 3, abs=0.07)
+
+
+def test_ridges_that_nothing_pulls_keep_their_errors():
+    """The same film without it, and the film's other sheets: nothing is distorted, noisy or not."""
+    for snr in (10, 30, 100):
+        tracks = track_sheets(creeping(snr=snr)[1])
+        assert float(tracks.distorted.max()) < 0.01
+    _, picture, _ = beside_a_ridge("shadow")
+    assert float(track_sheets(picture).distorted.values[np.r_[:4, 8:16]].max()) < 0.01
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_light_that_falls_off_over_a_ridge_is_in_its_error(moving):
+    """A stain on the window that sheets move under, or the edge of a shadow that moves over them: a Gaussian
+    times such light is a Gaussian again, and shifted. A failure means that no error says so: from the shape
+    alone one in a hundred, and one in twenty, are gross errors called ok."""
+    x = comb(200, per_side=13, axis_px=310, slip=0.6)
+    at, column = 310 - 3 * np.arange(200)[:, None] if moving else 80.0, np.arange(620)
+    light = (
+        1 - 0.5 / (1 + np.exp((column - at) / 5)) if moving else 1 - 0.6 * np.exp(-(((column - at) / 6) ** 2))
+    )
+    tracks = track_sheets(strip(ridges(x, width=620) * light, snr=60))
+    error = tracks.x_px.values - x
+    error -= np.nanmedian(error, axis=0)
+    gross = np.abs(error) > np.fmax(5 * tracks.x_err_px.values, 0.2)
+    assert gross.mean() < 0.004
+    assert (np.abs(error) > 0.2).mean() > 0.01
+    assert (tracks.flag.values == "ok").mean() > 0.99
+
+
+def test_a_lamp_that_moves_is_in_the_error(monkeypatch):
+    """A failure means that light whose slope over the comb changes shifts all sheets by twice their stated
+    errors, as it does without the term for it."""
+    x = comb(200, per_side=8, axis_px=200)
+    slope = 0.5 * np.sin(np.arange(200) / 40)[:, None] * np.linspace(-1, 1, 400)
+    picture = strip(ridges(x, width=400))
+    picture.values[:] = picture.values * (1 + slope)
+
+    def off_in_errors():
+        tracks = track_sheets(picture)
+        off = tracks.x_px.values - x
+        return np.sqrt(np.mean(((off - np.median(off, axis=0)) / tracks.x_err_px.values) ** 2))
+
+    assert off_in_errors() < 1.3
+    monkeypatch.setattr("vision.sheets.tracks.shift_by_lamp", lambda *what: 0.0)
+    assert off_in_errors() > 2
+
+
+@pytest.mark.parametrize("lopsided", [0.0, 0.4])
+def test_ridges_lopsided_alike_are_not_distorted(lopsided):
+    """A shoulder that every sheet has is its shape: it moves no sheet against another."""
+    x, _ = creeping()
+    picture = strip(ridges(x, width=400) + lopsided * ridges(x + 5, width=400))
+    assert float(track_sheets(picture).distorted.max()) < 0.01
+
+
+def test_narrow_ridges_between_broad_ones_are_not_distorted():
+    """Their neighbours' flanks are a slope of the light that moves with them. A failure means errors of 0.3
+    to 0.6 px of sheets that are off by 0.02 px."""
+    changes = {**SCENE, "optics.fwhm_px": 11}
+    picture, truth = profiles(with_settings(preset("paper", seed=32), changes))
+    tracks = track_sheets(picture)
+    off = tracks.x_px.values - truth.x_px.values
+    assert np.std(off - off.mean(axis=0), axis=0).max() < 0.05
+    assert np.median(tracks.x_err_px.values, axis=0).max() < 0.05
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_reflection_that_moves_over_all_ridges_is_in_their_errors(seed):
+    """A mirror image of a third of the light, moving against the comb, shifts every ridge by half a pixel.
+    A failure means that it passes as the usual scatter of such ridges: nine in ten errors were gross."""
+    x = comb(200, per_side=13, axis_px=310, slip=0.5)
+    image = 620 - x + 7 * np.sin(np.arange(200) / 20 + seed)[:, None]
+    light = ridges(x, width=620) + 0.35 * ridges(image, width=620, fwhm_px=9)
+    tracks = track_sheets(strip(light, snr=80, seed=seed))
+    off, err = np.abs(tracks.x_px.values - x), tracks.x_err_px.values
+    assert (off > np.fmax(5 * err, 0.2)).mean() < 1e-3
+    assert 0.4 < (off <= err).mean() < 0.8
+    blind = TrackingSettings(distortion_everywhere=1e3)
+    err = track_sheets(strip(light, snr=80, seed=seed), settings=blind).x_err_px.values
+    assert (off > np.fmax(5 * err, 0.2)).mean() > 0.3
+
+
+def thin_beside_thick(seed):
+    """Sheets 7 px wide, and between some of them two to five that are 2.5 px wide and 5 px apart."""
+    rng = np.random.default_rng(seed)
+    place, width, at = [], [], 25.0
+    while at < 600:
+        if rng.uniform() < 0.6:
+            place, width, at = [*place, at + 3], [*width, 7.0], at + 16
+        else:
+            thin = at + 5.0 * np.arange(rng.integers(2, 6))
+            place, width, at = [*place, *thin], [*width, *[2.5] * len(thin)], thin[-1] + 11
+    outer = (np.array(place) - 312) / 288
+    phase = np.arange(150)[:, None] / 30 % 1 - 0.5
+    x = np.array(place) - 4 * np.sign(outer) * outer**2 * phase
+    light = ridges(x, width=640, fwhm_px=np.array(width), contrast=brightness(len(place), seed))
+    return x, np.array(width), strip(light, snr=60, seed=seed)
+
+
+def wrong_and_thick(tracks, x, width):
+    """Positions called ok that are further from their sheet than half way to the next, and the share of the
+    positions of thick sheets that are called ok."""
+    found = np.where(tracks.flag.values == "ok", tracks.x_px.values, np.nan)
+    found = found[:, np.isfinite(found).any(axis=0)]
+    own = np.nanmedian(np.abs(found[:, :, None] - x[:, None]), axis=0).argmin(axis=1)
+    half = np.diff(x[0], prepend=-np.inf, append=np.inf)
+    half = np.minimum(half[1:], half[:-1]) / 2
+    thick = width[own] == 7
+    wrong = int((np.abs(found - x[:, own]) > half[own]).sum())
+    return wrong, np.isfinite(found[:, thick]).sum() / len(x) / (width == 7).sum()
+
+
+def test_the_middle_of_a_thick_and_a_thin_sheet_has_no_position():
+    """Sheets 7.5 px wide, beside one of which stands another, 2.5 px wide, 4 px away: one ridge. A failure
+    means that the place between both is given as the sheet's, with an error as large as the ridge."""
+    x, _ = creeping()
+    thin = x[:, 5:6] + 4.0
+    light = ridges(x, width=400, fwhm_px=7.5) + ridges(thin, width=400, fwhm_px=2.5, contrast=1.4)
+    for most, given in ((TrackingSettings().most_pulled, False), (np.inf, True)):
+        tracks = track_sheets(strip(light), settings=TrackingSettings(most_pulled=most, mark_pulled=np.inf))
+        assert (tracks.flag.values[:, 5] == "ok").any() == given
+        assert (np.delete(tracks.flag.values, 5, axis=1) == "ok").all()
+    assert np.median(np.abs(tracks.x_px.values[:, 5] - x[:, 5])) > 2
+
+
+def test_thin_sheets_taken_for_one_ridge_have_no_position():
+    """A failure means that a place between thin sheets is given as a sheet's, with a small error."""
+    films = [thin_beside_thick(seed) for seed in (6, 8, 10, 12)]
+    found = [wrong_and_thick(track_sheets(picture), x, width) for x, width, picture in films]
+    assert sum(wrong for wrong, _ in found) == 0
+    assert min(thick for _, thick in found) > 0.95
+    trusting = replace(TrackingSettings(), least_likeness=-1.0)
+    found = [wrong_and_thick(track_sheets(p, settings=trusting), x, width) for x, width, p in films]
+    assert sum(wrong for wrong, _ in found) > 20
