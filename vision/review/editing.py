@@ -242,7 +242,7 @@ def _fitted(positions: Positions, start_px: Floats, rows: Ints, diagram: Diagram
         part = slice(begin, begin + BLOCK)
         first, last = int(rows[part][0]), int(rows[part][-1]) + 1
         profile = diagram.rows(positions.first_row + first, positions.first_row + last)[rows[part] - first]
-        bright = profile if comb.sign > 0 else -profile
+        bright = comb.bright(profile)
         found, _ = fit_sheets(bright, start_px[part, None], fit=fit, window_px=facts.window_px, comb=comb)
         x[part] = found[:, 0]
     return x + diagram.first_column

@@ -154,7 +154,7 @@ class Effects:
         comb = describe_ridges(profile, polarity=self.run.positions.comb.polarity, source="the strip")
         seen = find_ridges(profile, comb, settings=self.run.settings.tuning.tracking)
         window = self.run.positions.track_facts.window_px
-        bright = profile if comb.sign > 0 else -profile
+        bright = comb.bright(profile)
         start = _nearest(seen.x_px, usual_places(self.run.positions) - first, 0.5 * comb.pitch_px)
         x, _ = fit_sheets(bright, start, fit="sliding", window_px=window, comb=comb)
         known = np.isfinite(seen.x_px[here])

@@ -66,10 +66,9 @@ class RidgeComb:
             0.0,
         )
 
-    @property
-    def sign(self) -> int:
-        """+1 for bright ridges, −1 for dark ones."""
-        return 1 if self.polarity == "bright" else -1
+    def bright(self, profile: Floats32) -> Floats32:
+        """The profile with bright ridges."""
+        return profile if self.polarity == "bright" else -profile
 
 
 @dataclass(frozen=True)
@@ -329,7 +328,7 @@ def _find_block(profile: Floats32, start: int, comb: RidgeComb, settings: Tracki
     smoothing_px = max(0.5, settings.smoothing_widths * comb.fwhm_px)
     threshold = max(_noise_floor(comb.noise, smoothing_px, settings), settings.faint_fraction * comb.contrast)
     reach_px = max(4, round(settings.surroundings_widths * comb.fwhm_px))
-    walled = _smoothed(profile if comb.sign > 0 else -profile, smoothing_px, wall_px=1)
+    walled = _smoothed(comb.bright(profile), smoothing_px, wall_px=1)
     walled[:, [0, -1]] = walled[:, [1, -2]] + 1  # a wall is no ridge, nor is what slopes up to it
     maxima = find_maxima(
         walled.ravel(),

@@ -296,8 +296,8 @@ class TrackingSettings:
 
     distortion_sigmas: float = 5.0
     """Times its usual scatter by which a position must depend on a slope of the light for the ridge to be
-    distorted. Larger lets pulled ones pass as ok, smaller flags noise; test_distortion.py puts a highlight and a
-    shadow beside a ridge."""
+    distorted. Larger lets pulled ones pass as ok, smaller flags noise; test_distortion.py has a highlight
+    and a shadow beside a ridge."""
 
     distortion_everywhere: float = 2.0
     """Times the change of a position with a slope of the light that noise predicts, above which all ridges

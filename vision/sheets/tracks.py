@@ -103,10 +103,12 @@ def track_sheets(
     Notes
     -----
     x_err_px is the noise of the profile times the fit's error per grey level, enlarged where positions
-    scatter by more both in time and between sheets, and where the ridge is pulled aside
-    (`vision.sheets.distortion.distortion`); with ``fit="paper"`` also the locking to whole pixels. For lossy
-    video it is the scatter between sheets, since compression hides the noise and adds artefacts of its own.
-    What is the same in all frames (uneven light, the choice of rows) is no part of it.
+    scatter by more both in time and between sheets, where the ridge moves within the exposure
+    (`vision.sheets.quality.motion_blur`), where something pulls it aside
+    (`vision.sheets.distortion.distortion`) and where light moves over the whole comb; with ``fit="paper"``
+    also the locking to whole pixels. For lossy video it is the scatter between sheets, since compression
+    hides the noise and adds artefacts of its own. What is the same in all frames (uneven light, the choice of
+    rows) is no part of it.
     """
     STRIP.check(strip)
     facts = StripMetadata.of(strip)
@@ -137,17 +139,8 @@ def track_sheets(
     frozen = repeated_frames(profile, settings)
     x, err, noise, used = _positions(profile, detections.start_px, comb, fit, window, frozen, settings)
     errors = _errors(x, err, noise, frozen, facts.codec, settings)
-    blur = motion_blur(
-        np.where(frozen[:, None], np.nan, x), detections.contrast, detections.fwhm_px, comb, settings
-    )
-    bright = profile if comb.sign > 0 else -profile
-    pulled = distortion(bright, x, errors.err_px, (blur.err_px > 0) | blur.blurred, comb, settings)
-    several = not_one_ridge(bright, x, comb, settings)
-    several |= nan_median(pulled) > settings.most_pulled * comb.fwhm_px
-    several |= marks(x, errors.err_px, pulled, comb, settings)
-    detections.flag[(detections.flag == "ok") & several] = "merged"
-    lamp = shift_by_lamp(x, detections.contrast, comb, settings)
-    err = np.sqrt(errors.err_px**2 + blur.err_px**2 + pulled**2 + lamp**2)
+    judged = _judged(comb.bright(profile), x, errors, detections, frozen, comb, settings)
+    detections = replace(detections, flag=judged.flag)
     axis = None if axis_px is None else axis_px - origin_px
     numbering = number_sheets(x, axis_px=axis, settings=settings)
     found = _Tracked(
@@ -156,12 +149,12 @@ def track_sheets(
         detections=detections,
         numbering=numbering,
         x_px=x,
-        err_px=err,
+        err_px=judged.err_px,
         noise=noise,
         errors=errors,
         frozen=frozen,
-        blurred=blur.blurred,
-        distorted=pulled > 0,
+        blurred=judged.blurred,
+        distorted=judged.distorted,
         origin_px=origin_px,
     )
     metadata = found.metadata(used, window, settings, count_given=sheets is not None)
@@ -184,6 +177,37 @@ def track_sheets(
         corrections=[asdict(correction) for correction in corrections],
         settings=asdict(settings),
     )
+
+
+class _Judged(NamedTuple):
+    """Flags, errors with what is more than noise, and what of it shows, all (frame, N)."""
+
+    flag: Strings
+    err_px: Floats
+    blurred: Bools
+    distorted: Bools
+
+
+def _judged(
+    bright: Floats32,
+    x_px: Floats,
+    errors: _Errors,
+    detections: Detections,
+    frozen: Bools,
+    comb: RidgeComb,
+    settings: TrackingSettings,
+) -> _Judged:
+    """What moved while the shutter was open, what is pulled aside, and what is no ridge of one sheet."""
+    changing = np.where(frozen[:, None], np.nan, x_px)
+    blur = motion_blur(changing, detections.contrast, detections.fwhm_px, comb, settings)
+    pulled = distortion(bright, x_px, errors.err_px, (blur.err_px > 0) | blur.blurred, comb, settings)
+    lamp = shift_by_lamp(x_px, detections.contrast, comb, settings)
+    several = not_one_ridge(bright, x_px, comb, settings)
+    several |= nan_median(pulled) > settings.most_pulled * comb.fwhm_px
+    several |= marks(x_px, errors.err_px, pulled, comb, settings)
+    flag = np.where((detections.flag == "ok") & several, "merged", detections.flag)
+    err = np.sqrt(errors.err_px**2 + blur.err_px**2 + pulled**2 + lamp**2)
+    return _Judged(flag, err, blur.blurred, pulled > 0)
 
 
 class _Errors(NamedTuple):
@@ -270,7 +294,7 @@ def _positions(
     settings: TrackingSettings,
 ) -> tuple[Floats, Floats, Floats, FitName]:
     """Positions and their standard error (frame, N), the profile's noise at each sheet (N,), the fit used."""
-    bright = profile if comb.sign > 0 else -profile
+    bright = comb.bright(profile)
     used: FitName = "sliding" if fit == "auto" else fit
     x, per_grey = fit_sheets(bright, start_px, fit=used, window_px=window_px, comb=comb)
     new = ~frozen if frozen.any() else slice(None)  # without a copy of all frames
