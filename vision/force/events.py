@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
+import scipy
 import xarray as xr
 
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
@@ -242,14 +243,21 @@ def _above_slow_drops(
     Most of these swings last as long down as up, and a gap in the sizes separates them from the slips. The
     noise that counts is then what they leave about the sticks.
     """
-    gap = size_gap(slips.drop, settings.threshold_gap, 1 - 3 / slips.drop.size)
+    gap = size_gap(slips.drop, settings.slow_gap, 1 - 3 / slips.drop.size)
     small = slips.drop < gap
     slow = is_slow(corners.valley - corners.peak, corners.peak[1:] - corners.valley[:-1], settings)
     if not small.any() or slow[small].mean() < 0.5:
         return None
     clear = find_slips(signal.clean, signal.sigma, threshold=gap, settings=settings)
-    spread = float(nan_median(stick_lines(signal.clean, clear.edge, settings).spread))
-    noisier = replace(signal, sigma=max(signal.sigma, spread))
+    lines = stick_lines(signal.clean, clear.edge, settings)
+    row, index = flat_ranges(*stick_middles(clear.edge, signal.clean.size, settings))
+    left = np.zeros(signal.clean.size)
+    left[index] = np.nan_to_num(signal.clean[index] - lines.take(row).at(index.astype(float)))
+    correlation = scipy.signal.correlate(left, left)[left.size - 1 :]
+    together = int(np.argmax(correlation < 0.1 * correlation[0]))  # less is chance
+    alike = 2 * float(np.sum(correlation[:together])) / float(correlation[0]) - 1
+    sigma = max(signal.sigma, float(nan_median(lines.spread)))
+    noisier = replace(signal, sigma=sigma, alike=max(alike, 1.0))
     return noisier, replace(clear, threshold_how="gap", left_out=slips.drop[small])
 
 

@@ -286,6 +286,7 @@ class Signal:
     is_spike: Bools  # samples that are spikes
     sigma: float  # noise of the load, N
     damage: dict[str, Ints]  # for each kind of bad sample, how many of them came before each good one
+    alike: float = 1.0  # neighbouring samples whose noise counts as one: more than 1 where it is not white
 
     @classmethod
     def of(cls, force: xr.Dataset, settings: ForceSettings) -> Signal:
@@ -487,7 +488,8 @@ def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats) -> _Ends:
         broken = sticks.broken(signal.time, signal.spikeless)
         f_v = np.where(bent, broken.first_at(t_v), f_v)
         f_p = np.where(bent, broken.second_at(t_p), f_p)
-    return _Ends(f_v, f_p, line.error_at(t_v), line.error_at(t_p), line.slope)
+    wider = np.sqrt(signal.alike)
+    return _Ends(f_v, f_p, wider * line.error_at(t_v), wider * line.error_at(t_p), line.slope)
 
 
 def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: float) -> dict[str, Floats]:
@@ -497,7 +499,7 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
         with np.errstate(divide="ignore"):
             return np.where(slope * compliance < 1, slope / (1 - slope * compliance), np.nan)
 
-    time, travel, load = signal.time, signal.travel, signal.spikeless
+    time, travel, load, wider = signal.time, signal.travel, signal.spikeless, np.sqrt(signal.alike)
 
     def both(start: Ints, stop: Ints) -> tuple[Floats, Floats]:
         """K and its error: against d itself, its noise and steps would make every slope too small."""
@@ -505,7 +507,7 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
         pace = fit_lines(time, travel, start, stop, lag=sticks.lag)
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.where(pace.slope == 0, np.nan, rise.slope / pace.slope)
-            error = np.hypot(rise.slope_error / pace.slope, slope * pace.slope_error / pace.slope)
+            error = np.hypot(wider * rise.slope_error, slope * pace.slope_error) / np.abs(pace.slope)
             return sample(slope), error * (sample(slope) / slope) ** 2
 
     part = sticks.settings.central_part
