@@ -12,6 +12,7 @@ from tests.scenes.sawtooth import Test, plain, realistic, recording
 from vision.data import STICKS, StickMetadata
 from vision.errors import InputError
 from vision.force import ForceSettings, detection_limit, find_stick_slip
+from vision.force.recording import sample_flags
 
 FAST = {"speed": 10.0, "rate": 2000.0, "noise": 0.05, "d1": 13.8, "slip_s": 0.005}
 
@@ -286,3 +287,78 @@ def test_what_is_no_recording_is_refused_by_name() -> None:
     """A failure means a KeyError for a dataset of something else."""
     with pytest.raises(InputError, match=r"read_force.*no load_N"):
         find_stick_slip(realistic(d1=13.2).force.drop_vars("load_N"))
+
+
+@pytest.mark.parametrize("part", [16, 9])
+@pytest.mark.parametrize("seed", range(3))
+def test_mains_hum_is_no_stick_slip(seed: int, part: int) -> None:
+    """A failure means that each swing of the hum is an event, twenty for each slip, and slips are slow."""
+    test = plain(sticks=40, samples=500, snr=40, jitter=0.1, scatter=0.0, seed=seed)
+    hum = 40 / part * np.sin(2 * np.pi * np.arange(test.force.sizes["time_s"]) / 20 + seed)
+    events = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + hum))
+    right, truth = matched(events, test.truth)
+    assert len(events) == len(right) == len(test.truth)
+    assert (events["flag"] == "ok").all()
+    assert (np.abs(right["dF_N"] / truth["dF_N"] - 1) < 0.1).all()
+    assert any("lie below a gap" in line for line in events.attrs["warnings"])
+
+
+def test_noise_that_an_amplifier_has_smoothed_is_no_stick_slip() -> None:
+    """A failure means that noise slower than the sampling makes events, or has errors too small."""
+    test = plain(sticks=40, samples=500, snr=1e6, jitter=0.1, scatter=0.0)
+    rng = np.random.default_rng(1)
+    size, drop = test.force.sizes["time_s"], float(test.truth["dF_N"].median())
+    noise = np.convolve(rng.standard_normal(size), np.hanning(21), "same")
+    load = test.force["load_N"] + 3 * drop + 0.03 * drop * noise / noise.std()
+    events = find_stick_slip(test.force.assign(load_N=load))
+    right, truth = matched(events, test.truth)
+    assert len(events) == len(right) == len(test.truth)
+    assert (events["flag"] == "ok").all()
+    assert (right["dF_N"] / truth["dF_N"]).median() == pytest.approx(1, abs=0.03)
+    for name, error in (("dF_N", "dF_err_N"), ("K_N_per_mm", "K_err_N_per_mm")):
+        assert np.mean(np.abs(right[name] - truth[name]) < 2 * right[error]) > 0.85, name
+
+
+def test_a_load_written_at_a_multiple_of_its_rate() -> None:
+    """A failure means that samples that only repeat the one before hide the noise, and the slips with it."""
+    test = plain(sticks=60, samples=100, snr=40, jitter=0.1)
+    load = test.force["load_N"].to_numpy()
+    held = np.repeat(load[::5], 5)[: load.size]
+    events = find_stick_slip(test.force.assign(load_N=("time_s", held)))
+    right, truth = matched(events, test.truth)
+    assert len(events) == len(right) == len(test.truth)
+    assert (events["flag"] == "ok").all()
+    assert events.attrs["noise_N"] == pytest.approx(1, rel=0.3)
+    assert (right["dF_N"] / truth["dF_N"]).median() == pytest.approx(1, abs=0.03)
+
+
+@pytest.mark.parametrize("how", ["steps", "noise"])
+def test_a_coarse_displacement_spoils_no_stiffness(how: str) -> None:
+    """A failure means that K is too small where d is noisy, or Λ_st off by many times its error."""
+    test = plain(sticks=60, samples=100, snr=40)
+    d = test.force["d_mm"].to_numpy()
+    stick = 1e-3 * float(test.truth["stick_length_um"].median())
+    coarse = d + 0.05 * stick * np.random.default_rng(1).standard_normal(d.size)
+    if how == "steps":
+        coarse = np.floor(d / (0.1 * stick)) * 0.1 * stick
+    right, truth = matched(find_stick_slip(test.force.assign(d_mm=("time_s", coarse))), test.truth)
+    assert (right["K_N_per_mm"] / truth["K_N_per_mm"]).median() == pytest.approx(1, abs=0.02)
+    for name, error in (
+        ("K_N_per_mm", "K_err_N_per_mm"),
+        ("stick_length_um", "stick_length_err_um"),
+    ):
+        assert np.mean(np.abs(right[name] - truth[name]) < 2 * right[error]) > 0.9, name
+
+
+def test_a_slip_that_fell_into_a_gap_marks_the_sticks_on_both_sides() -> None:
+    """A failure means that a peak and a valley that nobody recorded are given with the flag ok."""
+    test = realistic(rate=1000.0, slip_s=0.03, d1=13.6, noise=4.0)
+    time, slip = test.force["time_s"].to_numpy(), test.truth["t_p_s"][10]
+    lost = (time > slip - 0.05) & (time < slip + 0.15)
+    force = test.force.isel(time_s=np.flatnonzero(~lost))
+    flags = sample_flags(force["time_s"].to_numpy(), force["load_N"].to_numpy(), None)
+    events = find_stick_slip(force.assign(flag=("time_s", flags)))
+    beside = np.abs(np.r_[[events["t_p_s"], events["t_v_s"]]] - slip).min(axis=0) < 0.5
+    assert beside.sum() == 2
+    assert (events["flag"][beside] == "gap").all()
+    assert (events["flag"][~beside] == "ok").all()

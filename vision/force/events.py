@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 import pandas as pd
+import scipy
 import xarray as xr
 
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
@@ -20,9 +21,19 @@ from vision.force.slips import (
     deconvolve_lowpass,
     estimate_lowpass,
     find_slips,
+    size_gap,
+    stick_lines,
     stick_middles,
 )
-from vision.force.sticks import Corners, Extremes, Signal, find_corners, find_extremes, measure_sticks
+from vision.force.sticks import (
+    Corners,
+    Extremes,
+    Signal,
+    find_corners,
+    find_extremes,
+    is_slow,
+    measure_sticks,
+)
 from vision.numeric import Bools, Floats, nan_median
 
 
@@ -108,6 +119,9 @@ def find_stick_slip(
         )
     _check_lowpass(lowpass_s, slips.period * signal.interval_s, metadata.source)
     shown = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
+    if threshold_N is None and (clear := _above_slow_drops(signal, slips, shown.corners, settings)):
+        signal, slips = clear
+        shown = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
     corners, tau, found, regime = shown.corners, shown.samples, shown.found, shown.regime
     unloading = is_unloading(signal.travel, shown.extremes)
     if unloading.all():
@@ -219,6 +233,32 @@ def _analyse_slips(
     if tau:
         corners = _corners(signal, slips, bent, tau, settings)
     return _SlipAnalysis(corners, extremes, regime, bent, found, tau, how)
+
+
+def _above_slow_drops(
+    signal: Signal, slips: Slips, corners: Corners, settings: ForceSettings
+) -> tuple[Signal, Slips] | None:
+    """Signal and slips without the swings of hum or other noise that is not white; None where there are none.
+
+    Most of these swings last as long down as up, and a gap in the sizes separates them from the slips. The
+    noise that counts is then what they leave about the sticks.
+    """
+    gap = size_gap(slips.drop, settings.slow_gap, 1 - 3 / slips.drop.size)
+    small = slips.drop < gap
+    slow = is_slow(corners.valley - corners.peak, corners.peak[1:] - corners.valley[:-1], settings)
+    if not small.any() or slow[small].mean() < 0.5:
+        return None
+    clear = find_slips(signal.clean, signal.sigma, threshold=gap, settings=settings)
+    lines = stick_lines(signal.clean, clear.edge, settings)
+    row, index = flat_ranges(*stick_middles(clear.edge, signal.clean.size, settings))
+    left = np.zeros(signal.clean.size)
+    left[index] = np.nan_to_num(signal.clean[index] - lines.take(row).at(index.astype(float)))
+    correlation = scipy.signal.correlate(left, left)[left.size - 1 :]
+    together = int(np.argmax(correlation < 0.1 * correlation[0]))  # less is chance
+    alike = 2 * float(np.sum(correlation[:together])) / float(correlation[0]) - 1
+    sigma = max(signal.sigma, float(nan_median(lines.spread)))
+    noisier = replace(signal, sigma=sigma, alike=max(alike, 1.0))
+    return noisier, replace(clear, threshold_how="gap", left_out=slips.drop[small])
 
 
 def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSettings) -> bool:

@@ -54,7 +54,7 @@ class Lines:
         """Standard error of the slopes, from the residuals."""
         return self.spread / np.sqrt(self.sxx)
 
-    def take(self, rows: slice) -> Lines:
+    def take(self, rows: slice | Ints) -> Lines:
         """Some of the lines."""
         return Lines(*(getattr(self, part.name)[rows] for part in fields(self)))
 

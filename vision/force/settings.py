@@ -49,6 +49,11 @@ class ForceSettings:
     """A gap of this ratio in the sizes of the drops separates noise from slips and moves the threshold there.
     Smaller may cut off true small slips, larger leaves clusters of false ones."""
 
+    slow_gap: float = 2.0
+    """The same where most drops below the gap last nearly as long as the rises beside them: swings of hum or
+    of smoothed noise. Smaller cuts off slow slips that are small, larger takes hum for slips; shown by slow
+    slips of lognormal sizes, and by hum of a tenth of the drop."""
+
     line_part: float = 0.8
     """Central part of a stick through which its line is fitted; drops, F_v and F_p are extrapolated
     from it. Larger comes closer to the rounded ends, smaller extrapolates further."""

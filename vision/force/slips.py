@@ -54,7 +54,7 @@ def find_slips(
     drop = _stick_drops(y, edge, settings)
     least, how = (settings.threshold_sigmas * sigma, "noise") if threshold is None else (threshold, "given")
     keep, left_out = drop >= least, np.empty(0)
-    if threshold is None and (gap := _gap(drop[keep], settings.threshold_gap)) > least:
+    if threshold is None and (gap := size_gap(drop[keep], settings.threshold_gap, 0.5)) > least:
         left_out = drop[keep & (drop < gap)]
         keep, least, how = drop >= gap, gap, "gap"
     period = float(np.median(np.diff(edge[keep]))) if keep.sum() > 1 else float("nan")
@@ -228,12 +228,13 @@ def _stick_drops(y: Floats, edge: Ints, settings: ForceSettings) -> Floats:
     return lines.take(slice(None, -1)).at(here) - lines.take(slice(1, None)).at(here)
 
 
-def _gap(drop: Floats, ratio: float) -> float:
-    """The middle of the widest gap in log(drop) below the median; 0 where none spans that ratio."""
+def size_gap(drop: Floats, ratio: float, most: float) -> float:
+    """The middle of the widest gap in log(drop) with at most that share of the drops below it; 0 where none
+    spans that ratio."""
     ordered = np.sort(drop[drop > 0])
     if ordered.size < 8:
         return 0.0
-    lower = np.log(ordered[: ordered.size // 2 + 1])
+    lower = np.log(ordered[: int(most * ordered.size) + 1])
     widest = int(np.argmax(np.diff(lower)))
     # A single small drop below all others is no cluster of noise.
     if np.diff(lower)[widest] < np.log(ratio) or widest + 1 < 0.02 * ordered.size:

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines, flat_ranges
+from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines, flat_ranges
 from vision.force.recording import find_spikes, noise_sigma, usable
 from vision.force.settings import ForceSettings
 from vision.force.slips import DeconvolvedLoad, SlipTransients, stick_lines, stick_middles
@@ -286,6 +286,7 @@ class Signal:
     is_spike: Bools  # samples that are spikes
     sigma: float  # noise of the load, N
     damage: dict[str, Ints]  # for each kind of bad sample, how many of them came before each good one
+    alike: float = 1.0  # neighbouring samples whose noise counts as one: more than 1 where it is not white
 
     @classmethod
     def of(cls, force: xr.Dataset, settings: ForceSettings) -> Signal:
@@ -293,6 +294,7 @@ class Signal:
         count = force.sizes["time_s"]
         flags = np.asarray(force["flag"].values, dtype=str) if "flag" in force else np.full(count, "ok")
         good = usable(flags)
+        good[np.flatnonzero(good)[_repeats(force["load_N"].to_numpy()[good])]] = False
         time, travel, load = (force[k].to_numpy()[good].astype(float) for k in ("time_s", "d_mm", "load_N"))
         sigma = noise_sigma(load)
         is_spike, clean = find_spikes(load, sigma, settings=settings)
@@ -314,6 +316,17 @@ class Signal:
     def spikeless(self) -> Floats:
         """Load with NaN for spikes, so that fits leave them out."""
         return np.where(self.is_spike, np.nan, self.load)
+
+
+def _repeats(load: Floats) -> Bools:
+    """Samples that only repeat the one before: of a file written at a multiple of the load cell's rate.
+
+    Then nearly all runs of equal values are of one length; steps of a coarse load are not.
+    """
+    new = np.diff(load, prepend=np.nan) != 0
+    length = np.diff(np.append(np.flatnonzero(new), load.size))
+    usual = np.median(length)
+    return ~new if usual > 1 and np.mean(length % usual == 0) > 0.9 else np.zeros_like(new)
 
 
 @dataclass(frozen=True)
@@ -391,6 +404,8 @@ def measure_sticks(
     d_p = np.interp(p, index, signal.travel) - compliance * f_p
     last = np.interp(v_next[-1:], index, signal.travel) - compliance * signal.clean[int(v_next[-1])]
     relative = np.hypot(place[:-1], place[1:]) / (p - v)
+    # Either end of a stick is read off single samples of d, with their noise and steps.
+    unsteady = np.nan_to_num(fit_lines(signal.time, signal.travel, *_between(v, p)).spread)
     # Near a slow slip's extreme the load is level: the place of the corner does not matter there.
     f_v_err = np.hypot(ends.error_v, np.where(recorded[:-1], 0, rises[0] * place[:-1]))
     f_p_err = np.hypot(ends.error_p, np.where(recorded[1:], 0, rises[1] * place[1:]))
@@ -412,12 +427,12 @@ def measure_sticks(
             "F_v_err_N": f_v_err,
             "F_p_err_N": f_p_err,
             "dF_err_N": np.hypot(f_v_err, f_p_err),
-            "stick_length_err_um": 1e3 * (d_p - d_v) * relative,
+            "stick_length_err_um": 1e3 * np.hypot((d_p - d_v) * relative, np.sqrt(2) * unsteady),
             "slip_time_s": t_next - t_p,
             "samples": (p - v).astype(int),
         }
     )
-    return table.assign(flag=_event_flags(signal, sticks, ends.slope > 0, slow[:-1] | slow[1:]))
+    return table.assign(flag=_event_flags(signal, sticks, corners, ends.slope > 0, slow[:-1] | slow[1:]))
 
 
 def _without_lowpass(signal: Signal, lag: float) -> Signal:
@@ -473,7 +488,8 @@ def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats) -> _Ends:
         broken = sticks.broken(signal.time, signal.spikeless)
         f_v = np.where(bent, broken.first_at(t_v), f_v)
         f_p = np.where(bent, broken.second_at(t_p), f_p)
-    return _Ends(f_v, f_p, line.error_at(t_v), line.error_at(t_p), line.slope)
+    wider = np.sqrt(signal.alike)
+    return _Ends(f_v, f_p, wider * line.error_at(t_v), wider * line.error_at(t_p), line.slope)
 
 
 def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: float) -> dict[str, Floats]:
@@ -483,34 +499,37 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
         with np.errstate(divide="ignore"):
             return np.where(slope * compliance < 1, slope / (1 - slope * compliance), np.nan)
 
-    travel, load = signal.travel, signal.spikeless
+    time, travel, load, wider = signal.time, signal.travel, signal.spikeless, np.sqrt(signal.alike)
 
-    def both(line: Lines) -> tuple[Floats, Floats]:
-        k = sample(line.slope)
+    def both(start: Ints, stop: Ints) -> tuple[Floats, Floats]:
+        """K and its error: against d itself, its noise and steps would make every slope too small."""
+        rise = fit_lines(time, load, start, stop, lag=sticks.lag)
+        pace = fit_lines(time, travel, start, stop, lag=sticks.lag)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return k, line.slope_error * (k / line.slope) ** 2
+            slope = np.where(pace.slope == 0, np.nan, rise.slope / pace.slope)
+            error = np.hypot(wider * rise.slope_error, slope * pace.slope_error) / np.abs(pace.slope)
+            return sample(slope), error * (sample(slope) / slope) ** 2
 
     part = sticks.settings.central_part
-    central, narrow, wide = (
-        fit_lines(travel, load, *sticks.central(share), lag=sticks.lag) for share in (part, 0.3, 0.7)
-    )
-    k, error = both(central)
+    (k, error), (narrow, _), (wide, _) = (both(*sticks.central(share)) for share in (part, 0.3, 0.7))
     columns = {"K_N_per_mm": k, "K_err_N_per_mm": error}
-    columns |= {"K30_N_per_mm": sample(narrow.slope), "K70_N_per_mm": sample(wide.slope)}
+    columns |= {"K30_N_per_mm": narrow, "K70_N_per_mm": wide}
     names = ("K1_N_per_mm", "K2_N_per_mm", "K2_err_N_per_mm", "knee", "knee_gain")
     if not two_slopes or not np.isfinite(travel).any():
         return columns | dict.fromkeys(names, np.full(k.size, np.nan))
     broken = sticks.broken(travel, load)
-    after, after_error = both(fit_lines(travel, load, *sticks.one_slope(part), lag=sticks.lag))
+    after, after_error = both(*sticks.one_slope(part))
     bent = np.isfinite(sticks.knee)
     second = np.where(bent, after, sample(broken.second)), np.where(bent, after_error, error)
     return columns | dict(zip(names, (sample(broken.first), *second, broken.knee, broken.gain), strict=True))
 
 
-def _event_flags(signal: Signal, sticks: _Sticks, rising: Bools, slow: Bools) -> list[str]:
+def _event_flags(signal: Signal, sticks: _Sticks, corners: Corners, rising: Bools, slow: Bools) -> list[str]:
     """What is wrong within each stick, joined by "+"; "ok" where nothing is."""
     v, p, last = sticks.v, sticks.p, signal.time.size - 1
-    first, final = np.clip(np.floor(v), 0, last).astype(int), np.clip(np.ceil(p), 0, last).astype(int)
+    # The slips at both ends count: what was lost in one hides how high or low the load was there.
+    begin, end = np.fmin(corners.peak[:-1], v), np.fmax(corners.valley[1:], p)
+    first, final = (np.clip(at, 0, last).astype(int) for at in (np.floor(begin), np.ceil(end)))
     marks = {kind: seen[final] > seen[first] for kind, seen in signal.damage.items()}
     marks |= {"few": p - v < sticks.settings.few_samples, "falling": ~rising, "slow": slow}
     return ["+".join(word for word, mark in marks.items() if mark[k]) or "ok" for k in range(v.size)]
