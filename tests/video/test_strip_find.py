@@ -224,6 +224,28 @@ def test_rows_with_the_time_of_day_are_left_out(rows):
     assert kept.stop > rows.start
 
 
+@pytest.mark.parametrize("first", [0, 60])
+def test_a_ruler_is_no_comb(first):
+    """Failure: the ticks of a ruler below or above the comb, clearer than its ridges, are tracked for it.
+
+    With the setting out of reach they are, and so is a comb that stands still."""
+    x, noise = np.arange(1280), np.random.default_rng(1)
+    frames = np.empty((8, 140, 1280), np.uint8)
+    comb, ruler = (slice(0, 60), slice(80, 140)) if first == 0 else (slice(60, 140), slice(0, 50))
+    for t, frame in enumerate(frames):
+        rows = np.full((140, 1280), 180.0)
+        rows[comb] = 40 + 110 * np.exp(-((((x - 0.5 * t) % 20) - 10) ** 2) / 23) * (abs(x - 640) < 500)
+        rows[ruler, x % 12 < 3] = 20
+        frame[:] = (rows + noise.normal(0, 3, rows.shape)).clip(0, 255)
+    within = find_strip(Scene(frames)).rows
+    assert comb.start - 2 <= within.start < within.stop <= comb.stop + 2
+    assert within.stop - within.start > 40
+    unmoved = find_strip(Scene(frames), settings=VideoSettings(moving_change=2.0))
+    for still in (unmoved, find_strip(Scene(frames[:1]))):
+        assert still.rows.start >= ruler.start - 2
+        assert still.rows.stop <= ruler.stop + 2
+
+
 @pytest.mark.parametrize("noise", [1.0, 8.0])
 def test_level_ridges(noise):
     """Failure: sheets that move along y are measured as if they stood upright, and nothing is said; or ridges

@@ -270,6 +270,11 @@ class _Slopes:
     along_z: Floats
     along_x: Floats
 
+    def part(self, first: int, last: int) -> _Slopes:
+        """Those of some bands."""
+        bands = np.s_[:, first:last]
+        return replace(self, mean=self.mean[bands], difference=self.difference[bands])
+
 
 def choose_strip(
     video: Video, rows: slice | None, *, columns: slice | None = None, settings: VideoSettings = DEFAULTS
@@ -329,6 +334,8 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
         return Strip(slice(0, height), "all rows")
     slopes = _measure_slopes(video, slice(0, height), x, band_rows, settings)
     best = _best_run(slopes, settings)
+    if best is not None:
+        best = _rather_moving(slopes, best, settings)
     if best is None:
         whole = slice(0, height)
         return _told_level(Strip(whole, "all rows"), slopes, whole, video, settings)
@@ -547,6 +554,31 @@ def _best_run(slopes: _Slopes, settings: VideoSettings) -> tuple[int, int] | Non
         if highest > score and _clarity(slopes, first, last) >= settings.min_clarity:
             best, score = (first, last), highest
     return best
+
+
+def _rather_moving(slopes: _Slopes, best: tuple[int, int], settings: VideoSettings) -> tuple[int, int]:
+    """The best run above or below this one if it moves and this one stands still, as a ruler does; else this
+    one. What moves in few segments (the time of day) is no comb."""
+    bands = slopes.mean.shape[1]
+    starts = _segment_starts(slopes.mean.shape[-1], settings)
+    own, wide = _change(slopes, *best), _shows_ridges(slopes.part(*best), starts, settings).sum()
+    moves, chosen = max(settings.moving_change, settings.moving_ratio * own), best
+    for first, last in ((0, best[0]), (best[1], bands)):
+        part = slopes.part(first, last)
+        run = _best_run(part, settings) if last > first else None
+        if run is None or _shows_ridges(part.part(*run), starts, settings).sum() < wide / 2:
+            continue
+        if (change := _change(part, *run)) > moves:
+            moves, chosen = change, (first + run[0], first + run[1])
+    return chosen
+
+
+def _change(slopes: _Slopes, first: int, last: int) -> float:
+    """Power of what differs between the frames beyond noise, over that of the slope; brightness aside."""
+    mean, noise = (part[:, first:last].mean(axis=1) for part in (slopes.mean, slopes.difference))
+    size = np.linalg.norm(mean, axis=1, keepdims=True)
+    mean, noise = (part / np.maximum(size, 1e-9) for part in (mean, noise))
+    return max(0.0, float(mean.var(axis=0, ddof=min(1, len(mean) - 1)).sum() - (noise**2).sum(axis=1).mean()))
 
 
 def _segment_starts(width: int, settings: VideoSettings) -> Ints:
