@@ -346,6 +346,9 @@ def cut_at_60(kind):
     level = np.tile(brightness(50), (150, 1))
     if kind == "camera moved":
         x[60:] += 37.0
+    if kind == "camera knocked":
+        swing = np.arange(90.0)[:, None]
+        x[60:] += 45 * np.exp(-swing / 6) * np.cos(1.3 * swing)
     if kind == "mirrored":
         level[60:] = level[60:, ::-1]
     if kind == "light dimmed":
@@ -364,9 +367,9 @@ def test_a_cut_film_is_said_to_be_cut(kind):
     assert abs(tracks.attrs["axis_px"] - (622 if kind == "camera moved" else 600)) < 20  # not a knock's place
 
 
-@pytest.mark.parametrize("kind", ["slips alone", "light dimmed"])
+@pytest.mark.parametrize("kind", ["slips alone", "light dimmed", "camera knocked"])
 def test_a_film_of_slips_is_not_cut(kind):
-    """A failure means that every slip, or a lamp, is called a change of scene."""
+    """A failure means that every slip, a lamp, or a camera that swings back is called a change of scene."""
     assert TrackMetadata.of(track_sheets(cut_at_60(kind))).scene_changes == []
 
 

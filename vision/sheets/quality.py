@@ -509,7 +509,8 @@ def scene_changes(
     -----
     Means over five frames before and after are compared. In a slip the sides of the comb move against each
     other and every sheet keeps its looks. It is another scene where all sheets are displaced by more than the
-    comb's ends are against each other, or their brightnesses change, once and by several times what is usual.
+    comb's ends are against each other, or their brightnesses change, once and by several times what is usual,
+    and most of that is left some frames later: a camera that was knocked swings back.
     """
     frames, sheets = x_px.shape
     if frames < 4 * SCENE_FRAMES or sheets < 3:
@@ -525,11 +526,13 @@ def scene_changes(
     change = np.sqrt((np.where(known, looks, 0.0) ** 2).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
     change[known.sum(axis=1) < max(3, sheets / 2)] = 0.0
     found = []
-    for values, limit in ((size, 1.0), (change, settings.cut_brightness)):
+    sorts = ((size, 1.0, x_px, together), (change, settings.cut_brightness, bright, change))
+    for values, limit, measured, by in sorts:
         least = max(limit, settings.cut_ratio * float(np.median(values)))
         at = int(np.argmax(values))
         others = np.abs(np.arange(len(values)) - at) > 2 * SCENE_FRAMES
-        if values[at] >= least and (values[others] < values[at] / 2).all():
+        once = values[at] >= least and (values[others] < values[at] / 2).all()
+        if once and _lasts(measured, at + SCENE_FRAMES, by[at]):
             found.append(at)
     if len(found) == 2 and abs(found[0] - found[1]) <= SCENE_FRAMES:
         found = found[:1]
@@ -537,6 +540,14 @@ def scene_changes(
         SceneChange(at + SCENE_FRAMES, float(np.nan_to_num(together[at])), float(change[at]))
         for at in sorted(found)
     ]
+
+
+def _lasts(values: Floats, frame: int, change: float) -> bool:
+    """Whether half of a change of values (frame, N) is left three times SCENE_FRAMES after a frame."""
+    later = values[frame + 3 * SCENE_FRAMES :][:SCENE_FRAMES]
+    left = nan_median(later) - nan_median(values[:frame][-4 * SCENE_FRAMES :])
+    left = left[np.isfinite(left)]
+    return not len(left) or bool(np.sqrt((left**2).mean()) >= abs(change) / 2)
 
 
 def _after_less_before(values: Floats) -> Floats:
