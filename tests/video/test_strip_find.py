@@ -258,6 +258,21 @@ def test_level_ridges(noise):
     assert not any("rotate" in warning for warning in find_strip(level, settings=quiet).warnings)
 
 
+@pytest.mark.parametrize("kind", ["wide", "dead rows"])
+def test_upright_ridges_are_not_said_to_lie_level(kind):
+    """Failure: sheets so wide that their texture is steeper than they are, or rows of a sensor that do not
+    work, are said to lie level."""
+    rng, x = np.random.default_rng(1), np.arange(1280)
+    pitch, fwhm = (300, 100) if kind == "wide" else (20, 8)
+    ridges = 40 + 110 * np.exp(-((((x - 640) % pitch) - pitch / 2) ** 2) / 2 / (fwhm / 2.355) ** 2)
+    texture = np.repeat(rng.normal(0, 6 if kind == "wide" else 1, (80, 80)), 16, axis=1)
+    frames = ridges + texture + rng.normal(0, 0.5, (6, 80, 1280))
+    if kind == "dead rows":
+        frames[:, [10, 23, 24, 37, 60]] = 0
+    found = find_strip(Scene(frames.clip(0, 255).astype(np.uint8)))
+    assert not any("rotate" in told for told in found.warnings)
+
+
 @pytest.mark.skipif(not DATA.exists(), reason="real recordings are not here")
 @pytest.mark.parametrize("name", ["striped_beam.cine", "two_bands.cih", "sarcomeres.avi"])
 def test_real_recordings_that_move_along_y(name):

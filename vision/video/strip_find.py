@@ -261,7 +261,7 @@ class _Slopes:
 
     mean: (frame, band, x). difference: half the difference of odd and even rows, the same shape, noise alone.
     band_rows: rows in a band. along_z, along_x: mean square steps of the grey level over 2 px, of every
-    second row.
+    second row. picture: the mean of the frames, every second row and column.
     """
 
     mean: Floats32
@@ -269,6 +269,7 @@ class _Slopes:
     band_rows: int
     along_z: Floats
     along_x: Floats
+    picture: Floats32
 
     def part(self, first: int, last: int) -> _Slopes:
         """Those of some bands."""
@@ -352,10 +353,12 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
 
 
 def _told_level(strip: Strip, slopes: _Slopes, rows: slice, video: Video, settings: VideoSettings) -> Strip:
-    """The strip, with a warning where these rows change along z rather than along x."""
+    """The strip, with a warning where these rows change along z rather than along x, from pixel to pixel and
+    as a whole: the texture of wide sheets and dead rows make no level ridges."""
     rows = slice(rows.start // 2, rows.stop // 2)
     along_z, along_x = float(slopes.along_z[rows].mean()), float(slopes.along_x[rows].mean())
-    if along_z <= settings.max_level * along_x or not along_x:
+    level, upright = (np.ptp(np.quantile(slopes.picture.mean(axis=axis), (0.1, 0.9))) for axis in (1, 0))
+    if along_z <= settings.max_level * along_x or not along_x or 2 * level < upright:
         return strip
     warning = (
         f"grey levels change {math.sqrt(along_z / along_x):.1f} times as much from row to row as along the "
@@ -488,7 +491,8 @@ def _measure_slopes(
     odd, even = slope[:, 0], slope[:, 1]
     half = np.float32(0.5)
     along_z, along_x = np.mean([_steps(frame[rows, columns]) for frame in frames], axis=0)
-    return _Slopes((odd + even) * half, (odd - even) * half, band_rows, along_z, along_x)
+    picture = np.mean([_known(frame[rows, columns][::2, ::2]) for frame in frames], axis=0)
+    return _Slopes((odd + even) * half, (odd - even) * half, band_rows, along_z, along_x, picture)
 
 
 def _steps(frame: Pixels) -> Floats:
