@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median, nan_quantile
+from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, Strings, nan_median, nan_quantile
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import Starts, gather
@@ -132,6 +132,14 @@ def _excess(values: Floats, least: float) -> Floats:
     off = values - nan_median(values)
     spread = nan_median(np.abs(off)) / NORMAL_MEDIAN
     return np.nan_to_num(np.maximum(off - least, 0.0) / np.maximum(spread, 0.004))
+
+
+def beside_missing(flag: Strings) -> Bools:
+    """Positions (frame, N) next to a sheet that is missing in that frame. What covers a sheet cuts into the
+    next one, whose ridge then jumps and changes its shape as if it were blurred, and may be off by half of
+    its width."""
+    missing = np.pad(flag == "missing", ((0, 0), (1, 1)))
+    return np.asarray(missing[:, :-2] | missing[:, 2:], bool)
 
 
 def not_one_ridge(

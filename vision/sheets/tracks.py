@@ -18,6 +18,7 @@ from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.quality import (
     BetweenSlips,
+    beside_missing,
     distortion,
     motion_blur,
     not_one_ridge,
@@ -93,8 +94,9 @@ def track_sheets(
         x_px, x_err_px and flag (frame, sheet); side, n, x_mean_px, found, fwhm_px, snr, x_noise_px (sheet);
         time_s (frame); see `vision.data.TRACKS`. x_px is NaN wherever flag is neither "ok" nor "blurred":
         "missing" (no ridge there), "merged" (several sheets in one ridge), "edge" (outside the picture or too
-        near its edge), "doubtful" (identity not certain), "unfit" (the fit has no answer), or the frame's own
-        "frozen", "blank", "corrupt", "lost". What was found automatically is in `vision.data.TrackMetadata`.
+        near its edge), "doubtful" (identity not certain), "unfit" (the fit has no answer, or what hides
+        the next sheet cuts the ridge), or the frame's own "frozen", "blank", "corrupt", "lost". What was
+        found automatically is in `vision.data.TrackMetadata`.
 
     Raises
     ------
@@ -142,8 +144,10 @@ def track_sheets(
     blur = motion_blur(
         np.where(frozen[:, None], np.nan, x), detections.contrast, detections.fwhm_px, comb, settings
     )
+    smeared = (blur.err_px > 0) | blur.blurred
+    x[smeared & beside_missing(detections.flag)] = np.nan
     bright = profile if comb.sign > 0 else -profile
-    pulled = distortion(bright, x, errors.err_px, (blur.err_px > 0) | blur.blurred, comb, settings)
+    pulled = distortion(bright, x, errors.err_px, smeared, comb, settings)
     several = not_one_ridge(bright, x, comb, settings)
     several |= nan_median(pulled) > settings.most_pulled * comb.fwhm_px
     several |= marks(x, errors.err_px, pulled, comb, settings)
