@@ -55,6 +55,18 @@ def test_quiet_frames_of_a_film_that_vibrates_are_no_repeats(seed):
     assert np.flatnonzero(repeated_frames(picture)).tolist() == [77]
 
 
+def test_a_camera_that_shakes_by_pixels_repeats_no_frame():
+    """At one turning point two frames stand alike within a tenth of a pixel, which is more than noise, and
+    nothing else comes near. Failure: a frame with a motion of its own has no position."""
+    x, _ = creeping()
+    x = x + 4.0 * (-1.0) ** np.arange(120)[:, None]
+    x[60] = x[59] + 0.1
+    picture = strip(ridges(x, width=440), snr=200).values
+    assert not repeated_frames(picture).any()
+    picture[60] = picture[59]
+    assert np.flatnonzero(repeated_frames(picture)).tolist() == [60]
+
+
 def test_the_noise_is_measured_without_the_repeats():
     """Every frame twice, as from a codec that doubles the rate: the noise is still that of the frames."""
     _, picture = creeping()

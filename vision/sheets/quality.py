@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, Strings, nan_median, nan_quantile
-from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb
+from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, profile_noise
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import Starts, gather
 
@@ -44,8 +44,9 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
     -----
     By the root mean square change from the frame before. Noise alone makes a frame differ from the one before
     by √2 of its standard deviation, within a few per cent; a frame that changes by much less than any other
-    of the quietest tenth repeats the one before. Without such a gap nothing is repeated: where the camera or
-    the sheets vibrate, frames near a turning point change by less than most, too.
+    of the quietest tenth, and by less than noise, repeats the one before. Without such a gap nothing is
+    repeated: where the camera or the sheets vibrate, frames near a turning point change by less than most,
+    too.
     """
     change = np.empty(max(0, len(profile) - 1))
     for start in range(0, len(change), FRAMES_PER_BLOCK):
@@ -58,7 +59,9 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
         quiet = np.sort(change[change <= np.quantile(moving, 0.1)])
         gaps = np.flatnonzero(quiet[:-1] < settings.frozen_fraction * quiet[1:])
         if gaps.size:
-            frozen[1:] = change <= quiet[gaps[-1]]
+            known = np.flatnonzero(np.isfinite(change))
+            some = known[np.linspace(0, len(known) - 1, 200).astype(int)]
+            frozen[1:] = change <= min(quiet[gaps[-1]], np.sqrt(2) * profile_noise(profile[some]))
     return frozen
 
 
