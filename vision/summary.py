@@ -164,7 +164,7 @@ def consistency_warnings(
             f"{len(weak)} of {found.sheets} sheets (index {which}) hardly stand out from the background or"
             " are found in few frames: they may be none; restrict `columns` or give `sheets`"
         )
-    slack = found.pitch_px / 2
+    slack = 0.75 * found.pitch_px  # half a spacing, as the axis lies between whole sheets, of uneven ones
     known = math.isfinite(found.axis_low_px) and math.isfinite(found.axis_high_px)
     if known and not found.axis_low_px - slack <= found.axis_px <= found.axis_high_px + slack:
         lines.append(

@@ -70,6 +70,26 @@ def test_a_mark_beside_sheets_that_hardly_move_has_no_position(away_px, seed):
         assert ok.sum() >= 14 * 120
 
 
+@pytest.mark.parametrize("slip", [0.3, 0.03])
+@pytest.mark.parametrize("right", [True, False])
+def test_a_ruler_beside_the_comb_is_not_tracked(slip, right):
+    """Ticks at half the sheets' spacing stand beside the comb. A failure means that they are given as sheets,
+    though they never move; or that a side of the comb that stands apart and still is taken for a ruler."""
+    truth = comb(120, per_side=8, axis_px=400, slip=slip, uneven=0.05)
+    ticks = np.arange(60, 210, 10.0)
+    places = np.c_[np.tile(ticks, (120, 1)), truth]
+    picture = ridges(places, width=800, fwhm_px=5.0)
+    tracks = track_sheets(strip(picture[:, ::-1] if right else picture))
+    x = tracks.x_px.values
+    x = (799 - x)[:, ::-1] if right else x
+    given = np.isfinite(x)
+    assert given.sum() == truth.size
+    assert (np.abs(x[given].reshape(truth.shape) - truth) < 1).all()
+    moved = truth[:, :7:-1] - truth[:, :7:-1].mean(axis=0)
+    apart = np.c_[np.tile(60 + 20.0 * np.arange(5), (120, 1)), 220 + 20 * np.arange(8) + moved]
+    assert np.isfinite(track_sheets(strip(ridges(apart, width=800))).x_px.values).all()
+
+
 def test_a_few_sheets_are_no_comb_to_compare_with():
     """A failure means that a handful of markers is said to lack one."""
     assert not wide_spacings(np.array([0.0, 20, 40, 80, 100, 120, 140]))[0].size

@@ -224,6 +224,28 @@ def test_rows_with_the_time_of_day_are_left_out(rows):
     assert kept.stop > rows.start
 
 
+@pytest.mark.parametrize("first", [0, 60])
+def test_a_ruler_is_no_comb(first):
+    """Failure: the ticks of a ruler below or above the comb, clearer than its ridges, are tracked for it.
+
+    With the setting out of reach they are, and so is a comb that stands still."""
+    x, noise = np.arange(1280), np.random.default_rng(1)
+    frames = np.empty((8, 140, 1280), np.uint8)
+    comb, ruler = (slice(0, 60), slice(80, 140)) if first == 0 else (slice(60, 140), slice(0, 50))
+    for t, frame in enumerate(frames):
+        rows = np.full((140, 1280), 180.0)
+        rows[comb] = 40 + 110 * np.exp(-((((x - 0.5 * t) % 20) - 10) ** 2) / 23) * (abs(x - 640) < 500)
+        rows[ruler, x % 12 < 3] = 20
+        frame[:] = (rows + noise.normal(0, 3, rows.shape)).clip(0, 255)
+    within = find_strip(Scene(frames)).rows
+    assert comb.start - 2 <= within.start < within.stop <= comb.stop + 2
+    assert within.stop - within.start > 40
+    unmoved = find_strip(Scene(frames), settings=VideoSettings(moving_change=2.0))
+    for still in (unmoved, find_strip(Scene(frames[:1]))):
+        assert still.rows.start >= ruler.start - 2
+        assert still.rows.stop <= ruler.stop + 2
+
+
 @pytest.mark.parametrize("noise", [1.0, 8.0])
 def test_level_ridges(noise):
     """Failure: sheets that move along y are measured as if they stood upright, and nothing is said; or ridges
@@ -234,6 +256,21 @@ def test_level_ridges(noise):
     assert "give `rotate` 0" in find_strip(level).warnings[-1]
     quiet = VideoSettings(max_level=1e9)
     assert not any("rotate" in warning for warning in find_strip(level, settings=quiet).warnings)
+
+
+@pytest.mark.parametrize("kind", ["wide", "dead rows"])
+def test_upright_ridges_are_not_said_to_lie_level(kind):
+    """Failure: sheets so wide that their texture is steeper than they are, or rows of a sensor that do not
+    work, are said to lie level."""
+    rng, x = np.random.default_rng(1), np.arange(1280)
+    pitch, fwhm = (300, 100) if kind == "wide" else (20, 8)
+    ridges = 40 + 110 * np.exp(-((((x - 640) % pitch) - pitch / 2) ** 2) / 2 / (fwhm / 2.355) ** 2)
+    texture = np.repeat(rng.normal(0, 6 if kind == "wide" else 1, (80, 80)), 16, axis=1)
+    frames = ridges + texture + rng.normal(0, 0.5, (6, 80, 1280))
+    if kind == "dead rows":
+        frames[:, [10, 23, 24, 37, 60]] = 0
+    found = find_strip(Scene(frames.clip(0, 255).astype(np.uint8)))
+    assert not any("rotate" in told for told in found.warnings)
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="real recordings are not here")

@@ -10,6 +10,7 @@ import numpy as np
 from vision.numeric import NORMAL_MEDIAN, Floats, Ints, nan_median
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import position_noise
+from vision.signals import running_median
 
 AxisHow = Literal["given", "motion", "geometry"]
 
@@ -103,6 +104,7 @@ def _split_by_motion(
     rigid = np.abs(opening).max() > 3.0  # px per px: what moves more than the ends do moves as a whole
     if sheets < 3 or not moves or rigid:
         return sheets // 2, "geometry", None
+    opening = running_median(opening, 3)  # one sheet between two that agree was covered in a slip
     good = _splits(opening, error, settings)
     shift = settings.vibration_sigmas * vibration
     first, last = (_middle(_splits(opening + sign * shift, error, settings)) for sign in (1, -1))

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median, nan_quantile
-from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Strings, nan_median, nan_quantile
+from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, profile_noise
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
@@ -41,8 +41,9 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
     -----
     By the root mean square change from the frame before. Noise alone makes a frame differ from the one before
     by √2 of its standard deviation, within a few per cent; a frame that changes by much less than any other
-    of the quietest tenth repeats the one before. Without such a gap nothing is repeated: where the camera or
-    the sheets vibrate, frames near a turning point change by less than most, too.
+    of the quietest tenth, and by less than noise, repeats the one before. Without such a gap nothing is
+    repeated: where the camera or the sheets vibrate, frames near a turning point change by less than most,
+    too.
     """
     change = np.empty(max(0, len(profile) - 1))
     for start in range(0, len(change), FRAMES_PER_BLOCK):
@@ -55,7 +56,9 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
         quiet = np.sort(change[change <= np.quantile(moving, 0.1)])
         gaps = np.flatnonzero(quiet[:-1] < settings.frozen_fraction * quiet[1:])
         if gaps.size:
-            frozen[1:] = change <= quiet[gaps[-1]]
+            known = np.flatnonzero(np.isfinite(change))
+            some = known[np.linspace(0, len(known) - 1, 200).astype(int)]
+            frozen[1:] = change <= min(quiet[gaps[-1]], np.sqrt(2) * profile_noise(profile[some]))
     return frozen
 
 
@@ -129,6 +132,14 @@ def _excess(values: Floats, least: float) -> Floats:
     off = values - nan_median(values)
     spread = nan_median(np.abs(off)) / NORMAL_MEDIAN
     return np.nan_to_num(np.maximum(off - least, 0.0) / np.maximum(spread, 0.004))
+
+
+def beside_missing(flag: Strings) -> Bools:
+    """Positions (frame, N) next to a sheet that is missing in that frame. What covers a sheet cuts into the
+    next one, whose ridge then jumps and changes its shape as if it were blurred, and may be off by half of
+    its width."""
+    missing = np.pad(flag == "missing", ((0, 0), (1, 1)))
+    return np.asarray(missing[:, :-2] | missing[:, 2:], bool)
 
 
 class BetweenSlips:
@@ -213,7 +224,8 @@ def scene_changes(
     -----
     Means over five frames before and after are compared. In a slip the sides of the comb move against each
     other and every sheet keeps its looks. It is another scene where all sheets are displaced by more than the
-    comb's ends are against each other, or their brightnesses change, once and by several times what is usual.
+    comb's ends are against each other, or their brightnesses change, once and by several times what is usual,
+    and most of that is left some frames later: a camera that was knocked swings back.
     """
     frames, sheets = x_px.shape
     if frames < 4 * SCENE_FRAMES or sheets < 3:
@@ -229,11 +241,13 @@ def scene_changes(
     change = np.sqrt((np.where(known, looks, 0.0) ** 2).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
     change[known.sum(axis=1) < max(3, sheets / 2)] = 0.0
     found = []
-    for values, limit in ((size, 1.0), (change, settings.cut_brightness)):
+    sorts = ((size, 1.0, x_px, together), (change, settings.cut_brightness, bright, change))
+    for values, limit, measured, by in sorts:
         least = max(limit, settings.cut_ratio * float(np.median(values)))
         at = int(np.argmax(values))
         others = np.abs(np.arange(len(values)) - at) > 2 * SCENE_FRAMES
-        if values[at] >= least and (values[others] < values[at] / 2).all():
+        once = values[at] >= least and (values[others] < values[at] / 2).all()
+        if once and _lasts(measured, at + SCENE_FRAMES, by[at]):
             found.append(at)
     if len(found) == 2 and abs(found[0] - found[1]) <= SCENE_FRAMES:
         found = found[:1]
@@ -241,6 +255,14 @@ def scene_changes(
         SceneChange(at + SCENE_FRAMES, float(np.nan_to_num(together[at])), float(change[at]))
         for at in sorted(found)
     ]
+
+
+def _lasts(values: Floats, frame: int, change: float) -> bool:
+    """Whether half of a change of values (frame, N) is left three times SCENE_FRAMES after a frame."""
+    later = values[frame + 3 * SCENE_FRAMES :][:SCENE_FRAMES]
+    left = nan_median(later) - nan_median(values[:frame][-4 * SCENE_FRAMES :])
+    left = left[np.isfinite(left)]
+    return not len(left) or bool(np.sqrt((left**2).mean()) >= abs(change) / 2)
 
 
 def _after_less_before(values: Floats) -> Floats:

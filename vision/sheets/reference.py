@@ -20,6 +20,7 @@ from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import running_median
 
 LEAST_IN_VIEW = 0.13  # fraction of the frames: what was in view for less has not been seen often enough
+ODD_SPACING = 0.25  # logarithm by which a spacing is not the comb's
 
 
 @dataclass(frozen=True)
@@ -360,7 +361,8 @@ def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettin
     A sheet moves at least as much as its neighbours on one of its sides: motion grows outwards. So each entry
     is compared with the smaller of the motions to its left and to its right (each the mean of two
     neighbours), as far as these go the same way, where that motion is large enough. The centre of the comb
-    hardly moves, so nothing is decided there; at its ends only where their spacing is not the comb's.
+    hardly moves, so nothing is decided there; at its ends only where their spacing is not the comb's. A row
+    of marks beside the comb has still neighbours; it stands apart, at another spacing.
 
     Parameters
     ----------
@@ -371,7 +373,7 @@ def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettin
     """
     left, right = _beside(moved_px), _beside(moved_px[:, ::-1])[:, ::-1]
     gap = np.diff(rest_px)
-    odd = np.abs(np.log(gap / np.median(gap))) > 0.25 if len(gap) > 1 else np.zeros(2, bool)
+    odd = np.abs(np.log(gap / np.median(gap))) > ODD_SPACING if len(gap) > 1 else np.zeros(2, bool)
     if odd[0]:
         left[:, 0] = right[:, 0]
     if odd[-1]:
@@ -382,7 +384,30 @@ def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettin
     own = np.where(both, np.nan_to_num(moved_px) ** 2, 0.0).sum(axis=0)
     frames = both.sum(axis=0)
     certain = (frames >= 50) & (power > frames * settings.moving_px**2)
-    return np.asarray(certain & (own < settings.static_fraction**2 * power), bool)
+    still = certain & (own < settings.static_fraction**2 * power)
+    return np.asarray(still | _still_beside_the_comb(moved_px, rest_px, settings), bool)
+
+
+def _still_beside_the_comb(moved_px: Floats, rest_px: Floats, settings: TrackingSettings) -> Bools:
+    """Which entries (N,) belong to a row of marks beside the comb, a ruler: the smaller part on one side of a
+    wide spacing, with another spacing than the rest, that stands still while sheets near it move."""
+    gap, still = np.diff(rest_px), np.zeros(len(rest_px), bool)
+    for wide in np.flatnonzero(gap > settings.wide_pitches * np.median(gap)) if len(gap) else ():
+        left, right = np.split(np.arange(len(rest_px)), [wide + 1])
+        row, rest, near = (left, right, right[:4]) if len(left) < len(right) else (right, left, left[-4:])
+        pitches = [np.median(np.diff(rest_px[part])) for part in (row, rest) if len(part) > 1]
+        if len(pitches) == 2 and abs(np.log(pitches[0] / pitches[1])) > ODD_SPACING:
+            own, beside = (_mean_motion(moved_px[:, part]) for part in (row, near))
+            moving = beside > 0.5 * settings.moving_px  # the mean of four
+            still[row] |= moving and own < settings.static_fraction * beside
+    return still
+
+
+def _mean_motion(moved_px: Floats) -> float:
+    """Root mean square of the mean motion of some entries (frame, entries)."""
+    known = np.isfinite(moved_px)
+    mean = np.where(known, moved_px, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    return float(np.sqrt((mean**2).mean()))
 
 
 def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: TrackingSettings = DEFAULT) -> Bools:
@@ -417,9 +442,10 @@ def marks(
 ) -> Bools:
     """Which sheets (N,) are marks, or lie under one: what is measured there is not the sheet.
 
-    They usually are distorted, and show a second sign: they move far less than the sheets on both sides, or
-    not at all and stand out of the comb's even spacing. One sign is not enough: dirt distorts sheets in their
-    places, combs are uneven, and sheets of the stiff centre hardly move.
+    They are a still row beside the comb (`static_ridges`). Or they usually are distorted, and show a second
+    sign: they move far less than the sheets on both sides, or not at all and stand out of the comb's even
+    spacing. One sign is not enough: dirt distorts sheets in their places, combs are uneven, and sheets of the
+    stiff centre hardly move.
 
     Parameters
     ----------
@@ -436,10 +462,11 @@ def marks(
     unmoved = nan_median(np.abs(x_px - place)) < least
     with np.errstate(divide="ignore", invalid="ignore"):  # sheets swapped by hand, or never seen
         still = static_ridges(x_px - place, place, settings=quick)
+        beside = _still_beside_the_comb(x_px - place, place, replace(settings, moving_px=least))
         uneven = np.abs(np.log(np.diff(place) / comb.pitch_px)) > settings.mark_uneven
     astray = np.append(uneven, False) | np.insert(uneven, 0, False)
     odd = nan_median(pulled_px) > settings.mark_pulled * comb.fwhm_px
-    return np.asarray(odd & (still | (astray & unmoved)), bool)
+    return np.asarray(beside | odd & (still | (astray & unmoved)), bool)
 
 
 def _beside(moved_px: Floats) -> Floats:

@@ -19,6 +19,7 @@ from vision.sheets.neighbours import said_by_neighbours
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.quality import (
     BetweenSlips,
+    beside_missing,
     motion_blur,
     repeated_frames,
     scene_changes,
@@ -91,8 +92,9 @@ def track_sheets(
         x_px, x_err_px and flag (frame, sheet); side, n, x_mean_px, found, fwhm_px, snr, x_noise_px (sheet);
         time_s (frame); see `vision.data.TRACKS`. x_px is NaN wherever flag is neither "ok" nor "blurred":
         "missing" (no ridge there), "merged" (several sheets in one ridge), "edge" (outside the picture or too
-        near its edge), "doubtful" (identity not certain), "unfit" (the fit has no answer), or the frame's own
-        "frozen", "blank", "corrupt", "lost". What was found automatically is in `vision.data.TrackMetadata`.
+        near its edge), "doubtful" (identity not certain), "unfit" (the fit has no answer, or what hides
+        the next sheet cuts the ridge), or the frame's own "frozen", "blank", "corrupt", "lost". What was
+        found automatically is in `vision.data.TrackMetadata`.
 
     Raises
     ------
@@ -140,7 +142,7 @@ def track_sheets(
     x, err, noise, used = _positions(profile, detections.start_px, comb, fit, window, frozen, settings)
     errors = _errors(x, err, noise, frozen, facts.codec, settings)
     judged = _judged(comb.bright(profile), x, errors, detections, frozen, comb, settings)
-    detections = replace(detections, flag=judged.flag)
+    x, detections = judged.x_px, replace(detections, flag=judged.flag)
     axis = None if axis_px is None else axis_px - origin_px
     numbering = number_sheets(x, axis_px=axis, settings=settings)
     found = _Tracked(
@@ -180,8 +182,10 @@ def track_sheets(
 
 
 class _Judged(NamedTuple):
-    """Flags, errors with what is more than noise, and what of it shows, all (frame, N)."""
+    """Positions without those that are cut, flags, errors with what is more than noise, and what of it shows,
+    all (frame, N)."""
 
+    x_px: Floats
     flag: Strings
     err_px: Floats
     blurred: Bools
@@ -200,14 +204,16 @@ def _judged(
     """What moved while the shutter was open, what is pulled aside, and what is no ridge of one sheet."""
     changing = np.where(frozen[:, None], np.nan, x_px)
     blur = motion_blur(changing, detections.contrast, detections.fwhm_px, comb, settings)
-    pulled = distortion(bright, x_px, errors.err_px, (blur.err_px > 0) | blur.blurred, comb, settings)
+    smeared = (blur.err_px > 0) | blur.blurred
+    x_px = np.where(smeared & beside_missing(detections.flag), np.nan, x_px)
+    pulled = distortion(bright, x_px, errors.err_px, smeared, comb, settings)
     lamp = shift_by_lamp(x_px, detections.contrast, comb, settings)
     several = not_one_ridge(bright, x_px, comb, settings)
     several |= nan_median(pulled) > settings.most_pulled * comb.fwhm_px
     several |= marks(x_px, errors.err_px, pulled, comb, settings)
     flag = np.where((detections.flag == "ok") & several, "merged", detections.flag)
     err = np.sqrt(errors.err_px**2 + blur.err_px**2 + pulled**2 + lamp**2)
-    return _Judged(flag, err, blur.blurred, pulled > 0)
+    return _Judged(x_px, flag, err, blur.blurred, pulled > 0)
 
 
 class _Errors(NamedTuple):

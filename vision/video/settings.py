@@ -45,6 +45,14 @@ class VideoSettings:
     ridges, which cost precision; shown by
     test_leaning_too_far_is_reported_and_the_wrong_rows_are_worse."""
 
+    moving_change: float = 0.01
+    """Part of a run's slope power that must change between the sampled frames for it to be taken in place of
+    a clearer one that stands still. Larger misses sheets that move by less than a tenth of their width beside
+    a ruler, smaller leaves good rows for others (test_a_ruler_is_no_comb)."""
+    moving_ratio: float = 20.0
+    """Times as much that it must change. Larger keeps a ruler that a shaking camera moves, smaller leaves the
+    comb's clearest rows where others happen to move more."""
+
     label_power: float = 2.0
     """Power of what single rows show beside the ridges, in terms of the ridges' own, above which it counts as
     written over the picture, where it is in two segments or more. Letters have 3 to 6, the round ends of real

@@ -261,7 +261,7 @@ class _Slopes:
 
     mean: (frame, band, x). difference: half the difference of odd and even rows, the same shape, noise alone.
     band_rows: rows in a band. along_z, along_x: mean square steps of the grey level over 2 px, of every
-    second row.
+    second row. picture: the mean of the frames, every second row and column.
     """
 
     mean: Floats32
@@ -269,6 +269,12 @@ class _Slopes:
     band_rows: int
     along_z: Floats
     along_x: Floats
+    picture: Floats32
+
+    def part(self, first: int, last: int) -> _Slopes:
+        """Those of some bands."""
+        bands = np.s_[:, first:last]
+        return replace(self, mean=self.mean[bands], difference=self.difference[bands])
 
 
 def choose_strip(
@@ -329,6 +335,8 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
         return Strip(slice(0, height), "all rows")
     slopes = _measure_slopes(video, slice(0, height), x, band_rows, settings)
     best = _best_run(slopes, settings)
+    if best is not None:
+        best = _rather_moving(slopes, best, settings)
     if best is None:
         whole = slice(0, height)
         return _told_level(Strip(whole, "all rows"), slopes, whole, video, settings)
@@ -345,10 +353,12 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
 
 
 def _told_level(strip: Strip, slopes: _Slopes, rows: slice, video: Video, settings: VideoSettings) -> Strip:
-    """The strip, with a warning where these rows change along z rather than along x."""
+    """The strip, with a warning where these rows change along z rather than along x, from pixel to pixel and
+    as a whole: the texture of wide sheets and dead rows make no level ridges."""
     rows = slice(rows.start // 2, rows.stop // 2)
     along_z, along_x = float(slopes.along_z[rows].mean()), float(slopes.along_x[rows].mean())
-    if along_z <= settings.max_level * along_x or not along_x:
+    level, upright = (np.ptp(np.quantile(slopes.picture.mean(axis=axis), (0.1, 0.9))) for axis in (1, 0))
+    if along_z <= settings.max_level * along_x or not along_x or 2 * level < upright:
         return strip
     warning = (
         f"grey levels change {math.sqrt(along_z / along_x):.1f} times as much from row to row as along the "
@@ -481,7 +491,8 @@ def _measure_slopes(
     odd, even = slope[:, 0], slope[:, 1]
     half = np.float32(0.5)
     along_z, along_x = np.mean([_steps(frame[rows, columns]) for frame in frames], axis=0)
-    return _Slopes((odd + even) * half, (odd - even) * half, band_rows, along_z, along_x)
+    picture = np.mean([_known(frame[rows, columns][::2, ::2]) for frame in frames], axis=0)
+    return _Slopes((odd + even) * half, (odd - even) * half, band_rows, along_z, along_x, picture)
 
 
 def _steps(frame: Pixels) -> Floats:
@@ -547,6 +558,31 @@ def _best_run(slopes: _Slopes, settings: VideoSettings) -> tuple[int, int] | Non
         if highest > score and _clarity(slopes, first, last) >= settings.min_clarity:
             best, score = (first, last), highest
     return best
+
+
+def _rather_moving(slopes: _Slopes, best: tuple[int, int], settings: VideoSettings) -> tuple[int, int]:
+    """The best run above or below this one if it moves and this one stands still, as a ruler does; else this
+    one. What moves in few segments (the time of day) is no comb."""
+    bands = slopes.mean.shape[1]
+    starts = _segment_starts(slopes.mean.shape[-1], settings)
+    own, wide = _change(slopes, *best), _shows_ridges(slopes.part(*best), starts, settings).sum()
+    moves, chosen = max(settings.moving_change, settings.moving_ratio * own), best
+    for first, last in ((0, best[0]), (best[1], bands)):
+        part = slopes.part(first, last)
+        run = _best_run(part, settings) if last > first else None
+        if run is None or _shows_ridges(part.part(*run), starts, settings).sum() < wide / 2:
+            continue
+        if (change := _change(part, *run)) > moves:
+            moves, chosen = change, (first + run[0], first + run[1])
+    return chosen
+
+
+def _change(slopes: _Slopes, first: int, last: int) -> float:
+    """Power of what differs between the frames beyond noise, over that of the slope; brightness aside."""
+    mean, noise = (part[:, first:last].mean(axis=1) for part in (slopes.mean, slopes.difference))
+    size = np.linalg.norm(mean, axis=1, keepdims=True)
+    mean, noise = (part / np.maximum(size, 1e-9) for part in (mean, noise))
+    return max(0.0, float(mean.var(axis=0, ddof=min(1, len(mean) - 1)).sum() - (noise**2).sum(axis=1).mean()))
 
 
 def _segment_starts(width: int, settings: VideoSettings) -> Ints:
