@@ -28,7 +28,7 @@ from vision.comparison.tests import TractionTest, read_tests
 from vision.comparison.trends import Irregularity, Trend, find_irregular, find_trends
 from vision.errors import InputError
 from vision.figures import Figure, both_errors, load_figures, plus_minus
-from vision.figures.compare import ComparedTests, compare_figures
+from vision.figures.compare import ComparedTests, compare_figures, velocity
 from vision.models import Estimate
 
 
@@ -275,14 +275,15 @@ def _sticks(tests: Sequence[TractionTest]) -> tuple[tuple[float, Figure], ...]:
     chosen: dict[float, Figure] = {}
     for test in sorted(tests, key=lambda t: -len(t.events)):
         path = test.folder / "figures.npz"
-        if test.speed_mm_min in chosen or not np.isfinite(test.speed_mm_min) or not path.is_file():
+        speed = velocity(test.speed_mm_min)  # measured ones differ in their last digits
+        if speed in chosen or not np.isfinite(speed) or not path.is_file():
             continue
         try:
             named = {figure.name: figure for figure in load_figures(path)}
         except (InputError, OSError):
             continue  # a figure less, no result less
         if "sticks" in named:
-            chosen[test.speed_mm_min] = named["sticks"]
+            chosen[speed] = named["sticks"]
     return tuple(sorted(chosen.items(), key=lambda item: item[0]))
 
 

@@ -168,7 +168,8 @@ def sticks_figures(o: ComparedTests) -> list[Figure]:
     panels = [(v, figure.panel) for v, figure in o.sticks]
     caption = (
         "Force above the valley against separation beyond it, events from the beginning to the end of the "
-        "test, as recorded. Dots: the central part, whose slope is K. Arrows: ΔF and Λ_st of the first."
+        "test, as recorded; of each velocity the test with most events. Dots: the central part, whose slope "
+        "is K. Arrows: ΔF and Λ_st of the first."
     )
     made = [
         Figure.of(
