@@ -30,3 +30,41 @@ def test_speeds_that_differ_in_the_last_digit_are_one(tmp_path):
     assert names.count("sticks_V1") == 1
     assert "sticks_V10" in names
     assert len(set(names)) == len(names)
+
+
+def test_tests_that_share_no_friction_coefficient(tmp_path):
+    """A failure means a joint μ, and its curve, that no test has, and nothing said."""
+    folders = [write_run(tmp_path / f"r{k}", events(mu=mu, seed=k)) for k, mu in enumerate((0.7, 0.9))]
+    found = vision.compare(folders)
+    assert found.joint[0].disagreement > 1000
+    (line,) = [line for line in found.warnings if "no single μ fits the 2 tests" in line]
+    assert f"{found.joint[0].disagreement:.3g}" in line
+    figures = {figure.name: figure for figure in found.figures()}
+    for name in ("peaks", "drops"):
+        assert [one.label for one in figures[name].panel.series] == ["r0", "r1"]
+    assert "No curve" in figures["peaks"].caption
+
+
+def test_tests_that_share_their_friction_coefficient(tmp_path):
+    """A failure means a warning about tests that agree, or a figure without the curve they share."""
+    found = vision.compare([write_run(tmp_path / f"r{k}", events(seed=k)) for k in range(2)])
+    assert not any("single μ" in line for line in found.warnings)
+    peaks = next(figure for figure in found.figures() if figure.name == "peaks")
+    assert [one.label for one in peaks.panel.series] == ["V = 1 mm/min", "Eq. 1"]
+
+
+def test_systematic_errors_of_the_runs_are_taken_over(tmp_path):
+    """A failure means a drifting load cell that the comparison knows nothing of, or an error of exactly 0."""
+    drift = {"mu": 0.07, "T0_N": 5.9, "A": 0.2, "N_hat_N": 0.1, "Lambda_hat_mm": 0.3, "K_N_per_mm": 1.0}
+    models = {"budget": {"d0": dict.fromkeys(drift), "load_drift": drift}}
+    folders = [
+        write_run(tmp_path / "known", events(seed=1), models=models),
+        write_run(tmp_path / "unknown", events(seed=2)),
+    ]
+    found = vision.compare(folders)
+    columns = ["mu_systematic", "T0_systematic_N", "A_systematic"]
+    known, unknown = (found.table.set_index("run").loc[name, columns] for name in ("known", "unknown"))
+    assert known.to_numpy(float) == pytest.approx([0.07, 5.9, 0.2])
+    assert unknown.isna().all()  # nothing moves μ, 𝒯0 and A
+    assert found.joint[0].mu.systematic_error == pytest.approx(0.035, rel=0.2)  # half of the weight is its own
+    assert np.isnan(vision.compare(folders[1:]).table["mu_systematic"].iloc[0])

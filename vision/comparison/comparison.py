@@ -148,6 +148,8 @@ def compare(
     lost = ", ".join(t.run for t, f in zip(tests, fits, strict=True) if np.isnan(f.scale_mm.value))
     if modulus_GPa is None and lost:
         warnings.append(f"no Λ̂ with Y_eff = {modulus.value:.3g} GPa: {lost} (`modulus_GPa`, `main_sample`)")
+    joint = _joint(tests, fits, settings)
+    warnings += [_misfit_line(one) for one in joint if one.disagrees]
     rows = _table(tests, fits)
     shared = {name: shared_shifts(tests, fits, name) for name in QUANTITIES}
     own = {with_word(name, "err"): [fit.own_error(name) for fit in fits] for name in QUANTITIES}
@@ -157,7 +159,7 @@ def compare(
         table=rows,
         modulus=modulus,
         modulus_from=source,
-        joint=_joint(tests, fits, settings),
+        joint=joint,
         collapse=collapse(tests, fits, modulus),
         irregular=tuple(find_irregular(test, settings) for test in tests),
         trends=find_trends(rows.assign(**own), settings, shared=shared),
@@ -262,6 +264,7 @@ def _overlay(found: Comparison) -> ComparedTests:
         amplitude=first.values["A"] if main is None else main.amplitude,
         modulus=found.modulus,
         joint_name="" if main is None else main.sample,
+        misfit=main.disagreement if main is not None and main.disagrees else np.nan,
         collapse=None if c is None else c.table,
         rms=(np.nan,) * 3 if c is None else (c.rms_before, c.rms_after, c.rms_noise),
         irregular=tuple(vars(one) for one in found.irregular),
@@ -319,6 +322,14 @@ def summary_lines(found: Comparison) -> list[str]:
     if looked and not claimed:
         lines.append(f"no trend among the {len(looked)} looked for")
     return lines
+
+
+def _misfit_line(one: JointFriction) -> str:
+    """That the tests of one joint fit do not share a μ."""
+    return (
+        f"{one.sample or 'all tests'}: no single μ fits the {len(one.runs)} tests (χ²/dof "
+        f"{one.disagreement:.3g}): take each test's own, in tests.csv"
+    )
 
 
 def joint_line(one: JointFriction) -> str:

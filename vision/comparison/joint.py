@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from vision.comparison.tests import TractionTest
+from vision.comparison.tests import INSTRUMENT, TractionTest
 from vision.errors import InputError
 from vision.models import Estimate, equations
 from vision.models.single_fits import (
@@ -62,7 +62,7 @@ class TestFit:
     # of M_eff sheets with this Y_eff
     values: Mapping[str, Estimate]
     # source of a systematic error to by how much it moves each of them (one standard error of the source):
-    # "d0" is the test's own, "Y_eff" all tests share, others belong to the sample
+    # "d0" and those of the force recording are the test's own, "Y_eff" all share, others belong to the sample
     shifts: Mapping[str, Mapping[str, float]]
     chi2_dof: float  # squared deviation over that between neighbouring events, mean of the three fits
     peak_scatter: float  # root mean square deviation of the peaks from the fit, as a share of them
@@ -84,9 +84,9 @@ class TestFit:
         return float(np.hypot(self.values[name].error, self.shifts.get("d0", {}).get(name, 0.0)))
 
     def systematic_error(self, name: str) -> float:
-        """All shifts together; NaN where there are none."""
-        found = [moved[name] for moved in self.shifts.values()]
-        return float(np.linalg.norm(found)) if found else float("nan")
+        """All shifts together; NaN where nothing that moves the quantity is known."""
+        total = float(np.linalg.norm([moved[name] for moved in self.shifts.values()]))
+        return total if total != 0 else float("nan")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +94,8 @@ class JointFriction:
     """One μ for several tests of one sample.
 
     The error of μ holds what differs from test to test: noise, each test's d0, and what the tests' own μ
-    differ by beyond that; the systematic one is that of the geometry, which all tests of a sample share.
+    differ by beyond that; the systematic one is that of the geometry, which all tests of a sample share, and
+    of the tests' load cells; NaN where neither is known.
     """
 
     sample: str  # its name
@@ -201,6 +202,8 @@ def _n_hat(mu: Estimate, scale: Estimate, sample: Sample) -> Estimate:
 def systematic_shifts(test: TractionTest, fit: TestFit, modulus: Estimate, main: bool) -> TestFit:
     """The fit with what each error of d0, the geometry and Y_eff moves it by.
 
+    Errors of the force recording (drift of the load cell, its low-pass) are those of the run's own fits.
+
     test, fit: of `fit_test`.  modulus: Y_eff; its systematic error is that of the main sample's geometry.
     main: whether the test is of the main sample: there K fixes Y_eff times the geometry, whose errors leave
     Λ̂ as it is.
@@ -232,6 +235,8 @@ def systematic_shifts(test: TractionTest, fit: TestFit, modulus: Estimate, main:
     source("d0", d_mm=test.errors.get("d0_mm", float("nan")))
     for name in _GEOMETRY:
         source(name, test.errors.get(name, float("nan")) / getattr(sample, name))
+    for name, parts in test.instrument.items():
+        shifts[name] = {q: parts.get(q, 0.0) for q in QUANTITIES}
     return replace(fit, shifts=shifts)
 
 
@@ -326,7 +331,8 @@ def fit_joint(
     between = float(np.var(own, ddof=1) - np.mean(errors**2))
     variance = widening / information.sum() + np.sum((share * by_d0) ** 2) + max(between, 0.0) / own.size
     shared = shared_shifts(tests, fits, "mu")
-    systematic = float(np.linalg.norm(shared @ share)) if len(shared) else float("nan")
+    own_sources = [share * [fit.shifts.get(name, {}).get("mu", 0.0) for fit in fits] for name in INSTRUMENT]
+    systematic = float(np.linalg.norm(np.concatenate([shared @ share, *own_sources]))) or float("nan")
     slow = [
         fit.values["A"]
         for test, fit in zip(tests, fits, strict=True)
@@ -346,12 +352,13 @@ def fit_joint(
 def shared_shifts(tests: Sequence[TractionTest], fits: Sequence[TestFit], quantity: str) -> Floats:
     """By how much each source that several tests share moves a quantity of each of them, (source, test).
 
-    Errors of the geometry are shared by the tests of one sample, those of Y_eff by all; d0 by none.
+    Errors of the geometry are shared by the tests of one sample, those of Y_eff by all; d0 and those of the
+    force recordings by none.
     """
     found: dict[tuple[str, str], Floats] = {}
     for k, (test, fit) in enumerate(zip(tests, fits, strict=True)):
         for source, moved in fit.shifts.items():
-            if source != "d0":
+            if source not in ("d0", *INSTRUMENT):
                 whose = test.sample_name if source in _GEOMETRY else ""
                 found.setdefault((source, whose), np.zeros(len(fits)))[k] = moved[quantity]
     return np.array(list(found.values())).reshape(-1, len(fits))
