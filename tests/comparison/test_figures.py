@@ -66,5 +66,7 @@ def test_systematic_errors_of_the_runs_are_taken_over(tmp_path):
     known, unknown = (found.table.set_index("run").loc[name, columns] for name in ("known", "unknown"))
     assert known.to_numpy(float) == pytest.approx([0.07, 5.9, 0.2])
     assert unknown.isna().all()  # nothing moves μ, 𝒯0 and A
-    assert found.joint[0].mu.systematic_error == pytest.approx(0.035, rel=0.2)  # half of the weight is its own
+    assert found.joint[0].mu.systematic_error == pytest.approx(
+        0.035, rel=0.2
+    )  # half of the weight is its own
     assert np.isnan(vision.compare(folders[1:]).table["mu_systematic"].iloc[0])
