@@ -149,7 +149,7 @@ def compare(
     if modulus_GPa is None and lost:
         warnings.append(f"no Λ̂ with Y_eff = {modulus.value:.3g} GPa: {lost} (`modulus_GPa`, `main_sample`)")
     joint = _joint(tests, fits, settings)
-    warnings += [_misfit_line(one) for one in joint if one.disagrees]
+    warnings += [_misfit_line(one) for one in joint if not one.fits]
     rows = _table(tests, fits)
     shared = {name: shared_shifts(tests, fits, name) for name in QUANTITIES}
     own = {with_word(name, "err"): [fit.own_error(name) for fit in fits] for name in QUANTITIES}
@@ -264,7 +264,7 @@ def _overlay(found: Comparison) -> ComparedTests:
         amplitude=first.values["A"] if main is None else main.amplitude,
         modulus=found.modulus,
         joint_name="" if main is None else main.sample,
-        misfit=main.disagreement if main is not None and main.disagrees else np.nan,
+        misfit=np.nan if main is None or main.fits else main.disagreement,
         collapse=None if c is None else c.table,
         rms=(np.nan,) * 3 if c is None else (c.rms_before, c.rms_after, c.rms_noise),
         irregular=tuple(vars(one) for one in found.irregular),
@@ -327,7 +327,7 @@ def summary_lines(found: Comparison) -> list[str]:
 def _misfit_line(one: JointFriction) -> str:
     """That the tests of one joint fit do not share a μ."""
     return (
-        f"{one.sample or 'all tests'}: no single μ fits the {len(one.runs)} tests (χ²/dof "
+        f"{one.sample or 'all tests'}: no single μ fits the {len(one.runs)} tests (χ²/dof of their own μ "
         f"{one.disagreement:.3g}): take each test's own, in tests.csv"
     )
 

@@ -45,6 +45,10 @@ class CompareSettings:
     smooth_events: int = 15
     """Window of the running scatter of ΔF. Shorter is noisier, longer blurs the place of a change; the
     scatter of a test without a change must stay level."""
+    joint_misfit: float = 2.0
+    """χ²/dof of the peaks about the joint curve, over that about each test's own, from which on no single μ
+    fits. Smaller warns of tests that differ by less than single events scatter; larger lets curves pass
+    beside the points. Tests of μ 0.890 to 0.894 give 1.2, of 0.89 and 0.91 eight."""
     draws: int = 4000
     """Permutations of a p value: its own scatter is √(p/draws), 0.0035 at 0.05."""
     significance: float = 0.05
@@ -105,6 +109,8 @@ class JointFriction:
     at_limit: tuple[str, ...]  # runs whose offset is as large as it may be
     disagreement: float  # χ²/dof of the tests' own μ about the common one
     amplitude: Estimate  # A, the weighted mean of the slow tests
+    misfit: float  # χ²/dof of all peaks about the joint curve, over that about each test's own
+    fits: bool  # whether the peaks scatter about the joint curve about as they do about their own
 
     @property
     def disagrees(self) -> bool:
@@ -338,6 +344,8 @@ def fit_joint(
         for test, fit in zip(tests, fits, strict=True)
         if not test.speed_mm_min > 1.05 * settings.slow_mm_min
     ]
+    points = sum(len(part[0]) for part in parts)
+    chi2 = misfit(mu) / max(points - len(parts) - 1, 1)  # widths are the scatter about the tests' own curves
     return JointFriction(
         sample=sample,
         runs=tuple(offsets),
@@ -346,6 +354,8 @@ def fit_joint(
         at_limit=tuple(run for run, t0 in offsets.items() if abs(t0) >= settings.t0_limit_N),
         disagreement=float(np.sum(((own - mu) / errors) ** 2) / (own.size - 1)),
         amplitude=Estimate(*weighted_mean(slow)[:2]),
+        misfit=chi2,
+        fits=chi2 < settings.joint_misfit,
     )
 
 

@@ -36,7 +36,7 @@ class ComparedTests:
     amplitude: Estimate  # A
     modulus: Estimate  # the Y_eff held fixed
     joint_name: str  # sample of the joint fit; "" where there is none
-    misfit: float  # χ²/dof of the tests' own μ about the joint one where they do not share it; else NaN
+    misfit: float  # χ²/dof of the tests' own μ about the joint one where that does not fit; else NaN
     collapse: pd.DataFrame | None  # one row an event: ``run``, ``d_v_mm``, ``d_hat``, ``sheets``
     rms: tuple[float, float, float]  # distance from the master curve before and after, that of noise alone
     irregular: Sequence[Mapping[str, Any]]  # running variation of ΔF and its change point, one mapping a test
@@ -86,12 +86,12 @@ def velocity(speed_mm_min: float) -> float:
 
 
 def peaks_figure(o: ComparedTests) -> Figure:
-    """F_p − 𝒯0 against d of all velocities, with Eq. 1 and the joint μ where the tests share it."""
+    """F_p − 𝒯0 against d of all velocities, with Eq. 1 and the joint μ where that fits."""
     offset = o.table.set_index("run")["T0_N"]
     events = o.events.assign(y=o.events["F_p_N"] - o.events["run"].map(offset))
     series = _points(o, events, "d_p_mm", "y")
     if np.isfinite(o.misfit):
-        model = f"No curve: no single μ fits these tests (χ²/dof {o.misfit:.3g})."
+        model = f"No curve: no single μ fits these tests (χ²/dof of their own μ {o.misfit:.3g})."
     else:
         d = _span(events, "d_p_mm")
         eq1 = Series.model("Eq. 1", d, equations.traction(d, mu=o.mu.value, sample=o.sample), MODEL)
@@ -153,7 +153,7 @@ def _velocity_name(speed_mm_min: float) -> str:
 
 
 def _points(o: ComparedTests, events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
-    """Used events by velocity, or by test where these do not share one μ; all others hollow and grey."""
+    """Used events by velocity, or by test where no single μ fits them; all others hollow and grey."""
     used, rest = events[events["used"]], events[~events["used"]].sort_values(x)
     series = _by_test(used, x, y) if np.isfinite(o.misfit) else _by_velocity(used, x, y)
     if len(rest):
