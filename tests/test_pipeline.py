@@ -1,5 +1,6 @@
 """analyse(): every stage once, in order, and nothing lost where one of them fails."""
 
+import html
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -59,6 +60,8 @@ def test_a_force_recording_alone_is_an_analysis_too(whole):
 def test_an_analysis_shows_itself(whole):
     """A failure means that a notebook shows a wall of text, or that a figure takes no axes."""
     assert whole._repr_html_().count("<img") == 1
+    for line in whole.summary():  # those that go on with the one before, too
+        assert line.partition(" ")[2].strip() in html.unescape(whole._repr_html_())
     ax = Figure().add_subplot()
     assert whole.plot.tracks(ax) is ax
     assert isinstance(whole.plot.noise(), Axes)

@@ -9,6 +9,7 @@ import pytest
 
 from tests.scenes.analysed import with_force
 from tests.scenes.combs import comb, ridges, strip
+from vision.clock.clock import Candidate
 from vision.data import StickMetadata
 from vision.sample import PUBLISHED
 from vision.sheets import track_sheets
@@ -100,9 +101,45 @@ def test_both_errors_are_printed():
     lines = summary_lines(with_force())
     models = next(line for line in lines if line.startswith("models"))
     assert models.count("(stat.)") == models.count("(syst.)") == 3
-    systematic = next(line for line in lines if line.startswith("systematic"))
-    assert "K ±" in systematic and "N/mm" in systematic and "Λ̂ ±" in systematic
-    assert "σ_x/Λ_st without that of pixel size" in systematic
+
+
+def test_systematic_errors_are_a_line_each():
+    """A failure means numbers that nobody can find in one long line, or no word on what is missing."""
+    lines = summary_lines(with_force())
+    first = next(k for k, line in enumerate(lines) if line.startswith("systematic"))
+    place, scale, stiffness, rest = (line[11:] for line in lines[first:])
+    assert place.startswith("place of a sheet") and place.count("±") == 1
+    assert scale.startswith("Λ̂ ±") and " mm" in scale
+    assert stiffness.startswith("K ±") and "N/mm" in stiffness
+    assert rest.startswith("not included: d0 has no error: give `d0_mm` as 13.0±0.1; pixel size has no error")
+
+
+def test_the_clock_s_errors_are_printed():
+    """A failure means a drift that is all noise, printed as if it were measured."""
+    found = with_force()
+    known = replace(found.clock, offset_s=36.2, offset_err_s=0.0121, drift_ppm=231.2, drift_err_ppm=635.0)
+    line = clocks_line(replace(found, clock=known))
+    assert "offset 36.200 ± 0.012 s, drift +231 ± 635 ppm" in line
+    assert "offset 36.2000 s, drift +231 ppm" in clocks_line(
+        replace(found, clock=replace(known, offset_err_s=np.nan, drift_err_ppm=np.nan))
+    )
+
+
+def test_ambiguous_clocks_list_their_candidates():
+    """A failure means that a user cannot choose between the offsets that the slips allow."""
+    found = with_force()
+    three = [
+        Candidate(offset_s=s, drift_ppm=0.0, log_likelihood=a, matched=5)
+        for s, a in ((36.2, 9.1), (35.7, 8.8), (36.7, 3.0), (37.2, 1.0))
+    ]
+    clock = replace(found.clock, status="ambiguous", candidates=tuple(three))
+    line = clocks_line(replace(found, clock=clock))
+    assert "ambiguous" in line and "36.200 s (9.1), 35.700 s (8.8), 36.700 s (3.0)" in line
+    assert "37.2" not in line
+
+
+def clocks_line(found):
+    return next(line for line in summary_lines(found) if line.startswith("clocks"))
 
 
 def test_frames_of_another_scene_are_named(picture):

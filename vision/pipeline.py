@@ -234,7 +234,12 @@ class Analysis:
         return lines
 
     def _repr_html_(self) -> str:
-        found = {name: rest.strip() for name, _, rest in (line.partition(" ") for line in self.summary())}
+        found: dict[str, str] = {}
+        name = ""
+        for line in self.summary():
+            head, _, rest = line.partition(" ")
+            name = head or name  # an indented line goes on with the one before
+            found[name] = f"{found[name]}; {rest.strip()}" if name in found else rest.strip()
         found |= {f"warning {k}": line for k, line in enumerate(self.warnings, 1)}
         text = html_table("analysis", found)
         if self.tracks is None:

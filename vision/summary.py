@@ -11,7 +11,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.data import StickMetadata, StripMetadata, TrackMetadata
-from vision.figures.labels import both_errors
+from vision.figures.labels import both_errors, candidates_text, drift_text, offset_text
 from vision.numeric import Pixels, nan_median
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
@@ -43,24 +43,29 @@ def summary_lines(results: Results) -> list[str]:
         lines.append(f"clocks     {_clocks(results.clock)}")
     if results.shells is not None and results.motion is not None:
         lines.append(f"shells     {_shells(results.motion, results.shells)}")
-    if systematic := _systematic(systematic_budget(results)):
-        lines.append(f"systematic {systematic}")
+    heads = "systematic", *[""] * len(QUANTITIES)
+    for head, line in zip(heads, _systematic(systematic_budget(results)), strict=False):
+        lines.append(f"{head:<10} {line}")
     return lines
 
 
-def _systematic(budget: Budget) -> str:
-    """Systematic errors of what the lines above do not give with both errors, and what is not known."""
-    parts = []
+def _systematic(budget: Budget) -> list[str]:
+    """Systematic errors of what other lines do not give with both errors, then the sources without one."""
+    lines: list[str] = []
+    lacking: dict[str, None] = {}
     for quantity in ("x_px", "Lambda_hat_mm", "K_N_per_mm", "ratio"):
         name, unit = QUANTITIES[quantity]
         total = budget.total(quantity)
         if quantity in budget.values and math.isfinite(total) and total > 0:
             beside = budget.statistical[quantity]
-            parts.append(f"{name} ± {total:.2g} {unit} (statistical {beside:.2g})".replace("  ", " "))
-        lacking = [SOURCES.get(source, source) for source in budget.unknown(quantity)]
-        if lacking and quantity != "x_px":
-            parts.append(f"{name} without that of {', '.join(lacking)}")
-    return "; ".join(parts)
+            lines.append(f"{name} ± {total:.2g} {unit} (statistical {beside:.2g})".replace("  ", " "))
+        if quantity != "x_px":  # what its sources are is found, not given
+            lacking |= dict.fromkeys(budget.unknown(quantity))
+    if lacking:
+        advice = {"d0": "d0 has no error: give `d0_mm` as 13.0±0.1"}
+        without = [advice.get(one, f"{SOURCES.get(one, one)} has no error") for one in lacking]
+        lines.append(f"not included: {'; '.join(without)}")
+    return lines
 
 
 def tracking_warnings(tracks: xr.Dataset) -> list[str]:
@@ -359,8 +364,10 @@ def frame_times(strip: StripMetadata) -> str:
 
 def _clocks(clock: Clock) -> str:
     spread = f" to {clock.residual_ms:.1f} ms" if math.isfinite(clock.residual_ms) else ""
+    if clock.status == "ambiguous" and clock.candidates:
+        return f"ambiguous: offset (log-likelihood) may be {candidates_text(clock)}; none is used"
     return (
-        f"{clock.status}: offset {clock.offset_s:.4f} s, drift {clock.drift_ppm:.0f} ppm, "
+        f"{clock.status}: offset {offset_text(clock)}, drift {drift_text(clock)}, "
         f"{clock.matched} slips matched{spread}"
     )
 

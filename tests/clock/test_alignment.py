@@ -121,6 +121,17 @@ def test_stated_errors_are_the_true_ones():
     assert 0.8 < np.sqrt(np.mean(z**2)) < 1.2
 
 
+def test_the_offset_is_less_well_known_than_the_middle_of_the_slips():
+    """A failure means an error of the offset that leaves out what the drift adds up to video time 0."""
+    rng = np.random.default_rng(1)
+    pairs = [pair(rng, frame_s=FRAME_S) for _ in range(60)]
+    found = [align(p.trains) for p in pairs]
+    off = np.array([a.clocks.offset_s[0] - p.offset_s for p, a in zip(pairs, found, strict=True)])
+    middle, _, zero = np.array([a.errors() for a in found]).T
+    assert 0.75 < np.sqrt(np.mean((off / zero) ** 2)) < 1.3  # 60 draws
+    assert np.sqrt(np.mean((off / middle) ** 2)) > 1.5
+
+
 @pytest.mark.parametrize("drift_ppm", [-3000.0, 3000.0])
 def test_drift_is_found(drift_ppm):
     """A failure means that a poor camera clock shifts the ends of a long test by whole sticks."""
@@ -191,6 +202,16 @@ def test_even_slips_are_ambiguous_and_say_why():
     assert any("nearly as well" in a.ambiguity for a in found)
     shifts = [np.diff(np.sort(a.clocks.offset_s[:3])) for a in found]
     assert np.median(np.concatenate(shifts) / 0.487) == pytest.approx(1, abs=0.1)
+
+
+def test_few_slips_and_slips_that_fit_loosely_are_told_apart():
+    """A failure means a user who is sent for a longer film where the slips of this one do not fit."""
+    few, _ = aligned(9, 3, video=5)
+    assert all(a.ambiguity == "too few slips in common (5, at least 6 needed)" for a in few)
+    unrelated, _ = aligned(9, 10, video=20, force=40, jitter=0.07, unrelated=True)
+    said = [a.ambiguity for a in unrelated if "too loosely" in a.ambiguity]
+    assert said
+    assert not any("too few" in line for line in said)
 
 
 def test_unreported_lost_frames_are_not_believed_blindly():

@@ -47,8 +47,9 @@ def six(tmp_path, monkeypatch):
 
 def test_the_folder(six, tmp_path, capsys):
     """A failure means that a script that reads the agreed names breaks."""
-    assert run(["compare", *six, "--table", "tests.csv"]) == 0
+    assert run(["compare", *six, "--table", "tests.csv"]) == 1  # μ follows the humidity
     shown = capsys.readouterr()
+    assert "track: a: no single μ fits the 4 tests" in shown.err
     assert "one μ for 4 tests" in shown.out
     folder = tmp_path / "comparison"
     table = pd.read_csv(folder / "tests.csv")
@@ -65,12 +66,13 @@ def test_the_folder(six, tmp_path, capsys):
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "6 tests: comparison" in page
     assert 'id="collapse"' in page
+    assert "No warnings" not in page and "no single μ fits the 4 tests" in page
     assert "https://" not in page.split("<script")[0]
 
 
 def test_figures_of_a_comparison(six, tmp_path, capsys):
     """A failure means that the figures of several tests cannot be had for a manuscript."""
-    assert run(["compare", *six, "--table", "tests.csv", "--out", "all", "--quiet"]) == 0
+    assert run(["compare", *six, "--table", "tests.csv", "--out", "all", "--quiet"]) == 1
     assert run(["figures", "--compare", "all", "collapse", "trends", "--to", "csv", "--out", "m"]) == 0
     collapse = pd.read_csv(tmp_path / "m" / "collapse.csv")
     assert (tmp_path / "m" / "trends.csv").exists()
@@ -162,7 +164,7 @@ def test_a_table_alone_and_one_with_semicolons(six, tmp_path):
     table.to_csv("german.csv", sep=";", decimal=",", index=False, encoding="utf-8-sig")
     found = vision.compare(table=tmp_path / "german.csv")
     assert found.table["RH_percent"].to_numpy() == pytest.approx(table["RH_percent"])
-    assert found.warnings == ()
+    assert all("no single μ" in line for line in found.warnings)
     in_order = vision.compare(six, table.drop(columns="run"))
     assert in_order.table["n_test"].tolist() == table["n_test"].tolist()
     with pytest.raises(InputError, match="`runs`"):

@@ -243,6 +243,7 @@ def test_what_cannot_be_used_is_refused_in_one_line():
     assert "`pixel_size_um`" in refused(made, pixel_size_um=None)
     assert "`pixel_size_um`" in refused(made, pixel_size_um=-1.0)
     assert "`offset_s`" in refused(made, Clock(status="ambiguous"))
+    assert "found too few slips" in refused(made, Clock(status="ambiguous", ambiguity="too few slips"))
     assert "made.avi" in refused(made, Clock(offset_s=500.0))
     assert "`fps`" in refused(
         replace(

@@ -9,8 +9,10 @@ import pytest
 from tests.scenes.analysed import FACTS, Found
 from tests.scenes.report_data import make_profile, make_tracks, sawtooth
 from vision.figures import figures_of
+from vision.models import Estimate
 from vision.report import write_report
-from vision.report.text import methods
+from vision.report.page import budget_table
+from vision.report.text import answers, methods
 
 LIMIT = 3_000_000
 
@@ -39,6 +41,34 @@ def test_ambiguous_clocks_are_in_doubt_at_the_top(pulled, tmp_path):
     page = page_of(doubtful, tmp_path)
     assert re.search(r'class="doubt"><div class="what">clocks</div><div class="value">ambiguous', page)
     assert "The clocks of camera and testing machine were aligned" not in page
+
+
+def test_stick_phases_in_the_video_are_not_counted_without_a_clock(pulled):
+    """A failure means "0 stick phases" where nobody knows how many there are, or no reason why."""
+    clock = replace(pulled.clock, status="ambiguous", ambiguity="too few slips in common")
+    told = {one.what: one for one in answers(replace(pulled, clock=clock, motion=None, shells=None))}
+    phases = told["stick phases in the video"]
+    assert phases.value == "not known (clocks ambiguous)" and phases.doubt
+    assert f"{len(pulled.sticks)} in the force recording" in phases.detail
+    assert "too few slips in common" in told["clocks"].detail
+    assert answers(pulled)[1].value == str(pulled.motion.sizes["event"])
+
+
+def test_the_clock_is_stated_with_its_errors(pulled, tmp_path):
+    """A failure means a drift that is all noise, published as if it were measured."""
+    clock = replace(pulled.clock, drift_ppm=231.0, drift_err_ppm=635.0, offset_err_s=0.012)
+    page = page_of(replace(pulled, clock=clock), tmp_path)
+    assert page.count("231 ± 635 ppm") >= 3  # at the top, in the methods, below the figure
+    assert page.count("36.000 ± 0.012 s") >= 3
+
+
+def test_the_top_of_the_page_has_no_parameter_without_its_error(pulled):
+    """A failure means that N̂, A and Y_eff are copied from the page without errors, or with half of them."""
+    known = Estimate(0.534, 0.003, 0.004)
+    unknown = Estimate(3.42, 0.02)
+    fits = replace(pulled.fits, n_hat_N=known, amplitude=known, modulus_GPa=unknown)
+    detail = next(one for one in answers(replace(pulled, fits=fits)) if one.value.startswith("μ")).detail
+    assert "N̂ = 0.5340 ± 0.0050 N, A = 0.5340 ± 0.0050, Y_eff = 3.420 ± 0.020 GPa" in detail
 
 
 def test_the_answers_are_the_run_s(pulled, tmp_path):
@@ -180,6 +210,11 @@ def test_systematic_errors_are_a_table_of_the_page(pulled, tmp_path):
         assert f"<td>{row}</td>" in table
     assert "<td>not known</td>" in table
     assert "(stat.)" in page and "(syst.)" in page
+    budget = budget_table(replace(pulled, clock=replace(pulled.clock, error_ms=0.5)))
+    assert dict(zip(budget.heads, budget.rows[-2], strict=True))["σ_x/Λ_st"] == "0"
+    total = dict(zip(budget.heads, budget.rows[-1], strict=True))
+    assert total["σ_x/Λ_st"] == "not known"  # the clock adds 0, the pixel size nobody knows what
+    assert float(total["K in N/mm"]) > 0
 
 
 def test_doubtful_stretches_are_listed(video_only, tmp_path):

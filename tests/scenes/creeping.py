@@ -23,6 +23,7 @@ class Clock:
     residual_ms: float = 0.0
     offset_s: float = 5.0
     error_ms: float = np.nan
+    ambiguity: str = ""
 
     def to_force_s(self, video_time_s):
         return self.offset_s + np.asarray(video_time_s)

@@ -376,16 +376,18 @@ class Alignments:
     ambiguity: str  # why the best one is ambiguous; "" where it is not
     settings: ClockSettings  # with which they were found
 
-    def errors(self) -> tuple[float, float]:
-        """Standard errors of the best clock: at the centre of its slips, s, and of its drift."""
+    def errors(self) -> tuple[float, float, float]:
+        """Standard errors of the best clock: at the centre of its slips, s; drift; at video time 0, s."""
         paired = self.fits.partner[0] >= 0
         weight = (self.trains.error_s[paired] * self.fits.error_scale[0]) ** -2.0
         if not paired.any():
-            return float("nan"), float("nan")
+            return float("nan"), float("nan"), float("nan")
         away = self.trains.video_s[paired] - self.clocks.centre_s[0]
         prior = (1e-6 * self.settings.drift_prior_ppm) ** -2
         drift = 1 / np.sqrt((weight * away**2).sum() + prior)
-        return float(1 / np.sqrt(weight.sum())), float(drift)
+        centre = 1 / np.sqrt(weight.sum())
+        # Where the centre is and the drift are independent, and the drift takes the clock back to time 0.
+        return float(centre), float(drift), float(np.hypot(centre, drift * self.clocks.centre_s[0]))
 
 
 def align(trains: SlipTrains, settings: ClockSettings = ClockSettings()) -> Alignments:
@@ -418,8 +420,14 @@ def _ambiguity(trains: SlipTrains, fits: ClockFits, margin: float, settings: Clo
     # lengths of the sticks do, and the sizes with them.
     likelihood = fits.log_likelihood[0] - max(fits.size_evidence[0], 0.0)
     least = settings.least_likelihood if scale == 1 else settings.clear_likelihood * widened
-    if fits.matched[0] < settings.least_matched or likelihood < least:
-        return f"the {fits.matched[0]} slips in common are too few, or fit too loosely, to exclude chance"
+    matched = int(fits.matched[0])
+    if matched < settings.least_matched:
+        return f"too few slips in common ({matched}, at least {settings.least_matched} needed)"
+    if likelihood < least:
+        return (
+            f"the {matched} slips in common fit too loosely to exclude chance (log-likelihood "
+            f"{likelihood:.1f}, {least:.3g} needed)"
+        )
     sizes_agree = fits.size_evidence[0] > -0.5
     strict = widened * (1 if likelihood >= settings.clear_likelihood and sizes_agree else 2)
     needed = settings.least_margin * strict

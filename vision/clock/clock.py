@@ -67,8 +67,12 @@ class Clock:
         Standard error of a mapped time in the middle of the matched slips; NaN where it is not known (given).
     drift_err_ppm
         Standard error of the drift; NaN likewise.
+    offset_err_s
+        Standard error of the offset, with what the drift adds up to video time 0; NaN likewise.
     candidates
         Alignments considered, best first.
+    ambiguity
+        Why the status is "ambiguous"; "" where it is not.
     warnings
         What the user must be told.
 
@@ -88,7 +92,9 @@ class Clock:
     how: How
     error_ms: float = math.nan
     drift_err_ppm: float = math.nan
+    offset_err_s: float = math.nan
     candidates: tuple[Candidate, ...] = ()
+    ambiguity: str = ""
     warnings: tuple[str, ...] = ()
 
     def to_force_s(self, video_time_s: ArrayLike) -> Floats:
@@ -105,7 +111,7 @@ class Clock:
 
         rows = {
             "status": f"{self.status} (from {self.how})",
-            "offset": with_error(f"{self.offset_s:.4f}", self.error_ms / 1000, "s"),
+            "offset": with_error(f"{self.offset_s:.4f}", self.offset_err_s, "s"),
             "drift": with_error(f"{self.drift_ppm:.1f}", self.drift_err_ppm, "ppm"),
             "slips": f"{self.matched} matched, {self.unmatched_video} only in the video, "
             f"{self.unmatched_force} only in the force",
@@ -233,7 +239,7 @@ def _from_slips(
             f"{len(seen)} slips that coincide with none of its {len(drops)} at any offset",
             "check whether the two files belong together, or give `offset_s`",
         )
-    error, drift_error = found.errors()
+    error, drift_error, offset_error = found.errors()
     clocks, fits = found.clocks, found.fits
     facts = clocks.offset_s, 1e6 * clocks.drift, fits.log_likelihood, fits.matched
     return replace(
@@ -242,10 +248,12 @@ def _from_slips(
         status="ambiguous" if found.ambiguity else "ok",
         error_ms=1e3 * float(np.hypot(error, drops.attrs["lag_s"])),
         drift_err_ppm=1e6 * drift_error,
+        offset_err_s=float(np.hypot(offset_error, drops.attrs["lag_s"])),
         candidates=tuple(
             Candidate(offset_s=float(a), drift_ppm=float(b), log_likelihood=float(c), matched=int(m))
             for a, b, c, m in zip(*(fact[:5] for fact in facts), strict=True)
         ),
+        ambiguity=found.ambiguity,
         warnings=(f"clocks ambiguous: {found.ambiguity}; give `offset_s`",) if found.ambiguity else (),
     )
 

@@ -28,7 +28,7 @@ from vision.comparison.tests import TractionTest, read_tests
 from vision.comparison.trends import Irregularity, Trend, find_irregular, find_trends
 from vision.errors import InputError
 from vision.figures import Figure, both_errors, load_figures, plus_minus
-from vision.figures.compare import ComparedTests, compare_figures
+from vision.figures.compare import ComparedTests, compare_figures, velocity
 from vision.models import Estimate
 
 
@@ -148,6 +148,8 @@ def compare(
     lost = ", ".join(t.run for t, f in zip(tests, fits, strict=True) if np.isnan(f.scale_mm.value))
     if modulus_GPa is None and lost:
         warnings.append(f"no Λ̂ with Y_eff = {modulus.value:.3g} GPa: {lost} (`modulus_GPa`, `main_sample`)")
+    joint = _joint(tests, fits, settings)
+    warnings += [_misfit_line(one) for one in joint if not one.fits]
     rows = _table(tests, fits)
     shared = {name: shared_shifts(tests, fits, name) for name in QUANTITIES}
     own = {with_word(name, "err"): [fit.own_error(name) for fit in fits] for name in QUANTITIES}
@@ -157,7 +159,7 @@ def compare(
         table=rows,
         modulus=modulus,
         modulus_from=source,
-        joint=_joint(tests, fits, settings),
+        joint=joint,
         collapse=collapse(tests, fits, modulus),
         irregular=tuple(find_irregular(test, settings) for test in tests),
         trends=find_trends(rows.assign(**own), settings, shared=shared),
@@ -262,6 +264,7 @@ def _overlay(found: Comparison) -> ComparedTests:
         amplitude=first.values["A"] if main is None else main.amplitude,
         modulus=found.modulus,
         joint_name="" if main is None else main.sample,
+        misfit=np.nan if main is None or main.fits else main.disagreement,
         collapse=None if c is None else c.table,
         rms=(np.nan,) * 3 if c is None else (c.rms_before, c.rms_after, c.rms_noise),
         irregular=tuple(vars(one) for one in found.irregular),
@@ -275,14 +278,15 @@ def _sticks(tests: Sequence[TractionTest]) -> tuple[tuple[float, Figure], ...]:
     chosen: dict[float, Figure] = {}
     for test in sorted(tests, key=lambda t: -len(t.events)):
         path = test.folder / "figures.npz"
-        if test.speed_mm_min in chosen or not np.isfinite(test.speed_mm_min) or not path.is_file():
+        speed = velocity(test.speed_mm_min)  # measured ones differ in their last digits
+        if speed in chosen or not np.isfinite(speed) or not path.is_file():
             continue
         try:
             named = {figure.name: figure for figure in load_figures(path)}
         except (InputError, OSError):
             continue  # a figure less, no result less
         if "sticks" in named:
-            chosen[test.speed_mm_min] = named["sticks"]
+            chosen[speed] = named["sticks"]
     return tuple(sorted(chosen.items(), key=lambda item: item[0]))
 
 
@@ -318,6 +322,14 @@ def summary_lines(found: Comparison) -> list[str]:
     if looked and not claimed:
         lines.append(f"no trend among the {len(looked)} looked for")
     return lines
+
+
+def _misfit_line(one: JointFriction) -> str:
+    """That the tests of one joint fit do not share a μ."""
+    return (
+        f"{one.sample or 'all tests'}: no single μ fits the {len(one.runs)} tests (χ²/dof of their own μ "
+        f"{one.disagreement:.3g}): take each test's own, in tests.csv"
+    )
 
 
 def joint_line(one: JointFriction) -> str:

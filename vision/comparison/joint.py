@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from vision.comparison.tests import TractionTest
+from vision.comparison.tests import INSTRUMENT, TractionTest
 from vision.errors import InputError
 from vision.models import Estimate, equations
 from vision.models.single_fits import (
@@ -45,6 +45,10 @@ class CompareSettings:
     smooth_events: int = 15
     """Window of the running scatter of ΔF. Shorter is noisier, longer blurs the place of a change; the
     scatter of a test without a change must stay level."""
+    joint_misfit: float = 2.0
+    """χ²/dof of the peaks about the joint curve, over that about each test's own, from which on no single μ
+    fits. Smaller warns of tests that differ by less than single events scatter; larger lets curves pass
+    beside the points. Tests of μ 0.890 to 0.894 give 1.2, of 0.89 and 0.91 eight."""
     draws: int = 4000
     """Permutations of a p value: its own scatter is √(p/draws), 0.0035 at 0.05."""
     significance: float = 0.05
@@ -62,7 +66,7 @@ class TestFit:
     # of M_eff sheets with this Y_eff
     values: Mapping[str, Estimate]
     # source of a systematic error to by how much it moves each of them (one standard error of the source):
-    # "d0" is the test's own, "Y_eff" all tests share, others belong to the sample
+    # "d0" and those of the force recording are the test's own, "Y_eff" all share, others belong to the sample
     shifts: Mapping[str, Mapping[str, float]]
     chi2_dof: float  # squared deviation over that between neighbouring events, mean of the three fits
     peak_scatter: float  # root mean square deviation of the peaks from the fit, as a share of them
@@ -84,9 +88,9 @@ class TestFit:
         return float(np.hypot(self.values[name].error, self.shifts.get("d0", {}).get(name, 0.0)))
 
     def systematic_error(self, name: str) -> float:
-        """All shifts together; NaN where there are none."""
-        found = [moved[name] for moved in self.shifts.values()]
-        return float(np.linalg.norm(found)) if found else float("nan")
+        """All shifts together; NaN where nothing that moves the quantity is known."""
+        total = float(np.linalg.norm([moved[name] for moved in self.shifts.values()]))
+        return total if total != 0 else float("nan")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +98,8 @@ class JointFriction:
     """One μ for several tests of one sample.
 
     The error of μ holds what differs from test to test: noise, each test's d0, and what the tests' own μ
-    differ by beyond that; the systematic one is that of the geometry, which all tests of a sample share.
+    differ by beyond that; the systematic one is that of the geometry, which all tests of a sample share, and
+    of the tests' load cells; NaN where neither is known.
     """
 
     sample: str  # its name
@@ -104,6 +109,8 @@ class JointFriction:
     at_limit: tuple[str, ...]  # runs whose offset is as large as it may be
     disagreement: float  # χ²/dof of the tests' own μ about the common one
     amplitude: Estimate  # A, the weighted mean of the slow tests
+    misfit: float  # χ²/dof of all peaks about the joint curve, over that about each test's own
+    fits: bool  # whether the peaks scatter about the joint curve about as they do about their own
 
     @property
     def disagrees(self) -> bool:
@@ -201,6 +208,8 @@ def _n_hat(mu: Estimate, scale: Estimate, sample: Sample) -> Estimate:
 def systematic_shifts(test: TractionTest, fit: TestFit, modulus: Estimate, main: bool) -> TestFit:
     """The fit with what each error of d0, the geometry and Y_eff moves it by.
 
+    Errors of the force recording (drift of the load cell, its low-pass) are those of the run's own fits.
+
     test, fit: of `fit_test`.  modulus: Y_eff; its systematic error is that of the main sample's geometry.
     main: whether the test is of the main sample: there K fixes Y_eff times the geometry, whose errors leave
     Λ̂ as it is.
@@ -232,6 +241,8 @@ def systematic_shifts(test: TractionTest, fit: TestFit, modulus: Estimate, main:
     source("d0", d_mm=test.errors.get("d0_mm", float("nan")))
     for name in _GEOMETRY:
         source(name, test.errors.get(name, float("nan")) / getattr(sample, name))
+    for name, parts in test.instrument.items():
+        shifts[name] = {q: parts.get(q, 0.0) for q in QUANTITIES}
     return replace(fit, shifts=shifts)
 
 
@@ -326,12 +337,15 @@ def fit_joint(
     between = float(np.var(own, ddof=1) - np.mean(errors**2))
     variance = widening / information.sum() + np.sum((share * by_d0) ** 2) + max(between, 0.0) / own.size
     shared = shared_shifts(tests, fits, "mu")
-    systematic = float(np.linalg.norm(shared @ share)) if len(shared) else float("nan")
+    own_sources = [share * [fit.shifts.get(name, {}).get("mu", 0.0) for fit in fits] for name in INSTRUMENT]
+    systematic = float(np.linalg.norm(np.concatenate([shared @ share, *own_sources]))) or float("nan")
     slow = [
         fit.values["A"]
         for test, fit in zip(tests, fits, strict=True)
         if not test.speed_mm_min > 1.05 * settings.slow_mm_min
     ]
+    points = sum(len(part[0]) for part in parts)
+    chi2 = misfit(mu) / max(points - len(parts) - 1, 1)  # widths are the scatter about the tests' own curves
     return JointFriction(
         sample=sample,
         runs=tuple(offsets),
@@ -340,18 +354,21 @@ def fit_joint(
         at_limit=tuple(run for run, t0 in offsets.items() if abs(t0) >= settings.t0_limit_N),
         disagreement=float(np.sum(((own - mu) / errors) ** 2) / (own.size - 1)),
         amplitude=Estimate(*weighted_mean(slow)[:2]),
+        misfit=chi2,
+        fits=chi2 < settings.joint_misfit,
     )
 
 
 def shared_shifts(tests: Sequence[TractionTest], fits: Sequence[TestFit], quantity: str) -> Floats:
     """By how much each source that several tests share moves a quantity of each of them, (source, test).
 
-    Errors of the geometry are shared by the tests of one sample, those of Y_eff by all; d0 by none.
+    Errors of the geometry are shared by the tests of one sample, those of Y_eff by all; d0 and those of the
+    force recordings by none.
     """
     found: dict[tuple[str, str], Floats] = {}
     for k, (test, fit) in enumerate(zip(tests, fits, strict=True)):
         for source, moved in fit.shifts.items():
-            if source != "d0":
+            if source not in ("d0", *INSTRUMENT):
                 whose = test.sample_name if source in _GEOMETRY else ""
                 found.setdefault((source, whose), np.zeros(len(fits)))[k] = moved[quantity]
     return np.array(list(found.values())).reshape(-1, len(fits))

@@ -50,6 +50,8 @@ class TractionTest:
     modulus_GPa: float  # Y_eff of the run's own fit; NaN where it has none
     modulus_err_GPa: float
     errors: Mapping[str, float]  # of d0 and the geometry, as given, by d0_mm or field of the sample
+    # what a source of the force recording moves the run's own μ, 𝒯0, … by: {"load_drift": {"mu": 0.07, …}}
+    instrument: Mapping[str, Mapping[str, float]]
 
     def column(self, name: str) -> Floats:
         """One column of the events."""
@@ -257,7 +259,23 @@ def _read_test(folder: Path, name: str, row: Mapping[str, Any], warnings: list[s
             for name, value in (models.get("input_errors") or {}).items()
             if (error := _number(value)) > 0
         },
+        instrument=_instrument(models.get("budget")),
     )
+
+
+INSTRUMENT = ("load_drift", "low_pass", "sampling")
+"""Sources of systematic errors that a run alone knows: those of its force recording."""
+
+
+def _instrument(budget: Any) -> dict[str, dict[str, float]]:
+    """The part of a run's budget that is of the force recording; sources that move nothing are left out."""
+    found = {}
+    for source in INSTRUMENT:
+        parts = budget.get(source) if isinstance(budget, Mapping) else None
+        if isinstance(parts, Mapping):
+            numbers = {str(name): _number(part) for name, part in parts.items()}
+            found[source] = {name: part for name, part in numbers.items() if part > 0}
+    return {source: parts for source, parts in found.items() if parts}
 
 
 def _json(path: Path) -> dict[str, Any]:

@@ -116,7 +116,8 @@ def horizontal_deformation(
     source = StripMetadata.of(tracks).source
     pixel = _pixel_size(pixel_size_um)
     if clock.status == "ambiguous":
-        raise InputError(source, "clocks that agree in one way only", "several", "give `offset_s`")
+        why = clock.ambiguity or "several alignments"
+        raise InputError(source, "clocks that are not ambiguous", why, "give `offset_s`")
     time = np.asarray(clock.to_force_s(np.asarray(tracks["time_s"].values, float)), float)
     interval = _interval(time, source)
     events = _inside(sticks, time, interval, source)

@@ -19,7 +19,7 @@ from vision.figures.catalogue import (
 )
 from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series, load_figures, save_figures
 from vision.figures.force import clocks_figure, force_figure, force_overview_figure
-from vision.figures.labels import both_errors, percent, plus_minus, signed
+from vision.figures.labels import both_errors, percent, plus_minus
 from vision.figures.positions import (
     deformation_figure,
     noise_figure,
@@ -58,7 +58,6 @@ __all__ = [
     "save_figures",
     "sections_of",
     "shells_figure",
-    "signed",
     "slip_times",
     "space_time_figure",
     "tracks_figure",

@@ -36,6 +36,7 @@ class ComparedTests:
     amplitude: Estimate  # A
     modulus: Estimate  # the Y_eff held fixed
     joint_name: str  # sample of the joint fit; "" where there is none
+    misfit: float  # χ²/dof of the tests' own μ about the joint one where that does not fit; else NaN
     collapse: pd.DataFrame | None  # one row an event: ``run``, ``d_v_mm``, ``d_hat``, ``sheets``
     rms: tuple[float, float, float]  # distance from the master curve before and after, that of noise alone
     irregular: Sequence[Mapping[str, Any]]  # running variation of ΔF and its change point, one mapping a test
@@ -85,18 +86,23 @@ def velocity(speed_mm_min: float) -> float:
 
 
 def peaks_figure(o: ComparedTests) -> Figure:
-    """F_p − 𝒯0 against d of all velocities, with Eq. 1 and the joint μ."""
+    """F_p − 𝒯0 against d of all velocities, with Eq. 1 and the joint μ where that fits."""
     offset = o.table.set_index("run")["T0_N"]
     events = o.events.assign(y=o.events["F_p_N"] - o.events["run"].map(offset))
-    d = _span(events, "d_p_mm")
-    eq1 = Series.model("Eq. 1", d, equations.traction(d, mu=o.mu.value, sample=o.sample), MODEL)
-    series = (*_by_velocity(events, "d_p_mm", "y"), eq1)
-    whose = f"fitted jointly to {o.joint_name}" if o.joint_name else "of the first test"
+    series = _points(o, events, "d_p_mm", "y")
+    if np.isfinite(o.misfit):
+        model = f"No curve: no single μ fits these tests (χ²/dof of their own μ {o.misfit:.3g})."
+    else:
+        d = _span(events, "d_p_mm")
+        eq1 = Series.model("Eq. 1", d, equations.traction(d, mu=o.mu.value, sample=o.sample), MODEL)
+        series = (*series, eq1)
+        whose = f"fitted jointly to {o.joint_name}" if o.joint_name else "of the first test"
+        t_star = f"T* = {1000 * o.sample.t_star_N:g} mN"
+        model = f"Dashed: Eq. 1 with μ = {plus_minus(o.mu)}, {whose}, {t_star}."
     return Figure.of(
         "peaks",
         Panel(x_label="d_p (mm)", y_label="F_p − T_0 (N)", series=series),
-        f"Peak force of every event less its test's offset T_0. Dashed: Eq. 1 with μ = {plus_minus(o.mu)}, "
-        f"{whose}, T* = {1000 * o.sample.t_star_N:g} mN.",
+        f"Peak force of every event less its test's offset T_0. {model}",
         title="Peak forces at all velocities",
     )
 
@@ -104,9 +110,9 @@ def peaks_figure(o: ComparedTests) -> Figure:
 def drops_figure(o: ComparedTests) -> Figure:
     """ΔF against d_v of all velocities, with A times the normal force."""
     d = _span(o.events, "d_v_mm")
-    series = _by_velocity(o.events, "d_v_mm", "dF_N")
+    series = _points(o, o.events, "d_v_mm", "dF_N")
     model = ""
-    if np.isfinite(o.amplitude.value):
+    if np.isfinite(o.amplitude.value) and not np.isfinite(o.misfit):
         drop = equations.stick_slip_amplitude(d, mu=o.mu.value, prefactor=o.amplitude.value, sample=o.sample)
         series = (*series, Series.model("A × normal force", d, drop, MODEL))
         model = f" Dashed: A times the total normal force, A = {plus_minus(o.amplitude)} (slow tests)."
@@ -122,7 +128,7 @@ def stiffnesses_figure(o: ComparedTests) -> Figure:
     """K against d_v of all velocities, with M_eff K_eff and (L + d)⁻¹."""
     d = _span(o.events, "d_v_mm")
     scale = float(o.table["Lambda_hat_mm"].median())
-    series = _by_velocity(o.events, "d_v_mm", "K_N_per_mm")
+    series = _points(o, o.events, "d_v_mm", "K_N_per_mm")
     if np.isfinite(scale):
         one = equations.sheet_stiffness(modulus_GPa=o.modulus.value, sample=o.sample)
         k = np.asarray(equations.effective_sheets(d / scale, sample=o.sample) * one)
@@ -146,18 +152,22 @@ def _velocity_name(speed_mm_min: float) -> str:
     return "V unknown" if np.isnan(speed_mm_min) else f"V = {speed_mm_min:g} mm/min"
 
 
+def _points(o: ComparedTests, events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
+    """Used events by velocity, or by test where no single μ fits them; all others hollow and grey."""
+    used, rest = events[events["used"]], events[~events["used"]].sort_values(x)
+    series = _by_test(used, x, y) if np.isfinite(o.misfit) else _by_velocity(used, x, y)
+    if len(rest):
+        series = (*series, Series.points("not used", rest[x], rest[y], QUIET, hollow=True))
+    return series
+
+
 def _by_velocity(events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
-    """Points of all tests of one velocity; used events filled, those left out of the fits hollow and grey."""
-    speeds = events["V_mm_min"].map(velocity)
-    groups = list(events[events["used"]].sort_values(x).groupby(speeds, dropna=False))
-    series = [
+    """Points of all tests of one velocity."""
+    groups = list(events.sort_values(x).groupby(events["V_mm_min"].map(velocity), dropna=False))
+    return tuple(
         Series.points(_velocity_name(v), part[x], part[y], ink, hollow=k % 2 == 1)
         for k, ((v, part), ink) in enumerate(zip(groups, ordered_inks(len(groups)), strict=True))
-    ]
-    if not events["used"].all():
-        rest = events[~events["used"]].sort_values(x)
-        series.append(Series.points("not used", rest[x], rest[y], QUIET, hollow=True))
-    return tuple(series)
+    )
 
 
 # --- single events ------------------------------------------------------------------------------------------
@@ -168,7 +178,8 @@ def sticks_figures(o: ComparedTests) -> list[Figure]:
     panels = [(v, figure.panel) for v, figure in o.sticks]
     caption = (
         "Force above the valley against separation beyond it, events from the beginning to the end of the "
-        "test, as recorded. Dots: the central part, whose slope is K. Arrows: ΔF and Λ_st of the first."
+        "test, as recorded; of each velocity the test with most events. Dots: the central part, whose slope "
+        "is K. Arrows: ΔF and Λ_st of the first."
     )
     made = [
         Figure.of(

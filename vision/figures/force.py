@@ -15,11 +15,12 @@ from vision.figures.decimate import minmax_by_x, minmax_decimate
 from vision.figures.figure import Arrow, Figure, Ink, Panel, Range, Series
 from vision.figures.labels import (
     displacement_unit,
+    drift_text,
     from_zero,
     load_label,
     load_unit,
+    offset_text,
     plus_minus,
-    signed,
     time_axis,
 )
 from vision.figures.positions import outward_px
@@ -115,8 +116,8 @@ def clocks_figure(
         "clocks",
         panel,
         "Force (solid, left axis, above) and mean outward displacement of all sheets (dashed, right axis, "
-        f"below) on the force clock, t(force) = {clock.offset_s:.4f} s + (1 {signed(clock.drift_ppm)} ppm) "
-        f"t(video). Zoom in to one slip: the steps must coincide. {_agreement(clock)}",
+        f"below) on the force clock, t(force) = t_0 + (1 + r) t(video) with t_0 = {offset_text(clock)} and "
+        f"r = {drift_text(clock)}. Zoom in to one slip: the steps must coincide. {_agreement(clock)}",
         title="Clock check: force and sheets on one time axis",
         notes=(ambiguous,) if clock.status == "ambiguous" else (),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -12,6 +13,9 @@ from markupsafe import Markup, escape
 from vision.data import StripMetadata
 from vision.models import Estimate
 from vision.numeric import Floats
+
+if TYPE_CHECKING:
+    from vision.clock import Clock
 
 # --- symbols: σ_x, Λ_st and M_eff are written so in the program and in tables -------------------------------
 
@@ -72,6 +76,28 @@ def percent(fraction: float) -> str:
 def signed(value: float) -> str:
     """A whole number with its sign."""
     return f"{value:+.0f}".replace("-", "−")
+
+
+def offset_text(clock: Clock) -> str:
+    """A clock's offset with its error, where that is known."""
+    if not clock.offset_err_s > 0:
+        return f"{clock.offset_s:.4f} s".replace("-", "−")
+    return f"{plus_minus(Estimate(clock.offset_s, clock.offset_err_s))} s"
+
+
+def drift_text(clock: Clock) -> str:
+    """A clock's drift with its error, where that is known."""
+    error = clock.drift_err_ppm
+    if not error > 0:
+        return f"{signed(clock.drift_ppm)} ppm"
+    sign = "+" if clock.drift_ppm > 0 else ""
+    return f"{sign}{plus_minus(Estimate(clock.drift_ppm, error))} ppm"
+
+
+def candidates_text(clock: Clock) -> str:
+    """Offsets of the best three alignments with their log-likelihoods."""
+    best = [f"{one.offset_s:.3f} s ({one.log_likelihood:.1f})" for one in clock.candidates[:3]]
+    return ", ".join(best).replace("-", "−")
 
 
 # --- units and axes -----------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from vision.figures.style import MISSING, rgb
 from vision.numeric import Floats
 from vision.report.text import answers, citation, methods, subtitle
 from vision.sheets import doubtful_stretches
-from vision.systematics import QUANTITIES, SOURCES, systematic_budget
+from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
 
 PLAIN = 400  # values up to which an array is written as numbers
 
@@ -278,13 +278,19 @@ def budget_table(results: Results) -> FactsTable:
     for source, parts in budget.sources.items():
         cells = ("" if name not in parts else _two_digits(parts[name], "not known") for name in quantities)
         rows.append((SOURCES.get(source, source), *cells))
-    rows.append(("systematic error", *(_two_digits(budget.total(name)) for name in quantities)))
+    rows.append(("systematic error", *(_total(budget, name) for name in quantities)))
     note = (
         "The last row is the root of the sum of squares of what is known. Statistical errors of a place, of "
         "K and of σ_x/Λ_st are medians of those of single positions, events and sheets. What moves a sheet's "
         "place alike in every frame does not move its displacements. Empty: no part in it."
     )
     return FactsTable("Systematic errors", heads, tuple(rows) if quantities else (), note)
+
+
+def _total(budget: Budget, quantity: str) -> str:
+    """The systematic error of a quantity; a sum of nothing but zeros is no bound for what is not known."""
+    total = budget.total(quantity)
+    return "not known" if total == 0 and budget.unknown(quantity) else _two_digits(total, "not known")
 
 
 def doubt_table(results: Results) -> FactsTable:

@@ -12,9 +12,9 @@ import xarray as xr
 import vision
 from vision.clock import Clock
 from vision.data import ForceMetadata, MotionMetadata, StickMetadata, StripMetadata, TrackMetadata
-from vision.figures import Results, both_errors, percent, signed
-from vision.figures.labels import load_unit
-from vision.models import ModelFits
+from vision.figures import Results, both_errors, percent, plus_minus
+from vision.figures.labels import candidates_text, drift_text, load_unit, offset_text
+from vision.models import Estimate, ModelFits
 from vision.sheets.tracks import LOSSY
 from vision.summary import noise_figures
 
@@ -74,6 +74,9 @@ def _sticks(results: Results) -> Answer | None:
     whole = int((results.sticks["flag"] == "ok").sum())
     if results.strip is None:
         return Answer("stick phases", str(len(results.sticks)), f"{whole} of them without a flag")
+    if results.motion is None and results.clock is not None and results.clock.status == "ambiguous":
+        detail = f"{len(results.sticks)} in the force recording, {whole} of them without a flag"
+        return Answer("stick phases in the video", "not known (clocks ambiguous)", detail, doubt=True)
     inside = 0 if results.motion is None else results.motion.sizes["event"]
     detail = f"of {len(results.sticks)} in the force recording, {whole} of them without a flag"
     return Answer("stick phases in the video", str(inside), detail, doubt=inside == 0)
@@ -98,21 +101,30 @@ def _clocks(results: Results) -> Answer | None:
     clock = results.clock
     if clock is None:
         return None
-    matches = f"drift {signed(clock.drift_ppm)} ppm, {clock.matched} slips matched"
+    matches = f"drift {drift_text(clock)}, {clock.matched} slips matched"
     spread = f", residual {clock.residual_ms:.2g} ms" if np.isfinite(clock.residual_ms) else ""
-    doubt = clock.status == "ambiguous"
-    value = "ambiguous" if doubt else f"offset {clock.offset_s:.4f} s"
-    why = {"ok": "", "given": f" ({clock.how})", "ambiguous": f"; likeliest offset {clock.offset_s:.3f} s"}
-    return Answer("clocks", value, matches + spread + why[clock.status], doubt=doubt)
+    if clock.status == "ambiguous":
+        likeliest = candidates_text(clock) or f"{clock.offset_s:.3f} s"
+        why = f"{clock.ambiguity}; " if clock.ambiguity else ""
+        detail = f"{why}likeliest offsets (log-likelihood): {likeliest}"
+        return Answer("clocks", "ambiguous", detail, doubt=True)
+    how = f" ({clock.how})" if clock.status == "given" else ""
+    return Answer("clocks", f"offset {offset_text(clock)}", matches + spread + how)
 
 
 def _friction(results: Results) -> Answer | None:
     fits = results.fits
     if fits is None:
         return None
-    modulus = f"Y_eff = {fits.modulus_GPa.value:.3g} GPa"
-    detail = f"N̂ = {fits.n_hat_N.value:.3g} N, A = {fits.amplitude.value:.3g}, {modulus}"
+    n_hat, a, modulus = (_with_total(one) for one in (fits.n_hat_N, fits.amplitude, fits.modulus_GPa))
+    detail = f"N̂ = {n_hat} N, A = {a}, Y_eff = {modulus} GPa (statistical and systematic error together)"
     return Answer("friction coefficient", f"μ = {both_errors(fits.mu)}", detail)
+
+
+def _with_total(one: Estimate) -> str:
+    """A value with the root of the sum of squares of those of its errors that are known."""
+    known = [error for error in (one.error, one.systematic_error) if math.isfinite(error)]
+    return plus_minus(Estimate(one.value, math.hypot(*known)))
 
 
 def _noise(results: Results) -> Answer | None:
@@ -306,8 +318,8 @@ def _alignment(clock: Clock) -> str:
             f"the next alignment, median residual {clock.residual_ms:.2g} ms)"
         )
     return (
-        f"The clocks of camera and testing machine {how}: offset {clock.offset_s:.4f} s, drift "
-        f"{signed(clock.drift_ppm)} ppm."
+        f"The clocks of camera and testing machine {how}: offset {offset_text(clock)}, drift "
+        f"{drift_text(clock)}."
     )
 
 

@@ -136,6 +136,8 @@ def decided_clock(own: Clock | None, decided: Correction) -> Clock:
         how="given",
         error_ms=math.nan,
         drift_err_ppm=math.nan,
+        offset_err_s=math.nan,
+        ambiguity="",
     )
 
 

@@ -1,0 +1,75 @@
+"""What the figures of several tests show, and what is said beside them."""
+
+import numpy as np
+import pytest
+
+import vision
+from tests.scenes.comparison import events, write_run
+from vision.figures.figure import Figure, Panel, Series, save_figures
+from vision.figures.style import DATA
+
+
+def with_sticks(folder, title):
+    """A run that has kept its figure of single sticks."""
+    panel = Panel(x_label="d − d_v (µm)", y_label="F − F_v (N)", title=title, series=(LINE,))
+    save_figures(folder / "figures.npz", [Figure.of("sticks", panel, "Sticks.", title="Sticks")])
+    return folder
+
+
+LINE = Series(label="1", x=np.arange(3.0), y=np.arange(3.0), ink=DATA)
+
+
+def test_speeds_that_differ_in_the_last_digit_are_one(tmp_path):
+    """A failure means one velocity twice on the page, and figures of one name that overwrite each other."""
+    speeds = (1.0, 0.9999999999999998, 10.0)
+    folders = [
+        with_sticks(write_run(tmp_path / f"r{k}", events(speed=v, seed=k), speed=v), f"r{k}")
+        for k, v in enumerate(speeds)
+    ]
+    names = [figure.name for figure in vision.compare(folders).figures()]
+    assert names.count("sticks_V1") == 1
+    assert "sticks_V10" in names
+    assert len(set(names)) == len(names)
+
+
+def test_tests_that_share_no_friction_coefficient(tmp_path):
+    """A failure means a joint μ, and its curve, that no test has, and nothing said."""
+    folders = [write_run(tmp_path / f"r{k}", events(mu=mu, seed=k)) for k, mu in enumerate((0.7, 0.9))]
+    found = vision.compare(folders)
+    assert found.joint[0].disagreement > 1000
+    (line,) = [line for line in found.warnings if "no single μ fits the 2 tests" in line]
+    assert f"{found.joint[0].disagreement:.3g}" in line
+    figures = {figure.name: figure for figure in found.figures()}
+    for name in ("peaks", "drops"):
+        assert [one.label for one in figures[name].panel.series] == ["r0", "r1"]
+    assert "No curve" in figures["peaks"].caption
+
+
+@pytest.mark.parametrize("mu", [0.89, 0.894])
+def test_tests_that_share_their_friction_coefficient(tmp_path, mu):
+    """A failure means a warning about tests that differ by less than events scatter, or no curve."""
+    made = (events(seed=1), events(mu=mu, seed=2))
+    found = vision.compare([write_run(tmp_path / f"r{k}", one) for k, one in enumerate(made)])
+    assert found.joint[0].disagrees == (mu != 0.89)  # said in the summary, as before
+    assert not any("single μ" in line for line in found.warnings)
+    peaks = next(figure for figure in found.figures() if figure.name == "peaks")
+    assert [one.label for one in peaks.panel.series] == ["V = 1 mm/min", "Eq. 1"]
+
+
+def test_systematic_errors_of_the_runs_are_taken_over(tmp_path):
+    """A failure means a drifting load cell that the comparison knows nothing of, or an error of exactly 0."""
+    drift = {"mu": 0.07, "T0_N": 5.9, "A": 0.2, "N_hat_N": 0.1, "Lambda_hat_mm": 0.3, "K_N_per_mm": 1.0}
+    models = {"budget": {"d0": dict.fromkeys(drift), "load_drift": drift}}
+    folders = [
+        write_run(tmp_path / "known", events(seed=1), models=models),
+        write_run(tmp_path / "unknown", events(seed=2)),
+    ]
+    found = vision.compare(folders)
+    columns = ["mu_systematic", "T0_systematic_N", "A_systematic"]
+    known, unknown = (found.table.set_index("run").loc[name, columns] for name in ("known", "unknown"))
+    assert known.to_numpy(float) == pytest.approx([0.07, 5.9, 0.2])
+    assert unknown.isna().all()  # nothing moves μ, 𝒯0 and A
+    assert found.joint[0].mu.systematic_error == pytest.approx(
+        0.035, rel=0.2
+    )  # half of the weight is its own
+    assert np.isnan(vision.compare(folders[1:]).table["mu_systematic"].iloc[0])
