@@ -31,7 +31,7 @@ from vision.comparison import compare as compare_runs
 from vision.comparison.comparison import summary_lines
 from vision.data import StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError
-from vision.figures import kymograph_figure, load_figures, preview_figure, slip_times
+from vision.figures import kymograph_figure, load_figures, preview_figure, sides_known, slip_times
 from vision.files import reading as reading_of
 from vision.numeric import Floats, Ints, Pixels
 from vision.pipeline import Settings, analyse, open_recording, track_strip
@@ -133,8 +133,7 @@ def lines(found: Preview, pixel_size_um: float | None) -> list[str]:
     counted = f"{low}" if low == high else f"{low} to {high}"
     scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
     frames, left = found.tracks.sizes["frame"], int((found.tracks["side"] < 0).sum())
-    # With all on one side the axis is not known: sheets moved too little in these frames.
-    sides = f" ({left} left, {comb.sheets - left} right)" if 0 < left < comb.sheets else ""
+    sides = f" ({left} left, {comb.sheets - left} right)" if sides_known(found.tracks) else ""
     hidden = f" (not independent: {strip.codec} hides the noise of the pixels)" * (strip.codec in LOSSY)
     return [
         f"film       {about}{count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
