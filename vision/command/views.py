@@ -51,13 +51,13 @@ from vision.run import (
 )
 from vision.run.comparing import MARK, write_comparison
 from vision.run.export import Format, film_of, frame_step_s, unevenness_s, write_overlay, write_space_time_tif
-from vision.run.reading import AGAIN
+from vision.run.reading import AGAIN, tracks_of
 from vision.sheets import pixel_size_from_pitch
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
 from vision.spacetime import space_time
 from vision.summary import flag_counts, frame_times, noise_figures, overexposure, tracking_warnings
-from vision.video import Video, reference_frame, strip_profile
+from vision.video import Video, reference_frame, strip_profile, video_files
 from vision.video.strip import row_means
 from vision.video.strip_find import choose_strip
 
@@ -183,8 +183,13 @@ def kymograph(
             source = _from_run(video_or_run, reading)
         options["frames"] = parse_range(reading.frames, "--frames")
     else:
-        wanted = bool(options["sheets"])
-        source = _from_video(video_or_run, settings_of(parameters), track=wanted, quiet=output.quiet)
+        wanted, settings = bool(options["sheets"]), settings_of(parameters)
+        if "width_um" in options["width"] and settings.pixel_size_um is None and settings.pitch_um is None:
+            wanted = "a pixel size (mm needs --pixel-size)"
+            raise InputError(f"--width {window.width}", wanted, "none", "or give the width as 20px")
+        given = (parameters[name].value for name in ("timestamps", "corrections"))
+        files = (*video_files(video_or_run), *(file for file in given if file is not None))
+        source = _from_video(video_or_run, settings, files, track=wanted, quiet=output.quiet)
     diagrams = _diagrams(source, **options)
     warnings = [*source.warnings, *_warnings(diagrams)]
     slips, chosen = _slips_shown(source, diagrams[0]), parameters | parameters_given(vars(window))
@@ -258,8 +263,10 @@ def _cut(strip: xr.DataArray, columns: slice, folder: Path) -> xr.DataArray:
     return strip.isel(x=slice(first, first + int(keep.sum())))
 
 
-def _from_video(path: Path, settings: Settings, *, track: bool, quiet: bool) -> Source:
-    """A video's strip, and its sheets where windows around them are wanted."""
+def _from_video(
+    path: Path, settings: Settings, files: tuple[Path, ...], *, track: bool, quiet: bool
+) -> Source:
+    """A video's strip, and its sheets where windows around them are wanted; it is read from `files`."""
     with frame_progress("reading", quiet=quiet) as progress:
         if track or settings.pitch_um is not None:
             analysis = analyse(path, None, settings, progress=progress)
@@ -269,9 +276,8 @@ def _from_video(path: Path, settings: Settings, *, track: bool, quiet: bool) -> 
             video = open_recording(path, settings)
             strip = strip_profile(video, settings.rows, columns=settings.columns, progress=progress)
             tracks, warnings = None, tuple(warnings_of(strip))
-    given = () if settings.timestamps is None else (settings.timestamps,)
     assert strip is not None
-    return Source(strip, tracks, *slip_times(tracks), settings.pixel_size_um, (path, *given), warnings)
+    return Source(strip, tracks, *slip_times(tracks), settings.pixel_size_um, files, warnings)
 
 
 def _diagrams(
@@ -371,8 +377,20 @@ def overlay(run: Path, film: Path | None, frames: str | None, output: OutputOpti
     with frame_progress("drawing", quiet=output.quiet) as progress, whole_file(target) as path:
         written = write_overlay(made, source, path, frames=part, progress=progress)
     size = f"{written.frames} frames of {written.shape[1]} x {written.shape[0]} px"
-    line = f"{size}, played at {written.fps:g} frames/s, {target.stat().st_size / 1e6:.1f} MB -> {target}"
+    speed = _speed(written.fps, StripMetadata.of(tracks_of(made)).fps)
+    line = (
+        f"{size}, played at {written.fps:g} frames/s{speed}, {target.stat().st_size / 1e6:.1f} MB -> {target}"
+    )
     return conclude([line], (), quiet=output.quiet)
+
+
+def _speed(played: float, recorded: float) -> str:
+    """How much slower or faster than the film a copy of all its frames plays; "" for the same or unknown."""
+    times = recorded / played
+    if not math.isfinite(times) or abs(times - 1) < 0.01:
+        return ""
+    how = f"{times:.3g} times slower" if times > 1 else f"{1 / times:.3g} times faster"
+    return f" ({how} than recorded, at {recorded:.4g})"
 
 
 def certify(run: Path, films: int, most_frames: int, output: OutputOptions) -> int:
