@@ -596,6 +596,5 @@ def _warnings(found: Analysis) -> tuple[str, ...]:
             lines.append(f"no model fits: {found.reasons['fits']}")
     lines += found.fits.warnings if found.fits else ()
     lines += found.clock.warnings if found.clock else ()
-    if found.shells is not None and found.fits is not None:
-        lines += shells_against_fits(found.shells, found.fits, found.settings.tuning.shells)
+    lines += shells_against_fits(found.shells, found.fits, found.settings.tuning.shells)
     return tuple(dict.fromkeys(lines))

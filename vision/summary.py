@@ -185,12 +185,16 @@ def consistency_warnings(
     return lines
 
 
-def shells_against_fits(shells: pd.DataFrame, fits: ModelFits, settings: ShellSettings) -> list[str]:
+def shells_against_fits(
+    shells: pd.DataFrame | None, fits: ModelFits | None, settings: ShellSettings
+) -> list[str]:
     """A warning where M_eff of the fits contradicts the stiff shells that the video shows.
 
     k stiff sheets are what an M_eff from k to k + 1 predicts. A side that is stiff as far as it is in view
     has no upper end. Of the errors only the statistical one of Λ̂ counts: d0 moves d and Λ̂ alike.
     """
+    if shells is None or fits is None:
+        return []
     known = shells[shells["stiff_sheets"].notna()]
     if len(known) < 3:  # so few contradict by chance
         return []

@@ -185,8 +185,8 @@ def kymograph(
     else:
         wanted, settings = bool(options["sheets"]), settings_of(parameters)
         if "width_um" in options["width"] and settings.pixel_size_um is None and settings.pitch_um is None:
-            wanted = "a pixel size (mm needs --pixel-size)"
-            raise InputError(f"--width {window.width}", wanted, "none", "or give the width as 20px")
+            needed = "a pixel size (mm needs --pixel-size)"
+            raise InputError(f"--width {window.width}", needed, "none", "or give the width as 20px")
         given = (parameters[name].value for name in ("timestamps", "corrections"))
         files = (*video_files(video_or_run), *(file for file in given if file is not None))
         source = _from_video(video_or_run, settings, files, track=wanted, quiet=output.quiet)
@@ -377,14 +377,12 @@ def overlay(run: Path, film: Path | None, frames: str | None, output: OutputOpti
     with frame_progress("drawing", quiet=output.quiet) as progress, whole_file(target) as path:
         written = write_overlay(made, source, path, frames=part, progress=progress)
     size = f"{written.frames} frames of {written.shape[1]} x {written.shape[0]} px"
-    speed = _speed(written.fps, StripMetadata.of(tracks_of(made)).fps)
-    line = (
-        f"{size}, played at {written.fps:g} frames/s{speed}, {target.stat().st_size / 1e6:.1f} MB -> {target}"
-    )
+    speed = f"{written.fps:g} frames/s{_slower(written.fps, StripMetadata.of(tracks_of(made)).fps)}"
+    line = f"{size}, played at {speed}, {target.stat().st_size / 1e6:.1f} MB -> {target}"
     return conclude([line], (), quiet=output.quiet)
 
 
-def _speed(played: float, recorded: float) -> str:
+def _slower(played: float, recorded: float) -> str:
     """How much slower or faster than the film a copy of all its frames plays; "" for the same or unknown."""
     times = recorded / played
     if not math.isfinite(times) or abs(times - 1) < 0.01:
