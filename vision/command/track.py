@@ -59,14 +59,15 @@ def track(videos: Sequence[Path], groups: Sequence[Any], run: RunOptions, config
         For options or a video that cannot be used.
     """
     parameters = merged(*groups, config=config)
-    _check_force(parameters)
     if len(videos) == 1:
+        _check_force(parameters)
         target = run.out or Path(f"{run_name(videos[0])}_tracks")
         return track_one(videos[0], target, parameters, run, config=config)[0]
     if run.follow:
         raise InputError("`follow`", "one video", f"{len(videos)}", "follow each in a terminal of its own")
     targets = _targets_of(videos, run.out, parameters)
     settings_of(parameters)  # what is wrong for every film is reported once
+    _check_force(parameters)
     return _track_several(targets, parameters, run, config)
 
 
