@@ -9,16 +9,20 @@ import pytest
 
 from tests.scenes.analysed import with_force
 from tests.scenes.combs import comb, ridges, strip
+from tests.scenes.reviewed import FORCE, SETTINGS, VIDEO, clean
 from vision.clock.clock import Candidate
 from vision.data import StickMetadata
+from vision.pipeline import analyse
 from vision.sample import PUBLISHED
 from vision.sheets import track_sheets
+from vision.shells import ShellSettings
 from vision.summary import (
     _noise,
     consistency_warnings,
     lowpass_correction,
     noise_figures,
     overexposure,
+    shells_against_fits,
     summary_lines,
     tracking_warnings,
 )
@@ -94,6 +98,37 @@ def test_more_ridges_on_a_side_than_the_sample_has_sheets(picture):
     assert "`sheets_per_block`" in lines[0]
     assert consistency_warnings(tracks, replace(PUBLISHED, sheets_per_block=25, width_mm=44.0)) == []
     assert consistency_warnings(track_sheets(strip(ridges(comb(150, per_side=29))))) == []
+
+
+@pytest.fixture(scope="module")
+def wrong_d0():
+    """The film that began at 16.6 mm, read as if at 13."""
+    return analyse(VIDEO, FORCE, replace(SETTINGS, d0_mm=13.0))
+
+
+def test_a_wrong_d0_contradicts_the_shells(wrong_d0):
+    """The force then implies 9.1 stiff sheets per side where the film shows 7 to 8; with the right d0 it
+    implies 8.2, which is 8. A failure means that a wrong separation passes, or a right one is doubted."""
+    (line,) = wrong_d0.warnings
+    assert "M_eff of the fits (9.1) lies outside the stiff shell's interval (7 to 8 sheets)" in line
+    assert "check `d0_mm`" in line
+    assert clean().warnings == ()
+
+
+def test_shells_that_say_nothing_about_the_fits(wrong_d0):
+    """Two phases are too few; a side that is stiff as far as it is in view may have more stiff sheets; an
+    M_eff that is not known better than to a sheet contradicts nothing."""
+    shells, fits, settings = wrong_d0.shells, wrong_d0.fits, ShellSettings()
+    assert len(shells_against_fits(shells, fits, settings)) == 1
+    assert shells_against_fits(shells[:2], fits, settings) == []
+    cut = shells.assign(sheets_known=shells["stiff_high"].astype(int))
+    assert shells_against_fits(cut, fits, settings) == []
+    loose = replace(fits, scale_mm=replace(fits.scale_mm, error=20 * fits.scale_mm.error))
+    assert shells_against_fits(shells, loose, settings) == []
+    agreeing = shells.assign(stiff_high=9)
+    assert shells_against_fits(agreeing, fits, settings) == []
+    fewer = shells.assign(stiff_low=12, stiff_high=14)
+    assert len(shells_against_fits(fewer, fits, settings)) == 1
 
 
 def test_both_errors_are_printed():

@@ -48,6 +48,7 @@ from vision.summary import (
     consistency_warnings,
     overexposure,
     ridges_per_side,
+    shells_against_fits,
     summary_lines,
     tracking_warnings,
 )
@@ -600,4 +601,5 @@ def _warnings(found: Analysis) -> tuple[str, ...]:
             lines.append(f"no model fits: {found.reasons['fits']}")
     lines += found.fits.warnings if found.fits else ()
     lines += found.clock.warnings if found.clock else ()
+    lines += shells_against_fits(found.shells, found.fits, found.settings.tuning.shells)
     return tuple(dict.fromkeys(lines))

@@ -12,6 +12,7 @@ import xarray as xr
 
 from vision.data import StickMetadata, StripMetadata, TrackMetadata
 from vision.figures.labels import both_errors, candidates_text, drift_text, offset_text
+from vision.models.equations import effective_sheets
 from vision.numeric import Pixels, nan_median
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
@@ -23,6 +24,8 @@ from vision.video import VideoSettings
 if TYPE_CHECKING:
     from vision.clock import Clock
     from vision.figures import Results
+    from vision.models import ModelFits
+    from vision.shells import ShellSettings
 
 
 def summary_lines(results: Results) -> list[str]:
@@ -185,6 +188,38 @@ def consistency_warnings(
             " `sheets_per_block`, `axis_px` and `sheets`"
         )
     return lines
+
+
+def shells_against_fits(
+    shells: pd.DataFrame | None, fits: ModelFits | None, settings: ShellSettings
+) -> list[str]:
+    """A warning where M_eff of the fits contradicts the stiff shells that the video shows.
+
+    k stiff sheets are what an M_eff from k to k + 1 predicts. A side that is stiff as far as it is in view
+    has no upper end. Of the errors only the statistical one of Λ̂ counts: d0 moves d and Λ̂ alike.
+    """
+    if shells is None or fits is None:
+        return []
+    known = shells[shells["stiff_sheets"].notna()]
+    if len(known) < 3:  # so few contradict by chance
+        return []
+    d_mm, scale = known["d_v_mm"].to_numpy(float), fits.scale_mm
+    beyond = settings.fit_sigma * scale.error
+    least, most = (
+        effective_sheets(d_mm / (scale.value + sign * beyond), sample=fits.sample) for sign in (-1, 1)
+    )
+    low, high = known["stiff_low"].to_numpy(float), known["stiff_high"].to_numpy(float)
+    in_view = high < known["sheets_known"].to_numpy(float)
+    outside = (most < low) | (in_view & (least >= high + 1))
+    if outside.mean() <= settings.contradicted_share:
+        return []
+    fitted = np.median(fits.effective_sheets(d_mm[outside]))
+    shell = f"{np.median(low[outside]):.0f} to {np.median(high[outside]):.0f} sheets"
+    return [
+        f"M_eff of the fits ({fitted:.1f}) lies outside the stiff shell's interval ({shell}) in"
+        f" {outside.sum()} of {len(known)} stick phases and sides:"
+        " check `d0_mm`, the sample's geometry, `sheets_per_block` and `threshold`"
+    ]
 
 
 def doubt_line(tracks: xr.Dataset) -> str:

@@ -12,7 +12,9 @@ import xarray as xr
 
 from tests.scenes.comb_video import frames_of, positions, write_video
 from tests.scenes.undrawn import undrawn
+from vision.command import views
 from vision.command.main import run
+from vision.command.options import OutputOptions, VideoOptions, WindowOptions
 from vision.run import read_run, slip_times_s
 
 SHEET, COLUMN = ["--sheet", "right:4"], 7  # the outermost on the right
@@ -241,6 +243,25 @@ BAD = {
     "damaged facts": (["odd"], "run.json"),
     "run of a force alone": (["force"], "tracks.nc"),
 }
+
+
+def test_a_width_without_a_scale_is_refused_before_the_film_is_read(there, monkeypatch, capsys):
+    """A failure means that a long film is tracked first, only to say that a pixel size was needed."""
+
+    def read(*arguments, **options):
+        raise AssertionError("the film was read")
+
+    monkeypatch.setattr(views, "_from_video", read)
+    assert run(["kymograph", "comb.tif", *SHEET, "--width", "0.2mm"]) == 2
+    assert "mm needs --pixel-size" in capsys.readouterr().err
+    with pytest.raises(AssertionError, match="the film was read"):
+        views.kymograph(
+            there / "comb.tif",
+            WindowOptions(sheet=("right:4",), width="0.2mm"),
+            VideoOptions(pixel_size="10"),
+            "png",
+            OutputOptions(),
+        )
 
 
 @pytest.fixture

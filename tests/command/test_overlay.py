@@ -8,6 +8,7 @@ import av
 import cv2
 import numpy as np
 import pytest
+import xarray as xr
 
 from tests.scenes.comb_video import frames_of, positions, write_video
 from vision.command.main import run
@@ -84,6 +85,23 @@ def test_strokes_stand_on_the_sheets_of_their_own_frame(there, capsys):
         assert np.array([side for _, side in found])[[0, 1, 2, 4, 5, 6]].tolist() == [-1, -1, -1, 1, 1, 1]
     assert np.abs(truth[19] - truth[20]).max() > 3  # a frame too late would show
     assert film[BLANK, MARGIN:-MARGIN].mean() < 6  # not the frame before it
+
+
+@pytest.mark.parametrize(
+    ("recorded", "said"),
+    [
+        (60.0, "played at 50 frames/s (1.2 times slower than recorded, at 60)"),
+        (0.5, "played at 5 frames/s (10 times faster than recorded, at 0.5)"),
+        (20.0, "played at 20 frames/s, "),
+    ],
+)
+def test_another_speed_than_the_film_s_is_said(there, capsys, recorded, said):
+    """Failure: slow motion is shown for what was seen, and nobody is told."""
+    with xr.open_dataset("comb_tracks/tracks.nc", engine="h5netcdf") as data:
+        tracks = data.load().assign_attrs(fps=recorded)
+    tracks.to_netcdf("comb_tracks/tracks.nc", engine="h5netcdf")
+    assert run(["overlay", "comb_tracks", "--frames", "0:3", "--out", "part.mp4"]) == 0
+    assert said in capsys.readouterr().out
 
 
 def test_a_part_of_the_film(there):

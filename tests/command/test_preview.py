@@ -78,6 +78,23 @@ def test_the_picture_shows_the_measured_numbers(found):
     assert frame.image is not None
 
 
+def test_without_an_axis_sheets_are_numbered_from_the_left():
+    """In its first frames the film does not move enough to show its axis: the one found lies left of all
+    sheets. A failure means a picture with an axis beside the comb, and sheets that are numbered from it."""
+    film = Path(__file__).parents[2] / "fixtures" / "paper" / "video.avi"
+    found = look(film, settings_of(merged(VideoOptions())))
+    frame = preview_figure(found.frame, found.strip, found.tracks).panels[0]
+    assert frame.x_lines == ()
+    (strokes,) = frame.series
+    assert strokes.text == tuple(str(k) for k in range(50))
+    assert "index from the left (axis not known)" in frame.title
+    told = look(film, settings_of(merged(VideoOptions(axis=959.5))))
+    frame = preview_figure(told.frame, told.strip, told.tracks).panels[0]
+    assert frame.x_lines == (959.5,)
+    assert [series.text[0] for series in frame.series] == ["25", "1"]
+    assert "sheet numbers n" in frame.title
+
+
 def test_a_film_without_ridges_is_refused_in_one_line(tmp_path, monkeypatch, capsys):
     """Failure: a film of nothing ends in a traceback, or in a picture."""
     monkeypatch.chdir(tmp_path)

@@ -204,6 +204,44 @@ def test_the_checkout_s_cli_runs_as_a_process(video):
     assert min(sizes[name] for name in ("overview.png", "kymograph.png", "report.html")) > 10_000
 
 
+def test_every_file_that_was_read_is_in_run_json(video):
+    """A failure means that options, times or decisions may change and the run still looks repeatable. The
+    film stands first and the force last, where a review looks for them."""
+    Path("times.txt").write_text("".join(f"{k / 20}\n" for k in range(60)), encoding="utf-8")
+    Path("run.toml").write_text("sheets = 8\n", encoding="utf-8")
+    Path("hand.toml").write_text("[[axis]]\nx_px = 90.0\n", encoding="utf-8")
+    force = Path(__file__).parents[2] / "fixtures" / "paper" / "force.txt"
+    given = ["--timestamps", "times.txt", "--config", "run.toml", "--corrections", "hand.toml"]
+    run([str(video), "--quiet", "--no-report", *given, "--force", str(force)])
+    inputs = json.loads(Path("comb_tracks/run.json").read_text())["inputs"]
+    names = [Path(one["path"]).name for one in inputs]
+    assert names == [video.name, "times.txt", "run.toml", "hand.toml", "force.txt"]
+    assert inputs[2]["size_bytes"] == Path("run.toml").stat().st_size
+    window = ["--sheet", "right:1", "--width", "9px", "--timestamps", "times.txt", "--quiet"]
+    assert run(["kymograph", str(video), *window, "--corrections", "hand.toml"]) == 0
+    inputs = json.loads(Path("comb_kymograph/run.json").read_text())["inputs"]
+    assert [Path(one["path"]).name for one in inputs] == [video.name, "times.txt", "hand.toml"]
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (["--d0", "13"], "--d0"),
+        (["--speed", "1", "--fix-mu", "0.9"], "--speed, --fix-mu"),
+        (["--offset", "3"], "--offset"),
+    ],
+)
+def test_options_of_a_force_that_is_not_given_are_refused(video, capsys, options, named):
+    """A failure means that they are ignored without a word, and a force that was forgotten is not missed."""
+    assert run([str(video), *options]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"track: {named}: ") and "give --force FILE" in said
+    assert said.count("\n") == 1
+    assert not Path("comb_tracks").exists()
+    Path("run.toml").write_text("d0 = 13\n", encoding="utf-8")  # a file may serve other films, too
+    assert run([str(video), "--config", "run.toml", "--quiet", "--no-report"]) == 0
+
+
 def test_a_checksum_covers_every_byte_of_the_film(video):
     """A failure means that --checksum names another file, or is forgotten."""
     assert run([str(video), "--quiet", "--no-report", "--checksum", "--overwrite"]) == 0

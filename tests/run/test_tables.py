@@ -3,6 +3,7 @@
 import threading
 
 import pytest
+import xarray as xr
 
 from tests.scenes import analysed
 from vision.pipeline import Analysis, Settings
@@ -13,6 +14,15 @@ from vision.run import Origin, tables, write_run, writing
 def found():
     seen = analysed.video_only()
     return Analysis(settings=Settings(), strip=seen.strip, tracks=seen.tracks)
+
+
+def test_tracks_nc_is_not_taken_for_a_strip(found, tmp_path):
+    """A failure means that a viewer labels positions as a mean intensity in grey levels."""
+    tables.write_tracks_nc(found.tracks, tmp_path / "tracks.nc", pixel_size_um=10.0)
+    with xr.open_dataset(tmp_path / "tracks.nc", engine="h5netcdf") as read:
+        assert read.attrs["title"] == "positions of sheets, x(n,t)"
+        assert not {"long_name", "units"} & set(read.attrs)
+        assert read["x_px"].attrs["units"] == "px"
 
 
 def test_after_ctrl_c_nothing_waits_for_the_whole_table(found, tmp_path, monkeypatch):

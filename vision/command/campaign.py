@@ -287,7 +287,7 @@ def _take(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> Outcome:
     def analyse(*, resume: bool) -> Any:
         options = RunOptions(overwrite=True, report=plan.report, quiet=True, resume=resume)
         copy = source if local else None
-        return track_one(video, target, parameters, options, one_of_many=True, copy=copy)
+        return track_one(video, target, parameters, options, one_of_many=True, copy=copy, config=plan.config)
 
     # A job that was killed goes on where it ended, but not from a copy that is gone.
     again = local and source == video and plan.state(film).attempts > 1 and not parameters["strips"].value

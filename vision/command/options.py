@@ -309,7 +309,7 @@ _OPTION_OF: Mapping[str, str] = {
     "pitch_um": "--pitch",
     "speed_mm_min": "--speed",
     "d0_mm": "--d0",
-    "d0_err_mm": "--d0",
+    "d0_err_mm": "--d0 as 13.0±0.1",
     "force_threshold_N": "--force-threshold",
     "threshold_N": "--force-threshold",
     "force_lowpass_s": "--force-lowpass",

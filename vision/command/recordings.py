@@ -66,7 +66,8 @@ def force(
     check_target(target, overwrite=output.overwrite)
     analysis = analyse(None, file, replace(settings_of(parameters), t_star_fitted=free_t_star))
     parameters |= parameters_given({"free_t_star": free_t_star})
-    origin = Origin(command=command_line(), inputs=(file,), parameters=parameters, options=option_names())
+    inputs = (file,) if config is None else (file, config)
+    origin = Origin(command=command_line(), inputs=inputs, parameters=parameters, options=option_names())
     found = None
     if limit and analysis.force is not None and analysis.sticks is not None:
         table = detection_limit(analysis.force, analysis.sticks)

@@ -38,7 +38,7 @@ def review(
     missing = [name for name in ("starlette", "uvicorn") if importlib.util.find_spec(name) is None]
     if missing:
         found = f"no {' and no '.join(missing)}"
-        raise InputError("track review", "the extra 'review'", found, "pip install 'sheetvision[review]'")
+        raise InputError("track review", "the extra 'review'", found, "pip install '.[review]'")
     folder = run_or_video
     if not (folder / "run.json").is_file():  # as `vision.run.is_run`, which takes a second to import
         from vision.command.track import run_name, track

@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ import matplotlib.artist
 import xarray as xr
 
 from vision.command.console import attempt, complain, frame_progress, in_columns, say
-from vision.command.options import RunOptions, option_names
+from vision.command.options import ForceOptions, RunOptions, flag_of, option_names
 from vision.command.review import keep_first_view
 from vision.command.settings import merged, settings_of
 from vision.data import StripMetadata
@@ -60,13 +60,23 @@ def track(videos: Sequence[Path], groups: Sequence[Any], run: RunOptions, config
     """
     parameters = merged(*groups, config=config)
     if len(videos) == 1:
+        _check_force(parameters)
         target = run.out or Path(f"{run_name(videos[0])}_tracks")
-        return track_one(videos[0], target, parameters, run)[0]
+        return track_one(videos[0], target, parameters, run, config=config)[0]
     if run.follow:
         raise InputError("`follow`", "one video", f"{len(videos)}", "follow each in a terminal of its own")
     targets = _targets_of(videos, run.out, parameters)
     settings_of(parameters)  # what is wrong for every film is reported once
-    return _track_several(targets, parameters, run)
+    _check_force(parameters)
+    return _track_several(targets, parameters, run, config)
+
+
+def _check_force(parameters: Mapping[str, Parameter]) -> None:
+    """Options typed for a force recording that is not given are refused; in a file they may serve others."""
+    names = (*(field.name for field in fields(ForceOptions)), "offset", "threshold", "common_mode")
+    typed = [flag_of(name) for name in names if parameters[name].how == "given"]
+    if typed and parameters["force"].value is None:
+        raise InputError(", ".join(typed), "the recording of the force, too", "none", "give --force FILE")
 
 
 def track_one(
@@ -77,11 +87,13 @@ def track_one(
     *,
     one_of_many: bool = False,
     copy: Path | None = None,
+    config: Path | None = None,
 ) -> tuple[int, Analysis]:
     """One film to one run folder: the exit status and what was found.
 
     Of many films each warning names its film, and the summary waits for the table unless all is asked for.
-    A copy of the film is read in its place where there is one.
+    A copy of the film is read in its place where there is one. `config` is the file that options were taken
+    from.
     """
     # The help texts of matplotlib's artists are a third of the time that its import takes.
     matplotlib.artist.kwdoc = lambda artist: ""
@@ -101,7 +113,9 @@ def track_one(
             with frame_progress("reading", quiet=run.quiet) as progress:
                 show = sums.beside(progress)
                 analysis = analyse(copy or video, force, settings, progress=show, log=checkpoint)
-        inputs = (*video_files(video), *(() if force is None else (force,)))
+        # The film comes first and the force recording last: a review finds them there.
+        files = (parameters["timestamps"].value, config, parameters["corrections"].value, force)
+        inputs = (*video_files(video), *(file for file in files if file is not None))
         if settings.pitch_um is not None:
             parameters = {**parameters, "pixel_size": Parameter(analysis.pixel_size_um, "found")}
         analysis = _made_for_this_film(analysis, parameters["corrections"].value, inputs[0])
@@ -245,14 +259,18 @@ def _is_still(path: Path) -> bool:
         return False  # it is named when its turn comes
 
 
-def _track_several(targets: Mapping[Path, Path], parameters: dict[str, Parameter], run: RunOptions) -> int:
+def _track_several(
+    targets: Mapping[Path, Path], parameters: dict[str, Parameter], run: RunOptions, config: Path | None
+) -> int:
     """Every film in turn, and a table of them; the highest of their exit statuses."""
     head = ("film", "status", "sheets", "frames", "lost", "measured", "noise px", "seconds", "remark")
     rows: list[tuple[str, ...]] = [head]
     worst = 0
     for video, target in targets.items():
         started = time.perf_counter()
-        done, status, why = attempt(partial(track_one, video, target, parameters, run, one_of_many=True))
+        done, status, why = attempt(
+            partial(track_one, video, target, parameters, run, one_of_many=True, config=config)
+        )
         status, analysis = done or (status, None)
         if why:
             complain(why)

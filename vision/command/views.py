@@ -31,7 +31,7 @@ from vision.comparison import compare as compare_runs
 from vision.comparison.comparison import summary_lines
 from vision.data import StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError
-from vision.figures import kymograph_figure, load_figures, preview_figure, slip_times
+from vision.figures import kymograph_figure, load_figures, preview_figure, sides_known, slip_times
 from vision.files import reading as reading_of
 from vision.numeric import Floats, Ints, Pixels
 from vision.pipeline import Settings, analyse, open_recording, track_strip
@@ -51,13 +51,13 @@ from vision.run import (
 )
 from vision.run.comparing import MARK, write_comparison
 from vision.run.export import Format, film_of, frame_step_s, unevenness_s, write_overlay, write_space_time_tif
-from vision.run.reading import AGAIN
+from vision.run.reading import AGAIN, tracks_of
 from vision.sheets import pixel_size_from_pitch
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
 from vision.spacetime import space_time
 from vision.summary import flag_counts, frame_times, noise_figures, overexposure, tracking_warnings
-from vision.video import Video, reference_frame, strip_profile
+from vision.video import Video, reference_frame, strip_profile, video_files
 from vision.video.strip import row_means
 from vision.video.strip_find import choose_strip
 
@@ -133,8 +133,7 @@ def lines(found: Preview, pixel_size_um: float | None) -> list[str]:
     counted = f"{low}" if low == high else f"{low} to {high}"
     scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
     frames, left = found.tracks.sizes["frame"], int((found.tracks["side"] < 0).sum())
-    # With all on one side the axis is not known: sheets moved too little in these frames.
-    sides = f" ({left} left, {comb.sheets - left} right)" if 0 < left < comb.sheets else ""
+    sides = f" ({left} left, {comb.sheets - left} right)" if sides_known(found.tracks) else ""
     hidden = f" (not independent: {strip.codec} hides the noise of the pixels)" * (strip.codec in LOSSY)
     return [
         f"film       {about}{count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
@@ -184,8 +183,13 @@ def kymograph(
             source = _from_run(video_or_run, reading)
         options["frames"] = parse_range(reading.frames, "--frames")
     else:
-        wanted = bool(options["sheets"])
-        source = _from_video(video_or_run, settings_of(parameters), track=wanted, quiet=output.quiet)
+        wanted, settings = bool(options["sheets"]), settings_of(parameters)
+        if "width_um" in options["width"] and settings.pixel_size_um is None and settings.pitch_um is None:
+            needed = "a pixel size (mm needs --pixel-size)"
+            raise InputError(f"--width {window.width}", needed, "none", "or give the width as 20px")
+        given = (parameters[name].value for name in ("timestamps", "corrections"))
+        files = (*video_files(video_or_run), *(file for file in given if file is not None))
+        source = _from_video(video_or_run, settings, files, track=wanted, quiet=output.quiet)
     diagrams = _diagrams(source, **options)
     warnings = [*source.warnings, *_warnings(diagrams)]
     slips, chosen = _slips_shown(source, diagrams[0]), parameters | parameters_given(vars(window))
@@ -259,8 +263,10 @@ def _cut(strip: xr.DataArray, columns: slice, folder: Path) -> xr.DataArray:
     return strip.isel(x=slice(first, first + int(keep.sum())))
 
 
-def _from_video(path: Path, settings: Settings, *, track: bool, quiet: bool) -> Source:
-    """A video's strip, and its sheets where windows around them are wanted."""
+def _from_video(
+    path: Path, settings: Settings, files: tuple[Path, ...], *, track: bool, quiet: bool
+) -> Source:
+    """A video's strip, and its sheets where windows around them are wanted; it is read from `files`."""
     with frame_progress("reading", quiet=quiet) as progress:
         if track or settings.pitch_um is not None:
             analysis = analyse(path, None, settings, progress=progress)
@@ -270,9 +276,8 @@ def _from_video(path: Path, settings: Settings, *, track: bool, quiet: bool) -> 
             video = open_recording(path, settings)
             strip = strip_profile(video, settings.rows, columns=settings.columns, progress=progress)
             tracks, warnings = None, tuple(warnings_of(strip))
-    given = () if settings.timestamps is None else (settings.timestamps,)
     assert strip is not None
-    return Source(strip, tracks, *slip_times(tracks), settings.pixel_size_um, (path, *given), warnings)
+    return Source(strip, tracks, *slip_times(tracks), settings.pixel_size_um, files, warnings)
 
 
 def _diagrams(
@@ -372,8 +377,18 @@ def overlay(run: Path, film: Path | None, frames: str | None, output: OutputOpti
     with frame_progress("drawing", quiet=output.quiet) as progress, whole_file(target) as path:
         written = write_overlay(made, source, path, frames=part, progress=progress)
     size = f"{written.frames} frames of {written.shape[1]} x {written.shape[0]} px"
-    line = f"{size}, played at {written.fps:g} frames/s, {target.stat().st_size / 1e6:.1f} MB -> {target}"
+    speed = f"{written.fps:g} frames/s{_slower(written.fps, StripMetadata.of(tracks_of(made)).fps)}"
+    line = f"{size}, played at {speed}, {target.stat().st_size / 1e6:.1f} MB -> {target}"
     return conclude([line], (), quiet=output.quiet)
+
+
+def _slower(played: float, recorded: float) -> str:
+    """How much slower or faster than the film a copy of all its frames plays; "" for the same or unknown."""
+    times = recorded / played
+    if not math.isfinite(times) or abs(times - 1) < 0.01:
+        return ""
+    how = f"{times:.3g} times slower" if times > 1 else f"{1 / times:.3g} times faster"
+    return f" ({how} than recorded, at {recorded:.4g})"
 
 
 def certify(run: Path, films: int, most_frames: int, output: OutputOptions) -> int:

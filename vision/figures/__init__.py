@@ -4,6 +4,7 @@ from vision.figures.camera import (
     frame_figure,
     kymograph_figure,
     preview_figure,
+    sides_known,
     slip_times,
     space_time_figure,
 )
@@ -58,6 +59,7 @@ __all__ = [
     "save_figures",
     "sections_of",
     "shells_figure",
+    "sides_known",
     "slip_times",
     "space_time_figure",
     "tracks_figure",

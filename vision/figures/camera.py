@@ -13,11 +13,11 @@ from vision.clock import video_slips
 from vision.data import StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, grey_limits, time_rows
-from vision.figures.figure import Band, Figure, Image, Panel, Range, Series
+from vision.figures.figure import Band, Figure, Image, Ink, Panel, Range, Series
 from vision.figures.labels import UM_PER_MM, displacement_unit, from_zero, position_unit, time_axis
 from vision.figures.positions import decimated_tracks, sheet_series
 from vision.figures.style import DATA, LEFT_ON_GREY, MODEL, PEAK, QUIET, RIGHT_ON_GREY, VALLEY, sheet_inks
-from vision.numeric import Floats, Pixels, nan_median
+from vision.numeric import Floats, Ints, Pixels, nan_median
 from vision.spacetime import space_time
 
 MOST_ROWS = 1200  # of an image
@@ -28,10 +28,20 @@ KYMOGRAPH_CAPTION = (
 )
 
 
-def frame_figure(frame: Pixels, tracks: xr.Dataset) -> Figure:
+def sides_known(tracks: xr.Dataset) -> bool:
+    """Whether the symmetry axis was given or found between sheets, so that sides and n mean something.
+
+    In few frames sheets hardly move: an axis found beside all of them is then none.
+    """
+    side = tracks["side"].values
+    return TrackMetadata.of(tracks).axis_how == "given" or bool((side < 0).any() and (side > 0).any())
+
+
+def frame_figure(frame: Pixels, tracks: xr.Dataset, *, axis: bool = True) -> Figure:
     """One whole frame with the averaged rows outlined, the sheets' numbers n and the symmetry axis.
 
-    A pixel is drawn square; only a frame too flat to show anything is stretched, and its title says so.
+    Without an axis the numbers are the index from the left. A pixel is drawn square; only a frame too flat
+    to show anything is stretched, and its title says so.
     """
     rows, columns = frame.shape
     step = max(1, -(-rows // MOST_ROWS), -(-columns // (2 * MOST_ROWS)))
@@ -39,17 +49,18 @@ def frame_figure(frame: Pixels, tracks: xr.Dataset) -> Figure:
     low, high = grey_limits(grey)
     strip = StripMetadata.of(tracks)
     z0, z1 = float(strip.strip_z0), float(strip.strip_z1)
-    axis_px = TrackMetadata.of(tracks).axis_px
+    axis_px = TrackMetadata.of(tracks).axis_px if axis else math.nan
+    numbers = "sheet numbers n, symmetry axis (dashed)" if axis else "index from the left (axis not known)"
     # The numbers stand above the strip.
     shown = min(-0.5, z0 - max(0.15 * rows, 0.02 * columns)), rows - 0.5
     aspect, flattest = (shown[1] - shown[0]) / columns, 0.06
     which = _which_frame(tracks)
     stretched = f"; z stretched {flattest / aspect:.2g} times" if aspect < flattest else ""
     panel = Panel(
-        title=f"{which}: averaged rows (outlined), sheet numbers n, symmetry axis (dashed){stretched}",
+        title=f"{which}: averaged rows (outlined), {numbers}{stretched}",
         x_label="x (px)",
         y_label="z (px)",
-        series=_numbered_strokes(tracks, z0, z1),
+        series=_numbered_strokes(tracks, z0, z1) if axis else _indexed_strokes(tracks, z0, z1),
         image=Image(
             pixels=grey_levels(grey, low, high),
             left=-0.5,
@@ -71,8 +82,8 @@ def frame_figure(frame: Pixels, tracks: xr.Dataset) -> Figure:
         "frame",
         panel,
         f"{which} of the recording. The outlined rows {z0:.0f} to {z1:.0f} (half-open) are averaged to the "
-        "profile I(x); vertical strokes mark the sheets that were found, with their number n counted "
-        "outwards from the symmetry axis (dashed).",
+        "profile I(x); vertical strokes mark the sheets that were found, with their "
+        + ("number n counted outwards from the symmetry axis (dashed)." if axis else "index from the left."),
         title="The frame, the strip and the numbered sheets",
     )
 
@@ -89,25 +100,40 @@ def _which_frame(tracks: xr.Dataset) -> str:
 
 def _numbered_strokes(tracks: xr.Dataset, z0: float, z1: float) -> tuple[Series, ...]:
     """Vertical strokes from row z0 to z1 at every sheet seen, with n as text; one series per side."""
-    x_px = tracks["x_px"].values
-    seen = np.isfinite(x_px).any(axis=1)
-    x = np.asarray(x_px[int(np.argmax(seen))], np.float64)  # as in the frame shown: the first with any
+    x = _places_shown(tracks)
     known = np.flatnonzero(np.isfinite(x))
     inks = sheet_inks(tracks)
     side, n = tracks["side"].values, tracks["n"].values
     return tuple(
-        Series(
-            label=f"sheets {name} of the axis",
-            x=x[mine],
-            y=np.full(len(mine), (z0 + z1) / 2 - 0.5),
-            low=np.full(len(mine), z0 - 0.5),
-            high=np.full(len(mine), z1 - 0.5),
-            text=tuple(str(k) for k in n[mine]),
-            ink=inks[mine[-1 if which > 0 else 0]],
-            look="ticks",
-        )
+        _strokes(f"sheets {name} of the axis", x[mine], n[mine], inks[mine[-1 if which > 0 else 0]], z0, z1)
         for which, name in ((-1, "left"), (1, "right"))
         if len(mine := known[side[known] == which])
+    )
+
+
+def _indexed_strokes(tracks: xr.Dataset, z0: float, z1: float) -> tuple[Series, ...]:
+    """The same without sides: the index from the left as text, all in one ink."""
+    x = _places_shown(tracks)
+    known = np.isfinite(x)
+    return (_strokes("sheets", x[known], tracks["sheet"].values[known], PEAK, z0, z1),)
+
+
+def _places_shown(tracks: xr.Dataset) -> Floats:
+    """Positions in the frame shown: the first with any."""
+    x_px = tracks["x_px"].values
+    return np.asarray(x_px[int(np.argmax(np.isfinite(x_px).any(axis=1)))], np.float64)
+
+
+def _strokes(label: str, x: Floats, numbers: Ints, ink: Ink, z0: float, z1: float) -> Series:
+    return Series(
+        label=label,
+        x=x,
+        y=np.full(len(x), (z0 + z1) / 2 - 0.5),
+        low=np.full(len(x), z0 - 0.5),
+        high=np.full(len(x), z1 - 0.5),
+        text=tuple(str(number) for number in numbers),
+        ink=ink,
+        look="ticks",
     )
 
 
@@ -164,7 +190,7 @@ def preview_figure(
             "error stated for one position (hollow) and the scatter from frame to frame over "
             f"{tracks.sizes['frame']} consecutive frames (filled)."
         ),
-        panels=(frame_figure(frame, tracks).panel, curve, noise),
+        panels=(frame_figure(frame, tracks, axis=sides_known(tracks)).panel, curve, noise),
         width_in=13.0,
     )
 

@@ -560,5 +560,5 @@ def _remarks(
             f"A, N_hat and Y_eff belong to models for V ≤ 1 mm/min; here V = {facts.speed_mm_min:.3g} mm/min"
         )
     if not np.isfinite(facts.d0_err_mm):
-        notes.append("systematic errors are without that of d0, which is not known (`d0_mm` as 13.0±0.1)")
+        notes.append("systematic errors are without that of d0, which is not known (give `d0_err_mm`)")
     return notes, tuple(warnings)

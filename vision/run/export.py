@@ -59,7 +59,7 @@ def export_run(run: RunFolder, to: Format, *, out: Path | None = None, overwrite
     cannot be written, for a package that is not installed, or for a run without what the format holds.
     """
     if to == "xlsx" and importlib.util.find_spec("openpyxl") is None:
-        advice = "install it: pip install 'sheetvision[export]'"
+        advice = "install it: pip install '.[export]'"
         raise InputError("the format xlsx", "the package openpyxl", "none", advice)
     target = out or Path(f"{run.folder.resolve().name}{ENDINGS.get(to, f'_{to}')}")
     if target.resolve().is_relative_to(run.folder.resolve()):

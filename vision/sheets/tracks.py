@@ -381,7 +381,8 @@ def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> x
     variables = {name: (TRACKS[name].dims, data, TRACKS[name].attrs) for name, data in values.items()}
     coords = {name: variables.pop(name) for name in ("time_s", "side", "n")}
     places = {"frame": strip["frame"].values, "sheet": np.arange(x.shape[1])}
-    return xr.Dataset(variables, places | coords, strip.attrs | metadata.attrs())
+    of_film = {name: fact for name, fact in strip.attrs.items() if name not in ("long_name", "units")}
+    return xr.Dataset(variables, places | coords, of_film | metadata.attrs())
 
 
 def _flags(strip: xr.DataArray, found: _Tracked) -> Strings:

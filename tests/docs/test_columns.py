@@ -1,0 +1,43 @@
+"""docs/columns.md has every column of the tables, as `vision.data` declares it."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.scenes.analysed import with_force
+from vision.data import MOTION, SHELLS, STICKS, TRACKS
+from vision.run.tables import sheets_table
+from vision.shells import deformation_table
+
+PAGE = Path(__file__).parents[2] / "docs" / "columns.md"
+
+
+def documented():
+    """Table to column to (unit, meaning)."""
+    parts = re.split(r"^## ", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
+    return {
+        part.partition("\n")[0]: {
+            name: (unit, meaning)
+            for name, unit, meaning in re.findall(r"^\| `(\w+)` \| (.*?) ?\| (.+) \|$", part, re.MULTILINE)
+        }
+        for part in parts
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "declared", "written"),
+    [
+        ("events.csv", STICKS, lambda run: run.sticks),
+        ("deformation.csv", MOTION, lambda run: deformation_table(run.motion)),
+        ("shells.csv", SHELLS, lambda run: run.shells),
+        ("sheets.csv", TRACKS, lambda run: sheets_table(run.tracks)),
+    ],
+)
+def test_every_column_has_its_unit_and_meaning(name, declared, written):
+    """A failure means that a column is not explained, or explained as another."""
+    page = documented()[name]
+    assert list(page) == list(written(with_force()).columns)
+    known = [column for column in page if column in declared.variables]
+    assert len(known) >= 7
+    assert {c: page[c] for c in known} == {c: (declared[c].units, declared[c].long_name) for c in known}
