@@ -77,7 +77,7 @@ class VideoSettings:
     """Difference between outer and inner rows from which ridges count as bowed. Smaller leaves out rows of
     straight ridges, larger keeps bias that exceeds the noise."""
 
-    # the rows of the strip against each other (strip_find)
+    # the rows of the strip against each other (strip_rows)
     least_bands: int = 8
     """Bands that a strip needs for its rows to be compared. Fewer give no middle half to compare with."""
     least_strength: float = 0.2

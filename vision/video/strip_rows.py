@@ -1,0 +1,219 @@
+"""Whether the rows of a strip agree on where the ridges are: bows, shadows and edges do not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision.numeric import NORMAL_MEDIAN, Floats, Ints
+from vision.video.settings import VideoSettings
+
+
+@dataclass(frozen=True)
+class RowShifts:
+    """Where each band of rows sees the ridges, against the bands in the middle.
+
+    Parameters
+    ----------
+    shift_px
+        Displacement along x beyond the common lean and the segment's own lean (band, segment).
+    strength
+        Of the ridges in each band, 1 in the middle (band,).
+    noise_px
+        Standard deviation of one band's displacement in one segment and frame, at strength 1.
+    frames
+        Frames over which `shift_px` is the mean.
+    """
+
+    shift_px: Floats
+    strength: Floats
+    noise_px: float
+    frames: int
+
+
+class StripErrors(NamedTuple):
+    """What positions depend on the choice of rows, px, beyond lean and noise; 0 where nothing shows.
+
+    Parameters
+    ----------
+    halves_px
+        RMS difference of positions from the upper and the lower half.
+    bow_px
+        The same from the outer and the inner half.
+    error_px
+        RMS displacement of the mean if a tenth of the rows were left out at both ends: what a choice of rows
+        that is as good would change. It does not vary with time, so it counts among the systematic errors.
+    """
+
+    halves_px: float
+    bow_px: float
+    error_px: float
+
+
+NO_ERRORS = StripErrors(0.0, 0.0, 0.0)
+
+
+def row_shifts(bands: NDArray[np.floating], lean: float, settings: VideoSettings) -> RowShifts | None:
+    r"""Displacement of the ridges in each band of rows against the mean of the middle half.
+
+    Parameters
+    ----------
+    bands
+        Slopes along x (frame, band, x).
+    lean
+        Shift along x from one band to the next, px, which is taken off.
+    settings
+        See `VideoSettings`.
+
+    Returns
+    -------
+    RowShifts
+        None for fewer bands than `settings.least_bands`, or no ridges.
+
+    Notes
+    -----
+    With the mean slope :math:`m(x)` of the middle bands of a frame, a band whose ridges are displaced by
+    :math:`d` and :math:`a` times as strong shows :math:`a\, m(x - d)`, so
+
+    .. math:: a = \frac{\sum_x b\, m}{\sum_x m^2}, \qquad d = -\frac{\sum_x (b - a m)\, m'}{a \sum_x m'^2}
+
+    in each segment along x. d is linear up to about a third of a ridge's width and too small beyond.
+    """
+    frames, count, width = bands.shape
+    if count < settings.least_bands:
+        return None
+    place = np.arange(count) - (count - 1) / 2
+    spectrum = np.fft.rfft(bands, axis=-1)
+    back = np.exp(2j * np.pi * np.outer(lean * place, np.fft.rfftfreq(width)))
+    upright = np.fft.irfft(spectrum * back, n=width, axis=-1)
+    middle = slice(count // 4, count - count // 4)
+    mean = upright[:, middle].mean(axis=1)
+    rise = np.gradient(mean, axis=-1)
+    starts = _segments(width, settings)
+    power, steep = _sums(mean**2, starts), _sums(rise**2, starts)  # (frame, segment)
+    shows = np.median(power, axis=0) >= settings.ridge_share * np.sort(np.median(power, axis=0))[-1]
+    if not shows.any() or not (power[:, shows] > 0).all() or not (steep[:, shows] > 0).all():
+        return None
+    power, steep = power[:, None, shows], steep[:, None, shows]
+    strength = _sums(upright * mean[:, None], starts)[..., shows] / power
+    across = _sums(upright * rise[:, None], starts)[..., shows]
+    even = _sums(mean * rise, starts)[:, None, shows]
+    weak = np.maximum(strength, settings.least_strength)
+    shift = -(across - strength * even) / (weak * steep)
+    usual = np.clip(np.median(strength, axis=(0, 2)), 0.0, None)
+    spread = shift[:, middle].std(axis=0, ddof=1) if frames > 1 else np.zeros_like(shift[0, middle])
+    noise = float(np.median(spread * usual[middle, None]))
+    return RowShifts(_upright(shift.mean(axis=0), middle), usual, noise, frames)
+
+
+def _upright(shift: Floats, middle: slice) -> Floats:
+    """Displacements (band, segment) less each segment's straight line through the bands in the middle."""
+    place = np.arange(len(shift)) - (len(shift) - 1) / 2
+    inner = place[middle]
+    slope = (inner @ shift[middle]) / (inner @ inner)
+    return np.asarray(shift - shift[middle].mean(axis=0) - place[:, None] * slope, np.float64)
+
+
+def _segments(width: int, settings: VideoSettings) -> Ints:
+    count = max(1, width // (2 * settings.segment_px))
+    return np.linspace(0, width, count + 1).astype(np.int64)[:-1]
+
+
+def _sums(values: NDArray[np.floating], starts: Ints) -> Floats:
+    return np.asarray(np.add.reduceat(values, starts, axis=-1), np.float64)
+
+
+def best_rows(shifts: RowShifts, ridges_in_segment: float, settings: VideoSettings) -> tuple[int, int]:
+    r"""Half-open run of bands whose mean gives positions with the smallest error, noise and bias together.
+
+    Ridges that are bowed as a whole are no reason to leave rows out: their mean position is well defined.
+    What departs from a smooth bow is: the rows of a shadow, a clamp, a damaged edge.
+
+    Parameters
+    ----------
+    shifts
+        From `row_shifts`.
+    ridges_in_segment
+        About how many ridges share a segment: one ridge is that much noisier.
+    settings
+        See `VideoSettings`.
+
+    Notes
+    -----
+    For n bands of strengths :math:`a_b`, noise :math:`\sigma` and displacements :math:`d_{bs}` from the
+    parabola that most bands of a segment lie on
+
+    .. math::
+        E^2 = \frac{k\, n\, \sigma^2}{(\sum_b a_b)^2}
+            + \left\langle \left(\frac{\sum_b a_b d_{bs}}{\sum_b a_b}\right)^2 \right\rangle_s
+
+    less what the noise of d itself adds to the second term. The whole run is kept unless another one's
+    :math:`E` is clearly smaller, and its bias larger than `settings.least_bias_px` and than the noise.
+    """
+    a, d = shifts.strength, _beside_parabola(shifts)
+    count = len(a)
+    weight = np.concatenate([[0.0], np.cumsum(a)])
+    moved = np.concatenate([np.zeros((1, d.shape[1])), np.cumsum(a[:, None] * d, axis=0)])
+    bands = np.maximum(0, np.arange(count + 1) - np.arange(count + 1)[:, None])  # by first band and end
+    light = weight - weight[:, None]
+    possible = (bands >= max(2, count // 4)) & (light > 0)
+    light = np.where(possible, light, 1.0)
+    noise = bands * (shifts.noise_px / light) ** 2
+    bias = (((moved - moved[:, None]) / light[..., None]) ** 2).mean(axis=-1)
+    error = np.sqrt(ridges_in_segment * noise + np.maximum(0.0, bias - noise / shifts.frames))
+    first, last = np.unravel_index(np.argmin(np.where(possible, error, np.inf)), error.shape)
+    all_noise, all_bias = noise[0, count], bias[0, count]
+    harmless = max(settings.least_bias_px**2, settings.significant_rows**2 * all_noise / shifts.frames)
+    whole = math.sqrt(ridges_in_segment * all_noise + all_bias)
+    if all_bias < harmless or error[first, last] >= settings.worth_trimming * whole:
+        return 0, count
+    return int(first), int(last)
+
+
+def _beside_parabola(shifts: RowShifts) -> Floats:
+    """Displacements (band, segment) from each segment's parabola, fitted without what lies far from it."""
+    place = np.linspace(-1, 1, len(shifts.strength))
+    basis = np.stack([np.ones_like(place), place, place**2], axis=1)
+    apart = np.empty_like(shifts.shift_px)
+    for segment, d in enumerate(shifts.shift_px.T):
+        weight = (np.abs(place) <= 0.6).astype(np.float64)  # the ends pull hardest, and are oftenest odd
+        for _ in range(10):
+            fit = np.linalg.lstsq(basis * weight[:, None], d * weight, rcond=None)[0]
+            apart[:, segment] = off = d - basis @ fit
+            usual = max(float(np.median(np.abs(off))) / NORMAL_MEDIAN, 1e-9)
+            weight = np.clip(1 - (off / (4 * usual)) ** 2, 0.0, None)  # Tukey's biweight
+    return apart
+
+
+def strip_errors(shifts: RowShifts | None, settings: VideoSettings) -> StripErrors:
+    """How much positions depend on which half of the rows is averaged; zeros where it is within the noise."""
+    if shifts is None:
+        return NO_ERRORS
+    count = len(shifts.strength)
+    upper = np.arange(count) < count // 2
+    outer = np.abs(np.arange(count) - (count - 1) / 2) >= count / 4
+    halves = _beyond_noise(shifts, upper, settings)
+    bow = _beyond_noise(shifts, outer, settings)
+    ends = np.abs(np.arange(count) - (count - 1) / 2) >= 0.4 * count
+    share = float(shifts.strength[ends].sum() / shifts.strength.sum())
+    return StripErrors(halves, bow, share * _beyond_noise(shifts, ends, settings))
+
+
+def _beyond_noise(shifts: RowShifts, part: NDArray[np.bool_], settings: VideoSettings) -> float:
+    """RMS over the segments of the difference between two parts of the bands, less the noise; the tenth of
+    the segments that differ most, a label or a mark, left out."""
+    weights = np.where(part, shifts.strength, 0.0), np.where(part, 0.0, shifts.strength)
+    if min(weight.sum() for weight in weights) <= 0:
+        return 0.0
+    one, other = (weight @ shifts.shift_px / weight.sum() for weight in weights)
+    noise = shifts.noise_px**2 * sum(
+        side.sum() / weight.sum() ** 2 for weight, side in zip(weights, (part, ~part), strict=True)
+    )
+    squares = np.sort((one - other) ** 2)
+    mean = float(squares[: max(1, math.ceil(0.9 * squares.size))].mean())
+    expected = noise / shifts.frames
+    return math.sqrt(mean - expected) if mean > settings.significant_rows**2 * expected else 0.0
