@@ -280,15 +280,15 @@ def _measure_slopes(
     slope = np.stack([_slope(halves, settings.slope_sigma_px) for halves in odd_even])
     odd, even = slope[:, 0], slope[:, 1]
     half = np.float32(0.5)
-    along_z, along_x = np.mean([_steps(frame[rows, columns]) for frame in frames], axis=0)
-    picture = np.mean([_known(frame[rows, columns][::2, ::2]) for frame in frames], axis=0)
+    thinned = [_known(frame[rows, columns][::2, ::2]) for frame in frames]
+    along_z, along_x = np.mean([_steps(pixels) for pixels in thinned], axis=0)
+    picture = np.mean(thinned, axis=0)
     return _Slopes((odd + even) * half, (odd - even) * half, band_rows, along_z, along_x, picture)
 
 
-def _steps(frame: Pixels) -> Floats:
-    """Mean square steps over 2 px along z and along x, (2, every second row); 2 px since interlaced rows of
-    both fields stand apart where sheets move."""
-    pixels = _known(frame[::2, ::2])
+def _steps(pixels: Floats32) -> Floats:
+    """Mean square steps from pixel to pixel of every second row and column along z and along x, (2, row):
+    over 2 px, since interlaced rows of both fields stand apart where sheets move."""
     along_z, along_x = np.diff(pixels, axis=0, append=pixels[-1:]), np.diff(pixels, axis=1)
     return np.stack([np.einsum("zx,zx->z", steps, steps) / steps.shape[1] for steps in (along_z, along_x)])
 
