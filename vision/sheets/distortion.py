@@ -106,12 +106,13 @@ def distortion(
     around, _, shape = _pictures(bright, x_px, half)
     if not np.isfinite(shape).all():
         return np.zeros_like(x_px)
-    own = nan_median(_shape_fit(around, shape).residual)  # each sheet's own, (u, N)
+    to_fit = _to_shape_fit(shape)
+    own = nan_median(_shape_fit(around, to_fit).residual)  # each sheet's own, (u, N)
     straight = nan_median(_residual_with_slope(around, shape))
     height, slant, unlike = np.empty((3, *x_px.shape))
 
     def fit(rows: slice) -> None:
-        height[rows], slant[rows], residual = _shape_fit(_around(bright[rows], x_px[rows], half), shape)
+        height[rows], slant[rows], residual = _shape_fit(_around(bright[rows], x_px[rows], half), to_fit)
         residual -= own
         residual -= nan_median(residual, axis=2)[..., None]
         unlike[rows] = _odd_rms(residual)
@@ -220,12 +221,17 @@ class _ShapeFit(NamedTuple):
     residual: Floats
 
 
-def _shape_fit(pixels: Floats, shape: Floats) -> _ShapeFit:
+def _to_shape_fit(shape: Floats) -> Floats:
+    """What takes pixels to all of the fit, which is linear in them: height and shift, both with a slope, and
+    the odd residual."""
     upright, sloping = _bases(shape)
     first, second = np.linalg.pinv(upright), np.linalg.pinv(sloping)
-    found = (
-        np.concatenate([first[1:3], second[1:3], _odd_residual(upright, first)]) @ pixels
-    )  # all are linear
+    return np.concatenate([first[1:3], second[1:3], _odd_residual(upright, first)])
+
+
+def _shape_fit(pixels: Floats, to_fit: Floats) -> _ShapeFit:
+    """By the matrix of `_to_shape_fit`."""
+    found = to_fit @ pixels
     height, shift, other_height, other_shift = (found[:, k] for k in range(4))
     with np.errstate(divide="ignore", invalid="ignore"):
         return _ShapeFit(height, other_shift / other_height - shift / height, found[:, 4:] / height[:, None])

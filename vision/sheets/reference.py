@@ -20,7 +20,6 @@ from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import running_median
 
 LEAST_IN_VIEW = 0.13  # fraction of the frames: what was in view for less has not been seen often enough
-ODD_SPACING = 0.25  # logarithm by which a spacing is not the comb's
 
 
 @dataclass(frozen=True)
@@ -369,11 +368,11 @@ def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettin
     moved_px, rest_px
         Displacement from the rest position (frame, N), NaN where missing; rest positions (N,).
     settings
-        `moving_px`, `static_fraction`.
+        `moving_px`, `static_fraction`, `odd_spacing`.
     """
     left, right = _beside(moved_px), _beside(moved_px[:, ::-1])[:, ::-1]
     gap = np.diff(rest_px)
-    odd = np.abs(np.log(gap / np.median(gap))) > ODD_SPACING if len(gap) > 1 else np.zeros(2, bool)
+    odd = np.abs(np.log(gap / np.median(gap))) > settings.odd_spacing if len(gap) > 1 else np.zeros(2, bool)
     if odd[0]:
         left[:, 0] = right[:, 0]
     if odd[-1]:
@@ -396,7 +395,7 @@ def _still_beside_the_comb(moved_px: Floats, rest_px: Floats, settings: Tracking
         left, right = np.split(np.arange(len(rest_px)), [wide + 1])
         row, rest, near = (left, right, right[:4]) if len(left) < len(right) else (right, left, left[-4:])
         pitches = [np.median(np.diff(rest_px[part])) for part in (row, rest) if len(part) > 1]
-        if len(pitches) == 2 and abs(np.log(pitches[0] / pitches[1])) > ODD_SPACING:
+        if len(pitches) == 2 and abs(np.log(pitches[0] / pitches[1])) > settings.odd_spacing:
             own, beside = (_mean_motion(moved_px[:, part]) for part in (row, near))
             moving = beside > 0.5 * settings.moving_px  # the mean of four
             still[row] |= moving and own < settings.static_fraction * beside
@@ -454,7 +453,7 @@ def marks(
     comb
         Width and pitch of the ridges.
     settings
-        The fields `mark_…`.
+        The fields `mark_…` and `odd_spacing`.
     """
     place = places_in_comb(x_px)
     least = 5.0 * float(nan_median(err_px.ravel()))
@@ -463,7 +462,7 @@ def marks(
     with np.errstate(divide="ignore", invalid="ignore"):  # sheets swapped by hand, or never seen
         still = static_ridges(x_px - place, place, settings=quick)
         beside = _still_beside_the_comb(x_px - place, place, replace(settings, moving_px=least))
-        uneven = np.abs(np.log(np.diff(place) / comb.pitch_px)) > settings.mark_uneven
+        uneven = np.abs(np.log(np.diff(place) / comb.pitch_px)) > settings.odd_spacing
     astray = np.append(uneven, False) | np.insert(uneven, 0, False)
     odd = nan_median(pulled_px) > settings.mark_pulled * comb.fwhm_px
     return np.asarray(beside | odd & (still | (astray & unmoved)), bool)

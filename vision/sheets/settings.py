@@ -141,10 +141,10 @@ class TrackingSettings:
     """Fraction of its neighbours' motion below which such a sheet stands still, in films that move by
     hundredths of a pixel, too."""
 
-    mark_uneven: float = 0.25
-    """Logarithm of a spacing over the pitch from which on such a sheet, if it shows no motion, stands out of
-    place. Larger lets marks pass that took a sheet's place, smaller doubts dirty sheets of uneven combs
-    (test_reference.py)."""
+    odd_spacing: float = 0.25
+    """Logarithm of a spacing over the pitch from which on it is not the comb's: what shows no motion there
+    may be a mark or a ruler. Larger lets marks pass that took a sheet's place, smaller doubts dirty sheets of
+    uneven combs (test_reference.py)."""
 
     # --- alignment (alignment.py), nats ---
 
