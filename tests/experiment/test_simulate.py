@@ -1,7 +1,6 @@
 """The folder of a synthetic test: all of its files or none, and every one read back as it was drawn."""
 
 import itertools
-import struct
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from vision.experiment import (
     simulate_pull,
     with_settings,
 )
-from vision.experiment.simulate import RawAviWriter
 from vision.force.recording import read_force
 from vision.video import open_video
 
@@ -134,25 +132,6 @@ def test_lossy_containers_hold_them_nearly(tmp_path, container, tolerance):
         pixels = (pixels - 16) * 255 / 219
     assert pixels.shape == frames.shape
     assert np.sqrt(((pixels - frames) ** 2).mean()) < tolerance
-
-
-def test_raw_avi_in_several_segments(tmp_path):
-    """OpenDML: a file over 1 GiB goes on in RIFF AVIX parts; here the parts are small."""
-    frames = np.random.default_rng(0).integers(0, 256, (150, 7, 9), dtype=np.uint8)
-    path = tmp_path / "long.avi"
-    with RawAviWriter(path, width=9, height=7, fps=29.97, segment_bytes=6000) as writer:
-        for frame in frames:
-            writer.write(frame)
-    data = path.read_bytes()
-    assert data.count(b"AVIX") > 1
-    sizes, at = [], 0
-    while at < len(data):
-        name, size = struct.unpack_from("<4sI", data, at)
-        assert name == b"RIFF"
-        sizes.append(size)
-        at += size + 8
-    assert at == len(data)
-    assert np.array_equal(read(path), frames)
 
 
 def test_load_cell_low_pass_noise_and_quantum():
