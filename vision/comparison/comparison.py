@@ -144,7 +144,7 @@ def compare(
     main = None if modulus_GPa is not None else tests[0].sample_name if main_sample is None else main_sample
     tests, fits, unfitted = _fits(tests, modulus, main, settings)
     for test, fit in zip(tests, fits, strict=True):
-        warnings += [f"{test.run}: {note}" for note in fit.notes if "𝒯0" in note or "misfit" in note]
+        warnings += [f"{test.run}: {line}" for line in fit.warnings]
     lost = ", ".join(t.run for t, f in zip(tests, fits, strict=True) if np.isnan(f.scale_mm.value))
     if modulus_GPa is None and lost:
         warnings.append(f"no Λ̂ with Y_eff = {modulus.value:.3g} GPa: {lost} (`modulus_GPa`, `main_sample`)")
@@ -232,7 +232,7 @@ def _table(tests: Sequence[TractionTest], fits: Sequence[TestFit]) -> pd.DataFra
             "T_C": test.temperature_C,
             "events": len(test.events),
             "events_used": int(fit.used.sum()),
-            "notes": "; ".join(fit.notes),
+            "notes": "; ".join((*fit.warnings, *fit.notes)),
         }
         for test, fit in zip(tests, fits, strict=True)
     ]

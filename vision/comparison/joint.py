@@ -72,6 +72,7 @@ class TestFit:
     peak_scatter: float  # root mean square deviation of the peaks from the fit, as a share of them
     used: Bools = field(repr=False)  # which events
     notes: tuple[str, ...] = ()  # what limits the result
+    warnings: tuple[str, ...] = ()  # what may make it wrong
 
     @property
     def mu(self) -> Estimate:
@@ -156,19 +157,25 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = 
     if not (0.05 < mu.value < 5.0 and mu.value > 2 * mu.error):
         found = f"others (μ = {mu.value:.3g} ± {mu.error:.2g})"
         raise InputError(test.folder, "peak forces that fall with d as Eq. 1 does", found, "check `d0_mm`")
-    notes = []
+    notes, warnings = [], []
     if abs(t0.value) > settings.t0_limit_N:
-        notes.append(f"offset 𝒯0 = {t0.value:.3g} N lies beyond ±{settings.t0_limit_N:g} N")
+        warnings.append(f"offset 𝒯0 = {t0.value:.3g} N lies beyond ±{settings.t0_limit_N:g} N")
     if test.speed_mm_min > 1.05 * settings.slow_mm_min:
         notes.append(f"A, N̂ and Λ̂ are defined for V up to {settings.slow_mm_min:g} mm/min")
     if not np.isfinite(values["Lambda_hat_mm"].value):
         notes.append("K is not that of M_eff sheets with this Y_eff: no Λ̂")
     if chi2 > 3:
-        notes.append(f"the models misfit: χ²/dof = {chi2:.3g}, errors scaled")
+        warnings.append(f"the models misfit: χ²/dof = {chi2:.3g}, errors scaled")
     if left := int((~used).sum()):
         notes.append(f"{left} events before the largest peaks or outside the run's fit range left out")
     return TestFit(
-        values=values, shifts={}, chi2_dof=chi2, peak_scatter=scatter, used=used, notes=tuple(notes)
+        values=values,
+        shifts={},
+        chi2_dof=chi2,
+        peak_scatter=scatter,
+        used=used,
+        notes=tuple(notes),
+        warnings=tuple(warnings),
     )
 
 
@@ -260,14 +267,14 @@ def common_modulus(
     """
     mine = [test for test in tests if test.sample_name == main]
     slow = [test for test in mine if not test.speed_mm_min > 1.05 * settings.slow_mm_min] or mine
-    value, error, _ = weighted_mean([_own_modulus(test) for test in slow])
+    mean = weighted_mean([_own_modulus(test) for test in slow])
     relative = [
         slow[0].errors[name] / getattr(slow[0].sample, name)
         for name, power in _GEOMETRY.items()
         if power and name in slow[0].errors
     ]
-    systematic = value * float(np.linalg.norm(relative)) if relative else float("nan")
-    return Estimate(value, error, systematic), tuple(test.run for test in slow)
+    systematic = mean.value * float(np.linalg.norm(relative)) if relative else float("nan")
+    return replace(mean, systematic_error=systematic), tuple(test.run for test in slow)
 
 
 def _own_modulus(test: TractionTest) -> Estimate:
@@ -280,15 +287,15 @@ def _own_modulus(test: TractionTest) -> Estimate:
         return Estimate(float("nan"), float("nan"))
 
 
-def weighted_mean(parts: Sequence[Estimate]) -> tuple[float, float, float]:
-    """Mean, its error and χ²/dof of the parts about it; the error is scaled where they disagree."""
+def weighted_mean(parts: Sequence[Estimate]) -> Estimate:
+    """The mean of the known parts, its error scaled by their χ²/dof where they disagree."""
     known = [part for part in parts if np.isfinite(part.value) and part.error > 0]
     if not known:
-        return float("nan"), float("nan"), float("nan")
+        return Estimate(float("nan"), float("nan"))
     value, error = np.array([part.value for part in known]), np.array([part.error for part in known])
     mean = float(np.average(value, weights=error**-2))
     chi2 = float(np.sum(((value - mean) / error) ** 2) / (len(known) - 1)) if len(known) > 1 else 1.0
-    return mean, float(np.sum(error**-2.0) ** -0.5) * max(chi2, 1.0) ** 0.5, chi2
+    return Estimate(mean, float(np.sum(error**-2.0) ** -0.5) * max(chi2, 1.0) ** 0.5)
 
 
 # --- one μ for several tests --------------------------------------------------------------------------------
@@ -353,7 +360,7 @@ def fit_joint(
         t0_N=tuple(offsets.values()),
         at_limit=tuple(run for run, t0 in offsets.items() if abs(t0) >= settings.t0_limit_N),
         disagreement=float(np.sum(((own - mu) / errors) ** 2) / (own.size - 1)),
-        amplitude=Estimate(*weighted_mean(slow)[:2]),
+        amplitude=weighted_mean(slow),
         misfit=chi2,
         fits=chi2 < settings.joint_misfit,
     )

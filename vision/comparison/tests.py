@@ -6,7 +6,7 @@ from __future__ import annotations
 import difflib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from vision.numeric import Floats
 from vision.sample import PUBLISHED, Sample
 
 COLUMNS = ("run", "sample", "V_mm_min", "n_test", "RH_percent", "T_C")
+Row = Mapping[Hashable, Any]  # of the table, by column
 LIMITS = {"V_mm_min": (1e-6, 1e4), "n_test": (0.0, 1e6), "RH_percent": (0.0, 100.0), "T_C": (-90.0, 200.0)}
 _NEEDED = ("d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm")
 # what people call the columns, so that the nearest of ours can be shown
@@ -97,19 +98,18 @@ def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame
         folders = [_found(str(name), base) for name in rows["run"]]
     folders = list(dict.fromkeys(folders))
     known = _rows_of_runs(folders, rows, base, failures, warnings)
-    names = _short_names(folders)
+    names = [folder.resolve().name for folder in folders]
     tests: list[TractionTest] = []
-    for folder in folders:
+    for folder, own in zip(folders, names, strict=True):
+        name = own if names.count(own) == 1 else str(folder)
         try:
             with reading(folder, "a run as track writes it", "run track again"):
-                tests.append(_read_test(folder, names[folder], known.get(folder, {}), warnings))
+                tests.append(_read_test(folder, name, known.get(folder, {}), warnings))
         except InputError as error:
             failures.append(str(error))
     if not tests:
         more = f" (and {len(failures) - 1} more)" if len(failures) > 1 else ""
-        about, _, rest = failures[0].partition(": expected ")
-        expected, _, found = rest.partition("; found ")
-        raise InputError(about, expected, found + more)
+        raise InputError("the runs", "at least one that can be used", failures[0] + more)
     return TestSet(tests=tuple(tests), failures=tuple(failures), warnings=tuple(warnings))
 
 
@@ -140,14 +140,10 @@ def _read_table(table: str | Path | pd.DataFrame | None) -> tuple[pd.DataFrame |
 
 def _csv(path: Path) -> pd.DataFrame:
     """A table with commas, semicolons or tabs; decimal commas where commas do not separate."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        first = text.lstrip().partition("\n")[0]
+    with reading(path, "a CSV table of tests", "save it as CSV, UTF-8"):
+        first = path.read_text(encoding="utf-8-sig").lstrip().partition("\n")[0]
         mark = max((",", ";", "\t"), key=first.count)
         rows = pd.read_csv(path, sep=mark, dtype=str, encoding="utf-8-sig", skipinitialspace=True)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(path, "a CSV table of tests", str(reason).lower()) from error
     return rows if mark == "," else rows.apply(lambda column: column.str.replace(",", "."))
 
 
@@ -181,7 +177,7 @@ def _found(name: str, base: Path) -> Path:
 
 def _rows_of_runs(
     folders: Sequence[Path], rows: pd.DataFrame | None, base: Path, failures: list[str], warnings: list[str]
-) -> dict[Path, Mapping[str, Any]]:
+) -> dict[Path, Row]:
     """The table's row of each run. Runs without a row, and rows without a run, are warned about."""
     if rows is None:
         return {}
@@ -189,9 +185,9 @@ def _rows_of_runs(
         if len(rows) != len(folders):
             expected = f"{len(folders)} rows, one a run in their order, or a column run"
             raise InputError("`table`", expected, f"{len(rows)}")
-        return dict(zip(folders, _records(rows), strict=True))
-    known: dict[Path, Mapping[str, Any]] = {}
-    for row in _records(rows):
+        return dict(zip(folders, rows.to_dict("records"), strict=True))
+    known: dict[Path, Row] = {}
+    for row in rows.to_dict("records"):
         name = str(row["run"]).strip()
         at = _found(name, base)
         same = [f for f in folders if f.resolve() == at.resolve()] or [
@@ -212,20 +208,10 @@ def _rows_of_runs(
     return known
 
 
-def _records(rows: pd.DataFrame) -> list[dict[str, Any]]:
-    return [{str(name): cell for name, cell in row.items()} for row in rows.to_dict("records")]
-
-
-def _short_names(folders: Sequence[Path]) -> dict[Path, str]:
-    """The folder's own name, or its path where two have one name."""
-    names = [folder.resolve().name for folder in folders]
-    return {f: n if names.count(n) == 1 else str(f) for f, n in zip(folders, names, strict=True)}
-
-
 # --- one run ------------------------------------------------------------------------------------------------
 
 
-def _read_test(folder: Path, name: str, row: Mapping[str, Any], warnings: list[str]) -> TractionTest:
+def _read_test(folder: Path, name: str, row: Row, warnings: list[str]) -> TractionTest:
     if not (folder / "run.json").is_file():
         found = "no run.json in it" if folder.is_dir() else "no such folder"
         raise InputError(folder, "a finished run of track or track force", found)
@@ -241,6 +227,7 @@ def _read_test(folder: Path, name: str, row: Mapping[str, Any], warnings: list[s
     if sample is PUBLISHED:
         warnings.append(f"{name}: the run does not say which sample it had; the publication's is assumed")
     label = row.get("sample")
+    low, high = map(_number, models.get("fit_range_mm") or (None, None))
     return TractionTest(
         run=name,
         folder=folder,
@@ -251,7 +238,7 @@ def _read_test(folder: Path, name: str, row: Mapping[str, Any], warnings: list[s
         temperature_C=_number(row.get("T_C")),
         sample=sample,
         events=events,
-        fit_range_mm=_pair(models.get("fit_range_mm")),
+        fit_range_mm=(low, high) if low < high else None,
         modulus_GPa=_number(modulus.get("value")),
         modulus_err_GPa=_number(modulus.get("error")),
         errors={
@@ -259,7 +246,7 @@ def _read_test(folder: Path, name: str, row: Mapping[str, Any], warnings: list[s
             for name, value in (models.get("input_errors") or {}).items()
             if (error := _number(value)) > 0
         },
-        instrument=_instrument(models.get("budget")),
+        instrument=_instrument(models.get("budget") or {}),
     )
 
 
@@ -267,35 +254,27 @@ INSTRUMENT = ("load_drift", "low_pass", "sampling")
 """Sources of systematic errors that a run alone knows: those of its force recording."""
 
 
-def _instrument(budget: Any) -> dict[str, dict[str, float]]:
+def _instrument(budget: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     """The part of a run's budget that is of the force recording; sources that move nothing are left out."""
     found = {}
     for source in INSTRUMENT:
-        parts = budget.get(source) if isinstance(budget, Mapping) else None
-        if isinstance(parts, Mapping):
-            numbers = {str(name): _number(part) for name, part in parts.items()}
-            found[source] = {name: part for name, part in numbers.items() if part > 0}
-    return {source: parts for source, parts in found.items() if parts}
+        parts = {str(name): _number(part) for name, part in (budget.get(source) or {}).items()}
+        if moved := {name: part for name, part in parts.items() if part > 0}:
+            found[source] = moved
+    return found
 
 
 def _json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(path, "JSON as track writes it", str(error), "run track again") from error
-    if not isinstance(content, dict):
-        raise InputError(path, "a JSON object", f"a {type(content).__name__}", "run track again")
-    return content
+    with reading(path, "JSON as track writes it", "run track again"):
+        return dict(json.loads(path.read_text(encoding="utf-8")))
 
 
 def _events(path: Path, sample: Sample) -> pd.DataFrame:
     """Whole events with everything that is compared, in order of d_v_mm."""
     if not path.is_file():
         raise InputError(path.parent, "a run with a force recording", "no events.csv in it")
-    try:
+    with reading(path, "a table as track writes it", "run track again"):
         table = pd.read_csv(path)
-    except (OSError, ValueError) as error:
-        raise InputError(path, "a table as track writes it", str(error), "run track again") from error
     if absent := [name for name in _NEEDED if name not in table]:
         raise InputError(path, f"columns {', '.join(_NEEDED)}", f"no {', '.join(absent)}")
     odd = [str(name) for name in table if name != "flag" and table[name].dtype.kind not in "iufb"]
@@ -322,16 +301,7 @@ def _events(path: Path, sample: Sample) -> pd.DataFrame:
 def _sample(content: Any) -> Sample:
     """The run's sample; the very object PUBLISHED where it does not say which."""
     parts = {part.name for part in fields(Sample)}
-    if isinstance(content, Mapping) and parts <= set(content):
-        return Sample(**{part: content[part] for part in parts})
-    return PUBLISHED
-
-
-def _pair(value: Any) -> tuple[float, float] | None:
-    if not isinstance(value, Sequence) or len(value) != 2:
-        return None
-    low, high = _number(value[0]), _number(value[1])
-    return (low, high) if low < high else None
+    return Sample(**{part: content[part] for part in parts}) if parts <= set(content or ()) else PUBLISHED
 
 
 def _number(value: Any) -> float:
