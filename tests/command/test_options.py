@@ -3,7 +3,7 @@
 import pytest
 
 from vision.command.main import run
-from vision.command.options import SampleOptions, VideoOptions
+from vision.command.options import GROUPS, SampleOptions, VideoOptions
 from vision.command.settings import (
     merged,
     parse_length,
@@ -13,8 +13,10 @@ from vision.command.settings import (
     parse_seconds,
     parse_sheets,
     parse_with_error,
+    settings_of,
 )
 from vision.errors import InputError
+from vision.pipeline import Settings
 
 
 @pytest.mark.parametrize(
@@ -170,3 +172,8 @@ def test_low_pass_and_range_of_the_fit():
     for wrong in ("fast", "-1", "nan"):
         with pytest.raises(InputError, match="--force-lowpass"):
             parse_lowpass(wrong)
+
+
+def test_options_that_are_not_given_are_the_settings_defaults():
+    """A failure means that run.json says another default than the analysis had."""
+    assert settings_of(merged(*(group() for group in GROUPS))) == Settings()

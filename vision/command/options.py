@@ -332,20 +332,6 @@ _OPTION_OF: Mapping[str, str] = {
     "runs": "RUN…",
 }
 _OF_ONE_COMMAND = ("sheet", "film", "table", "main_sample", "executor", "profile", "watch")
-DEFAULTS: Mapping[str, Any] = {
-    "strip": "auto",
-    "force_lowpass": "0",
-    "ridges": "auto",
-    "fit": "auto",
-    "rotate": 0,
-    "threshold": 0.1,
-    "common_mode": "on",
-    "sheets_per_block": 25,
-    "thickness": 0.1,
-    "width": 45.0,
-    "length": 57.0,
-    "t_star": 0.003,
-}
 
 
 def flag_of(name: str) -> str:

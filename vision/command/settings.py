@@ -11,18 +11,31 @@ from typing import Any, Literal
 
 from cyclopts import App, CycloptsError
 
-from vision.command.options import DEFAULTS, GROUPS, flag_of, option_fields
+from vision.command.options import GROUPS, flag_of, option_fields
 from vision.errors import InputError
 from vision.files import check_regular, reading, shortened
 from vision.force import parse_columns
 from vision.pipeline import Settings
 from vision.run import Parameter
 from vision.run.reading import AGAIN, parameters_of, read_json
-from vision.sample import Sample
+from vision.sample import PUBLISHED, Sample
 from vision.sheets import read_corrections
 from vision.spacetime import Sheet
 
 UM_PER = {"mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Greek mu
+_GEOMETRY = {"thickness_mm": "thickness", "width_mm": "width", "length_mm": "length", "t_star_N": "t_star"}
+_SAMPLE = ("sheets_per_block", *_GEOMETRY.values())
+_WITH_ERROR = ("d0", "force_lowpass", *_GEOMETRY.values())
+_USUAL = Settings()
+DEFAULTS: Mapping[str, Any] = {
+    "strip": "auto",
+    "force_lowpass": f"{_USUAL.force_lowpass_s:g}",
+    "common_mode": "on" if _USUAL.common_mode else "off",
+    "sheets_per_block": PUBLISHED.sheets_per_block,
+    **{name: getattr(_USUAL, name) for name in ("ridges", "fit", "rotate", "threshold")},
+    **{option: getattr(PUBLISHED, name) for name, option in _GEOMETRY.items()},
+}
+"""What run.json says of options that are not given, as they would be typed; of the others None."""
 
 
 def parameters_given(
@@ -116,11 +129,6 @@ def parse_option(source: Path, name: str, value: Any) -> Any:
     return getattr(options, name)
 
 
-_GEOMETRY = {"thickness_mm": "thickness", "width_mm": "width", "length_mm": "length", "t_star_N": "t_star"}
-_SAMPLE = ("sheets_per_block", *_GEOMETRY.values())
-_WITH_ERROR = ("d0", "force_lowpass", *_GEOMETRY.values())
-
-
 def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
     """The pipeline's settings.  Raises: InputError for values that no recording could fit."""
     value = {name: parameter.value for name, parameter in parameters.items()}
@@ -132,7 +140,7 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
         return number(value.get(name), flag_of(name), least=least, whole=whole)
 
     sample = Sample(
-        sheets_per_block=value.get("sheets_per_block", 25),
+        sheets_per_block=value.get("sheets_per_block", PUBLISHED.sheets_per_block),
         **{name: size for name, (size, _) in sizes.items() if size is not None},
     )
     given = any(parameters[name].how != "default" for name in _SAMPLE if name in parameters)
