@@ -10,7 +10,6 @@ LAYERS = (
     "numeric",
     "signals",
     "files",
-    "isolation",
     "escaping",
     "data",
     "sample",

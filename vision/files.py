@@ -1,10 +1,17 @@
-"""Files from outside: which are opened, that they stay the same meanwhile, what a failed decoder becomes."""
+"""Files from outside: which are opened, that they stay the same meanwhile, what a failed decoder becomes.
+
+Parsers that crash or never end read a file in a process of their own first (`try_out`).
+"""
 
 from __future__ import annotations
 
 import glob
+import json
 import os
+import signal
 import stat
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -112,3 +119,106 @@ class Stamp:
         if now[0] != self.facts[0]:
             return "became shorter" if now[0] < self.facts[0] else "grew"
         return "was changed"
+
+
+# --- in a process of its own --------------------------------------------------------------------------------
+
+
+PACKAGES = tuple(place for place in sys.path if place)
+"""Where the process finds packages. Not as it is later: while OpenCV is imported, in another thread perhaps,
+its own folders come first, and one of them holds a `typing` that is not Python's."""
+
+# Lines of Python that read every value of the file at `path` and keep none.
+READ_MATLAB = "from scipy.io import loadmat; loadmat(path, squeeze_me=True, struct_as_record=True)"  # 4 and 5
+READ_HDF5 = """
+import h5py
+def visit(name, item):
+    dict(item.attrs)
+    if isinstance(item, h5py.Dataset): item[()]
+with h5py.File(path, "r") as file:
+    dict(file.attrs)
+    file.visititems(visit)
+"""
+_CHILD = """
+import json, sys
+path, modules, seconds, memory, parser = json.loads(sys.stdin.readline())
+sys.path[:] = modules
+try:
+    import ctypes, resource
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
+    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None).prctl(1, 9)  # killed with its parent
+except (ImportError, OSError, ValueError, AttributeError):
+    pass
+try:
+    exec(parser, {"path": path})
+except BaseException as error:
+    print(json.dumps(type(error).__name__ + ": " + str(error)))
+    sys.exit(1)
+"""
+
+
+def try_out(path: Path, parser: str, wanted: str, *, seconds: float | None = None) -> None:
+    """Let a process of its own, bounded in time and memory, read a file; refuse one that it cannot read.
+
+    The process finds the same packages as this one, and none in the working directory or beside the data. It
+    ends with this one.
+
+    Parameters
+    ----------
+    path
+        The file.
+    parser
+        Lines of Python, such as `READ_HDF5`, in which ``path`` is the file's.
+    wanted
+        What the file should be, for the message.
+    seconds
+        Longest computing time it may take; by the file's size if not given.
+
+    Raises
+    ------
+    InputError
+        Where it is no regular file, or the parser raises, crashes, or takes longer.
+    """
+    size = check_regular(path, wanted).st_size
+    # Recordings in use take under one second, most of which is the start of the process.
+    seconds = 8 + 5e-8 * size if seconds is None else seconds
+    wall_s = 5 * seconds  # on a busy machine a process gets part of a core
+    memory = (2 << 30) + 4 * size  # of address space, of which the libraries reserve half a GiB
+    task = json.dumps([os.path.abspath(path), PACKAGES, int(seconds) + 1, memory, parser])  # noqa: PTH100
+    quiet = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # each thread would reserve memory
+    child = subprocess.Popen(
+        [sys.executable, "-I", "-c", _CHILD],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | quiet,
+    )
+    try:  # a `with` alone would wait for a process that never ends
+        out, _ = child.communicate(task.encode() + b"\n", timeout=wall_s)
+        found = _found(child.returncode, out, seconds)
+    except subprocess.TimeoutExpired:
+        found = f"one whose reading does not end within {wall_s:g} s"
+    finally:
+        child.kill()
+        with child:  # closes its pipes
+            pass
+    if found:
+        raise InputError(path, wanted, found, "save or copy it again")
+
+
+def _found(status: int, out: bytes, seconds: float) -> str:
+    """What is wrong with the file; "" for nothing."""
+    if status == 0:
+        return ""
+    if -status == getattr(signal, "SIGXCPU", None):
+        return f"one whose reading does not end within {seconds:g} s of computing"
+    if status < 0:
+        return f"one that ends its reader ({signal.Signals(-status).name})"
+    try:
+        why = str(json.loads(out.decode().splitlines()[-1]))
+    except (ValueError, IndexError):
+        why = f"status {status}"
+    return f"one that cannot be read ({shortened(why)})"

@@ -98,7 +98,7 @@ def run_cases(cases: int, seed: int, place: Path) -> Iterator[tuple[int, str, Fa
     """(number, command and outcome, failure) of each case; case n of a seed is always the same folder."""
     place.mkdir(parents=True, exist_ok=True)
     whole = write_seed(place)
-    here, tried, parsed = Path.cwd(), reading.try_out, tracks_file.run_parser
+    here, tried, parsed = Path.cwd(), reading.try_out, tracks_file.try_out
     os.chdir(place)
     weights = np.array([weight for _, weight in COMMANDS.values()]) / sum(w for _, w in COMMANDS.values())
     try:
@@ -114,7 +114,7 @@ def run_cases(cases: int, seed: int, place: Path) -> Iterator[tuple[int, str, Fa
             damage(folder / file, random)
             damaged = file == "tracks.nc"  # else no process of its own is needed
             reading.try_out = tried if damaged else lambda *_, **__: None
-            tracks_file.run_parser = parsed if damaged else parse_here
+            tracks_file.try_out = parsed if damaged else parse_here
             os.chdir(work)
             ended = one_case(COMMANDS[name][0])
             os.chdir(place)
@@ -128,12 +128,12 @@ def run_cases(cases: int, seed: int, place: Path) -> Iterator[tuple[int, str, Fa
                 failure = Failure(case, folder / file, ended)
             yield case, f"{name} {ended.splitlines()[-1]}", failure
     finally:
-        reading.try_out, tracks_file.run_parser = tried, parsed
+        reading.try_out, tracks_file.try_out = tried, parsed
         os.chdir(here)
 
 
 def parse_here(path: Path, parser: str, wanted: str) -> None:
-    """As `run_parser`, in this process."""
+    """As `try_out`, in this process."""
     exec(parser, {"path": str(path)})
 
 

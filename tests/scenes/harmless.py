@@ -23,7 +23,7 @@ from vision.run import reading, writing
 def harmless_files() -> Iterator[None]:
     """For as long as the block lasts."""
     known: set[bytes] = set()
-    run_parser, try_out, write = tracks_file.run_parser, reading.try_out, writing.write_tracks_nc
+    parse, try_out, write = tracks_file.try_out, reading.try_out, writing.write_tracks_nc
 
     def written(tracks: Any, path: Path, **how: Any) -> None:
         write(tracks, path, **how)
@@ -40,13 +40,13 @@ def harmless_files() -> Iterator[None]:
         if content in known:
             exec(parser, {"path": str(path)})
         else:
-            run_parser(path, parser, *how, **limits)
+            parse(path, parser, *how, **limits)
             known.add(content)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(writing, "write_tracks_nc", written)
         patch.setattr(reading, "try_out", tried)
-        patch.setattr(tracks_file, "run_parser", parsed)
+        patch.setattr(tracks_file, "try_out", parsed)
         yield
 
 

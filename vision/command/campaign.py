@@ -31,8 +31,8 @@ from vision.command.options import GROUPS, CampaignOptions, RunOptions, option_f
 from vision.command.settings import merged, number, parse_option, read_config, settings_of
 from vision.command.track import REFUSED, command_line, run_name, track_one
 from vision.errors import InputError, with_options
-from vision.isolation import usable_cores
 from vision.run import Parameter
+from vision.video.threads import usable_cores
 
 
 def campaign(table: Path | None, options: CampaignOptions) -> int:

@@ -18,8 +18,7 @@ import pandas as pd
 import scipy
 
 from vision.errors import InputError
-from vision.files import check_regular, reading
-from vision.isolation import try_out
+from vision.files import READ_HDF5, READ_MATLAB, check_regular, reading, try_out
 from vision.numeric import Bools, Floats
 
 Dimension = Literal["time", "force", "length", "ratio"]
@@ -523,9 +522,9 @@ def _load_mat(path: Path) -> tuple[str, Mapping[str, Any]]:
     """
     with reading(path, _WANTED_MAT, "save it again"):
         if not h5py.is_hdf5(path):
-            try_out(path, "MATLAB", _WANTED_MAT)
+            try_out(path, READ_MATLAB, _WANTED_MAT)
             return "v5", scipy.io.loadmat(path, squeeze_me=True, struct_as_record=True)
-        try_out(path, "HDF5", _WANTED_MAT)
+        try_out(path, READ_HDF5, _WANTED_MAT)
         found: dict[str, Any] = {}
 
         def keep(name: str, item: object) -> None:

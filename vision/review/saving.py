@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from vision.clock import Clock
 from vision.errors import InputError
-from vision.isolation import PACKAGES
+from vision.files import PACKAGES
 from vision.numeric import Floats, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.review.editing import Before, usual_places

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.isolation import run_parser
+from vision.files import try_out
 
 WANTED = "tracks as track writes them"
 AGAIN = "run track again"
@@ -25,8 +25,8 @@ CELLS = ("x_px", "x_err_px", "x_withheld_px")
 """Numbers of (frame, sheet); kept in single precision, 1e-4 px, which is enough to look at."""
 WORDS = ("flag", "why")
 AXES = ("frame", "time_s", "side", "n")
+BLOCK = 8192  # frames whose words are read at a time, so that they take little memory
 NEEDED = ("x_px", "x_err_px", "flag", "time_s", "side", "n", "frame")
-BLOCK = 8192  # frames read at a time
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,7 @@ def read_tracks(path: Path, rows: slice = slice(None)) -> Stored:
     with TemporaryDirectory() as place:
         begin, end = rows.start or 0, -1 if rows.stop is None else rows.stop
         unpacking = f"from vision.review.tracks_file import unpack; unpack(path, {place!r}, {begin}, {end})"
-        run_parser(path, unpacking, WANTED)
+        try_out(path, unpacking, WANTED)
         facts = json.loads(Path(place, "facts.json").read_text(encoding="utf-8"))
         if facts["absent"]:
             raise InputError(path, WANTED, f"no {', '.join(facts['absent'])}", AGAIN)
@@ -85,14 +85,11 @@ def unpack(path: str, place: str, begin: int, end: int) -> None:
         if not facts["absent"] and file["x_px"].ndim != 2:
             facts["absent"] = ["x(n, t)"]
         if not facts["absent"]:
-            rows = slice(*slice(begin, None if end < 0 else end).indices(len(file["x_px"])))
-            known = [name for name in (*CELLS, *WORDS, *AXES) if name in file]
-            for name in known:
+            rows = slice(begin, None if end < 0 else end)
+            for name in filter(file.__contains__, (*CELLS, *WORDS, *AXES)):
                 one = file[name]
                 if name in CELLS:
-                    values = np.empty((rows.stop - rows.start, one.shape[1]), np.float32)
-                    for here, there in _parts(one, rows):
-                        values[here] = one[there]
+                    values = one.astype(np.float32)[rows]
                 elif name in WORDS:
                     values, facts["words"][name] = _codes(one, rows)
                 else:
@@ -102,34 +99,19 @@ def unpack(path: str, place: str, begin: int, end: int) -> None:
     Path(place, "facts.json").write_text(json.dumps(facts), encoding="utf-8")
 
 
-def _parts(one: h5py.Dataset, rows: slice) -> list[tuple[slice, slice]]:
-    """Rows counted from the first wanted, and in the file, a part at a time.
-
-    Parts begin where the file's chunks do, each of which is unpacked once so.
-    """
-    chunk = (one.chunks or (1,))[0]
-    step = chunk * max(1, BLOCK // chunk)
-    firsts = range(rows.start - rows.start % step, rows.stop, step)
-    there = [slice(max(first, rows.start), min(first + step, rows.stop)) for first in firsts]
-    return [(slice(part.start - rows.start, part.stop - rows.start), part) for part in there]
-
-
 def _codes(one: h5py.Dataset, rows: slice) -> tuple[NDArray[np.uint8], list[str]]:
     """Words written letter by letter, (frame, sheet, letters), as places in a list of those that occur."""
-    codes = np.zeros((rows.stop - rows.start, one.shape[1]), np.uint8)
+    first, stop, _ = rows.indices(len(one))
+    codes = np.zeros((stop - first, one.shape[1]), np.uint8)
     words: list[bytes] = []
-    for here, there in _parts(one, rows):
-        text = np.ascontiguousarray(one[there]).view(f"S{one.shape[-1]}")[..., 0]
-        left, found = np.arange(text.size), text.ravel()
-        part = codes[here].reshape(-1)
-        for code in range(256):
-            if not left.size:
-                break
-            if code == len(words):
-                words.append(bytes(found[left[0]]))
-            other = found[left] != words[code]
+    for start in range(first, stop, BLOCK):
+        text = np.ascontiguousarray(one[start : min(start + BLOCK, stop)]).view(f"S{one.shape[-1]}").ravel()
+        part, left, code = codes[start - first :].reshape(-1), np.arange(text.size), 0
+        while left.size and code < 256:  # of a dozen words; np.unique would sort them all
+            words += [bytes(text[left[0]])] * (code == len(words))
+            other = text[left] != words[code]
             part[left[~other]] = code
-            left = left[other]
+            left, code = left[other], code + 1
     return codes, [word.decode() for word in words]
 
 

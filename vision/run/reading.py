@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 import vision
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
-from vision.files import check_regular, reading, shortened
-from vision.isolation import try_out
+from vision.files import READ_HDF5, check_regular, reading, shortened, try_out
 from vision.numeric import Floats, Floats32
 from vision.run.folder import (
     MARK,
@@ -206,7 +205,7 @@ def slip_times_s(run: RunFolder) -> Floats | None:
 def _read_tracks(path: Path) -> xr.Dataset:
     """tracks.nc; HDF5 can crash or run for ever on a damaged file, so a process of its own tries it first."""
     wanted = "tracks as track writes them"
-    try_out(path, "HDF5", wanted)
+    try_out(path, READ_HDF5, wanted)
     with reading(path, wanted, AGAIN):
         with xr.open_dataset(path, engine="h5netcdf") as data:
             tracks = data.load()

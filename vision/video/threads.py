@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import os
 import queue
 import threading
 import time
@@ -18,7 +19,6 @@ from pathlib import Path
 from typing import TypeVar
 
 from vision.errors import InputError
-from vision.isolation import usable_cores
 from vision.video.settings import DEFAULTS
 
 Item = TypeVar("Item")
@@ -112,6 +112,13 @@ def _awaited(ready: Made[Item], path: Path, answer_s: float) -> tuple[Item] | Ex
             wanted, found = "a disk or network that answers", f"no answer for {answer_s:g} s"
             advice = "look at the connection, or copy the recording to another disk"
             raise InputError(path, wanted, found, advice)
+
+
+def usable_cores() -> int:
+    """Cores that this process may use: on a cluster those of its job, not all of the machine."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def in_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:

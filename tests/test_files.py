@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from vision import isolation
 from vision.errors import InputError
-from vision.isolation import try_out
+from vision.files import READ_HDF5, READ_MATLAB, try_out
 
 
 @pytest.fixture
@@ -24,10 +23,10 @@ def matlab(tmp_path):
 
 def test_whole_files_pass(matlab, tmp_path):
     """A failure means that good recordings are refused."""
-    try_out(matlab, "MATLAB", "a .mat file")
+    try_out(matlab, READ_MATLAB, "a .mat file")
     with h5py.File(tmp_path / "a.nc", "w") as file:
         file["x"] = np.arange(5)
-    try_out(tmp_path / "a.nc", "HDF5", "a netCDF file")
+    try_out(tmp_path / "a.nc", READ_HDF5, "a netCDF file")
 
 
 @pytest.mark.parametrize(
@@ -40,11 +39,10 @@ def test_whole_files_pass(matlab, tmp_path):
         ("import os; os._exit(7)", "status 7", 60),
     ],
 )
-def test_whatever_a_parser_does_is_one_line(parser, found, seconds, matlab, monkeypatch):
+def test_whatever_a_parser_does_is_one_line(parser, found, seconds, matlab):
     """A failure means that a damaged file ends, or holds up, the program itself."""
-    monkeypatch.setitem(isolation._PARSERS, "MATLAB", parser)
     with pytest.raises(InputError, match=found) as caught:
-        try_out(matlab, "MATLAB", "a .mat file", seconds=seconds)
+        try_out(matlab, parser, "a .mat file", seconds=seconds)
     assert "\n" not in str(caught.value)
 
 
@@ -52,7 +50,7 @@ def test_folders_that_an_import_puts_first_for_a_while_do_not_matter(matlab, mon
     """A failure means that a sound file is refused now and then: OpenCV does this while it is imported."""
     (matlab.parent / "typing.py").write_text("raise ImportError('not the one of Python')")
     monkeypatch.setattr(sys, "path", [str(matlab.parent), *sys.path])
-    try_out(matlab, "MATLAB", "a .mat file")
+    try_out(matlab, READ_MATLAB, "a .mat file")
 
 
 def test_modules_beside_the_data_are_not_run(matlab, monkeypatch):
@@ -62,7 +60,7 @@ def test_modules_beside_the_data_are_not_run(matlab, monkeypatch):
     monkeypatch.setattr(sys, "path", ["", *sys.path])
     for name in ("pickle", "scipy", "json", "ctypes"):
         (matlab.parent / f"{name}.py").write_text("open('executed', 'w')")
-    try_out(matlab, "MATLAB", "a .mat file")
+    try_out(matlab, READ_MATLAB, "a .mat file")
     assert not (matlab.parent / "executed").exists()
 
 
@@ -70,11 +68,10 @@ def test_modules_beside_the_data_are_not_run(matlab, monkeypatch):
 def test_it_ends_with_its_parent(matlab, tmp_path):
     """A failure means that a killed run leaves a process that eats a core."""
     code = (
-        "from vision import isolation; from pathlib import Path\n"
+        "from vision.files import try_out; from pathlib import Path\n"
         'parser = "import os, time;'
         " print(os.getpid(), file=open('pid', 'w'), flush=True); time.sleep(999)\"\n"
-        "isolation._PARSERS['MATLAB'] = parser\n"
-        f"isolation.try_out(Path({str(matlab)!r}), 'MATLAB', 'x', seconds=600)"
+        f"try_out(Path({str(matlab)!r}), parser, 'x', seconds=600)"
     )
     place = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     parent = subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, env=place)
