@@ -16,9 +16,9 @@ from tests.scenes.reviewed import PLANTED, SETTINGS, clean, remedies, truth
 from vision.command.settings import settings_of_run
 from vision.errors import InputError
 from vision.review import effects, saving
+from vision.review.positions import CELLS, FLAGS
 from vision.review.saving import SaveJob, save_run
 from vision.review.session import Session
-from vision.review.stored import CELLS, FLAGS
 from vision.run import folder, read_run
 from vision.sheets.corrections import read_decisions
 

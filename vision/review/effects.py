@@ -15,8 +15,8 @@ from vision.clock import Clock
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError, with_options
 from vision.numeric import Floats, Floats32, Ints, Pixels
-from vision.review.editing import apply, usual_places
-from vision.review.stored import Positions, decided_clock, positions_of
+from vision.review.positions import Positions, apply, positions_of, usual_places
+from vision.review.recordings import decided_clock
 from vision.review.tracks_file import read_tracks
 from vision.sheets.corrections import OF_STRETCHES, Correction
 from vision.sheets.ridges import describe_ridges, find_ridges

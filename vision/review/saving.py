@@ -26,8 +26,7 @@ from vision.errors import InputError
 from vision.files import PACKAGES
 from vision.numeric import Floats, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
-from vision.review.editing import Before, usual_places
-from vision.review.stored import Positions, positions_of
+from vision.review.positions import Before, Positions, positions_of, usual_places
 from vision.review.tracks_file import read_tracks
 from vision.run.folder import Origin, Parameter, clean_up, plain, put_in_place
 from vision.run.reading import input_of, parameters_of, read_run, read_strip, read_table, tracks_of

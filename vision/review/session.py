@@ -18,11 +18,19 @@ from vision.figures.decimate import minmax_decimate
 from vision.files import reading
 from vision.numeric import Floats, Floats32, Ints, nearest
 from vision.pipeline import Settings
-from vision.review.editing import SAME_RIDGE_PX, Before, apply, take_back, usual_places
 from vision.review.effects import READY, Effects, records
-from vision.review.recordings import Diagram, Recordings, Tiles
+from vision.review.positions import (
+    FLAGS,
+    SAME_RIDGE_PX,
+    WHYS,
+    Before,
+    apply,
+    positions_of,
+    take_back,
+    usual_places,
+)
+from vision.review.recordings import Diagram, Found, Recordings, Tiles, claim, decided_clock
 from vision.review.saving import SaveJob, Saver, Trial, pack, unpack
-from vision.review.stored import FLAGS, WHYS, Found, claim, decided_clock, positions_of
 from vision.review.tracks_file import Stored, read_tracks
 from vision.run.folder import plain, whole_file
 from vision.run.reading import AGAIN
@@ -431,7 +439,7 @@ class Session:
         with self.lock:
             positions = self.positions
             row = positions.row_of(frame)
-            seen = self.diagram.ridges(positions, slice(row, row + 1))
+            seen = positions.ridges(self.diagram, slice(row, row + 1))
             known = np.isfinite(seen.x_px[0])
             x = seen.x_px[0][known].astype(float) + self.diagram.first_column
             owner = _owners(x, positions.x_px[row])
