@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from vision.campaign.settings import CampaignSettings
-from vision.comparison.tests import LIMITS
+from vision.comparison.tests import ALIKE, COLUMNS, LIMITS
 from vision.errors import InputError
 from vision.files import Stamp, check_regular, shortened
 from vision.video import open_video, video_files
@@ -24,17 +24,14 @@ from vision.video.high_speed import PIXELS
 # --- the table ----------------------------------------------------------------------------------------------
 
 
-FACTS = ("sample", "V_mm_min", "n_test", "RH_percent", "T_C", "notes")
+FACTS = (*COLUMNS[1:], "notes")  # of the test
 PATHS = ("force", "timestamps", "corrections")  # options that name a file, relative to the table
 MOST_BYTES = 1 << 24
 MOST_LETTERS = 150  # of a name: folders and files are called after it
 # What people call the columns; the nearest of these is shown for one that is not known.
-_ALIKE = {
+_ALIKE = ALIKE | {
     "video": "film", "file": "film", "movie": "film", "path": "film", "recording": "force", "load": "force",
-    "specimen": "sample", "block": "sample", "velocity": "V_mm_min", "v": "V_mm_min", "rh": "RH_percent",
-    "humidity": "RH_percent", "temperature": "T_C", "temp": "T_C", "t": "T_C", "tests": "n_test",
-    "previous": "n_test", "age": "n_test", "comment": "notes", "remark": "notes", "run": "name",
-    "test": "name",
+    "comment": "notes", "remark": "notes", "run": "name", "test": "name", "name": "name", "folder": "name",
 }  # fmt: skip
 
 
@@ -158,11 +155,13 @@ def _lines(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
 def _columns(header: Sequence[str], known: Sequence[str]) -> tuple[list[str], list[Problem]]:
     """Our name of each column, "" for one that is not known, and what is wrong with the heading."""
     ours = {_plain(name): name for name in known}
+    alike = _ALIKE | ours
     columns, problems = [], []
     for name in header:
         column = ours.get(_plain(name), "")
         if name.strip() and not column:
-            found = f"'{shortened(name, 60)}'; the nearest is {_nearest(name, ours)}"
+            nearest = alike[difflib.get_close_matches(_plain(name), alike, n=1, cutoff=0.0)[0]]
+            found = f"'{shortened(name, 60)}'; the nearest is {nearest}"
             text = f"expected a column of a campaign; found {found}"
             problems.append(Problem(row=1, column=shortened(name, 30), text=text))
         elif column and column in columns:
@@ -175,11 +174,6 @@ def _columns(header: Sequence[str], known: Sequence[str]) -> tuple[list[str], li
 
 def _plain(name: str) -> str:
     return name.strip().lstrip("-").replace("-", "_").replace(" ", "_").lower()
-
-
-def _nearest(name: str, ours: Mapping[str, str]) -> str:
-    alike = {**{_plain(word): column for word, column in _ALIKE.items()}, **ours}
-    return alike[difflib.get_close_matches(_plain(name), alike, n=1, cutoff=0.0)[0]]
 
 
 def _row(
@@ -282,14 +276,14 @@ class FolderWatch:
     def __init__(
         self,
         folder: Path,
-        settings: CampaignSettings | None = None,
+        settings: CampaignSettings = CampaignSettings(),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         if not folder.is_dir():
             found = "a file" if folder.exists() else "no such folder"
             raise InputError(folder, "a folder to watch", found, "check the path")
         self.folder = folder
-        self._settings = settings or CampaignSettings()
+        self._settings = settings
         self._clock = clock
         self._seen: dict[Path, tuple[Stamp, float]] = {}
 

@@ -148,10 +148,10 @@ def run_films(plan: Plan, run: Callable[[Plan], int]) -> Plan:
         log = plan.out / LOG
         since = log.stat().st_size if log.exists() else 0
         run(plan)
-        told = log.read_bytes()[since:].decode("utf-8", "replace")
-        lines = {line.strip().removesuffix(" (in storage)") for line in told.splitlines()}
+        text = log.read_bytes()[since:].decode("utf-8", "replace")
+        lines = {line.strip().removesuffix(" (in storage)") for line in text.splitlines()}
         absent = [job for job in plan.jobs if lines.intersection(plan.remote(job))]
-        if "MissingInputException" not in told or not absent:
+        if "MissingInputException" not in text or not absent:
             break
         for film in (plan.film(name) for job in absent for name in plan.jobs[job].films):
             why = f"{film.film}: expected a film in storage; found none"
@@ -184,9 +184,9 @@ def _last_line(log: Path) -> str:
         lines = log.read_text(encoding="utf-8", errors="replace").splitlines()[-60:]
     except OSError:
         return f"see {LOG}"
-    told = [line.strip() for line in lines if "error" in line.lower() and len(line.strip()) > 20]
-    told = [line for line in told if not line.startswith("Exiting because")]
-    return f"{LOG} says: {shortened(told[-1])}" if told else f"see {LOG} and what the batch system wrote"
+    errors = [line.strip() for line in lines if "error" in line.lower() and len(line.strip()) > 20]
+    errors = [line for line in errors if not line.startswith("Exiting because")]
+    return f"{LOG} says: {shortened(errors[-1])}" if errors else f"see {LOG} and what the batch system wrote"
 
 
 # --- one job ------------------------------------------------------------------------------------------------
@@ -215,7 +215,7 @@ def run_job(
     work: Work,
     *,
     fetched: Sequence[Path] = (),
-    settings: CampaignSettings | None = None,
+    settings: CampaignSettings = CampaignSettings(),
 ) -> int:
     """Take every film of a job that is not done; 0 if all are now, else 1.
 
@@ -223,14 +223,13 @@ def run_job(
     memory), that film has failed and another child takes the rest. `fetched` are local copies of the job's
     films in object storage, in their order.
     """
-    tuning = settings or CampaignSettings()
     copies = dict(zip(plan.remote(job), fetched, strict=False))
     films = [plan.film(name) for name in plan.jobs[job].films]
     left = [film for film in films if plan.finished(film) is None]
     with mmap.mmap(-1, mmap.PAGESIZE) as turn:  # shared with the child: the number of the film it is at
         while left:
             todo, turn[0:8] = tuple(left), bytes(8)
-            code = _in_child(partial(_each, plan, todo, work, copies, turn, tuning))
+            code = _in_child(partial(_each, plan, todo, work, copies, turn, settings))
             if code == 0:
                 break
             at = int.from_bytes(turn[0:8], "little")
@@ -265,14 +264,14 @@ def _with_parent(work: Callable[[], None]) -> None:
     A second signal (to all processes of a terminal or a batch system, then from the parent) would come in the
     middle of clearing up.
     """
-    told = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    signals = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
     def once(number: int, frame: object) -> None:
-        for each in told:
+        for each in signals:
             signal.signal(each, signal.SIG_IGN)
         raise KeyboardInterrupt
 
-    for each in told:
+    for each in signals:
         signal.signal(each, once)
     if sys.platform.startswith("linux"):
         ctypes.CDLL(None).prctl(1, signal.SIGTERM)

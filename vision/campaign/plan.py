@@ -159,7 +159,7 @@ def make_plan(
     stage: bool = False,
     report: bool = True,
     cores: int = 1,
-    settings: CampaignSettings | None = None,
+    settings: CampaignSettings = CampaignSettings(),
     keep: bool = True,
 ) -> Plan:
     """Fingerprints, estimates and jobs of all films that are not done.
@@ -182,10 +182,9 @@ def make_plan(
     InputError
         Where ``out`` is no campaign, or one of another version.
     """
-    tuning = settings or CampaignSettings()
     check_folder(out)
     known = _read_fingerprints(out)
-    films = [_film(row, known, tuning) for row in rows]
+    films = [_film(row, known, settings) for row in rows]
     if keep:
         with whole_file(out / FINGERPRINTS) as path:
             write_json(known, path)
@@ -193,8 +192,8 @@ def make_plan(
     factor = _measured(plan)
     waiting = [film for film in films if plan.finished(film) is None]
     jobs = {
-        _digest([film.key for film in job])[:12]: _job(job, factor, tuning)
-        for job in share(waiting, factor, cores, tuning)
+        _digest([film.key for film in job])[:12]: _job(job, factor, settings)
+        for job in share(waiting, factor, cores, settings)
     }
     return replace(plan, jobs=jobs)
 

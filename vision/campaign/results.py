@@ -6,7 +6,8 @@ import base64
 import shutil
 import time
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -20,6 +21,7 @@ from jinja2 import Environment, StrictUndefined
 
 from vision.campaign.plan import FINISHED, Plan, PlannedFilm, State
 from vision.comparison import compare
+from vision.comparison.tests import COLUMNS, LIMITS
 from vision.errors import InputError
 from vision.files import reading
 from vision.pipeline import Analysis
@@ -190,44 +192,39 @@ def write_partitions(out: Path, film: str, analysis: Analysis) -> None:
 
     Raises: InputError.
     """
-    tracks, motion = analysis.tracks, analysis.motion
-    tables = {
-        "sheets": None if tracks is None else sheets_table(tracks),
-        "sticks": analysis.sticks,
-        "deformation": None if motion is None else deformation_table(motion, threshold=analysis.threshold),
+    tracks, motion, threshold = analysis.tracks, analysis.motion, analysis.threshold
+    parts: dict[str, Iterable[pd.DataFrame]] = {
+        "sheets": () if tracks is None else [sheets_table(tracks)],
+        "sticks": () if analysis.sticks is None else [analysis.sticks],
+        "deformation": () if motion is None else [deformation_table(motion, threshold=threshold)],
+        "positions": () if tracks is None else _positions(tracks, analysis.pixel_size_um),
     }
-    for name in (*tables, "positions"):
-        place, table = _partition(out, name, film), tables.get(name)
-        if name == "positions" and tracks is not None:
-            with whole_file(place) as path:
-                _write_positions(tracks, path, analysis.pixel_size_um)
-        elif table is not None:
-            with whole_file(place) as path:
-                pq.write_table(as_arrow(table), path)
-        else:
-            place.unlink(missing_ok=True)
+    for name, tables in parts.items():
+        _write(_partition(out, name, film), tables)
 
 
-def _write_positions(tracks: xr.Dataset, path: Path, size_um: float | None) -> None:
+def _positions(tracks: xr.Dataset, size_um: float | None) -> Iterator[pd.DataFrame]:
     """In pieces, so that memory does not grow with the recording."""
     step = max(1, ROWS_PER_CHUNK // max(1, tracks.sizes["sheet"]))
-    writer = None
-    try:
-        for start in range(0, max(1, tracks.sizes["frame"]), step):
-            part = tracks.isel(frame=slice(start, start + step))
-            table = as_arrow(tracks_table(part, pixel_size_um=size_um))
-            writer = writer or pq.ParquetWriter(path, table.schema)
-            writer.write_table(table)
-    finally:
-        if writer is not None:
-            writer.close()
+    for start in range(0, max(1, tracks.sizes["frame"]), step):
+        yield tracks_table(tracks.isel(frame=slice(start, start + step)), pixel_size_um=size_um)
+
+
+def _write(place: Path, tables: Iterable[pd.DataFrame]) -> None:
+    """Write tables one below the other, as one file; none where there is no table."""
+    parts = map(as_arrow, tables)
+    if (first := next(parts, None)) is None:
+        place.unlink(missing_ok=True)
+        return
+    with whole_file(place) as path, pq.ParquetWriter(path, first.schema) as writer:
+        for part in chain([first], parts):
+            writer.write_table(part)
 
 
 def write_tests(out: Path, tests: Mapping[str, Mapping[str, Any]]) -> None:
     """The table of tests, a partition for each film.  Raises: InputError."""
     for film, facts in tests.items():
-        with whole_file(_partition(out, "tests", film)) as path:
-            pq.write_table(as_arrow(pd.DataFrame([facts])), path)
+        _write(_partition(out, "tests", film), [pd.DataFrame([facts])])
 
 
 def close_tables(out: Path, films: Collection[str]) -> None:
@@ -238,16 +235,13 @@ def close_tables(out: Path, films: Collection[str]) -> None:
         for part in folder.glob("film=*"):
             if part.name not in kept:
                 shutil.rmtree(part, ignore_errors=True)
-        schemas = list(_schemas(folder))
+        schemas = []
+        for file in sorted(folder.glob(f"film=*/{FILE}")):
+            with reading(file, "a table as track campaign writes it", "run track campaign again"):
+                schemas.append(pq.read_schema(file))
         if schemas:
             with whole_file(folder / "_common_metadata") as path:
                 pq.write_metadata(pa.unify_schemas(schemas), path)
-
-
-def _schemas(folder: Path) -> Iterator[pa.Schema]:
-    for file in sorted(folder.glob(f"film=*/{FILE}")):
-        with reading(file, "a table as track campaign writes it", "run track campaign again"):
-            yield pq.read_schema(file)
 
 
 def _partition(out: Path, table: str, film: str) -> Path:
@@ -278,7 +272,6 @@ def as_arrow(table: pd.DataFrame) -> pa.Table:
 
 
 POOL, KEPT = "pool", "pool.json"
-COLUMNS = ("sample", "V_mm_min", "n_test", "RH_percent", "T_C")
 
 
 def pool(plan: Plan, *, command: str = "", options: Mapping[str, str] | None = None) -> list[str]:
@@ -294,7 +287,7 @@ def pool(plan: Plan, *, command: str = "", options: Mapping[str, str] | None = N
     if not tests:
         return ["no finished test has events of a force recording, so there is no comparison"]
     runs = [plan.run_of(film.name) for film in tests]
-    table = pd.DataFrame([{name: film.facts.get(name) for name in COLUMNS} for film in tests])
+    table = pd.DataFrame([{name: film.facts.get(name) for name in COLUMNS[1:]} for film in tests])
     table.insert(0, "run", [str(run) for run in runs])
     try:
         found = compare(runs, table.dropna(axis="columns", how="all"))
@@ -311,7 +304,7 @@ def _facts(plan: Plan, film: PlannedFilm, state: State) -> dict[str, Any]:
     frames = read_json(plan.run_of(film.name) / "run.json").get("frames") or {}
     return {
         "sample": film.facts.get("sample"),
-        **{name: float(film.facts.get(name, "nan")) for name in COLUMNS[1:]},
+        **{name: float(film.facts.get(name, "nan")) for name in LIMITS},
         "notes": film.facts.get("notes"),
         "path": film.film,
         "key": film.key,

@@ -24,7 +24,7 @@ Row = Mapping[Hashable, Any]  # of the table, by column
 LIMITS = {"V_mm_min": (1e-6, 1e4), "n_test": (0.0, 1e6), "RH_percent": (0.0, 100.0), "T_C": (-90.0, 200.0)}
 _NEEDED = ("d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm")
 # what people call the columns, so that the nearest of ours can be shown
-_ALIKE = {
+ALIKE = {
     "run": "run", "name": "run", "folder": "run", "file": "run", "test": "run",
     "sample": "sample", "block": "sample", "specimen": "sample",
     "v_mm_min": "V_mm_min", "v": "V_mm_min", "speed": "V_mm_min", "velocity": "V_mm_min",
@@ -127,8 +127,8 @@ def _read_table(table: str | Path | pd.DataFrame | None) -> tuple[pd.DataFrame |
     rows.columns = [str(name).strip().lstrip("\ufeff") for name in rows.columns]
     warnings = []
     for name in [name for name in rows.columns if name not in COLUMNS]:
-        near = difflib.get_close_matches(name.lower(), _ALIKE, n=1, cutoff=0.0)[0]
-        warnings.append(f"{source}: column '{name}' is not known and left out; the nearest is {_ALIKE[near]}")
+        near = difflib.get_close_matches(name.lower(), ALIKE, n=1, cutoff=0.0)[0]
+        warnings.append(f"{source}: column '{name}' is not known and left out; the nearest is {ALIKE[near]}")
     rows = rows[[name for name in COLUMNS if name in rows.columns]]
     if rows.empty or not len(rows.columns):
         raise InputError(source, f"rows with any of the columns {', '.join(COLUMNS)}", "none")
