@@ -57,7 +57,7 @@ def known_as(**names: str) -> Iterator[None]:
         raise
 
 
-def with_options(message: str, options: Mapping[str, str]) -> str:
+def with_options(message: str, options: Mapping[str, str] | None = None) -> str:
     """A message in which arguments in backticks are replaced by the options of the command.
 
     Parameters
@@ -68,4 +68,5 @@ def with_options(message: str, options: Mapping[str, str]) -> str:
         Python name to option, such as ``{"pixel_size_um": "--pixel-size"}``. Names that are not in it lose
         their backticks.
     """
-    return _NAMED.sub(lambda match: options.get(match[1], match[1]), message)
+    known = options or {}
+    return _NAMED.sub(lambda match: known.get(match[1], match[1]), message)

@@ -258,9 +258,3 @@ def test_rows_wait_for_all_their_files(tmp_path, clock):
     assert names() == ["other", "t.tiff"]
     clock.now = 40.0
     assert names() == ["other", "t", "t.tiff"]
-
-
-def test_a_folder_that_is_none(tmp_path):
-    """A failure means that a campaign waits for films in a folder that is not there."""
-    with pytest.raises(InputError, match="no such folder"):
-        FolderWatch(tmp_path / "gone")

@@ -14,7 +14,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from tests.scenes.reviewed import FIXTURE, SETTINGS, remedies, truth
-from tests.scenes.served import PATIENCE_S, Address, Served, app_of
+from tests.scenes.served import HERE, PATIENCE_S, PORT, TOKEN, Address, Served, app_of, page_of
 from vision.command.commands import track
 from vision.command.options import RunOptions, VideoOptions
 from vision.command.settings import settings_of_run
@@ -23,36 +23,23 @@ from vision.review.api import first_answers, keep_first_view
 from vision.review.server import FIRST_VIEW, MOST_BODY_BYTES, read_first_view, serve
 from vision.review.session import Session
 
-PORT, TOKEN = 54321, "a-token-of-this-test"
-HERE = f"http://127.0.0.1:{PORT}"
-
-
-def opened_with_token(app):
-    """A page of this application."""
-    return TestClient(app, base_url=HERE, headers={"X-Token": TOKEN, "X-Window": "one"})
-
 
 @pytest.fixture
-def stopped():
-    return Event()
-
-
-@pytest.fixture
-def own_page(session, stopped):
+def own_page(session):
     """A page that may decide."""
-    return opened_with_token(app_of(session, port=PORT, token=TOKEN, stop=stopped.set))
+    return page_of(app_of(session))
 
 
 @pytest.fixture(scope="module")
 def app(watched):
     """What most tests ask, none of which may change anything."""
-    return app_of(watched, port=PORT, token=TOKEN)
+    return app_of(watched)
 
 
 @pytest.fixture
 def page(app):
     """A page that only looks."""
-    return opened_with_token(app)
+    return page_of(app)
 
 
 @pytest.fixture
@@ -338,22 +325,12 @@ def test_the_stick_is_measured_anew_while_decisions_wait(own_page):
     assert own_page.get("/api/stick/99999").json()["sheets"] == []
 
 
-def test_quit(own_page, stopped):
-    """A failure means that the server goes on after the page has ended it."""
-    assert own_page.post("/api/quit").json() == {"ended": True}
-    assert stopped.is_set()
-
-
 def test_a_film_that_is_gone_costs_only_its_pictures(run, tmp_path):
     """A failure means that a run cannot be looked at without its film."""
     film = tmp_path / "another.avi"
     film.write_bytes((FIXTURE / "video.avi").read_bytes()[:-1])
     with Session(run, SETTINGS, film=film) as opened:
-        client = TestClient(
-            app_of(opened, port=PORT, token=TOKEN),
-            base_url=HERE,
-            headers={"X-Token": TOKEN},
-        )
+        client = page_of(app_of(opened))
         assert client.get("/api/frame/3.png").status_code == 422
         assert client.get("/api/run").json()["frames"] == 240
         told = client.get("/api/film").json()
@@ -399,9 +376,6 @@ def test_the_page_is_there_before_the_run_has_been_read():
 # --- the first view -----------------------------------------------------------------------------------------
 
 
-PORT, TOKEN = 54321, "a-token-of-this-test"
-
-
 @pytest.fixture
 def kept(run):
     """A run folder with its first view."""
@@ -415,9 +389,9 @@ def test_kept_answers_are_those_of_the_run(kept):
     answers = read_first_view(kept)
     assert {"/api/run", "/api/times", "/api/frame/0.png", "/api/force?points=4096"} <= set(answers)
     with Session(kept, SETTINGS) as session:
-        client = TestClient(app_of(session, port=PORT, token=TOKEN), base_url=f"http://127.0.0.1:{PORT}")
+        client = page_of(app_of(session))
         for question, content in answers.items():
-            assert client.get(question, headers={"X-Token": TOKEN}).content == content, question
+            assert client.get(question).content == content, question
 
 
 def test_a_copied_run_keeps_its_first_view(kept, tmp_path):

@@ -1,11 +1,6 @@
 """Decisions: what they change, that they can be taken back, and that none is lost."""
 
-import os
 import shutil
-import signal
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -17,10 +12,9 @@ from vision.command.settings import settings_of_run
 from vision.errors import InputError
 from vision.review import effects, saving
 from vision.review.positions import CELLS, FLAGS
-from vision.review.saving import SaveJob, save_run
+from vision.review.saving import save_run
 from vision.review.session import Session
 from vision.run import folder, read_run
-from vision.sheets.corrections import read_decisions
 
 EVERY_KIND = [
     {"kind": "swap", "sheets": [20, 22], "frames": "30:"},
@@ -49,9 +43,7 @@ def assert_same(one, other):
 
 def save(session):
     """As the server does it, in this process."""
-    decisions = session._held(session.decisions, session.undone)
-    job = {"folder": session.folder, "settings": session.settings, "clock": session.found.clock}
-    save_run(SaveJob(**job, applied=tuple(session.applied), decisions=decisions))
+    save_run(session.job(session.decisions, session.undone))
 
 
 def off_px(tracks):
@@ -258,42 +250,6 @@ def test_a_disk_that_fails_loses_nothing_that_was_kept(session, monkeypatch):
     assert (session.folder / "corrections.toml").read_text() == text
     assert session.decisions[-1].kind == "swap"
     assert [path.name for path in session.folder.glob(".corr*")] == []
-
-
-DECIDING = """
-import sys
-from pathlib import Path
-from tests.scenes.reviewed import SETTINGS
-from vision.review.session import Session
-session = Session(Path(sys.argv[1]), SETTINGS)
-count = len(session.decisions)
-while True:
-    session.decide({"kind": "leave_out", "sheet": count % 40, "frames": f"{count}:{count + 1}"})
-    count += 1
-    print(count, flush=True)
-"""
-
-
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal here")
-@pytest.mark.parametrize("said_before", [1, 20])
-def test_a_kill_loses_no_decision_that_was_kept(run, said_before):
-    """A failure means that the server's death takes decisions with it that a page showed as saved."""
-    home = Path(__file__).parents[2]
-    started = subprocess.Popen(
-        [sys.executable, "-c", DECIDING, str(run)],
-        stdout=subprocess.PIPE,
-        cwd=home,
-        env=os.environ | {"PYTHONPATH": str(home)},
-        text=True,
-    )
-    with started as process:
-        said = [process.stdout.readline() for _ in range(said_before)]
-        process.kill()
-        said += process.stdout.read().splitlines()
-    kept = len(read_decisions(run / "corrections.toml").corrections)
-    assert kept >= int(said[-1]) > len(PLANTED)
-    with Session(run, SETTINGS) as again:  # and nobody's claim is left
-        assert len(again.decisions) == kept
 
 
 # --- another strip, tracked again before it is kept ---------------------------------------------------------

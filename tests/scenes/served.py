@@ -14,19 +14,27 @@ from queue import Queue
 from threading import Thread
 from typing import Any, Self
 
+from starlette.testclient import TestClient
 from starlette.types import ASGIApp
 
 from vision.review.api import answers
 from vision.review.server import make_app, serve
 from vision.review.session import Session
 
+PORT, TOKEN = 54321, "a-token-of-this-test"
+HERE = f"http://127.0.0.1:{PORT}"
 PROJECT = Path(__file__).parents[2]
 PATIENCE_S = 120.0  # the machine may be busy
 
 
-def app_of(session: Session, *, port: int, token: str, stop: Callable[[], None] = lambda: None) -> ASGIApp:
+def app_of(session: Session) -> ASGIApp:
     """What a review serves, without a server."""
-    return make_app(answers(session, stop), port=port, token=token)
+    return make_app(answers(session, lambda: None), port=PORT, token=TOKEN)
+
+
+def page_of(app: ASGIApp) -> TestClient:
+    """A page of this application that has its token."""
+    return TestClient(app, base_url=HERE, headers={"X-Token": TOKEN, "X-Window": "one"})
 
 
 class Address:

@@ -159,7 +159,7 @@ class Api:
             try:
                 return await anyio.to_thread.run_sync(work, request, *given, limiter=self._threads)
             except InputError as error:
-                return refused(422, with_options(str(error), {}))
+                return refused(422, with_options(str(error)))
 
         return answer
 
@@ -181,7 +181,7 @@ class Api:
         try:
             rows, columns = self.session.recordings.film().shape
         except InputError as error:
-            return _json({"rows": None, "columns": None, "error": with_options(str(error), {})})
+            return _json({"rows": None, "columns": None, "error": with_options(str(error))})
         return _json({"rows": rows, "columns": columns, "error": ""})
 
     def _frame(self, request: Request) -> Response:
@@ -219,10 +219,10 @@ def _window(request: Request) -> str:
     return request.headers.get("x-window", "")[:64]
 
 
-def _done(work: Callable[[], Any], told: Callable[[], Mapping[str, Any]] = dict) -> Response:
+def _done(work: Callable[[], Any], state: Callable[[], Mapping[str, Any]] = dict) -> Response:
     """Something that changes no decision, and how things stand then."""
     work()
-    return _json(told())
+    return _json(state())
 
 
 def _tried(work: Callable[[], Mapping[str, Any]]) -> Response:
@@ -230,7 +230,7 @@ def _tried(work: Callable[[], Mapping[str, Any]]) -> Response:
     try:
         return _json(work())
     except InputError as error:
-        return _json({"refused": with_options(str(error), {})})
+        return _json({"refused": with_options(str(error))})
 
 
 async def _body_of(request: Request) -> Mapping[str, Any]:

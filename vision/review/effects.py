@@ -55,21 +55,21 @@ class Effects:
             if decision.kind == "clock":
                 return {"text": decision.text(), **self.clock_preview(decision.offset_s, decision.drift_ppm)}
             at = self._looked_at(decision, frame)
-            event = self._event_at(at)
-            near = None if event is None else self._near(event)
-            rows = self._window(decision, at, near)
+            near, rows = self._rows_for(decision, at)
             before = self.run.positions.copied(rows)
             clipped = _clipped(decision, before)
             after, _ = apply(self.run.positions.copied(rows), clipped, self.run.diagram)
             shown = _about(at - rows.start)
-            now = None if event is None else self._now(event)
-            then = None if near is None else self._then(now, before, after, near.since(rows.start))
+            now = then = None
+            if near is not None:
+                now = self._now(near.event)
+                then = self._then(now, before, after, near.since(rows.start))
             return {
                 "text": decision.text(),
                 "frames": before.frame[shown],
                 "before": _shown(before, shown),
                 "after": _shown(after, shown),
-                "event": event,
+                "event": near and near.event,
                 "stick_before": now,
                 "stick_after": then,
             }
@@ -77,18 +77,15 @@ class Effects:
     def of_other(self, tracks: Path, frame: int) -> dict[str, Any]:
         """What another run's tracks.nc would change: positions about a frame, numbering, the stick there."""
         at = self.run.positions.row_of(frame)
-        event = self._event_at(at)
-        near = None if event is None else self._near(event)
-        decision = Correction(kind="strip")
-        rows = self._window(decision, at, near)
+        near, rows = self._rows_for(Correction(kind="strip"), at)
         after = positions_of(read_tracks(tracks, rows))
         shown = _about(at - rows.start)
         return {
             "frames": after.frame[shown],
             "after": _shown(after, shown),
-            "event": event,
-            "stick_before": None if event is None else self._now(event),
-            "stick_after": None if near is None else self._measured(after, near.since(rows.start)),
+            "event": near and near.event,
+            "stick_before": near and self._now(near.event),
+            "stick_after": near and self._measured(after, near.since(rows.start)),
         }
 
     def _looked_at(self, decision: Correction, frame: Any) -> int:
@@ -101,15 +98,16 @@ class Effects:
             looked = min(max(looked, first), first + MOST_ROWS // 2)
         return min(int(np.searchsorted(numbers, looked)), len(numbers) - 1)
 
-    def _window(self, decision: Correction, at: int, near: Near | None) -> slice:
-        """Rows that a preview works on: around one, with the sticks there, from where a ridge is followed."""
-        numbers = self.run.positions.frame
+    def _rows_for(self, decision: Correction, at: int) -> tuple[Near | None, slice]:
+        """The stick at a row, and the rows of a preview: around it, from where a ridge is followed."""
+        numbers, event = self.run.positions.frame, self._event_at(at)
+        near = None if event is None else self._near(event)
         a, b, _ = _about(at).indices(len(numbers))
         if near is not None:
             a, b = min(a, int(near.rows[0])), max(b, int(near.rows[-1]) + 1)
         if decision.kind in ("assign", "add"):
             a = min(a, int(np.searchsorted(numbers, decision.first)))
-        return slice(a, b)
+        return near, slice(a, b)
 
     def _event_at(self, row: int, clock: Clock | None = None) -> int | None:
         """The stick in which a frame lies, where the clock is sure."""
@@ -207,12 +205,10 @@ class Effects:
             return _unknown(error)
         return self._measured(self.run.positions, near)
 
-    def _then(
-        self, now: dict[str, Any] | None, before: Positions, after: Positions, near: Near
-    ) -> dict[str, Any]:
+    def _then(self, now: dict[str, Any], before: Positions, after: Positions, near: Near) -> dict[str, Any]:
         """Of other positions; what is known already where they are the same about this stick."""
         same = np.array_equal(before.side, after.side) and np.array_equal(before.n, after.n)
-        if now and same and np.array_equal(before.x_px[near.rows], after.x_px[near.rows], equal_nan=True):
+        if same and np.array_equal(before.x_px[near.rows], after.x_px[near.rows], equal_nan=True):
             return now
         return self._measured(after, near)
 
@@ -262,8 +258,8 @@ class Effects:
         table = pd.DataFrame(
             {"index": sheets["sheet"].values} | {name: sheets[name].values for name in names}
         )
-        sizes = shells[["side", "stiff_sheets", "stiff_low", "stiff_high"]].astype(object)
-        return {"sheets": records(table), "shells": records(sizes.where(sizes.notna(), None))}
+        sizes = shells[["side", "stiff_sheets", "stiff_low", "stiff_high"]]
+        return {"sheets": table.to_dict("records"), "shells": sizes.to_dict("records")}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,12 +277,7 @@ class Near:
 
 
 def _unknown(error: InputError) -> dict[str, Any]:
-    return {"sheets": [], "shells": [], "reason": with_options(str(error), {})}
-
-
-def records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """The rows of a table, as JSON has them."""
-    return [{str(name): value for name, value in row.items()} for row in table.to_dict("records")]
+    return {"sheets": [], "shells": [], "reason": with_options(str(error))}
 
 
 def _about(row: int) -> slice:

@@ -158,7 +158,7 @@ class Awaited:
             try:
                 app = await asyncio.shield(asyncio.wrap_future(self._answers))
             except InputError as error:
-                app = refused(422, with_options(str(error), {}))
+                app = refused(422, with_options(str(error)))
         else:
             kind = "image/png" if asked.endswith(".png") else "application/octet-stream"
             app = Response(kept, media_type=kind)

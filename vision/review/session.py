@@ -18,7 +18,7 @@ from vision.figures.decimate import minmax_decimate
 from vision.files import reading
 from vision.numeric import Floats, Floats32, Ints, nearest
 from vision.pipeline import Settings
-from vision.review.effects import READY, Effects, records
+from vision.review.effects import READY, Effects
 from vision.review.positions import (
     FLAGS,
     SAME_RIDGE_PX,
@@ -174,7 +174,7 @@ class Session:
             folder=self.folder,
             settings=self.settings,
             applied=tuple(self.applied),
-            decisions=self._held(decisions, undone),
+            decisions=self._as_written(decisions, undone),
             clock=self.found.clock,
             film=self.recordings.moved,
             beside={REPLACED: pack(self._before)} if self._before and same else {},
@@ -283,11 +283,11 @@ class Session:
     def _write(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> None:
         """corrections.toml, whole and on the disk when this returns."""
         self.found.check_there()
-        text = corrections_text(self._held(decisions, undone))
+        text = corrections_text(self._as_written(decisions, undone))
         with whole_file(self.folder / CORRECTIONS, durable=True) as path:
             path.write_text(text, encoding="utf-8")
 
-    def _held(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> Decisions:
+    def _as_written(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> Decisions:
         checksum = self.found.film_checksum
         return Decisions(corrections=tuple(decisions), undone=tuple(undone), film=checksum)
 
@@ -377,7 +377,7 @@ class Session:
         decided, own = last_of(self.pending, "clock"), self.found.clock
         return own if decided is None else decided_clock(own, decided)
 
-    def sticks(self, clock: Clock | None = None) -> list[dict[str, Any]]:
+    def sticks(self, clock: Clock | None = None) -> list[dict[Any, Any]]:
         """Stick phases within the film, in frames of the film by the clock as it is."""
         clock, events = clock or self.clock, self.found.events
         if clock is None or events is None:
@@ -386,7 +386,7 @@ class Session:
         frames = {"first": self._frames_at(start), "stop": self._frames_at(stop) + 1}
         time_s = self.positions.time_s
         inside = (stop > np.nanmin(time_s)) & (start < np.nanmax(time_s))
-        return records(events[["event", "stick_length_um"]].assign(**frames)[inside])
+        return events[["event", "stick_length_um"]].assign(**frames)[inside].to_dict("records")
 
     def slips(self, clock: Clock | None = None) -> list[int]:
         """First frames after the slips: of the force where its clock is sure, else of the sheets' steps."""
