@@ -40,7 +40,7 @@ with tempfile.TemporaryDirectory() as scratch:
         test = with_settings(preset("paper", seed=k), changes)
         pull = simulate_pull(test.mechanics, seed=k)
         file = work / f"test{k + 1}.txt"
-        write_force(file, force_recording(test, pull), test.force_file, name=file.stem)
+        write_force(file, force_recording(test, pull), test.force_file)
         run(["force", str(file), "--d0", "13.0±0", "--out", str(work / file.stem), "--quiet"])
         table.append(f"{file.stem},{'AB'[k > 3]},{speed},{n_test},{humidity}")
     (work / "tests.csv").write_text("\n".join(table) + "\n", encoding="utf-8")

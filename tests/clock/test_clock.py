@@ -245,7 +245,7 @@ def test_simulated_tests_with_physics(name, changes, allowed_s, tmp_path):
     experiment = with_settings(preset(name), changes)
     scene = make_scene(experiment)
     truth = truth_of(scene)
-    write_force(tmp_path / "f.txt", force_recording(experiment, scene.pull), experiment.force_file, name="s")
+    write_force(tmp_path / "f.txt", force_recording(experiment, scene.pull), experiment.force_file)
     force = read_force(tmp_path / "f.txt")
     rng = np.random.default_rng(2)
     x = truth["x_px"].values + 0.05 * rng.standard_normal(truth["x_px"].shape)

@@ -180,9 +180,7 @@ def test_force_recordings_go_all_the_way(tmp_path, monkeypatch):
             Experiment(), {"mechanics.speed_mm_min": speed, "mechanics.d_end_mm": 15.0, "seed": k}
         )
         pull = simulate_pull(experiment.mechanics, seed=experiment.seed)
-        write_force(
-            tmp_path / f"v{k}.txt", force_recording(experiment, pull), experiment.force_file, name="t"
-        )
+        write_force(tmp_path / f"v{k}.txt", force_recording(experiment, pull), experiment.force_file)
         with undrawn():
             assert run(["force", f"v{k}.txt", "--d0", f"{experiment.mechanics.d0_mm:g}", "--quiet"]) in (0, 1)
         names.append(f"v{k}_force")

@@ -129,7 +129,7 @@ def test_the_force_recordings_own_error_of_the_stick_length(tmp_path):
     truth, tracks, _, clock = run("late", **changes)
     experiment = with_settings(preset("late", seed=1), changes)
     recording = force_recording(experiment, make_scene(experiment).pull)
-    write_force(tmp_path / "force.txt", recording, experiment.force_file, name="late")
+    write_force(tmp_path / "force.txt", recording, experiment.force_file)
     sticks = find_stick_slip(read_force(tmp_path / "force.txt", d0_mm=16.8))
     _, motion = deformation(truth, tracks, sticks, clock)
     _, without = deformation(truth, tracks, sticks.drop(columns="stick_length_err_um"), clock)

@@ -57,7 +57,7 @@ def test_the_pipeline_measures_the_shell_of_the_springs(scene: Scene, tmp_path: 
     A failure means that imaging finds the shell only where sheets creep from the first moment on.
     """
     experiment = scene.experiment
-    write_force(tmp_path / "f.txt", force_recording(experiment, scene.pull), experiment.force_file, name="f")
+    write_force(tmp_path / "f.txt", force_recording(experiment, scene.pull), experiment.force_file)
     strip, truth = profiles(experiment)
     force = vision.read_force(tmp_path / "f.txt", d0_mm=13.0)
     sticks = vision.find_stick_slip(force)
@@ -98,7 +98,7 @@ def scenes() -> dict[str, Scene]:
 def recorded(scene: Scene, folder: Path, lowpass_s: float) -> xr.Dataset:
     """The scene's force as one machine writes it."""
     experiment = with_settings(scene.experiment, {"load_cell.lowpass_s": lowpass_s})
-    write_force(folder / "f.txt", force_recording(experiment, scene.pull), experiment.force_file, name="f")
+    write_force(folder / "f.txt", force_recording(experiment, scene.pull), experiment.force_file)
     return vision.read_force(folder / "f.txt", d0_mm=13.0)
 
 

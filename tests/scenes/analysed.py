@@ -84,7 +84,7 @@ def with_force():
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "force.txt"
         recording = force_recording(EXPERIMENT, make_scene(EXPERIMENT).pull)
-        write_force(path, recording, EXPERIMENT.force_file, name="test")
+        write_force(path, recording, EXPERIMENT.force_file)
         force = read_force(path, d0_mm=EXPERIMENT.mechanics.d0_mm)
     sticks = find_stick_slip(force)
     fits = fit_models(force, sticks)

@@ -172,10 +172,10 @@ def _sharing_geometry(tests: Sequence[TractionTest]) -> tuple[TractionTest, ...]
     """Errors of the geometry belong to the sample, whichever of its runs they were given with."""
     errors: dict[str, dict[str, float]] = {}
     for test in tests:
-        of_sample = errors.setdefault(test.sample_name, {})
+        shared = errors.setdefault(test.sample_name, {})
         for name, error in test.errors.items():
             if name != "d0_mm":
-                of_sample[name] = max(error, of_sample.get(name, 0.0))
+                shared[name] = max(error, shared.get(name, 0.0))
     return tuple(replace(test, errors={**test.errors, **errors[test.sample_name]}) for test in tests)
 
 
@@ -316,11 +316,11 @@ def summary_lines(found: Comparison) -> list[str]:
         slope = Estimate(*((t.partial_slope, t.partial_slope_err) if partial else (t.slope, t.slope_err)))
         held = ", the other held fixed" if partial else ""
         lines.append(f"{t.quantity} with {t.predictor}: {plus_minus(slope)}{held} (p {t.p_adjusted:.2g})")
-    looked = [t for t in found.trends if not t.reason]
-    if doubtful := [f"{t.quantity} with {t.predictor}" for t in looked if not t.beyond_systematic]:
+    examined = [t for t in found.trends if not t.reason]
+    if doubtful := [f"{t.quantity} with {t.predictor}" for t in examined if not t.beyond_systematic]:
         lines.append(f"no more than errors of the geometry may give: {', '.join(doubtful)}")
-    if looked and not claimed:
-        lines.append(f"no trend among the {len(looked)} looked for")
+    if examined and not claimed:
+        lines.append(f"no trend among the {len(examined)} examined")
     return lines
 
 

@@ -445,9 +445,9 @@ def _common_scale(tests: Sequence[TractionTest], fits: Sequence[TestFit], modulu
         if np.isfinite(fit.scale_mm.value):
             groups.setdefault(test.sample, []).append(test.events[fit.used])
     together = {sample: pd.concat(parts, ignore_index=True) for sample, parts in groups.items()}
-    held = {"modulus_GPa": modulus.value}
+    known = {"modulus_GPa": modulus.value}
     with np.errstate(all="ignore"):
-        scales = [fit_stiffness(events, sample, held).value[0] for sample, events in together.items()]
+        scales = [fit_stiffness(events, sample, known).value[0] for sample, events in together.items()]
     return float(np.average(scales, weights=[len(events) for events in together.values()]))
 
 

@@ -38,7 +38,7 @@ ALIKE = {
 class TractionTest:
     """One finished run and what the table says of it."""
 
-    run: str  # name by which it is told from the others
+    run: str  # name by which it is known in tables and figures
     folder: Path
     sample_name: str  # "" where it is not known
     speed_mm_min: float  # pulling velocity; NaN, as the next three, where not known
@@ -218,9 +218,9 @@ def _read_test(folder: Path, name: str, row: Row, warnings: list[str]) -> Tracti
     facts = _json(folder / "run.json")
     models = _json(folder / "models.json") if (folder / "models.json").is_file() else {}
     recorded = _number((facts.get("force") or {}).get("speed_mm_min"))
-    told = _number(row.get("V_mm_min"))
-    if math.isfinite(told) and math.isfinite(recorded) and abs(told / recorded - 1) > 0.05:
-        warnings.append(f"{name}: the table has V = {told:g} mm/min, its recording {recorded:.4g}")
+    given = _number(row.get("V_mm_min"))
+    if math.isfinite(given) and math.isfinite(recorded) and abs(given / recorded - 1) > 0.05:
+        warnings.append(f"{name}: the table has V = {given:g} mm/min, its recording {recorded:.4g}")
     modulus = models.get("Y_eff_GPa") or {}
     sample = _sample(models.get("sample") or facts.get("sample"))
     events = _events(folder / "events.csv", sample)
@@ -232,7 +232,7 @@ def _read_test(folder: Path, name: str, row: Row, warnings: list[str]) -> Tracti
         run=name,
         folder=folder,
         sample_name="" if label is None or label != label else str(label).strip(),
-        speed_mm_min=told if math.isfinite(told) else recorded,
+        speed_mm_min=given if math.isfinite(given) else recorded,
         n_test=_number(row.get("n_test")),
         humidity_percent=_number(row.get("RH_percent")),
         temperature_C=_number(row.get("T_C")),

@@ -37,10 +37,10 @@ class Trend:
     partial_slope_err: float = np.nan
     partial_slope_systematic: float = np.nan
     partial_p: float = np.nan
-    # of the partial slope where there is one, else of the rank correlation, times the trends looked at (Holm)
+    # of the partial slope where there is one, else of the rank correlation, times the number of trends (Holm)
     p_adjusted: float = np.nan
     claimed: bool = False  # `p_adjusted` is below the significance, the slope beyond its systematic errors
-    reason: str = ""  # why there is no trend at all; "" where it was looked for
+    reason: str = ""  # why there is no trend at all; "" where it was examined
 
     @property
     def beyond_systematic(self) -> bool:
@@ -64,7 +64,7 @@ def find_trends(
     χ²/dof is 1 where it would be larger. The p value of Spearman's ρ is the share of random orders with a
     |ρ| as large. Partial slopes come from y = a + b₁ n_test + b₂ RH; their p value permutes the residuals of
     the model without the slope in question (Freedman and Lane 1983), so it holds whatever the other predictor
-    does. As several trends are looked at, p values are adjusted (Holm 1979): at most one comparison in
+    does. As there are several trends, p values are adjusted (Holm 1979): at most one comparison in
     twenty claims any trend where there is none. An error of the geometry moves all tests of a sample
     together, which no permutation knows of: a slope within two of its systematic errors is not claimed.
     """
@@ -293,7 +293,7 @@ def _steady_rise_is_better(level: Floats, d: Floats, at: int) -> bool:
 
 def _why_not(p: float, before: float, after: float, steady: bool) -> str:
     if p >= 0.01:
-        return f"random orders of the events look as changed (p = {p:.2g})"
+        return f"random orders of the events divide as well (p = {p:.2g})"
     if after < 1.5 * before:
         return f"the scatter goes from {before:.2g} to {after:.2g}"
     return "the scatter rises steadily, at no one place" if steady else ""

@@ -354,11 +354,11 @@ def _segment_integral(motion: Motion, k: Ints, tau: Floats) -> Floats:
     delay = motion.delay_s[k]
     slip = np.where(k > 0, motion.slip_s, 1e-12)[:, None]
     creep = motion.length_s[k][:, None] - slip - delay
-    held = np.minimum(tau, delay)
+    waited = np.minimum(tau, delay)
     u = np.clip(tau - delay, 0, slip)
     v = np.maximum(tau - delay - slip, 0)
     jump = before * u + (outer - before) * (u / 2 - slip / (2 * np.pi) * np.sin(np.pi * u / slip))
-    return np.asarray(before * held + jump + outer * v + (inner - outer) * v**2 / (2 * creep))
+    return np.asarray(before * waited + jump + outer * v + (inner - outer) * v**2 / (2 * creep))
 
 
 def sheet_motion(experiment: Experiment, pull: Pull, comb: RestingComb) -> Motion:

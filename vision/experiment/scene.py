@@ -432,8 +432,8 @@ def truth_of(scene: Scene) -> xr.Dataset:
         the clocks, the axis.
     """
     comb, ridges, e, rows = scene.comb, scene.ridges, scene.experiment, strip_slice(scene.experiment)
-    of_sheets = {"side": comb.side, "n": comb.n, "fwhm_px": ridges.fwhm_px, "height": ridges.height}
-    data = _of_frames(scene) | _of_events(scene) | {name: ("sheet", one) for name, one in of_sheets.items()}
+    sheets = {"side": comb.side, "n": comb.n, "fwhm_px": ridges.fwhm_px, "height": ridges.height}
+    data = _frames(scene) | _events(scene) | {name: ("sheet", one) for name, one in sheets.items()}
     dataset = xr.Dataset(data, coords={"sheet": np.arange(len(scene.comb.n))})
     for name, (units, meaning) in _MEANING.items():
         dataset[name].attrs |= {"units": units, "long_name": meaning}
@@ -455,7 +455,7 @@ def truth_of(scene: Scene) -> xr.Dataset:
     return dataset
 
 
-def _of_frames(scene: Scene) -> dict[str, Any]:
+def _frames(scene: Scene) -> dict[str, Any]:
     """Positions and times of every frame."""
     times = scene.times
     x = scene.seen_px(slice(None))
@@ -472,7 +472,7 @@ def _of_frames(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _of_events(scene: Scene) -> dict[str, Any]:
+def _events(scene: Scene) -> dict[str, Any]:
     """Events and slips on both clocks, and the deformation of every sheet."""
     pull, e = scene.pull, scene.experiment
     events = pull.events()

@@ -396,7 +396,7 @@ def _check_value(name: str, value: Any, declared: Any) -> None:
 def _require(
     e: Experiment, setting: str, fine: bool, expected: str, found: str = "", advice: str = ""
 ) -> None:
-    """InputError about a setting unless it is fine; what is found is its value, if not told."""
+    """InputError about a setting unless it is fine; what is found is its value if not given."""
     if not fine:
         group, _, key = setting.partition(".")
         value = getattr(getattr(e, group), key)

@@ -100,8 +100,7 @@ def simulate(
 def _write(scene: Scene, folder: Path, container: str, progress: Progress | None) -> Path:
     """Write every file; the path of the video."""
     experiment, times = scene.experiment, scene.times
-    recording = force_recording(experiment, scene.pull)
-    write_force(folder / "force.txt", recording, experiment.force_file, name="synthetic")
+    write_force(folder / "force.txt", force_recording(experiment, scene.pull), experiment.force_file)
     (folder / "timestamps.txt").write_text("".join(f"{t:.6f}\n" for t in times.stamp_s), "utf-8")
     save_truth(truth_of(scene), folder / "truth.nc")
     blocks = _with_progress(frame_blocks(scene), len(times.camera_s), progress)
@@ -172,15 +171,12 @@ def _rounded(values: Floats, step: float) -> Floats:
     return np.asarray(np.round(values / step) * step) if step else values
 
 
-def write_force(path: Path, recording: pd.DataFrame, style: ForceFile, *, name: str) -> None:
-    """Write a recording in the layout, units, decimal mark and encoding of `style`.
-
-    `name` is the test's name in the file's header (mts only).
-    """
+def write_force(path: Path, recording: pd.DataFrame, style: ForceFile) -> None:
+    """Write a recording in the layout, units, decimal mark and encoding of `style`."""
     data = recording.copy()
     if style.unit == "kN":
         data["load_N"] /= 1000
-    text = _LAYOUTS[style.layout](data, style, name)
+    text = _LAYOUTS[style.layout](data, style)
     path.write_bytes(text.encode(style.encoding))
 
 
@@ -200,13 +196,13 @@ def _rows(
     return "".join(mark.join(cells) + "\r\n" for cells in (*head, *zip(*columns, strict=True)))
 
 
-def _mts(data: pd.DataFrame, style: ForceFile, name: str) -> str:
+def _mts(data: pd.DataFrame, style: ForceFile) -> str:
     """MTS TestSuite text export: tabs, names with trailing spaces, a trailing tab on the header row."""
     video = style.video_time
     about = [
-        rf"File Path: C:\MTS\{name}\DAQ- Crosshead, Load, Time - (Timed).txt",
+        r"File Path: C:\MTS\synthetic\DAQ- Crosshead, Load, Time - (Timed).txt",
         "Test: MTS EM Tension (Simplified)",
-        f"Test Run: {name}",
+        "Test Run: synthetic",
         "Date: 1/10/2022 12:52:17 PM",
         "",
         "",
@@ -217,26 +213,26 @@ def _mts(data: pd.DataFrame, style: ForceFile, name: str) -> str:
     return _rows(data, style, *([line] for line in about), names, units, order=order, separator="\t")
 
 
-def _instron(data: pd.DataFrame, style: ForceFile, name: str) -> str:
+def _instron(data: pd.DataFrame, style: ForceFile) -> str:
     """Instron Bluehill: quoted numbers, or semicolons without quotes where the decimal mark is a comma."""
     comma = style.decimal == ","
     names = ("Time", "Displacement", "Force") if comma else ("Time", "Extension", "Load")
     return _rows(data, style, names, ("(s)", "(mm)", f"({style.unit})"), quote="" if comma else '"')
 
 
-def _zwick(data: pd.DataFrame, style: ForceFile, name: str) -> str:
+def _zwick(data: pd.DataFrame, style: ForceFile) -> str:
     """Zwick .TRA, French names."""
     names = ('"Temps"', '"Traverse absolue"', '"Force standard"')
     head = ('"Épaisseur éprouvette"', "1", '"mm"')
     return _rows(data, style, head, names, ('"s"', '"mm"', f'"{style.unit}"'))
 
 
-def _csv(data: pd.DataFrame, style: ForceFile, name: str) -> str:
+def _csv(data: pd.DataFrame, style: ForceFile) -> str:
     """Plain table, names with units in brackets."""
     return _rows(data, style, ("time (s)", "displacement (mm)", f"force ({style.unit})"))
 
 
-_LAYOUTS: dict[str, Callable[[pd.DataFrame, ForceFile, str], str]] = {
+_LAYOUTS: dict[str, Callable[[pd.DataFrame, ForceFile], str]] = {
     "mts": _mts,
     "instron": _instron,
     "zwick": _zwick,

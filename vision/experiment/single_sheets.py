@@ -15,8 +15,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from vision.errors import InputError
 from vision.experiment.mechanics import random_stream
+from vision.experiment.settings import ForceFile
+from vision.experiment.simulate import write_force
 from vision.models.equations import sheet_stiffness
 from vision.models.friction import PUBLISHED_FRICTION, RADIUS_MM, StaticFriction
 from vision.models.modulus import STRIP
@@ -234,21 +235,11 @@ def _jenkins(position: Floats, limit: float, stiffness: float) -> Floats:
 
 
 def write_cycles(path: str | os.PathLike[str], test: CyclesTest) -> pd.DataFrame:
-    """The recording as MTS TestSuite exports it: tabs, names with trailing spaces, units below.
+    """The recording as MTS TestSuite exports it.
 
     Returns the truth, one row per cycle: ``k_N_per_mm``, ``Y_p_GPa``, ``loop_mJ``.
     """
-    record = cycles_record(test)
-    head = (
-        "File Path: C:\\MTS\\sheet\\DAQ- Crosshead, Load, Time - (Timed).txt\r\nTest: Push-pull\r\n\r\n\r\n"
-    )
-    head += "Crosshead \tLoad \tTime \t\r\nmm\tN\tsec\r\n"
-    rows = record[["crosshead_mm", "load_N", "time_s"]].to_csv(
-        sep="\t", header=False, index=False, float_format="%.8g", lineterminator="\r\n"
-    )
-    if rows is None:
-        raise InputError(path, "a recording with samples", "none")
-    Path(path).write_bytes((head + rows).encode("utf-8-sig"))
+    write_force(Path(path), cycles_record(test), ForceFile())
     share = 1 + test.growth * np.arange(test.cycles)
     return pd.DataFrame(
         {

@@ -1,4 +1,4 @@
-"""What the page of a review asks and is told about one run."""
+"""What the page of a review can ask about a run, and the answers."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class Effects:
         with self.run.lock:
             if decision.kind == "clock":
                 return {"text": decision.text(), **self.clock_preview(decision.offset_s, decision.drift_ppm)}
-            at = self._looked_at(decision, frame)
+            at = self._row_shown(decision, frame)
             near, rows = self._rows_for(decision, at)
             before = self.run.positions.copied(rows)
             clipped = _clipped(decision, before)
@@ -74,7 +74,7 @@ class Effects:
                 "stick_after": then,
             }
 
-    def of_other(self, tracks: Path, frame: int) -> dict[str, Any]:
+    def preview_of(self, tracks: Path, frame: int) -> dict[str, Any]:
         """What another run's tracks.nc would change: positions about a frame, numbering, the stick there."""
         at = self.run.positions.row_of(frame)
         near, rows = self._rows_for(Correction(kind="strip"), at)
@@ -88,15 +88,15 @@ class Effects:
             "stick_after": near and self._measured(after, near.since(rows.start)),
         }
 
-    def _looked_at(self, decision: Correction, frame: Any) -> int:
-        """Row that a preview is about: the frame looked at, as far as the decision changes it."""
+    def _row_shown(self, decision: Correction, frame: Any) -> int:
+        """Row that a preview is about: the frame shown, as far as the decision changes it."""
         numbers = self.run.positions.frame
         first = max(decision.first, int(numbers[0]))
         last = int(numbers[-1]) if decision.stop is None else min(decision.stop - 1, int(numbers[-1]))
-        looked = frame if isinstance(frame, int) and first <= frame <= last else first
+        shown = frame if isinstance(frame, int) and first <= frame <= last else first
         if decision.kind in ("assign", "add"):
-            looked = min(max(looked, first), first + MOST_ROWS // 2)
-        return min(int(np.searchsorted(numbers, looked)), len(numbers) - 1)
+            shown = min(max(shown, first), first + MOST_ROWS // 2)
+        return min(int(np.searchsorted(numbers, shown)), len(numbers) - 1)
 
     def _rows_for(self, decision: Correction, at: int) -> tuple[Near | None, slice]:
         """The stick at a row, and the rows of a preview: around it, from where a ridge is followed."""

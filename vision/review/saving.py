@@ -264,7 +264,7 @@ class Trial:
         Raises: InputError where nothing was tracked again.
         """
         with self.run.lock:
-            return self.run.effects.of_other(self._ready() / "tracks.nc", frame)
+            return self.run.effects.preview_of(self._ready() / "tracks.nc", frame)
 
     def _ready(self) -> Path:
         """Where the new run lies."""
@@ -327,10 +327,10 @@ def differences(before: Path, after: Path) -> dict[str, Any]:
     """
     old, new = (positions_of(read_tracks(folder / "tracks.nc")) for folder in (before, after))
     pairs = _pairs(usual_places(old), usual_places(new), old.track_facts.pitch_px)
-    return _of_positions(old, new, *pairs) | _of_deformation(before, after, *pairs)
+    return _positions_differ(old, new, *pairs) | _deformation_differs(before, after, *pairs)
 
 
-def _of_deformation(before: Path, after: Path, old: Ints, new: Ints) -> dict[str, Any]:
+def _deformation_differs(before: Path, after: Path, old: Ints, new: Ints) -> dict[str, Any]:
     """How σ_x/Λ_st of the sheets in both runs, and the shells, differ."""
     names = ("deformation", "shells")
     (sheets, shells), (sheets_new, shells_new) = (
@@ -371,7 +371,7 @@ def _pairs(old_px: Floats, new_px: Floats, pitch_px: float) -> tuple[Ints, Ints]
     return old[mutual], nearest[mutual].astype(np.int64)
 
 
-def _of_positions(before: Positions, after: Positions, old: Ints, new: Ints) -> dict[str, Any]:
+def _positions_differ(before: Positions, after: Positions, old: Ints, new: Ints) -> dict[str, Any]:
     """How the positions of the sheets in both runs differ."""
     was, will = before.x_px[:, old], after.x_px[:, new]
     there, then = np.isfinite(was), np.isfinite(will)

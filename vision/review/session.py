@@ -1,4 +1,4 @@
-"""One run that is being looked at and put right: what is shown, and the decisions made about it."""
+"""A run under review: what is shown of it, and the decisions about it."""
 
 from __future__ import annotations
 
