@@ -98,7 +98,6 @@ class _Painter:
         # Made before threads start, so that none finds them half done.
         self.response = scene.response
         scene.texture(slice(0, 1))
-        scene.sway_px(slice(0, 1))
 
     def block(self, frames: slice) -> Pixels:
         scene = self.scene

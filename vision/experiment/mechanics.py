@@ -154,19 +154,9 @@ def simulate_pull(m: Mechanics, *, seed: int, sample: Sample = PUBLISHED) -> Pul
         end = time + length / speed
         rows.append((time, end, d, d + length, low, high, stiffness, m_eff))
         time, d = end + m.slip_s, d + length + speed * m.slip_s
-    start, end_s, d_start, d_stop, lows, highs, k, sheets = np.array(rows).T
-    return Pull(
-        settings=m,
-        start_s=start,
-        end_s=end_s,
-        d_start_mm=d_start,
-        d_end_mm=d_stop,
-        low_N=lows,
-        high_N=highs,
-        stiffness_N_per_mm=k,
-        effective_sheets=sheets,
-        stop_s=stop_s,
-    )
+    names = ("start_s", "end_s", "d_start_mm", "d_end_mm", "low_N", "high_N",
+             "stiffness_N_per_mm", "effective_sheets")  # fmt: skip
+    return Pull(settings=m, stop_s=stop_s, **dict(zip(names, np.array(rows).T, strict=True)))
 
 
 def _event_at(d_mm: float, m: Mechanics, sample: Sample, *, jitter: float) -> tuple[float, float, float]:

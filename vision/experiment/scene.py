@@ -15,7 +15,6 @@ import json
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -204,7 +203,7 @@ def strip_slice(experiment: Experiment) -> slice:
 class Scene:
     """Everything derived from an experiment that images, strip profiles and truth share.
 
-    Safe to use from several threads once `response`, `texture` and `sway_px` have been asked for once.
+    Safe to use from several threads once `response` and `texture` have been asked for once.
     """
 
     experiment: Experiment
@@ -217,21 +216,15 @@ class Scene:
 
     # Positions
 
-    @cached_property
-    def _camera_sway(self) -> tuple[Floats, Floats, Floats, float]:
-        """Frequencies, phases and weights of the vibration, and the phase of the slow drift."""
-        rng = random_stream(self.experiment.seed, "sway")
-        hz, phase = rng.uniform(15, 60, 4), rng.uniform(0, 2 * np.pi, 5)
-        return hz, phase[:4], rng.dirichlet(np.ones(4)), float(phase[4])
-
     def sway_px(self, frames: slice) -> Floats:
         """Common shift of the picture in each frame: slow drift and vibration, averaged over the exposure."""
         optics, camera = self.experiment.optics, self.experiment.camera
         t = self.times.machine_s[frames]
-        hz, phase, weight, slow = self._camera_sway
-        waves = np.sin(2 * np.pi * hz * t[:, None] + phase) * np.sinc(hz * camera.exposure_s)
+        rng = random_stream(self.experiment.seed, "sway")
+        hz, phase, weight = rng.uniform(15, 60, 4), rng.uniform(0, 2 * np.pi, 5), rng.dirichlet(np.ones(4))
+        waves = np.sin(2 * np.pi * hz * t[:, None] + phase[:4]) * np.sinc(hz * camera.exposure_s)
         share = (t - self.times.machine_s[0]) / camera.duration_s
-        drift = optics.drift_px * (share - 0.5 + 0.2 * np.sin(2 * np.pi * share + slow))
+        drift = optics.drift_px * (share - 0.5 + 0.2 * np.sin(2 * np.pi * share + phase[4]))
         return np.asarray(drift + optics.vibration_px * waves @ np.sqrt(2 * weight))
 
     def positions_px(self, frames: slice, *, parts: int = 1) -> Floats:
@@ -261,13 +254,6 @@ class Scene:
         """Relative light of every row: half the gradient that runs along x."""
         camera, gradient = self.experiment.camera, self.experiment.optics.gradient
         return 1 + gradient / 2 * self.geometry.zeta_px / camera.height
-
-    @property
-    def _column_light(self) -> Floats:
-        """Relative light of every column."""
-        width = self.experiment.camera.width
-        x = np.arange(width, dtype=float) - (width - 1) / 2
-        return 1 + self.experiment.optics.gradient * x / width
 
     def flicker(self, frames: slice) -> Floats:
         """Brightness factor of each frame: the lamp averaged over the exposure."""
@@ -353,7 +339,8 @@ class Scene:
     def response(self) -> Floats32:
         """Light gradient, dust and pixel response, (row, column), 1 on average."""
         e = self.experiment
-        light = self.row_light[:, None] * self._column_light
+        x = np.arange(e.camera.width, dtype=float) - (e.camera.width - 1) / 2
+        light = self.row_light[:, None] * (1 + e.optics.gradient * x / e.camera.width)
         light *= 1 + e.camera.prnu * random_stream(e.seed, "prnu").standard_normal(light.shape)
         return np.asarray(light * _dust(e), np.float32)
 
@@ -494,9 +481,3 @@ def _events(scene: Scene) -> dict[str, Any]:
         "ratio": (both, ratio),
         "shell": (both, (ratio < e.sheets.stiff_ratio).astype(np.int8)),
     }
-
-
-def save_truth(truth: xr.Dataset, path: Path) -> None:
-    """Write the truth as compressed netCDF-4."""
-    packed = {name: {"zlib": True, "shuffle": True} for name in truth.data_vars}
-    truth.to_netcdf(path, engine="h5netcdf", encoding=packed)

@@ -21,7 +21,7 @@ import tifffile
 from vision.errors import InputError
 from vision.experiment.images import Progress, frame_blocks
 from vision.experiment.mechanics import FrameTimes, Pull, camera_time, random_stream
-from vision.experiment.scene import Scene, make_scene, save_truth, truth_of
+from vision.experiment.scene import Scene, make_scene, truth_of
 from vision.experiment.settings import Camera, Experiment, ForceFile
 from vision.numeric import Floats, Pixels
 
@@ -102,19 +102,19 @@ def _write(scene: Scene, folder: Path, container: str, progress: Progress | None
     experiment, times = scene.experiment, scene.times
     write_force(folder / "force.txt", force_recording(experiment, scene.pull), experiment.force_file)
     (folder / "timestamps.txt").write_text("".join(f"{t:.6f}\n" for t in times.stamp_s), "utf-8")
-    save_truth(truth_of(scene), folder / "truth.nc")
-    blocks = _with_progress(frame_blocks(scene), len(times.camera_s), progress)
-    return write_video(folder, blocks, experiment.camera, times, container=container)
+    truth = truth_of(scene)
+    packed = {name: {"zlib": True, "shuffle": True} for name in truth.data_vars}
+    truth.to_netcdf(folder / "truth.nc", engine="h5netcdf", encoding=packed)
 
+    def blocks() -> Iterator[Pixels]:
+        done = 0
+        for block in frame_blocks(scene):
+            yield block
+            done += len(block)
+            if progress is not None:
+                progress(done, len(times.camera_s))
 
-def _with_progress(blocks: Iterator[Pixels], total: int, progress: Progress | None) -> Iterator[Pixels]:
-    """The same blocks; `progress` is called after each."""
-    done = 0
-    for block in blocks:
-        yield block
-        done += len(block)
-        if progress is not None:
-            progress(done, total)
+    return write_video(folder, blocks(), experiment.camera, times, container=container)
 
 
 def _check_folder(folder: Path, *, overwrite: bool) -> None:
@@ -252,12 +252,11 @@ def write_video(
 
     container: raw (Y800 AVI), mjpeg (AVI), h264 (MP4), ffv1 (Matroska, 8 to 16 bit), tiff (BigTIFF where
     large) or png (numbered files, lost frames leave gaps). Only ffv1 keeps the times of lost frames; the
-    others run on. blocks: from `frame_blocks`.  Raises: InputError as `check_container`.
+    others run on. blocks: from `frame_blocks`. `check_container` says whether it can hold them.
 
     The h264 encoder gives the same bytes again only where both sides are multiples of 16: elsewhere its
     padding is not defined and decoded pixels differ by a level or so.
     """
-    check_container(container, camera)
     name, write, _ = _CONTAINERS[container]
     path = folder / name
     write(path, (frame for block in blocks for frame in block), camera, times)

@@ -68,16 +68,12 @@ class DiscTest:
     def truth(self) -> pd.DataFrame:
         """N_N, mu_s and mu_d (exact mean over 0.3° to 120°) of each measurement."""
         angle = np.linspace(0.3, 120.0, 400_001)
+        mean = [float(np.trapezoid(self.friction(load, angle)) / (angle.size - 1)) for load in self.loads_N]
         rows = [
-            {"N_N": load, "mu_s": float(self.law.mu_s(load)), "mu_d": _mean(self.friction(load, angle))}
-            for load in self.loads_N
+            {"N_N": load, "mu_s": float(self.law.mu_s(load)), "mu_d": mu_d}
+            for load, mu_d in zip(self.loads_N, mean, strict=True)
         ]
         return pd.DataFrame(rows)
-
-
-def _mean(values: Floats) -> float:
-    """Mean of evenly spaced values by the trapezoidal rule."""
-    return float((values.sum() - 0.5 * (values[0] + values[-1])) / (values.size - 1))
 
 
 def disc_record(test: DiscTest, load_N: float, time_s: Floats, *, number: int = 0) -> pd.DataFrame:
