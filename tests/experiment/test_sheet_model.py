@@ -18,7 +18,6 @@ from vision.experiment.sheet_model import (
     threshold_loads_N,
 )
 from vision.models import equations
-from vision.models.friction import PUBLISHED_FRICTION
 from vision.models.spring_block import SpringBlock, stick_slip
 from vision.sample import Sample
 
@@ -240,14 +239,6 @@ def test_a_finer_step_changes_nothing() -> None:
     at = np.linspace(13.0, 13.08, 400)
     np.testing.assert_allclose(loads_at(coarse, at)[:, 25:35], loads_at(fine, at)[:, 25:35], rtol=1e-4)
     assert coarse["slipped"].values.sum() == fine["slipped"].values.sum()
-
-
-def test_adhesion_that_grows_with_light_loads_raises_the_outer_thresholds() -> None:
-    """a(N + b) lies above μN + T*/2 below 0.19 N and under it above."""
-    law = replace(PULL, law=PUBLISHED_FRICTION)
-    difference = threshold_loads_N(law, 13.0) - threshold_loads_N(PULL, 13.0)
-    assert ((difference > 0) == (equation_normal_N(PULL, 13.0) < (0.507 * 0.143 - 0.0015) / 0.383)).all()
-    assert pull_sheets(replace(law, d_end_mm=13.02))["force_N"].values[-1] > 0
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,10 @@ class CompareSettings:
     seed: int = 0
     """Of the permutations."""
 
+    def slow(self, test: TractionTest) -> bool:
+        """Whether a test was pulled slowly enough for all models; measured velocities differ by 5 %."""
+        return not test.speed_mm_min > 1.05 * self.slow_mm_min
+
 
 @dataclass(frozen=True, kw_only=True)
 class TestFit:
@@ -111,7 +115,7 @@ class JointFriction:
     disagreement: float  # χ²/dof of the tests' own μ about the common one
     amplitude: Estimate  # A, the weighted mean of the slow tests
     misfit: float  # χ²/dof of all peaks about the joint curve, over that about each test's own
-    fits: bool  # whether the peaks scatter about the joint curve about as they do about their own
+    fits: bool  # whether the peaks scatter about the joint curve as they do about their own
 
     @property
     def disagrees(self) -> bool:
@@ -160,7 +164,7 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = 
     notes, warnings = [], []
     if abs(t0.value) > settings.t0_limit_N:
         warnings.append(f"offset 𝒯0 = {t0.value:.3g} N lies beyond ±{settings.t0_limit_N:g} N")
-    if test.speed_mm_min > 1.05 * settings.slow_mm_min:
+    if not settings.slow(test):
         notes.append(f"A, N̂ and Λ̂ are defined for V up to {settings.slow_mm_min:g} mm/min")
     if not np.isfinite(values["Lambda_hat_mm"].value):
         notes.append("K is not that of M_eff sheets with this Y_eff: no Λ̂")
@@ -266,7 +270,7 @@ def common_modulus(
     tests disagree; the systematic one is that of ε, W and L, NaN where none of their errors is known.
     """
     mine = [test for test in tests if test.sample_name == main]
-    slow = [test for test in mine if not test.speed_mm_min > 1.05 * settings.slow_mm_min] or mine
+    slow = list(filter(settings.slow, mine)) or mine
     mean = weighted_mean([_own_modulus(test) for test in slow])
     relative = [
         slow[0].errors[name] / getattr(slow[0].sample, name)
@@ -301,6 +305,30 @@ def weighted_mean(parts: Sequence[Estimate]) -> Estimate:
 # --- one μ for several tests --------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Peaks:
+    """The peaks of one test with the standard deviation of each."""
+
+    d_mm: Floats
+    force_N: Floats
+    scatter_N: Floats
+    sample: Sample
+
+    def rest(self, mu: float, limit_N: float) -> tuple[Floats, float]:
+        """Deviations from Eq. 1 with the best offset 𝒯0, in standard deviations, and that offset."""
+        off = self.force_N - equations.traction(self.d_mm, mu=mu, sample=self.sample)
+        t0 = float(np.clip(np.average(off, weights=self.scatter_N**-2), -limit_N, limit_N))
+        return (off - t0) / self.scatter_N, t0
+
+
+def _peaks(test: TractionTest, fit: TestFit) -> _Peaks:
+    d, force = test.column("d_p_mm")[fit.used], test.column("F_p_N")[fit.used]
+    model = equations.traction(d, mu=fit.mu.value, sample=test.sample) + fit.values["T0_N"].value
+    floor = 1e-3 * float(np.abs(force).max()) or 1.0
+    scatter = fit.peak_scatter * np.maximum(np.abs(model), floor)
+    return _Peaks(d_mm=d, force_N=force, scatter_N=scatter, sample=test.sample)
+
+
 def fit_joint(
     tests: Sequence[TractionTest],
     fits: Sequence[TestFit],
@@ -311,59 +339,51 @@ def fit_joint(
 
     tests, fits: which, and what each gives.  sample: its name.
     """
-    parts = []
-    for test, fit in zip(tests, fits, strict=True):
-        d, peak = test.column("d_p_mm")[fit.used], test.column("F_p_N")[fit.used]
-        model = equations.traction(d, mu=fit.mu.value, sample=test.sample) + fit.values["T0_N"].value
-        floor = 1e-3 * float(np.abs(peak).max()) or 1.0
-        parts.append((d, peak, fit.peak_scatter * np.maximum(np.abs(model), floor), test.sample))
-
-    def rest(mu: float, part: tuple[Floats, Floats, Floats, Sample]) -> tuple[Floats, float]:
-        d, peak, width, geometry = part
-        off = peak - equations.traction(d, mu=mu, sample=geometry)
-        t0 = float(np.clip(np.average(off, weights=width**-2), -settings.t0_limit_N, settings.t0_limit_N))
-        return (off - t0) / width, t0
+    limit, step = settings.t0_limit_N, 1e-5  # step: of μ, for derivatives
+    peaks = [_peaks(test, fit) for test, fit in zip(tests, fits, strict=True)]
 
     def misfit(mu: float) -> float:
-        return sum(float(np.sum(rest(mu, part)[0] ** 2)) for part in parts)
+        return sum(float(np.sum(one.rest(mu, limit)[0] ** 2)) for one in peaks)
 
     own = np.array([fit.mu.value for fit in fits])
     reach = 0.9 * own.min(), 1.1 * own.max()
     mu = float(
         scipy.optimize.minimize_scalar(misfit, bounds=reach, method="bounded", options={"xatol": 1e-9}).x
     )
-    offsets = {test.run: rest(mu, part)[1] for test, part in zip(tests, parts, strict=True)}
-    step = 1e-5
+    offsets = {test.run: one.rest(mu, limit)[1] for test, one in zip(tests, peaks, strict=True)}
     # Of μ in each test, beside its offset.
-    changes = [rest(mu + step, part)[0] - rest(mu - step, part)[0] for part in parts]
+    changes = [one.rest(mu + step, limit)[0] - one.rest(mu - step, limit)[0] for one in peaks]
     information = np.array([np.sum(change**2) / (2 * step) ** 2 for change in changes])
-    share = information / information.sum()
-    widening = float(np.mean([max(fit.chi2_dof, 1.0) for fit in fits]))
-    by_d0 = np.array([fit.shifts.get("d0", {}).get("mu", 0.0) for fit in fits])
+    slow = [fit.values["A"] for test, fit in zip(tests, fits, strict=True) if settings.slow(test)]
+    free = max(sum(one.d_mm.size for one in peaks) - len(peaks) - 1, 1)
+    chi2 = misfit(mu) / free  # the peaks' scatter is that about the tests' own curves
     errors = np.array([fit.own_error("mu") for fit in fits])
-    between = float(np.var(own, ddof=1) - np.mean(errors**2))
-    variance = widening / information.sum() + np.sum((share * by_d0) ** 2) + max(between, 0.0) / own.size
-    shared = shared_shifts(tests, fits, "mu")
-    own_sources = [share * [fit.shifts.get(name, {}).get("mu", 0.0) for fit in fits] for name in INSTRUMENT]
-    systematic = float(np.linalg.norm(np.concatenate([shared @ share, *own_sources]))) or float("nan")
-    slow = [
-        fit.values["A"]
-        for test, fit in zip(tests, fits, strict=True)
-        if not test.speed_mm_min > 1.05 * settings.slow_mm_min
-    ]
-    points = sum(len(part[0]) for part in parts)
-    chi2 = misfit(mu) / max(points - len(parts) - 1, 1)  # widths are the scatter about the tests' own curves
     return JointFriction(
         sample=sample,
         runs=tuple(offsets),
-        mu=Estimate(mu, float(np.sqrt(variance)), systematic),
+        mu=_joint_mu(mu, tests, fits, information),
         t0_N=tuple(offsets.values()),
-        at_limit=tuple(run for run, t0 in offsets.items() if abs(t0) >= settings.t0_limit_N),
+        at_limit=tuple(run for run, t0 in offsets.items() if abs(t0) >= limit),
         disagreement=float(np.sum(((own - mu) / errors) ** 2) / (own.size - 1)),
         amplitude=weighted_mean(slow),
         misfit=chi2,
         fits=chi2 < settings.joint_misfit,
     )
+
+
+def _joint_mu(
+    mu: float, tests: Sequence[TractionTest], fits: Sequence[TestFit], information: Floats
+) -> Estimate:
+    """μ with its errors (see `JointFriction`), from the information on it in each test."""
+    share = information / information.sum()
+    widening = float(np.mean([max(fit.chi2_dof, 1.0) for fit in fits]))
+    by_d0 = np.array([fit.shifts.get("d0", {}).get("mu", 0.0) for fit in fits])
+    between = float(np.var([fit.mu.value for fit in fits], ddof=1))
+    between -= float(np.mean([fit.own_error("mu") ** 2 for fit in fits]))
+    variance = widening / information.sum() + np.sum((share * by_d0) ** 2) + max(between, 0.0) / len(fits)
+    own = [share * [fit.shifts.get(name, {}).get("mu", 0.0) for fit in fits] for name in INSTRUMENT]
+    systematic = float(np.linalg.norm(np.concatenate([shared_shifts(tests, fits, "mu") @ share, *own])))
+    return Estimate(mu, float(np.sqrt(variance)), systematic or float("nan"))
 
 
 def shared_shifts(tests: Sequence[TractionTest], fits: Sequence[TestFit], quantity: str) -> Floats:

@@ -33,7 +33,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from vision.errors import InputError, check_positive
 from vision.models.equations import sheet_stiffness
-from vision.models.friction import StaticFriction
 from vision.numeric import Bools, Floats
 from vision.sample import PUBLISHED, Sample
 
@@ -54,8 +53,6 @@ class SheetPull:
         M, ε, W, L and T*.
     mu, amplitude
         μ (static) and A = 2(μ_s − μ_d).
-    law
-        Thresholds a(N + b) of each face in place of μN + T*/2; Eq. 2 still has μ.
     modulus_GPa
         Y of one sheet: k = εWY/L.
     speed_mm_min, d0_mm, d_end_mm
@@ -84,7 +81,6 @@ class SheetPull:
     sample: Sample = PUBLISHED
     mu: float = 0.89
     amplitude: float = 0.34
-    law: StaticFriction | None = None
     modulus_GPa: float = 3.8
     speed_mm_min: float = 1.0
     d0_mm: float = 13.0
@@ -147,15 +143,7 @@ def threshold_loads_N(pull: SheetPull, d_mm: float) -> Floats:
 
 def _threshold(pull: SheetPull, normal: Floats) -> Floats:
     """T_s for normal forces of any shape."""
-    slope, adhesion = _friction(pull)
-    return np.asarray(slope * normal + adhesion)
-
-
-def _friction(pull: SheetPull) -> tuple[float, float]:
-    """(slope, adhesion) of T_s = slope N + adhesion over both faces."""
-    if pull.law is not None:
-        return 2 * pull.law.a, 2 * pull.law.a * pull.law.b_N
-    return 2 * pull.mu, pull.sample.t_star_N
+    return np.asarray(2 * pull.mu * normal + pull.sample.t_star_N)
 
 
 def _transfer(pull: SheetPull, d_mm: float) -> Floats:
@@ -165,7 +153,7 @@ def _transfer(pull: SheetPull, d_mm: float) -> Floats:
     there; c is such that loads at their threshold under Coulomb friction give Eq. 2.
     """
     normal = equation_normal_N(pull, d_mm)
-    load = 2 * pull.mu * normal + pull.sample.t_star_N
+    load = _threshold(pull, normal)
     return np.asarray((normal - np.append(normal[1:], 0.0)) / (load + np.append(load[1:], 0.0)))
 
 
@@ -267,9 +255,9 @@ class _Run:
 
     def _settled(self, outside: Any, factor: Any, transfer: Any) -> Any:
         """T = T_d(N) where N = outside + transfer · T."""
-        slope, adhesion = _friction(self.pull)
-        kinetic = slope - self.pull.amplitude
-        return factor * (kinetic * outside + adhesion) / (1 - factor * kinetic * transfer)
+        kinetic = 2 * self.pull.mu - self.pull.amplitude
+        load = factor * (kinetic * outside + self.pull.sample.t_star_N)
+        return load / (1 - factor * kinetic * transfer)
 
     def _loaded(self, step: float) -> Floats:
         """Loads after a step: sticking sheets gain k·step, sliding ones no more than T_d."""
