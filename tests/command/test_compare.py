@@ -10,7 +10,7 @@ import vision
 from tests.scenes.comparison import campaign, events, write_campaign, write_run
 from tests.scenes.undrawn import undrawn
 from vision.command.main import run
-from vision.comparison.tests import read_tests
+from vision.comparison.runs import read_tests
 from vision.errors import InputError
 from vision.experiment import Experiment, force_recording, with_settings, write_force
 from vision.experiment.mechanics import simulate_pull

@@ -7,7 +7,7 @@ import pytest
 import vision
 from tests.scenes.comparison import campaign, events, write_campaign, write_run
 from vision.comparison import CompareSettings
-from vision.comparison.tests import read_tests
+from vision.comparison.runs import read_tests
 from vision.comparison.trends import find_irregular, find_trends
 from vision.models import equations
 from vision.sample import Sample

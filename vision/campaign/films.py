@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from vision.campaign.settings import CampaignSettings
-from vision.comparison.tests import ALIKE, COLUMNS, LIMITS
+from vision.comparison.runs import ALIKE, COLUMNS, LIMITS
 from vision.errors import InputError
 from vision.files import Stamp, check_regular, shortened
 from vision.video import open_video, video_files

@@ -21,7 +21,7 @@ from jinja2 import Environment, StrictUndefined
 
 from vision.campaign.plan import FINISHED, Plan, PlannedFilm, State
 from vision.comparison import compare
-from vision.comparison.tests import COLUMNS, LIMITS
+from vision.comparison.runs import COLUMNS, LIMITS
 from vision.errors import InputError
 from vision.files import reading
 from vision.pipeline import Analysis

@@ -2,6 +2,6 @@
 
 from vision.comparison.comparison import Comparison, compare
 from vision.comparison.joint import CompareSettings
-from vision.comparison.tests import read_tests
+from vision.comparison.runs import read_tests
 
 __all__ = ["CompareSettings", "Comparison", "compare", "read_tests"]

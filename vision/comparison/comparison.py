@@ -24,7 +24,7 @@ from vision.comparison.joint import (
     systematic_shifts,
     with_word,
 )
-from vision.comparison.tests import TractionTest, read_tests
+from vision.comparison.runs import TractionTest, read_tests
 from vision.comparison.trends import Irregularity, Trend, find_irregular, find_trends
 from vision.errors import InputError
 from vision.figures import Figure, both_errors, load_figures, plus_minus

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from vision.comparison.tests import INSTRUMENT, TractionTest
+from vision.comparison.runs import INSTRUMENT, TractionTest
 from vision.errors import InputError
 from vision.models import Estimate, equations
 from vision.models.single_fits import (

@@ -11,7 +11,7 @@ import pandas as pd
 import scipy
 
 from vision.comparison.joint import CompareSettings, with_word
-from vision.comparison.tests import TractionTest
+from vision.comparison.runs import TractionTest
 from vision.numeric import Bools, Floats, Ints
 
 QUANTITIES = ("mu", "N_hat_N", "Lambda_hat_mm")
