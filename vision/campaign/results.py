@@ -271,7 +271,7 @@ def as_arrow(table: pd.DataFrame) -> pa.Table:
 # --- the comparison -----------------------------------------------------------------------------------------
 
 
-POOL, KEPT = "pool", "pool.json"
+POOL, REMARKS = "pool", "pool.json"
 
 
 def pool(plan: Plan, *, command: str = "", options: Mapping[str, str] | None = None) -> list[str]:
@@ -286,11 +286,9 @@ def pool(plan: Plan, *, command: str = "", options: Mapping[str, str] | None = N
     tests = [film for film, _ in done if (plan.run_of(film.name) / "events.csv").is_file()]
     if not tests:
         return ["no finished test has events of a force recording, so there is no comparison"]
-    runs = [plan.run_of(film.name) for film in tests]
-    table = pd.DataFrame([{name: film.facts.get(name) for name in COLUMNS[1:]} for film in tests])
-    table.insert(0, "run", [str(run) for run in runs])
+    facts = [{**film.facts, "run": str(plan.run_of(film.name))} for film in tests]
     try:
-        found = compare(runs, table.dropna(axis="columns", how="all"))
+        found = compare(table=pd.DataFrame(facts, columns=COLUMNS).dropna(axis="columns", how="all"))
     except InputError as error:
         return [f"no comparison: {error}"]
     inputs = [test.folder / "events.csv" for test in found.tests]
@@ -323,22 +321,22 @@ def _count(value: Any) -> float:
 
 def needs_pool(plan: Plan) -> bool:
     """Whether the finished films or what the table says of them have changed since the last pool."""
-    return _kept(plan).get("key") != plan.pool_key()
+    return _last_pool(plan).get("key") != plan.pool_key()
 
 
 def write_remarks(plan: Plan, lines: Sequence[str]) -> None:
-    """Keep what was said of a pool, with what it was made from.  Raises: InputError."""
-    with whole_file(plan.out / KEPT) as path:
+    """Write the remarks on a pool, with what it was made from.  Raises: InputError."""
+    with whole_file(plan.out / REMARKS) as path:
         write_json({"key": plan.pool_key(), "remarks": list(lines)}, path)
 
 
 def read_remarks(plan: Plan) -> tuple[str, ...]:
-    """What was said of the last pool."""
-    return tuple(str(line) for line in _kept(plan).get("remarks", ()))
+    """The remarks on the last pool."""
+    return tuple(str(line) for line in _last_pool(plan).get("remarks", ()))
 
 
-def _kept(plan: Plan) -> dict[str, Any]:
+def _last_pool(plan: Plan) -> dict[str, Any]:
     try:
-        return read_json(plan.out / KEPT)
+        return read_json(plan.out / REMARKS)
     except InputError:
         return {}
