@@ -13,36 +13,15 @@ from vision.sample import Sample
 REGULAR = Mechanics(peak_scatter=0.0, period_jitter=0.0)
 
 
-@pytest.mark.parametrize(
-    ("d", "traction", "amplitude", "stiffness", "length_um"),
-    [
-        (13, 236.6, 90.3, 4237, 21.3),
-        (13.5, 175.6, 67.0, 4059, 16.5),
-        (13.7, 156.8, 59.9, 3986, 15.0),
-        (15, 81.2, 31.0, 3473, 8.9),
-        (17.1, 34.9, 13.3, 2423, 5.5),
-        (18, 25.8, 9.8, 1795, 5.5),
-    ],
-)
-def test_events_follow_the_reference_table(d, traction, amplitude, stiffness, length_um):
-    """Without scatter the first event of a pull begun at d (the loading undone) has the table's numbers."""
-    m = replace(REGULAR, d0_mm=d - 0.3, d_end_mm=d + 0.1)
-    events = simulate_pull(m, seed=0).events().set_index("d_v_mm")
-    at = {name: np.interp(d, events.index, events[name]) for name in events.columns}
-    peak = np.interp(d, events["d_p_mm"], events["F_p_N"])
-    assert peak == pytest.approx(traction, rel=2e-3)
-    assert at["dF_N"] == pytest.approx(amplitude, rel=5e-3)
-    assert at["K_N_per_mm"] == pytest.approx(stiffness, rel=1e-3)
-    assert at["stick_length_um"] == pytest.approx(length_um, rel=1e-2)
-
-
 def test_every_event_is_exactly_the_model():
-    """A failure means truth.nc would not be the truth: F_p is Eq. 1 at d_p, dF is A times Eq. 2's total
-    at d_v."""
+    """A failure means truth.nc would not be the truth: F_p is Eq. 1 at d_p; dF is A times Eq. 2's total, and K
+    that of M_eff sheets, at d_v."""
     events = simulate_pull(REGULAR, seed=0).events()
     assert events["F_p_N"].to_numpy() == pytest.approx(eq.traction(events["d_p_mm"], mu=0.89), rel=1e-12)
     drop = eq.stick_slip_amplitude(events["d_v_mm"], mu=0.89)
     assert events["dF_N"].to_numpy() == pytest.approx(drop, rel=1e-12)
+    stiffness = eq.assembly_stiffness(events["d_v_mm"], mu=0.89, n_hat_N=0.57, modulus_GPa=3.8)
+    assert events["K_N_per_mm"].to_numpy() == pytest.approx(stiffness, rel=1e-12)
     length = 1000 * events["dF_N"] / events["K_N_per_mm"]
     assert events["stick_length_um"].to_numpy() == pytest.approx(length.to_numpy(), rel=1e-6)
     assert 440 <= len(events) <= 700
