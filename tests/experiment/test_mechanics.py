@@ -14,8 +14,8 @@ REGULAR = Mechanics(peak_scatter=0.0, period_jitter=0.0)
 
 
 def test_every_event_is_exactly_the_model():
-    """A failure means truth.nc would not be the truth: F_p is Eq. 1 at d_p; dF is A times Eq. 2's total, and K
-    that of M_eff sheets, at d_v."""
+    """A failure means truth.nc would not be the truth: F_p is Eq. 1 at d_p; dF is A times Eq. 2's total,
+    and K that of M_eff sheets, at d_v."""
     events = simulate_pull(REGULAR, seed=0).events()
     assert events["F_p_N"].to_numpy() == pytest.approx(eq.traction(events["d_p_mm"], mu=0.89), rel=1e-12)
     drop = eq.stick_slip_amplitude(events["d_v_mm"], mu=0.89)

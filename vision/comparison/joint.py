@@ -25,6 +25,7 @@ from vision.models.single_fits import (
 from vision.numeric import Bools, Floats
 from vision.sample import Sample
 
+DISAGREES = 4.0  # χ²/dof of the tests' own μ, from which on they are said to differ
 QUANTITIES = ("mu", "T0_N", "A", "N_hat_N", "Lambda_hat_mm")  # columns of tests.csv
 
 
@@ -49,6 +50,16 @@ class CompareSettings:
     """χ²/dof of the peaks about the joint curve, over that about each test's own, from which on no single μ
     fits. Smaller warns of tests that differ by less than single events scatter; larger lets curves pass
     beside the points. Tests of μ 0.890 to 0.894 give 1.2, of 0.89 and 0.91 eight."""
+    test_misfit: float = 3.0
+    """χ²/dof of a test's own fits from which on it gets a warning. Events that follow the models give 1;
+    smaller warns of chance in tests of few events, larger passes a wrong modulus
+    (`test_a_wrong_modulus_shows`)."""
+    change_p: float = 0.01
+    """Share of random orders of the events that may divide as well as a change of the scatter. Larger claims
+    changes in even scatter (`test_regular_sticks_have_no_change`), smaller misses late ones."""
+    change_ratio: float = 1.5
+    """Least rise of the scatter at a change. Smaller claims what no eye would see, larger misses changes of
+    tests that are irregular from the start."""
     draws: int = 4000
     """Permutations of a p value: its own scatter is √(p/draws), 0.0035 at 0.05."""
     significance: float = 0.05
@@ -120,7 +131,7 @@ class JointFriction:
     @property
     def disagrees(self) -> bool:
         """Whether the tests do not share one μ."""
-        return self.disagreement > 4
+        return self.disagreement > DISAGREES
 
 
 def usable_range(test: TractionTest) -> Bools:
@@ -168,7 +179,7 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = 
         notes.append(f"A, N̂ and Λ̂ are defined for V up to {settings.slow_mm_min:g} mm/min")
     if not np.isfinite(values["Lambda_hat_mm"].value):
         notes.append("K is not that of M_eff sheets with this Y_eff: no Λ̂")
-    if chi2 > 3:
+    if chi2 > settings.test_misfit:
         warnings.append(f"the models misfit: χ²/dof = {chi2:.3g}, errors scaled")
     if left := int((~used).sum()):
         notes.append(f"{left} events before the largest peaks or outside the run's fit range left out")

@@ -244,7 +244,7 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
     p = float((1 + np.sum(_gains(shuffled).max(axis=1) >= best)) / (draws + 1))
     before, after = (float(np.sqrt(np.mean(part**2))) for part in (r[:at], r[at:]))
     both = float(np.sqrt(np.mean(r**2)))
-    reason = _why_not(p, before, after, _steady_rise_is_better(level, d, at))
+    reason = _why_not(p, before, after, _steady_rise_is_better(level, d, at), settings)
     error = nan
     if not reason:
         parts = [rng.choice(part, (200, part.size)) for part in (level[:at], level[at:])]
@@ -291,9 +291,10 @@ def _steady_rise_is_better(level: Floats, d: Floats, at: int) -> bool:
     return bool(min(smooth) <= n * np.log(steps / n) + 5 * np.log(n))
 
 
-def _why_not(p: float, before: float, after: float, steady: bool) -> str:
-    if p >= 0.01:
+def _why_not(p: float, before: float, after: float, steady: bool, settings: CompareSettings) -> str:
+    """Why a split of the events is no change point; "" where it is one."""
+    if p >= settings.change_p:
         return f"random orders of the events divide as well (p = {p:.2g})"
-    if after < 1.5 * before:
+    if after < settings.change_ratio * before:
         return f"the scatter goes from {before:.2g} to {after:.2g}"
     return "the scatter rises steadily, at no one place" if steady else ""
