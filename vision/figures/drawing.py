@@ -42,6 +42,7 @@ _STYLE: dict[str, Any] = {
     "axes.spines.right": False,
     "image.composite_image": False,
     "mathtext.default": "regular",
+    "text.hinting": "no_hinting",  # looks the same at this size, 20 ms sooner
     "svg.fonttype": "none",
     "pdf.fonttype": 42,
 }
