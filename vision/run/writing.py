@@ -230,7 +230,7 @@ def _write_pictures(
 
     They are drawn here; `beside` compresses them, which takes half as long, while others are drawn.
     """
-    from vision.figures.drawing import drawn, write_png  # loads matplotlib
+    from vision.figures import drawing  # loads matplotlib
 
     kept = [*figures, *publication_figures_of(analysis)]
     written: list[Future[Any]] = [beside.submit(save_figures, folder / "figures.npz", kept)]
@@ -240,5 +240,5 @@ def _write_pictures(
         pictures = {"overview.png": overview(figures), "kymograph.png": kymograph(figures)}
     for file, figure in pictures.items():
         if figure is not None:
-            written.append(beside.submit(write_png, drawn(figure), folder / file))
+            written.append(beside.submit(drawing.write_png, drawing.drawn(figure), folder / file))
     return written
