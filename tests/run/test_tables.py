@@ -1,4 +1,4 @@
-"""tracks.csv and tracks.nc are written side by side."""
+"""What a run folder holds is written side by side, tables as other programs write them."""
 
 import threading
 
@@ -8,8 +8,9 @@ import pytest
 import xarray as xr
 
 from tests.scenes import analysed
+from vision.figures import drawing
 from vision.pipeline import Analysis, Settings
-from vision.run import Origin, tables, write_run, writing
+from vision.run import Origin, folder, tables, write_run, writing
 
 
 @pytest.fixture(scope="module")
@@ -108,3 +109,30 @@ def test_a_full_disk_under_the_text_fails_the_run(found, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="a full disk"):
         write_run(found, tmp_path / "run", Origin(command="track"))
     assert not (tmp_path / "run").exists()
+
+
+def test_inputs_are_read_while_tables_are_written(found, tmp_path, monkeypatch):
+    """A failure means that a run stands still for the fingerprint of its film."""
+    read = threading.Event()
+    monkeypatch.setattr(folder, "describe_input", lambda path, whole: read.set() or {"path": str(path)})
+    monkeypatch.setattr(writing, "_write_tables", lambda *_: told.append(read.wait(20)))
+    told = []
+    content = write_run(found, tmp_path / "run", Origin(command="track", inputs=[tmp_path]), report=False)
+    assert told == [True]
+    assert content["inputs"] == [{"path": str(tmp_path)}]
+
+
+def test_a_picture_is_compressed_while_the_next_is_drawn(found, tmp_path, monkeypatch):
+    """A failure means that one core rests while the other compresses."""
+    both, told, draw = threading.Event(), [], drawing.drawn
+
+    def drawn(figure):
+        pixels = draw(figure)
+        if figure.name == "kymograph":
+            both.set()
+        return pixels
+
+    monkeypatch.setattr(drawing, "drawn", drawn)
+    monkeypatch.setattr(drawing, "write_png", lambda pixels, path: told.append((path.name, both.wait(20))))
+    write_run(found, tmp_path / "run", Origin(command="track"), report=False)
+    assert told == [("overview.png", True), ("kymograph.png", True)]
