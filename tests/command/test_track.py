@@ -251,7 +251,7 @@ def test_a_checksum_covers_every_byte_of_the_film(video):
 
 def test_a_run_without_force_loads_only_what_it_needs(video):
     """A failure means half a second more for every run: statistics and solvers that nobody asked for."""
-    unused = ("scipy.signal", "scipy.stats", "scipy.optimize", "scipy.interpolate", "matplotlib.pyplot")
+    unused = ("scipy.signal", "scipy.stats", "scipy.optimize", "scipy.interpolate", "matplotlib.pyplot", "av")
     code = (
         "import sys\n"
         f"from vision.command.main import run; assert run([{str(video)!r}, '--fps', '20', '--quiet']) == 0\n"

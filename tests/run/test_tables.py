@@ -1,13 +1,16 @@
-"""tracks.csv and tracks.nc are written side by side."""
+"""What a run folder holds is written side by side, tables as other programs write them."""
 
 import threading
 
+import h5py
+import numpy as np
 import pytest
 import xarray as xr
 
 from tests.scenes import analysed
+from vision.figures import drawing
 from vision.pipeline import Analysis, Settings
-from vision.run import Origin, tables, write_run, writing
+from vision.run import Origin, folder, tables, write_run, writing
 
 
 @pytest.fixture(scope="module")
@@ -23,6 +26,42 @@ def test_tracks_nc_is_not_taken_for_a_strip(found, tmp_path):
         assert read.attrs["title"] == "positions of sheets, x(n,t)"
         assert not {"long_name", "units"} & set(read.attrs)
         assert read["x_px"].attrs["units"] == "px"
+
+
+@pytest.mark.parametrize("strips", [False, True])
+def test_tracks_nc_is_what_xarray_writes(found, strips, tmp_path):
+    """A failure means that MATLAB or ncdump read other dimensions, names or missing values than xarray."""
+    tracks = found.tracks
+    if strips:
+        heights = tracks["x_px"].expand_dims(z=[20.0, 60.0], axis=2)
+        tracks = tracks.assign(x_at_z_px=heights.assign_attrs(units="px"))
+    tables.write_tracks_nc(tracks, tmp_path / "ours.nc", pixel_size_um=10.0)
+    with xr.open_dataset(tmp_path / "ours.nc", engine="h5netcdf") as read:
+        for name in found.tracks.variables:
+            assert (read[name].values == found.tracks[name].values)[found.tracks[name].notnull()].all(), name
+        read.drop_encoding().to_netcdf(tmp_path / "xarray.nc", engine="h5netcdf")
+    ours, theirs = (_content(tmp_path / name) for name in ("ours.nc", "xarray.nc"))
+    for name in ("flag", "why"):  # which xarray writes as variable-length text
+        assert theirs.pop(name)[0] == ours.pop(name)[0][:2]
+    assert ours == theirs
+
+
+def _content(path):
+    """Of every dataset of an HDF5 file its dimensions, values and attributes."""
+    found = {}
+
+    def look(name, held):
+        if "netCDF dimension" not in str(held.attrs.get("NAME")):
+            scales = [scale[0].name for scale in held.dims if len(scale)]
+            skipped = ("DIMENSION_LIST", "REFERENCE_LIST", "_Netcdf4Dimid", "_Netcdf4Coordinates")
+            attrs = {
+                key: np.asarray(value).tolist() for key, value in held.attrs.items() if key not in skipped
+            }
+            found[name] = scales, held.dtype.str, held[()].tobytes(), repr(sorted(attrs.items()))
+
+    with h5py.File(path) as file:
+        file.visititems(look)
+    return found
 
 
 def test_after_ctrl_c_nothing_waits_for_the_whole_table(found, tmp_path, monkeypatch):
@@ -70,3 +109,30 @@ def test_a_full_disk_under_the_text_fails_the_run(found, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="a full disk"):
         write_run(found, tmp_path / "run", Origin(command="track"))
     assert not (tmp_path / "run").exists()
+
+
+def test_inputs_are_read_while_tables_are_written(found, tmp_path, monkeypatch):
+    """A failure means that a run stands still for the fingerprint of its film."""
+    read = threading.Event()
+    monkeypatch.setattr(folder, "describe_input", lambda path, whole: read.set() or {"path": str(path)})
+    monkeypatch.setattr(writing, "_write_tables", lambda *_: told.append(read.wait(20)))
+    told = []
+    content = write_run(found, tmp_path / "run", Origin(command="track", inputs=[tmp_path]), report=False)
+    assert told == [True]
+    assert content["inputs"] == [{"path": str(tmp_path)}]
+
+
+def test_a_picture_is_compressed_while_the_next_is_drawn(found, tmp_path, monkeypatch):
+    """A failure means that one core rests while the other compresses."""
+    both, told, draw = threading.Event(), [], drawing.drawn
+
+    def drawn(figure):
+        pixels = draw(figure)
+        if figure.name == "kymograph":
+            both.set()
+        return pixels
+
+    monkeypatch.setattr(drawing, "drawn", drawn)
+    monkeypatch.setattr(drawing, "write_png", lambda pixels, path: told.append((path.name, both.wait(20))))
+    write_run(found, tmp_path / "run", Origin(command="track"), report=False)
+    assert told == [("overview.png", True), ("kymograph.png", True)]

@@ -13,7 +13,7 @@ import tifffile
 from tests.scenes.films import comb, write_avi
 from vision.errors import InputError
 from vision.video import VideoSettings, find_strip, open_video, reference_frame, strip_profile
-from vision.video.threads import answered, in_threads, prefetch
+from vision.video.threads import answered, begun, in_threads, prefetch
 from vision.video.uncompressed import MappedReader
 
 
@@ -119,6 +119,14 @@ def test_what_is_asked_of_a_disk_comes_back_as_it_is():
     assert answered(lambda: None, Path("a")) is None
     with pytest.raises(ZeroDivisionError):
         answered(lambda: 1 // 0, Path("a"))
+
+
+def test_what_is_begun_runs_before_it_is_asked_for():
+    """Failure: a run waits for what it could have had read meanwhile."""
+    done = threading.Event()
+    result = begun(done.set, Path("a"))
+    assert done.wait(20)
+    assert result() is None
 
 
 def test_threads_keep_the_order_and_raise_what_went_wrong():

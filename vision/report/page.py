@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -227,7 +228,7 @@ class ArrayStore:
         """
         values = np.asarray(values, np.float64)
         if values.size <= PLAIN:
-            return {"v": [None if not np.isfinite(v) else float(f"{v:.8g}") for v in values.tolist()]}
+            return {"v": [float(f"{v:.8g}") if isfinite(v) else None for v in values.tolist()]}
         start, slope = _line(values)
         rest = values - start - slope * np.arange(values.size)
         known = np.isfinite(rest)

@@ -11,7 +11,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal
 
-import av
 import cv2
 import numpy as np
 import pandas as pd
@@ -461,6 +460,8 @@ def write_overlay(
     axis are blue, right ones orange; positions with a flag other than "ok" are white. Frames that cannot be
     shown are black and say why.
     """
+    import av  # 30 ms that no other export needs
+
     tracks = tracks_of(run)
     video = open_video(film, rotate=StripMetadata.of(tracks).rotate, frames=_within(tracks, frames, run))
     canvas = _Canvas.of(video, tracks)

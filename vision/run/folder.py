@@ -25,7 +25,7 @@ from typing import Any, Literal, Self
 
 import vision
 from vision.errors import InputError, with_options
-from vision.video.threads import answered
+from vision.video.threads import begun
 
 try:
     import fcntl
@@ -282,16 +282,23 @@ class Origin:
         """Messages with the command's options in place of Python's arguments, where a command writes."""
         return [with_options(line, self.options) if self.options else line for line in lines]
 
-    def facts(self) -> dict[str, Any]:
-        """What every run.json begins with: command, versions, parameters, inputs."""
+    def describe(self) -> Callable[[], list[Mapping[str, Any]]]:
+        """Begin to read the inputs, 50 ms of a core; what is returned waits for their descriptions."""
+        parts = [
+            partial(self.described.__getitem__, path)
+            if path in self.described
+            else begun(partial(describe_input, path, whole=self.checksum), path)
+            for path in self.inputs
+        ]
+        return lambda: [part() for part in parts]
+
+    def facts(self, inputs: Callable[[], list[Mapping[str, Any]]] | None = None) -> dict[str, Any]:
+        """What every run.json begins with: command, versions, parameters, inputs (from `describe`)."""
         return {
             "command": self.command,
             "versions": versions(),
             "parameters": dict(self.parameters),
-            "inputs": [
-                self.described.get(path) or answered(partial(describe_input, path, whole=self.checksum), path)
-                for path in self.inputs
-            ],
+            "inputs": (inputs or self.describe())(),
         }
 
 

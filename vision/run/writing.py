@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 import time
 import traceback
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -80,9 +80,10 @@ def write_run(
     started = time.perf_counter()
     seconds = dict(analysis.seconds)
     with run_folder(target, overwrite=overwrite) as folder:
+        inputs = origin.describe()
         _write_tables(analysis, folder, origin)
         seconds["tables"] = time.perf_counter() - started
-        content = {**run_facts(analysis, origin), **(facts or {})}
+        content = {**run_facts(analysis, origin, inputs), **(facts or {})}
         _write_decisions(analysis, folder, content, decisions)
         for name, data in (beside or {}).items():
             (folder / name).write_bytes(data)
@@ -124,18 +125,22 @@ def _shown(
     """Pictures and page; an unexpected error in them is added to `failures` and loses no table."""
     try:
         figures = figures_of(analysis)
-        _write_pictures(analysis, folder, figures)
-        if report and analysis.tracks is not None:
-            write_report(folder / "report.html", analysis, content, figures=figures, options=origin.options)
+        with ThreadPoolExecutor(1) as beside:
+            written = _write_pictures(analysis, folder, figures, beside)
+            if report and analysis.tracks is not None:
+                page = folder / "report.html"
+                write_report(page, analysis, content, figures=figures, options=origin.options)
+            for file in written:
+                file.result()
     except OSError:  # a full disk is the run's own failure
         raise
     except Exception:
         failures["pictures and report"] = traceback.format_exc()
 
 
-def run_facts(analysis: Analysis, origin: Origin) -> dict[str, Any]:
+def run_facts(analysis: Analysis, origin: Origin, inputs: Callable[[], Any]) -> dict[str, Any]:
     """Everything run.json holds but the timings."""
-    facts = origin.facts()
+    facts = origin.facts(inputs)
     if analysis.tracks is not None:
         facts |= _video_facts(analysis)
     if analysis.force is not None:
@@ -218,13 +223,22 @@ def _write_tracks(analysis: Analysis, tracks: xr.Dataset, strip: xr.DataArray, f
             stop.set()  # after Ctrl-C nothing waits for the whole table
 
 
-def _write_pictures(analysis: Analysis, folder: Path, figures: Sequence[Figure]) -> None:
-    """overview.png and kymograph.png, or force.png of a recording alone; all figures as data."""
+def _write_pictures(
+    analysis: Analysis, folder: Path, figures: Sequence[Figure], beside: Executor
+) -> list[Future[Any]]:
+    """overview.png and kymograph.png, or force.png of a recording alone; all figures as data.
+
+    They are drawn here; `beside` compresses them, which takes half as long, while others are drawn.
+    """
+    from vision.figures import drawing  # loads matplotlib
+
+    kept = [*figures, *publication_figures_of(analysis)]
+    written: list[Future[Any]] = [beside.submit(save_figures, folder / "figures.npz", kept)]
     if analysis.tracks is None:
         pictures = {"force.png": FIGURES["force_overview"].make(analysis)}
     else:
         pictures = {"overview.png": overview(figures), "kymograph.png": kymograph(figures)}
     for file, figure in pictures.items():
         if figure is not None:
-            figure.save(folder / file)
-    save_figures(folder / "figures.npz", [*figures, *publication_figures_of(analysis)])
+            written.append(beside.submit(drawing.write_png, drawing.drawn(figure), folder / file))
+    return written

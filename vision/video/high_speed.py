@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from vision.errors import InputError
 from vision.numeric import Floats, Ints, Pixels
-from vision.video.encoded import EncodedReader
 from vision.video.reader import (
     AS_STORED,
     Block,
@@ -67,6 +66,8 @@ def open_cine(path: Path) -> Reader:
     if header.compression != 0 or header.stored_bits not in (8, 16, 24):
         grey = f"{header.real_bits} bit as stored, companded by the camera, not linear in light"
         facts = replace(facts, codec="packed", decoder="FFmpeg", grey=grey)
+        from vision.video.encoded import EncodedReader
+
         return PackedCineReader(EncodedReader(path), facts)
     starts = []
     with path.open("rb") as file:

@@ -245,9 +245,11 @@ def reference_frame(video: Video) -> Pixels:
     InputError
         Where there is none.
     """
-    for pixels in video.frames():
-        if pixels.min() < pixels.max():
-            return pixels
+    # The very first shows something in most films: those behind it are not decoded.
+    for part in (replace(video, stop=video.first + 1), video):
+        for pixels in part.frames():
+            if pixels.min() < pixels.max():
+                return pixels
     raise InputError(video.path, "at least one frame that shows something", "none")
 
 

@@ -38,8 +38,25 @@ def answered(work: Callable[[], Result], path: Path, answer_s: float = DEFAULTS.
     InputError
         As for `prefetch`; and what `work` raises.
     """
-    with contextlib.closing(prefetch((work() for _ in range(1)), path, answer_s)) as items:
-        return next(items)
+    return begun(work, path, answer_s)()
+
+
+def begun(
+    work: Callable[[], Result], path: Path, answer_s: float = DEFAULTS.answer_s
+) -> Callable[[], Result]:
+    """`answered`, but begun at once: what is returned waits for the result."""
+    ready: Made[Result] = queue.Queue()
+    task = (work() for _ in range(1))
+    threading.Thread(target=_make_ahead, args=(task, ready, threading.Event()), daemon=True).start()
+
+    def result() -> Result:
+        entry = _awaited(ready, path, answer_s)
+        if isinstance(entry, Exception):
+            raise entry
+        assert entry is not None  # the end comes after the one result
+        return entry[0]
+
+    return result
 
 
 def prefetch(

@@ -16,7 +16,6 @@ from vision.errors import InputError
 from vision.escaping import html_table
 from vision.files import Stamp, check_pixels, check_regular, reading
 from vision.numeric import Floats, Ints, Pixels
-from vision.video.encoded import open_encoded
 from vision.video.high_speed import is_cine, is_photron, open_cine, open_photron, photron_files
 from vision.video.reader import Block, Facts, Reader
 from vision.video.settings import DEFAULTS
@@ -367,6 +366,8 @@ def _open_reader(path: Path) -> Reader:
         return open_cine(path)
     if path.suffix.lower() in IMAGES:
         return open_sequence(path)
+    from vision.video.encoded import open_encoded  # loads FFmpeg, 30 ms that raw film goes without
+
     return open_encoded(path)
 
 
