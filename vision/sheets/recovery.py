@@ -16,7 +16,15 @@ import xarray as xr
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median, nearest
 from vision.sheets.alignment import values_of
 from vision.sheets.identities import Identities, fill_rows
-from vision.sheets.neighbours import anchored, hops, last_seen, neighbour_residual, places_in_comb, torn
+from vision.sheets.neighbours import (
+    anchored,
+    hops,
+    last_seen,
+    neighbour_residual,
+    pattern_moved,
+    places_in_comb,
+    torn,
+)
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
@@ -79,6 +87,7 @@ def assign_detections(
     paired = np.stack([values_of(identities.match, values) for values in candidates])
     why = _doubts(paired[0], paired[1], identities, comb, profile.shape[1], settings)
     why = _settled(why, paired, comb, settings)
+    why[_pattern_away(paired) & (why == "")] = "pattern"
     paired, why = _other_ridges(candidates, paired, why, comb, settings)
     doubtful = why != ""
     withheld = np.where(doubtful, paired[0], np.nan)
@@ -106,6 +115,7 @@ DOUBTS = {
     "tear": "displaced unlike the largest group of sheets",
     "jump": "after a jump by whole pitches",
     "looks": "pitches away from the usual place, and the sheets look unlike themselves",
+    "pattern": "brightnesses and widths fit another numbering: the comb may have jumped by whole pitches",
     "hop": "away from where the neighbours say, on another ridge",
 }
 """What `Detections.why` means."""
@@ -128,6 +138,17 @@ def _doubts(
     why[torn(x - places_in_comb(x), comb, settings)] = "tear"
     why[np.isnan(x)] = ""
     return why
+
+
+def _pattern_away(paired: Floats) -> Bools:
+    """Where the sheets' looks belong to another numbering than in most frames (frame, N). `paired` holds
+    positions, contrasts and widths (3, frame, N)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moved = pattern_moved(np.log(paired[1]), np.log(paired[2]))
+    seen = np.isfinite(paired[0])
+    values, counts = np.unique(moved[seen.any(axis=1)], return_counts=True)
+    usual = values[np.argmax(counts)] if len(values) else 0
+    return np.asarray((moved != usual)[:, None] & seen, bool)
 
 
 def _settled(why: Strings, paired: Floats, comb: RidgeComb, settings: TrackingSettings) -> Strings:
