@@ -296,7 +296,10 @@ def _merged(found: Floats, expected: Floats, comb: RidgeComb, settings: Tracking
     if not missing.any():
         return np.zeros_like(missing)
     apart = np.abs(np.diff(np.where(missing, expected, start), axis=1))
-    size = found[1:] / nan_median(found[1:], axis=1)[:, None]
+    beside = np.pad(missing, ((0, 0), (1, 1)))
+    alone = np.where(beside[:, :-2] | beside[:, 2:], np.nan, found[1:])  # it may be missing in most frames
+    usual = nan_median(alone, axis=1)
+    size = found[1:] / np.where(np.isfinite(usual), usual, nan_median(found[1:], axis=1))[:, None]
     size /= nan_median(size, axis=2)[..., None]  # exposure, focus
     double = (size[0] > settings.merged_height) | (size[1] > settings.merged_width)
     pair = (apart < settings.merged_widths * comb.fwhm_px) | double[:, 1:] | double[:, :-1]
