@@ -213,13 +213,13 @@ def pattern_moved(log_contrast: Floats, log_width: Floats) -> Ints:
     Parameters
     ----------
     log_contrast, log_width
-        Of the ridge paired with each sheet (frame, N), NaN where none.
+        Of the ridge paired with each sheet (frame, N), NaN where none, or one that is doubted.
 
     Notes
     -----
     An even comb of nearly equal sheets with no end in view looks the same after a jump by its pitch, but
     small differences in brightness and width jump, too. From five frames to the next five they change by
-    several times what is usual, and less than half as much against those of another sheet: light that
+    several times what is usual, and less than a third as much against those of another sheet: light that
     changes does not do that. None for fewer than eight sheets.
     """
     frames, sheets = log_contrast.shape
@@ -230,7 +230,8 @@ def pattern_moved(log_contrast: Floats, log_width: Floats) -> Ints:
     means = nan_median(np.lib.stride_tricks.sliding_window_view(looks, PATTERN_FRAMES, axis=1), axis=-1)
     before, after = means[:, :-PATTERN_FRAMES], means[:, PATTERN_FRAMES:]
     own, others = _unlikeness(before, after, 0), np.stack([_unlikeness(before, after, by) for by in SHIFTS])
-    found = np.flatnonzero((others.min(axis=0) < own / 2) & (own > 2 * np.median(own)) & (own < np.inf))
+    own, usual = np.where(own < np.inf, own, 0.0), np.median(own)
+    found = np.flatnonzero((others.min(axis=0) < own / 3) & (own > 3 * usual))
     for run in np.split(found, 1 + np.flatnonzero(np.diff(found) > 1)) if len(found) else ():
         best = run[np.argmin(others.min(axis=0)[run] / own[run])]
         by = SHIFTS[int(np.argmin(others[:, best]))]

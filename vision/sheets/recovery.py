@@ -87,7 +87,7 @@ def assign_detections(
     paired = np.stack([values_of(identities.match, values) for values in candidates])
     why = _doubts(paired[0], paired[1], identities, comb, profile.shape[1], settings)
     why = _settled(why, paired, comb, settings)
-    why[_pattern_away(paired) & (why == "")] = "pattern"
+    why[_pattern_away(np.where(why == "", paired, np.nan))] = "pattern"
     paired, why = _other_ridges(candidates, paired, why, comb, settings)
     doubtful = why != ""
     withheld = np.where(doubtful, paired[0], np.nan)
@@ -140,15 +140,17 @@ def _doubts(
     return why
 
 
-def _pattern_away(paired: Floats) -> Bools:
-    """Where the sheets' looks belong to another numbering than in most frames (frame, N). `paired` holds
-    positions, contrasts and widths (3, frame, N)."""
+def _pattern_away(sure: Floats) -> Bools:
+    """Where the sheets' looks belong to another numbering than in most frames (frame, N). `sure`: positions,
+    contrasts and widths (3, frame, N), NaN where there is doubt; frames full of it are passed over."""
+    seen = np.isfinite(sure[0])
+    rows = np.flatnonzero(seen.mean(axis=1) > 0.5)
     with np.errstate(divide="ignore", invalid="ignore"):
-        moved = pattern_moved(np.log(paired[1]), np.log(paired[2]))
-    seen = np.isfinite(paired[0])
-    values, counts = np.unique(moved[seen.any(axis=1)], return_counts=True)
-    usual = values[np.argmax(counts)] if len(values) else 0
-    return np.asarray((moved != usual)[:, None] & seen, bool)
+        moved = pattern_moved(*np.log(sure[1:, rows]))
+    values, counts = np.unique(moved, return_counts=True)
+    away = np.zeros_like(seen)
+    away[rows] = seen[rows] & (moved != values[np.argmax(counts)] if len(rows) else moved)[:, None]
+    return np.asarray(away, bool)
 
 
 def _settled(why: Strings, paired: Floats, comb: RidgeComb, settings: TrackingSettings) -> Strings:
