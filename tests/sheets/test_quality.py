@@ -236,6 +236,19 @@ def test_noise_alike_in_neighbouring_pixels_is_in_the_errors():
     assert (off < tracks.x_predicted_px.values).mean() < 0.6
 
 
+@pytest.mark.parametrize("shaken_px", [0.0, 4.0])
+def test_the_errors_of_a_shaken_film_are_those_of_its_pixels(shaken_px):
+    """What all sheets do together from frame to frame is no noise.  A failure means that displacements known
+    to some hundredths of a pixel are given with errors of tenths."""
+    random = np.random.default_rng(0)
+    shaking = shaken_px * np.sin(1.9 * np.arange(150)) + 0.35 * shaken_px * random.normal(size=150)
+    x = comb(150, per_side=12, axis_px=300) + shaking[:, None]
+    tracks = track_sheets(strip(ridges(x, width=600), snr=150))
+    off = tracks.x_px.values - x
+    within = np.abs(off - np.median(off, axis=0)) < tracks.x_err_px.values
+    assert 0.62 < within.mean() < 0.74
+
+
 def test_a_sheet_that_a_cable_cuts_has_no_position():
     """A dark cable crosses the comb; its edges cut ridges beside those that it hides. Failure: what
     is left of a ridge is given as its place, pixels and many of its stated errors off; or that sheets
