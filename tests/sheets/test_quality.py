@@ -299,3 +299,13 @@ def test_a_cut_film_is_said_to_be_cut(kind):
 def test_a_film_of_slips_is_not_cut(kind):
     """A failure means that every slip, a lamp, or a camera that swings back is called a change of scene."""
     assert TrackMetadata.of(track_sheets(cut_at_60(kind))).scene_changes == []
+
+
+@pytest.mark.parametrize(("slip", "said"), [(0.0, 1), (0.03, 0)])
+def test_a_pattern_that_stands_still_is_not_taken_for_a_comb_in_silence(slip, said):
+    """Wallpaper, a grille, a shaken one too, or a film that ends before the pull.  A failure means that who
+    filmed the wrong thing is told of many sheets and their errors; or that slips of half a pixel are none."""
+    shaking = np.random.default_rng(0).normal(0, 1.0, (60, 1))
+    x = comb(60, per_side=8, axis_px=200, slip=slip) + shaking
+    lines = tracking_warnings(track_sheets(strip(ridges(x, width=400))))
+    assert sum("do not move against each other" in line for line in lines) == said

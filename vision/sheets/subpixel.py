@@ -501,9 +501,10 @@ def _matched(bright: Floats32, x: Floats, comb: RidgeComb) -> tuple[Floats, Floa
 def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int, fallback: float) -> Floats:
     """Standard deviation of the profile's noise around each sheet, grey levels, (N,).
 
-    From second differences in time of the pixels around a ridge, taken along with it by whole pixels, less what
-    its motion and flicker (level, brightness, first and second derivative of the ridge) explain: so the paper's texture is no noise, and
-    bright ridges may be noisier. The median over groups of three frames ignores slips.
+    From second differences in time of the pixels around a ridge, taken along with it by whole pixels, less
+    what its motion and flicker (level, brightness, first and second derivative of the ridge) explain: so the
+    paper's texture and a shaking camera are no noise, and bright ridges may be noisier. The median over
+    groups of three frames ignores slips.
 
     Parameters
     ----------
