@@ -236,6 +236,19 @@ def test_noise_alike_in_neighbouring_pixels_is_in_the_errors():
     assert (off < tracks.x_predicted_px.values).mean() < 0.6
 
 
+@pytest.mark.parametrize("shaken_px", [0.0, 4.0])
+def test_the_errors_of_a_shaken_film_are_those_of_its_pixels(shaken_px):
+    """What all sheets do together from frame to frame is no noise.  A failure means that displacements known
+    to some hundredths of a pixel are given with errors of tenths."""
+    random = np.random.default_rng(0)
+    shaking = shaken_px * np.sin(1.9 * np.arange(150)) + 0.35 * shaken_px * random.normal(size=150)
+    x = comb(150, per_side=12, axis_px=300) + shaking[:, None]
+    tracks = track_sheets(strip(ridges(x, width=600), snr=150))
+    off = tracks.x_px.values - x
+    within = np.abs(off - np.median(off, axis=0)) < tracks.x_err_px.values
+    assert 0.62 < within.mean() < 0.74
+
+
 def test_a_sheet_that_a_cable_cuts_has_no_position():
     """A dark cable crosses the comb; its edges cut ridges beside those that it hides. Failure: what
     is left of a ridge is given as its place, pixels and many of its stated errors off; or that sheets
@@ -286,3 +299,13 @@ def test_a_cut_film_is_said_to_be_cut(kind):
 def test_a_film_of_slips_is_not_cut(kind):
     """A failure means that every slip, a lamp, or a camera that swings back is called a change of scene."""
     assert TrackMetadata.of(track_sheets(cut_at_60(kind))).scene_changes == []
+
+
+@pytest.mark.parametrize(("slip", "said"), [(0.0, 1), (0.03, 0)])
+def test_a_pattern_that_stands_still_is_not_taken_for_a_comb_in_silence(slip, said):
+    """Wallpaper, a grille, a shaken one too, or a film that ends before the pull.  A failure means that who
+    filmed the wrong thing is told of many sheets and their errors; or that slips of half a pixel are none."""
+    shaking = np.random.default_rng(0).normal(0, 1.0, (60, 1))
+    x = comb(60, per_side=8, axis_px=200, slip=slip) + shaking
+    lines = tracking_warnings(track_sheets(strip(ridges(x, width=400))))
+    assert sum("do not move against each other" in line for line in lines) == said

@@ -90,6 +90,17 @@ def test_a_ruler_beside_the_comb_is_not_tracked(slip, right):
     assert np.isfinite(track_sheets(strip(ridges(apart, width=800))).x_px.values).all()
 
 
+@pytest.mark.parametrize("spacing", [np.linspace(10, 45, 40), np.linspace(50, 10, 40)])
+def test_sheets_filmed_at_an_angle_are_all_kept(spacing):
+    """Perspective narrows the spacings along the comb.  A failure means that the narrowest are taken for dust
+    between sheets, and n is wrong from there on."""
+    moved = comb(60, per_side=20, slip=0.1)
+    truth = 30 + np.cumsum(spacing) + moved - moved.mean(axis=0)
+    tracks = track_sheets(strip(ridges(truth, width=int(spacing.sum() + 80), fwhm_px=6.0)))
+    assert tracks.x_px.shape == truth.shape
+    assert (np.abs(tracks.x_px.values - truth) < 1).all()
+
+
 def test_a_few_sheets_are_no_comb_to_compare_with():
     """A failure means that a handful of markers is said to lack one."""
     assert not wide_spacings(np.array([0.0, 20, 40, 80, 100, 120, 140]))[0].size

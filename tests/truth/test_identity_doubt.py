@@ -76,6 +76,21 @@ def test_equal_sheets_of_a_cropped_jumping_comb_are_doubted_rather_than_swapped(
     assert (tracks.flag == "doubtful").values.mean() > 0.3
 
 
+@pytest.mark.parametrize("scatter", [0.03, 0.1])
+@pytest.mark.parametrize("pitches", [(1.02, -0.98), (2.0, -1.0, -1.0), (0.2, -0.2)])
+def test_a_jump_by_a_pitch_of_nearly_equal_sheets_is_doubted(pitches, scatter):
+    """An even comb without an end in view looks still when it jumps by its pitch, but for what little its
+    sheets differ.  A failure means that half of such a film is other sheets, called ok without a word."""
+    x = comb(200, axis_px=480) + jumps(*pitches, every=60, frames=200)
+    height, width = 1 + scatter * np.random.default_rng(1).normal(size=(2, 50))
+    picture = strip(ridges(x, width=700, contrast=height, fwhm_px=7 * width))
+    tracks = track_sheets(picture)
+    starts = [x[:, i : i + tracks.sizes["sheet"]] for i in range(51 - tracks.sizes["sheet"])]
+    off = np.abs(tracks.x_px.values - np.array(starts))
+    assert (off > PITCH / 2).sum(axis=(1, 2)).min() == 0
+    assert (tracks.flag == "ok").values.mean() > (0.99 if max(pitches) < 0.5 else 0.4)
+
+
 def test_where_most_is_doubted_the_rest_is_not_called_certain():
     """A failure means that nobody is told that what is left of such a film may be wrong, too."""
     _, picture = cropped(MOTIONS["jumps of half a pitch"], equal=True)

@@ -2,8 +2,9 @@
 
 The alignment decides which ridge is which sheet; what it decided is tested here with what it did not use.
 `neighbour_residual` says how far each sheet leaves what its neighbours say; `hops` finds sheets that have
-gone over to another ridge, and `anchored` the frames in which spacings, brightnesses and widths fit one
-numbering only, so that an earlier doubt ends.
+gone over to another ridge, `anchored` the frames in which spacings, brightnesses and widths fit one
+numbering only, so that an earlier doubt ends, and `pattern_moved` where brightnesses and widths go on under
+another numbering.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from vision.sheets.settings import DEFAULT, TrackingSettings
 
 PAIRS = 3  # neighbours on either side that a sheet is compared with
 SHIFTS = (-2, -1, 1, 2)  # other numberings that the pattern must exclude
+PATTERN_FRAMES = 5  # compared before and after a jump
+LEAST_PATTERN = 8  # sheets: fewer are alike by chance
 TERM_LIMIT = 4.0  # nats: no single spacing, brightness or width decides a numbering
 
 
@@ -202,6 +205,50 @@ def anchored(
     spacing = _feature_costs(gap, both, 0.01 * comb.pitch_px)[0] < TERM_LIMIT / 2
     beside = spacing | np.hstack([np.zeros((len(gap), 1), bool), spacing[:, :-1]])
     return np.asarray((fits & (excess.min(axis=0) > settings.anchor_nats))[:, None] & beside, bool)
+
+
+def pattern_moved(log_contrast: Floats, log_width: Floats) -> Ints:
+    """By how many sheets the pattern of looks has moved along the comb since the first frame, (frame,).
+
+    Parameters
+    ----------
+    log_contrast, log_width
+        Of the ridge paired with each sheet (frame, N), NaN where none, or one that is doubted.
+
+    Notes
+    -----
+    An even comb of nearly equal sheets with no end in view looks the same after a jump by its pitch, but
+    small differences in brightness and width jump, too. From five frames to the next five they change by
+    several times what is usual, and less than a third as much against those of another sheet: light that
+    changes does not do that. None for fewer than eight sheets.
+    """
+    frames, sheets = log_contrast.shape
+    moved = np.zeros(frames, np.int64)
+    if frames < 4 * PATTERN_FRAMES or sheets < LEAST_PATTERN:
+        return moved
+    looks = np.stack([_less_common(log_contrast), _less_common(log_width)])
+    means = nan_median(np.lib.stride_tricks.sliding_window_view(looks, PATTERN_FRAMES, axis=1), axis=-1)
+    before, after = means[:, :-PATTERN_FRAMES], means[:, PATTERN_FRAMES:]
+    own, others = _unlikeness(before, after, 0), np.stack([_unlikeness(before, after, by) for by in SHIFTS])
+    own, usual = np.where(own < np.inf, own, 0.0), np.median(own)
+    found = np.flatnonzero((others.min(axis=0) < own / 3) & (own > 3 * usual))
+    for run in np.split(found, 1 + np.flatnonzero(np.diff(found) > 1)) if len(found) else ():
+        best = run[np.argmin(others.min(axis=0)[run] / own[run])]
+        by = SHIFTS[int(np.argmin(others[:, best]))]
+        near = looks[:, best : best + 2 * PATTERN_FRAMES]
+        as_before = np.broadcast_to(before[:, [best]], near.shape)
+        there = _unlikeness(as_before, near, by) < _unlikeness(as_before, near, 0)
+        moved[best + int(np.argmax(there)) :] += by
+    return moved
+
+
+def _unlikeness(before: Floats, after: Floats, by: int) -> Floats:
+    """Median change of looks (kinds, frame, N) against those of the sheet `by` further, (frame,); inf
+    where that leaves too few sheets."""
+    step = after - np.stack([shifted(part, by) for part in before])
+    size = np.abs(step - nan_median(step, axis=2)[..., None])
+    enough = np.isfinite(size).all(axis=0).sum(axis=1) >= LEAST_PATTERN
+    return np.where(enough, nan_median(np.concatenate(size, axis=1), axis=1), np.inf)
 
 
 def _less_common(values: Floats) -> Floats:

@@ -16,7 +16,15 @@ import xarray as xr
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median, nearest
 from vision.sheets.alignment import values_of
 from vision.sheets.identities import Identities, fill_rows
-from vision.sheets.neighbours import anchored, hops, last_seen, neighbour_residual, places_in_comb, torn
+from vision.sheets.neighbours import (
+    anchored,
+    hops,
+    last_seen,
+    neighbour_residual,
+    pattern_moved,
+    places_in_comb,
+    torn,
+)
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
@@ -79,6 +87,7 @@ def assign_detections(
     paired = np.stack([values_of(identities.match, values) for values in candidates])
     why = _doubts(paired[0], paired[1], identities, comb, profile.shape[1], settings)
     why = _settled(why, paired, comb, settings)
+    why[_pattern_away(np.where(why == "", paired, np.nan))] = "pattern"
     paired, why = _other_ridges(candidates, paired, why, comb, settings)
     doubtful = why != ""
     withheld = np.where(doubtful, paired[0], np.nan)
@@ -106,6 +115,7 @@ DOUBTS = {
     "tear": "displaced unlike the largest group of sheets",
     "jump": "after a jump by whole pitches",
     "looks": "pitches away from the usual place, and the sheets look unlike themselves",
+    "pattern": "brightnesses and widths fit another numbering: the comb may have jumped by whole pitches",
     "hop": "away from where the neighbours say, on another ridge",
 }
 """What `Detections.why` means."""
@@ -128,6 +138,19 @@ def _doubts(
     why[torn(x - places_in_comb(x), comb, settings)] = "tear"
     why[np.isnan(x)] = ""
     return why
+
+
+def _pattern_away(sure: Floats) -> Bools:
+    """Where the sheets' looks belong to another numbering than in most frames (frame, N). `sure`: positions,
+    contrasts and widths (3, frame, N), NaN where there is doubt; frames full of it are passed over."""
+    seen = np.isfinite(sure[0])
+    rows = np.flatnonzero(seen.mean(axis=1) > 0.5)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moved = pattern_moved(*np.log(sure[1:, rows]))
+    values, counts = np.unique(moved, return_counts=True)
+    away = np.zeros_like(seen)
+    away[rows] = seen[rows] & (moved != values[np.argmax(counts)] if len(rows) else moved)[:, None]
+    return np.asarray(away, bool)
 
 
 def _settled(why: Strings, paired: Floats, comb: RidgeComb, settings: TrackingSettings) -> Strings:
@@ -275,7 +298,10 @@ def _merged(found: Floats, expected: Floats, comb: RidgeComb, settings: Tracking
     if not missing.any():
         return np.zeros_like(missing)
     apart = np.abs(np.diff(np.where(missing, expected, start), axis=1))
-    size = found[1:] / nan_median(found[1:], axis=1)[:, None]
+    beside = np.pad(missing, ((0, 0), (1, 1)))
+    alone = np.where(beside[:, :-2] | beside[:, 2:], np.nan, found[1:])  # it may be missing in most frames
+    usual = nan_median(alone, axis=1)
+    size = found[1:] / np.where(np.isfinite(usual), usual, nan_median(found[1:], axis=1))[:, None]
     size /= nan_median(size, axis=2)[..., None]  # exposure, focus
     double = (size[0] > settings.merged_height) | (size[1] > settings.merged_width)
     pair = (apart < settings.merged_widths * comb.fwhm_px) | double[:, 1:] | double[:, :-1]

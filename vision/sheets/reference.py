@@ -294,7 +294,7 @@ def _choose_sheets(
     without it the spacing is double; dust between two sheets is not.
     """
     if sheets is None:
-        local = _local_pitch(x_px, pitch_px)
+        local = _local_pitch(x_px, pitch_px, settings)
         uneven = _uneven_cost(x_px, local, settings) / _unevenness(x_px, local, settings)
         return _best_chain(score, uneven)
     # the pitch was measured on that many ridges, so other entries have not spoilt it
@@ -318,12 +318,18 @@ def _uneven_cost(x_px: Floats, local: Floats, settings: TrackingSettings) -> Flo
     return np.where(gap > 0, settings.uneven_cost * off, np.inf)
 
 
-def _local_pitch(x_px: Floats, pitch_px: float) -> Floats:
-    """Median spacing of the nine entries around each, within a quarter of the pitch."""
+def _local_pitch(x_px: Floats, pitch_px: float, settings: TrackingSettings) -> Floats:
+    """Median spacing of the nine entries around each, within a quarter of the pitch unless it changes
+    gradually all along the comb, as seen at an angle: dust makes it change at once."""
     if len(x_px) < 6:
         return np.full(len(x_px), pitch_px)
     smooth = running_median(np.diff(x_px), 9)
-    return np.asarray(np.clip(np.r_[smooth, smooth[-1]], 0.75 * pitch_px, 1.25 * pitch_px), np.float64)
+    smooth = np.r_[smooth, smooth[-1]]
+    near = np.clip(smooth, 0.75 * pitch_px, 1.25 * pitch_px)
+    gradual = np.abs(np.diff(np.log(smooth))).max() < settings.even_spread
+    typical = float(np.median(smooth))
+    seen_at_an_angle = gradual and typical == float(np.median(near))
+    return np.asarray(smooth if seen_at_an_angle else near, np.float64)
 
 
 def _best_chain(score: Floats, cost: Floats) -> Ints:

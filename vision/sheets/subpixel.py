@@ -501,9 +501,10 @@ def _matched(bright: Floats32, x: Floats, comb: RidgeComb) -> tuple[Floats, Floa
 def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int, fallback: float) -> Floats:
     """Standard deviation of the profile's noise around each sheet, grey levels, (N,).
 
-    From second differences in time of the pixels around a ridge, less what its motion and flicker (level,
-    brightness, first and second derivative of the ridge) explain: so the paper's texture is no noise, and
-    bright ridges may be noisier. The median over groups of three frames ignores slips.
+    From second differences in time of the pixels around a ridge, taken along with it by whole pixels, less
+    what its motion and flicker (level, brightness, first and second derivative of the ridge) explain: so the
+    paper's texture and a shaking camera are no noise, and bright ridges may be noisier. The median over
+    groups of three frames ignores slips.
 
     Parameters
     ----------
@@ -521,8 +522,9 @@ def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int
     centre = np.nan_to_num(np.rint(x_px[middle]), nan=-10 * half).astype(np.int64)
     offsets = np.arange(-half - 1, half + 2)
     before, now, after = (
-        gather(profile, Starts(np.repeat(middle + step, x_px.shape[1]), centre.ravel()), offsets)
+        gather(profile, Starts(np.repeat(middle + step, x_px.shape[1]), (centre + carried).ravel()), offsets)
         for step in (-1, 0, 1)
+        for carried in [np.nan_to_num(np.rint(x_px[middle + step] - x_px[middle])).astype(np.int64)]
     )
     variance = _residual_variance(before + after - 2 * now, (before + now + after) / 3)
     variance = variance.reshape(len(middle), -1) / 6
