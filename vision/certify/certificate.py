@@ -241,9 +241,8 @@ def certify(
         moved = max(0.0, 1 - noise / max(float(np.var(like.common_px)), 1e-12))
         more = left_out(between) * np.sqrt(moved) * like.common_px
         like = replace(like, motion_px=like.motion_px + more[:, None])
-        like = replace(
-            like, encoder=encoder.fitted(like.film(like.motion_px, number=None).values, like.strip.values)
-        )
+        drawn, shown = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
+        like = replace(like, encoder=encoder.fitted(drawn, shown, like.strip.values))
     again = _tracking(tracks)
     scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]
     work = settings.films + 1 + len(scales) + (settings.films if sticks is not None else 0)

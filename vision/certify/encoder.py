@@ -49,6 +49,8 @@ PRESETS = {
 }
 """x264's presets by the effort of its motion search (subme), which it writes into its films."""
 TRIED_FRAMES = 60
+NOISE_GREY = 12.0  # grey levels; more hides ridges that can be tracked
+NOISE_HALVED = 9  # times, to 0.03
 
 
 @dataclass(frozen=True)
@@ -107,21 +109,24 @@ class Encoder:
         """Columns of the strip: one less than the run's where that is odd at the picture's edge."""
         return self.columns[1] - self.columns[0]
 
-    def again(self, profile: Floats32, *, seed: int) -> Floats32:
-        """I(x, t) (frame, x) drawn on all rows, encoded, decoded, and averaged over the strip's rows."""
-        return self._again(profile, seed)[0]
+    def again(self, profile: Floats32, shown: Floats, *, seed: int) -> Floats32:
+        """I(x, t) (frame, x) drawn on all rows, encoded, decoded, and averaged over the strip's rows.
 
-    def _again(self, profile: Floats32, seed: int) -> tuple[Floats32, float]:
+        What tells rows apart is that of the picture's columns `shown` (frame, x): it moves with the sheets.
+        """
+        return self._again(profile, shown, seed)[0]
+
+    def _again(self, profile: Floats32, shown: Floats, seed: int) -> tuple[Floats32, float]:
         """The same, and the bits per pixel that it took."""
         with tempfile.TemporaryDirectory(prefix="sheetvision-") as folder:
             path = Path(folder) / "again.mkv"
-            size = self._write(path, profile, seed)
+            size = self._write(path, profile, shown, seed)
             film = open_video(path)
             rows, columns = slice(*self.rows), slice(*self.columns)
             values = np.concatenate([row_means(block.pixels) for block in film.blocks(rows, columns)])
             return values, 8 * size / (len(profile) * self.picture.size)
 
-    def fitted(self, profile: Floats32, recorded: Floats32) -> Encoder:
+    def fitted(self, profile: Floats32, shown: Floats, recorded: Floats32) -> Encoder:
         """With the noise for which a part of this film takes as many bits as the recording did.
 
         Where the quantiser is not known, it is the one, too, for which I(x, t) then changes from frame to
@@ -130,27 +135,34 @@ class Encoder:
         part, wanted = profile[:TRIED_FRAMES], _change(recorded[:TRIED_FRAMES, : self.width])
         best, chosen = np.inf, self
         for quantiser in (self.quantiser,) if self.told else QUANTISERS[self.codec]:
-            nearest, here = np.inf, self
-            change = wanted
-            for noise in (0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0):  # grey levels
-                tried = replace(self, noise_grey=noise, quantiser=quantiser)
-                values, bits = tried._again(part, seed=0)
-                off = abs(float(np.log(bits / self.bits_per_pixel)))
-                if off < nearest:
-                    nearest, here, change = off, tried, _change(values)
-                if bits > 1.5 * self.bits_per_pixel:
-                    break
-            if nearest + abs(np.log(change / wanted)) < best:
-                best, chosen = nearest + abs(np.log(change / wanted)), here
+            here, off, change = replace(self, quantiser=quantiser)._with_noise(part, shown)
+            if off + abs(np.log(change / wanted)) < best:
+                best, chosen = off + abs(np.log(change / wanted)), here
         return chosen
 
-    def _frames(self, profile: Floats32, seed: int) -> Iterator[Pixels]:
+    def _with_noise(self, part: Floats32, shown: Floats) -> tuple[Encoder, float, float]:
+        """With the noise for which this takes the recording's bits, how far they are off, and its change."""
+        least, most = 0.0, NOISE_GREY
+        tried = self
+        for _ in range(NOISE_HALVED):
+            values, bits = tried._again(part, shown, seed=0)
+            if bits > self.bits_per_pixel:
+                most = tried.noise_grey
+            else:
+                least = tried.noise_grey
+            tried = replace(self, noise_grey=(least + most) / 2 if most else 0.0)
+        return tried, abs(float(np.log(bits / self.bits_per_pixel))), _change(values)
+
+    def _frames(self, profile: Floats32, shown: Floats, seed: int) -> Iterator[Pixels]:
         rng = np.random.default_rng(seed)
         (top, bottom), (left, right) = self.rows, self.columns
-        own = self.picture[top:bottom, left:right].mean(axis=0)
-        for line in profile:
+        inside = self.picture[:, left:right]
+        detail = inside - inside[top:bottom].mean(axis=0)
+        for line, column in zip(profile, shown, strict=False):
             frame = np.array(self.picture)
-            frame[:, left:right] += line - own
+            first = np.clip(column.astype(int), 0, self.width - 2)
+            share = np.clip(column - first, 0, 1)
+            frame[:, left:right] = line + (1 - share) * detail[:, first] + share * detail[:, first + 1]
             frame += self.noise_grey * rng.standard_normal(frame.shape)
             yield np.clip(np.rint(frame), 0, 255).astype(np.uint8)
 
@@ -170,7 +182,7 @@ class Encoder:
             options["bf"] = "0"
         return options
 
-    def _write(self, path: Path, profile: Floats32, seed: int) -> int:
+    def _write(self, path: Path, profile: Floats32, shown: Floats, seed: int) -> int:
         """Bytes of the film's packets."""
         # libx264 looks beyond sides that are no multiples of 16, at what memory happens to hold.
         multiple = 16 if self.codec == "h264" else 1
@@ -184,7 +196,7 @@ class Encoder:
             stream.codec_context.time_base = Fraction(1, 25)
             # both planes of colour, one after the other
             colourless = np.full((height // 2, width), 128, np.uint8)
-            for n, grey in enumerate(self._frames(profile, seed)):
+            for n, grey in enumerate(self._frames(profile, shown, seed)):
                 # the plane of brightness as it is: no change of range
                 planes = np.concatenate([np.pad(grey, beyond, mode="edge"), colourless])
                 frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")

@@ -47,6 +47,8 @@ class Likeness:
         Positions of the sheets in M, (sheet,).
     rigid_px
         Half width of the part of M that moves with each sheet, (sheet,).
+    start_px
+        Their positions in the recording's first frame, (sheet,).
     motion_px
         Smooth positions, (frame, sheet), columns of the strip; the truth of films.
     smooth
@@ -86,6 +88,7 @@ class Likeness:
     per_px: int
     rest_px: Floats
     rigid_px: Floats
+    start_px: Floats
     motion_px: Floats
     smooth: Bools
     common_px: Floats
@@ -130,7 +133,9 @@ class Likeness:
             for t in np.flatnonzero(self.frozen).tolist():
                 values[t] = values[max(t - 1, 0)]
         if number is not None and self.encoder is not None:
-            values[:, : self.encoder.width] = self.encoder.again(values[:, : self.encoder.width], seed=number)
+            width = self.encoder.width
+            shown = self.shown_px(motion_px)[:, :width]
+            values[:, :width] = self.encoder.again(values[:, :width], shown, seed=number)
         part = self.strip.isel(frame=np.arange(frames) % self.strip.sizes["frame"])
         status = np.full(frames, "ok", "<U8")
         if own:
@@ -140,6 +145,12 @@ class Likeness:
         film = part.copy(data=values)
         film["status"] = "frame", status
         return film.assign_coords(frame=np.arange(frames), time_s=("frame", self._times_s(frames)))
+
+    def shown_px(self, motion_px: Floats) -> Floats:
+        """Columns of the recording's first frame that show what each column does when the sheets are at
+        these positions (frame, sheet): (frame, x)."""
+        columns = np.arange(self.strip.sizes["x"], dtype=float)
+        return np.array([_material(columns, at, self.start_px, self.rigid_px) for at in motion_px])
 
     def _sources(self, number: int) -> Ints:
         """Which row of the residuals each frame gets, (frame,): one of the same brightness."""
@@ -246,6 +257,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
         per_px=per_px,
         rest_px=rest,
         rigid_px=rigid,
+        start_px=motion[0],
         motion_px=motion,
         smooth=left > 0,
         common_px=common,
