@@ -362,3 +362,32 @@ def test_a_slip_that_fell_into_a_gap_marks_the_sticks_on_both_sides() -> None:
     assert beside.sum() == 2
     assert (events["flag"][beside] == "gap").all()
     assert (events["flag"][~beside] == "ok").all()
+
+
+@pytest.mark.parametrize("width", [3, 5])
+def test_pulses_of_a_few_samples_are_not_slips(width: int) -> None:
+    """A failure means that each knock of a few samples makes a slip of its own and cuts a stick in two."""
+    test = plain(sticks=100, samples=80, snr=40)
+    load, rng = test.force["load_N"].to_numpy().copy(), np.random.default_rng(4)
+    for at in rng.choice(load.size - 20, 25, replace=False):
+        load[at : at + width] += rng.choice([-1, 1]) * rng.uniform(20, 80)
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load)))
+    right, truth = matched(events, test.truth)
+    assert len(events) == len(right) == len(test.truth)
+    assert (right["dF_N"] / truth["dF_N"]).median() == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.parametrize(("factor", "late"), [(2, 0.0), (5, 0.0), (10, 0.37), (7.3, 0.0)])
+def test_samples_between_measured_ones_are_left_out(factor: float, late: float) -> None:
+    """A failure means that a file whose rate was raised by straight lines is refused for its spikes, or
+    swarms with slips: the noise between two measured values is none."""
+    test = plain(sticks=60, samples=80, snr=40)
+    load = test.force["load_N"].to_numpy()
+    place = np.arange(late, load.size - 1, 1 / factor)
+    dense = np.round(np.interp(place, np.arange(load.size), load), 4)
+    d = np.interp(place, np.arange(load.size), test.force["d_mm"].to_numpy())
+    events = find_stick_slip(recording(0.01 * place, dense, d, 1.0))
+    right, truth = matched(events, test.truth)
+    assert len(events) == len(right) == len(test.truth)
+    assert events.attrs["noise_N"] == pytest.approx(1, rel=0.4)
+    assert np.mean(np.abs(right["dF_N"] - truth["dF_N"]) < 2 * right["dF_err_N"]) > 0.8

@@ -25,6 +25,10 @@ class ForceSettings:
     """A sample this far from the median of the five around it is a spike. Smaller takes noise for spikes,
     larger lets spikes make slips; shown by sawteeth with 1 % of spikes added."""
 
+    pulse_sigmas: float = 10.0
+    """A jump of this size that is taken back within five samples is a spike, too. Smaller takes away noise,
+    larger makes two slips of a pulse; shown by sawteeth with pulses of 3 and 5 samples."""
+
     most_spikes: float = 0.05
     """Share of spikes from which a recording is refused as sampled too slowly. Smaller refuses real impulses
     (1 % of the samples); larger takes beats of the sampling for slips (5 Hz at 20 Hz: 50 % of spikes)."""

@@ -294,7 +294,7 @@ class Signal:
         count = force.sizes["time_s"]
         flags = np.asarray(force["flag"].values, dtype=str) if "flag" in force else np.full(count, "ok")
         good = usable(flags)
-        good[np.flatnonzero(good)[_repeats(force["load_N"].to_numpy()[good])]] = False
+        good[np.flatnonzero(good)[_filled_in(force["load_N"].to_numpy()[good].astype(float))]] = False
         time, travel, load = (force[k].to_numpy()[good].astype(float) for k in ("time_s", "d_mm", "load_N"))
         sigma = noise_sigma(load)
         is_spike, clean = find_spikes(load, sigma, settings=settings)
@@ -318,15 +318,25 @@ class Signal:
         return np.where(self.is_spike, np.nan, self.load)
 
 
-def _repeats(load: Floats) -> Bools:
-    """Samples that only repeat the one before: of a file written at a multiple of the load cell's rate.
+def _filled_in(load: Floats) -> Bools:
+    """Samples that repeat the one before, or lie on a straight line from one measured value to the next: of a
+    file written at a higher rate than the load cell's.
 
-    Then nearly all runs of equal values are of one length; steps of a coarse load are not.
+    Then nearly all runs of equal values, or of equal differences, are of one length; steps of a coarse load
+    are not. Where a line's ends lie between samples the first sample after each is kept.
     """
-    new = np.diff(load, prepend=np.nan) != 0
-    length = np.diff(np.append(np.flatnonzero(new), load.size))
-    usual = np.median(length)
-    return ~new if usual > 1 and np.mean(length % usual == 0) > 0.9 else np.zeros_like(new)
+    steps = np.diff(np.unique(load))
+    rounding = 3 * float(np.min(steps, where=steps > 1e-9 * np.ptp(load), initial=np.inf))
+    repeats = np.diff(load, prepend=np.nan) == 0
+    bends = np.r_[True, np.abs(np.diff(load, 2)) > rounding, True]
+    bends[1:] &= ~bends[:-1]
+    for measured, most in ((~repeats, load.size), (bends, 25)):
+        length = np.diff(np.append(np.flatnonzero(measured), load.size))
+        usual = np.median(length)
+        even = np.abs(length - usual * np.rint(length / usual)) <= (usual >= 4 and measured is bends)
+        if 1 < usual <= most and np.mean(even) > 0.9:
+            return ~measured
+    return np.zeros_like(repeats)
 
 
 @dataclass(frozen=True)
