@@ -62,6 +62,15 @@ class ForceSettings:
     """Central part of a stick through which its line is fitted; drops, F_v and F_p are extrapolated
     from it. Larger comes closer to the rounded ends, smaller extrapolates further."""
 
+    shape_sigmas: float = 4.0
+    """Standard errors by which the curvature that all sticks share must differ from 0 to be followed to their
+    ends. Smaller bends straight sticks, larger reads the ends of curved ones off lines; shown by straight and
+    by parabolic sticks at signal to noise of 10 to 40."""
+
+    shape_slip: float = 0.1
+    """Longest usual slip, over the stick, beside which that curvature is followed. Longer ones reach into the
+    stretches between the slips, and would be taken for the sticks' own ends."""
+
     knee_ratio: float = 1.2
     """Slope before over slope after the knee, at the median of the sticks, from which a recording's sticks
     have two slopes. Sticks that soften by 10 % reach 1.1 and stay single; fast pulls of the publication's
