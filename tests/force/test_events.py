@@ -362,3 +362,78 @@ def test_a_slip_that_fell_into_a_gap_marks_the_sticks_on_both_sides() -> None:
     assert beside.sum() == 2
     assert (events["flag"][beside] == "gap").all()
     assert (events["flag"][~beside] == "ok").all()
+
+
+@pytest.mark.parametrize("width", [3, 5])
+def test_pulses_of_a_few_samples_are_not_slips(width: int) -> None:
+    """A failure means that each knock of a few samples makes a slip of its own and cuts a stick in two."""
+    test = plain(sticks=100, samples=80, snr=40)
+    load, rng = test.force["load_N"].to_numpy().copy(), np.random.default_rng(4)
+    for at in rng.choice(load.size - 20, 25, replace=False):
+        load[at : at + width] += rng.choice([-1, 1]) * rng.uniform(20, 80)
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load)))
+    right, truth = matched(events, test.truth)
+    assert len(events) == len(right) == len(test.truth)
+    assert (right["dF_N"] / truth["dF_N"]).median() == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.parametrize(("factor", "late"), [(2, 0.0), (5, 0.0), (10, 0.37), (7.3, 0.0)])
+def test_samples_between_measured_ones_are_left_out(factor: float, late: float) -> None:
+    """A failure means that a file whose rate was raised by straight lines is refused for its spikes, or
+    swarms with slips: the noise between two measured values is none."""
+    test = plain(sticks=60, samples=80, snr=40)
+    load = test.force["load_N"].to_numpy()
+    place = np.arange(late, load.size - 1, 1 / factor)
+    dense = np.round(np.interp(place, np.arange(load.size), load), 4)
+    d = np.interp(place, np.arange(load.size), test.force["d_mm"].to_numpy())
+    events = find_stick_slip(recording(0.01 * place, dense, d, 1.0))
+    right, truth = matched(events, test.truth)
+    assert len(events) == len(right) == len(test.truth)
+    assert events.attrs["noise_N"] == pytest.approx(1, rel=0.4)
+    assert np.mean(np.abs(right["dF_N"] - truth["dF_N"]) < 2 * right["dF_err_N"]) > 0.8
+
+
+def curved(*, power: float, snr: float, ringing: float = 0.0, sticks: int = 60) -> Test:
+    """Sticks of 80 samples that rise as 1 - (1 - u)^power from their valleys to their peaks; ringing: of the
+    load cell, N, at 8 Hz and fading within 0.1 s of each slip."""
+    rng = np.random.default_rng(3)
+    drop = 10.0 * np.exp(0.1 * rng.standard_normal(sticks + 1))
+    length = 80 * drop[:-1] / 10 * (1 + 0.03 * rng.standard_normal(sticks))
+    begin = np.r_[0.0, np.cumsum(length)]
+    index = np.arange(int(begin[-1]) + 20)
+    stick = np.minimum(np.searchsorted(begin, index, side="right") - 1, sticks)
+    u = (index - begin[stick]) / np.r_[length, 80][stick]
+    low = 50 - drop
+    load = low[stick] + (50 - low[stick]) * (1 - np.maximum(1 - u, 0) ** power)
+    since = 0.01 * (index - begin[stick])
+    load -= ringing * np.exp(-since / 0.1) * np.sin(2 * np.pi * 8 * since)
+    load += 10 / snr * rng.standard_normal(index.size)
+    truth = pd.DataFrame(
+        {"t_v_s": begin[:-1] / 100, "t_p_s": begin[1:] / 100, "F_v_N": low[:-1], "F_p_N": 50.0}
+    )
+    truth["dF_N"] = truth["F_p_N"] - truth["F_v_N"]
+    return Test(recording(0.01 * index, load, 13 + index / 6000, 1.0), truth)
+
+
+@pytest.mark.parametrize(("power", "snr"), [(2.0, 10.0), (2.0, 40.0), (3.0, 20.0), (1.0, 10.0)])
+def test_forces_at_the_ends_of_curved_sticks(power: float, snr: float) -> None:
+    """A failure means that F_v and F_p lie up to a fifth of the drop above what they were, with small errors:
+    a line cuts the corners of a curved stick."""
+    test = curved(power=power, snr=snr)
+    right, truth = matched(find_stick_slip(test.force), test.truth)
+    assert len(right) > 55
+    for name in ("F_v_N", "F_p_N", "dF_N"):
+        off = right[name] - truth[name]
+        assert abs(off.median()) < 0.3, name  # of 10 N
+        assert np.mean(np.abs(off) < right[name.replace("_N", "_err_N")]) > 0.55, name
+
+
+def test_ringing_after_a_slip_is_no_valley() -> None:
+    """A failure means that the load cell's own swing below the stick line is taken for the valley, or that
+    the error does not tell how far the load was seen below it."""
+    test = curved(power=1.0, snr=100.0, ringing=3.0)
+    right, truth = matched(find_stick_slip(test.force), test.truth)
+    assert len(right) > 55
+    assert (right["F_v_N"] - truth["F_v_N"]).median() == pytest.approx(0, abs=0.8)
+    assert (right["F_v_N"] - right["F_v_raw_N"]).median() > 1
+    assert (right["F_v_err_N"] > 0.5).mean() > 0.9

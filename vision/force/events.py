@@ -12,7 +12,7 @@ import xarray as xr
 
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
 from vision.errors import InputError
-from vision.force.lines import fit_broken_lines, flat_ranges
+from vision.force.lines import curvature, fit_broken_lines, fit_lines, flat_ranges
 from vision.force.recording import is_compression
 from vision.force.settings import ForceSettings
 from vision.force.slips import (
@@ -274,6 +274,12 @@ def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSetting
     if known.sum() < max(2, 0.5 * known.size):
         return False
     ratio = float(np.median(broken.first[known] / broken.second[known]))
+    # A stick that bends all along is followed better by a polynomial.
+    begin, end = start[some][known], stop[some][known]
+    _, left = curvature(signal.clean, begin, end)
+    smooth = fit_lines(index, signal.clean, begin, end).squares / np.maximum(left, np.finfo(float).tiny)
+    if not lag and np.median(smooth) > np.median(broken.gain[known]):
+        return False
     return float(np.median(broken.gain[known])) > settings.knee_gain and ratio > settings.knee_ratio
 
 

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from vision.numeric import Floats, Ints
@@ -111,6 +112,23 @@ class _Rows:
 
     def mean(self, values: NDArray[Any]) -> Floats:
         return np.asarray(self.total(values) / self.count)
+
+
+def curvature(y: Floats, start: Ints, stop: Ints) -> tuple[Floats, Floats]:
+    """Least-squares polynomials of degree 4 through stretches of 10 samples or more.
+
+    Coefficients (rows, 5) of the Legendre polynomials over each, and squared residuals.
+    """
+    row, index = flat_ranges(start, stop)
+    terms = legvander(2 * (index - start[row]) / (stop - 1 - start)[row] - 1, 4).T
+    level = (np.bincount(row, y[index]) / (stop - start))[row]  # sums of what is left lose fewer digits
+    products = np.empty((start.size, 5, 6))
+    for k, one in enumerate(terms):
+        for m, other in enumerate((*terms, y[index] - level)):
+            products[:, k, m] = np.bincount(row, one * other)
+    found = np.linalg.solve(products[:, :, :5], products[:, :, 5:])[:, :, 0]
+    left = y[index] - level - np.sum(found.T[:, row] * terms, axis=0)
+    return found, np.bincount(row, left**2)
 
 
 @dataclass(frozen=True)

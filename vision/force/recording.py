@@ -492,10 +492,10 @@ def noise_sigma(y: Floats) -> float:
 def find_spikes(
     y: Floats, sigma: float, *, settings: ForceSettings = ForceSettings()
 ) -> tuple[Bools, Floats]:
-    """Which samples are spikes, of one or two samples, and the signal with a median in their place.
+    """Which samples are spikes, of one to five samples, and the signal with what is around in their place.
 
-    A spike is `spike_sigmas` of the noise from the median of the five samples around. Slips and corners of a
-    sawtooth stay, because that median follows them.
+    A spike of one or two samples is `spike_sigmas` of the noise from the median of the five around. Slips and
+    corners of a sawtooth stay, because that median follows them. A longer one jumps away and back.
     """
     middle = running_median(y, 5)
     off = np.abs(y - middle) - settings.spike_sigmas * sigma
@@ -506,4 +506,15 @@ def find_spikes(
     around, is_spike = sliding_window_view(np.pad(rise, 50, "edge"), 101), np.zeros(y.size, np.bool_)
     for some in np.array_split(suspect, suspect.size // 65_536 + 1):  # so that memory does not grow with them
         is_spike[some] = off[some] > 2.0 * np.median(around[some], axis=1)
-    return is_spike, np.where(is_spike, middle, y)
+    clean = np.where(is_spike, middle, y)
+    jump = np.diff(clean)
+    high = np.flatnonzero(np.abs(jump) > settings.pulse_sigmas * sigma)
+    high = high[np.abs(jump[high]) > 4.0 * np.median(around[high], axis=1)]
+    for width in (3, 4, 5):
+        away = high[np.isin(high + width, high)]
+        least = np.minimum(np.abs(jump[away]), np.abs(jump[away + width]))
+        back = np.abs(clean[away + width + 1] - clean[away]) < 0.3 * least
+        for before in away[back & (jump[away] * jump[away + width] < 0)]:
+            inside, ends = np.arange(before + 1, before + width + 1), [before, before + width + 1]
+            is_spike[inside], clean[inside] = True, np.interp(inside, ends, clean[ends])
+    return is_spike, clean

@@ -25,6 +25,10 @@ class ForceSettings:
     """A sample this far from the median of the five around it is a spike. Smaller takes noise for spikes,
     larger lets spikes make slips; shown by sawteeth with 1 % of spikes added."""
 
+    pulse_sigmas: float = 10.0
+    """A jump of this size that is taken back within five samples is a spike, too. Smaller takes away noise,
+    larger makes two slips of a pulse; shown by sawteeth with pulses of 3 and 5 samples."""
+
     most_spikes: float = 0.05
     """Share of spikes from which a recording is refused as sampled too slowly. Smaller refuses real impulses
     (1 % of the samples); larger takes beats of the sampling for slips (5 Hz at 20 Hz: 50 % of spikes)."""
@@ -57,6 +61,15 @@ class ForceSettings:
     line_part: float = 0.8
     """Central part of a stick through which its line is fitted; drops, F_v and F_p are extrapolated
     from it. Larger comes closer to the rounded ends, smaller extrapolates further."""
+
+    shape_sigmas: float = 4.0
+    """Standard errors by which the curvature that all sticks share must differ from 0 to be followed to their
+    ends. Smaller bends straight sticks, larger reads the ends of curved ones off lines; shown by straight and
+    by parabolic sticks at signal to noise of 10 to 40."""
+
+    shape_slip: float = 0.1
+    """Longest usual slip, over the stick, beside which that curvature is followed. Longer ones reach into the
+    stretches between the slips, and would be taken for the sticks' own ends."""
 
     knee_ratio: float = 1.2
     """Slope before over slope after the knee, at the median of the sticks, from which a recording's sticks
