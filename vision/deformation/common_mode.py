@@ -74,7 +74,10 @@ def drift_model(
     line: fitted to the positions without vibration.  side, n: of the sheets in order of place.  vibration_px:
     of `common_mode_motion`, (F,).
     """
-    both = BothSides.of(side, n, line.coefficient[..., 0], line.coefficient[..., 1], settings)
+    middle_px, slope_px = line.coefficient[..., 0], line.coefficient[..., 1]
+    rate = np.diff(middle_px, axis=0) / np.diff(frames.middle_s)[:, None]
+    slow_px = nan_median(rate) * frames.length_s[:, None] / 2
+    both = BothSides.of(side, n, middle_px, slope_px, slow_px, settings)
     return both if both.enough else OneSide.of(line, n, frames, vibration_px, settings)
 
 
@@ -84,23 +87,31 @@ class BothSides:
 
     left: Ints
     right: Ints
+    slow_px: Floats  # half the movement to the right by the mean positions in all sticks, (stick, sheet)
     least_pairs: int
     movement = "vibration and drift taken off"
 
     @classmethod
     def of(
-        cls, side: Ints, n: Ints, middle_px: Floats, slope_px: Floats, settings: DeformationSettings
+        cls,
+        side: Ints,
+        n: Ints,
+        middle_px: Floats,
+        slope_px: Floats,
+        slow_px: Floats,
+        settings: DeformationSettings,
     ) -> BothSides:
         """Pairs by number, overlooked sheets (gaps) counted; by creep, where that puts the axis elsewhere.
 
-        middle_px, slope_px: mean position, and half the movement to the right, (stick, sheet).
+        middle_px, slope_px: mean position, and half the movement to the right, (stick, sheet).  slow_px: that
+        half from the mean positions in other sticks.
         """
         left, right = np.flatnonzero(side < 0), np.flatnonzero(side > 0)
         n = n + np.where(side < 0, _missing(middle_px, left[::-1]), _missing(middle_px, right))
         found = []
         for shift in (0, -2, -1, 1, 2):  # sheets by which left and right may be numbered unlike
             _, first, second = np.intersect1d(n[left] + shift, n[right], return_indices=True)
-            found.append(cls(left[first], right[second], settings.least_pairs))
+            found.append(cls(left[first], right[second], slow_px, settings.least_pairs))
         unlike = np.array([each.asymmetry_px(slope_px) for each in found])
         return found[np.argmin(unlike) if unlike.min() < 0.5 * unlike[0] else 0]
 
@@ -124,8 +135,9 @@ class BothSides:
         asymmetry.  The part of it that all pairs share, as a share of their creep (one side creeps less than
         the other), is found from how half the sums go with the creep within each stick: the camera moves all
         pairs alike.  What is left is larger the nearer the axis, as where a sheet was overlooked on one side;
-        it is measured from how the pairs disagree, and the nearly still inner sheets lead.  `slow` is not
-        needed with both sides in view.
+        it is measured from how the pairs disagree, and the nearly still inner sheets lead.  `slow`: whether
+        a camera that moves alike in all sticks must show in the sheets' mean positions, too.  Where it does
+        not, it may as well be one side that creeps more: that is part of the error.
         """
         left, right = coefficient[:, self.left], coefficient[:, self.right]
         noise = (error[:, self.left] ** 2 + error[:, self.right] ** 2) / 4
@@ -144,7 +156,24 @@ class BothSides:
         random = np.divide(1, total, out=np.zeros_like(total), where=total > 0)
         together = np.hypot(pair.common_asymmetry(value, weight), sides_err)
         together = together * (share * pair.step).sum(axis=1)
-        return Drift(value, np.sqrt(random + together**2), of_sheet)
+        shift, shift_err = self._alike_in_all(value, random, share, all_pairs) if slow else (0.0, 0.0)
+        return Drift(value + shift, np.sqrt(random + together**2 + shift_err**2), of_sheet)
+
+    def _alike_in_all(
+        self, value: Floats, random: Floats, share: Floats, pairs: _Pairs
+    ) -> tuple[float, float]:
+        """By how much the drift is to be changed in all sticks alike, and the error of that.
+
+        Between none and what makes it agree with where the sheets are in the sticks before and after, as far
+        as noise does not explain that; but within what the pair that creeps least leaves, whose sheets do
+        not creep outwards.
+        """
+        slow = (self.slow_px[:, self.left] + self.slow_px[:, self.right]) / 2
+        away = float(np.median((share * np.nan_to_num(slow)).sum(axis=1) - value))
+        noise = np.pi / 2 * float(np.median(random)) / len(value)  # of a median
+        away = np.sign(away) * np.sqrt(max(away**2 - noise, 0.0))
+        ends = np.clip((0.0, away), *pairs.allowed(value))
+        return float(ends.mean()), float(abs(ends[1] - ends[0])) / 2
 
 
 @dataclass(frozen=True)
@@ -167,6 +196,19 @@ class _Pairs:
         quiet = known & (noise <= 9 * np.median(noise[known])) if known.any() else known
         middle, step, noise = (np.where(known, part, 0.0) for part in (middle, step, noise))
         return cls(middle, step, noise, known, quiet)
+
+    def allowed(self, value: Floats) -> tuple[float, float]:
+        """Least and most by which the drift may be changed in all sticks alike without either sheet of the
+        pair that creeps least creeping outwards, in the middle stick and within two standard errors."""
+        step, apart, noise = (
+            nan_median(np.where(self.known, part, np.nan))
+            for part in (self.step, self.middle - value[:, None], self.noise)
+        )
+        if not np.isfinite(step).any():
+            return 0.0, 0.0
+        least = np.nanargmin(np.abs(step))
+        creep = abs(step[least]) + 2 * np.sqrt(np.pi / 2 * noise[least] / self.known[:, least].sum())
+        return float(apart[least] - creep), float(apart[least] + creep)
 
     def difference_of_sides(self, weight: Floats) -> tuple[float, float]:
         """Half the sums as a share of the creep, the same for all pairs, and its error from noise.
@@ -231,8 +273,13 @@ class OneSide:
         away = np.abs(stick[:, None] - stick)
         near = np.maximum(1 - away / (settings.neighbouring_sticks + 1.0), 0.0)
         middle_px, slope_px = line.coefficient[..., 0], line.coefficient[..., 1]
+        moved = _stray(nan_median(slope_px - nan_median(slope_px), axis=1), settings)
+        near = near * ~moved
         profile_px = _mean(near * (away > 0), slope_px)
-        slow_px_s = _at_axis(_rate(near, frames.middle_s, middle_px), n, profile_px)
+        shift_px = np.diff(middle_px, axis=0)
+        common_px = nan_median(shift_px - nan_median(shift_px), axis=1)
+        jumped_px = np.r_[0.0, np.cumsum(np.where(_stray(common_px, settings), common_px, 0.0))]
+        slow_px_s = _at_axis(_rate(near, frames.middle_s, middle_px - jumped_px[:, None]), n, profile_px)
         variance_px2 = float((vibration_px**2).sum()) / max(vibration_px.size, 1)
         white_px = np.sqrt(3 * variance_px2 / np.maximum(frames.counts, 1))
         return cls(profile_px, slow_px_s * frames.length_s / 2, near, white_px, settings)
@@ -261,6 +308,12 @@ class OneSide:
         return Drift(
             np.where(clear, found, 0.0), np.where(clear, error, self.unknown_px), np.zeros_like(weight)
         )
+
+
+def _stray(common_px: Floats, settings: DeformationSettings) -> Bools:
+    """Where what all sheets do together is unlike all else: the camera was pushed, (n,)."""
+    away = np.abs(common_px)
+    return np.asarray(away > settings.jump_spreads * nan_median(away[:, None])[0])
 
 
 def _mean(near: Floats, value: Floats) -> Floats:
