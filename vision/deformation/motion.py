@@ -420,7 +420,7 @@ def _length_err_um(events: pd.DataFrame) -> Floats:
     length = events["stick_length_um"].to_numpy(float)
     if "stick_length_err_um" not in events:
         return np.zeros(length.shape)
-    stated = np.nan_to_num(events["stick_length_err_um"].to_numpy(float))
+    stated: Floats = np.nan_to_num(events["stick_length_err_um"].to_numpy(float))
     if len(length) < LEAST_STEADY:
         return stated
     speed = length / (events["t_p_s"] - events["t_v_s"]).to_numpy(float)
