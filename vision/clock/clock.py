@@ -251,8 +251,8 @@ def _from_slips(
     )
     if not found.ambiguity and abs(drift) - 2 * drift_error > 1e-6 * settings.usual_drift_ppm:
         warnings.append(
-            f"the clocks of film and machine differ by {100 * drift:+.2f} %, more than clocks do: they agree at"
-            f" {_frame_rate(strip, 1 + drift)}, check `fps`"
+            f"the clocks of film and machine differ by {100 * drift:+.2f} %, more than clocks do: they agree"
+            f" at {_frame_rate(strip, 1 + drift)}, check `fps`"
         )
     return replace(
         _compared(clocks, fits, "events"),
