@@ -41,18 +41,34 @@ def test_one_side_in_view_tells_drift_from_creep():
 
 @pytest.mark.parametrize("within", [0.0, 0.4])
 def test_one_side_before_a_camera_that_is_pushed(within):
-    """Pushed at slips, or within sticks.  A failure means that sheets seem to move in all sticks around."""
-    made = make(profile(np.full(40, 6.0)), stick_um=10.0, noise_px=0.02)
+    """Pushed at slips, or within sticks.  A failure means that sheets seem to move in all sticks around, or
+    in that one where positions are missing."""
+    made = make(profile(np.full(40, 6.0)), stick_um=10.0, noise_px=0.02, missing=0.3)
     still, usual, _ = one_side(made)
     begin, length = made.sticks["t_v_s"].to_numpy() - 5, np.diff(made.sticks["t_v_s"]).mean()
     pushes = zip((9, 20, 33), (4.0, -3.0, 6.0), strict=True)
     pushed_px = sum(px * (made.tracks["time_s"] > begin[k] + within * length) for k, px in pushes)
     made.tracks["x_px"] = made.tracks["x_px"] + pushed_px
     wrong, stated, _ = one_side(made)
-    others = np.delete(np.arange(40), [8, 9, 19, 20, 32, 33])
-    assert abs(wrong[others].mean()) < 0.002
-    assert wrong[others].std() < 1.1 * still.std()
-    assert np.median(stated[others]) < 1.1 * np.median(usual)
+    assert abs(wrong.mean()) < 0.002
+    assert wrong.std() < 1.1 * still.std()
+    assert np.median(stated) < 1.1 * np.median(usual)
+    assert 0.62 < np.mean(np.abs(wrong) < stated) < 0.80
+
+
+def test_one_side_with_sheets_that_are_seldom_seen():
+    """A failure means that a sheet seen in two sticks says how the camera drifts: σ_x/Λ_st of 5 with an error
+    of 0.02."""
+    made = make(profile(np.full(40, 6.0)), frames=9.0, noise_px=0.02)
+    rng = np.random.default_rng(2)
+    seen = np.ones(made.tracks["x_px"].shape, bool)
+    for sheet in (28, 33, 41, 44):
+        seen[:, sheet] = rng.random(len(seen)) < 0.15
+    made.tracks["x_px"] = made.tracks["x_px"].where(seen)
+    wrong, stated, _ = one_side(made)
+    known = np.isfinite(wrong)
+    assert np.abs(wrong[known]).max() < 0.1
+    assert 0.62 < np.mean(np.abs(wrong[known]) < stated[known]) < 0.80
 
 
 def test_one_side_that_creeps_alike_says_nothing_of_drift():

@@ -50,6 +50,24 @@ def _spread_and_weight(residual: Floats) -> tuple[Floats, Floats]:
     return spread, np.where(np.isfinite(spread), spread**-2, 0.0)
 
 
+def camera_pushes(x_px: Floats, frames: StickFrames, settings: DeformationSettings) -> Floats:
+    """How far the camera was pushed since each stick's first frame, to the right, px, (F,).
+
+    A push moves all sheets alike, from one frame to the next or the one after; what moves more often is
+    vibration. x_px: positions in the frames of the sticks, (F, sheet).
+    """
+    step_px, step_s = np.diff(x_px, axis=0), np.diff(frames.since_s)
+    same = np.diff(frames.row) == 0
+    common_px = np.where(same, nan_median(step_px, axis=1), np.nan)
+    common_px = common_px - nan_median((common_px / step_s)[:, None])[0] * step_s
+    unlike_px = nan_median(np.abs(step_px - nan_median(step_px, axis=1)[:, None]), axis=1)
+    pushed = np.r_[False, _stray(common_px, settings) & (np.abs(common_px) > 3 * unlike_px)]
+    pushed &= frames.sums(pushed)[frames.row] <= 2
+    moved_px = np.cumsum(np.where(pushed, np.r_[0.0, common_px], 0.0))
+    first = np.searchsorted(frames.row, frames.row)
+    return np.asarray(moved_px - moved_px[first])
+
+
 # --- drift --------------------------------------------------------------------------------------------------
 
 
@@ -273,13 +291,10 @@ class OneSide:
         away = np.abs(stick[:, None] - stick)
         near = np.maximum(1 - away / (settings.neighbouring_sticks + 1.0), 0.0)
         middle_px, slope_px = line.coefficient[..., 0], line.coefficient[..., 1]
-        moved = _stray(nan_median(slope_px - nan_median(slope_px), axis=1), settings)
-        near = near * ~moved
+        near = near * ~_stray(nan_median(slope_px - nan_median(slope_px), axis=1), settings)
         profile_px = _mean(near * (away > 0), slope_px)
-        shift_px = np.diff(middle_px, axis=0)
-        common_px = nan_median(shift_px - nan_median(shift_px), axis=1)
-        jumped_px = np.r_[0.0, np.cumsum(np.where(_stray(common_px, settings), common_px, 0.0))]
-        slow_px_s = _at_axis(_rate(near, frames.middle_s, middle_px - jumped_px[:, None]), n, profile_px)
+        rest_px = middle_px - _pushed_between(middle_px, frames.middle_s, settings)[:, None]
+        slow_px_s = _at_axis(*_rate(near, frames.middle_s, rest_px), n, profile_px)
         variance_px2 = float((vibration_px**2).sum()) / max(vibration_px.size, 1)
         white_px = np.sqrt(3 * variance_px2 / np.maximum(frames.counts, 1))
         return cls(profile_px, slow_px_s * frames.length_s / 2, near, white_px, settings)
@@ -310,6 +325,17 @@ class OneSide:
         )
 
 
+def _pushed_between(middle_px: Floats, middle_s: Floats, settings: DeformationSettings) -> Floats:
+    """How far the camera was pushed between sticks since the first one, px, (stick,)."""
+    known = np.flatnonzero(np.isfinite(middle_px).any(axis=1))
+    between_s = np.diff(middle_s[known])[:, None]
+    shift_px = np.diff(middle_px[known], axis=0)
+    common_px = nan_median(shift_px - nan_median(shift_px / between_s) * between_s, axis=1)
+    pushed_px = np.zeros(len(middle_px))
+    pushed_px[known[1:]] = np.where(_stray(common_px, settings), common_px, 0.0)
+    return np.cumsum(pushed_px)
+
+
 def _stray(common_px: Floats, settings: DeformationSettings) -> Bools:
     """Where what all sheets do together is unlike all else: the camera was pushed, (n,)."""
     away = np.abs(common_px)
@@ -323,24 +349,27 @@ def _mean(near: Floats, value: Floats) -> Floats:
     return np.where(count > 0, near @ np.where(known, value, 0.0) / np.maximum(count, 1e-300), np.nan)
 
 
-def _rate(near: Floats, time_s: Floats, value: Floats) -> Floats:
-    """Slope of value (stick, sheet) against time, px/s, over the neighbouring sticks."""
-    time = np.broadcast_to(time_s[:, None], value.shape)
-    time = np.where(np.isfinite(value), time, np.nan)
+def _rate(near: Floats, time_s: Floats, value: Floats) -> tuple[Floats, Floats]:
+    """Slope of value (stick, sheet) against time, px/s, over the neighbouring sticks, and its weight, which
+    is less for sheets that few of them show."""
+    known = np.isfinite(value)
+    time = np.where(known, time_s[:, None], np.nan)
     product, square = (
         _mean(near, time * part) - _mean(near, time) * _mean(near, part) for part in (value, time)
     )
+    weight = np.nan_to_num(square) * (near @ known)
+    weight = weight / np.maximum(weight.max(axis=1, keepdims=True), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return product / square
+        return product / square, np.where(weight > 1e-6, weight, 0.0)
 
 
-def _at_axis(rate: Floats, n: Ints, profile: Floats) -> Floats:
+def _at_axis(rate: Floats, weight: Floats, n: Ints, profile: Floats) -> Floats:
     """Rate (stick, sheet) extrapolated to a sheet on the axis that does not creep, (stick,)."""
-    known = np.isfinite(rate) & np.isfinite(profile)
+    weight = np.where(np.isfinite(rate) & np.isfinite(profile), weight, 0.0)
     design = np.stack(
         [np.ones(rate.shape), np.broadcast_to(n - 0.5, rate.shape), np.nan_to_num(profile)], axis=-1
     )
-    design = design * known[..., None]
-    matrix = np.einsum("esa,esb->eab", design, design) + 1e-9 * np.eye(3)
-    right = np.einsum("esa,es->ea", design, np.where(known, rate, 0.0))
+    weighted = design * weight[..., None]
+    matrix = np.einsum("esa,esb->eab", weighted, design) + 1e-9 * np.eye(3)
+    right = np.einsum("esa,es->ea", weighted, np.where(weight > 0, rate, 0.0))
     return np.linalg.solve(matrix, right[..., None])[:, 0, 0]

@@ -13,6 +13,7 @@ from vision.data import MOTION, STICKS, TRACKS, MotionMetadata, StripMetadata, T
 from vision.deformation.common_mode import (
     BothSides,
     OneSide,
+    camera_pushes,
     common_mode_motion,
     common_mode_noise_factor,
     drift_model,
@@ -294,7 +295,8 @@ def _measure(
     terms = 4 if np.median(frames.counts) >= settings.cubic_frames else 3
     unlocked = correct_pixel_locking(x_px, sheets.locking, frames, terms, settings)
     vibration, factor = np.zeros(len(x_px)), np.ones(x_px.shape[1])
-    if common_mode:
+    if common_mode and len(unlocked):
+        unlocked = unlocked - camera_pushes(unlocked, frames, settings)[:, None]
         residual = unlocked - fit_creep(unlocked, frames, terms, settings).at(frames)
         vibration = common_mode_motion(residual, settings)
         factor = common_mode_noise_factor(residual, settings)
