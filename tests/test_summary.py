@@ -100,6 +100,16 @@ def test_more_ridges_on_a_side_than_the_sample_has_sheets(picture):
     assert consistency_warnings(track_sheets(strip(ridges(comb(150, per_side=29))))) == []
 
 
+def test_a_part_of_one_side(picture):
+    """Sheets 7 to 25 of the right side. A failure means that they count as 1 to 19 without a word."""
+    tracks = track_sheets(picture[:, int(AXIS + 6 * PITCH) :])
+    (line,) = consistency_warnings(tracks, assumed=PUBLISHED)
+    assert "19 of 25 sheets of one side in view" in line
+    assert "`axis_px`" in line
+    told = tracks.assign_attrs(axis_how="given")
+    assert consistency_warnings(told, assumed=PUBLISHED) == []
+
+
 @pytest.fixture(scope="module")
 def wrong_d0():
     """The film that began at 16.6 mm, read as if at 13."""

@@ -196,6 +196,12 @@ def consistency_warnings(
         )
     most = ridges_per_side(tracks)
     used = sample or assumed
+    one_side = len(np.unique(tracks["side"].values)) == 1
+    if used is not None and one_side and most < used.sheets_per_block and found.axis_how != "given":
+        lines.append(
+            f"{most} of {used.sheets_per_block} sheets of one side in view: n counts from the innermost;"
+            " give `axis_px` if others lie between it and the axis"
+        )
     if used is not None and most > used.sheets_per_block:
         how = "given" if sample is not None else "assumed"
         lines.append(
@@ -233,7 +239,8 @@ def shells_against_fits(
     return [
         f"M_eff of the fits ({fitted:.1f}) lies outside the stiff shell's interval ({shell}) in"
         f" {outside.sum()} of {len(known)} stick phases and sides:"
-        " check `d0_mm`, the sample's geometry, `sheets_per_block` and `threshold`"
+        " check `d0_mm`, `pixel_size_um`, `axis_px`, the sample's geometry, `sheets_per_block` and"
+        " `threshold`"
     ]
 
 

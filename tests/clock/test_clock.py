@@ -1,6 +1,7 @@
 """synchronise(): tracks and a force recording in, one clock or an honest refusal out."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -81,6 +82,34 @@ def with_video_time(force, *, rate=0.999958, first_s=8.0853, every=7):
     video = rate * force["time_s"].to_numpy() + first_s
     stale = video[np.arange(len(video)) // every * every]
     return force.assign(video_time_s=("time_s", stale))
+
+
+@pytest.mark.parametrize("rate", [1.003, 1.012, 0.985])
+def test_a_wrong_frame_rate_is_said(recorded, rate):
+    """A failure means that a rate wrong by 0.3 % passes in silence, or one wrong by 1 % for another test."""
+    seen, force, sticks = recorded
+    film = seen.assign_coords(time_s=seen["time_s"] * rate).assign_attrs(fps=20 / rate)
+    try:
+        clock = synchronise(film, force, sticks)
+    except InputError as error:
+        told = str(error)
+    else:
+        assert (clock.status == "ok") == (rate == 1.003)
+        (told,) = clock.warnings
+    assert "`fps`" in told
+    found, given = re.search(r"agree at ([\d.]+) frames/s in place of ([\d.]+)", told).groups()
+    assert float(given) == pytest.approx(20 / rate, rel=1e-4)
+    assert float(found) == pytest.approx(20, rel=2e-4)
+
+
+def test_another_test_suggests_no_frame_rate(recorded):
+    """A failure means that a film that does not belong to the force is said to do so at another rate."""
+    _, force, sticks = recorded
+    for seed in (11, 12, 13):
+        rng = np.random.default_rng(seed)
+        clock = synchronise(tracks(rng, slip_times(rng, 110, period_s=0.61), stop_s=70.0), force, sticks)
+        assert clock.status == "ambiguous"
+        assert "frames/s" not in clock.warnings[0]
 
 
 def test_a_column_of_video_times_decides(recorded):

@@ -39,6 +39,38 @@ def test_one_side_in_view_tells_drift_from_creep():
     assert abs(careless.mean()) > 0.01
 
 
+@pytest.mark.parametrize("within", [0.0, 0.4])
+def test_one_side_before_a_camera_that_is_pushed(within):
+    """Pushed at slips, or within sticks.  A failure means that sheets seem to move in all sticks around, or
+    in that one where positions are missing."""
+    made = make(profile(np.full(40, 6.0)), stick_um=10.0, noise_px=0.02, missing=0.3)
+    still, usual, _ = one_side(made)
+    begin, length = made.sticks["t_v_s"].to_numpy() - 5, np.diff(made.sticks["t_v_s"]).mean()
+    pushes = zip((9, 20, 33), (4.0, -3.0, 6.0), strict=True)
+    pushed_px = sum(px * (made.tracks["time_s"] > begin[k] + within * length) for k, px in pushes)
+    made.tracks["x_px"] = made.tracks["x_px"] + pushed_px
+    wrong, stated, _ = one_side(made)
+    assert abs(wrong.mean()) < 0.002
+    assert wrong.std() < 1.1 * still.std()
+    assert np.median(stated) < 1.1 * np.median(usual)
+    assert 0.62 < np.mean(np.abs(wrong) < stated) < 0.80
+
+
+def test_one_side_with_sheets_that_are_seldom_seen():
+    """A failure means that a sheet seen in two sticks says how the camera drifts: σ_x/Λ_st of 5 with an error
+    of 0.02."""
+    made = make(profile(np.full(40, 6.0)), frames=9.0, noise_px=0.02)
+    rng = np.random.default_rng(2)
+    seen = np.ones(made.tracks["x_px"].shape, bool)
+    for sheet in (28, 33, 41, 44):
+        seen[:, sheet] = rng.random(len(seen)) < 0.15
+    made.tracks["x_px"] = made.tracks["x_px"].where(seen)
+    wrong, stated, _ = one_side(made)
+    known = np.isfinite(wrong)
+    assert np.abs(wrong[known]).max() < 0.1
+    assert 0.62 < np.mean(np.abs(wrong[known]) < stated[known]) < 0.80
+
+
 def test_one_side_that_creeps_alike_says_nothing_of_drift():
     """A failure means that a drift is invented from sheets that all do the same, or errors ignore it."""
     made = make(uniform(1.0, 20.0, events=20), noise_px=0.02, vibration_px=0.1)
@@ -85,6 +117,31 @@ def test_sides_that_differ_before_a_still_camera_are_not_biased(noise_px):
     assert abs(wrong[:, left].mean()) < 0.0005
     assert abs(wrong[:, ~left].mean()) < 0.0005
     assert 0.60 < np.mean(np.abs(wrong) < motion["ratio_err"].to_numpy()) < 0.75
+
+
+def test_shells_that_differ_between_the_sides():
+    """8 stiff sheets left and 16 right.  A failure means that what the inner sheets differ by passes for
+    movement of the camera, with errors that do not know."""
+    left, right = (make(profile(np.full(30, m)), noise_px=0.02, seed=3) for m in (8.0, 16.0))
+    of_right = (left.tracks["side"] > 0).to_numpy()
+    tracks = left.tracks.assign(x_px=left.tracks["x_px"].where(~of_right, right.tracks["x_px"]))
+    motion = horizontal_deformation(tracks, left.sticks, Clock(), pixel_size_um=PIXEL_UM)
+    wrong = motion["ratio_signed"].to_numpy() - np.where(of_right, right.ratio, left.ratio)
+    assert np.abs(wrong.mean(axis=0)).max() < 0.004
+    assert 0.60 < np.mean(np.abs(wrong) < motion["ratio_err"].to_numpy()) < 0.80
+
+
+def test_a_camera_that_bends_with_every_stick_and_springs_back():
+    """A failure means that movement of the camera is left in, as it leaves the sheets where they were."""
+    made = make(profile(np.full(30, 8.0)), noise_px=0.02)
+    begin, end = (made.sticks[name].to_numpy() for name in ("t_v_s", "t_p_s"))
+    time_s = 5 + made.tracks["time_s"].to_numpy()
+    stick = np.clip(np.searchsorted(begin, time_s) - 1, 0, 29)
+    bent_px = 0.5 * (time_s - begin[stick]) / (end - begin)[stick]
+    made.tracks["x_px"] = made.tracks["x_px"] + bent_px[:, None]
+    wrong, stated = errors(made, measure(made))
+    assert abs(wrong.std() - stated.mean()) < 0.2 * stated.mean()
+    assert measure(made)["drift_um"].median() == pytest.approx(5.0, abs=0.3)
 
 
 def test_sides_that_differ_are_not_made_alike():
@@ -134,5 +191,6 @@ def test_pairs_where_the_sides_are_numbered_unlike(shift):
     side = np.r_[np.full(12, -1), np.ones(12, int)]
     middle = 20.0 * np.r_[-n_left, n_right][None] * np.ones((6, 1))
     slope = np.r_[(n_left + shift) ** 2, -(n_right**2)] * 0.01 * np.linspace(1, 2, 6)[:, None]
-    pairs = BothSides.of(side, np.r_[n_left, n_right], middle, slope, DeformationSettings())
+    still = np.zeros_like(slope)
+    pairs = BothSides.of(side, np.r_[n_left, n_right], middle, slope, still, DeformationSettings())
     np.testing.assert_allclose(slope[:, pairs.left] + slope[:, pairs.right], 0, atol=1e-12)

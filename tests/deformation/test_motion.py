@@ -301,6 +301,22 @@ def test_a_stick_without_length_has_no_ratio():
     assert np.isfinite(motion["ratio"][[0, 2, 3]]).all()
 
 
+def test_misplaced_ends_of_sticks_are_no_error_of_the_ratio():
+    """10 ms, 2 % of a stick, at either end.  A failure means that errors hold nearly all truths of the sheets
+    that move most."""
+    made = make(profile(np.full(40, 8.0)), noise_px=0.02)
+    rng, speed = (
+        np.random.default_rng(5),
+        made.sticks["stick_length_um"] / np.diff(made.sticks[["t_v_s", "t_p_s"]])[:, 0],
+    )
+    made.sticks["t_v_s"] += np.abs(rng.normal(0, 0.01, 40))
+    made.sticks["t_p_s"] -= np.abs(rng.normal(0, 0.01, 40))
+    made.sticks["stick_length_um"] = speed * np.diff(made.sticks[["t_v_s", "t_p_s"]])[:, 0]
+    made.sticks["stick_length_err_um"] = speed * 0.014
+    wrong, stated = errors(made, measure(made))
+    assert 0.62 < np.mean(np.abs(wrong) < stated) < 0.74
+
+
 def test_error_of_the_stick_length_counts_where_it_is_known():
     """A failure means that an uncertain stick length passes for a certain one."""
     made = make(uniform(5.0, 20.0, events=4), noise_px=0.02, shape=straight)

@@ -232,16 +232,28 @@ def _from_slips(
             need = f"at least {settings.least_slips} slips to set the clocks by"
             raise InputError(about, need, f"{len(slips)}", "give `offset_s`")
     found = align(_slip_trains(seen, drops, settings), settings)
+    strip = StripMetadata.of(tracks)
+    rate = _other_rate(found) if found.ambiguity and strip.clock_kind != "file" else math.nan
+    advice = "" if math.isnan(rate) else f"the slips agree at {_frame_rate(strip, rate)}: check `fps`"
     if found.fits.log_likelihood[0] <= 0:
         raise InputError(
             video,
             "slips at the same times as in the force recording",
             f"{len(seen)} slips that coincide with none of its {len(drops)} at any offset",
-            "check whether the two files belong together, or give `offset_s`",
+            advice or "check whether the two files belong together and `fps`, or give `offset_s`",
         )
     error, drift_error, offset_error = found.errors()
     clocks, fits = found.clocks, found.fits
     facts = clocks.offset_s, 1e6 * clocks.drift, fits.log_likelihood, fits.matched
+    drift = float(clocks.drift[0])
+    warnings = (
+        [f"clocks ambiguous: {found.ambiguity}; {advice or 'give `offset_s`'}"] if found.ambiguity else []
+    )
+    if not found.ambiguity and abs(drift) - 2 * drift_error > 1e-6 * settings.usual_drift_ppm:
+        warnings.append(
+            f"the clocks of film and machine differ by {100 * drift:+.2f} %, more than clocks do: they agree"
+            f" at {_frame_rate(strip, 1 + drift)}, check `fps`"
+        )
     return replace(
         _compared(clocks, fits, "events"),
         margin=found.margin,
@@ -254,8 +266,27 @@ def _from_slips(
             for a, b, c, m in zip(*(fact[:5] for fact in facts), strict=True)
         ),
         ambiguity=found.ambiguity,
-        warnings=(f"clocks ambiguous: {found.ambiguity}; give `offset_s`",) if found.ambiguity else (),
+        warnings=tuple(warnings),
     )
+
+
+def _other_rate(found: Alignments) -> float:
+    """Rate of the force clock against the camera's, beyond the drifts that are searched, at which the slips
+    align without ambiguity; NaN where there is none."""
+    trains, step = found.trains, 1.8e-6 * found.settings.largest_drift_ppm
+    for steps in (1, -1, 2, -2, 3, -3):
+        rate = 1 + steps * step
+        other = align(replace(trains, video_s=rate * trains.video_s), found.settings)
+        if not other.ambiguity:
+            return float(rate * (1 + other.clocks.drift[0]))
+    return math.nan
+
+
+def _frame_rate(strip: StripMetadata, rate: float) -> str:
+    """The frame rate at which the camera's clock would go as the machine's, which goes at `rate` now."""
+    if not math.isfinite(strip.fps):
+        return f"{1 / rate:.4f} times the frame rate"
+    return f"{strip.fps / rate:.5g} frames/s in place of {strip.fps:.5g}"
 
 
 def _compared(clocks: CandidateClocks, fits: ClockFits, how: How) -> Clock:

@@ -103,6 +103,10 @@ class ClockSettings:
     """Standard errors of the correlation of neighbouring residuals from which on the clocks do not differ by
     an offset and a rate alone. Without it, 18 of 24 recordings that lost a frame unnoticed were accepted, in
     place of 4; `test_unreported_lost_frames_are_not_believed_blindly`."""
+    usual_drift_ppm: float = 500.0
+    """Difference of the clocks' rates from which on, by two standard errors, a warning doubts the frame rate.
+    Larger → a rate that is wrong by a thousandth passes; smaller → poor but honest clocks get a warning.
+    `test_a_wrong_frame_rate_is_said`."""
     contradiction_sigma: float = 3.0
     """Standard errors between a given clock and that of the slips from which on a warning is given."""
 

@@ -50,6 +50,24 @@ def _spread_and_weight(residual: Floats) -> tuple[Floats, Floats]:
     return spread, np.where(np.isfinite(spread), spread**-2, 0.0)
 
 
+def camera_pushes(x_px: Floats, frames: StickFrames, settings: DeformationSettings) -> Floats:
+    """How far the camera was pushed since each stick's first frame, to the right, px, (F,).
+
+    A push moves all sheets alike, from one frame to the next or the one after; what moves more often is
+    vibration. x_px: positions in the frames of the sticks, (F, sheet).
+    """
+    step_px, step_s = np.diff(x_px, axis=0), np.diff(frames.since_s)
+    same = np.diff(frames.row) == 0
+    common_px = np.where(same, nan_median(step_px, axis=1), np.nan)
+    common_px = common_px - nan_median((common_px / step_s)[:, None])[0] * step_s
+    unlike_px = nan_median(np.abs(step_px - nan_median(step_px, axis=1)[:, None]), axis=1)
+    pushed = np.r_[False, _stray(common_px, settings) & (np.abs(common_px) > 3 * unlike_px)]
+    pushed &= frames.sums(pushed)[frames.row] <= 2
+    moved_px = np.cumsum(np.where(pushed, np.r_[0.0, common_px], 0.0))
+    first = np.searchsorted(frames.row, frames.row)
+    return np.asarray(moved_px - moved_px[first])
+
+
 # --- drift --------------------------------------------------------------------------------------------------
 
 
@@ -74,7 +92,10 @@ def drift_model(
     line: fitted to the positions without vibration.  side, n: of the sheets in order of place.  vibration_px:
     of `common_mode_motion`, (F,).
     """
-    both = BothSides.of(side, n, line.coefficient[..., 0], line.coefficient[..., 1], settings)
+    middle_px, slope_px = line.coefficient[..., 0], line.coefficient[..., 1]
+    rate = np.diff(middle_px, axis=0) / np.diff(frames.middle_s)[:, None]
+    slow_px = nan_median(rate) * frames.length_s[:, None] / 2
+    both = BothSides.of(side, n, middle_px, slope_px, slow_px, settings)
     return both if both.enough else OneSide.of(line, n, frames, vibration_px, settings)
 
 
@@ -84,23 +105,31 @@ class BothSides:
 
     left: Ints
     right: Ints
+    slow_px: Floats  # half the movement to the right by the mean positions in all sticks, (stick, sheet)
     least_pairs: int
     movement = "vibration and drift taken off"
 
     @classmethod
     def of(
-        cls, side: Ints, n: Ints, middle_px: Floats, slope_px: Floats, settings: DeformationSettings
+        cls,
+        side: Ints,
+        n: Ints,
+        middle_px: Floats,
+        slope_px: Floats,
+        slow_px: Floats,
+        settings: DeformationSettings,
     ) -> BothSides:
         """Pairs by number, overlooked sheets (gaps) counted; by creep, where that puts the axis elsewhere.
 
-        middle_px, slope_px: mean position, and half the movement to the right, (stick, sheet).
+        middle_px, slope_px: mean position, and half the movement to the right, (stick, sheet).  slow_px: that
+        half from the mean positions in other sticks.
         """
         left, right = np.flatnonzero(side < 0), np.flatnonzero(side > 0)
         n = n + np.where(side < 0, _missing(middle_px, left[::-1]), _missing(middle_px, right))
         found = []
         for shift in (0, -2, -1, 1, 2):  # sheets by which left and right may be numbered unlike
             _, first, second = np.intersect1d(n[left] + shift, n[right], return_indices=True)
-            found.append(cls(left[first], right[second], settings.least_pairs))
+            found.append(cls(left[first], right[second], slow_px, settings.least_pairs))
         unlike = np.array([each.asymmetry_px(slope_px) for each in found])
         return found[np.argmin(unlike) if unlike.min() < 0.5 * unlike[0] else 0]
 
@@ -124,8 +153,9 @@ class BothSides:
         asymmetry.  The part of it that all pairs share, as a share of their creep (one side creeps less than
         the other), is found from how half the sums go with the creep within each stick: the camera moves all
         pairs alike.  What is left is larger the nearer the axis, as where a sheet was overlooked on one side;
-        it is measured from how the pairs disagree, and the nearly still inner sheets lead.  `slow` is not
-        needed with both sides in view.
+        it is measured from how the pairs disagree, and the nearly still inner sheets lead.  `slow`: whether
+        a camera that moves alike in all sticks must show in the sheets' mean positions, too.  Where it does
+        not, it may as well be one side that creeps more: that is part of the error.
         """
         left, right = coefficient[:, self.left], coefficient[:, self.right]
         noise = (error[:, self.left] ** 2 + error[:, self.right] ** 2) / 4
@@ -144,7 +174,24 @@ class BothSides:
         random = np.divide(1, total, out=np.zeros_like(total), where=total > 0)
         together = np.hypot(pair.common_asymmetry(value, weight), sides_err)
         together = together * (share * pair.step).sum(axis=1)
-        return Drift(value, np.sqrt(random + together**2), of_sheet)
+        shift, shift_err = self._alike_in_all(value, random, share, all_pairs) if slow else (0.0, 0.0)
+        return Drift(value + shift, np.sqrt(random + together**2 + shift_err**2), of_sheet)
+
+    def _alike_in_all(
+        self, value: Floats, random: Floats, share: Floats, pairs: _Pairs
+    ) -> tuple[float, float]:
+        """By how much the drift is to be changed in all sticks alike, and the error of that.
+
+        Between none and what makes it agree with where the sheets are in the sticks before and after, as far
+        as noise does not explain that; but within what the pair that creeps least leaves, whose sheets do
+        not creep outwards.
+        """
+        slow = (self.slow_px[:, self.left] + self.slow_px[:, self.right]) / 2
+        away = float(np.median((share * np.nan_to_num(slow)).sum(axis=1) - value))
+        noise = np.pi / 2 * float(np.median(random)) / len(value)  # of a median
+        away = np.sign(away) * np.sqrt(max(away**2 - noise, 0.0))
+        ends = np.clip((0.0, away), *pairs.allowed(value))
+        return float(ends.mean()), float(abs(ends[1] - ends[0])) / 2
 
 
 @dataclass(frozen=True)
@@ -167,6 +214,19 @@ class _Pairs:
         quiet = known & (noise <= 9 * np.median(noise[known])) if known.any() else known
         middle, step, noise = (np.where(known, part, 0.0) for part in (middle, step, noise))
         return cls(middle, step, noise, known, quiet)
+
+    def allowed(self, value: Floats) -> tuple[float, float]:
+        """Least and most by which the drift may be changed in all sticks alike without either sheet of the
+        pair that creeps least creeping outwards, in the middle stick and within two standard errors."""
+        step, apart, noise = (
+            nan_median(np.where(self.known, part, np.nan))
+            for part in (self.step, self.middle - value[:, None], self.noise)
+        )
+        if not np.isfinite(step).any():
+            return 0.0, 0.0
+        least = np.nanargmin(np.abs(step))
+        creep = abs(step[least]) + 2 * np.sqrt(np.pi / 2 * noise[least] / self.known[:, least].sum())
+        return float(apart[least] - creep), float(apart[least] + creep)
 
     def difference_of_sides(self, weight: Floats) -> tuple[float, float]:
         """Half the sums as a share of the creep, the same for all pairs, and its error from noise.
@@ -231,8 +291,10 @@ class OneSide:
         away = np.abs(stick[:, None] - stick)
         near = np.maximum(1 - away / (settings.neighbouring_sticks + 1.0), 0.0)
         middle_px, slope_px = line.coefficient[..., 0], line.coefficient[..., 1]
+        near = near * ~_stray(nan_median(slope_px - nan_median(slope_px), axis=1), settings)
         profile_px = _mean(near * (away > 0), slope_px)
-        slow_px_s = _at_axis(_rate(near, frames.middle_s, middle_px), n, profile_px)
+        rest_px = middle_px - _pushed_between(middle_px, frames.middle_s, settings)[:, None]
+        slow_px_s = _at_axis(*_rate(near, frames.middle_s, rest_px), n, profile_px)
         variance_px2 = float((vibration_px**2).sum()) / max(vibration_px.size, 1)
         white_px = np.sqrt(3 * variance_px2 / np.maximum(frames.counts, 1))
         return cls(profile_px, slow_px_s * frames.length_s / 2, near, white_px, settings)
@@ -263,6 +325,23 @@ class OneSide:
         )
 
 
+def _pushed_between(middle_px: Floats, middle_s: Floats, settings: DeformationSettings) -> Floats:
+    """How far the camera was pushed between sticks since the first one, px, (stick,)."""
+    known = np.flatnonzero(np.isfinite(middle_px).any(axis=1))
+    between_s = np.diff(middle_s[known])[:, None]
+    shift_px = np.diff(middle_px[known], axis=0)
+    common_px = nan_median(shift_px - nan_median(shift_px / between_s) * between_s, axis=1)
+    pushed_px = np.zeros(len(middle_px))
+    pushed_px[known[1:]] = np.where(_stray(common_px, settings), common_px, 0.0)
+    return np.cumsum(pushed_px)
+
+
+def _stray(common_px: Floats, settings: DeformationSettings) -> Bools:
+    """Where what all sheets do together is unlike all else: the camera was pushed, (n,)."""
+    away = np.abs(common_px)
+    return np.asarray(away > settings.jump_spreads * nan_median(away[:, None])[0])
+
+
 def _mean(near: Floats, value: Floats) -> Floats:
     """Weighted mean over the neighbouring sticks, (stick, sheet); NaN without any."""
     known = np.isfinite(value)
@@ -270,24 +349,27 @@ def _mean(near: Floats, value: Floats) -> Floats:
     return np.where(count > 0, near @ np.where(known, value, 0.0) / np.maximum(count, 1e-300), np.nan)
 
 
-def _rate(near: Floats, time_s: Floats, value: Floats) -> Floats:
-    """Slope of value (stick, sheet) against time, px/s, over the neighbouring sticks."""
-    time = np.broadcast_to(time_s[:, None], value.shape)
-    time = np.where(np.isfinite(value), time, np.nan)
+def _rate(near: Floats, time_s: Floats, value: Floats) -> tuple[Floats, Floats]:
+    """Slope of value (stick, sheet) against time, px/s, over the neighbouring sticks, and its weight, which
+    is less for sheets that few of them show."""
+    known = np.isfinite(value)
+    time = np.where(known, time_s[:, None], np.nan)
     product, square = (
         _mean(near, time * part) - _mean(near, time) * _mean(near, part) for part in (value, time)
     )
+    weight = np.nan_to_num(square) * (near @ known)
+    weight = weight / np.maximum(weight.max(axis=1, keepdims=True), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return product / square
+        return product / square, np.where(weight > 1e-6, weight, 0.0)
 
 
-def _at_axis(rate: Floats, n: Ints, profile: Floats) -> Floats:
+def _at_axis(rate: Floats, weight: Floats, n: Ints, profile: Floats) -> Floats:
     """Rate (stick, sheet) extrapolated to a sheet on the axis that does not creep, (stick,)."""
-    known = np.isfinite(rate) & np.isfinite(profile)
+    weight = np.where(np.isfinite(rate) & np.isfinite(profile), weight, 0.0)
     design = np.stack(
         [np.ones(rate.shape), np.broadcast_to(n - 0.5, rate.shape), np.nan_to_num(profile)], axis=-1
     )
-    design = design * known[..., None]
-    matrix = np.einsum("esa,esb->eab", design, design) + 1e-9 * np.eye(3)
-    right = np.einsum("esa,es->ea", design, np.where(known, rate, 0.0))
+    weighted = design * weight[..., None]
+    matrix = np.einsum("esa,esb->eab", weighted, design) + 1e-9 * np.eye(3)
+    right = np.einsum("esa,es->ea", weighted, np.where(weight > 0, rate, 0.0))
     return np.linalg.solve(matrix, right[..., None])[:, 0, 0]

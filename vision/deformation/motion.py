@@ -13,6 +13,7 @@ from vision.data import MOTION, STICKS, TRACKS, MotionMetadata, StripMetadata, T
 from vision.deformation.common_mode import (
     BothSides,
     OneSide,
+    camera_pushes,
     common_mode_motion,
     common_mode_noise_factor,
     drift_model,
@@ -33,7 +34,9 @@ from vision.deformation.creep import (
 )
 from vision.deformation.settings import DeformationSettings
 from vision.errors import InputError
-from vision.numeric import Bools, Floats, Ints, nan_median
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
+
+LEAST_STEADY = 5  # sticks that tell whether the pull is steady
 
 
 def horizontal_deformation(
@@ -107,7 +110,8 @@ def horizontal_deformation(
     Errors rest on the residuals of each sheet with their autocorrelation.  For positions measured in a
     picture they hold unequal pixels and unequal magnification too, and positions of the publication's fit
     are corrected for pixel locking first, except in ``sigma_x_um``.  The error of the pixel size is not in
-    them, nor that of the stick length where `sticks` does not state it.
+    them, nor that of the stick length where `sticks` does not state it or the pull is steady: where the ends
+    of a stick are misplaced, σ_x and Λ_st change alike.
 
     Source: paper, horizontal deformation by image processing.
     """
@@ -291,7 +295,8 @@ def _measure(
     terms = 4 if np.median(frames.counts) >= settings.cubic_frames else 3
     unlocked = correct_pixel_locking(x_px, sheets.locking, frames, terms, settings)
     vibration, factor = np.zeros(len(x_px)), np.ones(x_px.shape[1])
-    if common_mode:
+    if common_mode and len(unlocked):
+        unlocked = unlocked - camera_pushes(unlocked, frames, settings)[:, None]
         residual = unlocked - fit_creep(unlocked, frames, terms, settings).at(frames)
         vibration = common_mode_motion(residual, settings)
         factor = common_mode_noise_factor(residual, settings)
@@ -408,15 +413,30 @@ def _without_drift(
 # --- output -------------------------------------------------------------------------------------------------
 
 
+def _length_err_um(events: pd.DataFrame) -> Floats:
+    """Error of the stick lengths at the given ends, µm, (stick,).
+
+    A stick whose ends are misplaced is longer or shorter for the sheets, too, and σ_x/Λ_st remains. So
+    lengths count as far as they differ from those of a steady pull between the same ends.
+    """
+    length = events["stick_length_um"].to_numpy(float)
+    if "stick_length_err_um" not in events:
+        return np.zeros(length.shape)
+    stated: Floats = np.nan_to_num(events["stick_length_err_um"].to_numpy(float))
+    if len(length) < LEAST_STEADY:
+        return stated
+    speed = length / (events["t_p_s"] - events["t_v_s"]).to_numpy(float)
+    uneven = nan_median(np.abs(speed / nan_median(speed[:, None])[0] - 1)[:, None])[0] / NORMAL_MEDIAN
+    return np.asarray(np.fmin(stated, uneven * length), float)
+
+
 def _dataset(
     events: pd.DataFrame, found: _Deformation, pixel_size_um: float, settings: DeformationSettings
 ) -> xr.Dataset:
     """In µm and over the stick lengths, with flags; what is negative becomes 0 unless it is sure."""
     length = events["stick_length_um"].to_numpy(float)[:, None]
     length = np.where(length > 0, length, np.nan)
-    length_err = np.zeros(length.shape)
-    if "stick_length_err_um" in events:
-        length_err = np.nan_to_num(events["stick_length_err_um"].to_numpy(float))[:, None]
+    length_err = _length_err_um(events)[:, None]
     signed, error = found.signed_px * pixel_size_um, found.error_px * pixel_size_um
     outward = signed < -settings.outward_errors * error
     size = np.where(outward, -signed, np.maximum(signed, 0))
