@@ -128,8 +128,8 @@ PACKAGES = tuple(place for place in sys.path if place)
 """Where the process finds packages. Not as it is later: while OpenCV is imported, in another thread perhaps,
 its own folders come first, and one of them holds a `typing` that is not Python's."""
 
-# Lines of Python that read every value of the file at `path` and keep none.
-READ_MATLAB = "from scipy.io import loadmat; loadmat(path, squeeze_me=True, struct_as_record=True)"  # 4 and 5
+# Lines of Python that read every value of the file at `path` and keep none; MATLAB of versions 4 and 5.
+READ_MATLAB = "from scipy.io import loadmat; loadmat(path, squeeze_me=True, struct_as_record=True)"
 READ_HDF5 = """
 import h5py
 def visit(name, item):

@@ -111,7 +111,7 @@ class Effects:
 
     def _event_at(self, row: int, clock: Clock | None = None) -> int | None:
         """The stick in which a frame lies, where the clock is sure."""
-        clock, events = clock or self.run.clock, self.run.found.events
+        clock, events = clock or self.run.clock, self.run.stored.events
         if clock is None or events is None or clock.status not in READY:
             return None
         time_s = float(clock.to_force_s(self.run.positions.time_s[row]))
@@ -124,10 +124,10 @@ class Effects:
         Raises: InputError without a force recording.
         """
         decision = self.run.decision_of({"kind": "clock", "offset_s": offset_s, "drift_ppm": drift_ppm})
-        if self.run.found.events is None:
+        if self.run.stored.events is None:
             raise InputError("the clock", "a run with a force recording", "none")
         with self.run.lock:
-            clock = decided_clock(self.run.found.clock, decision)
+            clock = decided_clock(self.run.stored.clock, decision)
             by_it = {"sticks": self.run.sticks(clock), "slips": self.run.slips(clock)}
             if not isinstance(frame, int):
                 return by_it
@@ -214,7 +214,7 @@ class Effects:
 
     def _near(self, event: int, clock: Clock | None = None) -> Near:
         """The stick with those around it.  Raises: InputError where clock or events are missing or unsure."""
-        clock, events = clock or self.run.clock, self.run.found.events
+        clock, events = clock or self.run.clock, self.run.stored.events
         if clock is None or events is None:
             raise InputError("the run", "a force recording and its clock", "none", "give `force` to track")
         if clock.status not in READY:
@@ -242,7 +242,7 @@ class Effects:
                 positions.tracks(near.rows),
                 near.sticks,
                 near.clock,
-                pixel_size_um=self.run.found.pixel_size_um,
+                pixel_size_um=self.run.stored.pixel_size_um,
                 common_mode=settings.common_mode,
                 settings=settings.tuning.deformation,
             )

@@ -39,7 +39,7 @@ COLUMNS = ("event", "t_v_s", "t_p_s", "stick_length_um")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class StoredRun:
     """What a run folder holds, read once."""
 
     folder: Path
@@ -50,7 +50,7 @@ class Found:
     events: pd.DataFrame | None = None
 
     @classmethod
-    def of(cls, folder: Path) -> Found:
+    def of(cls, folder: Path) -> StoredRun:
         """Raises: InputError for a folder that is no run of a video, or a damaged one."""
         stamp, facts = _stamp(folder), read_json(folder / MARK)
         clock = folder / "clock.json"
@@ -408,8 +408,8 @@ class Film:
 class Recordings:
     """Film and force of a run, each opened at the first need; `moved` is where the film lies now."""
 
-    def __init__(self, found: Found, settings: Settings, moved: Path | None) -> None:
-        self.found, self.settings, self.moved = found, settings, moved
+    def __init__(self, stored: StoredRun, settings: Settings, moved: Path | None) -> None:
+        self.stored, self.settings, self.moved = stored, settings, moved
         self._lock = Lock()
         self._film: Film | InputError | None = None
         self._force: xr.Dataset | None = None
@@ -420,7 +420,7 @@ class Recordings:
         with self._lock:
             if self._film is None:
                 try:
-                    path = input_of(self.found.folder, self._input(0), self.moved)
+                    path = input_of(self.stored.folder, self._input(0), self.moved)
                     self._film = Film(open_recording(path, self.settings))
                 except InputError as error:
                     self._film = error
@@ -430,10 +430,10 @@ class Recordings:
 
     def _input(self, place: int) -> Mapping[str, Any]:
         """The film's entry among run.json's inputs (0), or the force recording's (-1)."""
-        inputs = self.found.facts.get("inputs") or []
-        force = self.found.parameters.get("force")
+        inputs = self.stored.facts.get("inputs") or []
+        force = self.stored.parameters.get("force")
         if not inputs or (place and (force is None or not force.value)):
-            raise InputError(self.found.folder, "a film and a force recording", "none in its run.json")
+            raise InputError(self.stored.folder, "a film and a force recording", "none in its run.json")
         return dict(inputs[place])
 
     def picture(self, frame: int, time_s: float) -> Grey:
@@ -451,7 +451,7 @@ class Recordings:
         points.  Raises: InputError where there is none."""
         with self._lock:
             if self._force is None:
-                path = input_of(self.found.folder, self._input(-1))
+                path = input_of(self.stored.folder, self._input(-1))
                 self._force = open_force(path, self.settings)[["load_N", "d_mm"]]
         time_s = self._force["time_s"].to_numpy()
         a, b = np.searchsorted(time_s, [first_s, stop_s])

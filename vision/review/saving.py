@@ -280,7 +280,7 @@ class Trial:
         run = self.run
         with run.lock:
             place = self._ready()
-            run.found.check_there()
+            run.stored.check_there()
             try:
                 put_in_place(place, run.folder.resolve(), overwrite=True)
             except OSError as error:

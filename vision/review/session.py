@@ -29,9 +29,9 @@ from vision.review.positions import (
     take_back,
     usual_places,
 )
-from vision.review.recordings import Diagram, Found, Recordings, Tiles, claim, decided_clock
+from vision.review.recordings import Diagram, Recordings, StoredRun, Tiles, claim, decided_clock
 from vision.review.saving import SaveJob, Saver, Trial, pack, unpack
-from vision.review.tracks_file import Stored, read_tracks
+from vision.review.tracks_file import StoredTracks, read_tracks
 from vision.run.folder import plain, whole_file
 from vision.run.reading import AGAIN
 from vision.run.writing import CORRECTIONS
@@ -77,7 +77,7 @@ class Session:
         *,
         film: Path | None = None,
         options: Mapping[str, str] | None = None,
-        tracks: Future[Stored] | None = None,
+        tracks: Future[StoredTracks] | None = None,
     ) -> None:
         self.folder, self.settings, self.options = folder, settings, dict(options or {})
         self.saver, self.effects, self.trial = Saver(), Effects(self), Trial(self)
@@ -90,26 +90,26 @@ class Session:
             with reading(folder, "a run folder as track writes it", AGAIN):
                 self._load(tracks)
                 self.revision = 0  # whatever was taken up: pages know it from the first view
-                self.recordings = Recordings(self.found, settings, film)
+                self.recordings = Recordings(self.stored, settings, film)
         except BaseException:
             self._claim.close()
             raise
 
-    def _load(self, tracks: Future[Stored] | None = None) -> None:
+    def _load(self, tracks: Future[StoredTracks] | None = None) -> None:
         """Read the folder, then take up the decisions that its tables do not follow yet."""
-        self.found = Found.of(self.folder)
+        self.stored = StoredRun.of(self.folder)
         columns = self.settings.columns
         first = 0 if columns is None else columns.start or 0
         self.diagram = Diagram(self.folder / "kymograph.tif", first, self.settings.tuning.tracking)
         try:
-            self._take_up(tracks)
+            self._load_positions(tracks)
         except BaseException:
             self.diagram.close()
             raise
 
-    def _take_up(self, tracks: Future[Stored] | None) -> None:
+    def _load_positions(self, tracks: Future[StoredTracks] | None) -> None:
         """Positions, and the decisions about them."""
-        ridges = self.found.facts.get("found", {}).get("ridges", {}).get("polarity", "bright")
+        ridges = self.stored.facts.get("found", {}).get("ridges", {}).get("polarity", "bright")
         self.tiles = Tiles(self.diagram, bright=ridges == "bright")
         with ThreadPoolExecutor(1) as pool:  # while the tracks are tried out and read
             built = pool.submit(self.tiles.build)
@@ -119,7 +119,7 @@ class Session:
         if len(self.positions.frame) != self.diagram.frames:
             frames = f"{len(self.positions.frame)} rows, one per frame of tracks.nc"
             raise InputError(self.diagram.path, frames, f"{self.diagram.frames}", AGAIN)
-        self.applied = self.found.applied
+        self.applied = self.stored.applied
         path = self.folder / CORRECTIONS
         decided = read_decisions(path) if path.exists() else Decisions(corrections=tuple(self.applied))
         self.undone = list(decided.undone)
@@ -167,7 +167,7 @@ class Session:
 
     def job(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> SaveJob:
         """What makes the run follow these decisions.  Raises: InputError where the run is gone."""
-        self.found.check_there()
+        self.stored.check_there()
         strips = [last_of(part, "strip") for part in (self.applied, decisions)]
         same = len({one.rows if one else None for one in strips}) == 1  # else other positions were replaced
         return SaveJob(
@@ -175,7 +175,7 @@ class Session:
             settings=self.settings,
             applied=tuple(self.applied),
             decisions=self._as_written(decisions, undone),
-            clock=self.found.clock,
+            clock=self.stored.clock,
             film=self.recordings.moved,
             beside={REPLACED: pack(self._before)} if self._before and same else {},
             options=self.options,
@@ -282,13 +282,13 @@ class Session:
 
     def _write(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> None:
         """corrections.toml, whole and on the disk when this returns."""
-        self.found.check_there()
+        self.stored.check_there()
         text = corrections_text(self._as_written(decisions, undone))
         with whole_file(self.folder / CORRECTIONS, durable=True) as path:
             path.write_text(text, encoding="utf-8")
 
     def _as_written(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> Decisions:
-        checksum = self.found.film_checksum
+        checksum = self.stored.film_checksum
         return Decisions(corrections=tuple(decisions), undone=tuple(undone), film=checksum)
 
     # --- what is shown --------------------------------------------------------------------------------------
@@ -309,7 +309,7 @@ class Session:
                 "clock_kind": strip.clock_kind,
                 "columns": self.diagram.columns,
                 "first_column": self.diagram.first_column,
-                "pixel_size_um": self.found.pixel_size_um,
+                "pixel_size_um": self.stored.pixel_size_um,
                 "threshold": self.settings.threshold,
                 "strip": (decided and decided.rows) or (strip.strip_z0, strip.strip_z1),
                 "axis_px": facts.axis_px,
@@ -318,8 +318,8 @@ class Session:
                 "ridge_fwhm_px": facts.ridge_fwhm_px,
                 "ridges": facts.ridges,
                 "flags": FLAGS,
-                "has_force": self.found.events is not None,
-                "warnings": self.found.facts.get("warnings", []),
+                "has_force": self.stored.events is not None,
+                "warnings": self.stored.facts.get("warnings", []),
                 "sheets": self.sheets(),
                 "doubts": self.doubts(),
                 "sticks": self.sticks(),
@@ -374,12 +374,12 @@ class Session:
     @property
     def clock(self) -> Clock | None:
         """The run's, or the one that was decided on since."""
-        decided, own = last_of(self.pending, "clock"), self.found.clock
+        decided, own = last_of(self.pending, "clock"), self.stored.clock
         return own if decided is None else decided_clock(own, decided)
 
     def sticks(self, clock: Clock | None = None) -> list[dict[Any, Any]]:
         """Stick phases within the film, in frames of the film by the clock as it is."""
-        clock, events = clock or self.clock, self.found.events
+        clock, events = clock or self.clock, self.stored.events
         if clock is None or events is None:
             return []
         start, stop = (clock.to_video_s(events[name].to_numpy(float)) for name in ("t_v_s", "t_p_s"))
@@ -391,9 +391,9 @@ class Session:
     def slips(self, clock: Clock | None = None) -> list[int]:
         """First frames after the slips: of the force where its clock is sure, else of the sheets' steps."""
         clock, time_s = clock or self.clock, self.positions.time_s
-        if clock is None or self.found.events is None or clock.status not in READY:
+        if clock is None or self.stored.events is None or clock.status not in READY:
             return self.film_slips()
-        at = clock.to_video_s(self.found.events["t_p_s"].to_numpy(float))
+        at = clock.to_video_s(self.stored.events["t_p_s"].to_numpy(float))
         at = at[(at > np.nanmin(time_s)) & (at < np.nanmax(time_s))]
         return sorted({int(frame) for frame in self._frames_at(at)})
 

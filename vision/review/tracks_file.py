@@ -30,7 +30,7 @@ NEEDED = ("x_px", "x_err_px", "flag", "time_s", "side", "n", "frame")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stored:
+class StoredTracks:
     """What a tracks.nc holds.
 
     Parameters
@@ -48,7 +48,7 @@ class Stored:
     attrs: Mapping[str, Any]
 
 
-def read_tracks(path: Path, rows: slice = slice(None)) -> Stored:
+def read_tracks(path: Path, rows: slice = slice(None)) -> StoredTracks:
     """The file, or some of its frames.
 
     Raises
@@ -64,7 +64,7 @@ def read_tracks(path: Path, rows: slice = slice(None)) -> Stored:
         if facts["absent"]:
             raise InputError(path, WANTED, f"no {', '.join(facts['absent'])}", AGAIN)
         arrays = {one.stem: np.load(one) for one in Path(place).glob("*.npy")}
-    return Stored(arrays=arrays, words=facts["words"], attrs=facts["attrs"])
+    return StoredTracks(arrays=arrays, words=facts["words"], attrs=facts["attrs"])
 
 
 def unpack(path: str, place: str, begin: int, end: int) -> None:
