@@ -232,13 +232,17 @@ def pattern_moved(log_contrast: Floats, log_width: Floats) -> Ints:
     own, others = _unlikeness(before, after, 0), np.stack([_unlikeness(before, after, by) for by in SHIFTS])
     own, usual = np.where(own < np.inf, own, 0.0), np.median(own)
     found = np.flatnonzero((others.min(axis=0) < own / 3) & (own > 3 * usual))
-    for run in np.split(found, 1 + np.flatnonzero(np.diff(found) > 1)) if len(found) else ():
-        best = run[np.argmin(others.min(axis=0)[run] / own[run])]
-        near = looks[:, best : best + 2 * PATTERN_FRAMES]
+    events: list[int] = []
+    for frame in found[np.argsort(others.min(axis=0)[found] / own[found])].tolist():
+        if all(abs(frame - other) >= PATTERN_FRAMES for other in events):
+            events.append(frame)
+    for best in events:  # the medians tell to two frames when, each frame's own looks the rest
+        first, last = best + PATTERN_FRAMES // 2 + 1, best + PATTERN_FRAMES + PATTERN_FRAMES // 2
+        near = looks[:, first:last]
         as_before = np.broadcast_to(before[:, [best]], near.shape)
         each = np.stack([_unlikeness(as_before, near, by) for by in (0, *SHIFTS)])
-        moved[best : best + 2 * PATTERN_FRAMES] += np.array((0, *SHIFTS))[each.argmin(axis=0)]
-        moved[best + 2 * PATTERN_FRAMES :] += SHIFTS[int(np.argmin(others[:, best]))]
+        moved[first:last] += np.array((0, *SHIFTS))[each.argmin(axis=0)]
+        moved[last:] += SHIFTS[int(np.argmin(others[:, best]))]
     return moved
 
 
