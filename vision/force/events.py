@@ -7,12 +7,11 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
-import scipy
 import xarray as xr
 
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
 from vision.errors import InputError
-from vision.force.lines import curvature, fit_broken_lines, fit_lines, flat_ranges
+from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials, flat_ranges
 from vision.force.recording import is_compression
 from vision.force.settings import ForceSettings
 from vision.force.slips import (
@@ -34,7 +33,7 @@ from vision.force.sticks import (
     is_slow,
     measure_sticks,
 )
-from vision.numeric import Bools, Floats, nan_median
+from vision.numeric import Bools, Floats, mad_sigma, nan_median
 
 
 def find_stick_slip(
@@ -73,7 +72,7 @@ def find_stick_slip(
     -------
     Table with the columns of ``events.csv`` in order, then further ones; all are described in
     `vision.data.STICKS`. F_v and F_p are the stick line through the central 80 % extended to valley and peak,
-    within what was recorded there; beside slow slips the recorded extremes. K is the slope of the central
+    bent as all sticks are and within what was recorded there; beside slow slips the recorded extremes. K is the slope of the central
     half, K1 and K2 those before and after a knee. Lengths and stiffness are NaN where d is not known.
     ``flag`` is "ok" or, joined by "+", what is wrong within the stick (gap, nan, saturated, repeated,
     backwards, few (samples), falling, unloading), what the instrument cannot give (short, negative), or how
@@ -89,8 +88,9 @@ def find_stick_slip(
 
     Notes
     -----
-    Errors of forces and lengths hold the noise, the place of the corners, and what an uncorrected low-pass,
-    where one was found, changes in each event. Source: paper, section on stick-slip features.
+    Errors of forces and lengths hold the noise, the place of the corners, a quarter of what curved sticks
+    leave their lines by, what was recorded beyond them, and what an uncorrected low-pass, where one was
+    found, changes in each event. Source: paper, section on stick-slip features.
     """
     FORCE.check(force)
     metadata = ForceMetadata.of(force)
@@ -130,6 +130,7 @@ def find_stick_slip(
             "stick-slip: the force falls while the crosshead goes on",
             f"{unloading.size} falls, all while it goes back: push–pull cycles",
         )
+    signal = replace(signal, alike=_alike(signal, slips, settings))
     compliance = 1 / (machine_stiffness_N_per_mm or np.inf)
     events = measure_sticks(signal, corners, shown.extremes, tau, shown.bent, compliance, settings)
     stick_length = float(nan_median(events["stick_length_um"].to_numpy(float)))
@@ -250,15 +251,31 @@ def _above_slow_drops(
         return None
     clear = find_slips(signal.clean, signal.sigma, threshold=gap, settings=settings)
     lines = stick_lines(signal.clean, clear.edge, settings)
-    row, index = flat_ranges(*stick_middles(clear.edge, signal.clean.size, settings))
-    left = np.zeros(signal.clean.size)
-    left[index] = np.nan_to_num(signal.clean[index] - lines.take(row).at(index.astype(float)))
-    correlation = scipy.signal.correlate(left, left)[left.size - 1 :]
-    together = int(np.argmax(correlation < 0.1 * correlation[0]))  # less is chance
-    alike = 2 * float(np.sum(correlation[:together])) / float(correlation[0]) - 1
-    sigma = max(signal.sigma, float(nan_median(lines.spread)))
-    noisier = replace(signal, sigma=sigma, alike=max(alike, 1.0))
+    noisier = replace(signal, sigma=max(signal.sigma, float(nan_median(lines.spread))))
     return noisier, replace(clear, threshold_how="gap", left_out=slips.drop[small])
+
+
+def _alike(signal: Signal, slips: Slips, settings: ForceSettings) -> float:
+    """How many neighbouring samples have their noise in common: 1 unless the sticks prove it not white.
+
+    Lines through the two halves of each stick miss each other by more than white noise explains. By how much
+    they do so in all sticks is the sticks' curvature.
+    """
+    start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
+    some = stop - start >= 2 * settings.few_samples
+    if some.sum() < 8:
+        return 1.0
+    middle = (start + stop) // 2
+    index = np.arange(signal.clean.size, dtype=float)
+    place = np.asarray(middle[some] - 0.5, np.float64)
+    whole, first, second = (
+        fit_lines(index, signal.clean, low[some], high[some])
+        for low, high in ((start, stop), (start, middle), (middle, stop))
+    )
+    expected = whole.spread * np.hypot(*(half.error_at(place) / half.spread for half in (first, second)))
+    missed = (first.at(place) - second.at(place)) / np.maximum(expected, np.finfo(float).tiny)
+    factor = float(mad_sigma(missed[np.isfinite(missed)])) ** 2
+    return factor if factor > 1 + settings.alike_sigmas / np.sqrt(some.sum()) else 1.0
 
 
 def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSettings) -> bool:
@@ -276,8 +293,10 @@ def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSetting
     ratio = float(np.median(broken.first[known] / broken.second[known]))
     # A stick that bends all along is followed better by a polynomial.
     begin, end = start[some][known], stop[some][known]
-    _, left = curvature(signal.clean, begin, end)
-    smooth = fit_lines(index, signal.clean, begin, end).squares / np.maximum(left, np.finfo(float).tiny)
+    _, left, row = fit_polynomials(signal.clean, begin, end)
+    smooth = fit_lines(index, signal.clean, begin, end).squares / np.maximum(
+        np.bincount(row, left**2), np.finfo(float).tiny
+    )
     if not lag and np.median(smooth) > np.median(broken.gain[known]):
         return False
     return float(np.median(broken.gain[known])) > settings.knee_gain and ratio > settings.knee_ratio
@@ -402,9 +421,16 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips
             lines.append(f"{what} has steps of {step:.3g} {unit}, sticks are {stick:.3g} {unit}")
     if slips.left_out.size:
         count, low, high = slips.left_out.size, slips.left_out.min(), slips.left_out.max()
+        why = "are no larger than" if slips.threshold_how == "jumps" else "lie below a gap in the sizes of"
+        what = "what the load jumps upward" if slips.threshold_how == "jumps" else "drops"
         lines.append(
-            f"{count} drops of {low:.3g} to {high:.3g} N lie below a gap in the sizes of drops and are not "
+            f"{count} drops of {low:.3g} to {high:.3g} N {why} {what} and are not "
             f"counted: `threshold_N` {0.9 * low:.2g} counts them"
+        )
+    if slips.jumps > max(1, 0.01 * len(events)):
+        lines.append(
+            f"the load jumps upward, too, {slips.jumps} times by {slips.threshold:.3g} N or more: so many of "
+            "the events, or more, may be noise, knocks or ringing"
         )
     flags = events["flag"].str.split("+")
     for word, meaning in (
