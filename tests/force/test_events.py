@@ -471,3 +471,24 @@ def test_knocks_as_large_as_slips_are_told() -> None:
     assert len(matched(events, test.truth)[0]) > 90
     assert any("jumps upward" in line for line in events.attrs["warnings"])
     assert not any("jumps upward" in line for line in find_stick_slip(test.force).attrs["warnings"])
+
+
+def test_a_zero_set_under_load_is_no_compression() -> None:
+    """A failure means that a pull tared at its end is refused as compression, or passes without a word."""
+    test = plain(sticks=60, samples=80, snr=40, jitter=0.1)
+    tared = test.force.assign(load_N=test.force["load_N"] - 150)
+    events = find_stick_slip(tared)
+    assert len(matched(events, test.truth)[0]) == len(test.truth)
+    assert events["flag"].eq("negative").all()
+    assert any("check the load cell's zero" in line for line in events.attrs["warnings"])
+    with pytest.raises(InputError, match="load=-NAME"):
+        find_stick_slip(tared.assign(load_N=-test.force["load_N"]))
+
+
+def test_times_written_too_coarsely_are_named() -> None:
+    """A failure means that a recording of 100 Hz with times to 0.1 s is refused for spikes it does not have."""
+    force = plain(sticks=60, samples=80, snr=40).force
+    time = np.floor(force["time_s"].to_numpy() * 10 + 1e-6) / 10
+    flags = sample_flags(time, force["load_N"].to_numpy(), None)
+    with pytest.raises(InputError, match="written too coarsely.*time=100Hz"):
+        find_stick_slip(force.assign_coords(time_s=time).assign(flag=("time_s", flags)))

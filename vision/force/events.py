@@ -72,8 +72,9 @@ def find_stick_slip(
     -------
     Table with the columns of ``events.csv`` in order, then further ones; all are described in
     `vision.data.STICKS`. F_v and F_p are the stick line through the central 80 % extended to valley and peak,
-    bent as all sticks are and within what was recorded there; beside slow slips the recorded extremes. K is the slope of the central
-    half, K1 and K2 those before and after a knee. Lengths and stiffness are NaN where d is not known.
+    bent as all sticks are and within what was recorded there; beside slow slips the recorded extremes. K is
+    the slope of the central half, K1 and K2 those before and after a knee. Lengths and stiffness are NaN
+    where d is not known.
     ``flag`` is "ok" or, joined by "+", what is wrong within the stick (gap, nan, saturated, repeated,
     backwards, few (samples), falling, unloading), what the instrument cannot give (short, negative), or how
     it was measured (slow); "oscillation" and "cycles" are those of the whole recording. Attributes as
@@ -94,8 +95,10 @@ def find_stick_slip(
     """
     FORCE.check(force)
     metadata = ForceMetadata.of(force)
+    _check_times(force, metadata.source)
     signal = Signal.of(force, settings)
-    if is_compression(signal.load):
+    # Where a load below 0 falls suddenly it is a pull, with the load cell's zero set under load.
+    if is_compression(signal.load) and np.sum(np.diff(signal.clean) ** 3) > 0:
         raise InputError(
             metadata.source,
             "a pull (positive load)",
@@ -180,6 +183,21 @@ def find_stick_slip(
         lowpass_s=lowpass_s,
         settings=settings.changed(),
     )
+
+
+def _check_times(force: xr.Dataset, source: str) -> None:
+    """Raises InputError where many samples share one time and so would be left out."""
+    if "flag" not in force:
+        return
+    changes = np.diff(force["load_N"].to_numpy(), prepend=np.nan) != 0
+    shared = float(np.mean((force["flag"].to_numpy().astype(str) == "repeated") & changes))
+    if shared > 0.3:
+        raise InputError(
+            source,
+            "a time for every sample",
+            f"{100 * shared:.0f} % of the samples at the time of the one before: it is written too coarsely",
+            "give the sampling rate in place of the time, such as `columns` time=100Hz",
+        )
 
 
 def _check_lowpass(lowpass_s: float | str, period_s: float, source: str) -> None:
@@ -272,7 +290,7 @@ def _alike(signal: Signal, slips: Slips, settings: ForceSettings) -> float:
         fit_lines(index, signal.clean, low[some], high[some])
         for low, high in ((start, stop), (start, middle), (middle, stop))
     )
-    expected = whole.spread * np.hypot(*(half.error_at(place) / half.spread for half in (first, second)))
+    expected = whole.spread * np.hypot(first.lever(place), second.lever(place))
     missed = (first.at(place) - second.at(place)) / np.maximum(expected, np.finfo(float).tiny)
     factor = float(mad_sigma(missed[np.isfinite(missed)])) ** 2
     return factor if factor > 1 + settings.alike_sigmas / np.sqrt(some.sum()) else 1.0

@@ -43,7 +43,11 @@ class Lines:
 
     def error_at(self, x: Floats) -> Floats:
         """Standard error of the lines' values, from the residuals."""
-        return self.spread * np.sqrt(1 / self.count + (x - self.mean_x) ** 2 / self.sxx)
+        return self.spread * self.lever(x)
+
+    def lever(self, x: Floats) -> Floats:
+        """The same for residuals of 1."""
+        return np.asarray(np.sqrt(1 / self.count + (x - self.mean_x) ** 2 / self.sxx), np.float64)
 
     @property
     def squares(self) -> Floats:
