@@ -486,9 +486,9 @@ def test_a_zero_set_under_load_is_no_compression() -> None:
 
 
 def test_times_written_too_coarsely_are_named() -> None:
-    """A failure means that a recording of 100 Hz with times to 0.1 s is refused for spikes it does not have."""
+    """A failure means that 100 Hz with times to 0.1 s is refused for spikes that are none."""
     force = plain(sticks=60, samples=80, snr=40).force
     time = np.floor(force["time_s"].to_numpy() * 10 + 1e-6) / 10
     flags = sample_flags(time, force["load_N"].to_numpy(), None)
-    with pytest.raises(InputError, match="written too coarsely.*time=100Hz"):
+    with pytest.raises(InputError, match=r"written too coarsely.*time=100Hz"):
         find_stick_slip(force.assign_coords(time_s=time).assign(flag=("time_s", flags)))
