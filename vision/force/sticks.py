@@ -11,7 +11,7 @@ import pandas as pd
 import xarray as xr
 from numpy.polynomial.legendre import legvander
 
-from vision.force.lines import BrokenLines, curvature, fit_broken_lines, fit_lines, flat_ranges
+from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines, fit_polynomials, flat_ranges
 from vision.force.recording import find_spikes, noise_sigma, usable
 from vision.force.settings import ForceSettings
 from vision.force.slips import DeconvolvedLoad, SlipTransients, stick_lines, stick_middles
@@ -212,7 +212,7 @@ class Shape:
 
     begin: float
     end: float
-    error: float  # what higher orders may add, the same at both ends
+    error: float  # what the polynomials may be wrong by, the same at both ends
 
     @classmethod
     def of(cls, y: Floats, edge: Ints, settings: ForceSettings) -> Shape:
@@ -225,7 +225,7 @@ class Shape:
         some = np.flatnonzero((length > long) & (rise > 0))  # the shorter ones may be swings
         if some.size < 8:
             return straight
-        share = curvature(y, start[some], stop[some])[0][:, 2:] / rise[some, np.newaxis]
+        share = fit_polynomials(y, start[some], stop[some])[0][:, 2:] / rise[some, np.newaxis]
         middle = np.median(share, axis=0)
         standard = 1.25 * mad_sigma(share, axis=0) / np.sqrt(some.size)
         middle[np.abs(middle) < settings.shape_sigmas * standard] = 0.0
@@ -234,7 +234,7 @@ class Shape:
         begin, end = terms.sum(axis=0)
         if not middle.any() or max(abs(begin), abs(end)) > 1.0:  # no stick leaves its line that far
             return straight
-        return cls(float(begin), float(end), float(np.abs(terms[np.flatnonzero(middle)[-1], 0])) / 4)
+        return cls(float(begin), float(end), float(np.sqrt((terms[:, 0] ** 2).sum())) / 4)
 
 
 # --- recorded extremes --------------------------------------------------------------------------------------
@@ -384,7 +384,7 @@ def _filled_in(load: Floats) -> Bools:
         usual = np.median(length)
         even = np.abs(length - usual * np.rint(length / usual)) <= (usual >= 4 and measured is bends)
         if 1 < usual <= most and np.mean(even) > 0.9:
-            return ~measured
+            return np.asarray(~measured, np.bool_)
     return np.zeros_like(repeats)
 
 
@@ -552,8 +552,8 @@ def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, shape: Shap
         f_v = np.where(bent, broken.first_at(t_v), f_v)
         f_p = np.where(bent, broken.second_at(t_p), f_p)
     wider = np.sqrt(signal.alike)
-    errors = (np.hypot(wider * line.error_at(at), shape.error * rise) for at in (t_v, t_p))
-    return _Ends(f_v, f_p, *errors, line.slope)
+    error_v, error_p = (np.hypot(wider * line.error_at(at), shape.error * rise) for at in (t_v, t_p))
+    return _Ends(f_v, f_p, error_v, error_p, line.slope)
 
 
 def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: float) -> dict[str, Floats]:
