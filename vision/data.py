@@ -558,6 +558,7 @@ MOTION = Schema(
         "drift_um": Variable(
             _EVENT, "um", "movement of the camera during the stick, to the right, taken off"
         ),
+        "drift_err_um": Variable(_EVENT, "um", "standard error of drift_um"),
         "noise_um": Variable(_SHEET, "um", "standard deviation of single positions, from the residuals"),
         "event": Variable(_EVENT, "", "event number"),
         "t_v_s": Variable(_EVENT, "s", "time of the valley"),
