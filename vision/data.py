@@ -408,8 +408,8 @@ class StickMetadata(Metadata):
     Parameters
     ----------
     noise_N, threshold_N, threshold_how
-        Noise of the load; smallest drop that counts as a slip; "noise" (a multiple of it), "gap" (between
-        small and large drops) or "given".
+        Noise of the load; smallest drop that counts as a slip; "noise" (a multiple of it), "jumps" (above
+        the load's jumps upward), "gap" (between small and large drops) or "given".
     period_samples, spikes
         Usual samples from slip to slip; impulsive spikes that were ignored.
     lowpass_s, lowpass_how

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from vision.numeric import Floats, Ints
@@ -42,7 +43,11 @@ class Lines:
 
     def error_at(self, x: Floats) -> Floats:
         """Standard error of the lines' values, from the residuals."""
-        return self.spread * np.sqrt(1 / self.count + (x - self.mean_x) ** 2 / self.sxx)
+        return self.spread * self.lever(x)
+
+    def lever(self, x: Floats) -> Floats:
+        """The same for residuals of 1."""
+        return np.asarray(np.sqrt(1 / self.count + (x - self.mean_x) ** 2 / self.sxx), np.float64)
 
     @property
     def squares(self) -> Floats:
@@ -111,6 +116,24 @@ class _Rows:
 
     def mean(self, values: NDArray[Any]) -> Floats:
         return np.asarray(self.total(values) / self.count)
+
+
+def fit_polynomials(y: Floats, start: Ints, stop: Ints, degree: int = 4) -> tuple[Floats, Floats, Ints]:
+    """Least-squares polynomials through stretches of 10 samples or more.
+
+    Coefficients (rows, degree + 1) of the Legendre polynomials over each; residual and row of each sample.
+    """
+    row, index = flat_ranges(start, stop)
+    size = degree + 1
+    terms = legvander(2 * (index - start[row]) / (stop - 1 - start)[row] - 1, degree).T
+    level = (np.bincount(row, y[index], start.size) / (stop - start))[row]  # sums of less lose fewer digits
+    products = np.empty((start.size, size, size + 1))
+    for k, one in enumerate(terms):
+        products[:, k, size] = np.bincount(row, one * (y[index] - level), start.size)
+        for m, other in enumerate(terms[: k + 1]):
+            products[:, k, m] = products[:, m, k] = np.bincount(row, one * other, start.size)
+    found = np.asarray(np.linalg.solve(products[:, :, :size], products[:, :, size:])[:, :, 0], np.float64)
+    return found, y[index] - level - np.sum(found.T[:, row] * terms, axis=0), row
 
 
 @dataclass(frozen=True)

@@ -508,7 +508,8 @@ def find_spikes(
         is_spike[some] = off[some] > 2.0 * np.median(around[some], axis=1)
     clean = np.where(is_spike, middle, y)
     jump = np.diff(clean)
-    high = np.flatnonzero(np.abs(jump) > max(settings.pulse_sigmas * sigma, 4.0 * float(np.median(rise))))
+    high = np.flatnonzero(np.abs(jump) > settings.pulse_sigmas * sigma)
+    high = high[np.abs(jump[high]) > 4.0 * np.median(around[high], axis=1)]
     for width in (3, 4, 5):
         away = high[np.isin(high + width, high)]
         least = np.minimum(np.abs(jump[away]), np.abs(jump[away + width]))

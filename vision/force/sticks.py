@@ -9,12 +9,13 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 import xarray as xr
+from numpy.polynomial.legendre import legvander
 
-from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines, flat_ranges
+from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines, fit_polynomials, flat_ranges
 from vision.force.recording import find_spikes, noise_sigma, usable
 from vision.force.settings import ForceSettings
 from vision.force.slips import DeconvolvedLoad, SlipTransients, stick_lines, stick_middles
-from vision.numeric import Bools, Floats, Ints, nan_median
+from vision.numeric import Bools, Floats, Ints, mad_sigma, nan_median
 from vision.signals import running_mean
 
 # A slip of a spring and block is half a cosine: its 90 % and 10 % crossings lie 0.59 of half its length from
@@ -34,6 +35,7 @@ class Corners:
     drop: Floats  # height between the stick lines
     error: Floats  # standard error of one corner's place
     knee: Floats  # where the stick before and after changes slope: one more than slips, NaN where it does not
+    shape: Shape  # of the sticks without a knee
 
     def transients(self) -> SlipTransients:
         """The stretches between slips and clear of them, in which a low-pass leaves its transients."""
@@ -61,6 +63,14 @@ def find_corners(
     """
     base = _Baselines.of(signal, two_slopes, settings)
     high, middle, low = _crossings(signal.load, signal.edge, base)
+    stick = np.diff(signal.edge)
+    if stick.size and 2 * nan_median(np.fmin(middle - high, low - middle)) < settings.shape_slip * np.median(
+        stick
+    ):
+        shape = Shape.of(signal.load, signal.edge, settings)
+        if shape.begin or shape.end:
+            base = _Baselines.of(signal, two_slopes, settings, shape)
+            high, middle, low = _crossings(signal.load, signal.edge, base)
     # What sampling and smoothing alone make of a sudden drop is no part of a slip's length: it crosses 90 %
     # and 50 % 0.4 samples apart, and more where deconvolution leaves a sample part of the way down.
     blur = np.hypot(0.4 * signal.width, 0.5 if signal.late else 0.0)
@@ -83,6 +93,7 @@ def find_corners(
         middle=middle,
         drop=base.drop,
         knee=base.knee - signal.late,
+        shape=base.shape,
         error=_errors(signal, base.drop, (usual_onset + usual_end) / _HALF_COSINE, settings),
     )
 
@@ -116,20 +127,26 @@ class _Baselines:
     after: Floats
     after_slope: Floats
     knee: Floats
+    shape: Shape
 
     @property
     def drop(self) -> Floats:
         return self.before - self.after
 
     @classmethod
-    def of(cls, signal: DeconvolvedLoad, two_slopes: bool, settings: ForceSettings) -> _Baselines:
-        """Straight stick lines, or with a knee where that fits clearly better."""
+    def of(
+        cls, signal: DeconvolvedLoad, two_slopes: bool, settings: ForceSettings, shape: Shape | None = None
+    ) -> _Baselines:
+        """Straight stick lines, or with a knee where that fits clearly better, or of one shape for all."""
         y, edge = signal.load, signal.edge
         lines = stick_lines(y, edge, settings)
         here = np.asarray(edge - 0.5, dtype=float)
         # Each stick between a slip at its begin and one at its end; the first and the last lack one of them.
         begin, end = np.insert(here, 0, np.nan), np.append(here, np.nan)
-        at_begin, at_end, early, late = lines.at(begin), lines.at(end), lines.slope, lines.slope
+        shape = shape or Shape(0.0, 0.0, 0.0)
+        rise = np.nan_to_num(lines.slope * (end - begin))
+        at_begin, at_end = lines.at(begin) + shape.begin * rise, lines.at(end) + shape.end * rise
+        early, late = lines.slope, lines.slope
         knee = np.full(edge.size + 1, np.nan)
         if two_slopes:
             middles = stick_middles(edge, y.size, settings)
@@ -138,7 +155,7 @@ class _Baselines:
             knee = np.where(bent, broken.knee_x, np.nan)
             at_begin, early = np.where(bent, [broken.first_at(begin), broken.first], [at_begin, early])
             at_end, late = np.where(bent, [broken.second_at(end), broken.second], [at_end, late])
-        return cls(at_end[:-1], late[:-1], at_begin[1:], early[1:], knee)
+        return cls(at_end[:-1], late[:-1], at_begin[1:], early[1:], knee, shape)
 
 
 def _crossings(y: Floats, edge: Ints, base: _Baselines) -> tuple[Floats, Floats, Floats]:
@@ -186,6 +203,41 @@ def _interpolated(u: Floats, index: Ints, level: float, at: Ints) -> Floats:
     here = np.maximum(at, 0)
     part = (u[here] - level) / np.maximum(u[here] - u[np.minimum(here + 1, u.size - 1)], 1e-9)
     return np.where(at >= 0, index[here] + part, np.nan)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """By how much curved sticks leave their lines at either end, as shares of what the lines rise.
+
+    Each is what all sticks of a recording have in common; 0 where they are straight.
+    """
+
+    begin: float
+    end: float
+    error: float  # what the polynomials may be wrong by, the same at both ends
+
+    @classmethod
+    def of(cls, y: Floats, edge: Ints, settings: ForceSettings) -> Shape:
+        """Polynomials of degree 2 to 4 through what the lines of all sticks between two slips leave."""
+        start, stop = (at[1:-1] for at in stick_middles(edge, y.size, settings))
+        straight = cls(0.0, 0.0, 0.0)
+        length = np.diff(edge)
+        rise = stick_lines(y, edge, settings).slope[1:-1] * length
+        long = max(2 * settings.few_samples, 0.5 * np.quantile(length, 0.9)) if length.size else 0
+        some = np.flatnonzero((length > long) & (rise > 0))  # the shorter ones may be swings
+        if some.size < 8:
+            return straight
+        some = some[:: some.size // 400 + 1]  # enough for medians
+        share = fit_polynomials(y, start[some], stop[some])[0][:, 2:] / rise[some, np.newaxis]
+        middle = np.median(share, axis=0)
+        standard = 1.25 * mad_sigma(share, axis=0) / np.sqrt(some.size)
+        middle[np.abs(middle) < settings.shape_sigmas * standard] = 0.0
+        reach = float(np.median(length[some] / (stop - 1 - start)[some]))
+        terms = middle[:, np.newaxis] * legvander(np.array([-reach, reach]), 4)[:, 2:].T
+        begin, end = terms.sum(axis=0)
+        if not middle.any() or max(abs(begin), abs(end)) > 1.0:  # no stick leaves its line that far
+            return straight
+        return cls(float(begin), float(end), float(np.sqrt((terms[:, 0] ** 2).sum())) / 4)
 
 
 # --- recorded extremes --------------------------------------------------------------------------------------
@@ -269,7 +321,7 @@ def is_slow(fall: Floats, rise: Floats, settings: ForceSettings) -> Bools:
     if not rise.size:
         return np.zeros(fall.shape, dtype=bool)
     beside = np.minimum(np.r_[rise[:1], rise], np.r_[rise, rise[-1:]])
-    return np.asarray(fall > settings.slow_slip * np.maximum(beside, 1e-9))
+    return np.asarray(fall > settings.slow_slip * np.maximum(beside, 1e-9), np.bool_)
 
 
 # --- measures -----------------------------------------------------------------------------------------------
@@ -325,7 +377,7 @@ def _filled_in(load: Floats) -> Bools:
     Then nearly all runs of equal values, or of equal differences, are of one length; steps of a coarse load
     are not. Where a line's ends lie between samples the first sample after each is kept.
     """
-    steps = np.diff(np.unique(load))
+    steps = np.diff(np.unique(load[:20_000]))  # enough to show the last digit written
     rounding = 3 * float(np.min(steps, where=steps > 1e-9 * np.ptp(load), initial=np.inf))
     repeats = np.diff(load, prepend=np.nan) == 0
     bends = np.r_[True, np.abs(np.diff(load, 2)) > rounding, True]
@@ -335,7 +387,7 @@ def _filled_in(load: Floats) -> Bools:
         usual = np.median(length)
         even = np.abs(length - usual * np.rint(length / usual)) <= (usual >= 4 and measured is bends)
         if 1 < usual <= most and np.mean(even) > 0.9:
-            return ~measured
+            return np.asarray(~measured, np.bool_)
     return np.zeros_like(repeats)
 
 
@@ -395,7 +447,7 @@ def measure_sticks(
     v, p, v_next = valley[:-1], peak[1:], valley[1:]
     sticks = _Sticks(v, p, corners.knee[1:-1], lag, settings)
     t_v, t_p, t_next = (np.interp(at, index, signal.time) for at in (v, p, v_next))
-    ends = _ends(signal, sticks, t_v, t_p)
+    ends = _ends(signal, sticks, t_v, t_p, corners.shape)
     # by which a stick may rise beyond its last sample, and a wrong place of its corner moves the force there
     rises = [np.abs(ends.slope) * signal.interval_at(at) for at in (v, p)]
     f_v, f_p = ends.f_v, ends.f_p
@@ -419,6 +471,11 @@ def measure_sticks(
     # Near a slow slip's extreme the load is level: the place of the corner does not matter there.
     f_v_err = np.hypot(ends.error_v, np.where(recorded[:-1], 0, rises[0] * place[:-1]))
     f_p_err = np.hypot(ends.error_p, np.where(recorded[1:], 0, rises[1] * place[1:]))
+    # Ringing swings about the stick line; a stick may also bend too sharply to be followed. Noise aside, what
+    # was recorded beyond the line is part of the error.
+    noise = 4 * signal.sigma
+    f_v_err = np.hypot(f_v_err, np.maximum(f_v - extremes.lowest[:-1] - noise, 0))
+    f_p_err = np.hypot(f_p_err, np.maximum(extremes.highest[1:] - f_p - noise, 0))
     table = pd.DataFrame(
         {
             "event": np.arange(v.size),
@@ -459,15 +516,13 @@ def _within_recorded(
 
     A stick ends between two samples, and may be a sample's rise longer than what was recorded; since the load
     cell is late, a small share of the drop is left at the valley. The whole recording's range is never left.
-    Lines cut the corners of a curved stick: what was recorded holds, but for the noise of single samples.
     """
     highest, lowest = extremes.highest[1:], extremes.lowest[:-1]
     rise_v, rise_p = rises
     spare = rise_v + settings.between_samples * np.maximum(highest - lowest, 0)
     f_v = np.fmax(ends.f_v, np.maximum(lowest - spare, signal.clean.min()))
     f_p = np.fmin(ends.f_p, np.minimum(highest + rise_p, signal.clean.max()))
-    noise = 4 * signal.sigma  # by which the smallest of many samples may lie below the load itself
-    return np.fmin(f_v, lowest + noise), np.fmax(f_p, highest - noise)
+    return f_v, f_p
 
 
 def _flat_top_error(signal: Signal, corners: Corners, extremes: Extremes) -> Floats:
@@ -488,18 +543,20 @@ class _Ends:
     slope: Floats
 
 
-def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats) -> _Ends:
-    """Stick lines extended to the corners, each side of the knee its own."""
+def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, shape: Shape) -> _Ends:
+    """Stick lines extended to the corners, each side of a knee its own, with the common curvature."""
     central = sticks.central(sticks.settings.line_part)
     line = fit_lines(signal.time, signal.spikeless, *central, lag=sticks.lag)
     bent = np.isfinite(sticks.knee)
-    f_v, f_p = line.at(t_v), line.at(t_p)
+    rise = np.maximum(line.slope * (t_p - t_v), 0.0)
+    f_v, f_p = line.at(t_v) + shape.begin * rise, line.at(t_p) + shape.end * rise
     if bent.any():
         broken = sticks.broken(signal.time, signal.spikeless)
         f_v = np.where(bent, broken.first_at(t_v), f_v)
         f_p = np.where(bent, broken.second_at(t_p), f_p)
     wider = np.sqrt(signal.alike)
-    return _Ends(f_v, f_p, wider * line.error_at(t_v), wider * line.error_at(t_p), line.slope)
+    error_v, error_p = (np.hypot(wider * line.error_at(at), shape.error * rise) for at in (t_v, t_p))
+    return _Ends(f_v, f_p, error_v, error_p, line.slope)
 
 
 def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: float) -> dict[str, Floats]:
