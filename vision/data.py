@@ -421,8 +421,9 @@ class StickMetadata(Metadata):
         whether slips of different size and spacing show the same. What it changes is part of the errors.
     lowpass_dF_share, lowpass_K_share
         Median share by which correcting for that would change ΔF and K.
-    two_slopes
-        Whether sticks were fitted with a knee.
+    two_slopes, bend_share
+        Whether sticks were fitted with a knee; share of a stick's rise by which its line, at the valley, is
+        corrected for the curvature that all sticks share (negative: sticks begin steeply).
     regime, fall_over_rise, line_share
         "stick-slip", "oscillation" or "cycles"; median duration of falls over that of rises; share of the
         variance near the frequency of the slips.
@@ -448,6 +449,7 @@ class StickMetadata(Metadata):
     lowpass_dF_share: float = 0.0
     lowpass_K_share: float = 0.0
     two_slopes: bool = False
+    bend_share: float = 0.0
     regime: str = "stick-slip"
     fall_over_rise: float = math.nan
     line_share: float = math.nan

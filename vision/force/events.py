@@ -165,6 +165,7 @@ def find_stick_slip(
         lowpass_dF_share=events.attrs.get("lowpass_dF_share", 0.0),
         lowpass_K_share=events.attrs.get("lowpass_K_share", 0.0),
         two_slopes=bool(shown.bent),
+        bend_share=corners.shape.begin,
         regime=regime.name,
         fall_over_rise=regime.fall_over_rise,
         line_share=regime.line_share,

@@ -453,11 +453,11 @@ def measure_sticks(
     f_v, f_p = ends.f_v, ends.f_p
     if lag:
         load, there = _without_lowpass(signal, lag), (corners.middle, corners.valley - corners.peak)
-        held = _within_recorded(load, find_extremes(load.clean, *there), ends, rises, settings)
+        held = _within_recorded(load, find_extremes(load.clean, *there), ends, sticks, rises, settings)
         bent = np.isfinite(sticks.knee)
         f_v, f_p = (np.where(bent, one, line) for one, line in zip(held, (f_v, f_p), strict=True))
     else:
-        f_v, f_p = _within_recorded(signal, extremes, ends, rises, settings)
+        f_v, f_p = _within_recorded(signal, extremes, ends, sticks, rises, settings)
         f_v = np.where(recorded[:-1], extremes.low[:-1], f_v)
         f_p = np.where(recorded[1:], extremes.high[1:], f_p)
     place = np.where(recorded, _flat_top_error(signal, corners, extremes), corners.error)
@@ -510,19 +510,52 @@ def _without_lowpass(signal: Signal, lag: float) -> Signal:
 
 
 def _within_recorded(
-    signal: Signal, extremes: Extremes, ends: _Ends, rises: Sequence[Floats], settings: ForceSettings
+    signal: Signal,
+    extremes: Extremes,
+    ends: _Ends,
+    sticks: _Sticks,
+    rises: Sequence[Floats],
+    settings: ForceSettings,
 ) -> tuple[Floats, Floats]:
-    """Forces at the ends of the stick lines, held to what was recorded there.
+    """Forces at the ends of the stick lines, limited to what was recorded there.
 
     A stick ends between two samples, and may be a sample's rise longer than what was recorded; since the load
     cell is late, a small share of the drop is left at the valley. The whole recording's range is never left.
+    Lines cut the corner of sticks that begin steeply: unless the load rings, the recorded valley holds, but
+    for the noise of single samples.
     """
     highest, lowest = extremes.highest[1:], extremes.lowest[:-1]
     rise_v, rise_p = rises
     spare = rise_v + settings.between_samples * np.maximum(highest - lowest, 0)
     f_v = np.fmax(ends.f_v, np.maximum(lowest - spare, signal.clean.min()))
     f_p = np.fmin(ends.f_p, np.minimum(highest + rise_p, signal.clean.max()))
+    noise = 4 * signal.sigma  # by which the smallest of many samples may lie below the load itself
+    if not _rings(signal, ends, sticks):
+        f_v = np.fmin(f_v, lowest + noise)
     return f_v, f_p
+
+
+def _rings(signal: Signal, ends: _Ends, sticks: _Sticks) -> bool:
+    """Whether the load swings about the stick lines after the slips.
+
+    The median over all sticks of the load less the line from valley to peak, against time since the valley:
+    ringing exceeds in the first quarter of the sticks what it is in the second, by a fifth of its first swing
+    or more. A stick that begins steeply only rises towards it.
+    """
+    length = sticks.p - sticks.v
+    quarter = int(np.median(length) / 4)
+    some = np.flatnonzero(length >= 2 * quarter)
+    if quarter < 4 or some.size < 4:
+        return False
+    begin, length = np.ceil(sticks.v[some]), length[some]
+    index = np.minimum(begin[:, np.newaxis] + np.arange(2 * quarter), signal.clean.size - 1).astype(np.int64)
+    along = (index - sticks.v[some][:, np.newaxis]) / length[:, np.newaxis]
+    low, rise = (values[some][:, np.newaxis] for values in (ends.f_v, ends.f_p - ends.f_v))
+    course = np.median((signal.clean[index] - low) / np.maximum(rise, 1e-300) - along, axis=0)
+    level = np.median(course[quarter:])
+    swing = int(np.argmin(course[:quarter]))
+    above = np.max(course[swing:quarter]) - level
+    return bool(above > 0.2 * (level - course[swing]))
 
 
 def _flat_top_error(signal: Signal, corners: Corners, extremes: Extremes) -> Floats:

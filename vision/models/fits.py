@@ -492,13 +492,13 @@ def _unresolved(
 
 
 def _unseen_valleys(force: xr.Dataset, events: pd.DataFrame) -> float:
-    """Share of ΔF by which the force rises while a slip lasts, median; 0 where sticks have no knee.
+    """Share of ΔF by which the force rises while a slip lasts, median; 0 where sticks are straight.
 
-    There the force rises fastest right after a slip, by as much from sample to sample as from the lowest to
+    Else the force rises fastest right after a slip, by as much from sample to sample as from the lowest to
     the next. What it gains until the recorded valley, one sample at least, and while a load cell that is late
     still falls, no line through later ones gives back.
     """
-    if not events.attrs.get("two_slopes"):
+    if not events.attrs.get("two_slopes") and not events.attrs.get("bend_share", 0.0) < 0:
         return 0.0
     time, load = force["time_s"].values, force["load_N"].values
     near = np.searchsorted(time, events["t_v_s"].to_numpy(float))[:, np.newaxis] + np.arange(-3, 4)
