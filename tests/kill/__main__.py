@@ -21,9 +21,10 @@ import xarray as xr
 
 from tests.scenes.comb_video import frames_of, positions
 from tests.scenes.films import write_avi
+from tests.scenes.undrawn import undraw
 from vision.command.main import main as track
 from vision.command.main import run
-from vision.run import Checkpoint, writing
+from vision.run import Checkpoint
 from vision.run.folder import reading_folder
 
 FRAMES = {"old": 150, "new": 200}
@@ -31,17 +32,6 @@ SHEETS = 8
 FILES = ("run.json", "tracks.csv", "tracks.nc", "sheets.csv", "kymograph.tif", "overview.png", "figures.npz")
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 LIMIT_S = 300
-
-
-def without_pictures():
-    """Files of one byte in their place: they take most of a short run's time."""
-
-    def write(analysis, folder, figures):
-        for name in ("overview.png", "figures.npz"):
-            (folder / name).write_text(".")
-
-    writing._write_pictures = write
-    writing.figures_of = lambda analysis: []
 
 
 def start(words, said):
@@ -130,7 +120,7 @@ def main():
     parser.add_argument("--quick", action="store_true", help="no pictures are drawn")
     given = parser.parse_args()
     if given.quick:
-        without_pictures()
+        undraw()  # pictures take most of a short run's time
     place = Path(tempfile.mkdtemp(prefix="kill-"))
     film = write_avi(place / "film.avi", frames_of(positions(frames=FRAMES["new"])))
     words = [str(film), "--no-report", "--quiet", "--sheets", str(SHEETS)]
