@@ -320,14 +320,14 @@ def _trial_folder(folder: Path) -> Path:
 def differences(before: Path, after: Path) -> dict[str, Any]:
     """Compare two run folders; pairs of numbers are those before and after.
 
-    Of all sheets: ``sheets`` (left and right), ``positions``, ``doubtful`` (positions), ``error_px`` (median).
+    Of all sheets: ``sheets`` (left and right), ``positions``, ``doubtful`` positions, median ``error_px``.
     Of the sheets in both runs, which are nearest to each other and within half a pitch: ``gained`` and
     ``lost`` positions; of the positions in both, how many were ``compared``, how many ``differ`` by more than
     `DIFFERENT` errors or lie on an ``other_ridge``, more than half a pitch away, and the ``median_px`` and
-    ``largest_px`` difference. ``ratios``: ``known`` ones (pair), ``median`` and ``largest`` difference, ``of``
-    how many, and how many sheets are in an ``other_shell``. ``shells``: for each side the ``median`` number of
-    stiff sheets (pair) and in how many stick phases it is another one (``other``). The last two are None if a
-    run has none.
+    ``largest_px`` difference. ``ratios``: ``known`` ones (pair), ``median`` and ``largest`` difference,
+    number compared (``of``), and number of sheets in an ``other_shell``. ``shells``: for each side the
+    ``median`` number of stiff sheets (pair), and the number of stick phases in which it changed (``other``).
+    The last two are None if a run has none.
 
     Raises: InputError for damaged files.
     """
