@@ -1,4 +1,4 @@
-"""A million positions that are called ok, on degraded films of seeds that no rule was made with: how many are wrong.
+"""A million positions that are called ok, on degraded films of fresh seeds: how many are wrong.
 
 Run from the checkout: python -m reports.identities
 Writes reports/identities.md.
@@ -44,9 +44,9 @@ def main() -> None:
         "# Identities of a million positions",
         "",
         f"Degraded films as in degraded.md ({FRAMES} frames {WIDTH} px wide with {SHEETS} sheets), every",
-        f"degradation through each of {len(CODECS)} codecs and qualities, each film of a seed of its own from",
-        f"{FIRST_SEED} on, tracked without any option. Wrong: called ok and more than half a pitch off, or a",
-        "sheet reported twice. Wanted: 0.",
+        f"degradation through each of {len(CODECS)} codecs and qualities, each film of a seed of its own",
+        f"({FIRST_SEED} and on), tracked without any option. Wrong: called ok and more than half a pitch",
+        "off, or a sheet reported twice. Wanted: 0.",
         "",
         "| film | films | positions called ok | wrong |",
         "|---|---|---|---|",

@@ -207,6 +207,19 @@ def test_a_picture_has_no_noise_to_measure_and_says_so(picture, frames):
     assert "not measured" in _noise(noise_figures(tracks, None), "")
 
 
+@pytest.mark.parametrize(("apart_px", "said"), [(11.0, True), (19.0, False)])
+def test_two_edges_of_every_sheet_are_said_to_be_pairs(apart_px, said):
+    """Light from both sides draws two lines for each sheet.  A failure means that twice as many sheets as
+    there are pass, or are said to lack some; or that an uneven comb is called one of pairs."""
+    edge = comb(60, per_side=8, axis_px=330)[:, :, None] * 2 - 330
+    both = (edge + np.array([0.0, apart_px])).reshape(60, 32)
+    picture = strip(ridges(both, width=700, fwhm_px=5.0))
+    lines = tracking_warnings(track_sheets(picture))
+    assert [line for line in lines if "sheets may be missing" in line] == []
+    assert sum("stand in pairs, 11 and 29 px apart" in line for line in lines) == said
+    assert not any("in pairs" in line for line in tracking_warnings(track_sheets(picture, sheets=32)))
+
+
 def test_a_change_for_good_is_said_with_its_size():
     """From frame 75 on all sheets stand 7 px further and have half of their light; of that every other one
     has e^0.2 times as much, the rest e^-0.2. A failure means that a knock passes, is said to be a hundred

@@ -411,7 +411,7 @@ class StickMetadata(Metadata):
     ----------
     noise_N, threshold_N, threshold_how
         Noise of the load; smallest drop that counts as a slip; its source: "noise" (a multiple of the noise),
-        "gap" (between small and large drops) or "given".
+        "jumps" (above the load's upward jumps), "gap" (between small and large drops) or "given".
     period_samples, spikes
         Typical number of samples from slip to slip; number of single-sample spikes that were ignored.
     lowpass_s, lowpass_how
@@ -508,10 +508,8 @@ class MotionMetadata(Metadata):
 
     Parameters
     ----------
-    source, pixel_size_um
-        The video's path; µm per pixel.
-    margin_s, interval_s
-        Time left out on either side of each slip; time between frames.
+    source, pixel_size_um, margin_s, interval_s
+        The video's path; µm per pixel; time left out on either side of each slip; time between frames.
     noise_share, noise_rho
         Noise that is correlated from frame to frame: its share of the variance, and its AR(1) coefficient.
     camera_movement
@@ -560,6 +558,7 @@ MOTION = Schema(
         "drift_um": Variable(
             _EVENT, "um", "subtracted movement of the camera during the stick phase, to the right"
         ),
+        "drift_err_um": Variable(_EVENT, "um", "standard error of drift_um"),
         "noise_um": Variable(_SHEET, "um", "standard deviation of single positions, from the residuals"),
         "event": Variable(_EVENT, "", "event number"),
         "t_v_s": Variable(_EVENT, "s", "time of the valley"),

@@ -129,8 +129,8 @@ PACKAGES = tuple(folder for folder in sys.path if folder)
 """Search path of packages for the separate process. It is stored early, because OpenCV temporarily puts its
 own folders first while it is imported, and one of them contains a module `typing` that is not Python's."""
 
-# Python code that reads every value of the file at `path`.
-READ_MATLAB = "from scipy.io import loadmat; loadmat(path, squeeze_me=True, struct_as_record=True)"  # 4 and 5
+# Python code that reads every value of the file at `path`; MATLAB versions 4 and 5.
+READ_MATLAB = "from scipy.io import loadmat; loadmat(path, squeeze_me=True, struct_as_record=True)"
 READ_HDF5 = """
 import h5py
 def visit(name, item):

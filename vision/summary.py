@@ -107,12 +107,7 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
             f" {100 * change['brightness']:.0f} %): a cut, or the camera or the light was moved; sheets"
             f" before and after may be others: give `frames` as 0:{frame} or {frame}:"
         )
-    if wide := TrackMetadata.of(tracks).wide_spacings:
-        where = ", ".join(wide)
-        lines.append(
-            f"sheets may be missing at x = {where}, and are then not counted by n further out: look there"
-            " (dirt, too faint?), or give their number (`sheets`)"
-        )
+    lines += _spacing_warning(tracks)
     return lines
 
 
@@ -131,6 +126,27 @@ def overexposure(frame: Pixels, rows: slice, settings: VideoSettings) -> list[st
         f"{100 * share:.0f} % of the pixels averaged are as bright as the brightest ({top:.0f}): overexposed,"
         " so that ridges lack their tops and x_err_px may be too small: film with less light"
     ]
+
+
+def _spacing_warning(tracks: xr.Dataset) -> list[str]:
+    """Ridges in pairs, whose narrow and wide spacings take turns all along the comb, unless their number was
+    given; else sheets overlooked."""
+    counted = any(step["parameters"].get("sheets") for step in tracks.attrs.get("operations", ()))
+    spacing = np.diff(np.sort(nan_median(tracks["x_px"].values)))
+    if len(spacing) >= 9 and np.isfinite(spacing).all() and not counted:
+        narrow, wide = sorted((spacing[0::2], spacing[1::2]), key=np.median)
+        if np.quantile(wide, 0.1) > 1.5 * np.quantile(narrow, 0.9):
+            return [
+                f"the ridges stand in pairs, {np.median(narrow):.0f} and {np.median(wide):.0f} px apart: if"
+                f" these are the two edges of {(len(spacing) + 1) // 2} sheets, each counts twice: give"
+                " `sheets`"
+            ]
+    if places := TrackMetadata.of(tracks).wide_spacings:
+        return [
+            f"sheets may be missing at x = {', '.join(places)}, and are then not counted by n further out:"
+            " look there (dirt, too faint?), or give their number (`sheets`)"
+        ]
+    return []
 
 
 def _stand_still(tracks: xr.Dataset) -> bool:

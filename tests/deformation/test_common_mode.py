@@ -6,6 +6,7 @@ import pytest
 from tests.scenes.creeping import PIXEL_UM, Clock, errors, make, measure, profile, uniform
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.deformation.common_mode import BothSides, common_mode_motion, common_mode_noise_factor
+from vision.shells import classify_shells
 
 
 @pytest.mark.parametrize("movement", [{"drift_px_s": 0.3}, {"vibration_px": 0.15}])
@@ -54,6 +55,23 @@ def test_one_side_before_a_camera_that_is_pushed(within):
     assert wrong.std() < 1.1 * still.std()
     assert np.median(stated) < 1.1 * np.median(usual)
     assert 0.62 < np.mean(np.abs(wrong) < stated) < 0.80
+
+
+def test_one_side_before_a_camera_that_moves_at_every_slip():
+    """What it does there passes for drift within the sticks, which nothing on one side contradicts.
+
+    A failure means that σ_x/Λ_st is wrong by many of its errors, and the shell's interval misses the truth.
+    """
+    made = make(profile(np.full(40, 8.0)), noise_px=0.02, seed=1)
+    hops_px = np.cumsum(np.random.default_rng(6).normal(0, 0.7, 40))
+    stick = np.searchsorted(made.sticks["t_v_s"], 5 + made.tracks["time_s"], side="right") - 1
+    made.tracks["x_px"] = made.tracks["x_px"] + hops_px[np.maximum(stick, 0)][:, None]
+    wrong, stated, motion = one_side(made)
+    assert np.mean(np.abs(wrong) < stated) > 0.5
+    assert np.abs(wrong / stated).max() < 4
+    shells = classify_shells(motion)
+    truth = (made.ratio[:, 25:] < 0.1).sum(axis=1)
+    assert np.mean((shells["stiff_low"] <= truth) & (truth <= shells["stiff_high"])) > 0.8
 
 
 def test_one_side_with_sheets_that_are_seldom_seen():

@@ -17,6 +17,7 @@ from typing import Any, cast
 
 import av
 import numpy as np
+import scipy
 from av.video.frame import PictureType
 
 from vision.errors import InputError
@@ -49,8 +50,8 @@ PRESETS = {
 }
 """x264's presets by the effort of its motion search (subme), which it writes into its films."""
 TRIED_FRAMES = 60
-NOISE_GREY = 12.0  # grey levels; more hides ridges that can be tracked
-NOISE_HALVED = 9  # times, to 0.03
+NOISE_GREY, NOISE_ERROR = 12.0, 0.03
+"""Most noise of pixels that is tried, more than ridges that can be tracked have, and how well it is found."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,8 @@ class Encoder:
         Of x264, medium where the film does not tell it.
     noise_grey
         Standard deviation of the pixels' noise before encoding.
+    shot_noise
+        Whether it grows with the root of the brightness, and this is that at the mean brightness.
     """
 
     codec: str
@@ -92,14 +95,16 @@ class Encoder:
     both_ways: bool = True
     preset: str = "medium"
     noise_grey: float = 0.0
+    shot_noise: bool = False
 
     @property
     def described(self) -> str:
         """In words, for the certificate."""
         known = "the quantiser" if self.told else "a rate factor of"
+        more = " (more where it is bright)" if self.shot_noise else ""
         return (
             f"{self.codec} at {known} {self.quantiser}, with pixel "
-            f"noise of {self.noise_grey:g} grey levels, for which a film takes the recording's "
+            f"noise of {self.noise_grey:g} grey levels{more}, for which a film takes the recording's "
             f"{self.bits_per_pixel:.2g} bits per pixel"
             + ("" if self.told else " and changes from frame to frame as much")
         )
@@ -130,28 +135,34 @@ class Encoder:
         """With the noise for which a part of this film takes as many bits as the recording did.
 
         Where the quantiser is not known, it is the one, too, for which I(x, t) then changes from frame to
-        frame by as much as was recorded.
+        frame by as much as was recorded. Noise is alike everywhere, as a gamma of 0.45 makes it, or grows
+        with the root of the brightness, as a linear camera has it: whichever lets bright columns change from
+        frame to frame, against dark ones, more nearly as they do in the recording.
         """
-        part, wanted = profile[:TRIED_FRAMES], _change(recorded[:TRIED_FRAMES, : self.width])
-        best, chosen = np.inf, self
+        part, recorded = profile[:TRIED_FRAMES], recorded[:TRIED_FRAMES, : self.width]
+        best, chosen, values = np.inf, self, recorded
         for quantiser in (self.quantiser,) if self.told else QUANTISERS[self.codec]:
-            here, off, change = replace(self, quantiser=quantiser)._with_noise(part, shown)
-            if off + abs(np.log(change / wanted)) < best:
-                best, chosen = off + abs(np.log(change / wanted)), here
-        return chosen
+            tried, found, off = replace(self, quantiser=quantiser)._with_noise(part, shown)
+            off += abs(float(np.log(_change(found) / _change(recorded))))
+            if off < best:
+                best, chosen, values = off, tried, found
+        growing, found, _ = replace(chosen, shot_noise=True)._with_noise(part, shown)
+        even, shot = (abs(np.log(_contrast(v) / _contrast(recorded))) for v in (values, found))
+        return growing if shot < even else chosen
 
-    def _with_noise(self, part: Floats32, shown: Floats) -> tuple[Encoder, float, float]:
-        """With the noise for which this takes the recording's bits, how far they are off, and its change."""
-        least, most = 0.0, NOISE_GREY
-        tried = self
-        for _ in range(NOISE_HALVED):
-            values, bits = tried._again(part, shown, seed=0)
-            if bits > self.bits_per_pixel:
-                most = tried.noise_grey
-            else:
-                least = tried.noise_grey
-            tried = replace(self, noise_grey=(least + most) / 2 if most else 0.0)
-        return tried, abs(float(np.log(bits / self.bits_per_pixel))), _change(values)
+    def _with_noise(self, part: Floats32, shown: Floats) -> tuple[Encoder, Floats32, float]:
+        """With the noise for which this takes the recording's bits; I(x, t) then; how far bits are off."""
+        tried: dict[float, tuple[Floats32, float]] = {}
+
+        def too_many(noise: float) -> float:
+            values, bits = replace(self, noise_grey=noise)._again(part, shown, seed=0)
+            tried[noise] = values, float(np.log(bits / self.bits_per_pixel))
+            return tried[noise][1]
+
+        if too_many(0.0) < 0 < too_many(NOISE_GREY):
+            scipy.optimize.brentq(too_many, 0.0, NOISE_GREY, xtol=NOISE_ERROR)
+        noise = min(tried, key=lambda noise: abs(tried[noise][1]))
+        return replace(self, noise_grey=round(noise, 2)), tried[noise][0], abs(tried[noise][1])
 
     def _frames(self, profile: Floats32, shown: Floats, seed: int) -> Iterator[Pixels]:
         rng = np.random.default_rng(seed)
@@ -163,7 +174,8 @@ class Encoder:
             first = np.clip(column.astype(int), 0, self.width - 2)
             share = np.clip(column - first, 0, 1)
             frame[:, left:right] = line + (1 - share) * detail[:, first] + share * detail[:, first + 1]
-            frame += self.noise_grey * rng.standard_normal(frame.shape)
+            light = np.sqrt(np.maximum(frame, 0.0) / self.picture.mean()) if self.shot_noise else 1.0
+            frame += self.noise_grey * light * rng.standard_normal(frame.shape)
             yield np.clip(np.rint(frame), 0, 255).astype(np.uint8)
 
     def _options(self) -> dict[str, str]:
@@ -215,8 +227,26 @@ def _change(values: Floats32) -> float:
     return max(float(np.median(change)), 1e-3)
 
 
+def _contrast(values: Floats32) -> float:
+    """Mean change from frame to frame of the brightest quarter of the columns over that of the darkest, in
+    the nine tenths of the frames that change least."""
+    usual = np.median(values, axis=0)
+    dark, bright = np.quantile(usual, (0.25, 0.75))
+    change = np.abs(np.diff(values, axis=0))
+    mean = change.mean(axis=1)
+    change = change[mean <= np.quantile(mean, 0.9)]
+    of_dark, of_bright = (float(change[:, which].mean()) for which in (usual <= dark, usual >= bright))
+    return max(of_bright, 1e-3) / max(of_dark, 1e-3)
+
+
 def read_encoder(
-    path: Path, rows: tuple[int, int], columns: tuple[int, int], *, rotate: int = 0, frames: int = 600
+    path: Path,
+    rows: tuple[int, int],
+    columns: tuple[int, int],
+    *,
+    rotate: int = 0,
+    first: int = 0,
+    frames: int = 600,
 ) -> Encoder | None:
     """How a recording was encoded; None where that cannot be read, or nothing here encodes like it.
 
@@ -228,6 +258,8 @@ def read_encoder(
         Of the strip, half-open.
     rotate
         Degrees clockwise by which the run turned frames.
+    first
+        Number of the run's first frame, the picture.
     frames
         Frames of it that are looked at.
     """
@@ -252,7 +284,8 @@ def read_encoder(
                     both_ways |= int(frame.pict_type) == int(PictureType.B)
                     quantisers += _quantiser(frame, codec)
             pixels = stream.codec_context.width * stream.codec_context.height
-        picture = next(iter(open_video(path, rotate=rotate).frames()))
+        shown = open_video(path, rotate=rotate, frames=slice(first, first + 1))
+        picture = next(iter(shown.frames()))
     except (OSError, av.FFmpegError, InputError, IndexError, StopIteration):
         return None
     if codec == "hevc" and (crf := _told(told, b"x265", b"crf")) is not None:
@@ -263,8 +296,8 @@ def read_encoder(
     even = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2].astype(np.float64)
     # Of large frames fewer rows, so that a film made to find the noise has at most 60 million pixels.
     most = 60_000_000 // (TRIED_FRAMES * even.shape[1])
-    first = max(0, min(rows[0], (rows[0] + rows[1] - most) // 2)) // 2 * 2 if len(even) > most else 0
-    even = even[first : first + max(most, rows[1] - first)] if len(even) > most else even
+    top = max(0, min(rows[0], (rows[0] + rows[1] - most) // 2)) // 2 * 2 if len(even) > most else 0
+    even = even[top : top + max(most, rows[1] - top)] if len(even) > most else even
     even = even[: len(even) // 2 * 2]
     return Encoder(
         codec=codec,
@@ -275,7 +308,7 @@ def read_encoder(
         told=bool(quantisers),
         preset=PRESETS.get(int(effort), "medium") if effort is not None else "medium",
         picture=even,
-        rows=(rows[0] - first, min(rows[1] - first, len(even))),
+        rows=(rows[0] - top, min(rows[1] - top, len(even))),
         columns=(columns[0], min(columns[1], even.shape[1])),
     )
 

@@ -94,8 +94,8 @@ def _isolate_environment() -> None:
     os.environ["MATPLOTLIBRC"] = os.devnull
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
-    for unused in ("mpl_toolkits.mplot3d", "ssl"):  # matplotlib and asyncio do without, 30 ms sooner
-        sys.modules[unused] = None  # type: ignore[assignment]
+    # Matplotlib does without it, 20 ms sooner: no figure here has axes in space.
+    sys.modules["mpl_toolkits.mplot3d"] = None  # type: ignore[assignment]
     warnings.simplefilter("ignore")  # what a user should know is a warning line of the run
     sys.unraisablehook = lambda _: None  # what libraries leave half-closed after the error that is told
 

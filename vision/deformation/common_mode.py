@@ -13,7 +13,7 @@ import numpy as np
 
 from vision.deformation.creep import Creep, StickFrames
 from vision.deformation.settings import DeformationSettings
-from vision.numeric import Bools, Floats, Ints, nan_median
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
 
 # --- vibration ----------------------------------------------------------------------------------------------
 
@@ -276,6 +276,7 @@ class OneSide:
 
     profile_px: Floats  # slopes as in the neighbouring sticks, (stick, sheet)
     slow_px: Floats  # slope of the camera's slow movement, (stick,)
+    slow_err_px: Floats  # its standard error, (stick,)
     near: Floats  # weights of the neighbouring sticks, (stick, stick)
     unknown_px: Floats  # error of a slope from which nothing can be taken off, (stick,)
     settings: DeformationSettings
@@ -295,9 +296,12 @@ class OneSide:
         profile_px = _mean(near * (away > 0), slope_px)
         rest_px = middle_px - _pushed_between(middle_px, frames.middle_s, settings)[:, None]
         slow_px_s = _at_axis(*_rate(near, frames.middle_s, rest_px), n, profile_px)
+        at_rest_px = _at_axis(rest_px, np.isfinite(rest_px).astype(float), n, profile_px)
+        walk_px = _random_walk(at_rest_px)
+        slow_err_px = walk_px / 2 * np.sqrt(1.2 / np.maximum(near.sum(axis=1), 1))
         variance_px2 = float((vibration_px**2).sum()) / max(vibration_px.size, 1)
         white_px = np.sqrt(3 * variance_px2 / np.maximum(frames.counts, 1))
-        return cls(profile_px, slow_px_s * frames.length_s / 2, near, white_px, settings)
+        return cls(profile_px, slow_px_s * frames.length_s / 2, slow_err_px, near, white_px, settings)
 
     def drift(self, coefficient: Floats, error: Floats, *, slow: bool) -> Drift:
         """Drift of the camera during each stick; 0 where sheets creep too much alike, or are too few.
@@ -319,6 +323,9 @@ class OneSide:
         # The same in each of these sticks, it would pass for creep: as much as chance leaves in their mean.
         shared = (self.near**2 @ beyond**2) / np.maximum(self.near @ clear, 1.0) ** 2
         error = np.sqrt(1 / total + creep**2 / spread + shared)
+        # Noise alone passes for a walk of up to about three errors.
+        walked = slow & (self.slow_err_px > 3 * error)
+        error = np.hypot(error, np.where(walked, self.slow_err_px, 0.0))
         found = beyond + (self.slow_px if slow else 0.0)
         return Drift(
             np.where(clear, found, 0.0), np.where(clear, error, self.unknown_px), np.zeros_like(weight)
@@ -334,6 +341,13 @@ def _pushed_between(middle_px: Floats, middle_s: Floats, settings: DeformationSe
     pushed_px = np.zeros(len(middle_px))
     pushed_px[known[1:]] = np.where(_stray(common_px, settings), common_px, 0.0)
     return np.cumsum(pushed_px)
+
+
+def _random_walk(place_px: Floats) -> float:
+    """RMS step, px, of a camera that moves at slips, too, from stick to stick; drift, which goes on as it
+    went, is left out."""
+    change_px = np.diff(place_px, n=2)
+    return float(np.median(np.abs(change_px))) / NORMAL_MEDIAN / np.sqrt(2) if change_px.size else 0.0
 
 
 def _stray(common_px: Floats, settings: DeformationSettings) -> Bools:

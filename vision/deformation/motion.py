@@ -12,6 +12,7 @@ from vision.clock import Clock
 from vision.data import MOTION, STICKS, TRACKS, MotionMetadata, StripMetadata, TrackMetadata, record
 from vision.deformation.common_mode import (
     BothSides,
+    Drift,
     OneSide,
     camera_pushes,
     common_mode_motion,
@@ -271,7 +272,7 @@ class _Deformation:
 
     rms_px: over the usable frames as they are.  signed_px: RMS over the whole stick, positive inwards, with
     error_px.  sweep_px: inward movement over the stick.  middle_px: x̂.  count: positions used.  uneven:
-    residuals stand out.  effective_frames, drift_px: (stick,).
+    residuals stand out.  effective_frames, drift_px, drift_err_px: (stick,).
     """
 
     rms_px: Floats
@@ -284,6 +285,7 @@ class _Deformation:
     uneven: Bools
     effective_frames: Floats
     drift_px: Floats
+    drift_err_px: Floats
     noise: Noise
     camera_movement: str
 
@@ -326,6 +328,7 @@ def _measure(
         uneven=noise.excess > 1,
         effective_frames=np.where(np.isfinite(independent), frames.counts * independent, frames.counts),
         drift_px=2 * curve.drift,
+        drift_err_px=2 * curve.drift_err,
         noise=noise,
         camera_movement=camera.movement if camera else "not taken off",
     )
@@ -345,7 +348,8 @@ def _rms(x_px: Floats, frames: StickFrames) -> Floats:
 @dataclass(frozen=True)
 class _Curve:
     """Line or parabola, whichever each sheet needs, without drift: x = middle + slope P1(u) + bend P2(u), px,
-    (stick, sheet); bend is 0 for a line.  straight: the line's slope in any case.  drift: (stick,)."""
+    (stick, sheet); bend is 0 for a line.  straight: the line's slope in any case.  drift, drift_err:
+    (stick,)."""
 
     middle: Floats
     slope: Floats
@@ -354,6 +358,7 @@ class _Curve:
     bend_err: Floats
     straight: Floats
     drift: Floats
+    drift_err: Floats
 
     @classmethod
     def of(
@@ -372,7 +377,8 @@ class _Curve:
         best_err = np.where(curved, bent_err[..., 1], line_err[..., 1])
         slope, slope_err, _ = _without_drift(camera, best[..., 1], best_err)
         straight, _, drift = _without_drift(camera, line.coefficient[..., 1], line_err[..., 1])
-        return cls(best[..., 0], slope, slope_err, np.where(curved, bend, 0.0), bend_err, straight, drift)
+        bend = np.where(curved, bend, 0.0)
+        return cls(best[..., 0], slope, slope_err, bend, bend_err, straight, drift.value, drift.error)
 
     def shortened(self, slips: LateSlips) -> _Curve:
         """For sheets that creep for less than the whole stick."""
@@ -401,13 +407,13 @@ class _Curve:
 
 def _without_drift(
     camera: BothSides | OneSide | None, value: Floats, error: Floats, *, slow: bool = True
-) -> tuple[Floats, Floats, Floats]:
-    """A coefficient without the camera's movement, its error with that of the movement, and the movement,
-    (stick,)."""
+) -> tuple[Floats, Floats, Drift]:
+    """A coefficient without the camera's movement, its error with that of the movement, and the movement."""
     if camera is None:
-        return value, error, np.zeros(len(value))
+        none = np.zeros(len(value))
+        return value, error, Drift(none, none, np.zeros_like(value))
     drift = camera.drift(value, error, slow=slow)
-    return value - drift.value[:, None], drift.error_without(error), drift.value
+    return value - drift.value[:, None], drift.error_without(error), drift
 
 
 # --- output -------------------------------------------------------------------------------------------------
@@ -462,6 +468,7 @@ def _dataset(
         "stick_length_um": length[:, 0],
         "effective_frames": found.effective_frames,
         "drift_um": found.drift_px * pixel_size_um,
+        "drift_err_um": found.drift_err_px * pixel_size_um,
         "noise_um": found.noise.noise_px * pixel_size_um,
     }
     places = [name for name in ("t_v_s", "t_p_s", "d_v_mm", "d_p_mm") if name in events]

@@ -70,7 +70,7 @@ class DeformationSettings:
     """Sticks before and after that tell how much each sheet creeps, with one side in view.  More average
     over a changing profile; fewer leave more noise (test_common_mode: one side in view)."""
 
-    jump_spreads: float = 12.0
+    jump_spreads: float = 6.0
     """Median sizes of what all sheets do together, in a stick or from one to the next, beyond which the
     camera was pushed, with one side in view.  Larger takes pushes for drift of the sticks beside them;
     smaller leaves out sticks in which it drifts fast (test_common_mode: a camera that is pushed)."""

@@ -7,13 +7,13 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
-import scipy
 import xarray as xr
 
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
 from vision.errors import InputError
-from vision.force.lines import curvature, fit_broken_lines, fit_lines, flat_ranges
+from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.recording import is_compression
+from vision.force.regime import Regime, find_regime, is_unloading
 from vision.force.settings import ForceSettings
 from vision.force.slips import (
     Slips,
@@ -34,7 +34,7 @@ from vision.force.sticks import (
     is_slow,
     measure_sticks,
 )
-from vision.numeric import Bools, Floats, nan_median
+from vision.numeric import Bools, Floats, mad_sigma, nan_median
 
 
 def find_stick_slip(
@@ -73,8 +73,9 @@ def find_stick_slip(
     -------
     Table with the columns of ``events.csv`` in order, then further ones; all are described in
     `vision.data.STICKS`. F_v and F_p are the stick line through the central 80 % extended to valley and peak,
-    within what was recorded there; beside slow slips the recorded extremes. K is the slope of the central
-    half, K1 and K2 those before and after a knee. Lengths and stiffness are NaN where d is not known.
+    bent as all sticks are and within what was recorded there; beside slow slips the recorded extremes. K is
+    the slope of the central half, K1 and K2 those before and after a knee. Lengths and stiffness are NaN
+    where d is not known.
     ``flag`` is "ok" or, joined by "+", what is wrong within the stick (gap, nan, saturated, repeated,
     backwards, few (samples), falling, unloading), what the instrument cannot give (short, negative), or how
     it was measured (slow); "oscillation" and "cycles" are those of the whole recording. Attributes as
@@ -89,13 +90,16 @@ def find_stick_slip(
 
     Notes
     -----
-    Errors of forces and lengths hold the noise, the place of the corners, and what an uncorrected low-pass,
-    where one was found, changes in each event. Source: paper, section on stick-slip features.
+    Errors of forces and lengths hold the noise, the place of the corners, a quarter of what curved sticks
+    leave their lines by, what was recorded beyond them, and what an uncorrected low-pass, where one was
+    found, changes in each event. Source: paper, section on stick-slip features.
     """
     FORCE.check(force)
     metadata = ForceMetadata.of(force)
+    _check_times(force, metadata.source)
     signal = Signal.of(force, settings)
-    if is_compression(signal.load):
+    # Where a load below 0 falls suddenly it is a pull, with the load cell's zero set under load.
+    if is_compression(signal.load) and np.sum(np.diff(signal.clean) ** 3) > 0:
         raise InputError(
             metadata.source,
             "a pull (positive load)",
@@ -130,6 +134,7 @@ def find_stick_slip(
             "stick-slip: the force falls while the crosshead goes on",
             f"{unloading.size} falls, all while it goes back: push–pull cycles",
         )
+    signal = replace(signal, alike=_alike(signal, slips, settings))
     compliance = 1 / (machine_stiffness_N_per_mm or np.inf)
     events = measure_sticks(signal, corners, shown.extremes, tau, shown.bent, compliance, settings)
     stick_length = float(nan_median(events["stick_length_um"].to_numpy(float)))
@@ -179,6 +184,21 @@ def find_stick_slip(
         lowpass_s=lowpass_s,
         settings=settings.changed(),
     )
+
+
+def _check_times(force: xr.Dataset, source: str) -> None:
+    """Raises InputError where many samples share one time and so would be left out."""
+    if "flag" not in force:
+        return
+    changes = np.diff(force["load_N"].to_numpy(), prepend=np.nan) != 0
+    shared = float(np.mean((force["flag"].to_numpy().astype(str) == "repeated") & changes))
+    if shared > 0.3:
+        raise InputError(
+            source,
+            "a time for every sample",
+            f"{100 * shared:.0f} % of the samples at the time of the one before: it is written too coarsely",
+            "give the sampling rate in place of the time, such as `columns` time=100Hz",
+        )
 
 
 def _check_lowpass(lowpass_s: float | str, period_s: float, source: str) -> None:
@@ -250,15 +270,32 @@ def _above_slow_drops(
         return None
     clear = find_slips(signal.clean, signal.sigma, threshold=gap, settings=settings)
     lines = stick_lines(signal.clean, clear.edge, settings)
-    row, index = flat_ranges(*stick_middles(clear.edge, signal.clean.size, settings))
-    left = np.zeros(signal.clean.size)
-    left[index] = np.nan_to_num(signal.clean[index] - lines.take(row).at(index.astype(float)))
-    correlation = scipy.signal.correlate(left, left)[left.size - 1 :]
-    together = int(np.argmax(correlation < 0.1 * correlation[0]))  # less is chance
-    alike = 2 * float(np.sum(correlation[:together])) / float(correlation[0]) - 1
-    sigma = max(signal.sigma, float(nan_median(lines.spread)))
-    noisier = replace(signal, sigma=sigma, alike=max(alike, 1.0))
+    noisier = replace(signal, sigma=max(signal.sigma, float(nan_median(lines.spread))))
     return noisier, replace(clear, threshold_how="gap", left_out=slips.drop[small])
+
+
+def _alike(signal: Signal, slips: Slips, settings: ForceSettings) -> float:
+    """How many neighbouring samples have their noise in common: 1 unless the sticks prove it not white.
+
+    Lines through the two halves of each stick miss each other by more than white noise explains. By how much
+    they do so in all sticks is the sticks' curvature.
+    """
+    start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
+    some = np.flatnonzero(stop - start >= 2 * settings.few_samples)
+    if some.size < 8:
+        return 1.0
+    some = some[:: some.size // 400 + 1]  # enough for a median
+    middle = (start + stop) // 2
+    index = np.arange(signal.clean.size, dtype=float)
+    place = np.asarray(middle[some] - 0.5, np.float64)
+    whole, first, second = (
+        fit_lines(index, signal.clean, low[some], high[some])
+        for low, high in ((start, stop), (start, middle), (middle, stop))
+    )
+    expected = whole.spread * np.hypot(first.lever(place), second.lever(place))
+    missed = (first.at(place) - second.at(place)) / np.maximum(expected, np.finfo(float).tiny)
+    factor = float(mad_sigma(missed[np.isfinite(missed)])) ** 2
+    return factor if factor > 1 + settings.alike_sigmas / np.sqrt(some.size) else 1.0
 
 
 def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSettings) -> bool:
@@ -276,8 +313,10 @@ def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSetting
     ratio = float(np.median(broken.first[known] / broken.second[known]))
     # A stick that bends all along is followed better by a polynomial.
     begin, end = start[some][known], stop[some][known]
-    _, left = curvature(signal.clean, begin, end)
-    smooth = fit_lines(index, signal.clean, begin, end).squares / np.maximum(left, np.finfo(float).tiny)
+    _, left, row = fit_polynomials(signal.clean, begin, end)
+    smooth = fit_lines(index, signal.clean, begin, end).squares / np.maximum(
+        np.bincount(row, left**2), np.finfo(float).tiny
+    )
     if not lag and np.median(smooth) > np.median(broken.gain[known]):
         return False
     return float(np.median(broken.gain[known])) > settings.knee_gain and ratio > settings.knee_ratio
@@ -402,9 +441,16 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips
             lines.append(f"{what} has steps of {step:.3g} {unit}, sticks are {stick:.3g} {unit}")
     if slips.left_out.size:
         count, low, high = slips.left_out.size, slips.left_out.min(), slips.left_out.max()
+        why = "are no larger than" if slips.threshold_how == "jumps" else "lie below a gap in the sizes of"
+        what = "what the load jumps upward" if slips.threshold_how == "jumps" else "drops"
         lines.append(
-            f"{count} drops of {low:.3g} to {high:.3g} N lie below a gap in the sizes of drops and are not "
+            f"{count} drops of {low:.3g} to {high:.3g} N {why} {what} and are not "
             f"counted: `threshold_N` {0.9 * low:.2g} counts them"
+        )
+    if slips.jumps > max(1, 0.01 * len(events)):
+        lines.append(
+            f"the load jumps upward, too, {slips.jumps} times by {slips.threshold:.3g} N or more: so many of "
+            "the events, or more, may be noise, knocks or ringing"
         )
     flags = events["flag"].str.split("+")
     for word, meaning in (
@@ -421,82 +467,6 @@ def _resolution(values: Floats) -> float:
     """Usual distance of neighbouring values; 0 where there are none or nearly all differ."""
     different = np.unique(values[np.isfinite(values)])
     return float(np.median(np.diff(different))) if 2 < different.size < 0.2 * values.size else 0.0
-
-
-# --- is it stick-slip? --------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Regime:
-    """What kind of motion a recording shows."""
-
-    # "stick-slip"; or rise and fall equally long, "oscillation": both rounded, a narrow line in the spectrum,
-    # "cycles": both straight
-    name: str
-    fall_over_rise: float  # median duration of falls over that of rises
-    line_share: float  # share of the load's variance within 20 % of the frequency of the slips
-
-
-def find_regime(y: Floats, extremes: Extremes, settings: ForceSettings) -> Regime:
-    """Stick-slip, or an oscillation, or loading and unloading.
-
-    Rises and falls of the load are each fitted by a straight line and by half a cosine. Slow slips of true
-    stick-slip are rounded too, but their sticks are straight.
-    """
-    rise, fall = extremes.rise, extremes.fall[1:]
-    known = (rise >= 4) & (fall >= 2)
-    if known.sum() < 2:
-        return Regime("stick-slip", float("nan"), float("nan"))
-    ratio = float(np.median(fall[known] / rise[known]))
-    share = _line_share(y, extremes)
-    equal = settings.equal_share < ratio < 1 / settings.equal_share
-    v, p, next_v = extremes.valley[:-1], extremes.peak[1:], extremes.valley[1:]
-    rounded_rise = _roundness(y, v[known], p[known]) > 1
-    rounded_fall = _roundness(y, p[known], next_v[known]) > 1
-    name = "stick-slip"
-    if equal and rounded_rise and share > settings.line_share:
-        name = "oscillation"
-    elif equal and not rounded_rise and not rounded_fall:
-        name = "cycles"
-    return Regime(name, ratio, share)
-
-
-def _roundness(y: Floats, start: Floats, stop: Floats) -> float:
-    """Squares that straight lines leave over those that half cosines leave, all stretches together."""
-    row, index = flat_ranges(start.astype(np.int64), stop.astype(np.int64) + 1)
-    u = (index - start[row]) / (stop - start)[row]
-    left = []
-    for shape in (u, 0.5 * (1 - np.cos(np.pi * u))):
-        count = np.bincount(row).astype(float)
-        dx = shape - (np.bincount(row, shape) / count)[row]
-        dy = y[index] - (np.bincount(row, y[index]) / count)[row]
-        slope = np.bincount(row, dx * dy) / np.maximum(np.bincount(row, dx * dx), 1e-300)
-        left.append(float(np.sum((dy - slope[row] * dx) ** 2)))
-    return left[0] / max(left[1], 1e-300)
-
-
-def _line_share(y: Floats, extremes: Extremes) -> float:
-    """Share of the variance, from half the slips' frequency on, within 20 % of that frequency."""
-    low, high = int(extremes.peak[0]), int(extremes.peak[-1])
-    if high - low < 8:
-        return float("nan")
-    part = y[low:high]
-    frequency = np.fft.rfftfreq(part.size)
-    power = np.abs(np.fft.rfft((part - part.mean()) * np.hanning(part.size))) ** 2
-    usual = 1 / float(np.median(np.diff(extremes.peak)))
-    whole = power[frequency > 0.5 * usual].sum()
-    return float(power[np.abs(frequency - usual) < 0.2 * usual].sum() / whole) if whole > 0 else float("nan")
-
-
-def is_unloading(travel: Floats, extremes: Extremes) -> Bools:
-    """Falls during which the crosshead goes back by a fifth of what it went forward before, or more.
-
-    Where the separation at each sample, `travel`, is not known nothing is unloading.
-    """
-    place = np.arange(travel.size)
-    at_peak, at_valley = (np.interp(at, place, travel) for at in (extremes.peak, extremes.valley))
-    forward = np.abs(at_peak - np.r_[travel[0], at_valley[:-1]])
-    return np.asarray((at_peak - at_valley) > np.maximum(0.2 * forward, 1e-12))
 
 
 # --- detection limit ----------------------------------------------------------------------------------------

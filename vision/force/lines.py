@@ -43,7 +43,11 @@ class Lines:
 
     def error_at(self, x: Floats) -> Floats:
         """Standard error of the lines' values, from the residuals."""
-        return self.spread * np.sqrt(1 / self.count + (x - self.mean_x) ** 2 / self.sxx)
+        return self.spread * self.lever(x)
+
+    def lever(self, x: Floats) -> Floats:
+        """The same for residuals of 1."""
+        return np.asarray(np.sqrt(1 / self.count + (x - self.mean_x) ** 2 / self.sxx), np.float64)
 
     @property
     def squares(self) -> Floats:
@@ -114,21 +118,22 @@ class _Rows:
         return np.asarray(self.total(values) / self.count)
 
 
-def curvature(y: Floats, start: Ints, stop: Ints) -> tuple[Floats, Floats]:
-    """Least-squares polynomials of degree 4 through stretches of 10 samples or more.
+def fit_polynomials(y: Floats, start: Ints, stop: Ints, degree: int = 4) -> tuple[Floats, Floats, Ints]:
+    """Least-squares polynomials through stretches of 10 samples or more.
 
-    Coefficients (rows, 5) of the Legendre polynomials over each, and squared residuals.
+    Coefficients (rows, degree + 1) of the Legendre polynomials over each; residual and row of each sample.
     """
     row, index = flat_ranges(start, stop)
-    terms = legvander(2 * (index - start[row]) / (stop - 1 - start)[row] - 1, 4).T
-    level = (np.bincount(row, y[index]) / (stop - start))[row]  # sums of what is left lose fewer digits
-    products = np.empty((start.size, 5, 6))
+    size = degree + 1
+    terms = legvander(2 * (index - start[row]) / (stop - 1 - start)[row] - 1, degree).T
+    level = (np.bincount(row, y[index], start.size) / (stop - start))[row]  # sums of less lose fewer digits
+    products = np.empty((start.size, size, size + 1))
     for k, one in enumerate(terms):
-        for m, other in enumerate((*terms, y[index] - level)):
-            products[:, k, m] = np.bincount(row, one * other)
-    found = np.linalg.solve(products[:, :, :5], products[:, :, 5:])[:, :, 0]
-    left = y[index] - level - np.sum(found.T[:, row] * terms, axis=0)
-    return found, np.bincount(row, left**2)
+        products[:, k, size] = np.bincount(row, one * (y[index] - level), start.size)
+        for m, other in enumerate(terms[: k + 1]):
+            products[:, k, m] = products[:, m, k] = np.bincount(row, one * other, start.size)
+    found = np.asarray(np.linalg.solve(products[:, :, :size], products[:, :, size:])[:, :, 0], np.float64)
+    return found, y[index] - level - np.sum(found.T[:, row] * terms, axis=0), row
 
 
 @dataclass(frozen=True)

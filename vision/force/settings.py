@@ -53,6 +53,10 @@ class ForceSettings:
     """A gap of this ratio in the sizes of the drops separates noise from slips and moves the threshold there.
     Smaller may cut off true small slips, larger leaves clusters of false ones."""
 
+    jump_cost: float = 3.0
+    """Drops that one jump upward of the same size outweighs when the threshold is chosen. Smaller keeps more
+    small slips and more false ones; shown by pink noise, which must give no event, and by knocks."""
+
     slow_gap: float = 2.0
     """The same where most drops below the gap last nearly as long as the rises beside them: swings of hum or
     of smoothed noise. Smaller cuts off slow slips that are small, larger takes hum for slips; shown by slow
@@ -122,6 +126,11 @@ class ForceSettings:
     central_part: float = 0.5
     """Central part of the stick over which K is measured. Larger lowers the error of K and takes in the
     curvature of the ends; the columns K30 and K70 show how much it matters."""
+
+    alike_sigmas: float = 6.0
+    """By how much, in units of 1 over the root of the number of sticks, the two halves of the sticks must
+    differ beyond white noise before errors are widened. Smaller widens those of white noise by chance, larger
+    leaves those of slow noise too small; shown by both."""
 
     few_samples: int = 10
     """Sticks of fewer samples are flagged "few", and the model fits leave them out."""

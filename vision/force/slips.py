@@ -14,7 +14,15 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from vision.force.lines import LEAST_FOR_KNEE, Lines, bend_squares, fit_lines, lagged_hinge
+from vision.force.lines import (
+    LEAST_FOR_KNEE,
+    Lines,
+    bend_squares,
+    fit_lines,
+    fit_polynomials,
+    flat_ranges,
+    lagged_hinge,
+)
 from vision.force.settings import ForceSettings
 from vision.numeric import Bools, Floats, Ints
 from vision.signals import apart, find_maxima, running_mean, running_median
@@ -30,8 +38,11 @@ class Slips:
     drop: Floats  # height between the stick lines on both sides there
     period: float  # median samples from slip to slip; NaN with fewer than two
     threshold: float  # smallest drop kept
-    threshold_how: str  # "noise" (a multiple of it), "gap" (between small and large drops) or "given"
-    left_out: Floats  # drops beyond the noise that lie below such a gap
+    # "noise" (a multiple of it), "jumps" (above those upward), "gap" (between small and large drops) or
+    # "given"
+    threshold_how: str
+    left_out: Floats  # drops beyond the white noise that are below the threshold
+    jumps: int = 0  # upward ones as large as the drops kept: about so many of these are no slips
 
 
 def find_slips(
@@ -48,17 +59,50 @@ def find_slips(
     falls between two drops. What remains is kept where the lines on both sides, extended to the drop, differ
     by the threshold. Drops are measured between fitted lines, so 4 sigma here is stricter than 6 sigma
     between single samples.
+
+    Noise that is not white, knocks and ringing jump up as they jump down; slips do not. Jumps upward within
+    the sticks therefore tell how many drops of each size are none, and may raise the threshold.
     """
     edge = _edges(y, _first_period(y, sigma, settings), sigma, settings)
     edge = _edges(y, _local_period(edge, y.size), sigma, settings)
     drop = _stick_drops(y, edge, settings)
     least, how = (settings.threshold_sigmas * sigma, "noise") if threshold is None else (threshold, "given")
-    keep, left_out = drop >= least, np.empty(0)
+    keep, left_out, jump = drop >= least, np.empty(0), np.empty(0)
+    if threshold is None and (jump := _jumps_upward(y, edge, sigma, settings, least)).size:
+        # The threshold that leaves most slips over, every jump upward but one counting against some.
+        steps = np.r_[least, np.nextafter(np.sort(jump), np.inf)]
+        above = np.sum(drop >= steps[:, np.newaxis], axis=1)
+        balance = above - settings.jump_cost * np.maximum(jump.size - 1 - np.arange(steps.size), 0)
+        best = int(np.argmax(balance))
+        if best:
+            left_out = drop[keep & (drop < steps[best])]
+            keep, least, how = drop >= steps[best], float(steps[best]), "jumps"
     if threshold is None and (gap := size_gap(drop[keep], settings.threshold_gap, 0.5)) > least:
-        left_out = drop[keep & (drop < gap)]
+        left_out = drop[(drop >= settings.threshold_sigmas * sigma) & (drop < gap)]
         keep, least, how = drop >= gap, gap, "gap"
     period = float(np.median(np.diff(edge[keep]))) if keep.sum() > 1 else float("nan")
-    return Slips(edge[keep], drop[keep], period, least, how, left_out)
+    return Slips(edge[keep], drop[keep], period, least, how, left_out, int(np.sum(jump >= least)))
+
+
+def _jumps_upward(y: Floats, edge: Ints, sigma: float, settings: ForceSettings, least: float) -> Floats:
+    """Heights of the jumps upward between the edges: drops, of `least` or more, of each stick's mirror image.
+
+    A stick is mirrored about a parabola through it, which keeps its rise and turns what is on it.
+    """
+    bounds = np.r_[0, edge, y.size]
+    whole = np.flatnonzero(np.diff(bounds) > 2 * settings.few_samples)
+    _, left, _ = fit_polynomials(y, bounds[whole], bounds[whole + 1], 2)
+    mirrored = y.copy()
+    mirrored[flat_ranges(bounds[whole], bounds[whole + 1])[1]] -= 2 * left
+    period = _local_period(edge, y.size)
+    # Not the slips themselves; and what the load itself, between lines on both sides, shows to jump.
+    slips = np.concatenate([edge + away for away in range(-3, 4)])
+    if not np.setdiff1d(_peaks(mirrored, _half_widths(period, settings), sigma, settings), slips).size:
+        return np.empty(0)
+    found = np.setdiff1d(_edges(mirrored, period, sigma, settings), slips)
+    both = np.union1d(edge, found)
+    height = -_stick_drops(y, both, settings)[np.searchsorted(both, found)]
+    return height[height >= least]
 
 
 def stick_lines(y: Floats, edge: Ints, settings: ForceSettings) -> Lines:
@@ -98,9 +142,13 @@ def _peaks(y: Floats, half: Ints, sigma: float, settings: ForceSettings) -> Ints
 
 def _edges(y: Floats, period: Floats, sigma: float, settings: ForceSettings) -> Ints:
     """Drops of a signal whose period, in samples, is known at every sample."""
-    half = np.clip(np.rint(settings.step_width * period), 2, None).astype(np.int64)
-    edge = _join_weak(y, _peaks(y, half, sigma, settings), sigma, settings)
+    edge = _join_weak(y, _peaks(y, _half_widths(period, settings), sigma, settings), sigma, settings)
     return _join_knees(y, _join_parts(y, edge, settings), sigma, settings)
+
+
+def _half_widths(period: Floats, settings: ForceSettings) -> Ints:
+    """Half the widths of the step filter for these periods."""
+    return np.asarray(np.clip(np.rint(settings.step_width * period), 2, None), np.int64)
 
 
 def _first_period(y: Floats, sigma: float, settings: ForceSettings) -> Floats:

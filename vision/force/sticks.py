@@ -11,7 +11,7 @@ import pandas as pd
 import xarray as xr
 from numpy.polynomial.legendre import legvander
 
-from vision.force.lines import BrokenLines, curvature, fit_broken_lines, fit_lines, flat_ranges
+from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines, fit_polynomials, flat_ranges
 from vision.force.recording import find_spikes, noise_sigma, usable
 from vision.force.settings import ForceSettings
 from vision.force.slips import DeconvolvedLoad, SlipTransients, stick_lines, stick_middles
@@ -67,8 +67,10 @@ def find_corners(
     if stick.size and 2 * nan_median(np.fmin(middle - high, low - middle)) < settings.shape_slip * np.median(
         stick
     ):
-        base = _Baselines.of(signal, two_slopes, settings, Shape.of(signal.load, signal.edge, settings))
-        high, middle, low = _crossings(signal.load, signal.edge, base)
+        shape = Shape.of(signal.load, signal.edge, settings)
+        if shape.begin or shape.end:
+            base = _Baselines.of(signal, two_slopes, settings, shape)
+            high, middle, low = _crossings(signal.load, signal.edge, base)
     # What sampling and smoothing alone make of a sudden drop is no part of a slip's length: it crosses 90 %
     # and 50 % 0.4 samples apart, and more where deconvolution leaves a sample part of the way down.
     blur = np.hypot(0.4 * signal.width, 0.5 if signal.late else 0.0)
@@ -212,7 +214,7 @@ class Shape:
 
     begin: float
     end: float
-    error: float  # what higher orders may add, the same at both ends
+    error: float  # what the polynomials may be wrong by, the same at both ends
 
     @classmethod
     def of(cls, y: Floats, edge: Ints, settings: ForceSettings) -> Shape:
@@ -225,7 +227,8 @@ class Shape:
         some = np.flatnonzero((length > long) & (rise > 0))  # the shorter ones may be swings
         if some.size < 8:
             return straight
-        share = curvature(y, start[some], stop[some])[0][:, 2:] / rise[some, np.newaxis]
+        some = some[:: some.size // 400 + 1]  # enough for medians
+        share = fit_polynomials(y, start[some], stop[some])[0][:, 2:] / rise[some, np.newaxis]
         middle = np.median(share, axis=0)
         standard = 1.25 * mad_sigma(share, axis=0) / np.sqrt(some.size)
         middle[np.abs(middle) < settings.shape_sigmas * standard] = 0.0
@@ -234,7 +237,7 @@ class Shape:
         begin, end = terms.sum(axis=0)
         if not middle.any() or max(abs(begin), abs(end)) > 1.0:  # no stick leaves its line that far
             return straight
-        return cls(float(begin), float(end), float(np.abs(terms[np.flatnonzero(middle)[-1], 0])) / 4)
+        return cls(float(begin), float(end), float(np.sqrt((terms[:, 0] ** 2).sum())) / 4)
 
 
 # --- recorded extremes --------------------------------------------------------------------------------------
@@ -374,7 +377,7 @@ def _filled_in(load: Floats) -> Bools:
     Then nearly all runs of equal values, or of equal differences, are of one length; steps of a coarse load
     are not. Where a line's ends lie between samples the first sample after each is kept.
     """
-    steps = np.diff(np.unique(load))
+    steps = np.diff(np.unique(load[:20_000]))  # enough to show the last digit written
     rounding = 3 * float(np.min(steps, where=steps > 1e-9 * np.ptp(load), initial=np.inf))
     repeats = np.diff(load, prepend=np.nan) == 0
     bends = np.r_[True, np.abs(np.diff(load, 2)) > rounding, True]
@@ -384,7 +387,7 @@ def _filled_in(load: Floats) -> Bools:
         usual = np.median(length)
         even = np.abs(length - usual * np.rint(length / usual)) <= (usual >= 4 and measured is bends)
         if 1 < usual <= most and np.mean(even) > 0.9:
-            return ~measured
+            return np.asarray(~measured, np.bool_)
     return np.zeros_like(repeats)
 
 
@@ -552,8 +555,8 @@ def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, shape: Shap
         f_v = np.where(bent, broken.first_at(t_v), f_v)
         f_p = np.where(bent, broken.second_at(t_p), f_p)
     wider = np.sqrt(signal.alike)
-    errors = (np.hypot(wider * line.error_at(at), shape.error * rise) for at in (t_v, t_p))
-    return _Ends(f_v, f_p, *errors, line.slope)
+    error_v, error_p = (np.hypot(wider * line.error_at(at), shape.error * rise) for at in (t_v, t_p))
+    return _Ends(f_v, f_p, error_v, error_p, line.slope)
 
 
 def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: float) -> dict[str, Floats]:

@@ -33,6 +33,7 @@ from vision.signals import running_median
 _LEAST_EVENTS = 6
 _MEASURED = frozenset({"ok", "slow", "negative"})  # flags of events that are whole
 _LARGEST_OFFSET_N = 10.0  # limits of T0 in the publication: what a load cell's zero may be off by
+_CLEAR_OFFSET = 5.0  # errors by which T0 differs from 0 beyond chance
 _CONTRADICTS = 3.0  # χ²/dof of peaks that are not those of Eq. 1
 _GEOMETRY = ("thickness_mm", "width_mm", "length_mm", "t_star_N")
 
@@ -551,6 +552,11 @@ def _remarks(
         warnings.append(
             f"𝒯0 = {fits.t0_N.value:.3g} N lies beyond the ±{_LARGEST_OFFSET_N:g} N of a load cell's zero: "
             "check `d0_mm`, the sample's geometry, the zero and the units"
+        )
+    elif abs(fits.t0_N.value) > _CLEAR_OFFSET * fits.t0_N.error > 0:
+        notes.append(
+            f"𝒯0 = {fits.t0_N.value:.3g} N is {abs(fits.t0_N.value) / fits.t0_N.error:.2g} errors from 0: "
+            "the load cell's zero was off by so much, or `d0_mm` or the sample's geometry is"
         )
     if fits.scale_mm.value > 0.999 * LARGEST_SCALE * fits.d_mm[1]:
         warnings.append("K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined")

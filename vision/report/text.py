@@ -281,6 +281,7 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
     s = StickMetadata.of(sticks)
     source = {
         "noise": "a multiple of the noise",
+        "jumps": "above most of the load's jumps upward, which are no slips",
         "gap": "where the sizes of the drops leave a gap above the noise",
         "given": "as given",
     }.get(s.threshold_how, s.threshold_how)

@@ -45,7 +45,7 @@ def keep_first_view(session: Session) -> None:
     if session.saver.running or read_first_view(folder, film):
         return
     with suppress(InputError):
-        session.found.check_there()
+        session.stored.check_there()
         with whole_file(folder / FIRST_VIEW) as path:
             write_first_view(path, folder, first_answers(session), film)
 

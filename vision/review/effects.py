@@ -119,7 +119,7 @@ class Effects:
 
     def _event_at(self, row: int, clock: Clock | None = None) -> int | None:
         """Return the stick phase that contains a row; None if there is none or the clock is ambiguous."""
-        clock, events = clock or self.run.clock, self.run.found.events
+        clock, events = clock or self.run.clock, self.run.stored.events
         if clock is None or events is None or clock.status not in READY:
             return None
         time_s = float(clock.to_force_s(self.run.positions.time_s[row]))
@@ -132,10 +132,10 @@ class Effects:
         Raises: InputError if the run has no force recording.
         """
         decision = self.run.decision_of({"kind": "clock", "offset_s": offset_s, "drift_ppm": drift_ppm})
-        if self.run.found.events is None:
+        if self.run.stored.events is None:
             raise InputError("the clock", "a run with a force recording", "none")
         with self.run.lock:
-            clock = decided_clock(self.run.found.clock, decision)
+            clock = decided_clock(self.run.stored.clock, decision)
             times = {"sticks": self.run.sticks(clock), "slips": self.run.slips(clock)}
             if not isinstance(frame, int):
                 return times
@@ -218,7 +218,7 @@ class Effects:
 
         Raises: InputError if there are no events, or no unambiguous clock.
         """
-        clock, events = clock or self.run.clock, self.run.found.events
+        clock, events = clock or self.run.clock, self.run.stored.events
         if clock is None or events is None:
             raise InputError("the run", "a force recording and its clock", "none", "give `force` to track")
         if clock.status not in READY:
@@ -246,7 +246,7 @@ class Effects:
                 positions.tracks(near.rows),
                 near.sticks,
                 near.clock,
-                pixel_size_um=self.run.found.pixel_size_um,
+                pixel_size_um=self.run.stored.pixel_size_um,
                 common_mode=settings.common_mode,
                 settings=settings.tuning.deformation,
             )

@@ -18,7 +18,7 @@ from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints, nan_median
 from vision.review.recordings import Diagram
-from vision.review.tracks_file import Stored
+from vision.review.tracks_file import StoredTracks
 from vision.run.tables import attrs_of_netcdf
 from vision.sheets.corrections import OF_SHEETS, Correction, check_there, follow_ridge, not_taken
 from vision.sheets.neighbours import said_by_neighbours
@@ -30,19 +30,9 @@ from vision.sheets.subpixel import FitName, fit_sheets
 Codes = NDArray[np.uint8]
 
 FLAGS = (
-    "ok",
-    "blurred",
-    "edge",
-    "missing",
-    "merged",
-    "unfit",
-    "left_out",
-    "frozen",
-    "blank",
-    "corrupt",
-    "lost",
+    "ok", "blurred", "edge", "missing", "merged", "unfit", "left_out", "frozen", "blank", "corrupt", "lost",
     "doubtful",
-)
+)  # fmt: skip
 """Values of `flag`, from the best to the worst: of several frames that share a pixel the worst is shown."""
 WHYS = ("", *DOUBTS)
 DOUBTFUL = FLAGS.index("doubtful")
@@ -149,7 +139,7 @@ def _slips_in(tracks: xr.Dataset) -> Floats:
         return np.empty(0)
 
 
-def positions_of(stored: Stored) -> Positions:
+def positions_of(stored: StoredTracks) -> Positions:
     """Convert stored tracks into positions."""
     arrays, shape = stored.arrays, stored.arrays["x_px"].shape
     attrs = {name: value for name, value in stored.attrs.items() if name not in ("Conventions", "title")}
@@ -167,7 +157,7 @@ def positions_of(stored: Stored) -> Positions:
     )
 
 
-def _codes(stored: Stored, name: str, words: Sequence[str]) -> Codes:
+def _codes(stored: StoredTracks, name: str, words: Sequence[str]) -> Codes:
     """Return the stored words of an array as indices in `words`; 0 for those that are not in it."""
     if name not in stored.arrays:
         return np.zeros(stored.arrays["x_px"].shape, np.uint8)

@@ -39,7 +39,7 @@ COLUMNS = ("event", "t_v_s", "t_p_s", "stick_length_um")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class StoredRun:
     """Contents of a run folder, read once."""
 
     folder: Path
@@ -50,7 +50,7 @@ class Found:
     events: pd.DataFrame | None = None
 
     @classmethod
-    def of(cls, folder: Path) -> Found:
+    def of(cls, folder: Path) -> StoredRun:
         """Read a run folder.  Raises: InputError if it is damaged or not the run of a video."""
         stamp, facts = _stamp(folder), read_json(folder / MARK)
         clock = folder / "clock.json"
@@ -409,8 +409,8 @@ class Film:
 class Recordings:
     """Film and force of a run, each opened when first needed; `moved` is the film's new path, if any."""
 
-    def __init__(self, found: Found, settings: Settings, moved: Path | None) -> None:
-        self.found, self.settings, self.moved = found, settings, moved
+    def __init__(self, stored: StoredRun, settings: Settings, moved: Path | None) -> None:
+        self.stored, self.settings, self.moved = stored, settings, moved
         self._lock = Lock()
         self._film: Film | InputError | None = None
         self._force: xr.Dataset | None = None
@@ -421,7 +421,7 @@ class Recordings:
         with self._lock:
             if self._film is None:
                 try:
-                    path = input_of(self.found.folder, self._input(0), self.moved)
+                    path = input_of(self.stored.folder, self._input(0), self.moved)
                     self._film = Film(open_recording(path, self.settings))
                 except InputError as error:
                     self._film = error
@@ -431,10 +431,10 @@ class Recordings:
 
     def _input(self, place: int) -> Mapping[str, Any]:
         """Return the entry of the film (0) or the force recording (-1) among the inputs in run.json."""
-        inputs = self.found.facts.get("inputs") or []
-        force = self.found.parameters.get("force")
+        inputs = self.stored.facts.get("inputs") or []
+        force = self.stored.parameters.get("force")
         if not inputs or (place and (force is None or not force.value)):
-            raise InputError(self.found.folder, "a film and a force recording", "none in its run.json")
+            raise InputError(self.stored.folder, "a film and a force recording", "none in its run.json")
         return dict(inputs[place])
 
     def picture(self, frame: int, time_s: float) -> Grey:
@@ -454,7 +454,7 @@ class Recordings:
         """
         with self._lock:
             if self._force is None:
-                path = input_of(self.found.folder, self._input(-1))
+                path = input_of(self.stored.folder, self._input(-1))
                 self._force = open_force(path, self.settings)[["load_N", "d_mm"]]
         time_s = self._force["time_s"].to_numpy()
         a, b = np.searchsorted(time_s, [first_s, stop_s])

@@ -283,7 +283,7 @@ class Trial:
         run = self.run
         with run.lock:
             folder = self._finished()
-            run.found.check_there()
+            run.stored.check_there()
             try:
                 put_in_place(folder, run.folder.resolve(), overwrite=True)
             except OSError as error:

@@ -29,9 +29,9 @@ from vision.review.positions import (
     positions_of,
     take_back,
 )
-from vision.review.recordings import Diagram, Found, Recordings, Tiles, claim, decided_clock
+from vision.review.recordings import Diagram, Recordings, StoredRun, Tiles, claim, decided_clock
 from vision.review.saving import SaveJob, Saver, Trial, pack, unpack
-from vision.review.tracks_file import Stored, read_tracks
+from vision.review.tracks_file import StoredTracks, read_tracks
 from vision.run.folder import plain, whole_file
 from vision.run.reading import AGAIN
 from vision.run.writing import CORRECTIONS
@@ -77,7 +77,7 @@ class Session:
         *,
         film: Path | None = None,
         options: Mapping[str, str] | None = None,
-        tracks: Future[Stored] | None = None,
+        tracks: Future[StoredTracks] | None = None,
     ) -> None:
         self.folder, self.settings, self.options = folder, settings, dict(options or {})
         self.saver, self.effects, self.trial = Saver(), Effects(self), Trial(self)
@@ -90,14 +90,14 @@ class Session:
             with reading(folder, "a run folder as track writes it", AGAIN):
                 self._load(tracks)
                 self.revision = 0  # stored answers to a page's first requests have revision 0
-                self.recordings = Recordings(self.found, settings, film)
+                self.recordings = Recordings(self.stored, settings, film)
         except BaseException:
             self._claim.close()
             raise
 
-    def _load(self, tracks: Future[Stored] | None = None) -> None:
+    def _load(self, tracks: Future[StoredTracks] | None = None) -> None:
         """Read the folder, then apply the decisions that are not in its tables yet."""
-        self.found = Found.of(self.folder)
+        self.stored = StoredRun.of(self.folder)
         columns = self.settings.columns
         first = 0 if columns is None else columns.start or 0
         self.diagram = Diagram(self.folder / "kymograph.tif", first, self.settings.tuning.tracking)
@@ -108,9 +108,9 @@ class Session:
             self.diagram.close()
             raise
 
-    def _load_tracks(self, tracks: Future[Stored] | None) -> None:
+    def _load_tracks(self, tracks: Future[StoredTracks] | None) -> None:
         """Read the positions; meanwhile build the tiles of the diagram."""
-        ridges = self.found.facts.get("found", {}).get("ridges", {}).get("polarity", "bright")
+        ridges = self.stored.facts.get("found", {}).get("ridges", {}).get("polarity", "bright")
         self.tiles = Tiles(self.diagram, bright=ridges == "bright")
         with ThreadPoolExecutor(1) as pool:
             built = pool.submit(self.tiles.build)
@@ -123,7 +123,7 @@ class Session:
 
     def _load_decisions(self) -> None:
         """Read the decisions and bring the positions, in which the saved ones are applied, up to date."""
-        self.applied = self.found.applied
+        self.applied = self.stored.applied
         path = self.folder / CORRECTIONS
         wanted = read_decisions(path) if path.exists() else Decisions(corrections=tuple(self.applied))
         self.undone = list(wanted.undone)
@@ -171,7 +171,7 @@ class Session:
 
     def job(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> SaveJob:
         """Return the job that applies these decisions to the run.  Raises: InputError if the run is gone."""
-        self.found.check_there()
+        self.stored.check_there()
         before, after = (last_of(part, "strip") for part in (self.applied, decisions))
         same_strip = (before and before.rows) == (after and after.rows)  # else the replaced values differ
         return SaveJob(
@@ -179,7 +179,7 @@ class Session:
             settings=self.settings,
             applied=tuple(self.applied),
             decisions=self._as_written(decisions, undone),
-            clock=self.found.clock,
+            clock=self.stored.clock,
             film=self.recordings.moved,
             beside={REPLACED: pack(self._before)} if self._before and same_strip else {},
             options=self.options,
@@ -287,13 +287,13 @@ class Session:
 
     def _write(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> None:
         """Write corrections.toml atomically; it is on the disk when this returns."""
-        self.found.check_there()
+        self.stored.check_there()
         text = corrections_text(self._as_written(decisions, undone))
         with whole_file(self.folder / CORRECTIONS, durable=True) as path:
             path.write_text(text, encoding="utf-8")
 
     def _as_written(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> Decisions:
-        checksum = self.found.film_checksum
+        checksum = self.stored.film_checksum
         return Decisions(corrections=tuple(decisions), undone=tuple(undone), film=checksum)
 
     # --- data of the page -----------------------------------------------------------------------------------
@@ -314,7 +314,7 @@ class Session:
                 "clock_kind": strip.clock_kind,
                 "columns": self.diagram.columns,
                 "first_column": self.diagram.first_column,
-                "pixel_size_um": self.found.pixel_size_um,
+                "pixel_size_um": self.stored.pixel_size_um,
                 "threshold": self.settings.threshold,
                 "strip": (decision and decision.rows) or (strip.strip_z0, strip.strip_z1),
                 "axis_px": facts.axis_px,
@@ -323,8 +323,8 @@ class Session:
                 "ridge_fwhm_px": facts.ridge_fwhm_px,
                 "ridges": facts.ridges,
                 "flags": FLAGS,
-                "has_force": self.found.events is not None,
-                "warnings": self.found.facts.get("warnings", []),
+                "has_force": self.stored.events is not None,
+                "warnings": self.stored.facts.get("warnings", []),
                 "sheets": self.sheets(),
                 "doubts": self.doubts(),
                 "sticks": self.sticks(),
@@ -379,12 +379,12 @@ class Session:
     @property
     def clock(self) -> Clock | None:
         """The run's clock, or that of a later decision."""
-        decision, saved = last_of(self.pending, "clock"), self.found.clock
+        decision, saved = last_of(self.pending, "clock"), self.stored.clock
         return saved if decision is None else decided_clock(saved, decision)
 
     def sticks(self, clock: Clock | None = None) -> list[dict[Any, Any]]:
         """Return the stick phases within the film, in frames, by the current clock or another."""
-        clock, events = clock or self.clock, self.found.events
+        clock, events = clock or self.clock, self.stored.events
         if clock is None or events is None:
             return []
         start, stop = (clock.to_video_s(events[name].to_numpy(float)) for name in ("t_v_s", "t_p_s"))
@@ -396,9 +396,9 @@ class Session:
     def slips(self, clock: Clock | None = None) -> list[int]:
         """Return the first frames after the slips of the force or, without a clock, of the sheets."""
         clock, time_s = clock or self.clock, self.positions.time_s
-        if clock is None or self.found.events is None or clock.status not in READY:
+        if clock is None or self.stored.events is None or clock.status not in READY:
             return self.film_slips()
-        at = clock.to_video_s(self.found.events["t_p_s"].to_numpy(float))
+        at = clock.to_video_s(self.stored.events["t_p_s"].to_numpy(float))
         at = at[(at > np.nanmin(time_s)) & (at < np.nanmax(time_s))]
         return sorted({int(frame) for frame in self._frames_at(at)})
 

@@ -31,7 +31,7 @@ NEEDED = ("x_px", "x_err_px", "flag", "time_s", "side", "n", "frame")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stored:
+class StoredTracks:
     """Content of a tracks.nc.
 
     Parameters
@@ -49,7 +49,7 @@ class Stored:
     attrs: Mapping[str, Any]
 
 
-def read_tracks(path: Path, rows: slice = slice(None)) -> Stored:
+def read_tracks(path: Path, rows: slice = slice(None)) -> StoredTracks:
     """Read the file, or some of its frames.
 
     Raises
@@ -65,7 +65,7 @@ def read_tracks(path: Path, rows: slice = slice(None)) -> Stored:
         if facts["absent"]:
             raise InputError(path, WANTED, f"no {', '.join(facts['absent'])}", AGAIN)
         arrays = {one.stem: np.load(one) for one in Path(folder).glob("*.npy")}
-    return Stored(arrays=arrays, words=facts["words"], attrs=facts["attrs"])
+    return StoredTracks(arrays=arrays, words=facts["words"], attrs=facts["attrs"])
 
 
 def unpack(path: str, folder: str, begin: int, end: int) -> None:

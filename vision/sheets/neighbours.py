@@ -232,23 +232,27 @@ def pattern_moved(log_contrast: Floats, log_width: Floats) -> Ints:
     own, others = _unlikeness(before, after, 0), np.stack([_unlikeness(before, after, by) for by in SHIFTS])
     own, usual = np.where(own < np.inf, own, 0.0), np.median(own)
     found = np.flatnonzero((others.min(axis=0) < own / 3) & (own > 3 * usual))
-    for run in np.split(found, 1 + np.flatnonzero(np.diff(found) > 1)) if len(found) else ():
-        best = run[np.argmin(others.min(axis=0)[run] / own[run])]
-        by = SHIFTS[int(np.argmin(others[:, best]))]
-        near = looks[:, best : best + 2 * PATTERN_FRAMES]
+    events: list[int] = []
+    for frame in found[np.argsort(others.min(axis=0)[found] / own[found])].tolist():
+        if all(abs(frame - other) >= PATTERN_FRAMES for other in events):
+            events.append(frame)
+    for best in events:  # the medians tell to two frames when, each frame's own looks the rest
+        first, last = best + PATTERN_FRAMES // 2 + 1, best + PATTERN_FRAMES + PATTERN_FRAMES // 2
+        near = looks[:, first:last]
         as_before = np.broadcast_to(before[:, [best]], near.shape)
-        there = _unlikeness(as_before, near, by) < _unlikeness(as_before, near, 0)
-        moved[best + int(np.argmax(there)) :] += by
+        each = np.stack([_unlikeness(as_before, near, by) for by in (0, *SHIFTS)])
+        moved[first:last] += np.array((0, *SHIFTS))[each.argmin(axis=0)]
+        moved[last:] += SHIFTS[int(np.argmin(others[:, best]))]
     return moved
 
 
 def _unlikeness(before: Floats, after: Floats, by: int) -> Floats:
-    """Median change of looks (kinds, frame, N) against those of the sheet `by` further, (frame,); inf
-    where that leaves too few sheets."""
+    """Change of looks (kinds, frame, N) against those of the sheet `by` further that most sheets keep to,
+    (frame,); inf where that leaves too few sheets."""
     step = after - np.stack([shifted(part, by) for part in before])
-    size = np.abs(step - nan_median(step, axis=2)[..., None])
-    enough = np.isfinite(size).all(axis=0).sum(axis=1) >= LEAST_PATTERN
-    return np.where(enough, nan_median(np.concatenate(size, axis=1), axis=1), np.inf)
+    size = nan_quantile(np.abs(step - nan_median(step, axis=2)[..., None]), 0.75, axis=2)
+    enough = np.isfinite(step).all(axis=0).sum(axis=1) >= LEAST_PATTERN
+    return np.where(enough, np.hypot(*size), np.inf)
 
 
 def _less_common(values: Floats) -> Floats:

@@ -501,9 +501,9 @@ def _matched(bright: Floats32, x: Floats, comb: RidgeComb) -> tuple[Floats, Floa
 def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int, fallback: float) -> Floats:
     """Standard deviation of the profile's noise around each sheet, grey levels, (N,).
 
-    From second differences in time of the pixels around a ridge, taken along with it by whole pixels, less
-    what its motion and flicker (level, brightness, first and second derivative of the ridge) explain: so the
-    paper's texture and a shaking camera are no noise, and bright ridges may be noisier. The median over
+    From second differences in time of the pixels around a ridge, taken along with all sheets by whole pixels,
+    less what its motion and flicker (level, brightness, first and second derivative of the ridge) explain: so
+    the paper's texture and a shaking camera are no noise, and bright ridges may be noisier. The median over
     groups of three frames ignores slips.
 
     Parameters
@@ -524,13 +524,19 @@ def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int
     before, now, after = (
         gather(profile, Starts(np.repeat(middle + step, x_px.shape[1]), (centre + carried).ravel()), offsets)
         for step in (-1, 0, 1)
-        for carried in [np.nan_to_num(np.rint(x_px[middle + step] - x_px[middle])).astype(np.int64)]
+        for carried in [_common_steps(x_px, middle, step)[:, None]]
     )
     variance = _residual_variance(before + after - 2 * now, (before + now + after) / 3)
     variance = variance.reshape(len(middle), -1) / 6
     known = np.isfinite(variance).sum(axis=0) >= LEAST_TRIPLES
     typical = nan_median(variance, axis=0)
     return np.asarray(np.where(known, np.sqrt(typical), fallback), np.float64)
+
+
+def _common_steps(x_px: Floats, middle: Ints, step: int) -> Ints:
+    """Whole pixels by which all sheets are carried from frames `middle` to those `step` further."""
+    carried = nan_median(x_px[middle + step] - x_px[middle], axis=1)
+    return np.asarray(np.rint(np.nan_to_num(carried)), np.int64)
 
 
 def position_noise(x_px: Floats) -> Floats:

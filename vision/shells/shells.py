@@ -120,8 +120,8 @@ def classify_shells(
     weighted by how well they fit all sheets of that side, and true ratios are drawn about them, near each
     sheet's own measurement as far as its error is small; the number below the threshold is counted in each
     draw. The size is the median, the interval holds `certainty` of the draws. Sheets far off every profile
-    are counted by their own measurement. Errors that all sheets of an event share are not allowed for, except
-    that of the stick length.
+    are counted by their own measurement. Errors of the stick length and of the camera's movement are shared
+    by all sheets of an event.
 
     Parameters
     ----------
@@ -218,6 +218,7 @@ class Side:
     value: Floats  # the ratio, negative where movement outwards is not significant, (event, N)
     error: Floats  # (event, N)
     length_err: Floats  # relative error of the stick length, which all sheets share, (event,)
+    shared_err: Floats  # error of the ratio that all sheets share, of the camera's movement, (event,)
 
     @classmethod
     def of(cls, motion: xr.Dataset, side: int) -> Side:
@@ -229,9 +230,12 @@ class Side:
             motion[name].to_numpy()[:, place] for name in ("ratio_signed", "ratio", "ratio_err")
         )
         value = np.where(motion["flag"].to_numpy()[:, place] == "outward", ratio, signed)
-        return cls(
-            int(side), number[place].astype(float), value, np.maximum(error, LEAST_ERROR), _length_err(motion)
-        )
+        shared = np.zeros(len(value))
+        if "drift_err_um" in motion:
+            drift_err = motion["drift_err_um"] / motion["stick_length_um"] / np.sqrt(12)
+            shared = np.nan_to_num(drift_err.to_numpy())
+        error, length_err = np.maximum(error, LEAST_ERROR), _length_err(motion)
+        return cls(int(side), number[place].astype(float), value, error, length_err, shared)
 
     @property
     def known(self) -> Bools:
@@ -312,7 +316,8 @@ def shell_sizes(
     Profile :math:`j` has the weight :math:`\exp(-\tfrac12 \sum_n (r_n - p_j(n))^2 / s_n^2)`, where
     :math:`s_n` is the error of the ratio :math:`r_n` with the scatter of sheets about a profile. Profiles are
     drawn by their weights, true ratios are drawn about them given the measurements, and those below the
-    threshold are counted. Stick lengths are varied by their error, for all sheets at once.
+    threshold are counted. Stick lengths and the camera's movement are varied by their errors, for all sheets
+    at once.
 
     Outliers from every profile are counted by their own measurement, except in the share of draws in which
     they are taken to be misread. So are all sheets of an event where the ratio falls with n beyond chance
@@ -328,7 +333,8 @@ def shell_sizes(
     for block in _blocks(len(falls)):
         share, _ = _weigh(profiles, sheets.at(block), relative)
         ratio = _draw_ratios(profiles, share, single.at(block), relative, outliers=sheets.alone[block])
-        found.append(_summary(_count(ratio, threshold, side.length_err[block]), certainty))
+        count = _count(ratio, threshold, side.length_err[block], side.shared_err[block])
+        found.append(_summary(count, certainty))
     size, low, high = np.concatenate(found, axis=1)
     return size, low, high
 
@@ -499,10 +505,12 @@ def _drawn(share: Floats32, draws: int) -> Ints:
     return np.asarray(place.reshape(events, draws))
 
 
-def _count(ratio: Floats, threshold: float, length_err: Floats) -> Ints:
-    """Ratios below the threshold in each draw, (event, draw); stick lengths differ from draw to draw."""
-    length = 1 + length_err[:, None] * np.random.default_rng(1).standard_normal(ratio.shape[1])
-    return np.asarray((np.abs(ratio) < threshold * length[..., None]).sum(axis=2))
+def _count(ratio: Floats, threshold: float, length_err: Floats, shared_err: Floats) -> Ints:
+    """Ratios below the threshold in each draw, (event, draw); stick lengths and what the camera's movement
+    adds to all sheets differ from draw to draw."""
+    length, shift = np.random.default_rng(1).standard_normal((2, ratio.shape[1]))
+    limit = threshold * (1 + length_err[:, None] * length) + shared_err[:, None] * shift
+    return np.asarray((np.abs(ratio) < limit[..., None]).sum(axis=2))
 
 
 def _summary(sizes: Ints, certainty: float) -> Ints:
