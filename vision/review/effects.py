@@ -43,10 +43,7 @@ class Effects:
     def __init__(self, run: Session) -> None:
         self.run = run
         self._around: tuple[int, list[Pixels], int] = (-1, [], 0)  # cache of `_pictures`
-        self._known: tuple[int, dict[int, dict[str, Any]]] = (
-            -1,
-            {},
-        )  # cache of `_current`, with its revision
+        self._known: tuple[int, dict[int, dict[str, Any]]] = (-1, {})  # cache of `_current`
 
     def preview(self, request: Mapping[str, Any], frame: Any = None) -> dict[str, Any]:
         """Return what a decision would change: positions near a frame, numbering, σ_x/Λ_st.
