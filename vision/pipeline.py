@@ -180,8 +180,7 @@ class Analysis:
     force, sticks, fits
         The force recording, its stick-slip events, and the models fitted to them.
     clock, motion, shells
-        The camera's clock against the machine's, the deformation of each sheet in each stick phase, and the
-        stiff inner shell.
+        The camera's clock against the machine's, the deformation of each sheet, and the stiff shell.
     reasons, failures
         By stage: why it has no result although it had its input; the traceback of an unexpected error.
     warnings
@@ -227,8 +226,9 @@ class Analysis:
         if self.fits is not None and self.settings.sample is None:
             size = f"{sample.thickness_mm:g} x {sample.width_mm:g} x {sample.length_mm:g} mm"
             line = f"sample     assumed: the publication's, M = {sample.sheets_per_block} of {size}"
-            shown = ridges_per_side(self.tracks) if self.tracks is not None else sample.sheets_per_block
-            lines.append(line + f"; the video shows {shown} per side" * (shown != sample.sheets_per_block))
+            if self.tracks is not None and (seen := ridges_per_side(self.tracks)) != sample.sheets_per_block:
+                line += f"; the video shows {seen} per side"
+            lines.append(line)
         return lines
 
     def _repr_html_(self) -> str:
