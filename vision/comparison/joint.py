@@ -226,7 +226,7 @@ def _fit(
 
 
 def _n_hat(mu: Estimate, scale: Estimate, sample: Sample) -> Estimate:
-    r"""N̂ = T*/(2μ) (exp(α) − 1) with α = 2μεM²/Λ̂, and the errors of μ and Λ̂, which are independent."""
+    r"""Return N̂ = T*/(2μ) (exp(α) − 1), α = 2μεM²/Λ̂, with the independent errors of μ and Λ̂."""
     alpha = 2 * mu.value * sample.thickness_mm * sample.sheets_per_block**2 / scale.value
     value = sample.t_star_N / (2 * mu.value) * float(np.expm1(alpha))
     by_alpha = sample.t_star_N / (2 * mu.value) * alpha * float(np.exp(alpha))  # times dα/α

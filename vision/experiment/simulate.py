@@ -197,7 +197,7 @@ def _rows(
 
 
 def _mts(data: pd.DataFrame, style: ForceFile) -> str:
-    """MTS TestSuite text export: tabs, names with trailing spaces, a trailing tab on the header row."""
+    """Format as an MTS TestSuite export: tabs, names with trailing spaces, a trailing tab in the header row."""
     video = style.video_time
     about = [
         r"File Path: C:\MTS\synthetic\DAQ- Crosshead, Load, Time - (Timed).txt",
@@ -214,21 +214,21 @@ def _mts(data: pd.DataFrame, style: ForceFile) -> str:
 
 
 def _instron(data: pd.DataFrame, style: ForceFile) -> str:
-    """Instron Bluehill: quoted numbers, or semicolons without quotes where the decimal mark is a comma."""
+    """Format as Instron Bluehill does: quoted numbers or, with decimal commas, semicolons and no quotes."""
     comma = style.decimal == ","
     names = ("Time", "Displacement", "Force") if comma else ("Time", "Extension", "Load")
     return _rows(data, style, names, ("(s)", "(mm)", f"({style.unit})"), quote="" if comma else '"')
 
 
 def _zwick(data: pd.DataFrame, style: ForceFile) -> str:
-    """Zwick .TRA, French names."""
+    """Format as a Zwick .TRA file with French names."""
     names = ('"Temps"', '"Traverse absolue"', '"Force standard"')
     head = ('"Épaisseur éprouvette"', "1", '"mm"')
     return _rows(data, style, head, names, ('"s"', '"mm"', f'"{style.unit}"'))
 
 
 def _csv(data: pd.DataFrame, style: ForceFile) -> str:
-    """Plain table, names with units in brackets."""
+    """Format as a plain table with units in brackets after the names."""
     return _rows(data, style, ("time (s)", "displacement (mm)", f"force ({style.unit})"))
 
 
