@@ -197,7 +197,7 @@ def _rows(
 
 
 def _mts(data: pd.DataFrame, style: ForceFile) -> str:
-    """Format as an MTS TestSuite export: tabs, names with trailing spaces, a trailing tab in the header row."""
+    """Format as an MTS TestSuite export: tabs, names with trailing spaces, a trailing tab in the header."""
     video = style.video_time
     about = [
         r"File Path: C:\MTS\synthetic\DAQ- Crosshead, Load, Time - (Timed).txt",
