@@ -158,7 +158,7 @@ def test_a_comb_that_lies_on_its_side_is_said_to(tmp_path):
     picture = strip(ridges(comb(20, per_side=10, axis_px=220), width=440)).values
     lying = np.repeat(np.clip(picture, 0, 255).astype(np.uint8)[:, :, None], 64, axis=2)
     tifffile.imwrite(tmp_path / "lying.tif", lying)
-    with pytest.raises(InputError, match=r"found ridges that lie level.*give `rotate` 90"):
+    with pytest.raises(InputError, match=r"found horizontal ridges.*give `rotate` 90"):
         vision.analyse(tmp_path / "lying.tif")
     upright = vision.analyse(tmp_path / "lying.tif", settings=Settings(rotate=90))
     assert upright.tracks.sizes["sheet"] == 20

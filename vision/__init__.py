@@ -1,7 +1,7 @@
-"""From a video of interleaved sheets and a force recording to x(n,t), σ_x/Λ_st and shells, in twelve names.
+"""Analyse a video of interleaved sheets and a force recording: x(n,t), σ_x/Λ_st, shells.
 
-`analyse` does all of it, `compare` puts several tests side by side; the other ten are stages. Each name is
-loaded from its package when it is first used; everything else is reached through its module.
+`analyse` runs all stages and `compare` compares several tests; the other names are single stages. Each is
+loaded from its package when first used; everything else is imported from its module.
 """
 
 from __future__ import annotations

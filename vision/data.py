@@ -1,9 +1,9 @@
-"""What passes between the stages: variables, dimensions, units, and the facts that travel with them.
+"""The datasets that pass between stages: their variables, dimensions, units and metadata.
 
 Each stage returns an xarray object or a pandas table. Its variables are declared here as a `Schema`, which a
-later stage checks where the data enter; what else a later stage must know (the fit that was used, the codec,
-the time of the first slip) is declared as a `Metadata` class, kept in ``attrs`` and read back with ``of``.
-Every stage adds itself, with its parameters, to ``attrs["operations"]``.
+later stage checks. Further facts that later stages need (the fit used, the codec, the time of the first slip)
+are declared as a `Metadata` class, stored in ``attrs`` and read back with ``of``. Every stage appends its
+name and parameters to ``attrs["operations"]``.
 """
 
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
@@ -34,7 +34,7 @@ class Variable:
     units
         As in ``attrs["units"]``; "" for text and flags, "1" for a ratio.
     long_name
-        What it is, for labels of axes and for netCDF.
+        Description, used for axis labels and in netCDF files.
     """
 
     dims: tuple[str, ...]
@@ -43,26 +43,26 @@ class Variable:
 
     @property
     def attrs(self) -> dict[str, str]:
-        """``long_name`` and, where it has one, ``units``."""
+        """Return ``long_name`` and, if there are any, ``units`` as a dictionary."""
         return {"long_name": self.long_name} | ({"units": self.units} if self.units else {})
 
 
 @dataclass(frozen=True)
 class Schema:
-    """The variables of one dataset.
+    """The declared variables of one dataset.
 
     Parameters
     ----------
     name
-        What a message calls it.
+        Name of the dataset in messages.
     made_by
-        The function that returns it.
+        The function that returns the dataset.
     variables
         Every variable, coordinate and column with its declaration.
     metadata
-        The class of the facts in ``attrs`` that later stages need; None where they need none.
+        The class that declares the facts in ``attrs``; None if later stages need none.
     needs
-        Variables that every stage needs; None for all.
+        Variables that every later stage needs; None for all.
     """
 
     name: str
@@ -75,31 +75,33 @@ class Schema:
         return self.variables[name]
 
     def check(self, data: Data, needs: Sequence[str] | None = None) -> None:
-        """All that is missing or has the wrong dimensions, in one message.
+        """Check that the data have the declared variables, dimensions and metadata.
 
         Parameters
         ----------
         data
-            What is given to a stage.
+            The input of a stage.
         needs
-            Variables that this stage cannot do without; by default those that every stage needs.
+            Variables that this stage requires; by default those that every stage needs.
 
         Raises
         ------
         InputError
-            Names every variable and fact that is not as declared, with what was expected and found.
+            If anything is not as declared. One message names every such variable and fact.
         """
         needed = needs or self.needs or list(self.variables)
-        problems = [_problem(data, name, each, name in needed) for name, each in self.variables.items()]
-        absent = [] if self.metadata is None else self.metadata.absent(data)
-        problems += [f"attrs['{name}'] is missing" for name in absent]
+        problems = [
+            _problem(data, name, declared, name in needed) for name, declared in self.variables.items()
+        ]
+        missing = [] if self.metadata is None else self.metadata.missing(data)
+        problems += [f"attrs['{name}'] is missing" for name in missing]
         if found := ", ".join(filter(None, problems)):
             wanted = f"what `{self.made_by}` returns"
             raise InputError(f"the {self.name}", wanted, found, "pass that on unchanged")
 
 
 def _problem(data: Data, name: str, declared: Variable, required: bool) -> str:
-    """What is wrong with one variable, "" for nothing."""
+    """Return what is wrong with one variable; "" if nothing is."""
     if isinstance(data, pd.DataFrame):
         return f"no column {name}" if required and name not in data.columns else ""
     if isinstance(data, xr.DataArray) and name == data.name:
@@ -115,37 +117,37 @@ def _problem(data: Data, name: str, declared: Variable, required: bool) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Metadata:
-    """Facts that travel with data in ``attrs``, one entry a field. NaN stands for a number not known."""
+    """Facts stored in the ``attrs`` of a dataset, one entry per field. NaN marks an unknown number."""
 
     @classmethod
     def of(cls, data: Data) -> Self:
-        """Read back from the data.
+        """Read the metadata from the ``attrs`` of a dataset.
 
         Raises
         ------
         InputError
-            Where a field without a default is missing.
+            If a field without a default is missing.
         """
-        if absent := cls.absent(data):
-            found = ", ".join(f"no attrs['{name}']" for name in absent)
+        if missing := cls.missing(data):
+            found = ", ".join(f"no attrs['{name}']" for name in missing)
             raise InputError(
                 "the data", f"the facts of a {cls.__name__}", found, "pass stages' results on unchanged"
             )
         return cls(**{part.name: data.attrs[part.name] for part in fields(cls) if part.name in data.attrs})
 
     @classmethod
-    def absent(cls, data: Data) -> list[str]:
-        """Fields without a default that the data do not have."""
+    def missing(cls, data: Data) -> list[str]:
+        """Return the names of fields that have no default and are not in the data."""
         needed = [f.name for f in fields(cls) if f.default is MISSING and f.default_factory is MISSING]
         return [name for name in needed if name not in data.attrs]
 
     def attrs(self) -> dict[str, Any]:
-        """For ``assign_attrs``; not a copy."""
+        """Return the fields as a dictionary for ``assign_attrs``; the values are not copied."""
         return {part.name: getattr(self, part.name) for part in fields(self)}
 
 
 def record(data: AnyData, operation: str, **parameters: Any) -> AnyData:
-    """The same data with one more entry in ``attrs["operations"]``: the function and its parameters."""
+    """Return the data with the operation and its parameters appended to ``attrs["operations"]``."""
     entry = {"operation": operation, "parameters": parameters}
     done = [*data.attrs.get("operations", ()), entry]
     if isinstance(data, pd.DataFrame):
@@ -156,7 +158,7 @@ def record(data: AnyData, operation: str, **parameters: Any) -> AnyData:
 
 
 def warnings_of(*parts: Data | None) -> list[str]:
-    """The warnings of several stages in order, each once."""
+    """Return the warnings of several stages in order, without repetition."""
     lines: Sequence[str] = [
         line for part in parts if part is not None for line in part.attrs.get("warnings", ())
     ]
@@ -175,31 +177,32 @@ class StripMetadata(Metadata):
     source
         The video's path.
     codec
-        Of the pixels, as FFmpeg names it ("mjpeg" for JPEG images and JPEG in TIFF, too); "uncompressed" or
-        "packed"; TIFF's compression; an image's suffix.
-        Lossy ones hide the noise.
+        Codec as FFmpeg names it ("mjpeg" also for JPEG images and JPEG in TIFF), "uncompressed", "packed",
+        the compression of a TIFF, or the suffix of an image file. A lossy codec hides the noise.
     container, pixel_format, decoder, grey
-        The kind of file, how a pixel is stored, what decoded it ("none" where nothing had to), and what a
-        grey value is.
+        Kind of file, how a pixel is stored, which program decoded it ("none" if none was needed), and how
+        grey values follow from pixels.
     rotate
-        Degrees clockwise by which frames were turned.
+        Degrees clockwise by which the frames were rotated.
     depth_bits, saturation_level
-        Significant bits per pixel (32 for float) and the value of a saturated one (NaN for float).
+        Significant bits per pixel (32 for float) and the value of a saturated pixel (NaN for float).
     strip_z0, strip_z1, strip_how, strip_clarity
-        Rows averaged, half-open; "found", "given" or "all rows" (none stood out); correlation of the ridges'
-        slopes in odd and even rows, 0 to 1.
+        Averaged rows, half-open; "found", "given" or "all rows" (if no strip stood out); correlation of the
+        ridges' slopes in odd and even rows, 0 to 1.
     tilt_deg
-        Lean of the ridges, NaN where it is not known.
+        Tilt of the ridges against the columns; NaN if unknown.
     strip_halves_px, strip_bow_px, strip_err_px
-        RMS difference of positions from the strip's upper and lower half, and from its outer and inner half,
-        beyond lean and noise; the error of positions that follows from the bow. 0 where nothing shows.
+        RMS difference between positions from the upper and the lower half of the strip, and between those
+        from its outer and inner half, beyond tilt and noise; error of positions due to the latter. 0 if
+        there is no significant difference.
     clock_kind, fps
-        "file" (the recording's time stamps), "given", or "playback" (the container's rate); frames per
-        second, NaN where not known.
+        "file" (time stamps of the recording), "given" or "playback" (rate in the file's header); frames per
+        second, NaN if unknown.
     frames_expected, frames_read, frames_lost, frames_blank, frames_corrupt
-        Counts: expected = read + lost; blank ones are among the read, corrupt ones among the lost.
+        Counts of frames: expected = read + lost. The read frames include blank ones, the lost frames
+        corrupt ones.
     warnings
-        What may spoil the results.
+        Problems that may affect the results.
     """
 
     source: str = "the video"
@@ -248,7 +251,7 @@ STRIP_PARTS = Schema(
     "vision.video.strip_profiles",
     {
         "intensity": Variable(("z", "frame", "x"), "grey level", "mean intensity of a part of the strip"),
-        "z": Variable(("z",), "px", "middle of the part's rows, counted from the top"),
+        "z": Variable(("z",), "px", "middle row of the part, counted from the top"),
         "frame": Variable(("frame",), "", "frame number in the file"),
         "x": Variable(("x",), "px", "column"),
     },
@@ -259,34 +262,33 @@ STRIP_PARTS = Schema(
 
 @dataclass(frozen=True, kw_only=True)
 class TrackMetadata(Metadata):
-    """How the sheets were found; the strip's metadata travel beside it.
+    """How the sheets were found. The attributes of the tracks also hold the strip's metadata.
 
     Parameters
     ----------
     fit, fit_asked, window_px
-        Subpixel method used ("unknown" for positions from elsewhere), the one asked for ("auto" leaves the
-        choice), and its window. The error of positions depends on method and window.
+        Subpixel method used ("unknown" for positions from another program), the requested method, and its
+        window. The error of positions depends on method and window.
     ridges, sheets
         Polarity ("bright" or "dark") and number of sheets.
     ridge_fwhm_px, pitch_px, contrast, profile_noise
-        Width and spacing of the ridges, their height and the noise in grey levels.
+        Width and spacing of the ridges; their height and the noise in grey levels.
     axis_px, axis_how, axis_low_px, axis_high_px
-        Symmetry axis; "given", "motion" or "geometry"; between what it may lie as far as motion tells (NaN
-        without motion).
+        Position of the symmetry axis; "given", "motion" or "geometry"; interval in which the axis lies
+        according to the motion of the sheets (NaN without motion).
     least_margin
-        Smallest log-likelihood by which the chosen identities beat the next ones.
+        Smallest difference in log-likelihood between the chosen assignment of identities and the next best.
     ridges_dropped
-        Persistent ridges that are no sheets.
+        Number of persistent ridges that are not sheets.
     wide_spacings
-        Where a sheet may have been overlooked: "748 px (1.9 pitches)".
+        Spacings in which a sheet may have been overlooked, such as "748 px (1.9 pitches)".
     scene_changes
-        Where the picture changes for good: the first frame of the new scene (``frame``), by how much all
-        sheets are displaced (``moved_px``), change of the logarithm of their brightness relative to each
-        other (``brightness``).
+        Permanent changes of the picture: first frame of the new scene (``frame``), common displacement of
+        all sheets (``moved_px``), change of the logarithm of their relative brightness (``brightness``).
     ridges_beyond
-        Ridges like the sheets that continue the comb beyond the number that was given.
+        Number of ridges that resemble the sheets and continue the comb beyond the given number of sheets.
     corrections_applied
-        Decisions by hand; they stand among the operations.
+        Number of manual corrections; they are listed among the operations.
     """
 
     fit: str = "unknown"
@@ -317,17 +319,17 @@ TRACKS = Schema(
     {
         "x_px": Variable(_FRAME_SHEET, "px", "position of the sheet"),
         "x_err_px": Variable(
-            _FRAME_SHEET, "px", "standard error of a displacement, without what every frame shares"
+            _FRAME_SHEET, "px", "standard error of a displacement, without the error shared by all frames"
         ),
         "flag": Variable(_FRAME_SHEET, "", "ok, blurred, or why there is no position"),
-        "why": Variable(_FRAME_SHEET, "", "why a doubtful identity is doubted"),
+        "why": Variable(_FRAME_SHEET, "", "why the identity is doubtful"),
         "x_withheld_px": Variable(_FRAME_SHEET, "px", "ridge whose identity is doubtful"),
-        "x_expected_px": Variable(_FRAME_SHEET, "px", "where the sheets around say that it must be"),
+        "x_expected_px": Variable(_FRAME_SHEET, "px", "position predicted from the neighbouring sheets"),
         "x_mean_px": Variable(_SHEET, "px", "median position"),
         "found": Variable(_SHEET, "1", "fraction of the frames with a position"),
         "fwhm_px": Variable(_SHEET, "px", "full width of the ridge at half maximum"),
         "distorted": Variable(
-            _SHEET, "1", "fraction of the positions pulled by dirt, a highlight or an edge"
+            _SHEET, "1", "fraction of the positions distorted by dirt, a highlight or an edge"
         ),
         "snr": Variable(_SHEET, "1", "contrast over noise"),
         "x_noise_px": Variable(_SHEET, "px", "measured scatter of the position from frame to frame"),
@@ -350,20 +352,20 @@ TRACKS = Schema(
 
 @dataclass(frozen=True, kw_only=True)
 class ForceMetadata(Metadata):
-    """How the machine's file was read.
+    """How the testing machine's file was read.
 
     Parameters
     ----------
     source
         The file's path.
     separation_from
-        "displacement", "speed" (d = d0 + V t) or "none" (d is not known).
+        How the separation d was obtained: "displacement", "speed" (d = d0 + V t) or "none" (unknown).
     speed_mm_min, d0_mm, d0_err_mm
-        V, measured where a displacement was recorded; initial separation and its error. NaN where not known.
+        Speed V, measured if a displacement was recorded; initial separation d0 and its error. NaN if unknown.
     layout, encoding, separator, decimal, columns, blocks, columns_seen
-        What the file looks like, and which of its columns are which.
+        Format of the file, and the meaning of its columns.
     notes, warnings
-        What was assumed, and what may spoil the results.
+        Assumptions, and problems that may affect the results.
     """
 
     source: str = "the force recording"
@@ -391,7 +393,7 @@ FORCE = Schema(
         "d_mm": Variable(_TIME, "mm", "separation distance"),
         "flag": Variable(_TIME, "", "ok, or what is wrong with the sample"),
         "time_s": Variable(_TIME, "s", "machine's clock"),
-        "crosshead_mm": Variable(_TIME, "mm", "crosshead"),
+        "crosshead_mm": Variable(_TIME, "mm", "crosshead displacement"),
         "video_time_s": Variable(_TIME, "s", "camera's clock"),
     },
     ForceMetadata,
@@ -408,33 +410,33 @@ class StickMetadata(Metadata):
     Parameters
     ----------
     noise_N, threshold_N, threshold_how
-        Noise of the load; smallest drop that counts as a slip; "noise" (a multiple of it), "jumps" (above
-        the load's jumps upward), "gap" (between small and large drops) or "given".
+        Noise of the load; smallest drop that counts as a slip; its source: "noise" (a multiple of the noise),
+        "jumps" (above the load's upward jumps), "gap" (between small and large drops) or "given".
     period_samples, spikes
-        Usual samples from slip to slip; impulsive spikes that were ignored.
+        Typical number of samples from slip to slip; number of single-sample spikes that were ignored.
     lowpass_s, lowpass_how
-        Time constant of the load cell's low-pass that was corrected for, 0 for none: "recorded" (as asked,
-        and by default), "given", or where it was to be found: "found" (proven), "doubtful" (seen, not proven,
-        not corrected) or "none" (nothing seen).
+        Time constant of the load cell's low-pass that was corrected for, 0 for none; "recorded" (no
+        correction requested, the default), "given", or the result of the search: "found" (proven),
+        "doubtful" (seen but not proven, not corrected) or "none" (not seen).
     lowpass_proposed_s, lowpass_proven
-        Time constant that the transients after slips suggest and that was not corrected for (NaN: none), and
-        whether slips of different size and spacing show the same. What it changes is part of the errors.
+        Time constant suggested by the transients after slips but not corrected for (NaN: none), and whether
+        slips of different size and spacing agree on it. Its effect is part of the errors.
     lowpass_dF_share, lowpass_K_share
-        Median share by which correcting for that would change ΔF and K.
+        Median relative change of ΔF and K that this correction would cause.
     two_slopes, bend_share
-        Whether sticks were fitted with a knee; share of a stick's rise by which its line, at the valley, is
-        corrected for the curvature that all sticks share (negative: sticks begin steeply).
+        Whether stick phases were fitted with a knee; share of a stick's rise by which its line is corrected
+        at the valley for the curvature that all sticks share (negative: sticks begin steeply).
     regime, fall_over_rise, line_share
         "stick-slip", "oscillation" or "cycles"; median duration of falls over that of rises; share of the
         variance near the frequency of the slips.
     warnings
-        Why this may not be stick-slip.
+        Reasons why this may not be stick-slip.
     first_slip_s, first_slip_N, last_slip_s
         Times (force clock) of the first and last slip; load before the first one.
     machine_stiffness_N_per_mm
-        By which d was corrected; NaN for no correction.
+        Stiffness by which d was corrected; NaN for no correction.
     central_part
-        Fraction of the stick over which K is taken.
+        Fraction of the stick phase over which K is fitted.
     """
 
     noise_N: float = math.nan
@@ -479,8 +481,8 @@ STICKS = Schema(
         "slip_length_um": Variable(_EVENT, "um", "Λ_sl, next d_v − d_p"),
         "K_N_per_mm": Variable(_EVENT, "N/mm", "stiffness of the stick phase"),
         "K_err_N_per_mm": Variable(_EVENT, "N/mm", "standard error of K"),
-        "F_v_raw_N": Variable(_EVENT, "N", "lowest load near the valley, spikes aside"),
-        "F_p_raw_N": Variable(_EVENT, "N", "highest load near the peak, spikes aside"),
+        "F_v_raw_N": Variable(_EVENT, "N", "lowest load near the valley, without spikes"),
+        "F_p_raw_N": Variable(_EVENT, "N", "highest load near the peak, without spikes"),
         "K30_N_per_mm": Variable(_EVENT, "N/mm", "stiffness over the central 30 %"),
         "K70_N_per_mm": Variable(_EVENT, "N/mm", "stiffness over the central 70 %"),
         "F_v_err_N": Variable(_EVENT, "N", "standard error of F_v"),
@@ -489,11 +491,11 @@ STICKS = Schema(
         "K1_N_per_mm": Variable(_EVENT, "N/mm", "stiffness before the knee"),
         "K2_N_per_mm": Variable(_EVENT, "N/mm", "stiffness after the knee"),
         "K2_err_N_per_mm": Variable(_EVENT, "N/mm", "standard error of K2"),
-        "knee": Variable(_EVENT, "1", "place of the knee, fraction of the fitted stretch"),
+        "knee": Variable(_EVENT, "1", "position of the knee, fraction of the fitted part"),
         "knee_gain": Variable(_EVENT, "1", "squared residuals of one line over those with a knee"),
         "slip_time_s": Variable(_EVENT, "s", "duration of the slip"),
-        "samples": Variable(_EVENT, "", "samples in the stick"),
-        "flag": Variable(_EVENT, "", "ok, or what is wrong within the stick"),
+        "samples": Variable(_EVENT, "", "samples in the stick phase"),
+        "flag": Variable(_EVENT, "", "ok, or what is wrong within the stick phase"),
     },
     StickMetadata,
     needs=("event", "t_v_s", "t_p_s", "d_v_mm", "d_p_mm", "F_v_N", "F_p_N", "dF_N", "stick_length_um"),
@@ -508,14 +510,12 @@ class MotionMetadata(Metadata):
 
     Parameters
     ----------
-    source, pixel_size_um
-        The video's path; µm per pixel.
-    margin_s, interval_s
-        Time kept clear of each slip; time between frames.
+    source, pixel_size_um, margin_s, interval_s
+        The video's path; µm per pixel; time left out on either side of each slip; time between frames.
     noise_share, noise_rho
         Noise that is correlated from frame to frame: its share of the variance, and its AR(1) coefficient.
     camera_movement
-        How movement of the camera was separated from the sheets' creep.
+        How the camera's movement was separated from the creep of the sheets.
     """
 
     source: str = "the video"
@@ -533,14 +533,14 @@ MOTION = Schema(
     "vision.horizontal_deformation",
     {
         "sigma_x_um": Variable(
-            _EVENT_SHEET, "um", "RMS displacement over the usable frames of the stick, as measured"
+            _EVENT_SHEET, "um", "RMS displacement over the usable frames of the stick phase, as measured"
         ),
         "sigma_x_corrected_um": Variable(
-            _EVENT_SHEET, "um", "RMS displacement over the whole stick without noise and camera movement"
+            _EVENT_SHEET, "um", "RMS displacement over the stick phase, without noise and camera movement"
         ),
         "sigma_x_err_um": Variable(_EVENT_SHEET, "um", "standard error of sigma_x_corrected_um"),
         "sweep_um": Variable(
-            _EVENT_SHEET, "um", "inward movement over the whole stick, fitted line, camera movement taken off"
+            _EVENT_SHEET, "um", "inward movement over the stick phase (fitted line), without camera movement"
         ),
         "ratio": Variable(_EVENT_SHEET, "1", "sigma_x_corrected_um over stick_length_um"),
         "ratio_err": Variable(_EVENT_SHEET, "1", "standard error of ratio"),
@@ -548,17 +548,17 @@ MOTION = Schema(
             _EVENT_SHEET, "1", "ratio before negative values are set to 0; positive inwards"
         ),
         "frames": Variable(_EVENT_SHEET, "1", "positions used"),
-        "x_hat_px": Variable(_EVENT_SHEET, "px", "mean position over the stick"),
+        "x_hat_px": Variable(_EVENT_SHEET, "px", "mean position over the stick phase"),
         "flag": Variable(_EVENT_SHEET, "", "ok, or what is unusual about the measurement"),
         "stick_length_um": Variable(_EVENT, "um", "stick length"),
         "frames_left_out": Variable(
-            _EVENT, "1", "frames of the stick in whose exposure a slip may lie, left out"
+            _EVENT, "1", "frames left out because a slip may lie within their exposure"
         ),
         "effective_frames": Variable(
             _EVENT, "1", "independent frames that would give the same error of the sweep"
         ),
         "drift_um": Variable(
-            _EVENT, "um", "movement of the camera during the stick, to the right, taken off"
+            _EVENT, "um", "subtracted movement of the camera during the stick phase, to the right"
         ),
         "drift_err_um": Variable(_EVENT, "um", "standard error of drift_um"),
         "noise_um": Variable(_SHEET, "um", "standard deviation of single positions, from the residuals"),
@@ -579,7 +579,7 @@ MOTION = Schema(
 
 @dataclass(frozen=True, kw_only=True)
 class ShellMetadata(Metadata):
-    """Settings of the classification: σ_x/Λ_st below which a sheet is stiff; certainty of the intervals."""
+    """Classification: σ_x/Λ_st below which a sheet is stiff; confidence level of the intervals."""
 
     threshold: float = 0.1
     certainty: float = 0.9

@@ -1,4 +1,4 @@
-"""The one exception that input can cause."""
+"""InputError, the exception for invalid input, and the wording of its messages."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ _NAMED = re.compile(r"`([A-Za-z_][A-Za-z0-9_]*)`")
 
 
 class InputError(ValueError):
-    """Input or arguments that cannot be used.
+    """Invalid input or arguments.
 
-    The message is one line: what it is about (a file, an argument), what was expected, what was found and
-    what to do. Arguments have their Python names in backticks, as in "give `pixel_size_um`"; the
-    command shows the same line with its own options in their place (`with_options`) and ends with exit
-    status 2.
+    The message is one line: the file or argument, what was expected, what was found, and what to do.
+    Arguments are named in backticks, as in "give `pixel_size_um`". The command replaces these names by its
+    options (`with_options`) and ends with exit status 2.
 
     Parameters
     ----------
@@ -26,7 +25,7 @@ class InputError(ValueError):
     expected, found
         What the input should be, and what it is.
     advice
-        What to do about it; may be empty.
+        What the user can do; may be empty.
     """
 
     def __init__(self, about: str | os.PathLike[str], expected: str, found: str, advice: str = "") -> None:
@@ -35,7 +34,7 @@ class InputError(ValueError):
 
 
 def check_positive(**values: float | None) -> None:
-    """Raises `InputError` for an argument, by name, that is neither None nor a positive, finite number."""
+    """Raise `InputError` for an argument that is neither None nor a positive, finite number."""
     for name, value in values.items():
         if value is not None and not 0 < value < math.inf:
             raise InputError(f"`{name}`", "a positive number", f"{value!r}")
@@ -43,12 +42,12 @@ def check_positive(**values: float | None) -> None:
 
 @contextmanager
 def known_as(**names: str) -> Iterator[None]:
-    """Lets an `InputError` raised within speak of arguments by the names that the caller has for them.
+    """Rename arguments in the message of an `InputError` raised inside.
 
     Parameters
     ----------
     names
-        An argument's name where it is raised to its name here, such as ``columns="force_columns"``.
+        The caller's name of each renamed argument, such as ``columns="force_columns"``.
     """
     try:
         yield
@@ -58,15 +57,15 @@ def known_as(**names: str) -> Iterator[None]:
 
 
 def with_options(message: str, options: Mapping[str, str] | None = None) -> str:
-    """A message in which arguments in backticks are replaced by the options of the command.
+    """Replace arguments in backticks by the options of the command.
 
     Parameters
     ----------
     message
-        As raised by the library, or a warning of it.
+        A message or warning of the library.
     options
-        Python name to option, such as ``{"pixel_size_um": "--pixel-size"}``. Names that are not in it lose
-        their backticks.
+        Option of each Python name, such as ``{"pixel_size_um": "--pixel-size"}``. Other names only lose their
+        backticks.
     """
     known = options or {}
     return _NAMED.sub(lambda match: known.get(match[1], match[1]), message)

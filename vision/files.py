@@ -1,6 +1,6 @@
-"""Files from outside: which are opened, that they stay the same meanwhile, what a failed decoder becomes.
+"""Safe reading of input files: which are opened, whether they change, how errors of decoders are reported.
 
-Parsers that crash or never end read a file in a process of their own first (`try_out`).
+Parsers that may crash or hang first read the file in a separate process (`try_out`).
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from pathlib import Path
 from vision.errors import InputError
 
 MOST_PIXELS = 100_000_000
-"""Pixels of one frame. More refuses fewer damaged headers and takes more memory before the picture proves to
-be none; the largest cameras for film have 70 million (tests/video/test_broken.py)."""
+"""Largest number of pixels of a frame. A larger limit accepts more damaged headers, for which memory is then
+allocated; the largest film cameras have 70 million (tests/video/test_broken.py)."""
 
 
 def check_regular(path: Path, wanted: str) -> os.stat_result:
-    """Facts of a regular file; a pipe or a device would wait, or give, for ever.
+    """Return the facts of a regular file. A pipe or a device, which could block or never end, is refused.
 
-    wanted: what it should be, for the message.
-    Raises: InputError for anything else, and for a file that is not there.
+    wanted: what the file should be, for the message.
+    Raises: InputError for anything but an existing regular file.
     """
     try:
         facts = path.stat()
@@ -42,7 +42,7 @@ def check_regular(path: Path, wanted: str) -> os.stat_result:
 
 
 def check_pixels(path: Path, rows: int, columns: int) -> None:
-    """Refuse a frame of no pixels, or of more than `MOST_PIXELS`, before memory is taken for it.
+    """Refuse a frame of no pixels, or of more than `MOST_PIXELS`, before memory is allocated for it.
 
     Raises: InputError.
     """
@@ -53,10 +53,11 @@ def check_pixels(path: Path, rows: int, columns: int) -> None:
 
 @contextmanager
 def reading(path: Path, wanted: str, advice: str = "copy or export it again") -> Iterator[None]:
-    """Turn whatever a decoder raises inside into one line: what is read, what it should be, what to do.
+    """Convert every exception that a decoder raises inside to an `InputError` of one line.
 
-    Decoders raise what they like for damaged data: struct errors, assertions, overflows, wrong types.
-    Raises: InputError in place of every other exception.
+    Damaged data cause all kinds of exceptions: struct errors, failed assertions, overflows, wrong types.
+
+    wanted: what the file should be.  advice: what the user can do.
     """
     try:
         yield
@@ -73,23 +74,23 @@ def reading(path: Path, wanted: str, advice: str = "copy or export it again") ->
 
 
 def shortened(text: str, most: int = 160) -> str:
-    """One line of at most so many letters."""
+    """Return the text as one line of at most `most` characters."""
     line = " ".join(text.split())
     return line if len(line) <= most else line[: most - 1] + "…"
 
 
 @dataclass(frozen=True)
 class Stamp:
-    """What tells whether a file is still the same: its size, time and identity; None for one that is gone.
+    """Size, time and identity of a file, to notice changes; None if the file does not exist.
 
-    Of a folder or a pattern: the size of all its files and the time of the latest.
+    For a folder or a pattern: the total size of its files and the time of the latest.
     """
 
     facts: tuple[int, int, int, int] | None = None
 
     @classmethod
     def of(cls, path: Path) -> Stamp:
-        """The stamp of a file, a folder or a pattern."""
+        """Return the stamp of a file, a folder or a pattern."""
         try:
             if path.is_dir():
                 with os.scandir(path) as entries:
@@ -108,7 +109,7 @@ class Stamp:
         return cls((sum(one.st_size for one in found), latest, 0, 0)) if found else cls(None)
 
     def change(self, path: Path) -> str:
-        """What happened to the file since; "" for nothing."""
+        """Return how the file has changed since; "" if it has not."""
         now = Stamp.of(path).facts
         if self.facts is None or now == self.facts:
             return ""
@@ -121,14 +122,14 @@ class Stamp:
         return "was changed"
 
 
-# --- in a process of its own --------------------------------------------------------------------------------
+# --- in a separate process ----------------------------------------------------------------------------------
 
 
-PACKAGES = tuple(place for place in sys.path if place)
-"""Where the process finds packages. Not as it is later: while OpenCV is imported, in another thread perhaps,
-its own folders come first, and one of them holds a `typing` that is not Python's."""
+PACKAGES = tuple(folder for folder in sys.path if folder)
+"""Search path of packages for the separate process. It is stored early, because OpenCV temporarily puts its
+own folders first while it is imported, and one of them contains a module `typing` that is not Python's."""
 
-# Lines of Python that read every value of the file at `path` and keep none; MATLAB of versions 4 and 5.
+# Python code that reads every value of the file at `path`; MATLAB versions 4 and 5.
 READ_MATLAB = "from scipy.io import loadmat; loadmat(path, squeeze_me=True, struct_as_record=True)"
 READ_HDF5 = """
 import h5py
@@ -161,32 +162,32 @@ except BaseException as error:
 
 
 def try_out(path: Path, parser: str, wanted: str, *, seconds: float | None = None) -> None:
-    """Let a process of its own, bounded in time and memory, read a file; refuse one that it cannot read.
+    """Read a file in a separate process, limited in time and memory, and refuse it if that fails.
 
-    The process finds the same packages as this one, and none in the working directory or beside the data. It
-    ends with this one.
+    The process finds the same packages as this one, but none in the working directory or beside the data. It
+    ends with this process.
 
     Parameters
     ----------
     path
         The file.
     parser
-        Lines of Python, such as `READ_HDF5`, in which ``path`` is the file's.
+        Python code, such as `READ_HDF5`, in which ``path`` is the path of the file.
     wanted
         What the file should be, for the message.
     seconds
-        Longest computing time it may take; by the file's size if not given.
+        Largest computing time; by default it follows from the file's size.
 
     Raises
     ------
     InputError
-        Where it is no regular file, or the parser raises, crashes, or takes longer.
+        If it is not a regular file, or the parser raises, crashes, or takes longer.
     """
     size = check_regular(path, wanted).st_size
-    # Recordings in use take under one second, most of which is the start of the process.
+    # Usual recordings take less than one second, mostly for starting the process.
     seconds = 8 + 5e-8 * size if seconds is None else seconds
-    wall_s = 5 * seconds  # on a busy machine a process gets part of a core
-    memory = (2 << 30) + 4 * size  # of address space, of which the libraries reserve half a GiB
+    wall_s = 5 * seconds  # on a busy machine a process gets only part of a core
+    memory = (2 << 30) + 4 * size  # address space, of which the libraries reserve half a GiB
     task = json.dumps([os.path.abspath(path), PACKAGES, int(seconds) + 1, memory, parser])  # noqa: PTH100
     quiet = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # each thread would reserve memory
     child = subprocess.Popen(
@@ -196,21 +197,21 @@ def try_out(path: Path, parser: str, wanted: str, *, seconds: float | None = Non
         stderr=subprocess.DEVNULL,
         env=os.environ | quiet,
     )
-    try:  # a `with` alone would wait for a process that never ends
+    try:  # leaving a `with` would wait for a process that never ends
         out, _ = child.communicate(task.encode() + b"\n", timeout=wall_s)
         found = _found(child.returncode, out, seconds)
     except subprocess.TimeoutExpired:
         found = f"one whose reading does not end within {wall_s:g} s"
     finally:
         child.kill()
-        with child:  # closes its pipes
+        with child:  # close its pipes
             pass
     if found:
         raise InputError(path, wanted, found, "save or copy it again")
 
 
 def _found(status: int, out: bytes, seconds: float) -> str:
-    """What is wrong with the file; "" for nothing."""
+    """Return what is wrong with the file; "" if nothing is."""
     if status == 0:
         return ""
     if -status == getattr(signal, "SIGXCPU", None):

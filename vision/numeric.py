@@ -17,19 +17,19 @@ Pixels = NDArray[Any]  # grey levels as the file stores them: unsigned integers 
 FWHM = 2.3548
 """Full width at half maximum of a Gaussian, in its standard deviations."""
 NORMAL_MEDIAN = 0.6744897501960817
-"""Median of the absolute value of a standard normal variable: a median absolute deviation (MAD) over this is
-a standard deviation."""
+"""Median of the absolute value of a standard normal variable. The median absolute deviation (MAD) divided by
+it estimates the standard deviation."""
 
 
 def mad_sigma(values: NDArray[np.floating], axis: int | None = None) -> Any:
-    """Standard deviation of normal values from their median absolute deviation about the median.
+    """Estimate the standard deviation of normal values from their median absolute deviation.
 
     Parameters
     ----------
     values
         Any shape, without NaN.
     axis
-        Along which it is taken; None for all values.
+        Axis along which the deviation is computed; None for all values.
 
     Returns
     -------
@@ -40,7 +40,7 @@ def mad_sigma(values: NDArray[np.floating], axis: int | None = None) -> Any:
 
 
 def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
-    """Median along an axis of what is not NaN; NaN, without a warning, where nothing is left."""
+    """Return the median along an axis, ignoring NaN; NaN, without a warning, if all values are NaN."""
     lanes = np.array(np.moveaxis(np.asarray(values), axis, -1), np.float64, order="C")
     count = np.isfinite(lanes).sum(axis=-1)
     if lanes.shape[-1] == 0:
@@ -50,7 +50,7 @@ def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
     if lanes.shape[-1] < 1000:
         lanes.sort(axis=-1)  # NaN comes last
         pair = _in_lanes(lanes, low) + _in_lanes(lanes, high)
-    else:  # selecting the upper of the two in the middle is faster than sorting all
+    else:  # selecting the upper of the two middle values is faster than sorting all
         pair = np.empty(count.shape)
         for k in np.ndindex(count.shape):
             lane, middle = lanes[k], int(high[k])
@@ -59,38 +59,38 @@ def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
     return np.where(count > 0, pair / 2, np.nan)
 
 
-def _in_lanes(lanes: Floats, place: Ints) -> Floats:
-    """The value at one place of each lane, the last axis."""
-    return np.take_along_axis(lanes, place[..., None], axis=-1)[..., 0]
+def _in_lanes(lanes: Floats, index: Ints) -> Floats:
+    """Return the value at one index of each lane along the last axis."""
+    return np.take_along_axis(lanes, index[..., None], axis=-1)[..., 0]
 
 
 def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -> Floats:
-    """Quantile along an axis of what is not NaN, linear between values; NaN where nothing is left."""
+    """Return a quantile along an axis, ignoring NaN, interpolated linearly; NaN if all values are NaN."""
     ordered = np.array(np.moveaxis(np.asarray(values), axis, -1), np.float64, order="C")
     ordered.sort(axis=-1)  # NaN comes last
     count = np.isfinite(ordered).sum(axis=-1)
     if ordered.shape[-1] == 0:
         return np.full(count.shape, np.nan)
-    place = fraction * np.maximum(count - 1, 0)
-    low = np.floor(place).astype(np.int64)
+    index = fraction * np.maximum(count - 1, 0)
+    low = np.floor(index).astype(np.int64)
     high = np.minimum(low + 1, np.maximum(count - 1, 0))
     below, above = _in_lanes(ordered, low), _in_lanes(ordered, high)
-    return np.where(count > 0, below + (above - below) * (place - low), np.nan)
+    return np.where(count > 0, below + (above - below) * (index - low), np.nan)
 
 
-def nearest(places: NDArray[np.floating], at: NDArray[np.floating]) -> tuple[Ints, Floats]:
-    """In each row of `places` (rows, K), NaN for none, which is nearest to `at` (rows,), and its distance.
+def nearest(candidates: NDArray[np.floating], at: NDArray[np.floating]) -> tuple[Ints, Floats]:
+    """Find the candidate nearest to `at` (rows,) in each row of `candidates` (rows, K), ignoring NaN.
 
-    The distance is inf where there is none.
+    Returns its index and its distance, (rows,); the distance is inf if all candidates of a row are NaN.
     """
-    distance = np.abs(places - at[:, None])
+    distance = np.abs(candidates - at[:, None])
     distance = np.where(np.isfinite(distance), distance, np.inf)
     best = np.argmin(distance, axis=1)
     return best, distance[np.arange(len(best)), best]
 
 
 def shifted(values: NDArray[Any], by: int) -> NDArray[Any]:
-    """Column n holds that of column n + by of values (rows, columns); NaN where there is none."""
+    """Shift values (rows, columns) to the left by `by` columns; columns that become free are NaN."""
     moved = np.full_like(values, np.nan)
     if 0 <= by < values.shape[1]:
         moved[:, : values.shape[1] - by] = values[:, by:]

@@ -1,7 +1,7 @@
-"""analyse(): a video and, where there is one, a force recording go through every stage, once, in order.
+"""analyse(): run every stage of the analysis once, in order, on a video, a force recording or both.
 
-The order of the stages is the order of this file: read, track, force, stick-slip events, model fits, clock,
-deformation, shells. No stage needs a later one.
+The stages are: read the strip, track the sheets, find the stick-slip events, fit the models, synchronise the
+clocks, measure the deformation, classify the shells. No stage needs the result of a later one.
 """
 
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
@@ -71,7 +71,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, kw_only=True)
 class Tuning:
-    """The tunable constants of every stage; each says what it trades and what shows its value is right."""
+    """Tunable constants of every stage. Each field says what its value trades and what shows it is right."""
 
     video: VideoSettings = field(default_factory=VideoSettings)
     tracking: TrackingSettings = field(default_factory=TrackingSettings)
@@ -83,16 +83,16 @@ class Tuning:
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What a user may choose of the analysis; None is found from the data.
+    """Options of the analysis. An option that is None is found from the data.
 
     Parameters
     ----------
     rows, columns
-        Of the strip, half-open, px, after rotation.
+        Rows that are averaged to the strip, and columns of the strip; half-open, px, after rotation.
     strips
-        Number of parts of the strip, one above the other, that are measured as well; 1 for none.
+        Number of parts, one above the other, in which the strip is measured as well; 1 for none.
     rotate
-        Degrees clockwise by which each frame is turned first: 0, 90, 180 or 270.
+        Degrees clockwise by which each frame is rotated first: 0, 90, 180 or 270.
     frames
         Part of the video, half-open.
     fps, timestamps
@@ -102,32 +102,31 @@ class Settings:
     fit, window_px
         Subpixel method ("auto", "sliding", "paper" or "template") and its window: odd, or "auto".
     corrections
-        Decisions by hand, from `vision.sheets.read_corrections`. Those about the strip, the axis and the
-        clock go before `rows`, `axis_px` and `offset_s`.
+        Manual corrections from `vision.sheets.read_corrections`. Those of the strip, the axis and the clock
+        take precedence over `rows`, `axis_px` and `offset_s`.
     pixel_size_um
-        µm per pixel; without it there are no lengths in µm and no deformation.
+        µm per pixel. Without it there are no lengths in µm and no deformation.
     pitch_um
-        Mean distance between neighbouring sheets, from which µm per pixel are found in place of
-        `pixel_size_um`.
+        Mean distance between neighbouring sheets, from which the pixel size is computed.
     speed_mm_min, d0_mm, d0_err_mm, force_columns
-        V where no displacement is recorded, the initial separation with its error, and the recording's
-        columns by role.
+        V if no displacement is recorded, the initial separation with its error, and the recording's columns
+        by role.
     force_threshold_N, force_lowpass_s, machine_stiffness_N_per_mm
-        Smallest drop that is a slip; the load cell's time constant to correct for (0: as recorded; "auto":
-        where it is proven); the machine's own stiffness.
+        Smallest drop of the force that counts as a slip; time constant of the load cell to correct for (0:
+        none; "auto": found, if it is proven); stiffness of the machine, by which d is corrected.
     fit_range_mm, mu, modulus_GPa
-        Separations between which the models are fitted; friction coefficient and Y_eff where they are known.
+        Separations between which the models are fitted; friction coefficient and Y_eff if they are known.
     offset_s
         Force clock at video time 0.
     threshold
         σ_x/Λ_st below which a sheet is stiff.
     common_mode
-        Whether motion that all sheets share, the camera's, is taken off.
+        Whether the motion that all sheets share (the camera's) is subtracted.
     sample, geometry_err
-        Geometry and adhesion of the sample (None: the publication's, and said to be assumed), and the errors
-        of its fields by name, for systematic errors.
+        Geometry and adhesion of the sample (None: the publication's, with a remark that it is assumed), and
+        the errors of its fields by name, for systematic errors.
     t_star_fitted
-        Fit T* as well, which can hardly be told from μ.
+        Whether T*, which can hardly be separated from μ, is fitted as well.
     tuning
         Constants of the stages.
     """
@@ -168,27 +167,24 @@ class Settings:
 
 @dataclass(frozen=True, kw_only=True)
 class Analysis:
-    """Everything that was found in one test. A stage that the data did not allow is None.
+    """Results of all stages for one test. The result of a stage that could not run is None.
 
     Parameters
     ----------
     settings
-        As asked for.
+        The requested options.
     video, frame
         The recording, and its first frame that shows something (rows, columns).
     strip, tracks
         I(x, t) and x(n, t).
     force, sticks, fits
-        The force recording, its stick-slip events, the models fitted to them.
+        The force recording, its stick-slip events, and the models fitted to them.
     clock, motion, shells
-        The camera's clock against the machine's, the deformation of each sheet in each stick phase, the
-        stiff inner shell.
-    reasons
-        Stage to reason, for each stage that is None although its input was given.
-    failures
-        Stage to traceback, for stages that ended in an error nobody foresaw.
+        The camera's clock against the machine's, the deformation of each sheet, and the stiff shell.
+    reasons, failures
+        By stage: why it has no result although it had its input; the traceback of an unexpected error.
     warnings
-        What matters for the results, in order, each once.
+        Warnings that matter for the results, in the order of the stages, without repetition.
     seconds
         Wall-clock time of each stage.
     """
@@ -211,7 +207,7 @@ class Analysis:
 
     @property
     def pixel_size_um(self) -> float | None:
-        """µm per pixel, None where it was not given."""
+        """µm per pixel; None if it is unknown."""
         return self.settings.pixel_size_um
 
     @property
@@ -221,17 +217,18 @@ class Analysis:
 
     @property
     def plot(self) -> Plots:
-        """Every figure by its name: ``analysis.plot.tracks(ax=None)`` takes and returns an Axes."""
+        """All figures by name: ``analysis.plot.tracks(ax=None)`` takes and returns an Axes."""
         return Plots(self)
 
     def summary(self) -> list[str]:
-        """What was found, in about ten lines."""
+        """Return the results in about ten lines of text."""
         lines, sample = summary_lines(self), PUBLISHED
         if self.fits is not None and self.settings.sample is None:
             size = f"{sample.thickness_mm:g} x {sample.width_mm:g} x {sample.length_mm:g} mm"
             line = f"sample     assumed: the publication's, M = {sample.sheets_per_block} of {size}"
-            shown = ridges_per_side(self.tracks) if self.tracks is not None else sample.sheets_per_block
-            lines.append(line + f"; the video shows {shown} per side" * (shown != sample.sheets_per_block))
+            if self.tracks is not None and (seen := ridges_per_side(self.tracks)) != sample.sheets_per_block:
+                line += f"; the video shows {seen} per side"
+            lines.append(line)
         return lines
 
     def _repr_html_(self) -> str:
@@ -239,7 +236,7 @@ class Analysis:
         name = ""
         for line in self.summary():
             head, _, rest = line.partition(" ")
-            name = head or name  # an indented line goes on with the one before
+            name = head or name  # an indented line continues the previous one
             found[name] = f"{found[name]}; {rest.strip()}" if name in found else rest.strip()
         found |= {f"warning {k}": line for k, line in enumerate(self.warnings, 1)}
         text = html_table("analysis", found)
@@ -259,7 +256,7 @@ def analyse(
     log: ReadingLog | None = None,
     follow: Follow | None = None,
 ) -> Analysis:
-    """Every stage of one test, in order.
+    """Run every stage on one test, in order.
 
     Parameters
     ----------
@@ -268,152 +265,150 @@ def analyse(
     force
         A testing machine's file, or a recording from `read_force`; None for a video alone.
     settings
-        What is not to be found from the data.
+        Options; those not given are found from the data.
     earlier
-        An analysis of the same video with settings that differ in their corrections alone. Its strip, tracks
-        and clock are taken over as far as no decision changes them; without a change of the strip the video
-        is not read, and need not be given.
+        An analysis of the same video whose settings differ in their corrections only. Its strip, tracks and
+        clock are reused unless a changed correction affects them. With the strip reused, no video is needed.
     progress
         Called with (frames done, total frames or None) while the video is read.
-    log
-        Keeps what is read, for a run that takes up an interrupted one (`vision.run.Checkpoint`).
-    follow
-        Reads on as the recording grows, until it is closed (`vision.video.Follow`).
+    log, follow
+        `vision.run.Checkpoint`, which stores what is read so that an interrupted run can be resumed;
+        `vision.video.Follow`, which reads a growing recording until it is closed.
 
     Returns
     -------
     Analysis
-        What was found. A stage after the tracking that the data did not allow is None, with its reason;
-        an unforeseen error in such a stage is kept in `failures` and costs only what depends on it.
+        The results. If a stage after the tracking is not possible, its result is None and `reasons` says why.
+        After an unexpected error in such a stage, only the stages that need its result are skipped.
 
     Raises
     ------
     InputError
-        For a video or force recording that cannot be read, or a video without ridges.
+        If the video or force recording cannot be read, or the video shows no ridges.
     """
     chosen = settings or Settings()
     if chosen.strips != 1 and follow is not None:
         raise InputError("`strips` and `follow`", "one of the two", "both", "track again when it is complete")
     if chosen.pitch_um is not None and chosen.pixel_size_um is not None:
         raise InputError("`pitch_um` and `pixel_size_um`", "one of the two", "both")
-    stage = _Stages()
-    # A force file that is not understood is refused before the long work of reading a video.
-    machine = None if force is None else stage.must("reading force", open_force, force, chosen)
-    recording = None if video is None else open_recording(video, chosen, follow)
-    kept = _kept(earlier, chosen, film=recording is not None)
-    strip, tracks, clock, frame, parts = kept.strip, kept.tracks, kept.clock, None, None
-    if recording is not None:
-        if strip is None:
-            read = partial(_strip, recording, chosen, progress, log, follow)
-            strip, parts = stage.must("reading", _upright, recording, chosen, read)
-        if follow is not None:  # it has grown
-            with suppress(InputError):
-                recording = open_recording(recording.path, chosen)
-        frame = stage.must("first frame", reference_frame, recording)
-    if strip is not None:
-        if tracks is None:
-            track = partial(track_strip, strip, chosen, parts)
-            tracks = stage.must("tracking", _upright, recording, chosen, track)
-        if chosen.pitch_um is not None:
-            chosen = replace(chosen, pixel_size_um=pixel_size_from_pitch(tracks, chosen.pitch_um))
-    sticks = stage.may("sticks", _sticks, machine, chosen, needed=strip is None)
-    fits = stage.may("fits", _fits, machine, sticks, chosen)
-    if clock is None:
-        clock = stage.may("clock", _clock, tracks, machine, sticks, chosen)
-    motion = stage.may("motion", _motion, tracks, sticks, clock, chosen)
-    shells = stage.may("shells", partial(_shells, fits), motion, chosen)
-    analysis = Analysis(
-        settings=chosen,
-        video=recording,
-        frame=frame,
-        strip=strip,
-        tracks=tracks,
-        force=machine,
-        sticks=sticks,
-        fits=fits,
-        clock=clock,
-        motion=motion,
-        shells=shells,
-        reasons=stage.reasons,
-        failures=stage.failures,
-        seconds=stage.seconds,
+    stages = _Stages()
+    # Reading a video takes long, so an unreadable force file is rejected first.
+    machine = None if force is None else stages.required("reading force", open_force, force, chosen)
+    film = None if video is None else open_recording(video, chosen, follow)
+    found = _reusable(earlier, Analysis(settings=chosen, video=film))
+    found = _read_and_track(stages, found, progress, log, follow)
+    chosen, tracks = found.settings, found.tracks
+    sticks = stages.optional("sticks", _sticks, machine, chosen, alone=found.strip is None)
+    fits = stages.optional("fits", _fits, machine, sticks, chosen)
+    clock = found.clock or stages.optional("clock", _clock, tracks, machine, sticks, chosen)
+    motion = stages.optional("motion", _motion, tracks, sticks, clock, chosen)
+    shells = stages.optional("shells", partial(_shells, fits), motion, chosen)
+    found = replace(found, force=machine, sticks=sticks, fits=fits, clock=clock, motion=motion, shells=shells)
+    return replace(
+        found,
+        reasons=stages.reasons,
+        failures=stages.failures,
+        seconds=stages.seconds,
+        warnings=_warnings(found, stages.reasons),
     )
-    return replace(analysis, warnings=_warnings(analysis))
 
 
-def _kept(earlier: Analysis | None, chosen: Settings, *, film: bool) -> Analysis:
-    """Strip, tracks and clock of an earlier analysis, as far as no decision about them, or about what they
-    follow from, is another one now.
+def _reusable(earlier: Analysis | None, new: Analysis) -> Analysis:
+    """Return `new` with the earlier strip, tracks and clock, unless a changed correction affects them.
 
     Raises
     ------
     InputError
-        Where the strip must be read again, and the film is not given.
+        If the strip must be read again but there is no film.
     """
     if earlier is None:
-        return Analysis(settings=chosen)
+        return new
+    before, now = earlier.settings, new.settings
 
-    def decided(kinds: Sequence[str]) -> list[list[Any]]:
-        parts = (earlier.settings.corrections, chosen.corrections)
-        return [[one.what for one in ordered(part) if one.kind in kinds] for part in parts]
+    def decisions(settings: Settings, kinds: Sequence[str]) -> list[Any]:
+        return [one.what for one in ordered(settings.corrections) if one.kind in kinds]
 
-    def same(kind: str) -> bool:
-        before, now = decided((kind,))
-        return before[-1:] == now[-1:]
+    def unchanged(kind: str) -> bool:
+        return decisions(before, [kind])[-1:] == decisions(now, [kind])[-1:]  # only the last one counts
 
-    of_sheets = decided(OF_SHEETS)
-    strip = earlier.strip if same("strip") else None
-    as_tracked = strip is not None and same("axis") and of_sheets[0] == of_sheets[1]
-    tracks = earlier.tracks if as_tracked else None
-    if tracks is None and chosen.strips != 1:
-        strip = None  # positions at several heights need the film again
-    if strip is None and not film:
+    strip = earlier.strip if unchanged("strip") else None
+    same_sheets = unchanged("axis") and decisions(before, OF_SHEETS) == decisions(now, OF_SHEETS)
+    tracks = earlier.tracks if strip is not None and same_sheets else None
+    if tracks is None and now.strips != 1:
+        strip = None  # the parts of the strip, which tracking needs, are not stored
+    if strip is None and new.video is None:
         raise InputError("the strip", "the film, to be read again", "none", "say where it lies (`film`)")
-    clock = earlier.clock if tracks is not None and same("clock") else None
-    return Analysis(settings=chosen, strip=strip, tracks=tracks, clock=clock)
+    clock = earlier.clock if tracks is not None and unchanged("clock") else None
+    return replace(new, strip=strip, tracks=tracks, clock=clock)
 
 
 class _Stages:
-    """Runs stages, keeps the time they take, and why those ended that could not be done."""
+    """Runs stages. Records the time each takes, and why a stage has no result."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self.reasons: dict[str, str] = {}
         self.failures: dict[str, str] = {}
 
-    def must(self, name: str, work: Callable[..., Result], *inputs: Any) -> Result:
-        """Without this stage there is nothing: its errors are raised."""
+    def required(self, name: str, work: Callable[..., Result], *inputs: Any) -> Result:
+        """Run a stage without which there is no analysis; its errors are raised."""
         started = time.perf_counter()
         try:
             return work(*inputs)
         finally:
             self.seconds[name] = time.perf_counter() - started
 
-    def may(
-        self, name: str, work: Callable[..., Result], *inputs: Any, needed: bool = False
+    def optional(
+        self, name: str, work: Callable[..., Result], *inputs: Any, alone: bool = False
     ) -> Result | None:
-        """None where an input is missing, or where the stage ends in an error, which is kept.
+        """Run a stage; return None if an input is None or if the stage ends in an error, which is recorded.
 
-        needed: nothing was found before it, so that its errors are raised.
+        alone: there is no other result yet, so errors are raised as in `required`.
         """
         if any(part is None for part in inputs):
             return None
-        if needed:
-            return self.must(name, work, *inputs)
+        if alone:
+            return self.required(name, work, *inputs)
         try:
-            return self.must(name, work, *inputs)
+            return self.required(name, work, *inputs)
         except InputError as error:
             self.reasons[name] = str(error)
-        except Exception as error:  # whatever it is, what was measured before it is kept
+        except Exception as error:  # no error in a late stage may lose the results of the earlier ones
             self.reasons[name] = " ".join(f"unexpected {type(error).__name__}: {error}".split())
             self.failures[name] = traceback.format_exc()
         return None
 
 
-def open_recording(video: Video | str | Path, chosen: Settings, follow: Follow | None = None) -> Video:
-    """The video as the settings want it turned, cut and timed; one that is open already, as it is.
+def _read_and_track(
+    stages: _Stages,
+    reused: Analysis,
+    progress: Progress | None,
+    log: ReadingLog | None,
+    follow: Follow | None,
+) -> Analysis:
+    """Return the analysis with its first frame and, unless they are reused, its strip and tracks."""
+    chosen, film, strip, tracks = reused.settings, reused.video, reused.strip, reused.tracks
+    frame, parts = None, None
+    if film is not None:
+        if strip is None:
+            read = partial(_strip, film, chosen, progress, log, follow)
+            strip, parts = stages.required("reading", _suggesting_rotation, film, chosen, read)
+        if follow is not None:  # the file has grown since it was opened
+            with suppress(InputError):
+                film = open_recording(film.path, chosen)
+        frame = stages.required("first frame", reference_frame, film)
+    if strip is not None and tracks is None:
+        track = partial(track_strip, strip, chosen, parts)
+        tracks = stages.required("tracking", _suggesting_rotation, film, chosen, track)
+    if tracks is not None and chosen.pitch_um is not None:
+        chosen = replace(chosen, pixel_size_um=pixel_size_from_pitch(tracks, chosen.pitch_um))
+    return replace(reused, settings=chosen, video=film, frame=frame, strip=strip, tracks=tracks)
 
-    One that is followed is waited for.
+
+def open_recording(video: Video | str | Path, chosen: Settings, follow: Follow | None = None) -> Video:
+    """Open a video with the rotation, frames and time stamps of the settings; an open one is returned as is.
+
+    With `follow`, wait until the recording exists.
     """
     if isinstance(video, Video):
         return video
@@ -440,10 +435,10 @@ def _strip(
     log: ReadingLog | None,
     follow: Follow | None,
 ) -> tuple[xr.DataArray, xr.DataArray | None]:
-    """I(x, t) of the strip, and of its parts where they are asked for."""
+    """Return I(x, t) of the strip, and that of its parts if `strips` asks for them."""
     _check_lengths(chosen, video.shape[1])
-    decided, settings = last_of(chosen.corrections, "strip"), chosen.tuning.video
-    rows = chosen.rows if decided is None or decided.rows is None else slice(*decided.rows)
+    correction, settings = last_of(chosen.corrections, "strip"), chosen.tuning.video
+    rows = chosen.rows if correction is None or correction.rows is None else slice(*correction.rows)
     if chosen.strips != 1:
         return strip_profiles(
             video, chosen.strips, rows, columns=chosen.columns, progress=progress, settings=settings
@@ -455,7 +450,7 @@ def _strip(
 
 
 def _check_lengths(chosen: Settings, width_px: int) -> None:
-    """Lengths far beyond the picture's width are refused before a long film is read."""
+    """Reject lengths far beyond the picture's width before a long film is read."""
     axis, window = chosen.axis_px, chosen.window_px
     if axis is not None and not -width_px <= axis <= 2 * width_px:
         found, advice = f"{axis:g}", "give it in px, counted from the left"
@@ -464,31 +459,32 @@ def _check_lengths(chosen: Settings, width_px: int) -> None:
         raise InputError("`window_px`", f"at most the picture's {width_px} columns", str(window), "try auto")
 
 
-def _upright(film: Video | None, chosen: Settings, work: Callable[[], Result]) -> Result:
-    """The result; where the picture has no upright ridges, the message tells whether it has level ones."""
+def _suggesting_rotation(film: Video | None, chosen: Settings, work: Callable[[], Result]) -> Result:
+    """Return ``work()``. If it fails and the film shows horizontal ridges, the error suggests rotating it."""
     try:
         return work()
     except InputError:
-        if film is None or chosen.rows is not None or chosen.columns is not None or not _lie_level(film):
+        rows_given = chosen.rows is not None or chosen.columns is not None
+        if film is None or rows_given or not _has_horizontal_ridges(film):
             raise
-        found, way = "ridges that lie level, one above the other", (film.rotate + 90) % 360
+        found, way = "horizontal ridges, one above the other", (film.rotate + 90) % 360
         raise InputError(film.path, "upright ridges", found, f"give `rotate` {way}") from None
 
 
-def _lie_level(film: Video) -> bool:
-    """Whether the film shows a comb once it is turned by 90 degrees."""
-    turned = replace(film, rotate=(film.rotate + 90) % 360)
+def _has_horizontal_ridges(film: Video) -> bool:
+    """Return whether the film shows a comb when it is rotated by 90 degrees."""
+    rotated = replace(film, rotate=(film.rotate + 90) % 360)
     try:
-        rows = find_strip(turned).rows
-        pictures = [picture[rows].mean(axis=0, dtype=np.float32) for picture in turned.sample(8)]
+        rows = find_strip(rotated).rows
+        pictures = [picture[rows].mean(axis=0, dtype=np.float32) for picture in rotated.sample(8)]
         comb = describe_ridges(np.stack(pictures))
-    except (InputError, ValueError):  # no ridge either, or no picture
+    except (InputError, ValueError):  # no ridges in this direction either, or no picture
         return False
-    return comb.count >= 5  # two or three are seen in any picture
+    return comb.count >= 5  # two or three ridges can be found in any picture
 
 
 def track_strip(strip: xr.DataArray, chosen: Settings, parts: xr.DataArray | None = None) -> xr.Dataset:
-    """x(n, t) as the settings want it; of the strip's parts as well, where they are given."""
+    """Track the sheets with the options of the settings; in the parts of the strip as well, if given."""
     tracks = track_sheets(
         strip,
         ridges=chosen.ridges,
@@ -504,7 +500,7 @@ def track_strip(strip: xr.DataArray, chosen: Settings, parts: xr.DataArray | Non
 
 @known_as(columns="force_columns")
 def open_force(force: xr.Dataset | str | Path, chosen: Settings) -> xr.Dataset:
-    """The force recording as the settings want it read; one that is read already, as it is."""
+    """Read a force recording with the options of the settings; a dataset is returned as is."""
     if isinstance(force, xr.Dataset):
         return force
     return read_force(
@@ -542,16 +538,17 @@ def _fits(force: xr.Dataset, sticks: pd.DataFrame, chosen: Settings) -> ModelFit
 
 
 def _clock(tracks: xr.Dataset, force: xr.Dataset, sticks: pd.DataFrame, chosen: Settings) -> Clock:
-    decided = last_of(chosen.corrections, "clock")
-    offset_s, drift_ppm = (chosen.offset_s, 0.0) if decided is None else (decided.offset_s, decided.drift_ppm)
+    correction, offset_s, drift_ppm = last_of(chosen.corrections, "clock"), chosen.offset_s, 0.0
+    if correction is not None:
+        offset_s, drift_ppm = correction.offset_s, correction.drift_ppm
     return synchronise(
         tracks, force, sticks, offset_s=offset_s, drift_ppm=drift_ppm, settings=chosen.tuning.clock
     )
 
 
 def _motion(tracks: xr.Dataset, sticks: pd.DataFrame, clock: Clock, chosen: Settings) -> xr.Dataset:
-    seen = min(clock.unmatched_video, clock.unmatched_force)
-    if clock.status == "given" and clock.matched == 0 and seen >= 3:  # fewer may have been missed
+    unmatched = min(clock.unmatched_video, clock.unmatched_force)
+    if clock.status == "given" and clock.matched == 0 and unmatched >= 3:  # of fewer slips, all may be missed
         raise InputError(
             "the clocks",
             "slips that coincide in video and force",
@@ -577,8 +574,8 @@ def _shells(fits: ModelFits | None, motion: xr.Dataset, chosen: Settings) -> pd.
     )
 
 
-def _warnings(found: Analysis) -> tuple[str, ...]:
-    """What matters for the results, in the order of the stages, each once."""
+def _warnings(found: Analysis, reasons: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the warnings that matter for the results, in the order of the stages, without repetition."""
     lines: list[str] = []
     if found.tracks is not None:
         lines += warnings_of(found.tracks)
@@ -587,18 +584,16 @@ def _warnings(found: Analysis) -> tuple[str, ...]:
             rows = slice(strip.strip_z0, strip.strip_z1)
             lines += overexposure(found.frame, rows, found.settings.tuning.video)
         lines += tracking_warnings(found.tracks)
-        # An assumed sample matters where models are fitted with it.
+        # An assumed sample matters only if models are fitted with it.
         assumed = PUBLISHED if found.fits is not None and found.settings.sample is None else None
         lines += consistency_warnings(found.tracks, found.settings.sample, assumed=assumed)
     if found.force is not None:
         lines += warnings_of(found.force, found.sticks)
         lines += filter(None, [cycles_seen(found.force)])
-        # Without d0, or with a force over a weight, nobody asked for the models.
-        expected = (
-            math.isfinite(ForceMetadata.of(found.force).d0_mm) and found.force["load_N"].attrs["units"] == "N"
-        )
-        if "fits" in found.reasons and expected:
-            lines.append(f"no model fits: {found.reasons['fits']}")
+        # The models need d0 and a force in newtons; without them, no fits are expected.
+        has_d0 = math.isfinite(ForceMetadata.of(found.force).d0_mm)
+        if "fits" in reasons and has_d0 and found.force["load_N"].attrs["units"] == "N":
+            lines.append(f"no model fits: {reasons['fits']}")
     lines += found.fits.warnings if found.fits else ()
     lines += found.clock.warnings if found.clock else ()
     lines += shells_against_fits(found.shells, found.fits, found.settings.tuning.shells)

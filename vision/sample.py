@@ -16,24 +16,24 @@ class Sample:
     Parameters
     ----------
     sheets_per_block
-        M, sheets of one block on each side of the symmetry axis; the block has 2M.
+        M, number of sheets of one block on each side of the symmetry axis; the block has 2M.
     thickness_mm
-        ε, of one sheet.
+        ε, thickness of one sheet.
     width_mm
-        W, of the sheets.
+        W, width of the sheets.
     length_mm
-        L, from the clamp to the sheets' end.
+        L, length of the sheets from the clamp to their end.
     t_star_N
-        T*, traction of the outermost, adhering sheet.
+        T*, traction on the outermost sheet due to adhesion.
 
     Raises
     ------
     InputError
-        For a number that is not positive and finite, or an uncountable number of sheets.
+        For a number that is not positive and finite, or a number of sheets that is not an integer.
 
     Notes
     -----
-    Source: paper, sections II (samples) and III (model).
+    Source: publication, sections II (samples) and III (model).
     """
 
     sheets_per_block: int = 25

@@ -1,7 +1,7 @@
-"""Maxima, running medians and running means of a line of values.
+"""Maxima, running medians and running means of one-dimensional signals.
 
-`scipy.signal` and `scipy.ndimage` have the same. They are not used: the first loads `scipy.stats` and with it
-most of SciPy, which takes longer than tracking a thousand frames; the second takes half as long.
+`scipy.signal` and `scipy.ndimage` have equivalent functions but are slow to import: the former loads most of
+SciPy, which takes longer than tracking a thousand frames, the latter half as long.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from vision.numeric import Bools, Floats, Ints
 def running_median(
     values: NDArray[np.floating], size: int, *, ends: Literal["edge", "symmetric"] = "edge"
 ) -> Floats:
-    """Median of `size` values around each; the upper one of the two in the middle where `size` is even.
+    """Return the running median; for an even `size`, the upper of the two middle values.
 
     Parameters
     ----------
     values
         (samples,), without NaN.
     size
-        Of the window, in samples.
+        Length of the window in samples.
     ends
-        What stands beyond the ends: the last value there, or the line mirrored.
+        Padding beyond the ends: the outermost value, or the mirrored signal.
     """
     padded = np.pad(np.asarray(values, np.float64), (size // 2, (size - 1) // 2), ends)
     windows, middle = sliding_window_view(padded, size), size // 2
-    block = 1 << 16  # more windows at once take more memory, and no less time
+    block = 1 << 16  # more windows at a time take more memory and are no faster
     parts = [
         np.partition(windows[start : start + block], middle, axis=1)[:, middle]
         for start in range(0, len(windows), block)
@@ -40,9 +40,9 @@ def running_median(
 
 
 def running_mean(values: NDArray[np.floating], size: int) -> Floats:
-    """Mean of `size` values around each; beyond the ends stands the last value there."""
+    """Return the running mean of `size` values, with the signal padded by its outermost values."""
     padded = np.pad(np.asarray(values, np.float64), (size // 2 + 1, (size - 1) // 2), "edge")
-    level = padded.mean()  # sums of what is left lose fewer digits
+    level = padded.mean()  # sums of deviations from the mean lose fewer digits
     total = np.cumsum(padded - level)
     return np.asarray(level + (total[size:] - total[:-size]) / size, np.float64)
 
@@ -53,10 +53,10 @@ class Maxima(NamedTuple):
     Parameters
     ----------
     at
-        Place; of a plateau its middle, rounded down.
+        Index; for a plateau the index of its middle, rounded down.
     prominence
-        Height above the higher of the lowest points on both sides, each within reach and before anything
-        higher.
+        Height above a base: the higher of the minima on the two sides, each searched within `reach` and as
+        far as the next higher value.
     """
 
     at: Ints
@@ -66,18 +66,18 @@ class Maxima(NamedTuple):
 def find_maxima(
     line: NDArray[np.floating], *, least_prominence: float, reach: int, widest: int | None = None
 ) -> Maxima:
-    """Maxima of a line that rise above their surroundings.
+    """Find the maxima of a signal that have at least a given prominence.
 
     Parameters
     ----------
     line
-        Values without NaN.
+        The signal, without NaN.
     least_prominence
-        Above 0; maxima of less are left out.
+        Smallest prominence, above 0.
     reach
-        How far to either side the surroundings extend.
+        Number of samples on either side within which the base of a maximum is searched.
     widest
-        Longest plateau.
+        Plateaus must be shorter than this.
 
     Returns
     -------
@@ -85,9 +85,8 @@ def find_maxima(
 
     Notes
     -----
-    The same as `scipy.signal.find_peaks` with a window of ``2 reach + 1``.
-    Between two neighbouring extrema a line only rises or only falls, so that it is enough to go from one
-    minimum to the next.
+    Equivalent to `scipy.signal.find_peaks` with a window of ``2 reach + 1``. The signal is monotonic between
+    neighbouring extrema, so only the extrema are searched.
     """
     first, last = _turns(line)
     level = line[last]
@@ -95,49 +94,49 @@ def find_maxima(
     top = 1 + np.flatnonzero(rises[:-1] & ~rises[1:])
     dip = np.flatnonzero(np.append(True, ~rises) & np.append(rises, True))  # before and after each maximum
     at = (first[top] + last[top]) // 2
-    ground = _Ground(line, at, level[top], level[dip], reach)
-    some = np.flatnonzero(ground.may_stand_out(least_prominence))
+    extrema = _Extrema(line, at, level[top], level[dip], reach)
+    candidates = np.flatnonzero(extrema.may_be_prominent(least_prominence))
     if widest is not None:
-        some = some[(last[top] - first[top])[some] < widest]
-    left = ground.lowest(some, last[dip], to_right=False)
-    high = level[top[some]] - left >= least_prominence
-    some, left = some[high], left[high]
-    right = ground.lowest(some, first[dip], to_right=True)
-    prominence = np.asarray(level[top[some]] - np.maximum(left, right), np.float64)
+        candidates = candidates[(last[top] - first[top])[candidates] < widest]
+    left = extrema.lowest(candidates, last[dip], to_right=False)
+    high = level[top[candidates]] - left >= least_prominence
+    candidates, left = candidates[high], left[high]
+    right = extrema.lowest(candidates, first[dip], to_right=True)
+    prominence = np.asarray(level[top[candidates]] - np.maximum(left, right), np.float64)
     enough = prominence >= least_prominence
-    return Maxima(at[some[enough]], prominence[enough])
+    return Maxima(at[candidates[enough]], prominence[enough])
 
 
 def half_widths(line: NDArray[np.floating], maxima: Maxima) -> Floats:
-    """Widths of maxima at half their prominence, as `scipy.signal.peak_widths`, (K,).
+    """Return the widths of maxima at half their prominence, (K,), as `scipy.signal.peak_widths` does.
 
     Parameters
     ----------
     line
-        The line in which they were found.
+        The signal in which the maxima were found.
     maxima
         From `find_maxima`.
     """
     half = line[maxima.at] - 0.5 * maxima.prominence
-    with np.errstate(invalid="ignore"):  # a line may end in -inf
+    with np.errstate(invalid="ignore"):  # the signal may end with -inf
         return _to_half(line, maxima.at, half, -1) + _to_half(line, maxima.at, half, 1)
 
 
 def _turns(line: NDArray[np.floating]) -> tuple[Ints, Ints]:
-    """First and last place of the runs of equal values at which a line may turn, its ends included.
+    """Return first and last index of each run of equal values at a possible extremum, or at an end.
 
-    In between it only rises or only falls. There are few of them: all that follows is done on these alone.
+    Between these runs the signal is monotonic. Since they are few, working on them alone is fast.
     """
     rises, falls = line[1:] > line[:-1], line[1:] < line[:-1]
-    other = (rises[1:] != rises[:-1]) | (falls[1:] != falls[:-1])
-    knots = np.concatenate([[0], 1 + np.flatnonzero(other), [len(line) - 1]])
+    turns = (rises[1:] != rises[:-1]) | (falls[1:] != falls[:-1])
+    knots = np.concatenate([[0], 1 + np.flatnonzero(turns), [len(line) - 1]])
     value = line[knots]
     changes = np.flatnonzero(value[1:] != value[:-1])
     return knots[np.append(0, changes + 1)], knots[np.append(changes, len(knots) - 1)]
 
 
-class _Ground(NamedTuple):
-    """A line with its maxima (K,) and the minima around them (K + 1,)."""
+class _Extrema(NamedTuple):
+    """A signal with the index and height of its maxima (K,) and the depth of its minima (K + 1,)."""
 
     line: NDArray[np.floating]
     at: Ints
@@ -145,9 +144,11 @@ class _Ground(NamedTuple):
     depth: NDArray[np.floating]
     reach: int
 
-    def may_stand_out(self, least: float) -> Bools:
-        """False for maxima that cannot rise by so much, since they stand too little above the minimum between
-        them and a higher neighbour: most of those that noise makes, (K,)."""
+    def may_be_prominent(self, least: float) -> Bools:
+        """Return False for maxima too low above the minimum next to a higher neighbour, (K,).
+
+        Their prominence cannot reach `least`. This quickly excludes most maxima of noise.
+        """
         height, depth = self.height.astype(np.float64), self.depth.astype(np.float64)
         up = np.diff(height)
         found = np.ones(len(height), np.bool_)
@@ -155,20 +156,20 @@ class _Ground(NamedTuple):
         found[:-1] &= (up <= 0) | (height[:-1] - depth[1:-1] >= least)
         return found
 
-    def lowest(self, maxima: Ints, place: Ints, *, to_right: bool) -> Floats:
-        """Lowest value on one side of the maxima, within reach and before anything higher.
+    def lowest(self, maxima: Ints, minima_at: Ints, *, to_right: bool) -> Floats:
+        """Return the lowest value on one side of maxima, within reach and up to the next higher value.
 
-        place: of the minima, at the end from which they are reached.
+        minima_at: indices of the minima, for a plateau the end that faces the maximum.
         """
         step, last = (1 if to_right else -1), len(self.at) - 1
         on, dip = np.arange(len(maxima)), maxima + to_right
         here, height = self.at[maxima], self.height[maxima]
         low = height.astype(np.float64)
         while len(on):
-            inside = np.abs(place[dip] - here) <= self.reach
-            seen = self.depth[dip]
-            seen[~inside] = self.line[here[~inside] + step * self.reach]
-            low[on] = np.minimum(low[on], seen)
+            inside = np.abs(minima_at[dip] - here) <= self.reach
+            value = self.depth[dip]
+            value[~inside] = self.line[here[~inside] + step * self.reach]
+            low[on] = np.minimum(low[on], value)
             beyond = dip if to_right else dip - 1  # the next maximum
             further = inside & (beyond >= 0) & (beyond <= last)
             further &= self.height[np.minimum(np.maximum(beyond, 0), last)] <= height
@@ -177,7 +178,7 @@ class _Ground(NamedTuple):
 
 
 def _to_half(line: NDArray[np.floating], at: Ints, half: Floats, step: int) -> Floats:
-    """Distance from the maxima to where the line falls to `half`, on one side."""
+    """Return the distance from each maximum to where the signal falls to `half`, on one side."""
     here, on = at.copy(), np.arange(len(at))
     while len(on):
         here[on] += step
@@ -187,19 +188,19 @@ def _to_half(line: NDArray[np.floating], at: Ints, half: Floats, step: int) -> F
 
 
 def apart(at: Ints, height: NDArray[np.floating], least: float) -> Ints:
-    """Maxima that are at least so far apart: of those that are closer the highest stay.
+    """Select maxima that are at least a given distance apart; of closer ones the highest remains.
 
     Parameters
     ----------
     at
-        Places in rising order.
+        Indices in ascending order.
     height
-        Of each.
+        Height of each maximum.
     least
         Smallest distance.
     """
     kept, near = np.ones(len(at), np.bool_), np.diff(at) < least
-    crowded = np.flatnonzero(np.r_[near, False] | np.r_[False, near])  # few: the others need no loop
+    crowded = np.flatnonzero(np.r_[near, False] | np.r_[False, near])  # only these few need the loop
     for k in crowded[np.argsort(height[crowded], kind="stable")[::-1]]:
         if kept[k]:
             low, high = np.searchsorted(at, [at[k] - least + 1, at[k] + least])

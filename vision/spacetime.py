@@ -1,4 +1,4 @@
-"""space_time(): I(x, t) of the whole strip, or of a window around one sheet, fixed or moving with it."""
+"""space_time(): I(x, t) of the whole strip or of a window, which is fixed or follows a sheet."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ SIDES = {"left": -1, "right": 1}
 
 
 @dataclass(frozen=True)
-class _Place:
-    """One sheet: its index, its name and where it is in every frame, px, NaN where not known."""
+class _SheetTrack:
+    """Index, name and positions of one sheet: px in every frame, NaN if unknown."""
 
     index: int
     name: str
@@ -39,26 +39,26 @@ def space_time(
     frames: slice | None = None,
     time_s: tuple[float | None, float | None] | None = None,
 ) -> xr.DataArray:
-    """Space-time diagram: one row per frame, one column per pixel, no resampling in time.
+    """Return a space-time diagram: one row per frame, one column per pixel, no resampling in time.
 
-    A fixed window holds the recording's own grey values; it is centred, to the nearest pixel, on the
-    sheet's median position over the frames shown (the paper's figure). A window that follows has the sheet
-    at x = 0 in every row: rows are shifted by fractions of a pixel with Catmull-Rom's cubic. Where the
-    sheet was not found, the window moves on a straight line between the frames where it was.
+    A fixed window contains the original grey values. It is centred, to the nearest pixel, on the sheet's
+    median position over the frames shown (as in the publication's figure). A window that follows the sheet
+    has it at x = 0 in every row: rows are shifted by fractions of a pixel with the Catmull-Rom cubic. If the
+    sheet is not found in some frames, its position is interpolated linearly between the others.
 
     Parameters
     ----------
     strip
-        I(x, t) of `vision.strip_profile`.
+        I(x, t) from `vision.strip_profile`.
     around, sheet
-        Tracks of `vision.track_sheets`, and ("right", 23) or the index from the left: the window's middle.
-        Without both, the whole strip.
+        Tracks from `vision.track_sheets`, and the sheet in the centre of the window: ("right", 23) or the
+        index from the left. Without both, the whole strip is returned.
     width_um, width_px
-        Width of the window, one of the two; rounded to whole pixels.
+        Width of the window; give one of them. It is rounded to whole pixels.
     pixel_size_um
         µm per pixel; needed for `width_um`.
     follow
-        Move with the sheet.
+        Whether the window follows the sheet.
     frames
         Half-open range of frame numbers.
     time_s
@@ -67,10 +67,11 @@ def space_time(
     Returns
     -------
     xarray.DataArray
-        float32 "intensity" (frame, x) in grey levels with the strip's coordinates; of the whole strip a view.
-        x is the column number or, where the window follows, px from the sheet. NaN outside the picture and in
-        frames that are not there. x_sheet_px (frame) is the sheet's measured position, NaN where there is
-        none. What was cut is in the attributes: sheet, sheet_index, centre_px, follow, pixel_size_um.
+        float32 "intensity" (frame, x) in grey levels with the strip's coordinates; a view for the whole
+        strip. x is the column number or, if the window follows the sheet, the distance from it in px. Values
+        are NaN outside the picture and in lost frames. x_sheet_px (frame) is the measured position of the
+        sheet, NaN if unknown. The attributes describe the window: sheet, sheet_index, centre_px, follow,
+        pixel_size_um.
 
     Raises
     ------
@@ -79,7 +80,7 @@ def space_time(
     """
     STRIP.check(strip)
     part = _part(strip, frames, time_s)
-    about: dict[str, Any] = {} if pixel_size_um is None else {"pixel_size_um": pixel_size_um}
+    attrs: dict[str, Any] = {} if pixel_size_um is None else {"pixel_size_um": pixel_size_um}
     given: dict[str, Any] = {
         "sheet": sheet,
         "width_um": width_um,
@@ -90,25 +91,25 @@ def space_time(
         "time_s": time_s,
     }
     if around is None or sheet is None:
-        # Half of what a window needs does not ask for the whole strip.
+        # An incomplete description of a window is an error, not a request for the whole strip.
         if sheet is not None:
             raise InputError("`sheet`", "tracks to find the sheet in", "none", "give `around`")
         if around is not None or width_um is not None or width_px is not None or follow:
             advice = 'give `sheet`, such as ("right", 1)'
             raise InputError("the window", "a sheet to centre it on", "none", advice)
-        return record(part.assign_attrs(about), "space_time", **given)
+        return record(part.assign_attrs(attrs), "space_time", **given)
     TRACKS.check(around)
-    place = _find(around, sheet, part)
+    track = _find(around, sheet, part)
     width = _width(width_um, width_px, pixel_size_um, part)
-    centre = float(np.nanmedian(place.x_px))
-    values, x = _following(part, place.x_px, width) if follow else _fixed(part, centre, width)
-    diagram = part.isel(x=slice(0, 1)).drop_vars("x").squeeze("x")  # the coordinates along time
-    about |= {"sheet": place.name, "sheet_index": place.index, "centre_px": centre, "follow": int(follow)}
+    centre = float(np.nanmedian(track.x_px))
+    values, x = _following(part, track.x_px, width) if follow else _fixed(part, centre, width)
+    diagram = part.isel(x=slice(0, 1)).drop_vars("x").squeeze("x")  # only the coordinates along time
+    attrs |= {"sheet": track.name, "sheet_index": track.index, "centre_px": centre, "follow": int(follow)}
     diagram = (
         diagram.expand_dims(x=x, axis=1)
         .copy(data=values)
-        .assign_coords(x_sheet_px=("frame", place.x_px, {"units": "px", "long_name": "the sheet"}))
-        .assign_attrs(about)
+        .assign_coords(x_sheet_px=("frame", track.x_px, {"units": "px", "long_name": "the sheet"}))
+        .assign_attrs(attrs)
     )
     return record(diagram, "space_time", **given)
 
@@ -116,7 +117,7 @@ def space_time(
 def _part(
     strip: xr.DataArray, frames: slice | None, time_s: tuple[float | None, float | None] | None
 ) -> xr.DataArray:
-    """The frames asked for, as a view."""
+    """Return the requested frames as a view."""
     numbers, times = np.asarray(strip["frame"].values), np.asarray(strip["time_s"].values, np.float64)
     keep, asked, clock = np.ones(numbers.size, bool), [], bool(np.isfinite(times).any())
     if frames is not None:
@@ -140,8 +141,8 @@ def _within(values: NDArray[Any], start: float | None, stop: float | None) -> Bo
     return np.asarray((values >= low) & (values < high))
 
 
-def _find(tracks: xr.Dataset, sheet: Sheet, part: xr.DataArray) -> _Place:
-    """The sheet asked for, over the frames of the part."""
+def _find(tracks: xr.Dataset, sheet: Sheet, part: xr.DataArray) -> _SheetTrack:
+    """Return the requested sheet in the frames of the part."""
     side, n = np.asarray(tracks["side"].values), np.asarray(tracks["n"].values)
     if isinstance(sheet, tuple):
         match = np.flatnonzero((side == SIDES.get(sheet[0], 0)) & (n == sheet[1]))
@@ -157,7 +158,7 @@ def _find(tracks: xr.Dataset, sheet: Sheet, part: xr.DataArray) -> _Place:
     name = f"{'left' if side[index] < 0 else 'right'}:{n[index]}"
     if not np.isfinite(x).any():
         raise InputError(f"sheet {name}", "a position in at least one frame shown", "none")
-    return _Place(index, name, x)
+    return _SheetTrack(index, name, x)
 
 
 def _sheets_there(side: NDArray[Any], n: NDArray[Any]) -> str:
@@ -172,7 +173,7 @@ def _sheets_there(side: NDArray[Any], n: NDArray[Any]) -> str:
 def _width(
     width_um: float | None, width_px: float | None, pixel_size_um: float | None, part: xr.DataArray
 ) -> int:
-    """Whole pixels, from 1 to the strip's own width."""
+    """Return the width in whole pixels, from 1 to the width of the strip."""
     if (width_um is None) == (width_px is None):
         found = "neither" if width_um is None else "both"
         raise InputError("the width", "one of `width_um` and `width_px`", found)
@@ -187,7 +188,7 @@ def _width(
 
 
 def _fixed(part: xr.DataArray, centre_px: float, width: int) -> tuple[Floats32, Ints]:
-    """Whole columns; NaN where the window hangs over the picture's edge."""
+    """Return a window of whole columns and their numbers; NaN beyond the picture's edge."""
     first = round(centre_px - (width - 1) / 2)
     origin, columns = int(part["x"].values[0]), part.sizes["x"]
     low, high = max(first, origin), min(first + width, origin + columns)
@@ -197,7 +198,7 @@ def _fixed(part: xr.DataArray, centre_px: float, width: int) -> tuple[Floats32, 
 
 
 def _following(part: xr.DataArray, x_px: Floats, width: int) -> tuple[Floats32, Floats]:
-    """Rows shifted so that the sheet stands at x = 0."""
+    """Return rows shifted so that the sheet is at x = 0, and the distances x from it."""
     known = np.flatnonzero(np.isfinite(x_px))
     centre = np.interp(np.arange(x_px.size), known, x_px[known]) - float(part["x"].values[0])
     offset = np.arange(width, dtype=np.float64) - (width - 1) / 2
@@ -205,9 +206,9 @@ def _following(part: xr.DataArray, x_px: Floats, width: int) -> tuple[Floats32, 
 
 
 def _cubic(rows: Floats32, at: Floats) -> Floats32:
-    """Values of rows (k, columns) at places between their pixels (k, w), by Catmull-Rom's cubic.
+    """Interpolate rows (k, columns) at positions between their pixels (k, w) with the Catmull-Rom cubic.
 
-    NaN outside the outermost pixel centres; the outermost pixel is repeated where the cubic looks past it.
+    Values are NaN beyond the outermost pixel centres; the outermost pixels are repeated for the cubic.
     Source: Keys 1981, with a = −1/2.
     """
     last = rows.shape[1] - 1

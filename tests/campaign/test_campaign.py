@@ -122,7 +122,7 @@ def test_two_campaigns_in_one_folder(tmp_path, capsys):
     process = start([path, "--out", out, "--no-report"], tmp_path)
     until((out / "snakemake.log").exists)
     assert run(["campaign", str(path), "--out", str(out)]) == 2
-    assert "a campaign that does not run; found one that does" in capsys.readouterr().err
+    assert "a campaign that is not running; found a running one" in capsys.readouterr().err
     assert process.wait(100) == 0
 
 

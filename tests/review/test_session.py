@@ -95,7 +95,7 @@ def test_every_decision_can_be_taken_back_and_made_again(session):
     for state in states[1:]:
         session.redo()
         assert_same(state, held(session.positions))
-    with pytest.raises(InputError, match="taken back"):
+    with pytest.raises(InputError, match="undone"):
         session.redo()
 
 

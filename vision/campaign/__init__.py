@@ -1,4 +1,4 @@
-"""Many films, here or on a cluster: a table becomes a plan, Snakemake its jobs, the runs a pool."""
+"""Track many films, here or on a cluster: read a table, plan the jobs, run them, compare the results."""
 
 from vision.campaign.plan import Plan, PlannedFilm, State, make_plan, read_plan
 from vision.campaign.results import open_tables

@@ -1,4 +1,4 @@
-"""Which films: TABLE.csv, checked whole before anything starts, and a folder into which a camera writes."""
+"""The films of a campaign: those in TABLE.csv, which is checked first, and those in a watched folder."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from vision.video.high_speed import PIXELS
 # --- the table ----------------------------------------------------------------------------------------------
 
 
-FACTS = (*COLUMNS[1:], "notes")  # of the test
+FACTS = (*COLUMNS[1:], "notes")  # columns that describe the test
 PATHS = ("force", "timestamps", "corrections")  # options that name a file, relative to the table
-MOST_BYTES = 1 << 24
-MOST_LETTERS = 150  # of a name: folders and files are called after it
-# What people call the columns; the nearest of these is shown for one that is not known.
+MAX_BYTES = 1 << 24  # size of a table
+MAX_NAME_BYTES = 150  # length of a name, from which the names of folders and files are made
+# Usual names of the columns. A message about an unknown column suggests the nearest of them.
 _ALIKE = ALIKE | {
     "video": "film", "file": "film", "movie": "film", "path": "film", "recording": "force", "load": "force",
     "comment": "notes", "remark": "notes", "run": "name", "test": "name", "name": "name", "folder": "name",
@@ -37,10 +37,10 @@ _ALIKE = ALIKE | {
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """Something in the table that keeps the campaign from starting."""
+    """An error in the table, which keeps the campaign from starting."""
 
     row: int  # line of the file, 1 for the heading
-    column: str  # "" where it is the row as a whole
+    column: str  # "" if it concerns the whole row
     text: str  # what was expected and what was found
 
 
@@ -48,20 +48,20 @@ class Problem:
 class Row:
     """One test."""
 
-    row: int  # line of the file; 0 for a film that no table names
+    row: int  # line of the file; 0 for a film that is not in the table
     film: str  # path, quoted glob, or an address in object storage (s3://…)
-    name: str  # what its folder is called
-    # as typed, by their names in a TOML file
+    name: str  # name of its run folder
+    # options as typed, by their names in a TOML file
     options: Mapping[str, str] = field(default_factory=dict)
-    # the same as the pipeline takes them, with those of the configuration file and the defaults
+    # options as the pipeline takes them, with those of the configuration file and the defaults
     values: Mapping[str, Any] = field(default_factory=dict)
-    # what describes the test: sample, V_mm_min, n_test, RH_percent, T_C, notes
+    # description of the test: sample, V_mm_min, n_test, RH_percent, T_C, notes
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """One row's options after the command line's own validation, and (column, text) of what is wrong."""
+    """Options of one row as the command line validates them, and (column, text) of each error."""
 
     values: Mapping[str, Any]
     problems: Sequence[tuple[str, str]] = ()
@@ -71,12 +71,12 @@ Check = Callable[[Mapping[str, str]], Checked]
 
 
 def is_remote(film: str) -> bool:
-    """Whether a film lies in object storage, to be fetched by Snakemake."""
+    """Return whether a film lies in object storage, from which Snakemake fetches it."""
     return re.match(r"[a-z][a-z0-9+.-]*://", film) is not None
 
 
 def safe_name(text: str) -> str:
-    """A name that is one part of a path on every system and one line on every screen."""
+    """Replace the characters that a file name or a line of text cannot have on some system."""
     return re.sub(r"[\x00-\x1f\x7f/\\:*?\"<>|]", "_", text).strip(". ") or "film"
 
 
@@ -88,30 +88,31 @@ def read_campaign(
     name_of: Callable[[Path], str],
     awaited: Path | None = None,
 ) -> tuple[tuple[Row, ...], tuple[Problem, ...]]:
-    """All rows of a table, and every problem that any of them has.
+    """Read a table of films and find every problem in it.
 
     Parameters
     ----------
     path
-        CSV with commas, semicolons or tabs. ``film`` is needed; ``force``, ``name``, every option of `track`
-        and ``sample, V_mm_min, n_test, RH_percent, T_C, notes`` may follow. Files are relative to the table.
+        CSV with commas, semicolons or tabs. The column ``film`` is required; ``force``, ``name``, every
+        option of `track` and ``sample, V_mm_min, n_test, RH_percent, T_C, notes`` are optional. Paths in it
+        are relative to the table.
     options
-        The options' names.
+        Names of the options.
     check
-        Turns one row's options into values, as the command line does.
+        Converts the options of one row into values, as the command line does.
     name_of
-        A film's own name.
+        Returns the default name of a film.
     awaited
-        A folder into which films are still to come: those in it, and their files, need not be there yet.
+        A watched folder. Films in it, and their other files, need not exist yet.
 
     Returns
     -------
-    The rows without problems of their own, and the problems in order of the rows.
+    The rows without problems, and the problems in order of the rows.
 
     Raises
     ------
     InputError
-        Where the file is no table or has no rows.
+        If the file is not a table or has no rows.
     """
     header, lines = _lines(path)
     columns, problems = _columns(header, ("film", "name", *FACTS, *options))
@@ -131,34 +132,34 @@ def read_campaign(
 
 
 def _lines(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """The heading, and the rows that are not empty with their line numbers."""
+    """Return the heading and, with their line numbers, the rows that are not empty."""
     wanted = "a CSV table with a column film"
-    if check_regular(path, wanted).st_size > MOST_BYTES:
+    if check_regular(path, wanted).st_size > MAX_BYTES:
         raise InputError(path, wanted, "a far larger file", "check its name")
     try:
         text = path.read_text(encoding="utf-8-sig")
         first = text.lstrip().partition("\n")[0]
-        mark = max((",", ";", "\t"), key=first.count)
-        reader = csv.reader(io.StringIO(text), delimiter=mark, skipinitialspace=True, strict=True)
+        separator = max((",", ";", "\t"), key=first.count)
+        reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True, strict=True)
         table = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
     except (OSError, ValueError, csv.Error) as error:
         found = shortened(str(getattr(error, "strerror", None) or error)).lower()
         raise InputError(path, wanted, found, "save it as CSV, UTF-8") from error
     if len(table) < 2:
         raise InputError(path, "a heading and a row for each test", f"{len(table)} lines")
-    if mark != ",":  # then commas are decimal marks
+    if separator != ",":  # then commas are decimal marks
         decimal = re.compile(r"^\s*([-+]?[0-9]+),([0-9]+)\s*$")
         table = [(number, [decimal.sub(r"\1.\2", cell) for cell in cells]) for number, cells in table]
     return table[0][1], table[1:]
 
 
 def _columns(header: Sequence[str], known: Sequence[str]) -> tuple[list[str], list[Problem]]:
-    """Our name of each column, "" for one that is not known, and what is wrong with the heading."""
-    ours = {_plain(name): name for name in known}
-    alike = _ALIKE | ours
+    """Return the standard name of each column, "" for unknown ones, and the problems of the heading."""
+    standard = {_plain(name): name for name in known}
+    alike = _ALIKE | standard
     columns, problems = [], []
     for name in header:
-        column = ours.get(_plain(name), "")
+        column = standard.get(_plain(name), "")
         if name.strip() and not column:
             nearest = alike[difflib.get_close_matches(_plain(name), alike, n=1, cutoff=0.0)[0]]
             found = f"'{shortened(name, 60)}'; the nearest is {nearest}"
@@ -184,9 +185,13 @@ def _row(
     name_of: Callable[[Path], str],
     awaited: Path | None,
 ) -> tuple[Row, list[tuple[str, str]]]:
-    """One row with absolute paths, and (column, text) of what is wrong with it."""
+    """Return one row with absolute paths, and (column, text) of each problem in it."""
+
+    def may_come_later(path: str) -> bool:
+        return awaited is not None and Path(path).parent.resolve() == awaited.resolve()
+
     film, problems = _film(given.get("film", ""), base)
-    if awaited is not None and Path(film).parent.resolve() == awaited.resolve():
+    if may_come_later(film):
         problems = []
     facts, wrong = _facts(given)
     problems += wrong
@@ -194,14 +199,13 @@ def _row(
     for name in PATHS:
         if name in options:
             options[name] = str(base / options[name])
-            coming = awaited is not None and Path(options[name]).parent.resolve() == awaited.resolve()
-            if not Path(options[name]).is_file() and not coming:
+            if not Path(options[name]).is_file() and not may_come_later(options[name]):
                 problems.append((name, f"{options[name]}: expected a file; found none"))
     checked = check({name: text for name, text in options.items() if name not in dict(problems)})
     problems += checked.problems
     name = safe_name(given.get("name", "") or name_of(Path(film)))
-    if len(name.encode()) > MOST_LETTERS:
-        text = f"expected a name of at most {MOST_LETTERS} letters; give one in a column name"
+    if len(name.encode()) > MAX_NAME_BYTES:
+        text = f"expected a name of at most {MAX_NAME_BYTES} letters; give one in a column name"
         problems.append(("name", text))
     row = Row(row=number, film=film, name=name, options=options, values=checked.values, facts=facts)
     return row, problems
@@ -237,15 +241,15 @@ def _facts(given: Mapping[str, str]) -> tuple[dict[str, Any], list[tuple[str, st
 
 
 def _clashes(rows: Iterable[Row]) -> list[Problem]:
-    """Rows of one film, and films whose folders would have one name."""
+    """Find rows with the same film, and films whose folders would have the same name."""
     problems: list[Problem] = []
     films: dict[str, Row] = {}
     names: dict[str, Row] = {}
     for row in rows:
         if not row.film:
             continue
-        if (same := films.setdefault(row.film, row)) is not row:
-            problems.append(Problem(row=row.row, column="film", text=_twice(row, same)))
+        if (first := films.setdefault(row.film, row)) is not row:
+            problems.append(Problem(row=row.row, column="film", text=_twice(row, first)))
         elif (other := names.setdefault(row.name.casefold(), row)) is not row:
             found = f"'{row.name}' also in row {other.row}; add a column name"
             text = f"expected films of different names; found {found}"
@@ -267,10 +271,10 @@ FILMS = {".avi", ".mp4", ".m4v", ".mkv", ".mov", ".cine", PIXELS, ".tif", ".tiff
 
 
 class FolderWatch:
-    """Which files of a folder, not searched below, are complete films.
+    """Finds the complete films of a folder, without its subfolders.
 
-    A film is complete when its size and time stood still and its index can be read. One that stays
-    cut (the camera's computer failed) is taken in the end, too, and named by its own warnings.
+    A film is complete when its size and modification time have not changed for some time and its index can be
+    read. A film that remains truncated (the camera's computer failed) is taken later, with its warnings.
     """
 
     def __init__(
@@ -288,16 +292,16 @@ class FolderWatch:
         self._seen: dict[Path, tuple[Stamp, float]] = {}
 
     def films(self) -> list[Path]:
-        """Every film in the folder, complete or not, in order of their names."""
+        """Return every film in the folder, complete or not, in order of their names."""
         files = [file for file in sorted(self.folder.iterdir()) if file.suffix.lower() in FILMS]
         return [file for file in files if not file.name.startswith(".") and file.is_file()]
 
     def complete(self, film: Path) -> bool:
-        """Whether a film stands still and can be opened whole."""
+        """Return whether a film no longer changes and can be opened without warnings."""
         try:
-            ages = [self._still(file) for file in video_files(film)]
+            ages = [self._unchanged_for(file) for file in video_files(film)]
         except InputError:
-            return False  # a recording of two files of which one is to come
+            return False  # one of the two files of a recording is still to come
         if min(ages) < self._settings.still_seconds:
             return False
         try:
@@ -307,9 +311,9 @@ class FolderWatch:
         return whole or min(ages) >= self._settings.abandoned_seconds
 
     def rows(self, table: Sequence[Row], new: Callable[[Path], Row]) -> list[Row]:
-        """What can be done now: rows of the table whose files stand still, and complete films without a row.
+        """Return the rows of the table whose files no longer change, and rows for complete films not in it.
 
-        `new` makes a row for those; two of one name (a.avi, a.mp4) are told apart by their endings.
+        `new` makes a row for such a film; films of the same name (a.avi, a.mp4) keep their endings.
         """
         named = {Path(row.film).resolve() for row in table}
         used = {row.name.casefold() for row in table}
@@ -323,18 +327,20 @@ class FolderWatch:
         return ready
 
     def _ready(self, row: Row) -> bool:
-        """Whether a row's files that lie in the folder stand still; those elsewhere were there before."""
+        """Return whether those of a row's files that lie in the folder are complete."""
         given = (Path(row.options[name]) for name in PATHS if name in row.options)
-        ages = [self._still(file) for file in given if self._here(file)]
+        ages = [self._unchanged_for(file) for file in given if self._in_folder(file)]
         film = Path(row.film)
-        whole = not self._here(film) or self.complete(film)  # looked at also while others are awaited
-        return whole and min(ages, default=math.inf) >= self._settings.still_seconds
+        complete = not self._in_folder(film) or self.complete(
+            film
+        )  # always called: it starts the film's timer
+        return complete and min(ages, default=math.inf) >= self._settings.still_seconds
 
-    def _here(self, file: Path) -> bool:
+    def _in_folder(self, file: Path) -> bool:
         return file.parent.resolve() == self.folder.resolve()
 
-    def _still(self, file: Path) -> float:
-        """For how long a file has not changed, s, as far as was seen; -1 for one that is not there."""
+    def _unchanged_for(self, file: Path) -> float:
+        """Return for how long a file has been seen unchanged, s; -1 if it does not exist."""
         now, stamp = self._clock(), Stamp.of(file)
         if stamp.facts is None:
             self._seen.pop(file, None)

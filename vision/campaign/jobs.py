@@ -1,6 +1,6 @@
-"""The jobs: Snakemake starts them, here or on a cluster, and each takes its films in turn.
+"""Jobs: Snakemake starts them, here or on a cluster, and each analyses its films one after the other.
 
-Snakemake only schedules: what became of the films is in their states, and each failure is kept to its film.
+Snakemake only schedules. The results of films are read from their states, and an error costs only its film.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ HERE = Path(__file__).parent
 SNAKEFILE = HERE / "Snakefile"
 LOG = "snakemake.log"
 JOBS = ".jobs"
-PLUGINS = {"https": "http", "gs": "gcs", "az": "azure"}  # not called as their addresses begin
+PLUGINS = {"https": "http", "gs": "gcs", "az": "azure"}  # plugins not named after their protocol
 
 
 def check_engine(executor: str, films: Iterable[str] = ()) -> None:
-    """Refuse early where Snakemake, a storage plugin or the cluster's commands are missing.
+    """Check that Snakemake, the storage plugins and the cluster's commands are installed.
 
     Raises: InputError.
     """
@@ -66,9 +66,9 @@ def check_engine(executor: str, films: Iterable[str] = ()) -> None:
 
 @contextmanager
 def campaign_lock(out: Path) -> Iterator[None]:
-    """Claim a campaign's folder for this process; the claim ends with it, however that ends.
+    """Lock a campaign's folder for this process; the lock ends with the process, however that ends.
 
-    Raises: InputError where another campaign runs there, or the folder cannot be written.
+    Raises: InputError if another campaign runs there, or the folder cannot be written.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -81,7 +81,7 @@ def campaign_lock(out: Path) -> Iterator[None]:
             lock_open_file(handle)
         except BlockingIOError as error:
             raise InputError(
-                out, "a campaign that does not run", "one that does", "wait for its end"
+                out, "a campaign that is not running", "a running one", "wait for its end"
             ) from error
         except OSError:
             pass  # a file server without locks
@@ -99,18 +99,21 @@ def run_snakemake(
     cores: int | None,
     watch: Callable[[], None] | None = None,
 ) -> int:
-    """Run the Snakefile for a written plan with a folder of a Snakemake profile; its exit status.
+    """Run Snakemake on a written plan and return its exit status.
 
-    `cores`, jobs at a time, goes before the profile's; `watch` is called about every second. A
-    KeyboardInterrupt passes after its jobs have ended.
+    `profile` is the folder of a Snakemake profile; `cores`, the number of jobs at a time, takes precedence
+    over the profile's. `watch` is called about every second. A KeyboardInterrupt is raised after the jobs
+    have ended.
     """
     command = [sys.executable, "-P", "-m", "snakemake"]
     command += ["--snakefile", str(SNAKEFILE), "--profile", str(profile)]
     command += ["--directory", str(plan.out), "--nolock", "--quiet", "rules", "host"]
     command += ["--config", f"plan={plan.out / PLAN}"]
-    at_a_time = "--cores" if executor == "local" else "--jobs"
-    command += ([] if cores is None else [at_a_time, str(cores)]) + ["--", target]
-    shutil.rmtree(plan.out / JOBS, ignore_errors=True)  # the plan knows what is done
+    if cores is not None:
+        command += ["--cores" if executor == "local" else "--jobs", str(cores)]
+    command += ["--", target]
+    # All jobs of the plan must run, whichever ran before: finished films are not in the plan.
+    shutil.rmtree(plan.out / JOBS, ignore_errors=True)
     with (plan.out / LOG).open("ab") as log:
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True, cwd=plan.out
@@ -127,22 +130,22 @@ def run_snakemake(
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:
-    """End Snakemake and all it started; on a cluster it cancels its jobs first."""
+    """End Snakemake and the processes it started. On a cluster it first cancels its jobs."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
         with suppress(OSError):
             os.killpg(process.pid, number)
         with suppress(subprocess.TimeoutExpired):
             process.wait(20)  # seconds for its jobs to end
             break
-    with suppress(OSError):  # what outlived it
+    with suppress(OSError):  # kill processes that outlived it
         os.killpg(process.pid, signal.SIGKILL)
 
 
 def run_films(plan: Plan, run: Callable[[Plan], int]) -> Plan:
-    """Run the films of a plan and give each its state; the plan with the jobs that were run.
+    """Run the films of a plan, give each its final state, and return the plan with the jobs that were run.
 
-    Snakemake starts nothing at all if a film in object storage is not there. Such a film has failed, and the
-    others are run without it.
+    If a film in object storage does not exist, Snakemake starts nothing. Such a film is marked as failed and
+    the others are run without it.
     """
     while plan.jobs:
         log = plan.out / LOG
@@ -163,7 +166,7 @@ def run_films(plan: Plan, run: Callable[[Plan], int]) -> Plan:
 
 
 def close_states(plan: Plan) -> None:
-    """A planned film without an end has failed: its job was killed, never began, or could write nothing."""
+    """Mark films without a result as failed: their job was killed, never began, or could not write."""
     for job in plan.jobs.values():
         for film in map(plan.film, job.films):
             state = plan.state(film)
@@ -175,11 +178,11 @@ def close_states(plan: Plan) -> None:
                 why = f"its job ended without a result (killed, or out of memory or time); see {LOG}"
             else:
                 why = f"its job never began; {_last_line(plan.out / LOG)}"
-            _note(plan.out, replace(state, state="failed", reason=why))
+            _try_to_write(plan.out, replace(state, state="failed", reason=why))
 
 
 def _last_line(log: Path) -> str:
-    """The last line of Snakemake's log that tells of an error."""
+    """Quote the last line of Snakemake's log that reports an error."""
     try:
         lines = log.read_text(encoding="utf-8", errors="replace").splitlines()[-60:]
     except OSError:
@@ -197,16 +200,16 @@ STATES: dict[int, Word] = {0: "done", 1: "warnings"}  # by the exit status of a 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a film's analysis ended with."""
+    """Result of one film's analysis."""
 
-    status: int  # its exit status, as of `track`
-    reason: str = ""  # one line where that is 2 or 3
+    status: int  # exit status, as of `track`
+    reason: str = ""  # one line if the status is 2 or 3
     warnings: tuple[str, ...] = ()  # one line each
-    analysis: Analysis | None = None  # None where nothing was found
+    analysis: Analysis | None = None  # None if there are no results
 
 
 Work = Callable[[PlannedFilm, Path, Path], Outcome]
-"""Analyses a film, from a path where it may be read, into a run folder."""
+"""Function that analyses a film. Arguments: the film, the path to read it from, the run folder to write."""
 
 
 def run_job(
@@ -217,37 +220,41 @@ def run_job(
     fetched: Sequence[Path] = (),
     settings: CampaignSettings = CampaignSettings(),
 ) -> int:
-    """Take every film of a job that is not done; 0 if all are now, else 1.
+    """Analyse every unfinished film of a job; return 0 if all are finished then, else 1.
 
-    A child process, forked after the imports, takes them. If it dies of one film (a decoder that crashes,
-    memory), that film has failed and another child takes the rest. `fetched` are local copies of the job's
-    films in object storage, in their order.
+    The films are analysed in a child process, forked after the imports. If it dies (a crashing decoder, lack
+    of memory), the current film is marked as failed and another child takes the rest. `fetched` are local
+    copies of the job's films in object storage, in their order.
     """
     copies = dict(zip(plan.remote(job), fetched, strict=False))
     films = [plan.film(name) for name in plan.jobs[job].films]
     left = [film for film in films if plan.finished(film) is None]
-    with mmap.mmap(-1, mmap.PAGESIZE) as turn:  # shared with the child: the number of the film it is at
+    with mmap.mmap(-1, mmap.PAGESIZE) as current:  # shared with the child: index of the film it analyses
         while left:
-            todo, turn[0:8] = tuple(left), bytes(8)
-            code = _in_child(partial(_each, plan, todo, work, copies, turn, settings))
+            todo, current[0:8] = tuple(left), bytes(8)
+            code = _in_child(partial(_run_each, plan, todo, work, copies, current, settings))
             if code == 0:
                 break
-            at = int.from_bytes(turn[0:8], "little")
+            at = int.from_bytes(current[0:8], "little")
             state = plan.state(todo[at])
-            if state.state == "running":  # the process died of it
+            if state.state == "running":  # the process died during this film
                 how = f"signal {-code} ({signal.strsignal(-code)})" if code < 0 else f"status {code}"
                 why = f"the process of this film ended with {how}"
-                _note(plan.out, replace(state, state="failed", reason=why, seconds=time.time() - state.at))
+                seconds = time.time() - state.at
+                _try_to_write(plan.out, replace(state, state="failed", reason=why, seconds=seconds))
             left = list(todo[at + 1 :])
     return 0 if all(plan.finished(film) for film in films) else 1
 
 
 def _in_child(work: Callable[[], None]) -> int:
-    """Exit code of some work in a forked process, negative for a signal; without fork, in this one."""
+    """Run `work` in a forked process, or in this one if there is no fork.
+
+    Return the exit code, negative for a signal.
+    """
     if "fork" not in multiprocessing.get_all_start_methods():
         work()
         return 0
-    child = multiprocessing.get_context("fork").Process(target=_with_parent, args=(work,))
+    child = multiprocessing.get_context("fork").Process(target=_until_parent_ends, args=(work,))
     child.start()
     try:
         child.join()
@@ -258,11 +265,11 @@ def _in_child(work: Callable[[], None]) -> int:
     return child.exitcode or 0
 
 
-def _with_parent(work: Callable[[], None]) -> None:
-    """Work that ends when the parent does, however that ends, and is interrupted once.
+def _until_parent_ends(work: Callable[[], None]) -> None:
+    """Run `work` in a child that ends with its parent, however that ends, and is interrupted only once.
 
-    A second signal (to all processes of a terminal or a batch system, then from the parent) would come in the
-    middle of clearing up.
+    A terminal or batch system signals all processes, then the parent signals its child: the second signal
+    would interrupt the clean-up.
     """
     signals = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
@@ -281,44 +288,45 @@ def _with_parent(work: Callable[[], None]) -> None:
         os._exit(130)
 
 
-def _each(
+def _run_each(
     plan: Plan,
     films: Sequence[PlannedFilm],
     work: Work,
     copies: dict[str, Path],
-    turn: mmap.mmap,
+    current: mmap.mmap,
     tuning: CampaignSettings,
 ) -> None:
+    """Analyse films one after the other and write their states; `current` holds the index of the film."""
     for number, film in enumerate(films):
-        turn[0:8] = number.to_bytes(8, "little")
+        current[0:8] = number.to_bytes(8, "little")
         before = plan.state(film)
         begun = replace(before, state="running", attempts=before.attempts + 1, reason="", seconds=0.0)
-        _note(plan.out, begun)
+        _try_to_write(plan.out, begun)
         started = time.perf_counter()
         try:
-            ended = _one(plan, film, work, copies, tuning)
+            ended = _run_one(plan, film, work, copies, tuning)
         except KeyboardInterrupt:
-            _note(plan.out, replace(begun, state="waiting", reason="interrupted"))
+            _try_to_write(plan.out, replace(begun, state="waiting", reason="interrupted"))
             raise
-        except (InputError, OSError) as error:  # what is written beside the run
+        except (InputError, OSError) as error:  # the tables or the thumbnail could not be written
             ended = State(name=film.name, state="failed", reason=shortened(str(error), 300))
         seconds = time.perf_counter() - started
-        _note(plan.out, replace(ended, key=film.key, seconds=seconds, attempts=begun.attempts))
+        _try_to_write(plan.out, replace(ended, key=film.key, seconds=seconds, attempts=begun.attempts))
         if page_age(plan.out) > tuning.page_seconds * (1 + len(plan.films) / 100):
-            with suppress(InputError):  # a full disk is the films' own failure
+            with suppress(InputError):  # a full disk also fails the films, which report it
                 write_page(plan, live=True)
 
 
-def _note(out: Path, state: State) -> None:
-    """Write a state; on a full disk there is none, which the campaign's end reports."""
+def _try_to_write(out: Path, state: State) -> None:
+    """Write a state unless the disk is full; `close_states` reports films that have no state."""
     with suppress(InputError):
         write_state(out, state)
 
 
-def _one(
+def _run_one(
     plan: Plan, film: PlannedFilm, work: Work, copies: dict[str, Path], tuning: CampaignSettings
 ) -> State:
-    """One film, its tables for the pool and its thumbnail."""
+    """Analyse one film, write its tables for the pool and its thumbnail, and return its state."""
     target = plan.run_of(film.name)
     with _source(film, copies, tuning, stage=plan.stage) as source:
         outcome = work(film, source, target)
@@ -327,7 +335,7 @@ def _one(
     if outcome.analysis is None or not run.is_file():
         return state
     write_partitions(plan.out, film.name, outcome.analysis)
-    with suppress(OSError, ValueError), Image.open(target / "overview.png") as image:  # no thumbnail, no harm
+    with suppress(OSError, ValueError), Image.open(target / "overview.png") as image:
         image.thumbnail((tuning.thumbnail_px, 4 * tuning.thumbnail_px))
         (plan.out / "thumbnails").mkdir(exist_ok=True)
         image.convert("RGB").quantize(32).save(plan.out / "thumbnails" / f"{film.name}.png", optimize=True)
@@ -341,9 +349,9 @@ def _one(
 def _source(
     film: PlannedFilm, copies: dict[str, Path], tuning: CampaignSettings, *, stage: bool
 ) -> Iterator[Path]:
-    """Where a film is read from: itself, what Snakemake fetched, or a copy on the node's own disk.
+    """Return the path to read a film from: its own, Snakemake's copy, or a copy on the node's local disk.
 
-    Raises: InputError where the disk has no room for the copy, or the film's disk stops answering.
+    Raises: InputError if the disk has no room for the copy, or the film's disk stops answering.
     """
     if is_remote(film.film):
         if film.film not in copies:
@@ -366,9 +374,9 @@ def _source(
 
 
 def copy_or_give_up(source: Path, target: Path, *, stalled_s: float) -> None:
-    """Copy a file from a disk that may stop answering: reading it would then never return.
+    """Copy a file from a disk that may stop answering, in which case reading it would never return.
 
-    Raises: InputError after so many seconds in which the copy does not grow, OSError as `shutil.copyfile`.
+    Raises: InputError if the copy has not grown for `stalled_s` seconds, OSError as `shutil.copyfile`.
     """
     failed: list[OSError] = []
 
@@ -378,7 +386,7 @@ def copy_or_give_up(source: Path, target: Path, *, stalled_s: float) -> None:
         except OSError as error:
             failed.append(error)
 
-    copying = threading.Thread(target=copy, daemon=True)  # one that is stuck does not keep the process
+    copying = threading.Thread(target=copy, daemon=True)  # a stuck daemon does not block the exit
     copying.start()
     size, since = -1, time.monotonic()
     while copying.is_alive():

@@ -1,7 +1,7 @@
-"""The plan: which films there are, which are done, what the others take, and which share a job.
+"""The plan: all films, which of them are finished, estimates for the others, and their division into jobs.
 
-A film is done when a finished run has its key: what is in its files and how it is to be analysed. What became
-of it is in one small file, written by its job.
+Each film has a key, a digest of its files' contents and its options. It is finished if a finished run has the
+same key. The job of a film writes the film's state to a small file.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from vision.video import open_video, video_files
 
 Word = Literal["waiting", "running", "done", "warnings", "partial", "failed"]
 FINISHED: tuple[Word, ...] = ("done", "warnings", "partial")
-"""Not done again while the film's key is the same. ``partial``: the film is tracked, but its force recording
-cannot be used or a late stage failed; only other input or another version changes that."""
+"""States of films that are not repeated while the key is the same. ``partial``: the film is tracked, but its
+force recording cannot be used or a late stage failed; repeating it would give the same result."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,17 +40,17 @@ class State:
     """One film's state."""
 
     name: str
-    key: str = ""  # of the film when its job began
+    key: str = ""  # key of the film when its job began
     state: Word = "waiting"
-    reason: str = ""  # one line: the first warning, or what went wrong
-    seconds: float = 0.0  # how long it took
-    warnings: tuple[str, ...] = ()  # all of the run
-    attempts: int = 0  # with this key
+    reason: str = ""  # one line: the first warning, or the error
+    seconds: float = 0.0  # duration of its analysis
+    warnings: tuple[str, ...] = ()  # all warnings of the run
+    attempts: int = 0  # attempts with this key
     at: float = 0.0  # when this was written, seconds since 1970
 
 
 def read_state(out: Path, name: str) -> State:
-    """A film's state; "waiting" where there is no file, or a damaged one."""
+    """Return a film's state; "waiting" if its file is missing or damaged."""
     try:
         content = json.loads(_path(out, name).read_text(encoding="utf-8"))
         known = {part.name: content[part.name] for part in fields(State) if part.name in content}
@@ -60,7 +60,7 @@ def read_state(out: Path, name: str) -> State:
 
 
 def write_state(out: Path, state: State) -> None:
-    """Write a film's state, whole.  Raises: InputError."""
+    """Write a film's state atomically.  Raises: InputError."""
     with whole_file(_path(out, state.name)) as path:
         write_json(asdict(state) | {"at": time.time()}, path)
 
@@ -73,7 +73,7 @@ def _path(out: Path, name: str) -> Path:
 
 
 PLAN = "plan.json"
-LAYOUT = 1  # of the campaign's folder; another one is not touched
+LAYOUT = 1  # version of the campaign folder's layout; a folder with another one is refused
 FINGERPRINTS = "fingerprints.json"
 
 
@@ -86,8 +86,8 @@ class PlannedFilm:
     film: str
     options: Mapping[str, str]
     facts: Mapping[str, Any]
-    key: str  # of what is in its files and how it is analysed; another key, another run
-    # what its header says; 0 where it cannot be read
+    key: str  # digest of its files' contents and its options; with another key the film is run again
+    # from the file's header; 0 if it cannot be read
     frames: int = 0
     rows: int = 0
     columns: int = 0
@@ -95,12 +95,12 @@ class PlannedFilm:
     # estimates
     seconds: float = 0.0
     memory_mb: int = 0
-    doubt: str = ""  # why the estimates are none; the film is tried all the same
+    doubt: str = ""  # why there are no estimates; the film is tried nevertheless
 
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """Films that one process takes one after the other, and what a batch system is asked for."""
+    """Films that one process analyses one after the other, and the resources requested for it."""
 
     films: tuple[str, ...]
     seconds: float
@@ -110,44 +110,44 @@ class Job:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What a campaign does."""
+    """The films of a campaign and the jobs that remain to be done."""
 
     out: Path  # the campaign's folder
     films: tuple[PlannedFilm, ...]  # all tests, in the table's order
-    jobs: Mapping[str, Job]  # those that are to be done, by the job's name
-    config: Path | None = None  # TOML file of options for all films
-    stage: bool = False  # whether films are copied to the node's own disk first
-    report: bool = True  # whether each run gets its page
-    started_in: Path = field(default_factory=Path.cwd)  # what the configuration names is relative to it
-    # of the program and of the folder; others are not touched
+    jobs: Mapping[str, Job]  # remaining jobs by name
+    config: Path | None = None  # TOML file with options for all films
+    stage: bool = False  # whether films are first copied to the node's local disk
+    report: bool = True  # whether each run gets a report.html
+    started_in: Path = field(default_factory=Path.cwd)  # base of relative paths in the configuration
+    # versions of the program and of the folder's layout; a folder with other ones is refused
     version: str = vision.__version__
     layout: int = LAYOUT
 
     def film(self, name: str) -> PlannedFilm:
-        """The film of that name."""
+        """Return the film of that name."""
         return next(film for film in self.films if film.name == name)
 
     def remote(self, job: str) -> list[str]:
-        """Addresses that Snakemake fetches for a job."""
+        """Return the addresses of a job's films in object storage."""
         return [address for name in self.jobs[job].films if is_remote(address := self.film(name).film)]
 
     def run_of(self, name: str) -> Path:
-        """The run folder of a film."""
+        """Return the run folder of a film."""
         return self.out / "runs" / name
 
     def finished(self, film: PlannedFilm) -> State | None:
-        """The state of a film that need not be done again; None for the others."""
+        """Return the state of a finished film; None if the film must be run."""
         state = read_state(self.out, film.name)
-        whole = (self.run_of(film.name) / "run.json").is_file()
-        return state if whole and state.key == film.key and state.state in FINISHED else None
+        has_run = (self.run_of(film.name) / "run.json").is_file()
+        return state if has_run and state.key == film.key and state.state in FINISHED else None
 
     def state(self, film: PlannedFilm) -> State:
-        """What is known of a film now: that of an earlier key tells nothing."""
+        """Return the current state of a film; "waiting" if the stored state belongs to another key."""
         state = read_state(self.out, film.name)
         return state if state.key == film.key else State(name=film.name, key=film.key)
 
     def pool_key(self) -> str:
-        """Of the finished films and their facts; another key, another pool."""
+        """Return a digest of the finished films and their facts, which changes when the pool must."""
         return _digest([(film.name, film.key, film.facts) for film in self.films if self.finished(film)])
 
 
@@ -162,25 +162,25 @@ def make_plan(
     settings: CampaignSettings = CampaignSettings(),
     keep: bool = True,
 ) -> Plan:
-    """Fingerprints, estimates and jobs of all films that are not done.
+    """Fingerprint the films, estimate their time and memory, and divide the unfinished ones into jobs.
 
     Parameters
     ----------
     rows
-        Of the table.
+        Rows of the table.
     out, config, stage, report
-        As in `Plan`; the folder need not be there.
+        As in `Plan`; the folder need not exist.
     cores
-        How many jobs run at a time.
+        Number of jobs that run at a time.
     settings
         Tunable constants.
     keep
-        Whether fingerprints are kept for the next time; False writes nothing.
+        Whether the fingerprints are stored for the next time; if False nothing is written.
 
     Raises
     ------
     InputError
-        Where ``out`` is no campaign, or one of another version.
+        If ``out`` is not a campaign, or one of another version.
     """
     check_folder(out)
     known = _read_fingerprints(out)
@@ -189,7 +189,7 @@ def make_plan(
         with whole_file(out / FINGERPRINTS) as path:
             write_json(known, path)
     plan = Plan(out=out.absolute(), films=tuple(films), jobs={}, config=config, stage=stage, report=report)
-    factor = _measured(plan)
+    factor = _time_correction(plan)
     waiting = [film for film in films if plan.finished(film) is None]
     jobs = {
         _digest([film.key for film in job])[:12]: _job(job, factor, settings)
@@ -199,9 +199,9 @@ def make_plan(
 
 
 def vanished_rows(out: Path, check: Check, folder: Path) -> list[Row]:
-    """Rows of films of the earlier plan in `out` that were done and have left the watched folder since.
+    """Return rows for finished films of the earlier plan that have since left the watched folder.
 
-    `check` turns options into values, as for the table.  Raises: InputError for a damaged plan.
+    `check` converts options into values, as for the table.  Raises: InputError if the plan is damaged.
     """
     if not (out / PLAN).is_file():
         return []
@@ -223,7 +223,7 @@ def vanished_rows(out: Path, check: Check, folder: Path) -> list[Row]:
 
 
 def check_folder(out: Path) -> None:
-    """Refuse a folder that is no campaign, or one of another version.  Raises: InputError."""
+    """Refuse a folder that is not a campaign, or one of another version.  Raises: InputError."""
     try:
         empty = not out.exists() or (out.is_dir() and not any(out.iterdir()))
     except OSError as error:
@@ -231,7 +231,7 @@ def check_folder(out: Path) -> None:
     if empty:
         return
     if not (out / PLAN).is_file():
-        # what a first start left that ended before its plan was written is no one's work
+        # left by a campaign that was stopped before it had written its plan
         if out.is_dir() and {path.name for path in out.iterdir()} <= {FINGERPRINTS, ".lock"}:
             return
         found = "another folder (no plan.json in it)" if out.is_dir() else "a file"
@@ -246,13 +246,13 @@ def check_folder(out: Path) -> None:
 
 
 def write_plan(plan: Plan) -> None:
-    """Write plan.json, whole.  Raises: InputError."""
+    """Write plan.json atomically.  Raises: InputError."""
     with whole_file(plan.out / PLAN) as path:
         write_json(asdict(plan), path)
 
 
 def read_plan(path: Path) -> Plan:
-    """The plan that `write_plan` wrote.  Raises: InputError."""
+    """Read a plan written by `write_plan`.  Raises: InputError."""
     content = read_json(path)
     with reading(path, "a plan as track campaign writes it", "run track campaign again"):
         films = tuple(PlannedFilm(**film) for film in content.pop("films"))
@@ -287,13 +287,13 @@ def _film(row: Row, known: dict[str, Any], tuning: CampaignSettings) -> PlannedF
 
 
 def inputs_of(film: str, values: Mapping[str, Any]) -> list[Path]:
-    """Every file that a film's analysis reads."""
+    """Return every file that a film's analysis reads."""
     given = [Path(str(values[name])) for name in PATHS if values.get(name) is not None]
     return [*video_files(Path(film)), *given]
 
 
 def _header(row: Row) -> dict[str, Any]:
-    """Frames, columns and bytes by the header; where it cannot be read, the film is tried all the same."""
+    """Return the film's size according to its header, or ``doubt`` if the header cannot be read."""
     if is_remote(row.film):
         return {"doubt": "in object storage; its size is not known before it is fetched"}
     try:
@@ -306,15 +306,15 @@ def _header(row: Row) -> dict[str, Any]:
 
 
 def _fingerprint(path: Path, known: dict[str, Any]) -> str:
-    """What is in a file, read again only where its size or time has changed."""
+    """Return a digest of a file's content; the file is read only if its size or time has changed."""
     stamp = list(Stamp.of(path).facts or ())
     earlier = known.get(str(path))
     if earlier is not None and (not stamp or (path.is_file() and earlier[0] == stamp)):
-        return str(earlier[1])  # also of a film that was done and moved away
+        return str(earlier[1])  # also for a finished film that has been moved away
     try:
         facts = describe_input(path)
     except InputError:
-        return "unreadable"  # named when its turn comes
+        return "unreadable"  # the error is reported when the film is run
     digest = f"{facts['size_bytes']}:{facts.get('sha256') or facts.get('fingerprint')}"
     if path.is_file():
         known[str(path)] = [stamp, digest]
@@ -325,7 +325,7 @@ def _read_fingerprints(out: Path) -> dict[str, Any]:
     try:
         content = json.loads((out / FINGERPRINTS).read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        return {}  # they are taken anew
+        return {}  # all files are read again
     return content if isinstance(content, dict) else {}
 
 
@@ -337,8 +337,8 @@ def _digest(content: Any) -> str:
 # --- jobs ---------------------------------------------------------------------------------------------------
 
 
-def _measured(plan: Plan) -> float:
-    """Measured over estimated time of this campaign's finished films; 1 where there are none."""
+def _time_correction(plan: Plan) -> float:
+    """Return the median ratio of measured to estimated time of the finished films; 1 for fewer than three."""
     ratios = [
         state.seconds / film.seconds for film in plan.films if (state := plan.finished(film)) and film.seconds
     ]
@@ -348,14 +348,14 @@ def _measured(plan: Plan) -> float:
 def share(
     films: Iterable[PlannedFilm], factor: float, cores: int, tuning: CampaignSettings
 ) -> list[list[PlannedFilm]]:
-    """Films into jobs: long ones alone, short ones together, so that the start of a process does not dominate
-    and all cores end at about the same time.
+    """Divide films into jobs: each long film has its own, short films share one.
 
-    Films in object storage are alone: Snakemake fetches a job's files before it starts.
+    Shared jobs are long enough for their start not to dominate, and short enough for all cores to finish at
+    about the same time. A film in object storage has its own job, since Snakemake fetches all files of a job
+    before it starts.
     """
-    ordered = sorted(films, key=lambda film: -film.seconds)
     alone, short = [], []
-    for film in ordered:
+    for film in sorted(films, key=lambda film: -film.seconds):
         if film.seconds * factor >= tuning.job_seconds / 2 or is_remote(film.film):
             alone.append([film])
         else:

@@ -1,4 +1,4 @@
-"""What all films come to: one page of states, the tables, and the comparison of the finished tests."""
+"""Results of a campaign: a page with all states, the tables, and the comparison of the finished tests."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ SHOWN = {
 
 
 def page_age(out: Path) -> float:
-    """Seconds since index.html was written; infinite for never."""
+    """Return the seconds since index.html was written; infinite if it does not exist."""
     try:
         return time.time() - (out / PAGE).stat().st_mtime
     except OSError:
@@ -56,9 +56,9 @@ def page_age(out: Path) -> float:
 
 
 def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> list[State]:
-    """Write index.html and campaign.csv from the films' states, which are returned in the plan's order.
+    """Write index.html and campaign.csv from the films' states; return the states in the plan's order.
 
-    live: whether the page renews itself.  remarks: lines above the table.  Raises: InputError.
+    live: whether the page reloads itself.  remarks: lines above the table.  Raises: InputError.
     """
     states = [plan.state(film) for film in plan.films]
     films = list(zip(plan.films, states, strict=True))
@@ -98,14 +98,14 @@ def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> list
 
 def _row(plan: Plan, film: PlannedFilm, state: State, facts: list[str]) -> dict[str, Any]:
     run = plan.run_of(film.name)
-    known = state.state in FINISHED and (run / "run.json").is_file()
+    finished = state.state in FINISHED and (run / "run.json").is_file()
     page = "report.html" if (run / "report.html").is_file() else "overview.png"
     return {
         "state": state.state,
         "name": film.name,
         "file": Path(film.film).name,
-        "link": f"runs/{quote(film.name, safe='')}/{page}" if known else "",
-        "picture": _data_uri(plan.out / "thumbnails" / f"{film.name}.png") if known else "",
+        "link": f"runs/{quote(film.name, safe='')}/{page}" if finished else "",
+        "picture": _data_uri(plan.out / "thumbnails" / f"{film.name}.png") if finished else "",
         "facts": [_shown(film.facts.get(name)) for name in facts],
         "frames": film.frames or "",
         "seconds": f"{state.seconds:.1f}" if state.seconds else "",
@@ -126,13 +126,13 @@ def _data_uri(path: Path) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time as people say it."""
+    """Return a duration in s, min or h with a suitable number of digits."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-# --- tables: Parquet datasets, a partition for each film, written by its own job ----------------------------
+# --- tables: Parquet datasets with one partition per film, written by the film's job ------------------------
 
 
 TABLES = ("tests", "sheets", "sticks", "deformation", "positions")
@@ -141,25 +141,25 @@ FILE = "part.parquet"
 
 
 def open_tables(out: str | Path, table: str) -> ds.Dataset:
-    """One table of all tests of a campaign, opened lazily.
+    """Open one table of all tests of a campaign lazily.
 
     Parameters
     ----------
     out
         The campaign's folder.
     table
-        ``tests`` (a row a film), ``sheets``, ``sticks`` (a row an event), ``deformation`` (event and sheet)
-        or ``positions`` (frame and sheet). Each has the column ``film``.
+        ``tests`` (one row per film), ``sheets``, ``sticks`` (one row per event), ``deformation`` (event and
+        sheet) or ``positions`` (frame and sheet). Each has the column ``film``.
 
     Returns
     -------
     pyarrow.dataset.Dataset
-        ``.to_table(columns=…, filter=…)`` reads what is asked for.
+        ``.to_table(columns=…, filter=…)`` reads the selected part.
 
     Raises
     ------
     InputError
-        Where there is no such table.
+        If there is no such table.
 
     Examples
     --------
@@ -173,9 +173,9 @@ def open_tables(out: str | Path, table: str) -> ds.Dataset:
     if not files:
         raise InputError(folder, "tables of a campaign", "none", "run track campaign first")
     with reading(folder, "tables as track campaign writes them", "run track campaign again"):
-        # that of all films together, where the pool has written it: they may differ in columns
-        both = [path for path in (files[0], folder / "_common_metadata") if path.is_file()]
-        schema = pa.unify_schemas([pq.read_schema(path) for path in both])
+        # Films may differ in columns; the pool has written the columns of all films together.
+        paths = [path for path in (files[0], folder / "_common_metadata") if path.is_file()]
+        schema = pa.unify_schemas([pq.read_schema(path) for path in paths])
         film = pa.field("film", pa.string())
         partitioning = ds.HivePartitioning(pa.schema([film]), segment_encoding="uri")
         return ds.dataset(
@@ -188,7 +188,7 @@ def open_tables(out: str | Path, table: str) -> ds.Dataset:
 
 
 def write_partitions(out: Path, film: str, analysis: Analysis) -> None:
-    """Write a film's part of each table; what it does not have, an earlier run of it may have had: that goes.
+    """Write a film's part of each table; remove the parts of an earlier run that it no longer has.
 
     Raises: InputError.
     """
@@ -204,31 +204,31 @@ def write_partitions(out: Path, film: str, analysis: Analysis) -> None:
 
 
 def _positions(tracks: xr.Dataset, size_um: float | None) -> Iterator[pd.DataFrame]:
-    """In pieces, so that memory does not grow with the recording."""
+    """Yield the table of positions in pieces, so that memory does not grow with the recording."""
     step = max(1, ROWS_PER_CHUNK // max(1, tracks.sizes["sheet"]))
     for start in range(0, max(1, tracks.sizes["frame"]), step):
         yield tracks_table(tracks.isel(frame=slice(start, start + step)), pixel_size_um=size_um)
 
 
-def _write(place: Path, tables: Iterable[pd.DataFrame]) -> None:
-    """Write tables one below the other, as one file; none where there is no table."""
+def _write(target: Path, tables: Iterable[pd.DataFrame]) -> None:
+    """Write tables one below the other into one file; remove the file if there is no table."""
     parts = map(as_arrow, tables)
     if (first := next(parts, None)) is None:
-        place.unlink(missing_ok=True)
+        target.unlink(missing_ok=True)
         return
-    with whole_file(place) as path, pq.ParquetWriter(path, first.schema) as writer:
+    with whole_file(target) as path, pq.ParquetWriter(path, first.schema) as writer:
         for part in chain([first], parts):
             writer.write_table(part)
 
 
 def write_tests(out: Path, tests: Mapping[str, Mapping[str, Any]]) -> None:
-    """The table of tests, a partition for each film.  Raises: InputError."""
+    """Write the table of tests, one partition per film.  Raises: InputError."""
     for film, facts in tests.items():
         _write(_partition(out, "tests", film), [pd.DataFrame([facts])])
 
 
 def close_tables(out: Path, films: Collection[str]) -> None:
-    """Remove the parts of other films, and write each table's common schema.  Raises: InputError."""
+    """Remove the partitions of other films and write the common schema of each table.  Raises: InputError."""
     kept = {_partition(out, "x", film).parent.name for film in films}
     for table in TABLES:
         folder = out / FOLDER / table
@@ -249,10 +249,9 @@ def _partition(out: Path, table: str, film: str) -> Path:
 
 
 def as_arrow(table: pd.DataFrame) -> pa.Table:
-    """A table with one type for each kind of column, whatever one film happens to hold.
+    """Convert a table to Arrow with column types that do not depend on the values of one film.
 
-    Numbers are double where the column may lack some, whole ones int64; words are strings, also where all
-    are missing.
+    Floating-point columns are double, integers int64, all others strings, even if every value is missing.
     """
     columns = {}
     for name, column in table.items():
@@ -275,10 +274,10 @@ POOL, REMARKS = "pool", "pool.json"
 
 
 def pool(plan: Plan, *, command: str = "", options: Mapping[str, str] | None = None) -> list[str]:
-    """Compare all finished runs with a force recording; close the tables of all films.
+    """Compare all finished runs that have a force recording, and complete the tables of all films.
 
     command, options: for run.json (`vision.run.Origin`).  Returns remarks: runs that could not be compared,
-    warnings of the comparison, or why there is none.  Raises: InputError where nothing can be written.
+    warnings of the comparison, or why there is none.  Raises: InputError if the folder cannot be written.
     """
     done = [(film, state) for film in plan.films if (state := plan.finished(film))]
     write_tests(plan.out, {film.name: _facts(plan, film, state) for film, state in done})
@@ -298,7 +297,7 @@ def pool(plan: Plan, *, command: str = "", options: Mapping[str, str] | None = N
 
 
 def _facts(plan: Plan, film: PlannedFilm, state: State) -> dict[str, Any]:
-    """A film's row in the table of tests."""
+    """Return a film's row of the table of tests."""
     frames = read_json(plan.run_of(film.name) / "run.json").get("frames") or {}
     return {
         "sample": film.facts.get("sample"),
@@ -320,18 +319,18 @@ def _count(value: Any) -> float:
 
 
 def needs_pool(plan: Plan) -> bool:
-    """Whether the finished films or what the table says of them have changed since the last pool."""
+    """Return whether the finished films or their facts have changed since the last pool."""
     return _last_pool(plan).get("key") != plan.pool_key()
 
 
 def write_remarks(plan: Plan, lines: Sequence[str]) -> None:
-    """Write the remarks on a pool, with what it was made from.  Raises: InputError."""
+    """Write the remarks on a pool with its key.  Raises: InputError."""
     with whole_file(plan.out / REMARKS) as path:
         write_json({"key": plan.pool_key(), "remarks": list(lines)}, path)
 
 
 def read_remarks(plan: Plan) -> tuple[str, ...]:
-    """The remarks on the last pool."""
+    """Return the remarks on the last pool."""
     return tuple(str(line) for line in _last_pool(plan).get("remarks", ()))
 
 

@@ -1,4 +1,4 @@
-"""Several finished tests side by side: one table, one μ, the collapse, the trends."""
+"""Compare several finished tests: one table, a joint μ, the collapse, the trends."""
 
 from vision.comparison.comparison import Comparison, compare
 from vision.comparison.joint import CompareSettings

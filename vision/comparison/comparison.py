@@ -1,4 +1,4 @@
-"""compare(): finished runs and a table of tests become one comparison."""
+"""compare(): read finished runs and a table of tests, and compare them."""
 
 from __future__ import annotations
 
@@ -34,26 +34,26 @@ from vision.models import Estimate
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Comparison:
-    """Everything that was found in several tests.
+    """Results of comparing several tests.
 
     Parameters
     ----------
     tests, fits
-        The runs and what each gives, in one order.
+        The runs and the fit of each, in the same order.
     table
-        One row a run: the content of tests.csv.
+        One row per run: the content of tests.csv.
     modulus, modulus_from
-        Y_eff that was held fixed, GPa, and the runs it comes from ("given" where the user gave it).
+        Y_eff that was held fixed, GPa, and the runs it comes from ("given" if the user gave it).
     joint
-        One μ for each sample with several tests, and one for all where there are several samples.
+        A joint μ for each sample with several tests, and one for all tests if there are several samples.
     collapse
-        K/K_eff against d̂; None without any Λ̂.
+        K/K_eff against d̂; None if no test has a Λ̂.
     irregular
-        Where stick-slip turns irregular, for each test.
+        For each test, the separation at which stick-slip becomes irregular.
     trends
-        With n_test and humidity.
+        Trends with the number of previous tests and with humidity.
     failures, warnings
-        Runs that could not be used, and remarks that matter.
+        Runs that could not be used, and warnings that matter for the results.
     """
 
     tests: tuple[TractionTest, ...]
@@ -69,7 +69,7 @@ class Comparison:
     warnings: tuple[str, ...]
 
     def events(self) -> pd.DataFrame:
-        """The events of all tests with the name of their run, and whether the fits used them."""
+        """Return the events of all tests with the names of their runs, and whether the fits used them."""
         parts = [
             test.events.assign(
                 run=test.run, V_mm_min=test.speed_mm_min, sample=test.sample_name, used=fit.used
@@ -78,14 +78,14 @@ class Comparison:
         ]
         table = pd.concat(parts, ignore_index=True)
         first = ["run", "sample", "V_mm_min"]
-        return table[[*first, *(name for name in table if name not in first)]]
+        return table[[*first, *table.columns.difference(first, sort=False)]]
 
     def figures(self) -> list[Figure]:
-        """Every figure that these tests allow, in reading order."""
-        return compare_figures(_overlay(self))
+        """Return every figure for which there are data, in reading order."""
+        return compare_figures(_figure_data(self))
 
     def to_json(self) -> dict[str, Any]:
-        """The content of trends.json."""
+        """Return the content of trends.json."""
         return {
             "Y_eff_GPa": asdict(self.modulus) | {"from": list(self.modulus_from)},
             "joint": [asdict(one) for one in self.joint],
@@ -96,7 +96,7 @@ class Comparison:
 
 
 def _without(item: Collapse | Irregularity, *names: str) -> dict[str, Any]:
-    """The fields of a dataclass but for these."""
+    """Return the fields of a dataclass as a dictionary, without the named ones."""
     return {name: value for name, value in vars(item).items() if name not in names}
 
 
@@ -108,29 +108,30 @@ def compare(
     modulus_GPa: float | None = None,
     settings: CompareSettings = CompareSettings(),
 ) -> Comparison:
-    """Put several finished tests side by side: one table, one μ, the collapse, the trends.
+    """Compare several finished tests: one table, a joint μ, the collapse, the trends.
 
     Parameters
     ----------
     runs
-        Run folders of `track` or `track force`; those that the table names if none is given.
+        Run folders of `track` or `track force`; by default those named in the table.
     table
         CSV or data frame with any of the columns run, sample, V_mm_min, n_test, RH_percent, T_C.
     main_sample
-        Sample whose Y_eff is held fixed for all; that of the first run if not given.
+        Sample whose Y_eff is held fixed for all tests; by default that of the first run.
     modulus_GPa
-        Y_eff in GPa where it is known otherwise.
+        Y_eff in GPa, if it is known from elsewhere.
     settings
         Tunable constants.
 
     Returns
     -------
-    The comparison. A run that cannot be used is named in ``failures``, and the rest is done.
+    Comparison
+        The results. A run that cannot be used is named in ``failures`` and skipped.
 
     Raises
     ------
     InputError
-        Where no run can be used, the table cannot be read, or the main sample is not among the tests.
+        If no run can be used, the table cannot be read, or the main sample is not among the tests.
 
     Examples
     --------
@@ -138,21 +139,24 @@ def compare(
     >>> found.table[["run", "mu", "mu_err"]]  # doctest: +SKIP
     """
     read = read_tests(runs, table)
-    tests = _sharing_geometry(read.tests)
+    tests = _with_geometry_errors_of_samples(read.tests)
     warnings = list(read.warnings)
-    modulus, source = _modulus(tests, main_sample, modulus_GPa, settings)
-    main = None if modulus_GPa is not None else tests[0].sample_name if main_sample is None else main_sample
+    main = None  # the sample from which Y_eff is taken
+    if modulus_GPa is None:
+        main = tests[0].sample_name if main_sample is None else main_sample
+    modulus, source = _modulus(tests, main, modulus_GPa, settings)
     tests, fits, unfitted = _fits(tests, modulus, main, settings)
     for test, fit in zip(tests, fits, strict=True):
         warnings += [f"{test.run}: {line}" for line in fit.warnings]
-    lost = ", ".join(t.run for t, f in zip(tests, fits, strict=True) if np.isnan(f.scale_mm.value))
-    if modulus_GPa is None and lost:
-        warnings.append(f"no Λ̂ with Y_eff = {modulus.value:.3g} GPa: {lost} (`modulus_GPa`, `main_sample`)")
+    no_scale = ", ".join(t.run for t, f in zip(tests, fits, strict=True) if np.isnan(f.scale_mm.value))
+    if modulus_GPa is None and no_scale:
+        text = f"no Λ̂ with Y_eff = {modulus.value:.3g} GPa: {no_scale} (`modulus_GPa`, `main_sample`)"
+        warnings.append(text)
     joint = _joint(tests, fits, settings)
     warnings += [_misfit_line(one) for one in joint if not one.fits]
     rows = _table(tests, fits)
     shared = {name: shared_shifts(tests, fits, name) for name in QUANTITIES}
-    own = {with_word(name, "err"): [fit.own_error(name) for fit in fits] for name in QUANTITIES}
+    individual = {with_word(name, "err"): [fit.individual_error(name) for fit in fits] for name in QUANTITIES}
     return Comparison(
         tests=tests,
         fits=fits,
@@ -162,14 +166,14 @@ def compare(
         joint=joint,
         collapse=collapse(tests, fits, modulus),
         irregular=tuple(find_irregular(test, settings) for test in tests),
-        trends=find_trends(rows.assign(**own), settings, shared=shared),
+        trends=find_trends(rows.assign(**individual), settings, shared=shared),
         failures=(*read.failures, *unfitted),
         warnings=tuple(warnings),
     )
 
 
-def _sharing_geometry(tests: Sequence[TractionTest]) -> tuple[TractionTest, ...]:
-    """Errors of the geometry belong to the sample, whichever of its runs they were given with."""
+def _with_geometry_errors_of_samples(tests: Sequence[TractionTest]) -> tuple[TractionTest, ...]:
+    """Give every test of a sample the largest error of each dimension that any of its tests states."""
     errors: dict[str, dict[str, float]] = {}
     for test in tests:
         shared = errors.setdefault(test.sample_name, {})
@@ -180,15 +184,15 @@ def _sharing_geometry(tests: Sequence[TractionTest]) -> tuple[TractionTest, ...]
 
 
 def _modulus(
-    tests: Sequence[TractionTest], main_sample: str | None, given: float | None, settings: CompareSettings
+    tests: Sequence[TractionTest], main: str | None, given: float | None, settings: CompareSettings
 ) -> tuple[Estimate, tuple[str, ...]]:
+    """Return Y_eff, as given or from the tests of the main sample, and where it comes from."""
     if given is not None:
         if not 0 < given < 1e6:
             raise InputError("`modulus_GPa`", "a positive number", f"{given!r}")
         return Estimate(given, float("nan")), ("given",)
     names = [test.sample_name for test in tests]
-    main = names[0] if main_sample is None else main_sample
-    if main not in names:
+    if main is None or main not in names:
         known = ", ".join(sorted(set(names)))
         raise InputError("`main_sample`", f"one of the tests' samples ({known})", f"'{main}'")
     modulus, source = common_modulus(tests, main, settings)
@@ -200,7 +204,7 @@ def _modulus(
 def _fits(
     tests: Sequence[TractionTest], modulus: Estimate, main: str | None, settings: CompareSettings
 ) -> tuple[tuple[TractionTest, ...], tuple[TestFit, ...], list[str]]:
-    """The tests that can be fitted, their fits, and one line for each of the others."""
+    """Return the tests that can be fitted, their fits, and an error message for each of the others."""
     done: dict[TractionTest, TestFit] = {}
     errors = []
     for test in tests:
@@ -253,8 +257,8 @@ def _joint(
     )
 
 
-def _overlay(found: Comparison) -> ComparedTests:
-    """What the figures draw, as plain tables."""
+def _figure_data(found: Comparison) -> ComparedTests:
+    """Return the data of the figures as plain tables."""
     main, first, c = found.joint[0] if found.joint else None, found.fits[0], found.collapse
     return ComparedTests(
         events=found.events(),
@@ -274,7 +278,7 @@ def _overlay(found: Comparison) -> ComparedTests:
 
 
 def _sticks(tests: Sequence[TractionTest]) -> tuple[tuple[float, Figure], ...]:
-    """(V, the run's figure of single sticks) of one test a velocity, where runs have kept them."""
+    """Return (V, figure of single stick phases) of one test per velocity, if its run has it."""
     chosen: dict[float, Figure] = {}
     for test in sorted(tests, key=lambda t: -len(t.events)):
         path = test.folder / "figures.npz"
@@ -284,17 +288,17 @@ def _sticks(tests: Sequence[TractionTest]) -> tuple[tuple[float, Figure], ...]:
         try:
             named = {figure.name: figure for figure in load_figures(path)}
         except (InputError, OSError):
-            continue  # a figure less, no result less
+            continue  # only this figure is lost, no result
         if "sticks" in named:
             chosen[speed] = named["sticks"]
     return tuple(sorted(chosen.items(), key=lambda item: item[0]))
 
 
-# --- in words -----------------------------------------------------------------------------------------------
+# --- summary ------------------------------------------------------------------------------------------------
 
 
 def summary_lines(found: Comparison) -> list[str]:
-    """The joint μ, Y_eff, the collapse, change points and trends."""
+    """Describe the joint μ, Y_eff, the collapse, change points and trends in one line each."""
     lines = [joint_line(one) for one in found.joint]
     source = ", ".join(found.modulus_from[:3]) + (" …" if len(found.modulus_from) > 3 else "")
     lines.append(f"Y_eff {plus_minus(found.modulus)} GPa held fixed ({source})")
@@ -306,36 +310,35 @@ def summary_lines(found: Comparison) -> list[str]:
         )
     changed = [one for one in found.irregular if np.isfinite(one.change_mm)]
     for one in changed[:6]:
-        place = plus_minus(Estimate(one.change_mm, one.change_err_mm))
-        lines.append(f"{one.run}: stick-slip turns irregular at d_v = {place} mm")
+        position = plus_minus(Estimate(one.change_mm, one.change_err_mm))
+        lines.append(f"{one.run}: stick-slip turns irregular at d_v = {position} mm")
     if not changed:
         lines.append("stick-slip turns irregular in no test")
     claimed = [t for t in found.trends if t.claimed]
     for t in claimed:
         partial = np.isfinite(t.partial_slope)
         slope = Estimate(*((t.partial_slope, t.partial_slope_err) if partial else (t.slope, t.slope_err)))
-        held = ", the other held fixed" if partial else ""
-        lines.append(f"{t.quantity} with {t.predictor}: {plus_minus(slope)}{held} (p {t.p_adjusted:.2g})")
+        how = ", the other held fixed" if partial else ""
+        lines.append(f"{t.quantity} with {t.predictor}: {plus_minus(slope)}{how} (p {t.p_adjusted:.2g})")
     examined = [t for t in found.trends if not t.reason]
     if doubtful := [f"{t.quantity} with {t.predictor}" for t in examined if not t.beyond_systematic]:
-        lines.append(f"no more than errors of the geometry may give: {', '.join(doubtful)}")
+        lines.append(f"within what errors of the geometry may cause: {', '.join(doubtful)}")
     if examined and not claimed:
         lines.append(f"no trend among the {len(examined)} examined")
     return lines
 
 
 def _misfit_line(one: JointFriction) -> str:
-    """That the tests of one joint fit do not share a μ."""
+    """Warn that the tests of one joint fit do not share a μ."""
     return (
-        f"{one.sample or 'all tests'}: no single μ fits the {len(one.runs)} tests (χ²/dof of their own μ "
-        f"{one.disagreement:.3g}): take each test's own, in tests.csv"
+        f"{one.sample or 'all tests'}: no single μ fits the {len(one.runs)} tests (χ²/dof of their "
+        f"individual μ {one.disagreement:.3g}): use the μ of each test, in tests.csv"
     )
 
 
 def joint_line(one: JointFriction) -> str:
-    """One μ of several tests, and whether they share it."""
-    whose = one.sample or "all tests"
-    line = f"{whose}: one μ for {len(one.runs)} tests {both_errors(one.mu)}"
+    """State the joint μ of several tests, and whether they agree on it."""
+    line = f"{one.sample or 'all tests'}: one μ for {len(one.runs)} tests {both_errors(one.mu)}"
     if np.isfinite(one.amplitude.value):
         line += f", A {plus_minus(one.amplitude)}"
     if one.disagrees:

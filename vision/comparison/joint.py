@@ -1,4 +1,4 @@
-"""Fits that make tests comparable: each by itself with T* and Y_eff fixed, and one μ for several tests."""
+"""Fits that make tests comparable: of each test with T* and Y_eff fixed, and of one μ for several tests."""
 
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
@@ -25,12 +25,12 @@ from vision.models.single_fits import (
 from vision.numeric import Bools, Floats
 from vision.sample import Sample
 
-DISAGREES = 4.0  # χ²/dof of the tests' own μ, from which on they are said to differ
+DISAGREES = 4.0  # χ²/dof of the individual μ above which the tests are reported to differ
 QUANTITIES = ("mu", "T0_N", "A", "N_hat_N", "Lambda_hat_mm")  # columns of tests.csv
 
 
 def with_word(name: str, word: str) -> str:
-    """N_hat_err_N from N_hat_N: the unit comes last."""
+    """Insert a word before the unit of a name: N_hat_err_N from N_hat_N."""
     stem, unit = next(((name.removesuffix(u), u) for u in ("_N", "_mm") if name.endswith(u)), (name, ""))
     return f"{stem}_{word}{unit}"
 
@@ -40,54 +40,57 @@ class CompareSettings:
     """Tunable constants of the comparison."""
 
     t0_limit_N: float = 10.0
-    """Largest offset 𝒯0 of a test in the joint fit. Wider lets μ and 𝒯0 trade; the publication has 10 N."""
+    """Largest offset 𝒯0 of a test in the joint fit. A larger limit lets 𝒯0 compensate for a wrong μ; the
+    publication has 10 N."""
     slow_mm_min: float = 1.0
-    """Velocity up to which the models of A, N̂ and Y_eff are the publication's; Y_eff is taken from these."""
+    """Velocity up to which the publication's models of A, N̂ and Y_eff hold. Y_eff comes from such tests."""
     smooth_events: int = 15
-    """Window of the running scatter of ΔF. Shorter is noisier, longer blurs the place of a change; the
-    scatter of a test without a change must stay level."""
+    """Window of the running scatter of ΔF. A shorter one is noisier, a longer one blurs the position of a
+    change; the scatter of a test without a change must stay level."""
     joint_misfit: float = 2.0
-    """χ²/dof of the peaks about the joint curve, over that about each test's own, from which on no single μ
-    fits. Smaller warns of tests that differ by less than single events scatter; larger lets curves pass
-    beside the points. Tests of μ 0.890 to 0.894 give 1.2, of 0.89 and 0.91 eight."""
+    """No single μ fits if χ²/dof of the peaks about the joint curve exceeds that about the individual curves
+    by this factor. A smaller value warns of tests that differ by less than the scatter of single events; a
+    larger one accepts curves that miss the points. Tests with μ of 0.890 to 0.894 give 1.2, those with 0.89
+    and 0.91 give 8."""
     test_misfit: float = 3.0
-    """χ²/dof of a test's own fits from which on it gets a warning. Events that follow the models give 1;
-    smaller warns of chance in tests of few events, larger passes a wrong modulus
+    """χ²/dof of the fits of one test above which it gets a warning. Events that follow the models give 1. A
+    smaller value warns of chance in tests with few events, a larger one accepts a wrong modulus
     (`test_a_wrong_modulus_shows`)."""
     change_p: float = 0.01
-    """Share of random orders of the events that may divide as well as a change of the scatter. Larger claims
-    changes in even scatter (`test_regular_sticks_have_no_change`), smaller misses late ones."""
+    """Largest p value of a change of the scatter. A larger value claims changes in even scatter
+    (`test_regular_sticks_have_no_change`), a smaller one misses late changes."""
     change_ratio: float = 1.5
-    """Least rise of the scatter at a change. Smaller claims what no eye would see, larger misses changes of
-    tests that are irregular from the start."""
+    """Smallest rise of the scatter at a change. A smaller value claims invisible changes, a larger one misses
+    those of tests that are irregular from the start."""
     draws: int = 4000
-    """Permutations of a p value: its own scatter is √(p/draws), 0.0035 at 0.05."""
+    """Permutations per p value, whose standard error is √(p/draws): 0.0035 at p = 0.05."""
     significance: float = 0.05
-    """Share of tests without any trend in which one may be claimed."""
+    """Probability with which any trend is claimed if there is none."""
     seed: int = 0
-    """Of the permutations."""
+    """Seed of the permutations."""
 
     def slow(self, test: TractionTest) -> bool:
-        """Whether a test was pulled slowly enough for all models; measured velocities differ by 5 %."""
+        """Return whether all models hold at the test's velocity; measured velocities differ by 5 %."""
         return not test.speed_mm_min > 1.05 * self.slow_mm_min
 
 
 @dataclass(frozen=True, kw_only=True)
 class TestFit:
-    """What one test gives with T* and Y_eff fixed."""
+    """Fit of one test with T* and Y_eff fixed."""
 
     __test__ = False
-    # μ, 𝒯0, A, N̂ and Λ̂ by their names in tests.csv, with standard errors; N̂ and Λ̂ are NaN where K is not that
-    # of M_eff sheets with this Y_eff
+    # μ, 𝒯0, A, N̂ and Λ̂ by their names in tests.csv, with standard errors. N̂ and Λ̂ are NaN if K does not
+    # follow the stiffness of M_eff sheets with this Y_eff.
     values: Mapping[str, Estimate]
-    # source of a systematic error to by how much it moves each of them (one standard error of the source):
-    # "d0" and those of the force recording are the test's own, "Y_eff" all share, others belong to the sample
+    # For each source of a systematic error, the shift of each value caused by one standard error of the
+    # source. "d0" and the sources of the force recording belong to this test alone, "Y_eff" to all tests, the
+    # others to the sample.
     shifts: Mapping[str, Mapping[str, float]]
     chi2_dof: float  # squared deviation over that between neighbouring events, mean of the three fits
-    peak_scatter: float  # root mean square deviation of the peaks from the fit, as a share of them
-    used: Bools = field(repr=False)  # which events
-    notes: tuple[str, ...] = ()  # what limits the result
-    warnings: tuple[str, ...] = ()  # what may make it wrong
+    peak_scatter: float  # root mean square deviation of the peaks from the fit, relative to the fit
+    used: Bools = field(repr=False)  # whether each event was used
+    notes: tuple[str, ...] = ()  # limitations of the result
+    warnings: tuple[str, ...] = ()  # reasons why it may be wrong
 
     @property
     def mu(self) -> Estimate:
@@ -99,43 +102,47 @@ class TestFit:
         """Λ̂."""
         return self.values["Lambda_hat_mm"]
 
-    def own_error(self, name: str) -> float:
-        """Error of a quantity that is the test's own: that of the fit, and that of d0."""
-        return float(np.hypot(self.values[name].error, self.shifts.get("d0", {}).get(name, 0.0)))
+    def shift(self, source: str, name: str) -> float:
+        """Return the shift of a quantity by one source of a systematic error; 0 if there is none."""
+        return self.shifts.get(source, {}).get(name, 0.0)
+
+    def individual_error(self, name: str) -> float:
+        """Return the error of a quantity that other tests do not share: that of the fit and that of d0."""
+        return float(np.hypot(self.values[name].error, self.shift("d0", name)))
 
     def systematic_error(self, name: str) -> float:
-        """All shifts together; NaN where nothing that moves the quantity is known."""
-        total = float(np.linalg.norm([moved[name] for moved in self.shifts.values()]))
+        """Return all shifts of a quantity added in quadrature; NaN if no source of an error is known."""
+        total = float(np.linalg.norm([shift[name] for shift in self.shifts.values()]))
         return total if total != 0 else float("nan")
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointFriction:
-    """One μ for several tests of one sample.
+    """Joint μ of several tests of one sample.
 
-    The error of μ holds what differs from test to test: noise, each test's d0, and what the tests' own μ
-    differ by beyond that; the systematic one is that of the geometry, which all tests of a sample share, and
-    of the tests' load cells; NaN where neither is known.
+    The standard error of μ includes everything that differs from test to test: noise, the error of each d0,
+    and further scatter of the individual μ. The systematic error includes that of the geometry, which all
+    tests of a sample share, and those of the force recordings; it is NaN if none is known.
     """
 
-    sample: str  # its name
+    sample: str  # name of the sample
     runs: tuple[str, ...]
     mu: Estimate
     t0_N: tuple[float, ...]  # offset of each test
-    at_limit: tuple[str, ...]  # runs whose offset is as large as it may be
-    disagreement: float  # χ²/dof of the tests' own μ about the common one
-    amplitude: Estimate  # A, the weighted mean of the slow tests
-    misfit: float  # χ²/dof of all peaks about the joint curve, over that about each test's own
-    fits: bool  # whether the peaks scatter about the joint curve as they do about their own
+    at_limit: tuple[str, ...]  # runs whose offset reaches the limit
+    disagreement: float  # χ²/dof of the individual μ about the joint one
+    amplitude: Estimate  # A, weighted mean of the slow tests
+    misfit: float  # χ²/dof of all peaks about the joint curve, relative to that about the individual ones
+    fits: bool  # whether the joint curve fits the peaks nearly as well as the individual ones
 
     @property
     def disagrees(self) -> bool:
-        """Whether the tests do not share one μ."""
+        """Whether the individual μ differ by more than their errors."""
         return self.disagreement > DISAGREES
 
 
 def usable_range(test: TractionTest) -> Bools:
-    """Events that the models can hold for: within the run's fit range, from the maximum of the peaks on."""
+    """Return which events the models apply to: those in the run's fit range from the highest peak on."""
     d, peak = test.column("d_v_mm"), test.column("F_p_N")
     used: Bools = np.ones(d.size, bool)
     if test.fit_range_mm is not None:
@@ -150,16 +157,16 @@ def usable_range(test: TractionTest) -> Bools:
 
 
 def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = CompareSettings()) -> TestFit:
-    r"""μ, 𝒯0 and A of one test with T* fixed, Λ̂ and N̂ with Y_eff fixed.
+    r"""Fit μ, 𝒯0 and A of one test with T* fixed, and Λ̂ and N̂ with Y_eff fixed.
 
-    test: of `read_tests`.  modulus: Y_eff in GPa with its error.  Raises: InputError for peaks that do not
+    test: from `read_tests`.  modulus: Y_eff in GPa with its error.  Raises: InputError if the peaks do not
     fall with d.
 
     .. math:: F_p = \mathcal T(d_p; \mu) + \mathcal T_0, \quad \Delta F = A\, \mathcal N(d_v; \mu), \quad
         K = M \sqrt{1 - d_v/\hat\Lambda}\; \epsilon W Y_\mathrm{eff} / L
 
-    K knows μ only through Λ̂, so Λ̂ alone is fitted and N̂ follows with the errors of both. The weights and
-    errors are those of `fit_models`. Source: publication, section on the effective number of sheets.
+    K depends on μ only through Λ̂, so Λ̂ alone is fitted; N̂ follows from μ and Λ̂ with the errors of both.
+    Weights and errors are as in `fit_models`. Source: publication, section on the effective number of sheets.
     """
     used = usable_range(test)
     events = test.events[used]
@@ -178,7 +185,7 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = 
     if not settings.slow(test):
         notes.append(f"A, N̂ and Λ̂ are defined for V up to {settings.slow_mm_min:g} mm/min")
     if not np.isfinite(values["Lambda_hat_mm"].value):
-        notes.append("K is not that of M_eff sheets with this Y_eff: no Λ̂")
+        notes.append("K does not follow that of M_eff sheets with this Y_eff: no Λ̂")
     if chi2 > settings.test_misfit:
         warnings.append(f"the models misfit: χ²/dof = {chi2:.3g}, errors scaled")
     if left := int((~used).sum()):
@@ -197,11 +204,11 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = 
 def _fit(
     events: pd.DataFrame, sample: Sample, modulus: float, known: Mapping[str, Estimate] | None = None
 ) -> tuple[dict[str, Estimate], float, float]:
-    """(`QUANTITIES`, χ²/dof, scatter of the peaks as a share of them).
+    """Return (`QUANTITIES`, χ²/dof, relative scatter of the peaks about the fit).
 
-    Where μ, 𝒯0 and A are known, the stiffness alone is fitted.
+    If μ, 𝒯0 and A are known, only the stiffness is fitted.
     """
-    with np.errstate(all="ignore"):  # fits may stray; what comes out is checked
+    with np.errstate(all="ignore"):  # fits may leave the valid range on the way; the result is checked
         stiffness = fit_stiffness(events, sample, {"modulus_GPa": modulus})
         fits = [stiffness]
         if known is None:
@@ -219,7 +226,7 @@ def _fit(
 
 
 def _n_hat(mu: Estimate, scale: Estimate, sample: Sample) -> Estimate:
-    r"""N̂ = T*/(2μ) (exp(α) − 1) with α = 2μεM²/Λ̂, and the errors of μ and Λ̂, which are independent."""
+    r"""Return N̂ = T*/(2μ) (exp(α) − 1), α = 2μεM²/Λ̂, with the independent errors of μ and Λ̂."""
     alpha = 2 * mu.value * sample.thickness_mm * sample.sheets_per_block**2 / scale.value
     value = sample.t_star_N / (2 * mu.value) * float(np.expm1(alpha))
     by_alpha = sample.t_star_N / (2 * mu.value) * alpha * float(np.exp(alpha))  # times dα/α
@@ -228,61 +235,62 @@ def _n_hat(mu: Estimate, scale: Estimate, sample: Sample) -> Estimate:
 
 
 def systematic_shifts(test: TractionTest, fit: TestFit, modulus: Estimate, main: bool) -> TestFit:
-    """The fit with what each error of d0, the geometry and Y_eff moves it by.
+    """Return the fit with the shifts that errors of d0, the geometry and Y_eff cause.
 
-    Errors of the force recording (drift of the load cell, its low-pass) are those of the run's own fits.
+    Shifts by errors of the force recording (drift of the load cell, its low-pass) come from the run's fits.
 
-    test, fit: of `fit_test`.  modulus: Y_eff; its systematic error is that of the main sample's geometry.
-    main: whether the test is of the main sample: there K fixes Y_eff times the geometry, whose errors leave
-    Λ̂ as it is.
+    test, fit: as in `fit_test`.  modulus: Y_eff; its systematic error comes from the main sample's geometry.
+    main: whether the test belongs to the main sample. The stiffness K of this sample determines the product
+    of Y_eff and geometry, so errors of its geometry do not change Λ̂.
     """
-    events, sample = test.events[fit.used], test.sample
-    shifts: dict[str, dict[str, float]] = {}
+    used, shifts = test.events[fit.used], dict[str, dict[str, float]]()
 
-    def source(name: str, relative: float = 0.0, d_mm: float = 0.0) -> None:
-        if not (np.isfinite(relative + d_mm) and relative + d_mm > 0):
-            return
-        other, y = sample, modulus.value
-        if name in _GEOMETRY:
-            other = replace(sample, **{name: getattr(sample, name) * (1 + relative)})
-            y *= (1 + relative) ** (-_GEOMETRY[name] if main else 0)
-        else:
-            y *= 1 + relative
-        shifted = events.assign(d_v_mm=events["d_v_mm"] + d_mm, d_p_mm=events["d_p_mm"] + d_mm)
+    def refit(
+        source: str,
+        events: pd.DataFrame = used,
+        sample: Sample = test.sample,
+        y_GPa: float = modulus.value,
+    ) -> None:
+        peaks_unchanged = source not in ("d0", "thickness_mm", "t_star_N")
         try:
-            peaks_stay = name not in ("d0", "thickness_mm", "t_star_N")
-            moved, *_ = _fit(shifted, other, y, fit.values if peaks_stay else None)
+            shifted, *_ = _fit(events, sample, y_GPa, fit.values if peaks_unchanged else None)
         except FAILURES:
-            shifts[name] = dict.fromkeys(QUANTITIES, float("nan"))
-            return
-        shifts[name] = {q: moved[q].value - fit.values[q].value for q in QUANTITIES}
+            shifts[source] = dict.fromkeys(QUANTITIES, float("nan"))
+        else:
+            shifts[source] = {q: shifted[q].value - fit.values[q].value for q in QUANTITIES}
 
-    source("Y_eff", modulus.error / modulus.value)
-    if not main:
-        source("main_sample", modulus.systematic_error / modulus.value)
-    source("d0", d_mm=test.errors.get("d0_mm", float("nan")))
-    for name in _GEOMETRY:
-        source(name, test.errors.get(name, float("nan")) / getattr(sample, name))
-    for name, parts in test.instrument.items():
-        shifts[name] = {q: parts.get(q, 0.0) for q in QUANTITIES}
+    y_errors = {"Y_eff": modulus.error} | ({} if main else {"main_sample": modulus.systematic_error})
+    for source, error in y_errors.items():
+        if error > 0:
+            refit(source, y_GPa=modulus.value * (1 + error / modulus.value))
+    if (d0_err := test.errors.get("d0_mm", 0.0)) > 0:
+        refit("d0", used.assign(d_v_mm=used["d_v_mm"] + d0_err, d_p_mm=used["d_p_mm"] + d0_err))
+    for name, power in _GEOMETRY.items():
+        if (error := test.errors.get(name, 0.0)) > 0:
+            size = getattr(test.sample, name)
+            growth = 1 + error / size
+            y_GPa = modulus.value * growth ** (-power if main else 0)
+            refit(name, sample=replace(test.sample, **{name: size * growth}), y_GPa=y_GPa)
+    for source, parts in test.instrument.items():
+        shifts[source] = {q: parts.get(q, 0.0) for q in QUANTITIES}
     return replace(fit, shifts=shifts)
 
 
 _GEOMETRY = {"thickness_mm": 1, "width_mm": 1, "length_mm": -1, "t_star_N": 0}
-"""Power with which each enters K of one sheet."""
+"""Exponent of each in the stiffness K of one sheet."""
 
 
 def common_modulus(
     tests: Sequence[TractionTest], main: str, settings: CompareSettings = CompareSettings()
 ) -> tuple[Estimate, tuple[str, ...]]:
-    """Y_eff of the main sample in GPa, the weighted mean of its slow tests, and which runs these are.
+    """Return Y_eff of the main sample in GPa, a weighted mean over its slow tests, and the runs averaged.
 
-    The run's own fit is used where it has one, else Λ̂ and Y_eff are fitted here. The error holds how far the
-    tests disagree; the systematic one is that of ε, W and L, NaN where none of their errors is known.
+    Each test contributes the Y_eff fitted in its run or, if there is none, a fit of Λ̂ and Y_eff. The error
+    includes disagreement between the tests. The systematic error is that of ε, W and L; NaN if unknown.
     """
-    mine = [test for test in tests if test.sample_name == main]
-    slow = list(filter(settings.slow, mine)) or mine
-    mean = weighted_mean([_own_modulus(test) for test in slow])
+    of_sample = [test for test in tests if test.sample_name == main]
+    slow = list(filter(settings.slow, of_sample)) or of_sample
+    mean = weighted_mean([_modulus_of_test(test) for test in slow])
     relative = [
         slow[0].errors[name] / getattr(slow[0].sample, name)
         for name, power in _GEOMETRY.items()
@@ -292,7 +300,7 @@ def common_modulus(
     return replace(mean, systematic_error=systematic), tuple(test.run for test in slow)
 
 
-def _own_modulus(test: TractionTest) -> Estimate:
+def _modulus_of_test(test: TractionTest) -> Estimate:
     if np.isfinite(test.modulus_GPa) and test.modulus_err_GPa > 0:
         return Estimate(test.modulus_GPa, test.modulus_err_GPa)
     try:
@@ -303,7 +311,7 @@ def _own_modulus(test: TractionTest) -> Estimate:
 
 
 def weighted_mean(parts: Sequence[Estimate]) -> Estimate:
-    """The mean of the known parts, its error scaled by their χ²/dof where they disagree."""
+    """Return the mean of the known parts. Its error is scaled by √(χ²/dof) if they disagree."""
     known = [part for part in parts if np.isfinite(part.value) and part.error > 0]
     if not known:
         return Estimate(float("nan"), float("nan"))
@@ -318,18 +326,18 @@ def weighted_mean(parts: Sequence[Estimate]) -> Estimate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Peaks:
-    """The peaks of one test with the standard deviation of each."""
+    """Peak forces of one test with the standard deviation of each."""
 
     d_mm: Floats
     force_N: Floats
     scatter_N: Floats
     sample: Sample
 
-    def rest(self, mu: float, limit_N: float) -> tuple[Floats, float]:
-        """Deviations from Eq. 1 with the best offset 𝒯0, in standard deviations, and that offset."""
-        off = self.force_N - equations.traction(self.d_mm, mu=mu, sample=self.sample)
-        t0 = float(np.clip(np.average(off, weights=self.scatter_N**-2), -limit_N, limit_N))
-        return (off - t0) / self.scatter_N, t0
+    def residuals(self, mu: float, limit_N: float) -> tuple[Floats, float]:
+        """Return residuals of Eq. 1 with the best offset 𝒯0, in standard deviations, and that offset."""
+        difference = self.force_N - equations.traction(self.d_mm, mu=mu, sample=self.sample)
+        t0 = float(np.clip(np.average(difference, weights=self.scatter_N**-2), -limit_N, limit_N))
+        return (difference - t0) / self.scatter_N, t0
 
 
 def _peaks(test: TractionTest, fit: TestFit) -> _Peaks:
@@ -346,36 +354,36 @@ def fit_joint(
     sample: str,
     settings: CompareSettings = CompareSettings(),
 ) -> JointFriction:
-    """One μ for several tests, each with an offset 𝒯0 of its own within ±10 N.
+    """Fit one μ to several tests, each with an individual offset 𝒯0 within ±`t0_limit_N`.
 
-    tests, fits: which, and what each gives.  sample: its name.
+    tests, fits: the tests and the fit of each.  sample: name of their sample.
     """
-    limit, step = settings.t0_limit_N, 1e-5  # step: of μ, for derivatives
+    limit, step = settings.t0_limit_N, 1e-5  # step: difference of μ for numerical derivatives
     peaks = [_peaks(test, fit) for test, fit in zip(tests, fits, strict=True)]
 
     def misfit(mu: float) -> float:
-        return sum(float(np.sum(one.rest(mu, limit)[0] ** 2)) for one in peaks)
+        return sum(float(np.sum(one.residuals(mu, limit)[0] ** 2)) for one in peaks)
 
-    own = np.array([fit.mu.value for fit in fits])
-    reach = 0.9 * own.min(), 1.1 * own.max()
+    individual = np.array([fit.mu.value for fit in fits])
+    bounds = 0.9 * individual.min(), 1.1 * individual.max()
     mu = float(
-        scipy.optimize.minimize_scalar(misfit, bounds=reach, method="bounded", options={"xatol": 1e-9}).x
+        scipy.optimize.minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": 1e-9}).x
     )
-    offsets = {test.run: one.rest(mu, limit)[1] for test, one in zip(tests, peaks, strict=True)}
-    # Of μ in each test, beside its offset.
-    changes = [one.rest(mu + step, limit)[0] - one.rest(mu - step, limit)[0] for one in peaks]
+    offsets = {test.run: one.residuals(mu, limit)[1] for test, one in zip(tests, peaks, strict=True)}
+    # Fisher information on μ in each test, with its offset fitted as well
+    changes = [one.residuals(mu + step, limit)[0] - one.residuals(mu - step, limit)[0] for one in peaks]
     information = np.array([np.sum(change**2) / (2 * step) ** 2 for change in changes])
     slow = [fit.values["A"] for test, fit in zip(tests, fits, strict=True) if settings.slow(test)]
     free = max(sum(one.d_mm.size for one in peaks) - len(peaks) - 1, 1)
-    chi2 = misfit(mu) / free  # the peaks' scatter is that about the tests' own curves
-    errors = np.array([fit.own_error("mu") for fit in fits])
+    chi2 = misfit(mu) / free  # relative: residuals are in units of the scatter about the individual curves
+    errors = np.array([fit.individual_error("mu") for fit in fits])
     return JointFriction(
         sample=sample,
         runs=tuple(offsets),
         mu=_joint_mu(mu, tests, fits, information),
         t0_N=tuple(offsets.values()),
         at_limit=tuple(run for run, t0 in offsets.items() if abs(t0) >= limit),
-        disagreement=float(np.sum(((own - mu) / errors) ** 2) / (own.size - 1)),
+        disagreement=float(np.sum(((individual - mu) / errors) ** 2) / (individual.size - 1)),
         amplitude=weighted_mean(slow),
         misfit=chi2,
         fits=chi2 < settings.joint_misfit,
@@ -385,30 +393,31 @@ def fit_joint(
 def _joint_mu(
     mu: float, tests: Sequence[TractionTest], fits: Sequence[TestFit], information: Floats
 ) -> Estimate:
-    """μ with its errors (see `JointFriction`), from the information on it in each test."""
-    share = information / information.sum()
-    widening = float(np.mean([max(fit.chi2_dof, 1.0) for fit in fits]))
-    by_d0 = np.array([fit.shifts.get("d0", {}).get("mu", 0.0) for fit in fits])
+    """Return μ with its errors (see `JointFriction`), given the information on μ in each test."""
+    weight = information / information.sum()
+    scale = float(np.mean([max(fit.chi2_dof, 1.0) for fit in fits]))
+    by_d0 = np.array([fit.shift("d0", "mu") for fit in fits])
     between = float(np.var([fit.mu.value for fit in fits], ddof=1))
-    between -= float(np.mean([fit.own_error("mu") ** 2 for fit in fits]))
-    variance = widening / information.sum() + np.sum((share * by_d0) ** 2) + max(between, 0.0) / len(fits)
-    own = [share * [fit.shifts.get(name, {}).get("mu", 0.0) for fit in fits] for name in INSTRUMENT]
-    systematic = float(np.linalg.norm(np.concatenate([shared_shifts(tests, fits, "mu") @ share, *own])))
+    between -= float(np.mean([fit.individual_error("mu") ** 2 for fit in fits]))
+    variance = scale / information.sum() + np.sum((weight * by_d0) ** 2) + max(between, 0.0) / len(fits)
+    by_instrument = [weight * [fit.shift(name, "mu") for fit in fits] for name in INSTRUMENT]
+    by_shared = shared_shifts(tests, fits, "mu") @ weight
+    systematic = float(np.linalg.norm(np.concatenate([by_shared, *by_instrument])))
     return Estimate(mu, float(np.sqrt(variance)), systematic or float("nan"))
 
 
 def shared_shifts(tests: Sequence[TractionTest], fits: Sequence[TestFit], quantity: str) -> Floats:
-    """By how much each source that several tests share moves a quantity of each of them, (source, test).
+    """Return the shifts of a quantity by each source of error that tests share, (source, test).
 
-    Errors of the geometry are shared by the tests of one sample, those of Y_eff by all; d0 and those of the
-    force recordings by none.
+    The tests of one sample share the errors of its geometry, and all tests share that of Y_eff. Errors of d0
+    and of the force recording belong to one test alone.
     """
     found: dict[tuple[str, str], Floats] = {}
     for k, (test, fit) in enumerate(zip(tests, fits, strict=True)):
-        for source, moved in fit.shifts.items():
+        for source, shift in fit.shifts.items():
             if source not in ("d0", *INSTRUMENT):
-                whose = test.sample_name if source in _GEOMETRY else ""
-                found.setdefault((source, whose), np.zeros(len(fits)))[k] = moved[quantity]
+                sample = test.sample_name if source in _GEOMETRY else ""
+                found.setdefault((source, sample), np.zeros(len(fits)))[k] = shift[quantity]
     return np.array(list(found.values())).reshape(-1, len(fits))
 
 
@@ -417,29 +426,27 @@ def shared_shifts(tests: Sequence[TractionTest], fits: Sequence[TestFit], quanti
 
 @dataclass(frozen=True, kw_only=True)
 class Collapse:
-    """How well the tests fall on the master curve; distances are root mean squares of K/K_eff, in sheets."""
+    """Collapse of the tests on the master curve, and RMS deviations of K/K_eff from it, in sheets."""
 
-    table: pd.DataFrame  # a row an event: run, d_v_mm, d_hat, sheets (K/K_eff), sheets_err, model
-    common_scale_mm: float  # the one Λ̂ that fits all tests best
-    rms_before: float  # from the master curve with the one Λ̂
-    rms_after: float  # and with each test's own
-    rms_noise: float  # what the scatter between neighbouring events alone gives
+    table: pd.DataFrame  # one row per event: run, d_v_mm, d_hat, sheets (K/K_eff), sheets_err, model
+    common_scale_mm: float  # the single Λ̂ that fits all tests best
+    rms_before: float  # deviation with this common Λ̂
+    rms_after: float  # deviation with the Λ̂ of each test
+    rms_noise: float  # deviation that the scatter between neighbouring events alone causes
 
 
 def collapse(tests: Sequence[TractionTest], fits: Sequence[TestFit], modulus: Estimate) -> Collapse | None:
-    r"""K/K_eff against d̂ = d_v/Λ̂ with M√(1 − d̂), for the tests that have a Λ̂; None where none has.
-
-    The distance before is that with one Λ̂ for all: what their differences cost.
-    """
+    r"""Compare K/K_eff with the master curve M√(1 − d̂), d̂ = d_v/Λ̂, for tests with a Λ̂; None if none has."""
     parts = []
     for test, fit in zip(tests, fits, strict=True):
         if not np.isfinite(fit.scale_mm.value):
             continue
-        one = float(equations.sheet_stiffness(modulus_GPa=modulus.value, sample=test.sample))
+        of_one_sheet = float(equations.sheet_stiffness(modulus_GPa=modulus.value, sample=test.sample))
         d = test.column("d_v_mm")[fit.used]
-        sheets = test.column("K_N_per_mm")[fit.used] / one
+        sheets = test.column("K_N_per_mm")[fit.used] / of_one_sheet
         d_hat = d / fit.scale_mm.value
-        noise = np.diff(sheets - equations.effective_sheets(d_hat, sample=test.sample))
+        model = equations.effective_sheets(d_hat, sample=test.sample)
+        noise = np.diff(sheets - model)
         parts.append(
             pd.DataFrame(
                 {
@@ -447,8 +454,8 @@ def collapse(tests: Sequence[TractionTest], fits: Sequence[TestFit], modulus: Es
                     "d_v_mm": d,
                     "d_hat": d_hat,
                     "sheets": sheets,
-                    "sheets_err": stiffness_errors(test.events[fit.used]) / one,
-                    "model": equations.effective_sheets(d_hat, sample=test.sample),
+                    "sheets_err": stiffness_errors(test.events[fit.used]) / of_one_sheet,
+                    "model": model,
                     "sheets_per_block": test.sample.sheets_per_block,
                     "noise": float(np.sqrt(np.mean(noise**2) / 2)),
                 }
@@ -470,7 +477,7 @@ def collapse(tests: Sequence[TractionTest], fits: Sequence[TestFit], modulus: Es
 
 
 def _common_scale(tests: Sequence[TractionTest], fits: Sequence[TestFit], modulus: Estimate) -> float:
-    """One Λ̂ for all events; tests of one geometry are fitted together, others averaged by their events."""
+    """Return one Λ̂ for all events: tests of one geometry are fitted together, then the fits are averaged."""
     groups: dict[Sample, list[pd.DataFrame]] = {}
     for test, fit in zip(tests, fits, strict=True):
         if np.isfinite(fit.scale_mm.value):

@@ -1,4 +1,4 @@
-"""Finished runs and the table that says of which sample, at which velocity and in which air each was made."""
+"""Read finished runs and the table that gives the sample, velocity, humidity and temperature of each."""
 
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
@@ -20,10 +20,10 @@ from vision.numeric import Floats
 from vision.sample import PUBLISHED, Sample
 
 COLUMNS = ("run", "sample", "V_mm_min", "n_test", "RH_percent", "T_C")
-Row = Mapping[Hashable, Any]  # of the table, by column
+Row = Mapping[Hashable, Any]  # cells of one row of the table, by column
 LIMITS = {"V_mm_min": (1e-6, 1e4), "n_test": (0.0, 1e6), "RH_percent": (0.0, 100.0), "T_C": (-90.0, 200.0)}
 _NEEDED = ("d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm")
-# what people call the columns, so that the nearest of ours can be shown
+# Usual names of the columns. A message about an unknown column suggests the nearest of them.
 ALIKE = {
     "run": "run", "name": "run", "folder": "run", "file": "run", "test": "run",
     "sample": "sample", "block": "sample", "specimen": "sample",
@@ -36,34 +36,34 @@ ALIKE = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TractionTest:
-    """One finished run and what the table says of it."""
+    """One finished run with its row of the table."""
 
-    run: str  # name by which it is known in tables and figures
+    run: str  # name in tables and figures
     folder: Path
-    sample_name: str  # "" where it is not known
-    speed_mm_min: float  # pulling velocity; NaN, as the next three, where not known
+    sample_name: str  # "" if unknown
+    speed_mm_min: float  # pulling velocity; NaN, like the next three, if unknown
     n_test: float  # number of previous tests
     humidity_percent: float
     temperature_C: float
     sample: Sample  # geometry and adhesion
-    events: pd.DataFrame  # whole ones with separation, force and stiffness, in order of d_v_mm
-    fit_range_mm: tuple[float, float] | None  # of the run's own fits; None where it has none
-    modulus_GPa: float  # Y_eff of the run's own fit; NaN where it has none
+    events: pd.DataFrame  # complete events with separation, force and stiffness, in order of d_v_mm
+    fit_range_mm: tuple[float, float] | None  # range of the fits in the run; None if it has none
+    modulus_GPa: float  # Y_eff fitted in the run; NaN if it has none
     modulus_err_GPa: float
-    errors: Mapping[str, float]  # of d0 and the geometry, as given, by d0_mm or field of the sample
-    # what a source of the force recording moves the run's own μ, 𝒯0, … by: {"load_drift": {"mu": 0.07, …}}
+    errors: Mapping[str, float]  # given errors: "d0_mm" and fields of the sample
+    # shifts of the run's μ, 𝒯0, … by the errors of its force recording: {"load_drift": {"mu": 0.07, …}, …}
     instrument: Mapping[str, Mapping[str, float]]
 
     def column(self, name: str) -> Floats:
-        """One column of the events."""
+        """Return one column of the events."""
         return self.events[name].to_numpy(float)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TestSet:
-    """The tests that can be compared, what is wrong with the others, and remarks that matter."""
+    """The tests that can be compared, error messages of the others, and warnings."""
 
-    __test__ = False  # no test of pytest's
+    __test__ = False  # not a test of pytest
     tests: tuple[TractionTest, ...]
     failures: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -75,19 +75,20 @@ def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame
     Parameters
     ----------
     runs
-        Run folders of `track` or `track force`; those that the table names if none is given.
+        Run folders of `track` or `track force`; by default those named in the table.
     table
         CSV with any of the columns run, sample, V_mm_min, n_test, RH_percent and T_C, or such a data frame.
-        Folders in it are relative to the file. Without a column ``run``, its rows are the runs in order.
+        Folders in it are relative to the file. Without a column ``run``, row k describes run k.
 
     Returns
     -------
-    The tests, and one line for each run, cell or column that cannot be used.
+    TestSet
+        The tests, and one line for each run, cell or column that cannot be used.
 
     Raises
     ------
     InputError
-        Where there is no table and no run, the table cannot be read, or no run is left.
+        If there is neither a table nor a run, the table cannot be read, or no run can be used.
     """
     rows, base, warnings = _read_table(table)
     folders = [Path(run) for run in runs]
@@ -95,16 +96,16 @@ def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame
     if not folders:
         if rows is None or "run" not in rows:
             raise InputError("`runs`", "finished run folders", "none", "name them, or give `table`")
-        folders = [_found(str(name), base) for name in rows["run"]]
+        folders = [_path_of(str(name), base) for name in rows["run"]]
     folders = list(dict.fromkeys(folders))
-    known = _rows_of_runs(folders, rows, base, failures, warnings)
+    row_of = _rows_of_runs(folders, rows, base, failures, warnings)
     names = [folder.resolve().name for folder in folders]
     tests: list[TractionTest] = []
-    for folder, own in zip(folders, names, strict=True):
-        name = own if names.count(own) == 1 else str(folder)
+    for folder, name in zip(folders, names, strict=True):
+        unique = name if names.count(name) == 1 else str(folder)
         try:
             with reading(folder, "a run as track writes it", "run track again"):
-                tests.append(_read_test(folder, name, known.get(folder, {}), warnings))
+                tests.append(_read_test(folder, unique, row_of.get(folder, {}), warnings))
         except InputError as error:
             failures.append(str(error))
     if not tests:
@@ -117,7 +118,7 @@ def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame
 
 
 def _read_table(table: str | Path | pd.DataFrame | None) -> tuple[pd.DataFrame | None, Path, list[str]]:
-    """Known columns with checked values, the folder that names are relative to, and what is wrong."""
+    """Return the known columns with checked values, the folder that paths are relative to, and warnings."""
     if table is None:
         return None, Path(), []
     if isinstance(table, pd.DataFrame):
@@ -139,18 +140,18 @@ def _read_table(table: str | Path | pd.DataFrame | None) -> tuple[pd.DataFrame |
 
 
 def _csv(path: Path) -> pd.DataFrame:
-    """A table with commas, semicolons or tabs; decimal commas where commas do not separate."""
+    """Read a table separated by commas, or one by semicolons or tabs that may have decimal commas."""
     with reading(path, "a CSV table of tests", "save it as CSV, UTF-8"):
         first = path.read_text(encoding="utf-8-sig").lstrip().partition("\n")[0]
-        mark = max((",", ";", "\t"), key=first.count)
-        rows = pd.read_csv(path, sep=mark, dtype=str, encoding="utf-8-sig", skipinitialspace=True)
-    return rows if mark == "," else rows.apply(lambda column: column.str.replace(",", "."))
+        separator = max((",", ";", "\t"), key=first.count)
+        rows = pd.read_csv(path, sep=separator, dtype=str, encoding="utf-8-sig", skipinitialspace=True)
+    return rows if separator == "," else rows.apply(lambda column: column.str.replace(",", "."))
 
 
 def _numbers(
     column: pd.Series, name: str, limits: tuple[float, float], source: str, warnings: list[str]
 ) -> pd.Series:
-    """Numbers within their limits; NaN and one line for all others of a column."""
+    """Return the numbers of a column. Values beyond the limits become NaN with one warning for all."""
     values = pd.to_numeric(column, errors="coerce").astype(float)
     given = column.notna() & (column.astype(str).str.strip() != "")
     wrong = given & ~((values >= limits[0]) & (values <= limits[1]))
@@ -162,15 +163,15 @@ def _numbers(
     values = values.where(~wrong)
     if name == "RH_percent" and values.notna().any() and values.max() <= 1:
         warnings.append(
-            f"{source}: expected RH_percent in percent; found nothing above {values.max():g}, which look "
-            "like fractions; left out"
+            f"{source}: expected RH_percent in percent; found none above {values.max():g}, so they "
+            "look like fractions; left out"
         )
         values[:] = np.nan
     return values
 
 
-def _found(name: str, base: Path) -> Path:
-    """A folder by the name that the table has, relative to the table or to the working directory."""
+def _path_of(name: str, base: Path) -> Path:
+    """Return the path of a folder named in the table, relative to the table or the working directory."""
     beside = base / name
     return beside if beside.exists() or not Path(name).exists() else Path(name)
 
@@ -178,29 +179,28 @@ def _found(name: str, base: Path) -> Path:
 def _rows_of_runs(
     folders: Sequence[Path], rows: pd.DataFrame | None, base: Path, failures: list[str], warnings: list[str]
 ) -> dict[Path, Row]:
-    """The table's row of each run. Runs without a row, and rows without a run, are warned about."""
+    """Return the table's row of each run; warn about runs without a row and rows without a run."""
     if rows is None:
         return {}
     if "run" not in rows:
         if len(rows) != len(folders):
-            expected = f"{len(folders)} rows, one a run in their order, or a column run"
+            expected = f"{len(folders)} rows, one per run in their order, or a column run"
             raise InputError("`table`", expected, f"{len(rows)}")
         return dict(zip(folders, rows.to_dict("records"), strict=True))
     known: dict[Path, Row] = {}
     for row in rows.to_dict("records"):
         name = str(row["run"]).strip()
-        at = _found(name, base)
-        same = [f for f in folders if f.resolve() == at.resolve()] or [
-            f for f in folders if f.resolve().name == Path(name).name
-        ]
-        if len(same) > 1:
-            warnings.append(f"run {name} of the table fits {len(same)} runs: give its path; row left out")
-        elif not same and not at.exists():
+        path = _path_of(name, base)
+        matches = [f for f in folders if f.resolve() == path.resolve()]
+        matches = matches or [f for f in folders if f.resolve().name == Path(name).name]
+        if len(matches) > 1:
+            warnings.append(f"run {name} of the table fits {len(matches)} runs: give its path; row left out")
+        elif not matches and not path.exists():
             failures.append(f"{name}: expected a finished run, as the table names it; found no such folder")
-        elif same and same[0] in known:
+        elif matches and matches[0] in known:
             warnings.append(f"run {name} is in the table more than once; its first row is used")
-        elif same:
-            known[same[0]] = row
+        elif matches:
+            known[matches[0]] = row
     if missing := [
         str(folder) for folder in folders if folder not in known and (folder / "run.json").is_file()
     ]:
@@ -251,16 +251,16 @@ def _read_test(folder: Path, name: str, row: Row, warnings: list[str]) -> Tracti
 
 
 INSTRUMENT = ("load_drift", "low_pass", "sampling")
-"""Sources of systematic errors that a run alone knows: those of its force recording."""
+"""Sources of systematic errors that lie in the force recording; their effect is known from the run alone."""
 
 
 def _instrument(budget: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """The part of a run's budget that is of the force recording; sources that move nothing are left out."""
+    """Return the entries of a run's budget that come from the force recording and are not zero."""
     found = {}
     for source in INSTRUMENT:
-        parts = {str(name): _number(part) for name, part in (budget.get(source) or {}).items()}
-        if moved := {name: part for name, part in parts.items() if part > 0}:
-            found[source] = moved
+        shifts = {str(name): _number(shift) for name, shift in (budget.get(source) or {}).items()}
+        if positive := {name: shift for name, shift in shifts.items() if shift > 0}:
+            found[source] = positive
     return found
 
 
@@ -270,36 +270,36 @@ def _json(path: Path) -> dict[str, Any]:
 
 
 def _events(path: Path, sample: Sample) -> pd.DataFrame:
-    """Whole events with everything that is compared, in order of d_v_mm."""
+    """Read the complete events, which have every value that is compared, in order of d_v_mm."""
     if not path.is_file():
         raise InputError(path.parent, "a run with a force recording", "no events.csv in it")
     with reading(path, "a table as track writes it", "run track again"):
         table = pd.read_csv(path)
     if absent := [name for name in _NEEDED if name not in table]:
         raise InputError(path, f"columns {', '.join(_NEEDED)}", f"no {', '.join(absent)}")
-    odd = [str(name) for name in table if name != "flag" and table[name].dtype.kind not in "iufb"]
-    table = table.assign(**{name: pd.to_numeric(table[name], errors="coerce") for name in odd})
+    text = [str(name) for name in table if name != "flag" and table[name].dtype.kind not in "iufb"]
+    table = table.assign(**{name: pd.to_numeric(table[name], errors="coerce") for name in text})
     values = table[list(_NEEDED)].to_numpy(float)
-    whole = np.isfinite(values).all(axis=1) & (values[:, 3:] > 0).all(axis=1)
-    whole &= (values[:, 0] > 0) & (values[:, 1] < sample.length_mm)
+    complete = np.isfinite(values).all(axis=1) & (values[:, 3:] > 0).all(axis=1)
+    complete &= (values[:, 0] > 0) & (values[:, 1] < sample.length_mm)
     if "flag" in table:
-        whole &= (table["flag"].fillna("ok") == "ok").to_numpy()
-    if whole.sum() < 6:
+        complete &= (table["flag"].fillna("ok") == "ok").to_numpy()
+    if complete.sum() < 6:
         raise InputError(
             path,
             "at least 6 whole events with d, F_p, dF and K",
-            f"{whole.sum()} of {len(table)}",
+            f"{complete.sum()} of {len(table)}",
             "run track again with `d0_mm`" if np.isnan(values[:, :2]).all() else "",
         )
-    low, high = float(values[whole, 0].min()), float(values[whole, 0].max())
-    if high - low < 0.01:  # nothing falls with d over less
+    low, high = float(values[complete, 0].min()), float(values[complete, 0].max())
+    if high - low < 0.01:  # too small a range to see anything change with d
         raise InputError(path, "events over a range of separations", f"d from {low:.4g} to {high:.4g} mm")
-    ordered: pd.DataFrame = table[whole].sort_values("d_v_mm", ignore_index=True)
+    ordered: pd.DataFrame = table[complete].sort_values("d_v_mm", ignore_index=True)
     return ordered
 
 
 def _sample(content: Any) -> Sample:
-    """The run's sample; the very object PUBLISHED where it does not say which."""
+    """Return the run's sample; the object PUBLISHED itself if the run does not state one."""
     parts = {part.name for part in fields(Sample)}
     return Sample(**{part: content[part] for part in parts}) if parts <= set(content or ()) else PUBLISHED
 

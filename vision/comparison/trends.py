@@ -1,4 +1,4 @@
-"""What changes from test to test and within one: trends of μ, N̂ and Λ̂, and where ΔF turns irregular."""
+"""Trends of μ, N̂ and Λ̂ from test to test, and the separation at which ΔF becomes irregular within one."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ LEAST_TESTS = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Trend:
-    """One quantity against one predictor."""
+    """Regression of one quantity on one predictor."""
 
     quantity: str  # columns of tests.csv
     predictor: str
-    tests: int  # how many have both
-    slope: float = np.nan  # weighted line, on its own
+    tests: int  # number of tests with both
+    slope: float = np.nan  # slope of a weighted line, ignoring the other predictor
     slope_err: float = np.nan
-    slope_systematic: float = np.nan  # error of the geometry and Y_eff
+    slope_systematic: float = np.nan  # error due to the geometry and Y_eff
     intercept: float = np.nan
-    scatter: float = np.nan  # standard deviation of tests about the line, beyond their own errors
+    scatter: float = np.nan  # standard deviation of tests about the line, beyond their errors
     spearman: float = np.nan  # rank correlation
-    p: float = np.nan  # how often random orders correlate as well
-    partial_slope: float = np.nan  # with the other predictor held fixed; NaN where that is not known
+    p: float = np.nan  # share of random orders with as large a rank correlation
+    partial_slope: float = np.nan  # with the other predictor held fixed; NaN if that is not known
     partial_slope_err: float = np.nan
     partial_slope_systematic: float = np.nan
     partial_p: float = np.nan
-    # of the partial slope where there is one, else of the rank correlation, times the number of trends (Holm)
+    # p of the partial slope (without one, of the rank correlation), adjusted for the number of trends (Holm)
     p_adjusted: float = np.nan
     claimed: bool = False  # `p_adjusted` is below the significance, the slope beyond its systematic errors
-    reason: str = ""  # why there is no trend at all; "" where it was examined
+    reason: str = ""  # why the trend was not examined; "" if it was
 
     @property
     def beyond_systematic(self) -> bool:
-        """Whether the slope, partial where there is one, exceeds two of its systematic errors."""
+        """Whether the slope (the partial one if there is one) exceeds twice its systematic error."""
         if np.isnan(self.partial_slope):
             return abs(self.slope) > 2 * self.slope_systematic
         return abs(self.partial_slope) > 2 * self.partial_slope_systematic
@@ -56,17 +56,18 @@ def find_trends(
     *,
     shared: Mapping[str, Floats] | None = None,
 ) -> tuple[Trend, ...]:
-    r"""All trends of a table of tests, tests.csv: the quantities with their errors, n_test and RH_percent.
+    r"""Find the trends of μ, N̂ and Λ̂ in tests.csv with the number of previous tests and with humidity.
 
-    shared: of each quantity, what errors that several tests have in common move it by, (source, test).
+    table: the content of tests.csv.  shared: for each quantity, its shifts by errors that several tests share
+    (source, test), from `shared_shifts`.
 
-    Weights are 1/(error² + s²), s the scatter between tests beyond their errors, found so that
-    χ²/dof is 1 where it would be larger. The p value of Spearman's ρ is the share of random orders with a
-    |ρ| as large. Partial slopes come from y = a + b₁ n_test + b₂ RH; their p value permutes the residuals of
-    the model without the slope in question (Freedman and Lane 1983), so it holds whatever the other predictor
-    does. As there are several trends, p values are adjusted (Holm 1979): at most one comparison in
-    twenty claims any trend where there is none. An error of the geometry moves all tests of a sample
-    together, which no permutation knows of: a slope within two of its systematic errors is not claimed.
+    Weights are 1/(error² + s²), where s is the scatter between tests beyond their errors, chosen such that
+    χ²/dof is at most 1. The p value of Spearman's ρ is the share of random orders with as large a |ρ|.
+    Partial slopes come from y = a + b₁ n_test + b₂ RH. Their p value permutes the residuals of the model
+    without that slope (Freedman and Lane 1983), so it is valid for any effect of the other predictor. The p
+    values are adjusted for the number of trends (Holm 1979): if there is no trend, at most one comparison in
+    twenty claims one. An error of the geometry shifts all tests of a sample together, which permutations
+    cannot show, so a slope within two of its systematic errors is not claimed.
     """
     found = [
         _trend(table, quantity, predictor, (shared or {}).get(quantity), settings)
@@ -81,7 +82,7 @@ def find_trends(
 
 
 def holm(p: Floats) -> Floats:
-    """p values adjusted for their number; NaN stays and does not count."""
+    """Return p values adjusted for their number (Holm). NaN remains NaN and is not counted."""
     known = np.flatnonzero(np.isfinite(p))
     order = known[np.argsort(p[known])]
     adjusted = np.full(p.size, np.nan)
@@ -103,14 +104,14 @@ def _trend(
     if not np.ptp(x[known]) > 0:
         return Trend(**about, reason=f"{predictor} never changes")
     rng = np.random.default_rng(settings.seed)
-    moved = np.zeros((0, y.size)) if shared is None else np.nan_to_num(shared)
+    shifts = np.zeros((0, y.size)) if shared is None else np.nan_to_num(shared)
     line, covariance, scatter = weighted_fit(_design(x[known]), y[known], error[known])
     rho, p = spearman(x[known], y[known], rng, settings.draws)
     found = Trend(
         **about,
         slope=float(line[1]),
         slope_err=float(np.sqrt(covariance[1, 1])),
-        slope_systematic=_moved_slope(_design(x[known]), error[known], scatter, covariance, moved[:, known]),
+        slope_systematic=_slope_shift(_design(x[known]), error[known], scatter, covariance, shifts[:, known]),
         intercept=float(line[0]),
         scatter=scatter,
         spearman=rho,
@@ -122,14 +123,14 @@ def _trend(
     if known.sum() < LEAST_TESTS + 1 or not (np.ptp(z) > 0 and np.ptp(x) > 0):
         return found
     if abs(np.corrcoef(x, z)[0, 1]) > 0.999:
-        return found  # one and the same: neither can be held fixed
+        return found  # the predictors are collinear, so neither can be held fixed
     design = _design(x, z)
     plane, covariance, scatter = weighted_fit(design, y, error)
     return replace(
         found,
         partial_slope=float(plane[1]),
         partial_slope_err=float(np.sqrt(covariance[1, 1])),
-        partial_slope_systematic=_moved_slope(design, error, scatter, covariance, moved[:, known]),
+        partial_slope_systematic=_slope_shift(design, error, scatter, covariance, shifts[:, known]),
         partial_p=_partial_p(design, y, 1 / np.hypot(error, scatter), rng, settings.draws),
     )
 
@@ -139,7 +140,7 @@ def _design(*columns: Floats) -> Floats:
 
 
 def weighted_fit(design: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats, float]:
-    """Parameters, their covariance, and the scatter beyond the errors with which χ²/dof is at most 1."""
+    """Return parameters, their covariance, and the extra scatter with which χ²/dof is at most 1."""
     free = max(y.size - design.shape[1], 1)
 
     def fit(scatter: float) -> tuple[Floats, Floats, float]:
@@ -156,14 +157,14 @@ def weighted_fit(design: Floats, y: Floats, error: Floats) -> tuple[Floats, Floa
     return *fit(scatter)[:2], scatter
 
 
-def _moved_slope(design: Floats, error: Floats, scatter: float, covariance: Floats, moved: Floats) -> float:
-    """What the shared sources (source, test) move the first slope by, together; 0 without any."""
+def _slope_shift(design: Floats, error: Floats, scatter: float, covariance: Floats, shifts: Floats) -> float:
+    """Return the shift of the first slope by the shared `shifts` (source, test), added in quadrature."""
     weighted = design / (error**2 + scatter**2)[:, np.newaxis]
-    return float(np.linalg.norm(moved @ weighted @ covariance[1]))
+    return float(np.linalg.norm(shifts @ weighted @ covariance[1]))
 
 
 def spearman(x: Floats, y: Floats, rng: np.random.Generator, draws: int) -> tuple[float, float]:
-    """Rank correlation and its p value from random orders."""
+    """Return the rank correlation and its p value from random orders."""
     a, b = scipy.stats.rankdata(x), scipy.stats.rankdata(y)
     a, b = a - a.mean(), b - b.mean()
     size = float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
@@ -175,7 +176,7 @@ def spearman(x: Floats, y: Floats, rng: np.random.Generator, draws: int) -> tupl
 
 
 def _partial_p(design: Floats, y: Floats, root: Floats, rng: np.random.Generator, draws: int) -> float:
-    """p value of the first slope with the other predictor held fixed; `root` of the weights."""
+    """Return the p value of the first slope with the other predictor held fixed; `root`: √weights."""
     full, y = design * root[:, np.newaxis], y * root
     reduced = full[:, [0, 2]]
     fitted = reduced @ (np.linalg.pinv(reduced) @ y)
@@ -185,73 +186,74 @@ def _partial_p(design: Floats, y: Floats, root: Floats, rng: np.random.Generator
 
 
 def _t_of_slope(design: Floats, y: Floats) -> Floats:
-    """Slope over its error for each row of y."""
+    """Return the slope divided by its error for each row of y."""
     inverse = np.linalg.pinv(design)
     value = y @ inverse.T
-    rest = y - value @ design.T
-    spread = np.sqrt(np.sum(rest**2, axis=1) / (y.shape[1] - design.shape[1]))
+    residual = y - value @ design.T
+    spread = np.sqrt(np.sum(residual**2, axis=1) / (y.shape[1] - design.shape[1]))
     return np.asarray(value[:, 1] / (np.linalg.norm(inverse[1]) * np.maximum(spread, 1e-300)))
 
 
 # --- a change within one test -------------------------------------------------------------------------------
 
-LEAST_SIDE = 10  # events on either side of a change
+LEAST_SIDE = 10  # smallest number of events on either side of a change
 
 
 @dataclass(frozen=True, kw_only=True)
 class Irregularity:
-    """Running coefficient of variation of ΔF, and where it changes."""
+    """Running coefficient of variation of ΔF, and the separation at which it changes."""
 
     run: str
     speed_mm_min: float
     d_mm: Floats = field(repr=False)  # separation of each event
     variation: Floats = field(repr=False)  # running coefficient of variation there
-    change_mm: float  # where it rises; NaN where there is no change
+    change_mm: float  # separation at which it rises; NaN if there is no change
     change_err_mm: float
-    before: float  # coefficient of variation on either side; the same where there is no change
+    before: float  # coefficient of variation on either side; the same on both if there is no change
     after: float
-    p: float  # how often a test without a change looks as changed as this one
-    reason: str  # why there is no change point; "" where there is one
+    p: float  # probability that a test without a change shows one as large
+    reason: str  # why there is no change point; "" if there is one
 
 
 def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettings()) -> Irregularity:
-    r"""Where the scatter of ΔF changes for good.
+    r"""Find the separation at which the scatter of ΔF rises permanently.
 
-    The relative deviation r of ΔF from its own smooth course has the running coefficient of variation
-    √⟨r²⟩. The change point is the split that best divides log|r| into two levels, which single large events
-    cannot mimic. It is claimed where fewer than 1 % of random orders of r divide as well, the scatter rises
-    by half or more, and two levels describe it better (BIC) than a smooth rise, as that of noise over a
-    falling ΔF. Its error is the spread of the place over 200 bootstrap draws within the two parts.
+    r is the relative deviation of ΔF from its smoothed course, √⟨r²⟩ the running coefficient of variation.
+    The change point is the split that best divides log|r| into two levels; the logarithm keeps single large
+    events from mimicking a change. It is claimed if fewer than 1 % of random orders of r divide as well, the
+    scatter rises by half or more, and two levels describe it better (BIC) than a smooth rise, such as that of
+    constant noise relative to a falling ΔF. Its error is the spread over 200 bootstrap draws within the two
+    parts.
     """
     d, drop = test.column("d_v_mm"), test.column("dF_N")
     nan = float("nan")
-    whole: dict[str, Any] = {"run": test.run, "speed_mm_min": test.speed_mm_min, "d_mm": d}
+    about: dict[str, Any] = {"run": test.run, "speed_mm_min": test.speed_mm_min, "d_mm": d}
     window = settings.smooth_events | 1
     if d.size < max(2 * window, 2 * LEAST_SIDE + 1):
         unknown: dict[str, Any] = dict.fromkeys(("change_mm", "change_err_mm", "before", "after", "p"), nan)
         reason = f"{d.size} events, at least {2 * window} needed"
-        return Irregularity(**whole, **unknown, variation=np.full(d.size, nan), reason=reason)
+        return Irregularity(**about, **unknown, variation=np.full(d.size, nan), reason=reason)
     r = drop / np.maximum(scipy.signal.savgol_filter(drop, window, 2), 1e-3 * float(drop.max())) - 1
-    own = scipy.signal.savgol_coeffs(window, 2)[window // 2]  # share of its own value in the smoothed one
-    r *= 1 / np.sqrt(1 - own)  # a smooth course takes part of the scatter with it
+    weight = scipy.signal.savgol_coeffs(window, 2)[window // 2]  # weight of an event in its smoothed value
+    r *= 1 / np.sqrt(1 - weight)  # the smoothed course follows part of the scatter
     square, count = (np.convolve(part, np.ones(window), "same") for part in (r**2, np.ones(d.size)))
     level = np.log(np.abs(r) + 0.05 * float(np.median(np.abs(r))) + 1e-12)
     at = int(_splits(level[np.newaxis])[0])
     rng = np.random.default_rng(settings.seed)
-    draws = min(settings.draws, 500)  # enough to tell 1 % from 2 %
+    draws = min(settings.draws, 500)  # enough to distinguish 1 % from 2 %
     shuffled = rng.permuted(np.tile(level, (draws, 1)), axis=1)
     best = _gains(level[np.newaxis])[0].max()
     p = float((1 + np.sum(_gains(shuffled).max(axis=1) >= best)) / (draws + 1))
     before, after = (float(np.sqrt(np.mean(part**2))) for part in (r[:at], r[at:]))
     both = float(np.sqrt(np.mean(r**2)))
-    reason = _why_not(p, before, after, _steady_rise_is_better(level, d, at), settings)
+    reason = _reason_against(p, before, after, _smooth_rise_is_better(level, d, at), settings)
     error = nan
     if not reason:
         parts = [rng.choice(part, (200, part.size)) for part in (level[:at], level[at:])]
-        places = _splits(np.concatenate(parts, axis=1))
-        error = float(np.hypot(np.std(d[places]), np.median(np.diff(d))))
+        splits = _splits(np.concatenate(parts, axis=1))
+        error = float(np.hypot(np.std(d[splits]), np.median(np.diff(d))))
     return Irregularity(
-        **whole,
+        **about,
         variation=np.sqrt(square / count),
         change_mm=nan if reason else float((d[at - 1] + d[at]) / 2),
         change_err_mm=error,
@@ -263,7 +265,7 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
 
 
 def _gains(level: Floats) -> Floats:
-    """How much each split of each row lowers the sum of squares, (row, split); splits from LEAST_SIDE on."""
+    """Return by how much each split of each row lowers the sum of squares, (row, split from LEAST_SIDE)."""
     n = level.shape[1]
     centred = level - level.mean(axis=1, keepdims=True)
     left = np.cumsum(centred, axis=1)[:, LEAST_SIDE - 1 : n - LEAST_SIDE]
@@ -272,15 +274,15 @@ def _gains(level: Floats) -> Floats:
 
 
 def _splits(level: Floats) -> Ints:
-    """First event after the best split of each row."""
+    """Return the index of the first event after the best split of each row."""
     return np.asarray(_gains(level).argmax(axis=1) + LEAST_SIDE)
 
 
-def _steady_rise_is_better(level: Floats, d: Floats, at: int) -> bool:
-    """Whether a line or a parabola in d describes the level as well as two levels do, by BIC.
+def _smooth_rise_is_better(level: Floats, d: Floats, at: int) -> bool:
+    """Return whether a line or a parabola in d describes the level as well as two levels do, by BIC.
 
-    The parabola is there for measuring noise over a falling ΔF, whose logarithm bends. The place of the
-    change counts as three parameters, since it is the best of many (Hall, Osborn & Sakkas 2013).
+    The parabola allows for constant noise relative to a falling ΔF, whose logarithm is curved. The position
+    of the change counts as three parameters, since it is the best of many (Hall, Osborn & Sakkas 2013).
     """
     n = level.size
     steps = sum(float(np.sum((part - part.mean()) ** 2)) for part in (level[:at], level[at:]))
@@ -291,10 +293,10 @@ def _steady_rise_is_better(level: Floats, d: Floats, at: int) -> bool:
     return bool(min(smooth) <= n * np.log(steps / n) + 5 * np.log(n))
 
 
-def _why_not(p: float, before: float, after: float, steady: bool, settings: CompareSettings) -> str:
-    """Why a split of the events is no change point; "" where it is one."""
+def _reason_against(p: float, before: float, after: float, smooth: bool, settings: CompareSettings) -> str:
+    """Return why a split of the events is not a change point; "" if it is one."""
     if p >= settings.change_p:
         return f"random orders of the events divide as well (p = {p:.2g})"
     if after < settings.change_ratio * before:
         return f"the scatter goes from {before:.2g} to {after:.2g}"
-    return "the scatter rises steadily, at no one place" if steady else ""
+    return "the scatter rises smoothly, without a change point" if smooth else ""

@@ -1,4 +1,4 @@
-"""A synthetic traction test with known truth: mechanics, sheets, optics, camera, clocks."""
+"""Synthetic traction tests with known truth: mechanics, sheets, optics, camera, clocks."""
 
 from vision.experiment.images import frame_blocks, profiles
 from vision.experiment.mechanics import Pull, simulate_pull

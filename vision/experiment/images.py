@@ -1,7 +1,7 @@
-"""From light to grey levels: the sensor, the frames of the video, and I(x, t) of the strip without them.
+"""From light to grey levels: the sensor, the frames of the video, and I(x, t) of the strip drawn directly.
 
-A pixel that collects e electrons has variance e + read² (photons and read-out); the mean of n rows has
-that over n. Grey level = black level + e / gain, rounded and clipped.
+A pixel that collects e electrons has the variance e + read² (photons and read-out); the mean of n rows has an
+n-th of that. Grey level = black level + e / gain, rounded and clipped.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ Progress = Callable[[int, int | None], None]
 
 
 def saturation_level(camera: Camera) -> int:
-    """Highest grey level."""
+    """Return the highest grey level."""
     return int(2**camera.bits - 1)
 
 
 def electrons_per_level(camera: Camera) -> float:
-    """Gain in electrons per grey level: the full well over the levels above black."""
+    """Return the gain in electrons per grey level: the full well over the levels above black."""
     return camera.full_well_e / (saturation_level(camera) - camera.black_level)
 
 
 def grey_levels(light: Floats32, camera: Camera, rng: np.random.Generator) -> Pixels:
-    """A frame as written: light (fraction of saturation) becomes noisy, rounded, clipped grey levels."""
+    """Convert light (fraction of saturation) to noisy, rounded and clipped grey levels."""
     electrons = light * np.float32(camera.full_well_e)
     if camera.noise:
-        # Thousands of electrons a pixel: a normal deviate of the right variance is a Poisson one to 1e-3.
+        # With thousands of electrons per pixel, normal deviates agree with Poisson deviates to 1e-3.
         spread = np.sqrt(np.maximum(electrons, 0) + np.float32(camera.read_noise_e**2))
         electrons += spread * rng.standard_normal(light.shape, dtype=np.float32)
     np.minimum(electrons, np.float32(camera.full_well_e), out=electrons)
@@ -51,11 +51,11 @@ def grey_levels(light: Floats32, camera: Camera, rng: np.random.Generator) -> Pi
 
 
 def mean_of_rows(light: Floats, camera: Camera, rows: int, rng: np.random.Generator) -> Floats32:
-    """The mean grey level of `rows` such pixels, without making them: same mean, same variance."""
+    """Return the mean grey level of `rows` pixels, with the same mean and variance as if each were drawn."""
     electrons = light * camera.full_well_e
     gain = electrons_per_level(camera)
     if camera.noise:
-        one = np.maximum(electrons, 0) + camera.read_noise_e**2 + gain**2 / 12  # the last: of rounding
+        one = np.maximum(electrons, 0) + camera.read_noise_e**2 + gain**2 / 12  # + rounding
         electrons = electrons + np.sqrt(one / rows) * rng.standard_normal(light.shape, dtype=np.float32)
     levels = camera.black_level + np.minimum(electrons, camera.full_well_e) / gain
     return np.asarray(np.clip(levels, 0, saturation_level(camera)), np.float32)
@@ -65,10 +65,10 @@ def mean_of_rows(light: Floats, camera: Camera, rows: int, rng: np.random.Genera
 
 
 def frame_blocks(scene: Scene, *, workers: int = 2) -> Iterator[Pixels]:
-    """All frames in order, as blocks (frame, row, column) of uint8 (8 bit) or uint16.
+    """Yield all frames in order, in blocks (frame, row, column) of uint8 (8 bit) or uint16.
 
-    A block holds a few million pixels; at most `workers` + 1 of them exist at once. Every frame draws
-    its noise from its own stream, so neither blocks nor threads change the data.
+    A block has a few million pixels; at most `workers` + 1 of them exist at a time. Every frame has its own
+    stream of random numbers, so the data depend neither on the blocks nor on the threads.
     """
     camera = scene.experiment.camera
     total = len(scene.times.camera_s)
@@ -95,7 +95,7 @@ class _Painter:
         centre = _cell_of(scene, np.arange(scene.geometry.width, dtype=float))
         self.centre_cell = centre.astype(np.int32)
         self.base = self._seen(scene.base)
-        # Made before threads start, so that none finds them half done.
+        # Cached properties are computed before threads start, which is not thread-safe.
         self.response = scene.response
         scene.texture(slice(0, 1))
 
@@ -111,7 +111,7 @@ class _Painter:
         return np.stack(drawn)
 
     def _frame(self, light: Floats, texture: Floats32, owner: Ints, flicker: float, number: int) -> Pixels:
-        """One frame from the ridges' light per cell, the texture (row, sheet) and the sheet of each cell."""
+        """Draw one frame from the ridges' light per cell, the texture (row, sheet) and each cell's sheet."""
         ridges = self._seen(light)
         factor = np.take_along_axis(texture, owner[self.centre_cell], axis=1)
         factor += 1
@@ -123,7 +123,7 @@ class _Painter:
         return grey_levels(ridges, self.scene.experiment.camera, rng)
 
     def _seen(self, light: Floats) -> Floats32:
-        """Light per pixel (row, column): light up to its right edge less that up to its left one."""
+        """Return the light per pixel (row, column): cumulative light at its right minus left edge."""
         up_to = np.concatenate([[0.0], np.cumsum(light)])
         at_edges = up_to[self.edge_cell]
         at_edges += self.edge_share * light.astype(np.float32)[self.edge_cell]
@@ -131,14 +131,14 @@ class _Painter:
 
 
 def _cell_of(scene: Scene, x_px: Floats) -> Floats:
-    """Place on the line of cells, (row, column), that is seen at pixel coordinates x_px of every row."""
+    """Return the position on the line of cells, (row, column), of pixel coordinates x_px in every row."""
     line = scene.line
     at = (scene.geometry.source_px(x_px, scene.geometry.zeta_px[:, None]) - line.start_px) * line.per_px
     return np.asarray(np.clip(at, 0, line.cells - 1e-6))
 
 
 def _owners(scene: Scene, frames: slice) -> Ints:
-    """Which sheet's paper is seen in each cell, (frame, cell): borders half way between neighbours."""
+    """Return the sheet visible in each cell, (frame, cell); borders lie half way between neighbours."""
     line = scene.line
     x = scene.positions_px(frames)[0]
     borders = np.ceil(((x[:, 1:] + x[:, :-1]) / 2 - line.start_px) * line.per_px - 0.5).astype(np.int64)
@@ -152,12 +152,12 @@ def _owners(scene: Scene, frames: slice) -> Ints:
 
 
 def profiles(experiment: Experiment, *, progress: Progress | None = None) -> tuple[xr.DataArray, xr.Dataset]:
-    """I(x, t) of the default strip, drawn directly: a thousand frames in a second or two.
+    """Draw I(x, t) of the default strip directly: a thousand frames in a second or two.
 
     Parameters
     ----------
     experiment
-        What to draw.
+        The experiment.
     progress
         Called with (frames done, frames in total).
 
@@ -170,8 +170,8 @@ def profiles(experiment: Experiment, *, progress: Progress | None = None) -> tup
 
     Notes
     -----
-    Rows are averaged before noise is added, so the noise is that of the mean; what a row average cannot
-    show (shapes of dust, texture inside a ridge's bow) is averaged too.
+    Rows are averaged before noise is added, so the noise is that of the mean. Structure along the rows
+    (shapes of dust, texture inside a bowed ridge) is averaged as well.
     """
     scene = make_scene(experiment)
     total, width = len(scene.times.camera_s), experiment.camera.width
@@ -186,7 +186,7 @@ def profiles(experiment: Experiment, *, progress: Progress | None = None) -> tup
 
 
 def _strip_block(scene: Scene, average: csr_array, frames: slice) -> Floats32:
-    """I(x, t) of some frames."""
+    """Return I(x, t) of some frames."""
     experiment, rows = scene.experiment, strip_slice(scene.experiment)
     texture = np.asarray(1 + scene.texture(frames)[:, rows].mean(axis=1))
     light = scene.base + scene.ridge_light(frames, texture)
@@ -198,10 +198,10 @@ def _strip_block(scene: Scene, average: csr_array, frames: slice) -> Floats32:
 
 
 def _row_average(scene: Scene) -> csr_array:
-    """The matrix (column, cell edge) that turns light summed up to each cell edge into the strip's mean.
+    """Return the matrix (column, cell edge) that maps cumulative light at cell edges to the strip mean.
 
-    Each pixel's light is that up to its right edge less that up to its left one, interpolated between cell
-    edges, row by row, rows weighted with their light.
+    The light of a pixel is the cumulative light at its right edge minus that at its left edge, interpolated
+    between cell edges in each row. Rows are weighted with their light.
     """
     line, rows = scene.line, strip_slice(scene.experiment)
     weight = scene.row_light[rows]
@@ -218,7 +218,7 @@ def _row_average(scene: Scene) -> csr_array:
 
 
 def _as_strip(intensity: Floats32, scene: Scene) -> xr.DataArray:
-    """The strip with the coordinates and metadata that `strip_profile` gives it."""
+    """Return the strip with the coordinates and metadata that `strip_profile` gives it."""
     experiment, rows, kept = scene.experiment, strip_slice(scene.experiment), len(intensity)
     strip = xr.DataArray(
         intensity,

@@ -1,12 +1,12 @@
-"""One experiment made ready to be drawn: ridges, light and surface at any frame, before the sensor.
+"""The scene of an experiment: ridges, light and surface in any frame, before the sensor.
 
-Tilt, bowed sheets and lens distortion are a map that is fixed in time: a point at x on the middle row is seen
-on row z at x + s(x, z), with s = tan(tilt) ζ + bow(x) (ζ / half height)² + distortion, where ζ is the row
-counted from the middle.
+Tilt, bowed sheets and lens distortion are a map that is constant in time: a point at x on the middle row
+appears on row z at x + s(x, z), with s = tan(tilt) ζ + bow(x) (ζ / half height)² + distortion, where ζ is the
+row counted from the middle.
 
-Light is in fractions of the sensor's saturation. A ridge is known by the integral of its shape from minus
-infinity, so the light in any cell of a line is a difference of two values and is exact: shapes are never
-sampled at points. Every shape has its centroid at zero.
+Light is in fractions of the sensor's saturation. The shape of a ridge is given by its integral from minus
+infinity. The light in a cell is therefore a difference of two values, and exact; shapes are never sampled at
+points. Every shape has its centroid at zero.
 """
 
 from __future__ import annotations
@@ -44,8 +44,7 @@ _FWHM_PER_SIGMA = float(np.sqrt(8 * np.log(2)))
 
 @dataclass(frozen=True, kw_only=True)
 class RidgeAppearance:
-    """What each sheet's ridge looks like: width, height (fraction of saturation, negative if dark),
-    shoulder side."""
+    """Appearance of each ridge: width, height (fraction of saturation, negative if dark), shoulder side."""
 
     shape: RidgeShape
     fwhm_px: Floats
@@ -55,13 +54,13 @@ class RidgeAppearance:
 
 
 def _ridge_appearance(experiment: Experiment) -> RidgeAppearance:
-    """Unequal neighbours: widths, heights and shoulder sides drawn sheet by sheet."""
+    """Draw the width, height and shoulder side of each ridge at random."""
     optics, count = experiment.optics, experiment.ridges_in_view
     rng = random_stream(experiment.seed, "looks")
     width = optics.fwhm_px * np.exp(optics.fwhm_spread * np.clip(rng.standard_normal(count), -2, 2))
     unequal = np.exp(optics.contrast_spread * np.clip(rng.standard_normal(count), -2, 2))
     shoulder = np.where(rng.uniform(size=count) < 0.5, -1.0, 1.0)
-    # Of Michelson contrast c over a gap of brightness b: bright 2 b c / (1 - c), dark -2 b c / (1 + c).
+    # Height for Michelson contrast c and gaps of brightness b: bright 2 b c / (1 - c), dark -2 b c / (1 + c).
     sign = 1 if optics.polarity == "bright" else -1
     height = sign * 2 * optics.level * optics.contrast / (1 - sign * optics.contrast) * unequal
     height[rng.permutation(count)[: optics.faint_sheets]] *= 0.2
@@ -71,9 +70,9 @@ def _ridge_appearance(experiment: Experiment) -> RidgeAppearance:
 
 
 def _light_up_to(u: Floats, ridges: RidgeAppearance) -> Floats:
-    """Light of each ridge between minus infinity and u px from its centre, in height x px.
+    """Return the light of each ridge from minus infinity to u px from its centre, in height x px.
 
-    u is (..., sheet, cell).
+    u: shape (..., sheet, cell).
     """
     fwhm, side = ridges.fwhm_px[:, None], ridges.shoulder_side[:, None]
     if ridges.shape == "flat":
@@ -82,14 +81,14 @@ def _light_up_to(u: Floats, ridges: RidgeAppearance) -> Floats:
     area = (fwhm / _FWHM_PER_SIGMA * np.sqrt(2 * np.pi)) * ridges.height[:, None]
     if ridges.shape == "gaussian":
         return np.asarray(area * scipy.special.ndtr(u / sigma))
-    share, apart = 0.22, 0.85 * fwhm * side  # of the light in the shoulder, and its distance
-    main = scipy.special.ndtr((u + share * apart) / sigma)
-    bump = scipy.special.ndtr((u - (1 - share) * apart) / (0.9 * sigma))
-    return np.asarray(area * ((1 - share) * main + share * bump))
+    share, distance = 0.22, 0.85 * fwhm * side  # fraction of the light in the shoulder, and its distance
+    main = scipy.special.ndtr((u + share * distance) / sigma)
+    shoulder = scipy.special.ndtr((u - (1 - share) * distance) / (0.9 * sigma))
+    return np.asarray(area * ((1 - share) * main + share * shoulder))
 
 
 def _soft_box(u: Floats, fwhm: Floats, psf_px: float) -> Floats:
-    """Integral of a box of the full width with softened edges: a difference of two integrals of ndtr."""
+    """Return the integral of a box of width `fwhm` with soft edges, a difference of two integrals of ndtr."""
     soft = np.hypot(fwhm / 10, psf_px)
 
     def double_integral(v: Floats) -> Floats:
@@ -102,7 +101,7 @@ def _soft_box(u: Floats, fwhm: Floats, psf_px: float) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """The line of cells on which ridges are drawn: 1/per_px wide, from start_px on."""
+    """Line of cells on which ridges are drawn; each is 1/per_px wide, the first starts at start_px."""
 
     start_px: float
     per_px: int
@@ -110,12 +109,12 @@ class Line:
 
 
 def _light_per_cell(positions_px: Floats, brightness: Floats, ridges: RidgeAppearance, line: Line) -> Floats:
-    """Light of all ridges in each cell of a line, (frame, cell), in height x px.
+    """Return the light of all ridges in each cell of a line, (frame, cell), in height x px.
 
-    brightness (frame, sheet) multiplies the heights. Ridges beyond the line are cut off at its ends.
+    brightness (frame, sheet): factor on the heights. Ridges are cut off at the ends of the line.
     """
     frames, cells = len(positions_px), line.cells
-    # Half the window in which a ridge is drawn: a Gaussian has 5e-10 of its light outside.
+    # Half the window in which a ridge is drawn; 5e-10 of the light of a Gaussian lies outside it.
     reach_px = float(2.6 * np.max(ridges.fwhm_px) + 6 * ridges.psf_px + 2)
     half = int(np.ceil(reach_px * line.per_px))
     first = np.floor((positions_px - line.start_px) * line.per_px).astype(np.int64) - half
@@ -135,7 +134,7 @@ def _light_per_cell(positions_px: Floats, brightness: Floats, ridges: RidgeAppea
 
 @dataclass(frozen=True, kw_only=True)
 class Geometry:
-    """The fixed map from sheet coordinates to pixels."""
+    """The constant map from sheet coordinates to pixels."""
 
     width: int
     height: int
@@ -147,7 +146,7 @@ class Geometry:
 
     @property
     def straight(self) -> bool:
-        """True where every row shows the same."""
+        """Whether all rows show the same positions."""
         return self.tilt == 0 and self.bow_px == 0 and self.distortion == 0
 
     @property
@@ -156,7 +155,7 @@ class Geometry:
         return np.arange(self.height, dtype=float) - (self.height - 1) / 2
 
     def shift_px(self, x_px: Floats, zeta_px: Floats, zeta2_px2: Floats | None = None) -> Floats:
-        """s(x, z) in px. Polynomial in ζ, so means of ζ and ζ² over rows give the mean shift."""
+        """Return s(x, z) in px, a polynomial in ζ: means of ζ and ζ² over rows give the mean shift."""
         z2 = zeta_px**2 if zeta2_px2 is None else zeta2_px2
         out = np.clip((x_px - self.axis_px) / self.half_comb_px, -1.5, 1.5)
         bowed = -self.bow_px * out * np.abs(out) * z2 / (self.height / 2) ** 2
@@ -166,15 +165,15 @@ class Geometry:
         return np.asarray(self.tilt * zeta_px + bowed + lens)
 
     def source_px(self, x_px: Floats, zeta_px: Floats) -> Floats:
-        """The inverse: which x is seen at pixel coordinate x_px of a row."""
+        """Return the inverse: the x that appears at pixel coordinate x_px of a row."""
         source = np.broadcast_to(x_px, np.broadcast_shapes(x_px.shape, zeta_px.shape)).astype(float)
-        for _ in range(12):  # contracts by the local stretch, a few per cent at most
+        for _ in range(12):  # each step reduces the error to a few per cent or less
             source = x_px - self.shift_px(source, zeta_px)
         return source
 
 
 def camera_geometry(experiment: Experiment, comb: RestingComb) -> Geometry:
-    """Geometry of an experiment; the bow is that of the outermost sheet over the frame's height."""
+    """Return the geometry of an experiment."""
     optics, camera = experiment.optics, experiment.camera
     return Geometry(
         width=camera.width,
@@ -187,13 +186,13 @@ def camera_geometry(experiment: Experiment, comb: RestingComb) -> Geometry:
     )
 
 
-# --- everything that one experiment fixes -------------------------------------------------------------------
+# --- the scene ----------------------------------------------------------------------------------------------
 
 _CELLS_PER_PX = 8
 
 
 def strip_slice(experiment: Experiment) -> slice:
-    """The default strip: the middle `strip_rows` rows, or every row of a lower frame."""
+    """Return the default strip: the middle `strip_rows` rows, or all rows of a smaller frame."""
     rows = min(experiment.camera.strip_rows, experiment.camera.height)
     first = (experiment.camera.height - rows) // 2
     return slice(first, first + rows)
@@ -203,7 +202,7 @@ def strip_slice(experiment: Experiment) -> slice:
 class Scene:
     """Everything derived from an experiment that images, strip profiles and truth share.
 
-    Safe to use from several threads once `response` and `texture` have been asked for once.
+    It can be used from several threads once `response` and `texture` have been computed.
     """
 
     experiment: Experiment
@@ -217,7 +216,7 @@ class Scene:
     # Positions
 
     def sway_px(self, frames: slice) -> Floats:
-        """Common shift of the picture in each frame: slow drift and vibration, averaged over the exposure."""
+        """Return the shift of the picture in each frame: drift and vibration averaged over the exposure."""
         optics, camera = self.experiment.optics, self.experiment.camera
         t = self.times.machine_s[frames]
         rng = random_stream(self.experiment.seed, "sway")
@@ -228,8 +227,7 @@ class Scene:
         return np.asarray(drift + optics.vibration_px * waves @ np.sqrt(2 * weight))
 
     def positions_px(self, frames: slice, *, parts: int = 1) -> Floats:
-        """Where the sheets are (part, frame, sheet) averaged over each of `parts` equal parts of the
-        exposure."""
+        """Return mean positions in each of `parts` equal parts of the exposure, (part, frame, sheet)."""
         exposure = self.experiment.camera.exposure_s * (1 + self.experiment.clocks.drift_ppm * 1e-6)
         t = self.times.machine_s[frames]
         edges = np.linspace(-exposure / 2, exposure / 2, parts + 1) if exposure else np.array([-5e-7, 5e-7])
@@ -238,9 +236,9 @@ class Scene:
         return shift + np.array(moved)
 
     def seen_px(self, frames: slice) -> Floats:
-        """True x (frame, sheet) in camera pixels, averaged over the exposure and the default strip's rows.
+        """Return the true x in camera pixels, averaged over exposure and rows of the strip, (frame, sheet).
 
-        Rows count with their light.
+        Rows are weighted with their light.
         """
         rows, x_px = strip_slice(self.experiment), self.positions_px(frames)[0]
         zeta, weight = self.geometry.zeta_px[rows], self.row_light[rows]
@@ -251,12 +249,12 @@ class Scene:
 
     @property
     def row_light(self) -> Floats:
-        """Relative light of every row: half the gradient that runs along x."""
+        """Relative light of every row; its gradient is half that along x."""
         camera, gradient = self.experiment.camera, self.experiment.optics.gradient
         return 1 + gradient / 2 * self.geometry.zeta_px / camera.height
 
     def flicker(self, frames: slice) -> Floats:
-        """Brightness factor of each frame: the lamp averaged over the exposure."""
+        """Return the brightness factor of each frame: the flicker averaged over the exposure."""
         optics, camera = self.experiment.optics, self.experiment.camera
         t = self.times.machine_s[frames]
         wave = np.sin(2 * np.pi * optics.flicker_Hz * t) * np.sinc(optics.flicker_Hz * camera.exposure_s)
@@ -264,23 +262,22 @@ class Scene:
 
     @cached_property
     def line(self) -> Line:
-        """Wider than the frame by what tilt and bow can bring in."""
+        """Line of cells, wider than the frame by the largest shift due to tilt, bow and distortion."""
         if self.geometry.straight:
             return Line(start_px=-0.5, per_px=1, cells=self.geometry.width)
         g = self.geometry
-        most = abs(g.tilt) * g.height / 2 + 2.25 * abs(g.bow_px) + abs(g.distortion) * g.width
-        margin = int(np.ceil(most)) + 3
+        largest_shift = abs(g.tilt) * g.height / 2 + 2.25 * abs(g.bow_px) + abs(g.distortion) * g.width
+        margin = int(np.ceil(largest_shift)) + 3
         cells = (g.width + 2 * margin) * _CELLS_PER_PX
         return Line(start_px=-0.5 - margin, per_px=_CELLS_PER_PX, cells=cells)
 
     @cached_property
     def base(self) -> Floats:
-        """Light in each cell without ridges: the gaps' level, and the surroundings beyond the sample's
-        edges."""
+        """Light in each cell without ridges: the level of the gaps, and of the surroundings."""
         optics, comb, line = self.experiment.optics, self.comb, self.line
         margin = 1.5 * self.experiment.sheets.pitch_px
         left, right = comb.rest_px.min() - margin, comb.rest_px.max() + margin
-        if self.experiment.sheets.side != "both":  # the other half goes on beyond the axis
+        if self.experiment.sheets.side != "both":  # the sample continues beyond the axis
             left, right = (-1e6, right) if self.experiment.sheets.side == "right" else (left, 1e6)
         x = line.start_px + (np.arange(line.cells) + 0.5) / line.per_px
         soft_px = 4.0
@@ -288,14 +285,14 @@ class Scene:
         return np.asarray(optics.level * (optics.surround + (1 - optics.surround) * sample) / line.per_px)
 
     def ridge_light(self, frames: slice, brightness: Floats | None = None) -> Floats:
-        """Light of the ridges in each cell, (frame, cell), blurred by what moves while the shutter is open.
+        """Return the light of the ridges in each cell, (frame, cell), with motion blur.
 
         brightness: factor (frame, sheet) on each ridge's height.
         """
         halves = self.positions_px(frames, parts=2)
         factor = np.ones(halves.shape[1:]) if brightness is None else brightness
         light = _light_per_cell(halves.mean(axis=0), factor, self.ridges, self.line)
-        # 0.3 px within an exposure change a ridge's width by less than 0.1 %: drawn sharp.
+        # Motion of 0.3 px within an exposure changes a ridge's width by less than 0.1 % and is not drawn.
         moving = np.flatnonzero(np.abs(np.diff(halves, axis=0)[0]).max(axis=1) > 0.15)
         if moving.size:
             parts = self.positions_px(frames, parts=24)[:, moving]
@@ -316,14 +313,14 @@ class Scene:
         return np.asarray(e.optics.texture * np.clip(smooth, -3, 3))
 
     def _travel_px(self, frames: slice) -> Floats:
-        """How far the pulled block has moved along z since the first frame."""
+        """Return how far the pulled block has moved along z since the first frame."""
         d = self.pull.separation_mm(self.times.machine_s)
         return np.asarray((d - d[0])[frames] * 1000 / self.experiment.camera.pixel_size_um)
 
     def texture(self, frames: slice) -> Floats:
-        """Relative brightness (frame, row, sheet) of each ridge along z, mean zero.
+        """Return the relative brightness of each ridge along z, (frame, row, sheet), with mean zero.
 
-        Every second sheet belongs to the block that the machine pulls along z; its texture moves with it.
+        Every second sheet belongs to the block that the machine pulls along z, so its texture moves.
         """
         rows = np.arange(self.experiment.camera.height)
         travel = self._travel_px(frames)
@@ -337,7 +334,7 @@ class Scene:
 
     @cached_property
     def response(self) -> Floats32:
-        """Light gradient, dust and pixel response, (row, column), 1 on average."""
+        """Product of light gradient, dust and pixel response, (row, column), 1 on average."""
         e = self.experiment
         x = np.arange(e.camera.width, dtype=float) - (e.camera.width - 1) / 2
         light = self.row_light[:, None] * (1 + e.optics.gradient * x / e.camera.width)
@@ -346,7 +343,7 @@ class Scene:
 
 
 def _dust(e: Experiment) -> Floats:
-    """Transmission of the dust on the lens: round dark spots that stay where they are."""
+    """Return the transmission of dust on the lens: round, dark, stationary spots."""
     rng = random_stream(e.seed, "dust")
     x, z = rng.uniform(0, e.camera.width, e.optics.dust), rng.uniform(0, e.camera.height, e.optics.dust)
     size = rng.uniform(1.5, 5, e.optics.dust)
@@ -356,7 +353,7 @@ def _dust(e: Experiment) -> Floats:
 
 
 def make_scene(experiment: Experiment) -> Scene:
-    """Work out the pull, the sheets' motion, their appearance and the frame times of an experiment."""
+    """Compute the pull, the sheets' motion, their appearance and the frame times of an experiment."""
     comb = comb_at_rest(experiment)
     pull: Pull
     motion: SheetMotion
@@ -383,19 +380,19 @@ _MEANING = {
         "px",
         "true position: mean over the exposure and over the default strip's rows, centroid of the ridge",
     ),
-    "visible": ("1", "1 where the ridge lies wholly inside the frame"),
+    "visible": ("1", "1 where the ridge lies completely inside the frame"),
     "time_s": ("s", "camera clock at mid-exposure"),
-    "stamp_s": ("s", "time stamp the camera wrote; stale stamps repeat the one before"),
+    "stamp_s": ("s", "time stamp written by the camera; stale stamps repeat the previous one"),
     "time_force_s": ("s", "force clock at mid-exposure"),
-    "exposed": ("1", "number of the frame as exposed, lost frames counted"),
+    "exposed": ("1", "number of the frame, counting lost frames"),
     "d_mm": ("mm", "separation at mid-exposure"),
-    "t_v_video_s": ("s", "start of the stick on the camera clock"),
-    "t_p_video_s": ("s", "end of the stick on the camera clock"),
+    "t_v_video_s": ("s", "start of the stick phase on the camera clock"),
+    "t_p_video_s": ("s", "end of the stick phase on the camera clock"),
     "slip_s": ("s", "start of every slip on the force clock; slip 0 ends the initial loading"),
     "slip_video_s": ("s", "start of every slip on the camera clock"),
-    "slip_delay_s": ("s", "how much later than the slip each sheet jumps"),
-    "sigma_x_um": ("um", "RMS displacement over the stick"),
-    "sweep_um": ("um", "inward motion over the stick"),
+    "slip_delay_s": ("s", "delay of each sheet's jump after the slip"),
+    "sigma_x_um": ("um", "RMS displacement over the stick phase"),
+    "sweep_um": ("um", "inward motion over the stick phase"),
     "ratio": ("1", "sigma_x over the stick length"),
     "shell": ("1", "1 where the ratio is below the stiff threshold"),
     "fwhm_px": ("px", "full width of each ridge at half height"),
@@ -404,7 +401,7 @@ _MEANING = {
 
 
 def truth_of(scene: Scene) -> xr.Dataset:
-    """Everything known about a synthetic test.
+    """Return the truth of a synthetic test, the content of truth.nc.
 
     Parameters
     ----------
@@ -443,7 +440,7 @@ def truth_of(scene: Scene) -> xr.Dataset:
 
 
 def _frames(scene: Scene) -> dict[str, Any]:
-    """Positions and times of every frame."""
+    """Return positions and times of every frame."""
     times = scene.times
     x = scene.seen_px(slice(None))
     reach = scene.ridges.fwhm_px
@@ -460,7 +457,7 @@ def _frames(scene: Scene) -> dict[str, Any]:
 
 
 def _events(scene: Scene) -> dict[str, Any]:
-    """Events and slips on both clocks, and the deformation of every sheet."""
+    """Return events and slips on both clocks, and the deformation of every sheet."""
     pull, e = scene.pull, scene.experiment
     events = pull.events()
     keep = np.flatnonzero(pull.complete)[1:]

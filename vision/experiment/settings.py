@@ -1,7 +1,7 @@
-"""Everything that defines a synthetic traction test, in small groups of numbers.
+"""Settings of a synthetic traction test, in groups.
 
-The type of a setting states its range. Ranges are checked when an `Experiment` is made, then what must fit
-together; a value that cannot be used raises InputError with the name of the setting.
+The type of a setting states its range. When an `Experiment` is created, first the ranges are checked, then
+whether the settings are consistent; an invalid value raises InputError with the name of the setting.
 """
 
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
@@ -37,13 +37,14 @@ class Mechanics:
     """Friction, stiffness, the pull, and how regular the stick-slip events are."""
 
     model: Literal["equations", "sheets"] = "equations"
-    """Events drawn from the publication's equations, or 2M springs whose thresholds decide which stick
-    (`sheet_model`): then `mu` is that of every face, `amplitude` 2(μ_s − μ_d), `modulus_GPa` that of a sheet,
-    and what describes events (from `n_hat_N` and `t0_N` to `buildup_mm`) is not used."""
+    """Origin of the events: drawn from the publication's equations, or the result of 2M springs whose
+    thresholds decide which sheets stick (`sheet_model`). With "sheets", `mu` applies to every face,
+    `amplitude` is 2(μ_s − μ_d), `modulus_GPa` is that of a sheet, and settings that describe events
+    (`n_hat_N`, `t0_N`, and `peak_scatter` to `buildup_mm`) are not used."""
     threshold_scatter: Fraction = 0.02
     """Relative spread of the sheets' thresholds (model sheets)."""
     speed_mm_min: Positive = 1.0
-    """V, of the crosshead."""
+    """Speed V of the crosshead."""
     d0_mm: Positive = 13.0
     """Separation at which the pull starts."""
     d_end_mm: Positive = 18.0
@@ -61,57 +62,57 @@ class Mechanics:
     peak_scatter: Fraction = 0.015
     """Relative standard deviation of the peak forces."""
     period_jitter: Fraction = 0.07
-    """Relative standard deviation of the force drops, and with them of the stick lengths."""
+    """Relative standard deviation of the force drops and hence of the stick lengths."""
     softening: Fraction = 0.07
-    """Relative fall of the slope from the start to the end of a stick."""
+    """Relative decrease of the slope from the start to the end of a stick phase."""
     early_stiffness_ratio: Positive = 1.0
-    """Above 1 the first `early_fraction` of each stick is steeper by this factor, as above 1 mm/min in the
+    """Factor by which the first `early_fraction` of each stick phase is steeper, as above 1 mm/min in the
     publication; K is then the later slope."""
     early_fraction: Fraction = 0.3
-    """Share of the stick that is steeper."""
+    """Fraction of the stick phase that is steeper."""
     buildup_mm: NonNegative = 0.0
-    """Distance over which the peaks grow to those of Eq. 1 at the beginning; 0: at once."""
+    """Distance over which the peaks initially grow to those of Eq. 1; 0: no build-up."""
     slip_s: Positive = 0.001
     """Duration of a slip."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sheets:
-    """Where the ridges are and how far they move."""
+    """Positions and motion of the ridges."""
 
     count: PositiveInt | None = None
-    """Ridges in view; None: all of the sides in view."""
+    """Number of ridges in view; None: all ridges of the sides in view."""
     per_side: PositiveInt | None = None
-    """Ridges on one side of the axis (2 M where the sheets of both blocks show); None: the sample's M. The
-    displacement depends on rank / per_side."""
+    """Number of ridges on one side of the axis (2 M if the sheets of both blocks are visible); None: the
+    sample's M. The displacement depends on rank / per_side."""
     side: Literal["both", "left", "right"] = "both"
     """Side of the axis that is in view."""
     pitch_px: Positive = 20.0
     """Mean distance between ridges."""
     pitch_jitter: Fraction = 0.06
-    """Largest departure of a ridge from its even place, in pitches."""
+    """Largest deviation of a ridge from a regular comb, in pitches."""
     outer_ratio: NonNegative = 0.5
     """σ_x/Λ_st of the outermost sheet."""
     stiff_ratio: NonNegative = 0.1
     """σ_x/Λ_st at M_eff; below it a sheet is stiff."""
     sweep_scatter: Fraction = 0.0
-    """Relative scatter of a sheet's sweep from stick to stick."""
+    """Relative scatter of a sheet's sweep from one stick phase to the next."""
     spread_per_mm: float = 0.004
-    """Relative widening of the comb for each mm of separation."""
+    """Relative widening of the comb per mm of separation."""
     bow_px: float = 1.0
-    """How far the outermost ridge is bowed over half the frame's height."""
+    """Deflection of the bowed outermost ridge over half the frame's height."""
     slip_delay_s: NonNegative = 0.0
-    """Largest delay of a single sheet's slip."""
+    """Largest delay of the slip of a single sheet."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Optics:
-    """What the sheets look like: ridges, paper, light, lens, and how steadily the camera is held."""
+    """Appearance of the sheets: ridges, paper, light, lens, and movement of the camera."""
 
     shape: RidgeShape = "gaussian"
     """Profile of a ridge."""
     polarity: Literal["bright", "dark"] = "bright"
-    """Of the ridges against the gaps."""
+    """Brightness of the ridges relative to the gaps."""
     fwhm_px: Positive = 8.0
     """Mean full width of the ridges at half maximum."""
     fwhm_spread: Fraction = 0.05
@@ -121,21 +122,21 @@ class Optics:
     contrast_spread: Fraction = 0.2
     """Relative spread of the heights."""
     faint_sheets: NonNegativeInt = 0
-    """Sheets whose ridges have a fifth of their height."""
+    """Number of ridges with a fifth of their height."""
     level: Fraction = 0.4
     """Brightness between the ridges as a fraction of saturation."""
     surround: NonNegative = 0.5
-    """Brightness beyond the sample, over that between the ridges."""
+    """Brightness beyond the sample relative to that between the ridges."""
     psf_px: NonNegative = 0.0
     """Standard deviation of the lens' blur."""
     gradient: NonNegative = 0.2
     """Relative change of the light across the frame."""
     flicker: Fraction = 0.015
-    """Relative amplitude of the lamp's flicker."""
+    """Relative amplitude of the flicker of the light."""
     flicker_Hz: Positive = 100.0
-    """Its frequency."""
+    """Frequency of the flicker."""
     tilt_deg: float = 0.2
-    """Lean of the ridges against the vertical."""
+    """Tilt of the ridges against the vertical."""
     distortion: float = 0.0
     """Relative radial magnification error at the frame's far corner."""
     drift_px: float = 0.5
@@ -145,9 +146,9 @@ class Optics:
     texture: Fraction = 0.08
     """RMS relative brightness of the paper's texture."""
     texture_px: Positive = 6.0
-    """Size (FWHM) of its grains."""
+    """Size (FWHM) of the texture's grains."""
     dust: NonNegativeInt = 0
-    """Dark spots on the lens."""
+    """Number of dark spots on the lens."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,32 +160,32 @@ class Camera:
     height: PositiveInt = 100
     """Rows."""
     strip_rows: PositiveInt = 84
-    """Rows of the strip for which the truth holds, in the middle of the frame."""
+    """Rows of the strip for which the truth is computed, in the middle of the frame."""
     pixel_size_um: Positive = 10.0
-    """Of a pixel in the plane of the sheets."""
+    """Size of a pixel in the plane of the sheets."""
     fps: Positive = 60.0
     """Frames per second."""
     duration_s: Positive = 20.0
     """Length of the video."""
     exposure_s: NonNegative = 0.004
-    """Time for which the shutter is open."""
+    """Exposure time of a frame."""
     bits: PositiveInt = 8
-    """Per pixel, 8 to 16."""
+    """Bits per pixel, 8 to 16."""
     full_well_e: Positive = 10500.0
     """Electrons at saturation."""
     read_noise_e: NonNegative = 2.5
     """RMS read-out noise, electrons."""
     prnu: Fraction = 0.007
-    """Relative spread of the pixels' sensitivity (photo-response non-uniformity)."""
+    """Relative spread of the sensitivity of pixels (photo-response non-uniformity)."""
     black_level: NonNegative = 0.0
     """Grey level without light."""
     noise: bool = True
-    """Whether there is photon and read-out noise."""
+    """Whether photon and read-out noise are added."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Clocks:
-    """The camera's clock against the machine's: t_force = offset_s + (1 + drift_ppm / 1e6) t_video.
+    """Clocks of camera and machine: t_force = offset_s + (1 + drift_ppm / 1e6) t_video.
 
     The time of a frame is the middle of its exposure.
     """
@@ -192,11 +193,11 @@ class Clocks:
     offset_s: float = 36.0
     """Force clock at video time 0."""
     drift_ppm: float = 50.0
-    """How much faster the force clock runs."""
+    """Relative excess of the rate of the force clock."""
     dropped: Fraction = 0.0
     """Fraction of the frames that are lost."""
     stale: Fraction = 0.0
-    """Fraction of the time stamps that repeat the one before."""
+    """Fraction of the time stamps that repeat the previous one."""
     force_rate_Hz: Positive = 200.0
     """Samples per second of the force recording."""
 
@@ -212,39 +213,39 @@ class LoadCell:
     drift_N: float = 0.2
     """Drift of the zero over the whole pull."""
     quantum_N: NonNegative = 0.01
-    """Step in which the load is written."""
+    """Resolution of the recorded load."""
     displacement_quantum_mm: NonNegative = 5e-5
-    """Step in which the displacement is written."""
+    """Resolution of the recorded displacement."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ForceFile:
-    """How force.txt is written."""
+    """Format of force.txt."""
 
     layout: Literal["mts", "instron", "zwick", "csv"] = "mts"
-    """Whose testing machine."""
+    """Layout, named after the testing machine."""
     decimal: Literal[".", ","] = "."
     """Decimal mark."""
     encoding: Literal["utf-8-sig", "utf-8", "latin-1"] = "utf-8-sig"
-    """Of the text."""
+    """Encoding of the text."""
     unit: Literal["N", "kN"] = "N"
-    """Of the force."""
+    """Unit of the force."""
     video_time: bool = False
-    """Whether the camera's clock is a column of its own (mts only)."""
+    """Whether the camera's clock is an additional column (mts only)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """A whole synthetic test. The same experiment, seed included, gives the same data.
+    """All settings of a synthetic test. The same settings, including the seed, give the same data.
 
     Raises
     ------
     InputError
-        Names the first setting that cannot be used, with what was expected.
+        For an invalid setting; the message names it and what was expected.
     """
 
     seed: NonNegativeInt = 0
-    """Of all random numbers."""
+    """Seed of all random numbers."""
     sample: Sample = PUBLISHED
     """M, the dimensions of the sheets, and T*."""
     mechanics: Mechanics = field(default_factory=Mechanics)
@@ -269,30 +270,30 @@ class Experiment:
 
     @property
     def ridges_per_side(self) -> int:
-        """`sheets.per_side`, or the sample's M where it is None."""
+        """Number of ridges on one side: `sheets.per_side` or, if that is None, the sample's M."""
         return self.sheets.per_side or self.sample.sheets_per_block
 
     @property
     def ridges_in_view(self) -> int:
-        """`sheets.count`, or every ridge of the sides in view where it is None."""
+        """Number of ridges in view: `sheets.count` or, if that is None, all of the sides in view."""
         return self.sheets.count or self.ridges_per_side * (2 if self.sheets.side == "both" else 1)
 
 
 def with_settings(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
-    """The experiment with settings changed by name.
+    """Return a copy of the experiment with some settings changed.
 
     Parameters
     ----------
     experiment
-        Not changed.
+        The experiment, which is not modified.
     changes
-        Such as ``{"camera.fps": 25, "seed": 3}``. Texts are converted to the setting's own type.
+        New values by name, such as ``{"camera.fps": 25, "seed": 3}``. Strings are converted to the type of
+        the setting.
 
     Raises
     ------
     InputError
-        For an unknown name, a value that does not convert, and whatever the changed experiment itself
-        refuses.
+        For an unknown name or an invalid value.
     """
     groups: dict[str, dict[str, Any]] = {}
     top: dict[str, Any] = {}
@@ -308,7 +309,7 @@ def with_settings(experiment: Experiment, changes: Mapping[str, Any]) -> Experim
 
 
 def settings_from_toml(path: Path) -> dict[str, Any]:
-    """Settings by name, as `with_settings` takes them, from a TOML file.
+    """Read settings by name, as `with_settings` takes them, from a TOML file.
 
     Parameters
     ----------
@@ -318,7 +319,7 @@ def settings_from_toml(path: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        Where the file cannot be read or is not TOML.
+        If the file cannot be read or is not TOML.
     """
     try:
         content = tomllib.loads(path.read_text("utf-8"))
@@ -333,7 +334,7 @@ def settings_from_toml(path: Path) -> dict[str, Any]:
 
 
 def _known(name: str, experiment: Experiment) -> tuple[str, str]:
-    """Group and setting of a name such as "camera.fps"."""
+    """Split a name such as "camera.fps" into group and setting."""
     group, _, key = name.partition(".")
     groups = sorted(part.name for part in fields(experiment) if part.name != "seed")
     if group not in groups:
@@ -346,7 +347,7 @@ def _known(name: str, experiment: Experiment) -> tuple[str, str]:
 
 
 def _converted(value: Any, declared: Any, name: str) -> Any:
-    """The value in the type of the setting it replaces."""
+    """Convert a value to the declared type of a setting."""
     kind = _plain_type(declared)
     try:
         if kind is bool:
@@ -360,12 +361,12 @@ def _converted(value: Any, declared: Any, name: str) -> Any:
 
 
 def _types(group: type) -> dict[str, Any]:
-    """Declared type of every setting of a group."""
+    """Return the declared type of every setting of a group."""
     return get_type_hints(group, include_extras=True)
 
 
 def _plain_type(declared: Any) -> type:
-    """float, int, bool or str."""
+    """Return float, int, bool or str."""
     if get_origin(declared) is Literal:
         return str
     declared = _without_none(declared)
@@ -374,12 +375,12 @@ def _plain_type(declared: Any) -> type:
 
 
 def _without_none(declared: Any) -> Any:
-    """The type of a setting that may also be None."""
+    """Return the declared type without None."""
     return get_args(declared)[0] if NoneType in get_args(declared) else declared
 
 
 def _check_value(name: str, value: Any, declared: Any) -> None:
-    """That a value is one of the choices, or a number within the range, of its declared type."""
+    """Check that a value is one of the choices, or a number in the range, of its declared type."""
     if get_origin(declared) is Literal:
         choices = get_args(declared)
         wanted = [(value in choices, ", ".join(choices))]
@@ -396,7 +397,7 @@ def _check_value(name: str, value: Any, declared: Any) -> None:
 def _require(
     e: Experiment, setting: str, fine: bool, expected: str, found: str = "", advice: str = ""
 ) -> None:
-    """InputError about a setting unless it is fine; what is found is its value if not given."""
+    """Raise InputError about a setting unless it is fine; `found` is by default its value."""
     if not fine:
         group, _, key = setting.partition(".")
         value = getattr(getattr(e, group), key)
@@ -404,7 +405,7 @@ def _require(
 
 
 def _check_pull(e: Experiment) -> None:
-    """The pull ends before the blocks are apart, and the video sees some of it."""
+    """Check that the pull ends before the blocks separate, and that the video shows some of it."""
     m, offset, video_s, length = e.mechanics, e.clocks.offset_s, e.camera.duration_s, e.sample.length_mm
     end = "mechanics.d_end_mm"
     _require(e, end, m.d0_mm < m.d_end_mm, f"more than d0 = {m.d0_mm:g} mm")
@@ -418,7 +419,7 @@ def _check_pull(e: Experiment) -> None:
 
 
 def _check_view(e: Experiment) -> None:
-    """The sheets in view exist and fit in the frame."""
+    """Check that the sheets in view exist and fit into the frame."""
     sheets, width, count = e.sheets, e.camera.width, e.ridges_in_view
     comb_px = count * sheets.pitch_px
     found = f"{count} sheets {sheets.pitch_px:g} px apart = {comb_px:g} px"
@@ -430,7 +431,7 @@ def _check_view(e: Experiment) -> None:
 
 
 def _check_camera(e: Experiment) -> None:
-    """The sensor can take these frames."""
+    """Check that the sensor can take these frames."""
     camera, longest = e.camera, 1 / e.camera.fps
     _require(e, "camera.bits", 8 <= camera.bits <= 16, "8 to 16")
     _require(e, "camera.exposure_s", camera.exposure_s <= longest, f"at most 1/fps = {longest:.4g} s")
@@ -442,19 +443,19 @@ def _check_camera(e: Experiment) -> None:
 
 
 def preset(name: str, *, seed: int = 0) -> Experiment:
-    """One of the ready-made experiments.
+    """Return one of the ready-made experiments.
 
     Parameters
     ----------
     name
         - ``"paper"``: 1 mm/min with the publication's numbers, d near 13.7 mm.
         - ``"late"``: d near 17 mm, sweeps under a pixel.
-        - ``"fast"``: 10 mm/min, two slopes in every stick.
+        - ``"fast"``: 10 mm/min, two slopes in every stick phase.
         - ``"fresh"``: a new sample with 600 N peaks, jumps over half a pitch.
-        - ``"hostile"``: everything at its worst at once.
-        - ``"sheets"``: 2M springs decide by themselves which sheets stick, with the publication's numbers.
+        - ``"hostile"``: every disturbance at once.
+        - ``"sheets"``: 2M springs determine which sheets stick, with the publication's numbers.
     seed
-        Of all random numbers.
+        Seed of all random numbers.
 
     Raises
     ------

@@ -1,23 +1,23 @@
-r"""The pull resolved by sheets: 2M springs that stick and slip by themselves.
+r"""Sheet-resolved pull: 2M springs that stick and slip individually.
 
-Each of the 2M sheets is a spring of stiffness k = εWY/L between its clamp and two faces that rub. It sticks
-while its load T is below the threshold of both faces, and slips, as a spring and block do, about the level of
-dynamic friction:
+Each of the 2M sheets is a spring of stiffness k = εWY/L between its clamp and two faces with friction. It
+sticks while its load T is below the threshold T_s of both faces. In a slip its load is reflected at the level
+T_d of dynamic friction, as for a spring and block:
 
 .. math:: T_s = 2\mu N + T^*, \qquad T_d = (2\mu - A) N + T^*, \qquad T \to 2T_d - T
 
-with A = 2(μ_s − μ_d). The normal force N(n, d) is Eq. 2 and is computed again as d grows. With every sheet at
-its threshold the loads are T* exp(α(1 − (n/M)²)), and their sum over the 2M sheets is Eq. 1, of which the
-integral over n is the continuum limit.
+with A = 2(μ_s − μ_d). The normal force N(n, d) follows Eq. 2 and is updated as d grows. If every sheet is at
+its threshold, the loads are T* exp(α(1 − (n/M)²)). Their sum over the 2M sheets becomes Eq. 1 in the
+continuum limit, in which it is an integral over n.
 
-Sheets that slip one by one are rarely at their thresholds at once: the force stays about 1 − A/2μ of Eq. 1,
-and where N follows the loads (which e^α amplifies) about that of Eq. 1 at μ − A/2. The publication sees all
-sheets slip at once and Eq. 1 at the peaks. That comes out where a sheet at its threshold creeps, held by
-those that still stick, and the assembly slips when none does (``slips="together"``).
+Sheets that slip individually are rarely at their thresholds at the same time: the force stays near 1 − A/2μ
+of Eq. 1 or, if N follows the loads (which e^α amplifies), near Eq. 1 with μ − A/2. In the publication, all
+sheets slip at once and the peaks follow Eq. 1. The model gives this result if a sheet at its threshold
+creeps, held by those that still stick, and the assembly slips when none sticks (``slips="together"``).
 
-Nothing in here knows M_eff, Λ_st or σ_x/Λ_st. Source: Plati, Restagno & Poulard, Eqs. 1 and 2 and section
-"Stick- slip in a simple spring-block model"; the normal force of actual loads: their outlook, "the normal
-load increases during the stick phase".
+M_eff, Λ_st and σ_x/Λ_st do not enter. Source: Plati, Restagno & Poulard, Eqs. 1 and 2 and section "Stick-slip
+in a simple spring-block model"; for the normal force from loads their outlook, "the normal load increases
+during the stick phase".
 """
 
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
@@ -45,7 +45,7 @@ _CHOICES = {
 
 @dataclass(frozen=True, kw_only=True)
 class SheetPull:
-    """What a sheet-resolved pull is made of; the defaults are the publication's numbers.
+    """Parameters of a sheet-resolved pull; the defaults are the publication's numbers.
 
     Parameters
     ----------
@@ -54,28 +54,28 @@ class SheetPull:
     mu, amplitude
         μ (static) and A = 2(μ_s − μ_d).
     modulus_GPa
-        Y of one sheet: k = εWY/L.
+        Young's modulus Y of one sheet: k = εWY/L.
     speed_mm_min, d0_mm, d_end_mm
-        The pull.
+        Speed, initial and final separation.
     normal_force
-        "equation": Eq. 2 at d, whatever the loads are; the sheets do not know of each other. "loads": N comes
-        from the loads of the sheets outside, with weights such that it is Eq. 2 where all are at their
-        threshold; a sheet that slips lowers the normal force on all inside of it.
+        "equation": N follows Eq. 2, so the sheets do not affect each other. "loads": N follows from the loads
+        of the sheets further out, with weights that give Eq. 2 if all are at their thresholds; a sheet that
+        slips lowers the normal force on all sheets inside it.
     positions
-        Where sheet n sits: "edges" at n, "middles" at n − ½ (whose sum is the continuum limit to 5e-6).
+        Position of sheet n: "edges" at n, "middles" at n − ½ (whose sum is the continuum limit to 5e-6).
     slips
         "alone": each sheet slips at its threshold. "together": it creeps there until no sheet sticks, then
-        all slip (with Eq. 2 alone).
+        all slip (only with ``normal_force="equation"``).
     machine_N_per_mm
-        Of the machine, which springs back when sheets slip and loads the others; infinite by default.
+        Stiffness of the machine, which springs back when sheets slip and loads the others; default infinite.
     relaxed
-        Start without loads; else with every sheet where a slip from its threshold would leave it.
+        Whether the pull starts without loads; else each sheet starts as after a slip from its threshold.
     threshold_factor
-        Of each sheet, left to right, for sheets that differ: shape (2M,); None for equal ones.
+        Factor on the threshold of each sheet from left to right, shape (2M,); None for equal sheets.
     shortest_stick_um
-        Sheets whose stick would be shorter slide at T_d instead, without events. Smaller is slower.
+        Sheets with shorter stick phases slide at T_d instead, without events. A smaller value is slower.
     longest_step_um
-        Between two computations of N.
+        Largest step of d between updates of N.
     """
 
     sample: Sample = PUBLISHED
@@ -115,7 +115,7 @@ class SheetPull:
 
     @property
     def stiffness_N_per_mm(self) -> float:
-        """k of one sheet."""
+        """Stiffness k of one sheet."""
         return float(sheet_stiffness(modulus_GPa=self.modulus_GPa, sample=self.sample))
 
     @property
@@ -126,7 +126,7 @@ class SheetPull:
 
 
 def equation_normal_N(pull: SheetPull, d_mm: float) -> Floats:
-    """Eq. 2 for the sheets of one side, (M,): (T*/2μ) (exp(α(1 − (n/M)²)) − 1)."""
+    """Return N of Eq. 2 for the sheets of one side, (M,): (T*/2μ) (exp(α(1 − (n/M)²)) − 1)."""
     count = int(pull.sample.sheets_per_block)
     alpha = 2 * pull.sample.thickness_mm * pull.mu * count**2 / d_mm
     excess = np.expm1(alpha * (1 - (pull.n / count) ** 2))
@@ -134,23 +134,24 @@ def equation_normal_N(pull: SheetPull, d_mm: float) -> Floats:
 
 
 def threshold_loads_N(pull: SheetPull, d_mm: float) -> Floats:
-    """Loads of the sheets of one side, (M,), all at their threshold under Eq. 2.
+    """Return the loads of the sheets of one side, (M,), if all are at their thresholds under Eq. 2.
 
-    Twice their sum is the traction: 0.934 of Eq. 1 at d = 13 mm and 0.944 at 18 mm, at n − ½ equal to 5e-6.
+    Twice their sum is the traction: 0.934 of Eq. 1 at d = 13 mm and 0.944 at 18 mm. With positions n − ½ it
+    equals Eq. 1 to 5e-6.
     """
     return _threshold(pull, equation_normal_N(pull, d_mm))
 
 
 def _threshold(pull: SheetPull, normal: Floats) -> Floats:
-    """T_s for normal forces of any shape."""
+    """Return T_s for normal forces of any shape."""
     return np.asarray(2 * pull.mu * normal + pull.sample.t_star_N)
 
 
 def _transfer(pull: SheetPull, d_mm: float) -> Floats:
-    """c(n), (M,): N(n) = N(n + 1) + c(n) (T(n) + T(n + 1)), beyond the outermost sheet N = T = 0.
+    """Return c(n), (M,), in N(n) = N(n + 1) + c(n) (T(n) + T(n + 1)); N = T = 0 beyond the outermost sheet.
 
-    From one sheet to the next inside N grows by the mean of their loads times the slope 2εn/d of the sheets
-    there; c is such that loads at their threshold under Coulomb friction give Eq. 2.
+    From one sheet to the next one inside, N grows by the mean of their loads times the slope 2εn/d of the
+    sheets there. c is chosen such that loads at their thresholds give Eq. 2.
     """
     normal = equation_normal_N(pull, d_mm)
     load = _threshold(pull, normal)
@@ -158,7 +159,7 @@ def _transfer(pull: SheetPull, d_mm: float) -> Floats:
 
 
 def normal_of_loads_N(pull: SheetPull, load_N: ArrayLike, d_mm: float) -> Floats:
-    """Normal forces from the loads of the sheets outside, both (…, M) from the centre outwards."""
+    """Return normal forces from the loads of the sheets, both (…, M) from the centre outwards."""
     load = np.asarray(load_N, float)
     pairs = load.copy()
     pairs[..., :-1] += load[..., 1:]
@@ -166,36 +167,36 @@ def normal_of_loads_N(pull: SheetPull, load_N: ArrayLike, d_mm: float) -> Floats
 
 
 def pull_sheets(pull: SheetPull) -> xr.Dataset:
-    """The whole pull, event by event.
+    """Simulate the whole pull, event by event.
 
     Parameters
     ----------
     pull
-        `SheetPull`.
+        Parameters of the pull.
 
     Returns
     -------
     xarray.Dataset
-        Over ``step``, in order, where a slip takes two steps of one d, before and after: ``d_mm``,
-        ``time_s``, ``force_N`` (sum of the loads), ``load_N`` (step, sheet), ``slipped`` (step, sheet; True
-        on the step after a slip), ``work_mJ``, ``elastic_mJ`` and ``dissipated_mJ`` since the start. Between
-        steps loads are linear in d. Sheets from left to right, with ``side`` and ``n``. attrs:
+        Along ``step``: ``d_mm``, ``time_s``, ``force_N`` (sum of the loads), ``load_N`` (step, sheet),
+        ``slipped`` (step, sheet), and ``work_mJ``, ``elastic_mJ`` and ``dissipated_mJ`` since the start. A
+        slip consists of two steps at the same d; ``slipped`` is True on the second. Between steps loads are
+        linear in d. Sheets are ordered from left to right, with ``side`` and ``n``. attrs:
         ``stiffness_N_per_mm`` of one sheet.
 
     Notes
     -----
-    Slips take no time. Where the slip of one sheet brings others beyond their threshold (``normal_force``
-    "loads", or a machine that springs back), these slip in the same event, until none is.
+    Slips take no time. If the slip of one sheet takes others beyond their thresholds (``normal_force``
+    "loads", or a machine that springs back), these slip in the same event, until no sheet is beyond its own.
     """
-    return (_Together if pull.slips == "together" else _Run)(pull).run()
+    return (_Together if pull.slips == "together" else _Individual)(pull).run()
 
 
-_CLOSE = 1e-9  # share of the threshold to which the time of a slip is found
-_NARROW = 1e-13  # share of d to which it is found where margins jump
+_CLOSE = 1e-9  # tolerance of the threshold at which a slip is found, relative
+_NARROW = 1e-13  # tolerance of d, relative, where margins are discontinuous
 
 
-class _Run:
-    """State of a pull: loads (2, M), side −1 first, from the centre outwards."""
+class _Individual:
+    """Pull of sheets that slip individually. Loads are (2, M), side −1 first, from the centre outwards."""
 
     def __init__(self, pull: SheetPull) -> None:
         self.pull = pull
@@ -218,15 +219,15 @@ class _Run:
         self.slips: list[Bools] = []
 
     def run(self) -> xr.Dataset:
-        """All events up to the end of the pull."""
+        """Simulate all events up to the end of the pull."""
         none = np.zeros(self.load.shape, bool)
-        self._keep(none)
+        self._record(none)
         while self.d < self.pull.d_end_mm * (1 - 1e-12):
             self._advance(min(self._longest_mm(), self.pull.d_end_mm - self.d))
-            self._keep(none)
+            self._record(none)
             slipped = self._avalanche()
             if slipped.any():
-                self._keep(slipped)
+                self._record(slipped)
         return self._dataset()
 
     def _longest_mm(self) -> float:
@@ -238,14 +239,15 @@ class _Run:
         return normal_of_loads_N(self.pull, load, d)
 
     def _levels(self, normal: Floats) -> tuple[Floats, Floats]:
-        """(T_s, T_d)."""
+        """Return (T_s, T_d)."""
         top = _threshold(self.pull, normal)
         return self.factor * top, self.factor * (top - self.pull.amplitude * normal)
 
     def _slides(self, load: Floats, normal: Floats, d: float) -> Bools:
-        """Whether a sheet slides rather than sticks: a stick would be too short at the N it has at T_d.
+        """Return whether each sheet slides because its stick phase would be too short.
 
-        That N depends on the sheets outside alone, so a sheet's own load cannot make it one or the other.
+        The length of the stick phase is computed with the N that the sheet has at T_d. This N depends only on
+        the sheets further out, so a sheet's load does not decide whether it slides.
         """
         if self.pull.normal_force == "loads":
             transfer = _transfer(self.pull, d)
@@ -254,13 +256,13 @@ class _Run:
         return np.asarray(2 * self.pull.amplitude * normal < self.shortest_N)
 
     def _settled(self, outside: Any, factor: Any, transfer: Any) -> Any:
-        """T = T_d(N) where N = outside + transfer · T."""
+        """Solve T = T_d(N) with N = outside + transfer · T."""
         kinetic = 2 * self.pull.mu - self.pull.amplitude
         load = factor * (kinetic * outside + self.pull.sample.t_star_N)
         return load / (1 - factor * kinetic * transfer)
 
     def _loaded(self, step: float) -> Floats:
-        """Loads after a step: sticking sheets gain k·step, sliding ones no more than T_d."""
+        """Return the loads after a step: sticking sheets gain k·step, sliding ones are limited to T_d."""
         d, load = self.d + step, self.load + self.k * step
         if self.pull.normal_force == "equation":
             normal = self._normal(load, d)
@@ -270,40 +272,41 @@ class _Run:
         return load
 
     def _settle(self, load: Floats, factor: Floats, transfer: Floats) -> None:
-        """Take the sliding sheets of one side down to T_d, from the outermost inwards; in place."""
+        """Limit the sliding sheets of one side to T_d, from the outermost inwards, in place."""
         drop, values = 2 * self.pull.amplitude, []
         outer_load = outer_normal = 0.0
         columns = zip(*(part[::-1].tolist() for part in (transfer, load, factor)), strict=True)
         for c, trial, f in columns:
             outside = outer_normal + c * outer_load
             settled = self._settled(outside, f, c)
-            own = min(trial, settled) if drop * (outside + c * settled) < self.shortest_N else trial
-            values.append(own)
-            outer_load, outer_normal = own, outside + c * own
+            slides = drop * (outside + c * settled) < self.shortest_N
+            outer_load = min(trial, settled) if slides else trial
+            outer_normal = outside + c * outer_load
+            values.append(outer_load)
         load[:] = values[::-1]
 
     def _margin(self, step: float) -> Floats:
-        """(T_s − T)/T_s after a step of sheets that stick; infinite for those that slide."""
+        """Return (T_s − T)/T_s of each sheet after a step; infinite for sliding sheets."""
         load, d = self._loaded(step), self.d + step
         normal = self._normal(load, d)
         top, _ = self._levels(normal)
         return np.where(self._slides(load, normal, d), np.inf, (top - load) / top)
 
     def _advance(self, longest: float) -> None:
-        """To the next slip, at most by one step."""
+        """Increase d to the next slip, at most by `longest`."""
         low, at_low = 0.0, np.maximum(self._margin(0.0), 0.0)
         step, margin = longest, self._margin(longest)
         high, at_high = step, margin
-        for _ in range(_MOST):
+        for _ in range(_MAX_ITERATIONS):
             if margin.min() >= -_CLOSE and (step == longest or margin.min() <= _CLOSE):
                 break
-            if high - low <= _NARROW * self.d:  # one that slid grips above its threshold
+            if high - low <= _NARROW * self.d:  # a sheet stops sliding above its threshold
                 step = high
                 break
-            # Loads and thresholds bend little within a step: the first crossing of straight lines.
+            # Loads and thresholds are nearly linear within a step: take the first crossing of lines.
             first = at_high < 0
             before, after = at_low[first], at_high[first]
-            known = np.isfinite(before)  # a sheet that slid before has no margin to start from
+            known = np.isfinite(before)  # a sheet that slid before has no margin
             share = np.where(
                 known, np.where(known, before, 0.0) / (np.where(known, before, 1.0) - after), 0.5
             )
@@ -318,7 +321,7 @@ class _Run:
         self._stretch(step)
 
     def _stretch(self, step: float) -> None:
-        """Grow d by a step in which no sheet slips."""
+        """Increase d by a step in which no sheet slips."""
         load = self._loaded(step)
         mean = 0.5 * (self.load + load)
         self.work += float(mean.sum()) * step
@@ -326,7 +329,7 @@ class _Run:
         self.load, self.d = load, self.d + step
 
     def _slip(self, load: Floats) -> None:
-        """Take the loads down at one d, and let the machine spring back by what the force falls."""
+        """Set the loads after a slip at constant d, and let the machine spring back."""
         before, force = self._elastic(), float(self.load.sum())
         self.load = load
         self.load = self._loaded(0.0)
@@ -334,17 +337,17 @@ class _Run:
         machine = self.pull.machine_N_per_mm
         if math.isfinite(machine):
             back = 0.0
-            for _ in range(_MOST):  # sheets that slide gain no load: the machine moves further than with all
-                missing = force - float(self._loaded(back).sum()) - machine * back
-                back += missing / (machine + self.load.size * self.k)
-                if abs(missing) <= _CLOSE * force:
+            for _ in range(_MAX_ITERATIONS):  # sliding sheets gain no load, so one step does not suffice
+                imbalance = force - float(self._loaded(back).sum()) - machine * back
+                back += imbalance / (machine + self.load.size * self.k)
+                if abs(imbalance) <= _CLOSE * force:
                     break
             self._stretch(back)
 
     def _avalanche(self) -> Bools:
-        """Slips of every sheet that is at its threshold, and of those that these bring there."""
+        """Let every sheet at its threshold slip, and those which that takes to their thresholds."""
         slipped = np.zeros(self.load.shape, bool)
-        for _ in range(_MOST):
+        for _ in range(_MAX_ITERATIONS):
             over = self._margin(0.0) <= _CLOSE
             if not over.any():
                 break
@@ -356,7 +359,7 @@ class _Run:
     def _elastic(self) -> float:
         return float(np.sum(self.load**2)) / (2 * self.k)
 
-    def _keep(self, slipped: Bools) -> None:
+    def _record(self, slipped: Bools) -> None:
         self.energies.append((self.d, self.work, self._elastic() - self.start_mJ, self.dissipated))
         self.loads.append(self.load)
         self.slips.append(slipped)
@@ -386,11 +389,11 @@ class _Run:
         )
 
 
-class _Together(_Run):
-    """Sheets that creep at their thresholds until none sticks."""
+class _Together(_Individual):
+    """Pull of sheets that creep at their thresholds until none sticks, then slip together."""
 
     def _longest_mm(self) -> float:
-        # Fine enough for the sheets that come to their thresholds one after the other within a stick.
+        # Sheets reach their thresholds one after the other within a stick phase, which needs short steps.
         stick = 2 * self.pull.amplitude * float(self._normal(self.load, self.d).max()) / self.k
         return min(super()._longest_mm(), stick / 20)
 
@@ -399,7 +402,7 @@ class _Together(_Run):
         return np.minimum(self.load + self.k * step, top)
 
     def _margin(self, step: float) -> Floats:
-        """That of the sheet which sticks longest."""
+        """Return the margin of the sheet that sticks longest, shape (1,)."""
         top, _ = self._levels(self._normal(self.load, self.d + step))
         return np.asarray([((top - self.load - self.k * step) / top).max()])
 
@@ -411,18 +414,18 @@ class _Together(_Run):
         return np.ones(self.load.shape, bool)
 
 
-_MOST = 1000  # iterations of what converges in a few
+_MAX_ITERATIONS = 1000  # all iterations converge in a few
 
 
 def _left_to_right(values: NDArray[Any]) -> NDArray[Any]:
-    """(step, 2, M) from the centre outwards becomes (step, 2M) from left to right."""
+    """Convert (step, 2, M) from the centre outwards to (step, 2M) from left to right."""
     return np.concatenate([values[:, 0, ::-1], values[:, 1]], axis=1)
 
 
 def loads_at(result: xr.Dataset, d_mm: ArrayLike) -> Floats:
-    """Loads in N of `pull_sheets` at given separations, (d, sheet); those after a slip that happens at d.
+    """Return the loads (N) in a result of `pull_sheets` at given separations, (d, sheet).
 
-    Raises: InputError for separations outside the pull.
+    At the d of a slip, these are the loads after it.  Raises: InputError for separations outside the pull.
     """
     known, wanted = result["d_mm"].values, np.atleast_1d(np.asarray(d_mm, float))
     if not ((wanted >= known[0]) & (wanted <= known[-1])).all():
@@ -437,16 +440,17 @@ def loads_at(result: xr.Dataset, d_mm: ArrayLike) -> Floats:
 
 
 def slip_share(result: xr.Dataset, d_v_mm: ArrayLike, d_p_mm: ArrayLike) -> xr.DataArray:
-    """How far each sheet slipped within stretches of the pull, over their length: 0 stuck, 1 sliding.
+    """Return how far each sheet slipped in parts of the pull, relative to their length, (event, sheet).
 
-    (event, sheet): 1 − ΔT / (k Λ_st), with the load a sheet gained over what it gains where it sticks.
-    result: of `pull_sheets`.  d_v_mm, d_p_mm: ends of the stretches, such as the sticks of
+    The share is 1 − ΔT / (k Λ_st): 0 for a sheet that sticks and gains the load k Λ_st, 1 for a sliding one.
+
+    result: from `pull_sheets`.  d_v_mm, d_p_mm: ends of the parts, such as the stick phases of
     `vision.find_stick_slip`.
     """
     first, last = np.atleast_1d(np.asarray(d_v_mm, float)), np.atleast_1d(np.asarray(d_p_mm, float))
     if first.shape != last.shape or not (last > first).all():
         raise InputError("`d_p_mm`", "as many as `d_v_mm` and each larger", f"{last.size} for {first.size}")
-    # A stretch begins after the slip at its first end and ends before the one at its last.
+    # A part begins after a slip at its first end, and ends before a slip at its last end.
     gained = loads_at(result, np.nextafter(last, first)) - loads_at(result, first)
     share = 1 - gained / (result.attrs["stiffness_N_per_mm"] * (last - first))[:, np.newaxis]
     return xr.DataArray(share, dims=("event", "sheet"), coords={"side": result["side"], "n": result["n"]})

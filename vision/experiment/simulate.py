@@ -1,4 +1,4 @@
-"""simulate(): the files of a synthetic traction test, its video in any container the program reads."""
+"""simulate(): write the files of a synthetic traction test, with its video in one of several containers."""
 
 from __future__ import annotations
 
@@ -48,15 +48,15 @@ def simulate(
 ) -> SimulatedTest:
     """Write video.*, force.txt, truth.nc and timestamps.txt (the camera's stamps, s) to a folder.
 
-    Frames are drawn and written in blocks: memory does not grow with the length of the video. The folder
-    appears when everything is in it, or not at all.
+    Frames are drawn and written in blocks, so memory does not grow with the length of the video. The folder
+    appears only when it is complete.
 
     Parameters
     ----------
     experiment
-        What to simulate.
+        The experiment.
     out_dir
-        Folder to make.
+        Folder to create.
     container
         ``"raw"``, ``"mjpeg"``, ``"h264"``, ``"ffv1"``, ``"tiff"`` or ``"png"``, see
         `vision.experiment.simulate.write_video`.
@@ -98,7 +98,7 @@ def simulate(
 
 
 def _write(scene: Scene, folder: Path, container: str, progress: Progress | None) -> Path:
-    """Write every file; the path of the video."""
+    """Write every file and return the path of the video."""
     experiment, times = scene.experiment, scene.times
     write_force(folder / "force.txt", force_recording(experiment, scene.pull), experiment.force_file)
     (folder / "timestamps.txt").write_text("".join(f"{t:.6f}\n" for t in times.stamp_s), "utf-8")
@@ -118,7 +118,7 @@ def _write(scene: Scene, folder: Path, container: str, progress: Progress | None
 
 
 def _check_folder(folder: Path, *, overwrite: bool) -> None:
-    """InputError where a folder must not be replaced."""
+    """Raise InputError if a folder must not be replaced."""
     if not folder.exists():
         return
     if not folder.is_dir():
@@ -135,10 +135,10 @@ def _check_folder(folder: Path, *, overwrite: bool) -> None:
 
 
 def force_recording(experiment: Experiment, pull: Pull) -> pd.DataFrame:
-    """What the machine records of a pull: columns time_s, crosshead_mm, load_N and video_time_s.
+    """Return the machine's recording of a pull: columns time_s, crosshead_mm, load_N and video_time_s.
 
-    The exact force goes through a first-order low-pass on a time grid fine enough for the slip, is sampled,
-    drifts, gets white noise and is rounded to the quantum.
+    The exact force is filtered by a first-order low-pass on a time grid fine enough for the slip and sampled;
+    drift and white noise are added, and the sum is rounded to the quantum.
     """
     cell, rate = experiment.load_cell, experiment.clocks.force_rate_Hz
     finest = min(pull.settings.slip_s / 4, cell.lowpass_s / 5 or np.inf)
@@ -167,7 +167,7 @@ def force_recording(experiment: Experiment, pull: Pull) -> pd.DataFrame:
 
 
 def _rounded(values: Floats, step: float) -> Floats:
-    """To multiples of step; as they are for step 0."""
+    """Round to multiples of step; do nothing for step 0."""
     return np.asarray(np.round(values / step) * step) if step else values
 
 
@@ -188,16 +188,16 @@ def _rows(
     separator: str = "",
     quote: str = "",
 ) -> str:
-    """Rows of the header, then of the table with ten digits and the style's decimal mark, CRLF."""
-    mark = separator or (";" if style.decimal == "," else ",")
+    """Format header and table, with ten digits and the style's decimal mark, as lines that end with CRLF."""
+    comma = separator or (";" if style.decimal == "," else ",")
     columns = [
         data[name].map(lambda v: quote + f"{v:.10g}".replace(".", style.decimal) + quote) for name in order
     ]
-    return "".join(mark.join(cells) + "\r\n" for cells in (*head, *zip(*columns, strict=True)))
+    return "".join(comma.join(cells) + "\r\n" for cells in (*head, *zip(*columns, strict=True)))
 
 
 def _mts(data: pd.DataFrame, style: ForceFile) -> str:
-    """MTS TestSuite text export: tabs, names with trailing spaces, a trailing tab on the header row."""
+    """Format as an MTS TestSuite export: tabs, names with trailing spaces, a trailing tab in the header."""
     video = style.video_time
     about = [
         r"File Path: C:\MTS\synthetic\DAQ- Crosshead, Load, Time - (Timed).txt",
@@ -214,21 +214,21 @@ def _mts(data: pd.DataFrame, style: ForceFile) -> str:
 
 
 def _instron(data: pd.DataFrame, style: ForceFile) -> str:
-    """Instron Bluehill: quoted numbers, or semicolons without quotes where the decimal mark is a comma."""
+    """Format as Instron Bluehill does: quoted numbers or, with decimal commas, semicolons and no quotes."""
     comma = style.decimal == ","
     names = ("Time", "Displacement", "Force") if comma else ("Time", "Extension", "Load")
     return _rows(data, style, names, ("(s)", "(mm)", f"({style.unit})"), quote="" if comma else '"')
 
 
 def _zwick(data: pd.DataFrame, style: ForceFile) -> str:
-    """Zwick .TRA, French names."""
+    """Format as a Zwick .TRA file with French names."""
     names = ('"Temps"', '"Traverse absolue"', '"Force standard"')
     head = ('"Épaisseur éprouvette"', "1", '"mm"')
     return _rows(data, style, head, names, ('"s"', '"mm"', f'"{style.unit}"'))
 
 
 def _csv(data: pd.DataFrame, style: ForceFile) -> str:
-    """Plain table, names with units in brackets."""
+    """Format as a plain table with units in brackets after the names."""
     return _rows(data, style, ("time (s)", "displacement (mm)", f"force ({style.unit})"))
 
 
@@ -250,12 +250,12 @@ def write_video(
 ) -> Path:
     """Write every frame to folder/video.* and return its path.
 
-    container: raw (Y800 AVI), mjpeg (AVI), h264 (MP4), ffv1 (Matroska, 8 to 16 bit), tiff (BigTIFF where
-    large) or png (numbered files, lost frames leave gaps). Only ffv1 keeps the times of lost frames; the
-    others run on. blocks: from `frame_blocks`. `check_container` says whether it can hold them.
+    blocks: from `frame_blocks`.  container: raw (Y800 AVI), mjpeg (AVI), h264 (MP4), ffv1 (Matroska, 8 to 16
+    bit), tiff (BigTIFF if large) or png (numbered files, with gaps for lost frames); `check_container` checks
+    whether it suits the camera. In ffv1, too, lost frames leave gaps in time; the others are continuous.
 
-    The h264 encoder gives the same bytes again only where both sides are multiples of 16: elsewhere its
-    padding is not defined and decoded pixels differ by a level or so.
+    The h264 encoder is reproducible only if both sides of the picture are multiples of 16; otherwise its
+    padding is undefined and decoded pixels differ by about one level.
     """
     name, write, _ = _CONTAINERS[container]
     path = folder / name
@@ -264,7 +264,7 @@ def write_video(
 
 
 def check_container(container: str, camera: Camera) -> None:
-    """InputError for an unknown container, one too shallow for the camera's bits, or odd sides in h264."""
+    """Raise InputError for an unknown container, too few bits for the camera, or odd sides in h264."""
     if container not in _CONTAINERS:
         raise InputError("`container`", ", ".join(_CONTAINERS), container)
     bits = _CONTAINERS[container][2]
@@ -276,8 +276,11 @@ def check_container(container: str, camera: Camera) -> None:
 
 
 def _encoded(codec: str, path: Path, frames: Frames, camera: Camera, times: FrameTimes) -> None:
-    """Raw, Motion JPEG at its best, H.264 in limited range as cameras write it, or FFV1 (lossless) in the
-    shallowest layout that holds the bits."""
+    """Write a film with FFmpeg.
+
+    Motion JPEG has the best quality, H.264 limited range as in cameras, FFV1 (lossless) the smallest pixel
+    format that holds the bits.
+    """
     deep = {8: "gray", 10: "gray10le", 12: "gray12le"}.get(camera.bits, "gray16le")
     layout = {"mjpeg": "yuvj420p", "libx264": "yuv420p"}.get(codec, deep)
     options = {"libx264": {"crf": "12", "preset": "fast"}, "ffv1": {"level": "3", "slices": "4"}}
@@ -286,7 +289,7 @@ def _encoded(codec: str, path: Path, frames: Frames, camera: Camera, times: Fram
         stream: Any = file.add_stream(codec, rate=rate, options=options.get(codec, {}))
         stream.width, stream.height, stream.pix_fmt = camera.width, camera.height, layout
         if codec == "libx264":
-            stream.codec_context.thread_count = 1  # more threads, another stream each time
+            stream.codec_context.thread_count = 1  # with more threads the stream is not reproducible
         if codec == "mjpeg":
             stream.codec_context.qmin = stream.codec_context.qmax = 2
             stream.codec_context.color_range = 2
@@ -300,8 +303,7 @@ def _encoded(codec: str, path: Path, frames: Frames, camera: Camera, times: Fram
 
 
 def _av_frame(pixels: Pixels, layout: str) -> Any:
-    """The grey values as a PyAV frame: exactly in grey layouts and in full-range YUV, scaled in h264's
-    range."""
+    """Return grey values as a PyAV frame, unchanged or, for H.264, scaled to the limited range."""
     if layout == "yuv420p":
         pixels = np.rint(16 + pixels * (219 / 255)).astype(np.uint8)
     if layout in ("gray", "gray16le"):
@@ -318,7 +320,7 @@ def _av_frame(pixels: Pixels, layout: str) -> Any:
 
 
 def _tiff(path: Path, frames: Frames, camera: Camera, times: FrameTimes) -> None:
-    """One multi-page TIFF."""
+    """Write one multi-page TIFF."""
     size = camera.width * camera.height * (1 if camera.bits == 8 else 2) * len(times.exposed)
     with tifffile.TiffWriter(path, bigtiff=size > 3 << 30) as file:
         for frame in frames:
@@ -326,7 +328,7 @@ def _tiff(path: Path, frames: Frames, camera: Camera, times: FrameTimes) -> None
 
 
 def _png(path: Path, frames: Frames, camera: Camera, times: FrameTimes) -> None:
-    """Numbered files in a folder."""
+    """Write numbered files to a folder."""
     path.mkdir()
     for number, frame in zip(times.exposed, frames, strict=True):
         done, data = cv2.imencode(".png", frame)

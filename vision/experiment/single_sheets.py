@@ -1,5 +1,4 @@
-"""Raw files of the measurements on single sheets, with known truth: rheometer exports and push–pull
-cycles."""
+"""Raw files of measurements on single sheets with known truth: rheometer exports and push–pull cycles."""
 
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
@@ -29,28 +28,28 @@ from vision.sample import Sample
 
 @dataclass(frozen=True, kw_only=True)
 class DiscTest:
-    """Two discs of paper that turn against each other, at one normal force after the other."""
+    """Two discs of paper that rotate against each other, with one measurement per normal force."""
 
     loads_N: tuple[float, ...] = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0)  # one measurement each
     law: StaticFriction = PUBLISHED_FRICTION  # true μ_s(N)
     mu_dynamic: float = 0.44  # true μ_d at every load
     radius_mm: float = RADIUS_MM
     speed_rad_s: float = 0.1  # Ω
-    end_deg: float = 125.0  # how far the discs turn
-    peak_deg: float = 0.12  # where μ_s lies
-    peak_width_deg: float = 0.04  # how quickly μ falls to μ_d behind it
-    ripple: float = 0.01  # slow variation of μ_d, as a share
-    ripple_deg: float = 11.0  # its period
-    fine_Hz: float = 1000.0  # sampling of the first `fine_s`, an interval of its own
+    end_deg: float = 125.0  # total rotation
+    peak_deg: float = 0.12  # angle at which μ_s is reached
+    peak_width_deg: float = 0.04  # width over which μ falls to μ_d
+    ripple: float = 0.01  # relative slow variation of μ_d
+    ripple_deg: float = 11.0  # period of the ripple
+    fine_Hz: float = 1000.0  # sampling rate of the first interval, of length `fine_s`
     fine_s: float = 0.5
-    coarse_Hz: float = 20.0  # and of the rest
-    torque_noise_mN_m: float = 0.01  # white
+    coarse_Hz: float = 20.0  # sampling rate of the second interval
+    torque_noise_mN_m: float = 0.01  # white noise
     normal_noise_N: float = 0.003
-    normal_drift: float = 0.0  # share by which N falls until the end
-    seed: int = 0  # of the noise
+    normal_drift: float = 0.0  # relative decrease of N until the end
+    seed: int = 0  # seed of the noise
 
     def friction(self, load_N: float, angle_deg: ArrayLike) -> Floats:
-        """True μ(φ): a quarter sine up to μ_s, a Gaussian down to μ_d with its ripple."""
+        """Return the true μ(φ): a quarter sine up to μ_s, then a Gaussian down to μ_d with its ripple."""
         x = np.asarray(angle_deg, float)
         peak = float(self.law.mu_s(load_N))
         later = np.maximum(x - self.peak_deg, 0.0)
@@ -60,13 +59,13 @@ class DiscTest:
         return np.where(x < self.peak_deg, rise, self.mu_dynamic + fall + slow)
 
     def times_s(self) -> tuple[Floats, Floats]:
-        """Sampling times of the fine and of the coarse interval."""
+        """Return the sampling times of the fine and the coarse interval."""
         end_s = math.radians(self.end_deg) / self.speed_rad_s
         coarse = np.arange(self.fine_s, end_s, 1 / self.coarse_Hz)
         return np.arange(0, self.fine_s, 1 / self.fine_Hz), coarse
 
     def truth(self) -> pd.DataFrame:
-        """N_N, mu_s and mu_d (exact mean over 0.3° to 120°) of each measurement."""
+        """Return N_N, mu_s and mu_d (exact mean over 0.3° to 120°) of each measurement."""
         angle = np.linspace(0.3, 120.0, 400_001)
         mean = [float(np.trapezoid(self.friction(load, angle)) / (angle.size - 1)) for load in self.loads_N]
         rows = [
@@ -77,7 +76,7 @@ class DiscTest:
 
 
 def disc_record(test: DiscTest, load_N: float, time_s: Floats, *, number: int = 0) -> pd.DataFrame:
-    """What the rheometer records: time_s, torque_mN_m, normal_force_N, angle_mrad, speed_rpm."""
+    """Return the recording: time_s, torque_mN_m, normal_force_N, angle_mrad, speed_rpm."""
     rng = random_stream(test.seed, "rheometer", number, time_s.size)
     angle_deg = np.degrees(test.speed_rad_s * np.maximum(time_s, 0.0))
     normal = load_N * (1 - test.normal_drift * angle_deg / test.end_deg)
@@ -104,11 +103,12 @@ def write_rheocompass(
     angle_unit: Literal["mrad", "rad", "°"] = "mrad",
     unit_rows: Literal[1, 2] = 2,
 ) -> pd.DataFrame:
-    """A RheoCompass export: one result per load with an interval of waiting, one finely and one coarsely
-    sampled.
+    """Write a RheoCompass export and return its truth, one row per result.
 
-    A decimal comma within commas is quoted.  unit_rows: rows between the names and the data, of which the
-    last has the units.  Returns the truth, one row per result, in file order.
+    There is one result per load, with a waiting interval, a finely and a coarsely sampled one. Numbers with a
+    decimal comma are quoted if commas separate columns.
+
+    unit_rows: rows between the names and the data; the last has the units.
     """
     torque = {"mN·m": 1.0, "µN·m": 1e3, "N·m": 1e-3}[torque_unit]
     angle = {"mrad": 1.0, "rad": 1e-3, "°": math.degrees(1e-3)}[angle_unit]
@@ -141,9 +141,9 @@ def write_rheocompass(
 def write_rheometer_csv(
     path: str | os.PathLike[str], test: DiscTest, *, load_N: float | None = None, normal: bool = True
 ) -> pd.DataFrame:
-    """A plain table of one measurement with names and units in its header; its truth, one row.
+    """Write one measurement as a table with names and units in its header; return its truth, one row.
 
-    load_N: which load, by default the first.  normal: whether the normal force is recorded.
+    load_N: the load, by default the first one.  normal: whether the normal force is recorded.
     """
     load = test.loads_N[0] if load_N is None else load_N
     record = disc_record(test, load, np.concatenate(test.times_s()))
@@ -158,29 +158,29 @@ def write_rheometer_csv(
     return replace(test, loads_N=(load,)).truth()
 
 
-# --- one sheet, pulled and pushed ---------------------------------------------------------------------------
+# --- push–pull cycles of one sheet --------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class CyclesTest:
-    """One sheet between two clamps whose distance goes back and forth."""
+    """One sheet between two clamps whose distance Δ is cycled about its free length."""
 
     sheet: Sample = STRIP  # ε, W and the free length L = Δ0
     modulus_GPa: float = 2.5  # true Y_p
     cycles: int = 5
     speed_mm_min: float = 1.0  # |dΔ/dt|
     rate_Hz: float = 50.0
-    stretch_mm: float = 0.08  # how far beyond Δ0 the clamps go
-    slack_mm: float = 0.05  # and below it, where the sheet buckles and carries nothing
-    knee_mm: float = 0.002  # width over which it becomes taut
-    friction_N: float = 0.8  # height f_y of a Jenkins element beside it, which makes the loop
-    friction_N_per_mm: float = 200.0  # its stiffness
-    growth: float = 0.0  # share by which the modulus grows from cycle to cycle
+    stretch_mm: float = 0.08  # largest Δ − Δ0
+    slack_mm: float = 0.05  # largest Δ0 − Δ, at which the sheet buckles and carries no load
+    knee_mm: float = 0.002  # width over which the sheet becomes taut
+    friction_N: float = 0.8  # yield force f_y of a parallel Jenkins element, which causes the hysteresis
+    friction_N_per_mm: float = 200.0  # stiffness of this element
+    growth: float = 0.0  # relative increase of the modulus per cycle
     machine_stiffness_N_per_mm: float = math.inf  # in series
-    noise_N: float = 0.05  # of the load
-    quantum_mm: float = 5e-5  # steps of the recorded displacement
-    absolute: bool = False  # the recorded displacement is Δ itself, or starts at 0 at Δ = L
-    seed: int = 0  # of the noise
+    noise_N: float = 0.05  # noise of the load
+    quantum_mm: float = 5e-5  # resolution of the recorded displacement
+    absolute: bool = False  # whether the recorded displacement is Δ; else it starts at 0 at Δ = L
+    seed: int = 0  # seed of the noise
 
     @property
     def stiffness_N_per_mm(self) -> float:
@@ -189,15 +189,15 @@ class CyclesTest:
 
     @property
     def loop_mJ(self) -> float:
-        """Energy that the Jenkins element takes in a cycle of travel X: 2 f_y (X − 2 f_y / k_y)."""
+        """Energy dissipated by the Jenkins element in a cycle of travel X: 2 f_y (X − 2 f_y / k_y)."""
         travel = self.stretch_mm + self.slack_mm
         return 2 * self.friction_N * (travel - 2 * self.friction_N / self.friction_N_per_mm)
 
 
 def cycles_record(test: CyclesTest) -> pd.DataFrame:
-    """What the machine records: time_s, crosshead_mm, load_N; the exact force is in force_N.
+    """Return the recording: time_s, crosshead_mm, load_N; and the exact force in force_N.
 
-    Starts at Δ = L with a first, shorter loading, which is no cycle of its own: it begins within the range.
+    It starts at Δ = L, within the range of Δ, so the path to the first lower end is not a cycle.
     """
     rng = random_stream(test.seed, "push-pull")
     up, down = test.stretch_mm, -test.slack_mm
@@ -221,7 +221,7 @@ def cycles_record(test: CyclesTest) -> pd.DataFrame:
 
 
 def _jenkins(position: Floats, limit: float, stiffness: float) -> Floats:
-    """Force of a spring with a slider, from rest: the play operator, sample by sample."""
+    """Return the force of a spring with a slider that starts at rest (play operator)."""
     reach = limit / stiffness if limit else 0.0
     force, anchor = np.empty_like(position), 0.0
     for k, x in enumerate(position.tolist()):
@@ -231,7 +231,7 @@ def _jenkins(position: Floats, limit: float, stiffness: float) -> Floats:
 
 
 def write_cycles(path: str | os.PathLike[str], test: CyclesTest) -> pd.DataFrame:
-    """The recording as MTS TestSuite exports it.
+    """Write the recording as an MTS TestSuite export.
 
     Returns the truth, one row per cycle: ``k_N_per_mm``, ``Y_p_GPa``, ``loop_mJ``.
     """

@@ -1,1 +1,1 @@
-"""The run in a browser: see it, correct it, save it."""
+"""Review a run in a browser: look at it, correct it, save it."""

@@ -1,4 +1,4 @@
-"""What the page of a review can ask about a run, and the answers."""
+"""The HTTP interface of a review: every address that the page can request, and its answer."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from vision.review.server import FIRST_VIEW, failed, read_first_view, refused, w
 from vision.review.session import Session
 from vision.run.folder import plain, whole_file
 
-MOST_POINTS = 20_000  # of a curve
-AT_ONCE = 4
-"""Questions answered at a time. More are no faster on a few cores, and each thread keeps memory."""
+MAX_POINTS = 20_000  # points of one curve
+MAX_THREADS = 4
+"""Requests answered at a time. More are no faster on a few cores, and each thread needs memory."""
 FIRST_ROWS = 4096
-"""Of the finest level that is kept for the first view; a page with more pixels along time than half of that
-asks for a finer one, which takes as long as reading the run."""
-FORCE_POINTS = 4096  # for which a page asks of the whole recording
+"""Rows of the finest level that is stored for the first view. A page with more than half as many pixels along
+time requests a finer level, which takes as long as reading the run."""
+FORCE_POINTS = 4096  # points of the whole force recording that a page requests first
 
 
 def answers(session: Session, stop: Callable[[], None]) -> ASGIApp:
-    """What answers the questions about an open run; `stop` ends the server."""
+    """Return the application that answers requests about an open run; `stop` ends the server."""
     routes = Api(session, stop).routes()
     return Starlette(routes=routes, exception_handlers={HTTPException: failed, Exception: failed})
 
 
 def keep_first_view(session: Session) -> None:
-    """Keep what a page asks first with the run, unless it is kept already or the folder cannot be written."""
+    """Store the answers to a page's first requests in the run folder, if possible and not yet done."""
     folder, film = session.folder, session.recordings.moved
     if session.saver.running or read_first_view(folder, film):
         return
@@ -51,33 +51,33 @@ def keep_first_view(session: Session) -> None:
 
 
 def first_answers(session: Session) -> dict[str, bytes]:
-    """Answers by their questions to what a page asks first: the whole test, and the first frame."""
+    """Return, by address, the answers to a page's first requests: the whole test, and the first frame."""
     first, frames, tiles = int(session.positions.frame[0]), session.diagram.frames, session.tiles
     rows, columns, factor = tiles.settings.rows, tiles.settings.columns, tiles.settings.factor
-    questions = [f"/api/{name}" for name in ("times", "film", f"frame/{first}.png", f"ridges/{first}")]
-    questions += [f"/api/force?points={FORCE_POINTS}"]
-    questions += [f"/api/stick/{one['event']}" for one in session.sticks()[:1]]
+    addresses = [f"/api/{name}" for name in ("times", "film", f"frame/{first}.png", f"ridges/{first}")]
+    addresses += [f"/api/force?points={FORCE_POINTS}"]
+    addresses += [f"/api/stick/{one['event']}" for one in session.sticks()[:1]]
     for level in range(tiles.levels):
         step, shown = rows * factor**level, frames <= FIRST_ROWS * factor**level
         if not (shown or level == 0):
             continue
         for k, begin in enumerate(range(first, first + (frames if shown else 1), step)):
             stop = min(begin + step, first + frames)
-            questions.append(f"/api/tracks?first={begin}&stop={stop}&points={2 * rows}")
+            addresses.append(f"/api/tracks?first={begin}&stop={stop}&points={2 * rows}")
             across = range(-(-session.diagram.columns // columns) if shown else 0)
-            questions += [f"/api/kymograph/{level}/{x}/{k}.png" for x in across]
+            addresses += [f"/api/kymograph/{level}/{x}/{k}.png" for x in across]
     found = {"/api/run": bytes(_json(session.summary() | {"revision": 0, "other_windows": 0}).body)}
     app = answers(session, lambda: None)
-    for question in questions:
-        answer = anyio.run(_asked, app, question)
+    for address in addresses:
+        answer = anyio.run(_request, app, address)
         if answer is not None:  # there may be no film, or no force
-            found[question] = answer
+            found[address] = answer
     return found
 
 
-async def _asked(app: ASGIApp, question: str) -> bytes | None:
-    """The answer to one question; None where it is refused."""
-    path, _, query = question.partition("?")
+async def _request(app: ASGIApp, address: str) -> bytes | None:
+    """Return the answer to one request; None if it is refused."""
+    path, _, query = address.partition("?")
     scope = {"type": "http", "method": "GET", "path": path, "query_string": query.encode(), "headers": []}
     sent: list[Message] = []
 
@@ -93,18 +93,18 @@ async def _asked(app: ASGIApp, question: str) -> bytes | None:
 
 
 class Api:
-    """Answers for one session: each address that is served, and what it gives."""
+    """Addresses and answers for one session."""
 
     def __init__(self, session: Session, stop: Callable[[], None]) -> None:
         self.session, self._stop = session, stop
-        self._threads = anyio.CapacityLimiter(AT_ONCE)
-        self._windows: dict[str, float] = {}  # of browsers that have the run open, and when they asked last
+        self._threads = anyio.CapacityLimiter(MAX_THREADS)
+        self._windows: dict[str, float] = {}  # time of the last request of each browser window
 
     def routes(self) -> list[Route]:
-        """Every address."""
+        """Return every address with its function."""
         run, trial, effects = self.session, self.session.trial, self.session.effects
         get: dict[str, Callable[[Request], Response]] = {
-            "/api/run": lambda ask: _json(run.summary() | self._company(ask)),
+            "/api/run": lambda ask: _json(run.summary() | self._other_windows(ask)),
             "/api/state": self._state,
             "/api/film": self._film,
             "/api/frame/{frame:int}.png": self._frame,
@@ -113,7 +113,7 @@ class Api:
             "/api/times": lambda ask: _floats(run.positions.time_s[:, None]),  # s, one per frame
             "/api/slips": lambda ask: _json({"slips": run.slips(), "film": run.film_slips()}),
             "/api/force": self._force,
-            # a page asks for each stick that the cursor passes
+            # the page requests each stick phase that the cursor passes
             "/api/stick/{event:int}": lambda ask: _json(effects.stick(ask.path_params["event"])),
             "/api/ridges/{frame:int}": lambda ask: _json(run.ridges(ask.path_params["frame"])),
             "/api/save": lambda ask: _json(run.saving()),
@@ -121,13 +121,13 @@ class Api:
             "/api/retracked/{frame:int}": lambda ask: _json(trial.at(ask.path_params["frame"])),
         }
         post: dict[str, Callable[[Request, Mapping[str, Any]], Response]] = {
-            "/api/preview": lambda ask, body: _tried(
+            "/api/preview": lambda ask, body: _previewed(
                 lambda: effects.preview(_table(body, "decision"), body.get("frame"))
             ),
-            "/api/strip": lambda ask, body: _tried(
+            "/api/strip": lambda ask, body: _previewed(
                 lambda: effects.strip_preview(body.get("rows"), body.get("frame"))
             ),
-            "/api/clock": lambda ask, body: _tried(
+            "/api/clock": lambda ask, body: _previewed(
                 lambda: effects.clock_preview(
                     body.get("offset_s"), body.get("drift_ppm", 0.0), body.get("frame")
                 )
@@ -152,32 +152,32 @@ class Api:
         ]
 
     def _threaded(self, work: Callable[..., Response], *, body: bool = False) -> Callable[[Request], Any]:
-        """A function that waits for files and arrays, off the event loop; InputError becomes an answer."""
+        """Wrap `work` so that it runs in a thread beside the event loop and InputError becomes an answer."""
 
         async def answer(request: Request) -> Response:
-            given = [await _body_of(request)] if body else []
+            content = [await _body_of(request)] if body else []
             try:
-                return await anyio.to_thread.run_sync(work, request, *given, limiter=self._threads)
+                return await anyio.to_thread.run_sync(work, request, *content, limiter=self._threads)
             except InputError as error:
                 return refused(422, with_options(str(error)))
 
         return answer
 
     def _state(self, request: Request) -> Response:
-        """Revision, decisions, and whether another window has the run open."""
-        return _json(self.session.state() | self._company(request))
+        """Return the revision, the decisions, and the number of other windows."""
+        return _json(self.session.state() | self._other_windows(request))
 
-    def _company(self, request: Request) -> dict[str, Any]:
-        """How many other windows there are; this one is noted."""
+    def _other_windows(self, request: Request) -> dict[str, Any]:
+        """Record the requesting window and return the number of others."""
         window, now = _window(request), time.monotonic()
-        # a window that has not asked for 6 s is closed: pages ask every two seconds
+        # pages send a request every two seconds, so a window silent for 6 s is closed
         self._windows = {name: at for name, at in self._windows.items() if now - at < 6.0}
         if window:
             self._windows[window] = now
         return {"other_windows": len(self._windows.keys() - {window})}
 
     def _film(self, request: Request) -> Response:
-        """Size of the film's picture, or why it cannot be shown."""
+        """Return the size of the film's picture, or why it cannot be shown."""
         try:
             rows, columns = self.session.recordings.film().shape
         except InputError as error:
@@ -185,28 +185,28 @@ class Api:
         return _json({"rows": rows, "columns": columns, "error": ""})
 
     def _frame(self, request: Request) -> Response:
-        """One frame of the film."""
+        """Return one frame of the film."""
         frame, session = request.path_params["frame"], self.session
         row = session.positions.row_of(frame)
         return _png(session.recordings.picture(frame, float(session.positions.time_s[row])))
 
     def _tile(self, request: Request) -> Response:
-        """One tile of I(x, t)."""
+        """Return one tile of I(x, t)."""
         return _png(self.session.tiles.part(*(request.path_params[name] for name in ("level", "x", "y"))))
 
     def _tracks(self, request: Request) -> Response:
-        """Curves of all sheets as float32, row after row."""
+        """Return the curves of all sheets as float32, row after row."""
         first, stop = _number(request, "first", 0), _number(request, "stop", 1 << 40)
         what = request.query_params.get("what", "x")
         return _floats(self.session.curves(first, stop, _points(request), what))
 
     def _force(self, request: Request) -> Response:
-        """Time by the force clock, load and separation as float64, row after row."""
+        """Return time on the force clock, load and separation as float64, row after row."""
         span = (_seconds(request, "first_s", float("-inf")), _seconds(request, "stop_s", float("inf")))
         return _floats(self.session.recordings.force(*span, _points(request)))
 
     def _changed(self, request: Request, body: Mapping[str, Any], work: Callable[[], None]) -> Response:
-        """A change; refused where the page has not seen what another window decided meanwhile."""
+        """Make a change, unless the page has not yet seen a change made in another window."""
         with self.session.lock:
             if body.get("revision", self.session.revision) != self.session.revision:
                 raise HTTPException(409, "the run was changed in another window: look again")
@@ -215,18 +215,18 @@ class Api:
 
 
 def _window(request: Request) -> str:
-    """Which window asks; "" where it does not say."""
+    """Return the identifier of the requesting window; "" if it sends none."""
     return request.headers.get("x-window", "")[:64]
 
 
 def _done(work: Callable[[], Any], state: Callable[[], Mapping[str, Any]] = dict) -> Response:
-    """Something that changes no decision, and how things stand then."""
+    """Do something that changes no decision, and return the state after it."""
     work()
     return _json(state())
 
 
-def _tried(work: Callable[[], Mapping[str, Any]]) -> Response:
-    """What was tried out, or why it does not fit: half-typed numbers are no errors, so a 200 says it."""
+def _previewed(work: Callable[[], Mapping[str, Any]]) -> Response:
+    """Return a preview or why there is none, with status 200: a half-typed number is not an error."""
     try:
         return _json(work())
     except InputError as error:
@@ -259,7 +259,7 @@ def _number(request: Request, name: str, default: int) -> int:
 
 
 def _points(request: Request) -> int:
-    return max(2, min(_number(request, "points", 2000), MOST_POINTS))
+    return max(2, min(_number(request, "points", 2000), MAX_POINTS))
 
 
 def _seconds(request: Request, name: str, default: float) -> float:
@@ -275,14 +275,14 @@ def _json(content: Any) -> Response:
 
 
 def _png(pixels: Grey) -> Response:
-    """Packed fast rather than small: it travels within one machine."""
-    made, data = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    assert made
+    """Return a picture as PNG, compressed fast rather than well, since it stays on this computer."""
+    encoded, data = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    assert encoded
     return Response(data.tobytes(), media_type="image/png")
 
 
 def _floats(table: Any) -> Response:
-    """Little-endian numbers; their rows and columns in a header."""
+    """Return little-endian numbers, with the number of rows and columns in headers."""
     shape = {"X-Rows": str(table.shape[0]), "X-Columns": str(table.shape[1])}
     little = table.astype(table.dtype.newbyteorder("<"), copy=False)
     return Response(little.tobytes(), media_type="application/octet-stream", headers=shape)

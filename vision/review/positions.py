@@ -1,4 +1,4 @@
-"""x(n, t) of a run in little memory, and what a decision does to it without tracking again.
+"""Compact x(n, t) of a run, and the effect of decisions on it without tracking again.
 
 A test of 100 000 frames and 50 sheets takes 70 MB.
 """
@@ -33,34 +33,34 @@ FLAGS = (
     "ok", "blurred", "edge", "missing", "merged", "unfit", "left_out", "frozen", "blank", "corrupt", "lost",
     "doubtful",
 )  # fmt: skip
-"""Words of `flag`, the worse the later: of several frames that share a pixel the worst is shown."""
+"""Values of `flag`, from the best to the worst: of several frames that share a pixel the worst is shown."""
 WHYS = ("", *DOUBTS)
 DOUBTFUL = FLAGS.index("doubtful")
 CELLS = ("x_px", "err_px", "withheld_px", "flag", "why")
-"""Arrays of (frame, sheet)."""
+"""Names of the arrays of (frame, sheet)."""
 SLIP_ROWS = 10_000
-"""In which slips are looked for at a time: all of 100 000 take 250 MB of memory; with fewer than some ten
-slips in a part their usual size is not known well."""
+"""Rows in which slips are searched at a time. All of 100 000 rows would take 250 MB of memory; in parts with
+fewer than about ten slips their typical size is poorly known."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Positions:
-    """Every sheet in every frame."""
+    """Positions of every sheet in every frame, or in a part of the frames."""
 
     frame: Ints  # numbers in the film, (frame,)
-    time_s: Floats  # of the camera's clock, (frame,)
-    # (frame, sheet), NaN where there is none. In single precision, 1e-4 px, which is enough to look at;
-    # saving does not use them.
+    time_s: Floats  # camera's clock, (frame,)
+    # (frame, sheet), NaN if there is no position. Single precision, 1e-4 px, is enough for display; saving
+    # does not use these values.
     x_px: Floats32
     err_px: Floats32  # standard error
-    withheld_px: Floats32  # the doubted ridge
-    flag: Codes  # place in `FLAGS`, (frame, sheet)
-    why: Codes  # place in `WHYS`, (frame, sheet)
-    # as numbered from the axis, (sheet,)
+    withheld_px: Floats32  # ridge whose identity is doubtful
+    flag: Codes  # index in `FLAGS`, (frame, sheet)
+    why: Codes  # index in `WHYS`, (frame, sheet)
+    # numbering from the axis, (sheet,)
     side: Ints
     n: Ints
-    attrs: Mapping[str, Any]  # of the tracks: how they were found
-    first_row: int = 0  # of the run, at which a part of it begins
+    attrs: Mapping[str, Any]  # metadata of the tracks
+    first_row: int = 0  # row of the run at which this part begins
 
     @property
     def sheets(self) -> int:
@@ -79,23 +79,23 @@ class Positions:
 
     @property
     def comb(self) -> RidgeComb:
-        """What the ridges look like, as the tracking measured it."""
+        """Appearance of the ridges, as the tracking measured it."""
         return RidgeComb.of(self.track_facts)
 
     def expected_px(self, rows: Ints) -> Floats:
-        """Where the sheets around say that each sheet must be, in these rows."""
-        usual = np.arange(0, len(self.x_px), max(1, len(self.x_px) // 300))  # how neighbours move together
-        said = said_by_neighbours(self.x_px[np.concatenate([usual, rows])].astype(np.float64))
-        return said[len(usual) :]
+        """Return the position of each sheet predicted from its neighbours, in these rows."""
+        # further rows, spread over the run, show how neighbours move together
+        spread = np.arange(0, len(self.x_px), max(1, len(self.x_px) // 300))
+        predicted = said_by_neighbours(self.x_px[np.concatenate([spread, rows])].astype(np.float64))
+        return predicted[len(spread) :]
 
     @property
     def doubtful(self) -> Bools:
-        """Where an identity is in doubt, (frame, sheet)."""
+        """Whether each identity is doubtful, (frame, sheet)."""
         return np.asarray(self.flag == DOUBTFUL, bool)
 
     def tracks(self, rows: slice | Ints = slice(None)) -> xr.Dataset:
-        """These rows as `track_sheets` returns them, without the words, which neither clock nor deformation
-        needs."""
+        """Return rows as `track_sheets` does, without the flags, which clock and deformation do not need."""
         values: dict[str, Any] = {
             "x_px": self.x_px[rows].astype(np.float64),
             "x_err_px": self.err_px[rows].astype(np.float64),
@@ -108,31 +108,31 @@ class Positions:
         return xr.Dataset(data, axes, dict(self.attrs)).set_coords(["time_s", "side", "n"])
 
     def slips_s(self) -> Floats:
-        """When the sheets themselves step outwards, whatever the clock, s; a part of the film at a time."""
+        """Return the times at which the sheets step outwards, s on the camera's clock."""
         frames = len(self.frame)
         parts = [slice(k, min(k + SLIP_ROWS, frames) + 1) for k in range(0, frames, SLIP_ROWS)]
         return np.concatenate([_slips_in(self.tracks(part)) for part in parts])
 
     def row_of(self, frame: int) -> int:
-        """Row of a frame number.  Raises: InputError for a frame that the run does not have."""
+        """Return the row of a frame number.  Raises: InputError for a frame that the run does not have."""
         row = int(np.searchsorted(self.frame, frame))
         if row >= len(self.frame) or self.frame[row] != frame:
             raise InputError("the frame", f"one from {self.frame[0]} to {self.frame[-1]}", f"{frame}")
         return row
 
     def ridges(self, diagram: Diagram, rows: slice) -> Ridges:
-        """Candidates in these rows, as the tracking saw them; x from the diagram's first column."""
+        """Find the ridges in these rows as the tracking does; x counts from the diagram's first column."""
         profile = diagram.rows(self.first_row + rows.start, self.first_row + rows.stop)
         return find_ridges(profile, self.comb, settings=diagram.settings)
 
     def copied(self, rows: slice) -> Positions:
-        """A part that can be changed without changing this."""
+        """Return a copy of some rows that can be changed independently."""
         arrays = {name: getattr(self, name)[rows].copy() for name in (*CELLS, "frame", "time_s")}
         return replace(self, **arrays, first_row=self.first_row + rows.start)
 
 
 def _slips_in(tracks: xr.Dataset) -> Floats:
-    """Of a part; none in too few frames, or without times."""
+    """Return the times of slips in a part of the film; none if it has too few frames or no times."""
     try:
         return np.asarray(video_slips(tracks)["time_s"], np.float64)
     except InputError:
@@ -140,7 +140,7 @@ def _slips_in(tracks: xr.Dataset) -> Floats:
 
 
 def positions_of(stored: StoredTracks) -> Positions:
-    """What has been read."""
+    """Convert stored tracks into positions."""
     arrays, shape = stored.arrays, stored.arrays["x_px"].shape
     attrs = {name: value for name, value in stored.attrs.items() if name not in ("Conventions", "title")}
     return Positions(
@@ -158,54 +158,55 @@ def positions_of(stored: StoredTracks) -> Positions:
 
 
 def _codes(stored: StoredTracks, name: str, words: Sequence[str]) -> Codes:
-    """Words as places in another list; 0 for those that are not in it."""
+    """Return the stored words of an array as indices in `words`; 0 for those that are not in it."""
     if name not in stored.arrays:
         return np.zeros(stored.arrays["x_px"].shape, np.uint8)
-    place = [words.index(word) if word in words else 0 for word in stored.words[name]]
-    return np.take(np.array([*place, 0], np.uint8), stored.arrays[name])
+    code = [words.index(word) if word in words else 0 for word in stored.words[name]]
+    return np.take(np.array([*code, 0], np.uint8), stored.arrays[name])
 
 
 # --- decisions ----------------------------------------------------------------------------------------------
 
 BLOCK = 2048  # frames in which a ridge is followed at a time, so that candidates take little memory
-MEDIAN_ROWS = 2000  # frames from which a sheet's usual place is taken
+MEDIAN_ROWS = 2000  # frames from which the median position of a sheet is computed
 SAME_RIDGE_PX = 2.0
-"""Distance within which a position and a candidate's whole pixel are one ridge: fits end that near to where
-they start. More would join neighbours that are 4 px apart."""
+"""Distance within which a position and the whole pixel of a candidate are the same ridge: fits end this close
+to their start. A larger value would join neighbours that are 4 px apart."""
 _EMPTY: Mapping[str, Any] = {"flag": FLAGS.index("missing"), "why": 0}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Before:
-    """What a decision replaced: enough to take it back."""
+    """The values that a decision replaced, from which it can be undone."""
 
     how: str  # "swap", "cells" (of one sheet), "deleted", "added", "numbering" or "nothing"
     first: int = 0  # row
     stop: int = 0  # row
     sheets: tuple[int, ...] = ()  # columns
-    arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # earlier values by their names
-    # of the numbering
+    arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # earlier values by name
+    # earlier axis
     axis_px: float = np.nan
     axis_how: str = ""
 
 
-def usual_places(positions: Positions) -> Floats:
-    """Median position of every sheet, from frames spread over the run."""
-    return _usual(positions.x_px)
+def median_positions(positions: Positions) -> Floats:
+    """Return the median position of every sheet, from frames spread over the run."""
+    return _medians(positions.x_px)
 
 
-def _usual(values: Floats32) -> Floats:
+def _medians(values: Floats32) -> Floats:
     return nan_median(values[:: max(1, len(values) // MEDIAN_ROWS)].astype(np.float64))
 
 
 def apply(positions: Positions, decision: Correction, diagram: Diagram) -> tuple[Positions, Before]:
-    """Positions after a decision, and what it replaced.
+    """Apply a decision; return the new positions and the values that it replaced.
 
-    Arrays are changed in place where the number of sheets stays. New positions are those of the sliding
-    window with the sheet's usual error; saving measures them like all others. Decisions about strip and clock
-    change nothing here. Sheets are counted as in these positions; ridges are looked for in the diagram.
+    If the number of sheets does not change, the arrays are changed in place. Ridges are searched in the
+    diagram and fitted with the sliding window; they get the sheet's median error. (Saving tracks again, with
+    the run's own fit.) Decisions about strip and clock change nothing here. Sheets are counted as in these
+    positions.
 
-    Raises: InputError where the decision does not fit the positions; nothing is changed then.
+    Raises: InputError if the decision is not valid for the positions, which are not changed then.
     """
     if decision.kind == "axis":
         return _with_axis(positions, float(decision.x_px or 0.0))
@@ -236,7 +237,7 @@ def apply(positions: Positions, decision: Correction, diagram: Diagram) -> tuple
 
 
 def take_back(positions: Positions, before: Before) -> Positions:
-    """Positions as they were before the last decision."""
+    """Undo the last decision and return the earlier positions."""
     rows, arrays = slice(before.first, before.stop), before.arrays
     match before.how:
         case "swap":
@@ -264,9 +265,9 @@ def _swap(positions: Positions, rows: slice, sheets: tuple[int, ...]) -> None:
 
 
 def _put(positions: Positions, rows: slice, sheet: int, x: Floats, flag: NDArray[Any]) -> None:
-    """New positions and flags of one sheet; its usual error, and no doubt where there is none any more."""
+    """Set positions and flags of one sheet, with its median error; clear the doubt where it is settled."""
     known = positions.err_px[:, sheet][np.isfinite(positions.err_px[:, sheet])]
-    error = np.median(known) if known.size else np.nanmedian(_usual(positions.err_px))
+    error = np.median(known) if known.size else np.nanmedian(_medians(positions.err_px))
     settled = flag != DOUBTFUL
     positions.x_px[rows, sheet] = x
     positions.err_px[rows, sheet] = np.where(np.isfinite(x), error, np.nan)
@@ -275,38 +276,38 @@ def _put(positions: Positions, rows: slice, sheet: int, x: Floats, flag: NDArray
     positions.withheld_px[rows, sheet] = np.where(settled, np.nan, positions.withheld_px[rows, sheet])
 
 
-# --- ridges that become a sheet's ---------------------------------------------------------------------------
+# --- ridges that are assigned to a sheet --------------------------------------------------------------------
 
 
 def _accepted(
     positions: Positions, decision: Correction, part: slice, diagram: Diagram
 ) -> tuple[Floats, NDArray[Any]]:
-    """Positions and flags of these rows, with the doubted ridges measured."""
+    """Return positions and flags of these rows, with the doubtful ridges fitted."""
     sheet = decision.sheets[0]
     x, flag = positions.x_px[part, sheet].astype(np.float64), positions.flag[part, sheet].copy()
-    doubted = np.flatnonzero(flag == DOUBTFUL)
-    if not len(doubted):
+    doubtful = np.flatnonzero(flag == DOUBTFUL)
+    if not len(doubtful):
         raise InputError(decision.name, "a doubtful stretch to accept", "none in these frames")
-    withheld = positions.withheld_px[part, sheet][doubted] - np.float64(diagram.first_column)
-    x[doubted] = _fitted(positions, np.rint(withheld), part.start + doubted, diagram)
-    flag[doubted] = np.where(np.isfinite(x[doubted]), FLAGS.index("ok"), FLAGS.index("unfit"))
+    withheld = positions.withheld_px[part, sheet][doubtful] - np.float64(diagram.first_column)
+    x[doubtful] = _fitted(positions, np.rint(withheld), part.start + doubtful, diagram)
+    flag[doubtful] = np.where(np.isfinite(x[doubtful]), FLAGS.index("ok"), FLAGS.index("unfit"))
     return x, flag
 
 
 def _assigned(
     positions: Positions, decision: Correction, part: slice, diagram: Diagram
 ) -> tuple[Floats, NDArray[Any]]:
-    """Positions and flags of these rows, with the ridge followed."""
+    """Return positions and flags of these rows, with the assigned ridge followed."""
     start, other = _followed(positions, decision, part, diagram, without=decision.sheets[0])
     if (other >= 0).any():
         row = int((other >= 0).argmax())
         raise not_taken(decision, int(positions.frame[part.start + row]), int(other[row]))
     x = _fitted(positions, start, np.arange(part.start, part.stop), diagram)
-    return x, _state(start, x)
+    return x, _flags(start, x)
 
 
 def _with_sheet(positions: Positions, decision: Correction, diagram: Diagram) -> tuple[Positions, Before]:
-    """One more sheet, followed both ways."""
+    """Add a sheet, followed from the given frame in both directions of time."""
     row, frames = positions.row_of(decision.first), len(positions.frame)
     start, other = np.full(frames, np.nan), np.full(frames, -1)
     for part in (slice(row, frames), slice(0, row + 1)):
@@ -316,17 +317,17 @@ def _with_sheet(positions: Positions, decision: Correction, diagram: Diagram) ->
     start[other >= 0] = np.nan
     x = _fitted(positions, start, np.arange(frames), diagram)
     here = positions.x_px[row]
-    usual = np.where(np.isfinite(here), here, usual_places(positions))
-    place = int((usual < start[row] + diagram.first_column).sum())
-    wider = _inserted(positions, place, _EMPTY)
-    more = replace(wider, side=np.insert(positions.side, place, 1), n=np.insert(positions.n, place, 1))
-    _put(more, slice(0, frames), place, x, _state(start, x))
-    before = Before(how="added", sheets=(place,), arrays={"side": positions.side, "n": positions.n})
+    others = np.where(np.isfinite(here), here, median_positions(positions))
+    sheet = int((others < start[row] + diagram.first_column).sum())
+    wider = _inserted(positions, sheet, _EMPTY)
+    more = replace(wider, side=np.insert(positions.side, sheet, 1), n=np.insert(positions.n, sheet, 1))
+    _put(more, slice(0, frames), sheet, x, _flags(start, x))
+    before = Before(how="added", sheets=(sheet,), arrays={"side": positions.side, "n": positions.n})
     return _renumbered(more, more.track_facts.axis_px), before
 
 
-def _state(start: Floats, x: Floats) -> NDArray[Any]:
-    """Flags of a sheet by whether it has a ridge, and whether that has a position."""
+def _flags(start: Floats, x: Floats) -> NDArray[Any]:
+    """Return the flags of a sheet with ridges `start` and fitted positions `x`."""
     found = np.where(np.isfinite(x), FLAGS.index("ok"), FLAGS.index("unfit"))
     return np.where(np.isfinite(start), found, FLAGS.index("missing"))
 
@@ -340,9 +341,11 @@ def _followed(
     without: int | None = None,
     back: bool = False,
 ) -> tuple[Floats, Ints]:
-    """Whole pixels of the ridge in these rows, NaN where it is lost, and whose it is, -1 if nobody's.
+    """Follow a ridge through these rows.
 
-    In blocks; each goes on from where the ridge was seen last.
+    Return its whole pixels, NaN where it is lost, and the sheet that has this ridge already, -1 if none. The
+    rows are read in blocks, each of which starts where the ridge was last seen. `back` follows it backwards
+    in time; `without` is a sheet whose positions are ignored.
     """
     comb, origin = positions.comb, float(diagram.first_column)
     start, other = np.full(len(positions.frame), np.nan), np.full(len(positions.frame), -1)
@@ -366,15 +369,15 @@ def _followed(
             return start[part], other[part]
         seen = np.flatnonzero(np.isfinite(found))
         last = int(seen[0] if back else seen[-1])
-        if rows.start + last == at:  # not seen again in a whole block
+        if rows.start + last == at:  # not found again in a whole block
             return start[part], other[part]
         at, wanted = rows.start + last, replace(decision, x_px=float(found[last]) + origin)
 
 
 def _whole_pixels(x_px: Floats, ridges: Ridges) -> Floats:
-    """Each position as the candidate from which it was fitted; rounded where there is none near."""
+    """Return the candidate from which each position was fitted; the rounded position if none is near."""
     out, least = np.rint(x_px), np.full(x_px.shape, SAME_RIDGE_PX)
-    for k in range(ridges.x_px.shape[1]):  # a column at a time: memory of one (frame, sheet)
+    for k in range(ridges.x_px.shape[1]):  # one candidate at a time needs the memory of one (frame, sheet)
         distance = np.abs(x_px - ridges.x_px[:, k : k + 1])
         nearer = distance <= least
         out[nearer] = np.broadcast_to(ridges.x_px[:, k : k + 1], out.shape)[nearer]
@@ -383,7 +386,7 @@ def _whole_pixels(x_px: Floats, ridges: Ridges) -> Floats:
 
 
 def _fitted(positions: Positions, start_px: Floats, rows: Ints, diagram: Diagram) -> Floats:
-    """Subpixel positions, as columns of the picture, from whole pixels in these rows of the positions."""
+    """Fit subpixel positions, in columns of the picture, to ridges at whole pixels in these rows."""
     comb, facts = positions.comb, positions.track_facts
     fit: FitName = "paper" if facts.fit == "paper" else "sliding"
     x = np.full(len(rows), np.nan)
@@ -401,7 +404,7 @@ def _fitted(positions: Positions, start_px: Floats, rows: Ints, diagram: Diagram
 
 
 def _renumbered(positions: Positions, axis_px: float) -> Positions:
-    numbering = number_sheets(usual_places(positions)[None], axis_px=axis_px)
+    numbering = number_sheets(median_positions(positions)[None], axis_px=axis_px)
     return replace(positions, side=numbering.side, n=numbering.n)
 
 
@@ -413,8 +416,8 @@ def _with_axis(positions: Positions, axis_px: float) -> tuple[Positions, Before]
         axis_px=facts.axis_px,
         axis_how=facts.axis_how,
     )
-    about = dict(positions.attrs) | {"axis_px": axis_px, "axis_how": "given"}
-    return replace(_renumbered(positions, axis_px), attrs=about), before
+    attrs = dict(positions.attrs) | {"axis_px": axis_px, "axis_how": "given"}
+    return replace(_renumbered(positions, axis_px), attrs=attrs), before
 
 
 def _without(positions: Positions, sheet: int) -> tuple[Positions, Before]:
@@ -431,7 +434,7 @@ def _removed(positions: Positions, sheet: int) -> Positions:
 
 
 def _inserted(positions: Positions, sheet: int, values: Mapping[str, Any]) -> Positions:
-    """One more column of these values, NaN where there are none."""
+    """Insert a column with these values, NaN for arrays that are not among them."""
     earlier = {name: getattr(positions, name) for name in CELLS}
     cells = {k: np.insert(one, sheet, values.get(k, np.nan), axis=1) for k, one in earlier.items()}
     return replace(positions, **cells)

@@ -1,7 +1,7 @@
-"""What a review reads of a run: its folder, I(x, t) tile by tile, single frames of the film, and the force.
+"""Read a run for a review: its folder, tiles of I(x, t), single frames of the film, and the force.
 
-I(x, t) is read from kymograph.tif a part at a time, from the whole test down to single pixels, so that no
-slip and no thin ridge is lost.
+I(x, t) is read from kymograph.tif in parts. Its tiles, from the whole test down to single pixels, show every
+slip and every thin ridge.
 """
 
 from __future__ import annotations
@@ -35,23 +35,23 @@ from vision.video.encoded import EncodedReader
 # --- the folder ---------------------------------------------------------------------------------------------
 
 COLUMNS = ("event", "t_v_s", "t_p_s", "stick_length_um")
-"""Of events.csv that a review needs."""
+"""Columns of events.csv that a review needs."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StoredRun:
-    """What a run folder holds, read once."""
+    """Contents of a run folder, read once."""
 
     folder: Path
     facts: Mapping[str, Any]  # run.json
     parameters: Mapping[str, Parameter]  # by the names of the command's options
-    stamp: tuple[int, int, int]  # by which another run in its place is recognised
+    stamp: tuple[int, int, int]  # identity of run.json, to notice that another run has replaced this one
     clock: Clock | None = None
     events: pd.DataFrame | None = None
 
     @classmethod
     def of(cls, folder: Path) -> StoredRun:
-        """Raises: InputError for a folder that is no run of a video, or a damaged one."""
+        """Read a run folder.  Raises: InputError if it is damaged or not the run of a video."""
         stamp, facts = _stamp(folder), read_json(folder / MARK)
         clock = folder / "clock.json"
         return cls(
@@ -64,31 +64,31 @@ class StoredRun:
         )
 
     def check_there(self) -> None:
-        """Raises: InputError where the run folder is gone, or another run has taken its place."""
+        """Check that the folder still holds this run.  Raises: InputError if not."""
         if _stamp(self.folder) != self.stamp:
             found, advice = "none, or another one", "nothing was changed; end the review and start it again"
             raise InputError(self.folder, "the run that is reviewed", found, advice)
 
     @property
     def pixel_size_um(self) -> float | None:
-        """µm per pixel; None where it was not given."""
+        """µm per pixel; None if it is unknown."""
         size = self.parameters.get("pixel_size")
         return None if size is None or size.value is None else float(size.value)
 
     @property
     def film_checksum(self) -> str:
-        """Of the film, as run.json has it."""
+        """Checksum or fingerprint of the film in run.json."""
         first: dict[str, Any] = next(iter(self.facts.get("inputs") or []), {})
         return str(first.get("sha256") or first.get("fingerprint") or "")
 
     @property
     def applied(self) -> list[Correction]:
-        """Decisions that its tables already follow."""
+        """Decisions that are already applied in the tables of the run."""
         return [correction_of(one["kind"], _as_entry(one)) for one in self.facts.get("corrections") or []]
 
 
 def _stamp(folder: Path) -> tuple[int, int, int]:
-    """Of run.json; zeros where there is none."""
+    """Return inode, size and time of run.json; zeros if there is none."""
     try:
         facts = (folder / MARK).stat()
     except OSError:
@@ -97,7 +97,7 @@ def _stamp(folder: Path) -> tuple[int, int, int]:
 
 
 def _events(folder: Path) -> pd.DataFrame | None:
-    """The stick-slip events; None where the run has none."""
+    """Return the stick-slip events; None if the run has none."""
     table = read_table(folder, "events")
     absent = [] if table is None else [column for column in COLUMNS if column not in table]
     if absent:
@@ -107,7 +107,7 @@ def _events(folder: Path) -> pd.DataFrame | None:
 
 
 def clock_of(facts: Mapping[str, Any]) -> Clock:
-    """`Clock` from clock.json."""
+    """Return the `Clock` in the content of clock.json."""
     values: dict[str, Any] = {name: math.nan if value is None else value for name, value in facts.items()}
     values["candidates"] = tuple(Candidate(**one) for one in facts.get("candidates") or ())
     values["warnings"] = tuple(facts.get("warnings") or ())
@@ -115,7 +115,7 @@ def clock_of(facts: Mapping[str, Any]) -> Clock:
 
 
 def _as_entry(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """An entry of a corrections file from what run.json says about a correction."""
+    """Convert a correction in run.json to an entry of a corrections file."""
     known = {name: value for name, value in facts.items() if name in Correction.__dataclass_fields__}
     for name in ("sheets", "rows"):
         if known.get(name) is not None:
@@ -123,9 +123,9 @@ def _as_entry(facts: Mapping[str, Any]) -> dict[str, Any]:
     return Correction(**known).entry()
 
 
-def decided_clock(own: Clock | None, decided: Correction) -> Clock:
-    """The clock of a decision; slips are counted again when it is saved."""
-    known = own or Clock(
+def decided_clock(earlier: Clock | None, decision: Correction) -> Clock:
+    """Return the clock of a decision. Its counts of slips remain the earlier ones until the run is saved."""
+    known = earlier or Clock(
         offset_s=0.0,
         drift_ppm=0.0,
         residual_ms=math.nan,
@@ -138,8 +138,8 @@ def decided_clock(own: Clock | None, decided: Correction) -> Clock:
     )
     return replace(
         known,
-        offset_s=decided.offset_s or 0.0,
-        drift_ppm=decided.drift_ppm,
+        offset_s=decision.offset_s or 0.0,
+        drift_ppm=decision.drift_ppm,
         status="given",
         how="given",
         error_ms=math.nan,
@@ -150,12 +150,12 @@ def decided_clock(own: Clock | None, decided: Correction) -> Clock:
 
 
 def claim(folder: Path) -> IO[str]:
-    """An open file beside the run folder that keeps others from reviewing it; they may once it is closed.
+    """Lock a run folder for this review; closing the returned file unlocks it.
 
-    Beside it, as saving puts another folder in the run's place. The claim ends with the process, however that
-    ends. Where the system has no such locks (Windows) nothing is claimed.
+    The file lies beside the folder, because saving replaces the folder. The lock ends with the process,
+    however that ends. On systems without such locks (Windows) nothing is locked.
 
-    Raises: InputError where another process reviews the run, or the place cannot be written.
+    Raises: InputError if another process reviews the run, or the file cannot be written.
     """
     path = folder.resolve()
     path = path.with_name(f".{path.name}.review")
@@ -177,44 +177,44 @@ def claim(folder: Path) -> IO[str]:
 
 
 PARTS_KEPT = 4
-"""Parts that neighbouring tiles share; more keep more memory, up to 8 MB each."""
-PART_VALUES = 1 << 20  # read at a time while levels are made: 4 MB
+"""Parts of the file in memory, shared by neighbouring tiles. More need more memory, up to 8 MB each."""
+PART_VALUES = 1 << 20  # values read at a time while levels are built: 4 MB
 Grey = NDArray[np.uint8]
 
 
 class Diagram:
-    """I(x, t) on disk: read, not mapped, so that it takes no memory but for the part in use.
+    """I(x, t) on disk. It is read in parts, not mapped, so only the part in use takes memory.
 
     Parameters
     ----------
     path
         kymograph.tif.
     first_column
-        Of the picture, at which it begins.
+        Column of the picture at which the diagram begins.
     settings
-        Of the tracking, by which ridges are found again.
+        Settings of the tracking, with which ridges are found again.
 
     Raises
     ------
     InputError
-        For a file that is not there, or damaged.
+        If the file is missing or damaged.
     """
 
     def __init__(self, path: Path, first_column: int, settings: TrackingSettings) -> None:
         self.path, self.first_column, self.settings = path, first_column, settings
         self._offset, self._dtype, (self.frames, self.columns) = stored_kymograph(path)
-        self._file = path.open("rb")  # kept open: saving puts another file in its place
+        self._file = path.open("rb")  # remains open, because saving replaces the file
         self.close = self._file.close
         self._lock = Lock()
         self.shared_rows = lru_cache(PARTS_KEPT)(self.rows)
 
     def rows(self, start: int, stop: int) -> Floats32:
-        """These frames, (frame, x), grey levels; NaN in frames that are not there."""
+        """Return frames in grey levels, (frame, x); lost frames are NaN."""
         count = max(0, min(stop, self.frames) - start)
         return self._read(start, np.empty((count, self.columns), self._dtype))
 
     def parts(self, frames: int, first: range) -> Iterator[Floats32]:
-        """So many frames from each of these on, in memory used again, which is faster than new memory."""
+        """Yield `frames` frames from each start in `first`; the yielded memory is reused, which is faster."""
         space = np.empty((min(frames, self.frames), self.columns), self._dtype)
         for start in first:
             yield self._read(start, space[: self.frames - start])
@@ -228,39 +228,40 @@ class Diagram:
         return np.asarray(space, np.float32)
 
     def sample(self, count: int) -> Floats32:
-        """Frames spread over the run."""
+        """Return frames spread over the run."""
         at = np.unique(np.linspace(0, self.frames - 1, count).astype(np.int64))
         return np.concatenate([self.rows(int(row), int(row) + 1) for row in at])
 
 
 @dataclass(frozen=True, kw_only=True)
 class TileSettings:
-    """How the space-time diagram is cut."""
+    """How the space-time diagram is divided into tiles."""
 
     columns: int = 512
-    """Of a tile. Wider tiles are fewer requests, but a pan waits longer for one; 512 x 256 takes 3 ms."""
+    """Columns of a tile. Wider tiles need fewer requests, but panning waits longer for each; 512 x 256 takes
+    3 ms."""
 
     rows: int = 256
-    """Of a tile, likewise."""
+    """Rows of a tile, with the same trade-off."""
 
     factor: int = 4
-    """Frames of a level to one row of the next. 2 would double the memory and the work of the first view;
-    with 8 a page has to shrink pictures so far that single frames fade."""
+    """Rows of a level that become one row of the next. 2 would double the memory and the work of the first
+    view; with 8 the page shrinks pictures so much that single frames fade."""
 
     first_kept: int = 2
-    """Finest level that is kept in memory. Level 1 would take half the size of the recording's 8-bit diagram,
-    and is made as fast from the file: 2 MB per tile."""
+    """Finest level held in memory. Level 1 would need half the size of the recording's 8-bit diagram, and is
+    as fast to compute from the file: 2 MB per tile."""
 
     sampled_rows: int = 512
     """Frames from which the grey scale is taken."""
 
 
 class Tiles:
-    """The pyramid of one space-time diagram.
+    """Image pyramid of one space-time diagram.
 
-    A row of level l holds ``factor**l`` frames; columns are never merged. Level 0 is the recording itself. A
-    coarse row shows each column's largest value in its frames (the smallest where ridges are not `bright`),
-    so that a ridge that was somewhere for one frame is still seen.
+    A row of level l represents ``factor**l`` frames; columns are never merged. Level 0 is the recording
+    itself. A coarse row shows each column's largest value in its frames (the smallest if ridges are dark), so
+    that a ridge that appears in a single frame remains visible.
     """
 
     def __init__(
@@ -280,7 +281,7 @@ class Tiles:
         return levels
 
     def build(self) -> None:
-        """Make the levels that are kept; they are made at the first need otherwise."""
+        """Build the levels held in memory, which otherwise happens when the first of them is needed."""
         with self._building:
             step = self.settings.factor**self.settings.first_kept
             if self._kept or self.levels <= self.settings.first_kept:
@@ -293,7 +294,7 @@ class Tiles:
             self._kept = kept
 
     def _first_level(self, step: int) -> Floats32:
-        """Extremes of every `step` frames, read in parts by two threads."""
+        """Return the extremes of every `step` frames, read in parts by two threads."""
         frames, columns = self.diagram.frames, self.diagram.columns
         out = np.empty((-(-frames // step), columns), np.float32)
         block = max(1, PART_VALUES // (step * columns))
@@ -308,15 +309,15 @@ class Tiles:
         return out
 
     def _grey(self, values: Floats32) -> Grey:
-        """8 bits; frames that are not there are mid-grey. In parts, as this takes more than the result."""
+        """Convert to 8 bits, with lost frames mid-grey; in parts, since the conversion needs more memory."""
         starts = range(0, len(values), self.settings.rows)
         parts = [grey_levels(values[k : k + self.settings.rows], self.low, self.high) for k in starts]
         return np.concatenate(parts)
 
     def part(self, level: int, x: int, y: int) -> Grey:
-        """One tile in 8 bits; those at the right and lower edge are smaller.
+        """Return one tile in 8 bits; those at the right and lower edge are smaller.
 
-        Raises: InputError for a tile that is not there.
+        Raises: InputError if there is no such tile.
         """
         rows, columns = self.settings.rows, self.settings.columns
         step = self.settings.factor**level if 0 <= level < self.levels else 0
@@ -332,12 +333,12 @@ class Tiles:
 
 
 def _extremes(values: Floats32, step: int, *, bright: bool) -> Floats32:
-    """Largest (or smallest) of every `step` rows, the last interval may be shorter; NaN only without any."""
+    """Return the largest (or smallest) of every `step` rows, ignoring NaN; the last group may be shorter."""
     pick = np.fmax if bright else np.fmin
-    whole = len(values) // step * step
-    out = pick.reduce(values[:whole].reshape(-1, step, values.shape[1]), axis=1)
-    if whole < len(values):
-        out = np.concatenate([out, pick.reduce(values[whole:], axis=0)[None]])
+    full = len(values) // step * step
+    out = pick.reduce(values[:full].reshape(-1, step, values.shape[1]), axis=1)
+    if full < len(values):
+        out = np.concatenate([out, pick.reduce(values[full:], axis=0)[None]])
     return np.asarray(out, np.float32)
 
 
@@ -345,15 +346,15 @@ def _extremes(values: Floats32, step: int, *, bright: bool) -> Floats32:
 
 
 AHEAD_S = 1.0
-"""Up to so far ahead frames are decoded one after the other; further away the file is entered anew. Twice as
-much makes jumps slower, half as much enters the file again at each longer step."""
+"""Time ahead up to which frames are decoded one after the other; for a longer jump the decoder seeks. Twice
+this value makes jumps slower, half of it seeks at each longer step."""
 
 
 class Film:
     """Random access to a recording, opened as the run read it.
 
-    Uncompressed films, stacks and single images are read in place. In a compressed one the frame is found by
-    its time from the key frame before it, and playing forward goes on from the frame shown last.
+    Uncompressed films, stacks and single images are read directly. A compressed film is decoded from the key
+    frame before the requested time, or from the frame shown last when playing forward.
     """
 
     def __init__(self, video: Video) -> None:
@@ -364,9 +365,9 @@ class Film:
         self._ahead: tuple[float, Pixels] | None = None
 
     def picture(self, number: int, time_s: float) -> Pixels | None:
-        """One frame, turned as the run's were; None where it cannot be read.
+        """Return one frame with the run's rotation; None if it cannot be read.
 
-        time_s: by the camera's clock; only what the file itself stamped is used.
+        time_s: on the camera's clock; it is used only if it comes from the file's own time stamps.
         """
         with self._lock:
             reader = self._video.reader
@@ -374,18 +375,18 @@ class Film:
                 found = self._near(reader, self._time_in_file(reader, number, time_s))
                 if found is not None:
                     return np.rot90(found, k=-(self._video.turned_deg // 90))
-            # by its number: at once in a film that is read in place, else decoded from the beginning
+            # by number: fast if the film is read directly, else the film is decoded from the beginning
             block = next(replace(self._video, first=number, stop=number + 1).blocks(), None)
             return None if block is None or not block.status or block.status[0] != "ok" else block.pixels[0]
 
     def _time_in_file(self, reader: EncodedReader, number: int, time_s: float) -> float:
-        """By the file's own stamps, or its rate; NaN where neither tells the frame's place."""
+        """Return the frame's time by the file's time stamps or rate; NaN if neither is known."""
         if reader.facts.times_in_blocks:
             return time_s if self._video.clock.kind == "file" else np.nan
         return number / reader.facts.playback_fps if reader.facts.playback_fps else np.nan
 
     def _near(self, reader: EncodedReader, time_s: float) -> Pixels | None:
-        """The frame within half an interval of this time; None for a time that is not known."""
+        """Return the frame within half an interval of this time; None if there is none or the time is NaN."""
         if np.isnan(time_s):
             return None
         reach_s = 0.5 / (reader.facts.playback_fps or 1.0)
@@ -406,7 +407,7 @@ class Film:
 
 
 class Recordings:
-    """Film and force of a run, each opened at the first need; `moved` is where the film lies now."""
+    """Film and force of a run, each opened when first needed; `moved` is the film's new path, if any."""
 
     def __init__(self, stored: StoredRun, settings: Settings, moved: Path | None) -> None:
         self.stored, self.settings, self.moved = stored, settings, moved
@@ -416,7 +417,7 @@ class Recordings:
         self._grey: tuple[float, float] | None = None
 
     def film(self) -> Film:
-        """Raises: InputError where it is gone or another one."""
+        """Open the film.  Raises: InputError if it is missing or another one."""
         with self._lock:
             if self._film is None:
                 try:
@@ -429,7 +430,7 @@ class Recordings:
             return self._film
 
     def _input(self, place: int) -> Mapping[str, Any]:
-        """The film's entry among run.json's inputs (0), or the force recording's (-1)."""
+        """Return the entry of the film (0) or the force recording (-1) among the inputs in run.json."""
         inputs = self.stored.facts.get("inputs") or []
         force = self.stored.parameters.get("force")
         if not inputs or (place and (force is None or not force.value)):
@@ -437,7 +438,7 @@ class Recordings:
         return dict(inputs[place])
 
     def picture(self, frame: int, time_s: float) -> Grey:
-        """One frame in 8 bits, by the same black and white throughout."""
+        """Return one frame in 8 bits, with the same grey scale for all frames."""
         pixels = self.film().picture(frame, time_s)
         if pixels is None:
             raise InputError("the frame", "one that can be read", f"{frame}, which cannot")
@@ -447,8 +448,10 @@ class Recordings:
         return grey_levels(values, *self._grey)
 
     def force(self, first_s: float, stop_s: float, points: int) -> Floats:
-        """(rows, 3): seconds of the force clock, load, separation; extremes where there are more rows than
-        points.  Raises: InputError where there is none."""
+        """Return seconds on the force clock, load and separation, (rows, 3); extremes if rows exceed points.
+
+        Raises: InputError if there is no force recording.
+        """
         with self._lock:
             if self._force is None:
                 path = input_of(self.stored.folder, self._input(-1))

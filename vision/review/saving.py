@@ -1,4 +1,4 @@
-"""A run is made again under its decisions, in a process of its own, and takes the old one's place whole."""
+"""Save decisions: run the affected stages again in a separate process, and replace the run folder."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from vision.errors import InputError
 from vision.files import PACKAGES
 from vision.numeric import Floats, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
-from vision.review.positions import Before, Positions, positions_of, usual_places
+from vision.review.positions import Before, Positions, median_positions, positions_of
 from vision.review.tracks_file import read_tracks
 from vision.run.folder import Origin, Parameter, clean_up, plain, put_in_place
 from vision.run.reading import input_of, parameters_of, read_run, read_strip, read_table, tracks_of
@@ -37,33 +37,33 @@ if TYPE_CHECKING:
     from vision.review.session import Session
 
 Tell = Callable[..., None]
-"""Called with what is being done, and with frames done and their number where those are known."""
+"""Called with the current stage and, if they are known, the number of frames done and of all frames."""
 
 DIFFERENT = 3.0
-"""Standard errors of both positions by which they differ: three of a thousand equal ones do by chance."""
+"""Standard errors by which positions differ. By chance, three of a thousand equal positions do so."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SaveJob:
-    """What is to be saved."""
+    """A run and the decisions that are to be applied to it."""
 
     folder: Path  # the run
-    settings: Settings  # that it was made with, without corrections
-    applied: tuple[Correction, ...]  # decisions that it already follows
-    decisions: Decisions  # those that it shall follow
-    clock: Clock | None = None  # the run's, kept where no decision changes it
-    # where the film lies now, if not where it was; without the film all but another strip can be saved
+    settings: Settings  # settings of the run, without corrections
+    applied: tuple[Correction, ...]  # decisions that are already applied
+    decisions: Decisions  # decisions that are to be applied
+    clock: Clock | None = None  # clock of the run, reused unless a decision changes it
+    # path of the film if it has been moved; without the film, anything but another strip can be saved
     film: Path | None = None
-    beside: Mapping[str, bytes] | None = None  # files of the review kept with the run: content by name
-    # names of arguments and the command's options that the report shows in their place
+    beside: Mapping[str, bytes] | None = None  # files of the review to store with the run: content by name
+    # the command-line option that the report shows in place of each argument's name
     options: Mapping[str, str] = field(default_factory=dict)
-    into: Path | None = None  # where the run is written, if it shall not take the old one's place
+    into: Path | None = None  # where to write the run if it must not replace the old one
 
 
 def save_run(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: None) -> None:
-    """Run what follows from the decisions again and replace the run folder.
+    """Run the stages that the decisions affect again, and replace the run folder.
 
-    Raises: InputError where a decision does not fit, or a file is gone; the run stays as it was.
+    Raises: InputError if a decision is not valid or a file is missing; the run is not changed then.
     """
     tell("reading the run")
     folder, settings = job.folder, replace(job.settings, corrections=job.decisions.corrections)
@@ -83,7 +83,7 @@ def save_run(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: None) -> 
 
     try:
         video = open_recording(input_of(folder, inputs[0], job.film), job.settings)
-    except InputError:  # it is gone; it is needed for another strip alone
+    except InputError:  # the film is gone; only another strip would need it
         video = None
     analysis = analyse(
         video,
@@ -107,14 +107,14 @@ def save_run(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: None) -> 
     )
 
 
-# --- in a process of its own --------------------------------------------------------------------------------
+# --- in a separate process ----------------------------------------------------------------------------------
 
 
 class Saver:
-    """One run at a time that is made again, beside the server.
+    """Executes one `SaveJob` at a time in a process beside the server.
 
-    A process of its own keeps the page answering and gives its memory back. It writes nothing once the
-    server that started it is gone.
+    A separate process keeps the page responsive and returns its memory. It stops writing when the server that
+    started it is gone.
     """
 
     def __init__(self) -> None:
@@ -125,14 +125,14 @@ class Saver:
 
     @property
     def running(self) -> bool:
-        """Whether a run is being made."""
+        """Whether a job is being executed."""
         return self._thread is not None and self._thread.is_alive()
 
     def start(self, job: SaveJob, finished: Callable[[Mapping[str, Any]], None]) -> None:
-        """Begin.
+        """Start a job.
 
-        finished: called, in a thread, when the run has been written, with its `differences` from the old one
-        where that has kept its place.  Raises: InputError while another one is being made.
+        finished: called in a thread when the run has been written, with its `differences` from the old run if
+        that was not replaced.  Raises: InputError while another job is being executed.
         """
         if self.running:
             raise InputError("the run", "one that is not being tracked or saved", "one that is", "wait")
@@ -141,17 +141,17 @@ class Saver:
         self._thread.start()
 
     def progress(self) -> dict[str, Any]:
-        """How far it is, and what went wrong."""
+        """Return the progress of the job, and its error."""
         state = {"stage": self.stage, "done": self.done, "total": self.total, "error": self.error}
         return {"running": self.running, **state}
 
     def wait(self) -> None:
-        """Until nothing is being made."""
+        """Wait for the end of the job."""
         if self._thread is not None:
             self._thread.join()
 
     def cancel(self) -> None:
-        """End it; nothing of it is left once this returns."""
+        """End the job and remove what it has written."""
         self._cancelled = True
         if self._child is not None:
             self._child.kill()
@@ -159,13 +159,13 @@ class Saver:
 
     def _work(self, job: SaveJob, finished: Callable[[Mapping[str, Any]], None]) -> None:
         found: Mapping[str, Any] = {}
-        error = "the process that tracks ended without a word; the run is as it was"
+        error = "the process that tracks ended without a message; the run is unchanged"
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
         with subprocess.Popen([sys.executable, "-c", _CHILD], **pipes) as child:  # type: ignore[call-overload]
             self._child = child
             if self._cancelled:
                 child.kill()
-            with contextlib.suppress(BrokenPipeError):  # it was killed
+            with contextlib.suppress(BrokenPipeError):  # the child was killed
                 pickle.dump((PACKAGES, os.getpid()), child.stdin)
                 pickle.dump(job, child.stdin)
             with contextlib.suppress(BrokenPipeError):
@@ -189,7 +189,7 @@ class Saver:
         self.stage, self.error, self._child, self.done, self.total = "", error, None, 0, 0
 
 
-# The packages that the server has, and none in the working directory.
+# The child imports the server's packages, and none from the working directory.
 _CHILD = """
 import pickle, sys
 sys.path[:], server = pickle.load(sys.stdin.buffer)
@@ -199,11 +199,13 @@ in_child(server)
 
 
 def in_child(server: int) -> None:
-    """Save what standard input holds, and tell how it goes, a line of JSON each: ["stage", text, frames done,
-    their number], ["found", differences, 0, 0] where a run is put beside, at last ["end", error, 0, 0].
+    """Execute the `SaveJob` on standard input and write its progress to standard output as lines of JSON.
 
-    server: the process that waits for it. Once it is gone, the run is left as it was: its decisions are in
-    corrections.toml.
+    The lines are ["stage", text, frames done, all frames], then ["found", differences, 0, 0] if the run does
+    not replace the old one, and ["end", error, 0, 0].
+
+    server: the process that waits for the result. If it has gone, the run is not changed; the decisions are
+    in corrections.toml.
     """
     lines, sys.stdout = sys.stdout, sys.stderr
 
@@ -224,65 +226,66 @@ def in_child(server: int) -> None:
         tell(str(error), kind="end")
     except BrokenPipeError:
         os._exit(1)
-    except Exception as error:  # shown in the page; the run stays as it was
+    except Exception as error:  # shown in the page; the run is not changed
         tell(" ".join(f"unexpected {type(error).__name__}: {error}".split()), kind="end")
 
 
-# --- tracked again before it is kept ------------------------------------------------------------------------
+# --- tracking again before a decision is made ---------------------------------------------------------------
 
 
 class Trial:
-    """Tracks a session's run again under a decision that is not kept, and says what that would change.
+    """Tracks a session's run again with a tentative decision, and compares the result.
 
-    The new run is written whole, beside the old one, with the decision in its corrections.toml. Keeping it is
-    a change of two names: what is kept is exactly what was shown, and the film is not read a second time.
+    The new run is written beside the old one, with the decision in its corrections.toml. To accept it, the
+    two folders are exchanged, so the accepted run is exactly the one shown, and the film is read only once.
     """
 
     def __init__(self, run: Session) -> None:
         self.run = run
-        self._place: Path | None = None  # where it is written
+        self._folder: Path | None = None  # of the new run
         self._found: Mapping[str, Any] | None = None
 
     def start(self, request: Mapping[str, Any]) -> None:
-        """Begin to track again.  Raises: InputError where the decision does not fit, or while it is busy."""
+        """Start tracking.  Raises: InputError if the decision is not valid or another job is running."""
         run = self.run
         with run.lock:
             run.check_free()
             decision = run.decision_of(request, dated=True)
-            self._place = _beside(run.folder)
+            self._folder = _trial_folder(run.folder)
             job = run.job([*run.decisions, decision], [])
-            run.saver.start(replace(job, into=self._place), self._take)
+            run.saver.start(replace(job, into=self._folder), self._take)
 
     def state(self) -> dict[str, Any]:
-        """How far it is, and what was found."""
-        others = {} if self._place is not None else {"running": False, "error": ""}  # saving, not a trial
-        return self.run.saver.progress() | {"found": self._found} | others
+        """Return the progress of the trial, and its result."""
+        state = self.run.saver.progress() | {"found": self._found}
+        return state if self._folder is not None else state | {"running": False, "error": ""}  # a save runs
 
     def at(self, frame: int) -> dict[str, Any]:
-        """Positions about a frame, and σ_x/Λ_st of the stick there, before and after.
+        """Return positions near a frame, and σ_x/Λ_st of the stick phase there, before and after.
 
-        Raises: InputError where nothing was tracked again.
+        Raises: InputError if there is no finished trial.
         """
         with self.run.lock:
-            return self.run.effects.preview_of(self._ready() / "tracks.nc", frame)
+            return self.run.effects.preview_of(self._finished() / "tracks.nc", frame)
 
-    def _ready(self) -> Path:
-        """Where the new run lies."""
-        if self._found is None or self._place is None:
+    def _finished(self) -> Path:
+        """Return the folder of the new run."""
+        if self._found is None or self._folder is None:
             raise InputError("the trial", "a run that was tracked again", "none", "track again first")
-        return self._place
+        return self._folder
 
     def keep(self) -> None:
-        """Put the new run, whose corrections.toml holds the decision, in the old one's place.
+        """Replace the run by the new one, whose corrections.toml contains the decision.
 
-        Raises: InputError where nothing was tracked again, or it cannot be written; the run stays as it was.
+        Raises: InputError if there is no finished trial or the folder cannot be written; the run is not
+        changed then.
         """
         run = self.run
         with run.lock:
-            place = self._ready()
+            folder = self._finished()
             run.stored.check_there()
             try:
-                put_in_place(place, run.folder.resolve(), overwrite=True)
+                put_in_place(folder, run.folder.resolve(), overwrite=True)
             except OSError as error:
                 found = (error.strerror or str(error)).lower()
                 raise InputError(run.folder, "a place that can be written", found, "not kept") from error
@@ -290,48 +293,51 @@ class Trial:
             run.reload()
 
     def discard(self) -> None:
-        """Throw it away, also while it is being made."""
+        """Remove the new run; if it is not finished, end its job."""
         with self.run.lock:
-            if self._place is None:
+            if self._folder is None:
                 return
             if self.run.saver.running and self._found is None:
                 self.run.saver.cancel()
             self.sweep()
-            self._place = self._found = None
+            self._folder = self._found = None
 
     def sweep(self) -> None:
-        """Remove what lies beside the run, from a killed review, too."""
-        place = _beside(self.run.folder)
-        shutil.rmtree(place, ignore_errors=True)
-        clean_up(place)
+        """Remove the folder of a trial, including one left by a killed review."""
+        folder = _trial_folder(self.run.folder)
+        shutil.rmtree(folder, ignore_errors=True)
+        clean_up(folder)
 
     def _take(self, found: Mapping[str, Any]) -> None:
         self._found = found
 
 
-def _beside(folder: Path) -> Path:
+def _trial_folder(folder: Path) -> Path:
     path = folder.resolve()
     return path.with_name(f".{path.name}.tried")
 
 
 def differences(before: Path, after: Path) -> dict[str, Any]:
-    """What one run folder says that another one does not.
+    """Compare two run folders; pairs of numbers are those before and after.
 
-    Pairs are before and after. Of the whole runs: sheets (left and right), positions, doubtful (positions),
-    error_px (median). Of the sheets that both have, each other's nearest within half a pitch: gained and lost
-    (positions); of the positions in both, their number compared, how many differ by more than `DIFFERENT`
-    errors, how many lie on other_ridge, more than half a pitch away, median_px and largest_px (of the
-    difference). ratios: known (pairs), median and largest (of the difference), of (compared), other_shell
-    (called otherwise). shells: of each side the median number of stiff sheets, and in how many sticks it is
-    other. Both None where a run has none.  Raises: InputError for damaged files.
+    Of all sheets: ``sheets`` (left and right), ``positions``, ``doubtful`` positions, median ``error_px``.
+    Of the sheets in both runs, which are nearest to each other and within half a pitch: ``gained`` and
+    ``lost`` positions; of the positions in both, how many were ``compared``, how many ``differ`` by more than
+    `DIFFERENT` errors or lie on an ``other_ridge``, more than half a pitch away, and the ``median_px`` and
+    ``largest_px`` difference. ``ratios``: ``known`` ones (pair), ``median`` and ``largest`` difference,
+    number compared (``of``), and number of sheets in an ``other_shell``. ``shells``: for each side the
+    ``median`` number of stiff sheets (pair), and the number of stick phases in which it changed (``other``).
+    The last two are None if a run has none.
+
+    Raises: InputError for damaged files.
     """
     old, new = (positions_of(read_tracks(folder / "tracks.nc")) for folder in (before, after))
-    pairs = _pairs(usual_places(old), usual_places(new), old.track_facts.pitch_px)
+    pairs = _pairs(median_positions(old), median_positions(new), old.track_facts.pitch_px)
     return _positions_differ(old, new, *pairs) | _deformation_differs(before, after, *pairs)
 
 
 def _deformation_differs(before: Path, after: Path, old: Ints, new: Ints) -> dict[str, Any]:
-    """How σ_x/Λ_st of the sheets in both runs, and the shells, differ."""
+    """Compare σ_x/Λ_st of the sheets in both runs, and the shells (see `differences`)."""
     names = ("deformation", "shells")
     (sheets, shells), (sheets_new, shells_new) = (
         [read_table(folder, name) for name in names] for folder in (before, after)
@@ -363,7 +369,7 @@ def _deformation_differs(before: Path, after: Path, old: Ints, new: Ints) -> dic
 
 
 def _pairs(old_px: Floats, new_px: Floats, pitch_px: float) -> tuple[Ints, Ints]:
-    """Sheets of two runs that are each other's nearest, within half a pitch."""
+    """Return the sheets of two runs that are nearest to each other and within half a pitch."""
     distance = np.nan_to_num(np.abs(old_px[:, None] - new_px[None, :]), nan=np.inf)
     nearest = distance.argmin(axis=1)
     old = np.arange(len(old_px))
@@ -372,19 +378,19 @@ def _pairs(old_px: Floats, new_px: Floats, pitch_px: float) -> tuple[Ints, Ints]
 
 
 def _positions_differ(before: Positions, after: Positions, old: Ints, new: Ints) -> dict[str, Any]:
-    """How the positions of the sheets in both runs differ."""
-    was, will = before.x_px[:, old], after.x_px[:, new]
-    there, then = np.isfinite(was), np.isfinite(will)
-    both = there & then
-    moved = np.abs(will - was)[both]
+    """Compare the positions of the sheets in both runs (see `differences`)."""
+    x_old, x_new = before.x_px[:, old], after.x_px[:, new]
+    known_old, known_new = np.isfinite(x_old), np.isfinite(x_new)
+    both = known_old & known_new
+    moved = np.abs(x_new - x_old)[both]
     error = np.hypot(before.err_px[:, old], after.err_px[:, new])[both]
     return {
         "sheets": [[int((part.side == side).sum()) for side in (-1, 1)] for part in (before, after)],
         "positions": [int(np.isfinite(part.x_px).sum()) for part in (before, after)],
         "doubtful": [int(part.doubtful.sum()) for part in (before, after)],
         "error_px": [float(np.nanmedian(part.err_px)) for part in (before, after)],
-        "gained": int((then & ~there).sum()),
-        "lost": int((there & ~then).sum()),
+        "gained": int((known_new & ~known_old).sum()),
+        "lost": int((known_old & ~known_new).sum()),
         "compared": len(moved),
         "differ": int((moved > DIFFERENT * error).sum()),
         "other_ridge": int((moved > 0.5 * before.track_facts.pitch_px).sum()),
@@ -393,11 +399,11 @@ def _positions_differ(before: Positions, after: Positions, old: Ints, new: Ints)
     }
 
 
-# --- what decisions replaced --------------------------------------------------------------------------------
+# --- values that decisions replaced -------------------------------------------------------------------------
 
 
 def pack(steps: Sequence[Before | None]) -> bytes:
-    """What the decisions replaced, in their order, as the content of an .npz file."""
+    """Return the values that decisions replaced, in order, as the content of an .npz file."""
     names = ("how", "first", "stop", "sheets", "axis_px", "axis_how")
     facts = [step and {name: getattr(step, name) for name in names} for step in steps]
     arrays: dict[str, Any] = {
@@ -412,14 +418,14 @@ def pack(steps: Sequence[Before | None]) -> bytes:
 
 
 def unpack(path: Path) -> list[Before | None]:
-    """The inverse of `pack`; nothing for a file that is not there or damaged.
+    """Read what `pack` returned from a file; an empty list if the file is missing or damaged.
 
-    Then a decision can still be taken back, but is seen only when it is saved.
+    Without it a decision can still be undone, but the effect is visible only when the run has been saved.
     """
     try:
-        with np.load(path, allow_pickle=False) as kept:
-            facts = json.loads(kept["facts"].tobytes())
-            arrays = {name: kept[name] for name in kept.files}
+        with np.load(path, allow_pickle=False) as file:
+            facts = json.loads(file["facts"].tobytes())
+            arrays = {name: file[name] for name in file.files}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return []
     return [None if one is None else _step(k, one, arrays) for k, one in enumerate(facts)]

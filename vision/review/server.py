@@ -1,8 +1,8 @@
-"""The server of `track review`: a page on the loopback address, for whoever has the token.
+"""The server of `track review`: a page on the loopback address, for browsers that have the token.
 
-It is there before the run has been read, which takes longer than to load the page. Answers to what a page
-asks first are kept in the run's folder and given at once; other questions wait until the run has been read.
-This module imports nothing that takes time, for it is what is waited for.
+The server starts before the run has been read, which takes longer than loading the page. The answers to a
+page's first requests are stored in the run folder and sent at once; other requests wait for the run. This
+module imports nothing slow, because the user waits for it.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ class Guard:
     """Refuses requests that do not come from this page, before anything else sees them.
 
     Every request must carry the token: in the address of the page, then in a cookie or the header X-Token.
-    The Host must be a name of the loopback address (a foreign name that resolves to it could otherwise be
-    read by a foreign page: DNS rebinding), and the Origin, where a browser states one, this server. Bodies
-    over 1 MB are refused, also where their length was stated wrongly or not at all.
+    The Host must be a name of the loopback address (otherwise a foreign page could read the answers through a
+    foreign name that resolves to it: DNS rebinding). The Origin, if the browser sends one, must be this
+    server. Bodies over 1 MB are refused, even if their stated length is wrong or missing.
     """
 
     def __init__(self, app: ASGIApp, *, port: int, token: str, cookie: str) -> None:
@@ -65,7 +65,7 @@ class Guard:
         self.hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One request; what is no HTTP (a WebSocket) is refused."""
+        """Answer one request; protocols other than HTTP (WebSocket) are refused."""
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
             return
@@ -100,7 +100,7 @@ class Guard:
 
 
 def _bounded(receive: Receive) -> Receive:
-    """Counts what really arrives."""
+    """Wrap `receive` so that it counts the bytes that really arrive."""
     seen = 0
 
     async def counted() -> Message:
@@ -126,31 +126,30 @@ def _with_headers(send: Send) -> Send:
 
 
 def refused(status: int, text: str) -> JSONResponse:
-    """A request that is not answered, and why."""
+    """Return an error response with the reason."""
     return JSONResponse({"error": text}, status)
 
 
 async def failed(request: Request, error: Exception) -> Response:
-    """An answer in one line of JSON, whatever went wrong."""
+    """Return an error response of one line for any exception."""
     status = error.status_code if isinstance(error, HTTPException) else 500
     text = error.detail if isinstance(error, HTTPException) else f"{type(error).__name__}: {error}"
     return refused(status, " ".join(str(text).split()))
 
 
 class Awaited:
-    """Answers that are there once the run has been read; until then those that were kept, by their questions.
+    """Application that answers from the run once it has been read, and until then with stored answers.
 
-    `begin` is called with the first question that has none among them.
+    `kept` are the stored answers by address. `begin` is called at the first request that has none.
     """
 
     def __init__(self, answers: Future[ASGIApp], kept: Mapping[str, bytes], begin: Callable[[], Any]) -> None:
         self._answers, self._kept, self._begin = answers, kept, begin
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One request; of a run that cannot be read the reason."""
-        asked = scope["path"] + (
-            "?" + scope["query_string"].decode("latin-1") if scope["query_string"] else ""
-        )
+        """Answer one request; if the run cannot be read, the answer is the reason."""
+        query = scope["query_string"].decode("latin-1")
+        asked = f"{scope['path']}?{query}" if query else scope["path"]
         kept = None if self._answers.done() or scope["method"] != "GET" else self._kept.get(asked)
         app: ASGIApp
         if kept is None:
@@ -166,7 +165,7 @@ class Awaited:
 
 
 def make_app(answers: ASGIApp, *, port: int, token: str) -> ASGIApp:
-    """The page, its files by names that were there at the start, and answers about the run; guarded."""
+    """Return the guarded application: the page, the files present at the start, and answers on the run."""
     files = {path.name: path for path in PAGE.glob("*") if path.suffix in KINDS}
     cookie = f"review_{port}"
 
@@ -177,7 +176,7 @@ def make_app(answers: ASGIApp, *, port: int, token: str) -> ASGIApp:
         return Response(path.read_bytes(), media_type=f"{KINDS[path.suffix]}; charset=utf-8")
 
     def index(request: Request) -> Response:
-        answer = file(request)  # the token goes into a cookie that no script and no other site sees
+        answer = file(request)  # store the token in a cookie that no script and no other site can read
         answer.set_cookie(cookie, token, httponly=True, samesite="strict", path="/")
         return answer
 
@@ -197,24 +196,24 @@ def serve(
     port: int = 0,
     kept: Mapping[str, bytes] | None = None,
 ) -> None:
-    """Serve the page on the loopback address until it is told to stop.
+    """Serve the page on the loopback address until the server is stopped.
 
     Parameters
     ----------
     opening
-        Reads the run, in a thread, and returns what answers questions about it; called with what ends the
-        server.
+        Reads the run in a thread and returns the application that answers requests about it. Its argument is
+        a function that stops the server.
     opened
-        Called with the address, token and all, once it can be asked.
+        Called with the address, including the token, when the server is ready.
     port
-        0 takes one that is free.
+        Port; 0 selects a free one.
     kept
-        Answers from before; the run is read with the first question that has none among them.
+        Stored answers by address. The run is read at the first request that is not among them.
 
     Raises
     ------
     InputError
-        Where the port is taken, or the run cannot be read.
+        If the port is in use or the run cannot be read.
     """
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     with contextlib.closing(listening), ThreadPoolExecutor(1) as reader:
@@ -234,9 +233,9 @@ def serve(
                 answers.set_result(opening(stop))
             except BaseException as error:
                 answers.set_exception(error)
-                stop()  # once a page that waits has been told
+                stop()  # after waiting pages have received the error
 
-        begin = cache(lambda: reader.submit(read))  # once
+        begin = cache(lambda: reader.submit(read))  # only the first call reads the run
         config = uvicorn.Config(
             make_app(Awaited(answers, kept or {}, begin), port=number, token=token),
             log_level="critical",
@@ -251,7 +250,7 @@ def serve(
             begin()
         address = f"http://127.0.0.1:{number}/?token={token}"
         asyncio.run(_run(server, listening, partial(opened, address)))
-    if answers.done():  # it was begun
+    if answers.done():  # raises the error of a run that cannot be read
         answers.result()
 
 
@@ -264,26 +263,26 @@ async def _run(server: uvicorn.Server, listening: socket.socket, ready: Callable
     await serving
 
 
-# --- the first view: answers kept in the run folder ---------------------------------------------------------
+# --- the first view: answers stored in the run folder -------------------------------------------------------
 
 
 FIRST_VIEW = "first_view.zip"
 READ = ("run.json", "corrections.toml")
 SIZED = ("tracks.nc", "kymograph.tif", "events.csv", "clock.json")
-MOST_BYTES = 64 << 20  # more is not a first view
+MAX_BYTES = 64 << 20  # a larger file is not a first view
 
 
 def read_first_view(folder: Path, film: Path | None = None) -> dict[str, bytes]:
-    """Answers by their questions; none where they are not those about this run, or damaged.
+    """Return the stored answers by address; none if they are damaged or the run has changed since.
 
-    film: where it lies now, if not where it was when it was tracked.
+    film: path of the film, if it has been moved since it was tracked.
     """
     try:
-        with ZipFile(folder / FIRST_VIEW) as kept:
-            size = sum(one.file_size for one in kept.filelist)
-            if kept.comment != _state(folder, film) or size > MOST_BYTES:
+        with ZipFile(folder / FIRST_VIEW) as file:
+            size = sum(one.file_size for one in file.filelist)
+            if file.comment != _state(folder, film) or size > MAX_BYTES:
                 return {}
-            return {name: kept.read(name) for name in kept.namelist()}
+            return {name: file.read(name) for name in file.namelist()}
     except (OSError, ValueError, RuntimeError, EOFError, BadZipFile, zlib.error):  # all that ZipFile raises
         return {}
 
@@ -291,16 +290,15 @@ def read_first_view(folder: Path, film: Path | None = None) -> dict[str, bytes]:
 def write_first_view(
     path: Path, folder: Path, answers: Mapping[str, bytes], film: Path | None = None
 ) -> None:
-    """Write the file that `read_first_view` finds in the run folder: answers by their questions."""
-    with ZipFile(path, "w") as kept:
+    """Write the file that `read_first_view` reads: answers by address."""
+    with ZipFile(path, "w") as file:
         for name, content in answers.items():
-            kept.writestr(name, content)
-        kept.comment = _state(folder, film)
+            file.writestr(name, content)
+        file.comment = _state(folder, film)
 
 
 def _state(folder: Path, film: Path | None) -> bytes:
-    """A digest of what the answers follow from: the run, its decisions, whether its inputs are there, and the
-    program that gave them."""
+    """Return a digest of what determines the answers: run, decisions, existence of inputs, and program."""
     texts = [(folder / name).read_bytes() if (folder / name).exists() else b"" for name in READ]
     facts = json.loads(texts[0])
     texts += [path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))]
@@ -311,6 +309,6 @@ def _state(folder: Path, film: Path | None) -> bytes:
 
 
 def _facts(paths: Iterable[Path], *, dated: bool = False) -> list[Any]:
-    """Sizes, and times of the last change; nothing of files that are not there."""
+    """Return size and, if `dated`, time of the last change of each file; None for missing files."""
     found = [path.stat() if path.exists() else None for path in paths]
     return [one and [one.st_size, one.st_mtime_ns if dated else 0] for one in found]

@@ -1,4 +1,4 @@
-"""A run under review: what is shown of it, and the decisions about it."""
+"""A run under review: the data that the page shows, and the decisions about it."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from vision.review.positions import (
     WHYS,
     Before,
     apply,
+    median_positions,
     positions_of,
     take_back,
-    usual_places,
 )
 from vision.review.recordings import Diagram, Recordings, StoredRun, Tiles, claim, decided_clock
 from vision.review.saving import SaveJob, Saver, Trial, pack, unpack
@@ -47,27 +47,27 @@ from vision.sheets.corrections import (
 )
 from vision.sheets.recovery import DOUBTS, stretches
 
-REPLACED = "corrections.npz"  # what saved decisions replaced, so that they can be taken back
+REPLACED = "corrections.npz"  # values that saved decisions replaced, so that they can be undone
 
 
 class Session:
     """A run, its decisions, and the positions that follow from them.
 
-    Every decision is on disk, in corrections.toml, before the call that made it returns. The run's tables
-    follow when it is saved.
+    Every decision is written to corrections.toml before the call that makes it returns. The run's tables
+    change when it is saved.
 
     Parameters
     ----------
     folder
         The run folder.
     settings
-        As the run was made with; its corrections are not used, those of the folder are.
+        Settings of the run, except for the corrections, which are read from the folder.
     film
-        Where the film lies now, if not where it was when it was tracked.
+        Path of the film, if it has been moved since it was tracked.
     options
-        Names of arguments and the command's options that a report shows in their place.
+        The command-line option that the report shows in place of each argument's name.
     tracks
-        Of the run, where they are being read already.
+        The run's tracks, if they are being read already.
     """
 
     def __init__(
@@ -84,34 +84,35 @@ class Session:
         self.lock = RLock()
         self.revision = 0
         self._claim = claim(folder)
-        self.trial.sweep()  # what a killed review left
+        self.trial.sweep()  # remove what a killed review left
         self._film_slips: tuple[int, list[int]] = (-1, [])
         try:
             with reading(folder, "a run folder as track writes it", AGAIN):
                 self._load(tracks)
-                self.revision = 0  # whatever was taken up: pages know it from the first view
+                self.revision = 0  # stored answers to a page's first requests have revision 0
                 self.recordings = Recordings(self.stored, settings, film)
         except BaseException:
             self._claim.close()
             raise
 
     def _load(self, tracks: Future[StoredTracks] | None = None) -> None:
-        """Read the folder, then take up the decisions that its tables do not follow yet."""
+        """Read the folder, then apply the decisions that are not in its tables yet."""
         self.stored = StoredRun.of(self.folder)
         columns = self.settings.columns
         first = 0 if columns is None else columns.start or 0
         self.diagram = Diagram(self.folder / "kymograph.tif", first, self.settings.tuning.tracking)
         try:
-            self._load_positions(tracks)
+            self._load_tracks(tracks)
+            self._load_decisions()
         except BaseException:
             self.diagram.close()
             raise
 
-    def _load_positions(self, tracks: Future[StoredTracks] | None) -> None:
-        """Positions, and the decisions about them."""
+    def _load_tracks(self, tracks: Future[StoredTracks] | None) -> None:
+        """Read the positions; meanwhile build the tiles of the diagram."""
         ridges = self.stored.facts.get("found", {}).get("ridges", {}).get("polarity", "bright")
         self.tiles = Tiles(self.diagram, bright=ridges == "bright")
-        with ThreadPoolExecutor(1) as pool:  # while the tracks are tried out and read
+        with ThreadPoolExecutor(1) as pool:
             built = pool.submit(self.tiles.build)
             stored = tracks.result() if tracks else read_tracks(self.folder / "tracks.nc")
             self.positions = positions_of(stored)
@@ -119,18 +120,21 @@ class Session:
         if len(self.positions.frame) != self.diagram.frames:
             frames = f"{len(self.positions.frame)} rows, one per frame of tracks.nc"
             raise InputError(self.diagram.path, frames, f"{self.diagram.frames}", AGAIN)
+
+    def _load_decisions(self) -> None:
+        """Read the decisions and bring the positions, in which the saved ones are applied, up to date."""
         self.applied = self.stored.applied
         path = self.folder / CORRECTIONS
-        decided = read_decisions(path) if path.exists() else Decisions(corrections=tuple(self.applied))
-        self.undone = list(decided.undone)
-        self.unseen: list[Correction] = []  # taken back, but shown as if it were not until the run is saved
-        same, count = _common(self.applied, decided.corrections), len(self.applied)
-        self.decisions = [*decided.corrections[:same], *self.applied[same:]]
-        # what each replaced, None where it is not known
+        wanted = read_decisions(path) if path.exists() else Decisions(corrections=tuple(self.applied))
+        self.undone = list(wanted.undone)
+        self.unseen: list[Correction] = []  # undone decisions that remain visible until the run is saved
+        same, count = _common(self.applied, wanted.corrections), len(self.applied)
+        self.decisions = [*wanted.corrections[:same], *self.applied[same:]]
+        # the values that each decision replaced; None if unknown
         self._before: list[Before | None] = [*unpack(self.folder / REPLACED), *[None] * count][:count]
-        while len(self.decisions) > same:  # taken back since the run was saved
+        while len(self.decisions) > same:  # undone since the run was saved
             self._step_back()
-        for decision in decided.corrections[same:]:
+        for decision in wanted.corrections[same:]:
             self._apply(decision)
 
     def _apply(self, decision: Correction) -> None:
@@ -160,16 +164,16 @@ class Session:
     # --- saving ---------------------------------------------------------------------------------------------
 
     def save(self) -> None:
-        """Begin to re-run what follows from the decisions.  Raises: InputError while that is being done."""
+        """Start to run the affected stages again.  Raises: InputError if that is being done already."""
         with self.lock:
             self.trial.discard()
             self.saver.start(self.job(self.decisions, self.undone), lambda found: self.reload())
 
     def job(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> SaveJob:
-        """What makes the run follow these decisions.  Raises: InputError where the run is gone."""
+        """Return the job that applies these decisions to the run.  Raises: InputError if the run is gone."""
         self.stored.check_there()
-        strips = [last_of(part, "strip") for part in (self.applied, decisions)]
-        same = len({one.rows if one else None for one in strips}) == 1  # else other positions were replaced
+        before, after = (last_of(part, "strip") for part in (self.applied, decisions))
+        same_strip = (before and before.rows) == (after and after.rows)  # else the replaced values differ
         return SaveJob(
             folder=self.folder,
             settings=self.settings,
@@ -177,16 +181,16 @@ class Session:
             decisions=self._as_written(decisions, undone),
             clock=self.stored.clock,
             film=self.recordings.moved,
-            beside={REPLACED: pack(self._before)} if self._before and same else {},
+            beside={REPLACED: pack(self._before)} if self._before and same_strip else {},
             options=self.options,
         )
 
     def saving(self) -> dict[str, Any]:
-        """How far it is."""
+        """Return the progress of saving, and whether there is anything to save."""
         return self.saver.progress() | {"changed": self.changed}
 
     def reload(self) -> None:
-        """Look at the run that has been put in this one's place."""
+        """Read the run that has replaced this one."""
         with self.lock:
             earlier = self.diagram
             self._load()
@@ -194,45 +198,46 @@ class Session:
             self.revision += 1
 
     def check_free(self) -> None:
-        """Decisions wait while the run is made again; what was tried out before them is thrown away.
+        """Check that the run is not being tracked or saved, and discard a finished trial.
 
         Raises: InputError.
         """
         if self.saver.running:
-            found = "one that is being tracked or saved"
-            raise InputError("the run", "a run that rests", found, "wait for its end, or cancel it")
+            wanted, found = "one that is not being tracked or saved", "one that is"
+            raise InputError("the run", wanted, found, "wait for its end, or cancel it")
         self.trial.discard()
 
     # --- decisions ------------------------------------------------------------------------------------------
 
     def decide(self, request: Mapping[str, Any]) -> None:
-        """Keep a decision.  Raises: InputError where it does not fit; nothing is kept then."""
+        """Make a decision.  Raises: InputError if it is not valid; nothing is changed then."""
         with self.lock:
             self.check_free()
             if any(one.kind in ("add", "delete") for one in self.unseen):
-                found = "a number that waits to be saved"
+                found = "numbers that change when the run is saved"
                 raise InputError("the decision", "sheets that are numbered as shown", found, "save first")
             self._add(self.decision_of(request, dated=True), [])
 
     def undo(self) -> None:
-        """Take the last decision back.  Raises: InputError without one."""
+        """Undo the last decision.  Raises: InputError if there is none."""
         with self.lock:
             self.check_free()
             if not self.decisions:
-                raise InputError("undo", "a decision to take back", "none")
+                raise InputError("undo", "a decision to undo", "none")
             self._write(self.decisions[:-1], [*self.undone, self.decisions[-1]])
             self.undone.append(self._step_back())
 
     def redo(self) -> None:
-        """Make the last decision that was taken back again.  Raises: InputError without one."""
+        """Redo the decision that was undone last.  Raises: InputError if there is none."""
         with self.lock:
             self.check_free()
             if not self.undone:
-                raise InputError("redo", "a decision that was taken back", "none")
+                raise InputError("redo", "a decision that was undone", "none")
             again, rest = self.undone[-1], self.undone[:-1]
             if not (self.unseen and self.unseen[-1].what == again.what):
                 self._add(again, rest)
                 return
+            # the positions still show this decision, since it could not be undone in them
             self._write([*self.decisions, again], rest)
             self.unseen.pop()
             self.decisions.append(again)
@@ -241,7 +246,7 @@ class Session:
             self.revision += 1
 
     def _add(self, decision: Correction, undone: list[Correction]) -> None:
-        """Apply and write; what cannot be written is not applied either."""
+        """Apply a decision and write it; a decision that cannot be written is not applied."""
         self._apply(decision)
         try:
             self._write(self.decisions, undone)
@@ -252,7 +257,7 @@ class Session:
 
     @property
     def pending(self) -> list[Correction]:
-        """Decisions that the run's tables do not follow yet."""
+        """Decisions that are not in the run's tables yet."""
         return self.decisions[_common(self.applied, self.decisions) :]
 
     @property
@@ -261,7 +266,7 @@ class Session:
         return len(self.decisions) != len(self.applied) or bool(self.pending)
 
     def decision_of(self, request: Mapping[str, Any], *, dated: bool = False) -> Correction:
-        """What a page asks for.  Raises: InputError for an unknown kind or a value of the wrong kind."""
+        """Read a decision from a page's request.  Raises: InputError if it is not valid."""
         kind = str(request.get("kind"))
         if kind not in KEYS:
             raise InputError("the decision", f"a kind of {', '.join(KEYS)}", repr(kind))
@@ -272,7 +277,7 @@ class Session:
         return correction_of(kind, entry, "the decision")
 
     def _now(self) -> str:
-        """The time, later than the last decision's whatever the machine's clock says: dates are the order."""
+        """Return the time, but always later than the last decision's: decisions are ordered by date."""
         last = max((one.date for one in self.decisions if one.date), default="")
         now = datetime.now(UTC)
         if last:
@@ -281,7 +286,7 @@ class Session:
         return now.isoformat(timespec="milliseconds")
 
     def _write(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> None:
-        """corrections.toml, whole and on the disk when this returns."""
+        """Write corrections.toml atomically; it is on the disk when this returns."""
         self.stored.check_there()
         text = corrections_text(self._as_written(decisions, undone))
         with whole_file(self.folder / CORRECTIONS, durable=True) as path:
@@ -291,13 +296,13 @@ class Session:
         checksum = self.stored.film_checksum
         return Decisions(corrections=tuple(decisions), undone=tuple(undone), film=checksum)
 
-    # --- what is shown --------------------------------------------------------------------------------------
+    # --- data of the page -----------------------------------------------------------------------------------
 
     def summary(self) -> dict[str, Any]:
-        """Everything a page needs at first, of any length of the film."""
+        """Return everything that a page needs first, except what grows with the length of the film."""
         with self.lock:
             positions, facts, strip = self.positions, self.positions.track_facts, self.positions.strip_facts
-            decided = last_of(self.pending, "strip")
+            decision = last_of(self.pending, "strip")
             return {
                 "name": self.folder.resolve().name,
                 "source": strip.source,
@@ -311,7 +316,7 @@ class Session:
                 "first_column": self.diagram.first_column,
                 "pixel_size_um": self.stored.pixel_size_um,
                 "threshold": self.settings.threshold,
-                "strip": (decided and decided.rows) or (strip.strip_z0, strip.strip_z1),
+                "strip": (decision and decision.rows) or (strip.strip_z0, strip.strip_z1),
                 "axis_px": facts.axis_px,
                 "axis_range_px": [facts.axis_low_px, facts.axis_high_px],
                 "pitch_px": facts.pitch_px,
@@ -329,7 +334,7 @@ class Session:
             }
 
     def state(self) -> dict[str, Any]:
-        """What changes with each decision."""
+        """Return what changes with each decision."""
         saved = len(self.decisions) - len(self.pending)
         return {
             "revision": self.revision,
@@ -343,19 +348,19 @@ class Session:
         }
 
     def sheets(self) -> list[dict[str, Any]]:
-        """One entry per sheet, from the left."""
-        positions, places = self.positions, usual_places(self.positions)
+        """Return one entry per sheet, from the left."""
+        positions, x_px = self.positions, median_positions(self.positions)
         return [
-            {"index": k, "side": int(side), "n": int(n), "x_px": float(places[k])}
+            {"index": k, "side": int(side), "n": int(n), "x_px": float(x_px[k])}
             for k, (side, n) in enumerate(zip(positions.side, positions.n, strict=True))
         ]
 
     def doubts(self) -> list[dict[str, Any]]:
-        """The longest doubtful stretches, at most 500, the longest first."""
+        """Return the longest doubtful stretches, at most 500, the longest first."""
         positions = self.positions
         sheet, first, stop = stretches(positions.doubtful)
-        worst = np.argsort(first - stop, kind="stable")[:500]
-        expected = positions.expected_px(first[worst])
+        longest = np.argsort(first - stop, kind="stable")[:500]
+        expected = positions.expected_px(first[longest])
         return [
             {
                 "sheet": int(sheet[k]),
@@ -366,19 +371,19 @@ class Session:
                 "frames": int(stop[k] - first[k]),
                 "why": DOUBTS.get(WHYS[positions.why[first[k], sheet[k]]], "identity not certain"),
                 "x_withheld_px": float(positions.withheld_px[first[k], sheet[k]]),
-                "x_expected_px": float(expected[place, sheet[k]]),
+                "x_expected_px": float(expected[row, sheet[k]]),
             }
-            for place, k in enumerate(worst)
+            for row, k in enumerate(longest)
         ]
 
     @property
     def clock(self) -> Clock | None:
-        """The run's, or the one that was decided on since."""
-        decided, own = last_of(self.pending, "clock"), self.stored.clock
-        return own if decided is None else decided_clock(own, decided)
+        """The run's clock, or that of a later decision."""
+        decision, saved = last_of(self.pending, "clock"), self.stored.clock
+        return saved if decision is None else decided_clock(saved, decision)
 
     def sticks(self, clock: Clock | None = None) -> list[dict[Any, Any]]:
-        """Stick phases within the film, in frames of the film by the clock as it is."""
+        """Return the stick phases within the film, in frames, by the current clock or another."""
         clock, events = clock or self.clock, self.stored.events
         if clock is None or events is None:
             return []
@@ -389,7 +394,7 @@ class Session:
         return events[["event", "stick_length_um"]].assign(**frames)[inside].to_dict("records")
 
     def slips(self, clock: Clock | None = None) -> list[int]:
-        """First frames after the slips: of the force where its clock is sure, else of the sheets' steps."""
+        """Return the first frames after the slips of the force or, without a clock, of the sheets."""
         clock, time_s = clock or self.clock, self.positions.time_s
         if clock is None or self.stored.events is None or clock.status not in READY:
             return self.film_slips()
@@ -398,14 +403,14 @@ class Session:
         return sorted({int(frame) for frame in self._frames_at(at)})
 
     def film_slips(self) -> list[int]:
-        """First frames after the sheets' own steps, whatever the clock."""
-        if self._film_slips[0] != self.revision:  # kept, as a long film takes a second
+        """Return the first frames after the outward steps of the sheets."""
+        if self._film_slips[0] != self.revision:  # cached, since a long film takes a second
             frames = self._frames_at(self.positions.slips_s())
             self._film_slips = self.revision, sorted({int(frame) for frame in frames})
         return self._film_slips[1]
 
     def _frames_at(self, seconds: Floats) -> Ints:
-        """Numbers of the frames next after these times of the camera's clock."""
+        """Return the number of the next frame after each time on the camera's clock."""
         time_s = self.positions.time_s
         known = np.flatnonzero(np.isfinite(time_s))
         if not known.size:
@@ -414,10 +419,11 @@ class Session:
         return np.asarray(self.positions.frame[known[np.minimum(row, known.size - 1)]], np.int64)
 
     def curves(self, first: int, stop: int, points: int, what: str = "x") -> Floats32:
-        """(rows, 1 + sheets): frame number, then a value of each sheet; extremes of intervals where there
-        are more rows than points.
+        """Return frame numbers and one value per sheet, (rows, 1 + sheets).
 
-        what: "x" (px), "err" (px), "withheld" (px), or "flag", place in `FLAGS`, the worst of each interval.
+        If there are more frames than points, the rows are the extremes of intervals.
+
+        what: "x", "err" or "withheld" (px), or "flag" (index in `FLAGS`, the worst of each interval).
         Raises: InputError for another name.
         """
         names = {"x": "x_px", "err": "err_px", "withheld": "withheld_px"}
@@ -435,7 +441,7 @@ class Session:
         return np.column_stack([at, values]).astype(np.float32)
 
     def ridges(self, frame: int) -> dict[str, Any]:
-        """Every candidate that the program saw in one frame, with the sheet it is taken for."""
+        """Return every ridge found in one frame with the sheet it is assigned to, and every sheet."""
         with self.lock:
             positions = self.positions
             row = positions.row_of(frame)
@@ -443,11 +449,11 @@ class Session:
             known = np.isfinite(seen.x_px[0])
             x = seen.x_px[0][known].astype(float) + self.diagram.first_column
             owner = _owners(x, positions.x_px[row])
-            doubted = _owners(x, positions.withheld_px[row])
+            doubtful_owner = _owners(x, positions.withheld_px[row])
             contrast, fwhm_px = seen.contrast[0][known], seen.fwhm_px[0][known]
             candidates = [
                 {"x_px": x[k], "contrast": contrast[k], "fwhm_px": fwhm_px[k]}
-                | {"sheet": owner[k], "doubted_sheet": doubted[k]}
+                | {"sheet": owner[k], "doubted_sheet": doubtful_owner[k]}
                 for k in range(len(x))
             ]
             expected = positions.expected_px(np.array([row]))[0]
@@ -467,19 +473,19 @@ def _listed(one: Correction) -> dict[str, Any]:
 
 
 def _common(one: Sequence[Correction], other: Sequence[Correction]) -> int:
-    """How many decisions from the first on say the same in both."""
+    """Return how many decisions, from the first on, are the same in both."""
     pairs = enumerate(zip(one, other, strict=False))
     return next((k for k, (a, b) in pairs if a.what != b.what), min(len(one), len(other)))
 
 
 def _owners(x: Floats, positions: Floats32) -> list[int | None]:
-    """Index of the sheet whose position is this candidate's, None for none; within 2 px, the nearest."""
+    """Return the index of the sheet nearest to each candidate; None if none is within `SAME_RIDGE_PX`."""
     sheet, distance = nearest(np.broadcast_to(positions.astype(float), (len(x), len(positions))), x)
     return [int(k) if away <= SAME_RIDGE_PX else None for k, away in zip(sheet, distance, strict=True)]
 
 
 def _worst(frame: Floats, codes: Any, points: int) -> tuple[Floats, Any]:
-    """The largest code of every interval."""
+    """Return the first frame and the largest code of every interval."""
     if len(frame) <= points:
         return frame, codes
     starts = np.arange(0, len(frame), -(-len(frame) // points))

@@ -1,6 +1,7 @@
-"""tracks.nc as plain arrays, read by a process of its own: HDF5 can crash or never end on a damaged file.
+"""Read tracks.nc as plain arrays in a separate process, since HDF5 can crash or hang on a damaged file.
 
-It imports neither xarray nor this project's stages: reading begins while the server still imports those.
+This module imports neither xarray nor the stages of the analysis, so that reading can begin while the server
+still imports those.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from vision.files import try_out
 WANTED = "tracks as track writes them"
 AGAIN = "run track again"
 CELLS = ("x_px", "x_err_px", "x_withheld_px")
-"""Numbers of (frame, sheet); kept in single precision, 1e-4 px, which is enough to look at."""
+"""Numbers of (frame, sheet), in single precision: 1e-4 px is enough for display."""
 WORDS = ("flag", "why")
 AXES = ("frame", "time_s", "side", "n")
 BLOCK = 8192  # frames whose words are read at a time, so that they take little memory
@@ -31,16 +32,16 @@ NEEDED = ("x_px", "x_err_px", "flag", "time_s", "side", "n", "frame")
 
 @dataclass(frozen=True, kw_only=True)
 class StoredTracks:
-    """What a tracks.nc holds.
+    """Content of a tracks.nc.
 
     Parameters
     ----------
     arrays
-        By their names there; words as places in `words`.
+        Arrays by name; words are stored as indices in `words`.
     words
-        Of each array of words.
+        For each array of words, those that occur.
     attrs
-        Of the file.
+        Attributes of the file.
     """
 
     arrays: Mapping[str, NDArray[Any]]
@@ -49,35 +50,35 @@ class StoredTracks:
 
 
 def read_tracks(path: Path, rows: slice = slice(None)) -> StoredTracks:
-    """The file, or some of its frames.
+    """Read the file, or some of its frames.
 
     Raises
     ------
     InputError
-        For a file that is not there, damaged, or no tracks.
+        If the file is missing, damaged or not a file of tracks.
     """
-    with TemporaryDirectory() as place:
+    with TemporaryDirectory() as folder:
         begin, end = rows.start or 0, -1 if rows.stop is None else rows.stop
-        unpacking = f"from vision.review.tracks_file import unpack; unpack(path, {place!r}, {begin}, {end})"
+        unpacking = f"from vision.review.tracks_file import unpack; unpack(path, {folder!r}, {begin}, {end})"
         try_out(path, unpacking, WANTED)
-        facts = json.loads(Path(place, "facts.json").read_text(encoding="utf-8"))
+        facts = json.loads(Path(folder, "facts.json").read_text(encoding="utf-8"))
         if facts["absent"]:
             raise InputError(path, WANTED, f"no {', '.join(facts['absent'])}", AGAIN)
-        arrays = {one.stem: np.load(one) for one in Path(place).glob("*.npy")}
+        arrays = {one.stem: np.load(one) for one in Path(folder).glob("*.npy")}
     return StoredTracks(arrays=arrays, words=facts["words"], attrs=facts["attrs"])
 
 
-def unpack(path: str, place: str, begin: int, end: int) -> None:
-    """In a process of its own: an .npy file per array into a folder, and facts.json.
+def unpack(path: str, folder: str, begin: int, end: int) -> None:
+    """Write an .npy file per array and facts.json into a folder; called in the separate process.
 
     Parameters
     ----------
     path
         The file.
-    place
+    folder
         The folder.
     begin, end
-        Frames; an end of -1 is the last.
+        Range of frames; an end of -1 means all.
     """
     facts: dict[str, Any] = {"words": {}, "attrs": {}}
     with h5py.File(path, "r") as file:
@@ -94,20 +95,20 @@ def unpack(path: str, place: str, begin: int, end: int) -> None:
                     values, facts["words"][name] = _codes(one, rows)
                 else:
                     values = one[rows] if name in ("frame", "time_s") else one[:]
-                np.save(Path(place, f"{name}.npy"), values)
+                np.save(Path(folder, f"{name}.npy"), values)
             facts["attrs"] = {name: _plain(value) for name, value in file.attrs.items() if name[0] != "_"}
-    Path(place, "facts.json").write_text(json.dumps(facts), encoding="utf-8")
+    Path(folder, "facts.json").write_text(json.dumps(facts), encoding="utf-8")
 
 
 def _codes(one: h5py.Dataset, rows: slice) -> tuple[NDArray[np.uint8], list[str]]:
-    """Words written letter by letter, (frame, sheet, letters), as places in a list of those that occur."""
+    """Convert words stored as characters, (frame, sheet, character), to indices in a list of the words."""
     first, stop, _ = rows.indices(len(one))
     codes = np.zeros((stop - first, one.shape[1]), np.uint8)
     words: list[bytes] = []
     for start in range(first, stop, BLOCK):
         text = np.ascontiguousarray(one[start : min(start + BLOCK, stop)]).view(f"S{one.shape[-1]}").ravel()
         part, left, code = codes[start - first :].reshape(-1), np.arange(text.size), 0
-        while left.size and code < 256:  # of a dozen words; np.unique would sort them all
+        while left.size and code < 256:  # there are about a dozen words; np.unique would sort all cells
             words += [bytes(text[left[0]])] * (code == len(words))
             other = text[left] != words[code]
             part[left[~other]] = code
@@ -116,7 +117,7 @@ def _codes(one: h5py.Dataset, rows: slice) -> tuple[NDArray[np.uint8], list[str]
 
 
 def _plain(value: Any) -> Any:
-    """An attribute as JSON has it."""
+    """Convert an attribute to what JSON can represent."""
     if isinstance(value, bytes):
         return value.decode()
     if isinstance(value, np.generic | np.ndarray):
