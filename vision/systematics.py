@@ -51,20 +51,12 @@ SOURCES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Budget:
-    """Systematic errors of the quantities that a run measured, in their units.
-
-    Attributes
-    ----------
-    values, statistical
-        Value and standard error of each quantity (keys of `QUANTITIES`), NaN if not known; for positions and
-        σ_x/Λ_st the median.
-    sources
-        Systematic errors: source (keys of `SOURCES`) to quantity to error. None is an error of unknown size;
-        a quantity that the source does not affect has no entry.
-    """
+    """Errors of the quantities that a run measured (keys of `QUANTITIES`), in their units; NaN: not known."""
 
     values: Mapping[str, float]
-    statistical: Mapping[str, float]
+    statistical: Mapping[str, float]  # standard errors; for positions and σ_x/Λ_st the median
+    # systematic errors: source (key of `SOURCES`) to quantity to error; None if the error is not known, no
+    # entry if the source does not affect the quantity
     sources: Mapping[str, Mapping[str, float | None]]
 
     def total(self, quantity: str) -> float:
