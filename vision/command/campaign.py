@@ -130,11 +130,9 @@ def _checker(config: Path | None) -> Check:
 
 def _merged(values: Mapping[str, Any], config: Path | None = None) -> dict[str, Parameter]:
     """Return every option of `track` with its origin, from values by name."""
-    groups = [
-        group(**{one.name: values[one.name] for one in fields(group) if one.name in values})
-        for group in GROUPS
-    ]
-    return merged(*groups, config=config)
+    names = [[one.name for one in fields(group) if one.name in values] for group in GROUPS]
+    typed = [group(**{name: values[name] for name in own}) for group, own in zip(GROUPS, names, strict=True)]
+    return merged(*typed, config=config)
 
 
 def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:

@@ -231,11 +231,8 @@ class _Measurements:
     @property
     def warnings(self) -> list[str]:
         """Warnings of all measurements, each with its file and measurement."""
-        return [
-            f"{Path(one.source).name}, {one.measurement}: {line}"
-            for one in self.measured
-            for line in one.warnings
-        ]
+        pairs = [(one, line) for one in self.measured for line in one.warnings]
+        return [f"{Path(one.source).name}, {one.measurement}: {line}" for one, line in pairs]
 
 
 def _measure(

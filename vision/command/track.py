@@ -64,7 +64,7 @@ def track(videos: Sequence[Path], groups: Sequence[Any], run: RunOptions, config
         target = run.out or Path(f"{run_name(videos[0])}_tracks")
         return track_one(videos[0], target, parameters, run, config=config)[0]
     if run.follow:
-        raise InputError("`follow`", "one video", f"{len(videos)}", "follow each in a terminal of its own")
+        raise InputError("`follow`", "one video", f"{len(videos)}", "follow each in its own terminal")
     targets = _targets_of(videos, run.out, parameters)
     settings_of(parameters)  # an invalid option is reported once, not for every film
     _check_force(parameters)
@@ -94,19 +94,9 @@ def track_one(
 ) -> tuple[int, Analysis]:
     """Track one film into one run folder; return the exit status and the analysis.
 
-    Parameters
-    ----------
-    video, target
-        The film and its run folder.
-    parameters, run
-        All options of the analysis with their origins, and those of the run folder.
-    one_of_many
-        Whether several films are tracked: then each warning names its film, and the summary is printed only
-        if `run.verbose`, as a table of all films follows.
-    copy
-        Copy of the film from which the frames are read, if there is one.
-    config
-        File from which options were taken, recorded as an input.
+    one_of_many: whether several films are tracked. Each warning then names its film, and the summary is
+    printed only if `run.verbose`, as a table of all films follows.  copy: copy of the film, which is read
+    instead, if there is one.  config: file from which options were taken, recorded as an input.
     """
     # Matplotlib spends a third of its import time on the help texts of its artists.
     matplotlib.artist.kwdoc = lambda artist: ""
@@ -182,12 +172,12 @@ def _resumable(checkpoint: Checkpoint) -> Iterator[None]:
 
 def run_name(video: Path) -> str:
     """Return the base name of the run folder: that of the film, or a pattern without its wildcards."""
-    whole = video.absolute() if video.name else video.resolve()
-    is_there, is_folder = answered(lambda: (whole.exists(), whole.is_dir()), video)
+    path = video.absolute() if video.name else video.resolve()
+    is_there, is_folder = answered(lambda: (path.exists(), path.is_dir()), video)
     if is_there:
-        return whole.name if is_folder else whole.stem
-    readable = "".join(c for c in whole.stem if c not in '*?[]<>|:"').strip("_-. ")
-    return readable or whole.parent.name or "video"
+        return path.name if is_folder else path.stem
+    readable = "".join(c for c in path.stem if c not in '*?[]<>|:"').strip("_-. ")
+    return readable or path.parent.name or "video"
 
 
 def command_line() -> str:

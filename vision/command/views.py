@@ -112,14 +112,8 @@ def make_preview(path: Path, settings: Settings) -> Preview:
     comb = describe_ridges(profile, polarity=tracks.attrs["ridges"], settings=settings.tuning.tracking)
     ridges = find_ridges(profile, comb, settings=settings.tuning.tracking)
     frame = reference_frame(few)
-    light = overexposure(frame, rows, strip_settings)
-    warnings = [
-        *film.warnings,
-        *chosen.warnings,
-        *warnings_of(tracks),
-        *light,
-        *tracking_warnings(tracks),
-    ]
+    warnings = [*film.warnings, *chosen.warnings, *warnings_of(tracks)]
+    warnings += [*overexposure(frame, rows, strip_settings), *tracking_warnings(tracks)]
     return Preview(film, frame, strip, tracks, ridges.count, tuple(dict.fromkeys(warnings)))
 
 

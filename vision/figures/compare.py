@@ -285,9 +285,8 @@ def irregular_figure(tests: ComparedTests) -> Figure | None:
             lines.append(float(one["change_mm"]))
             change = plus_minus(Estimate(one["change_mm"], one["change_err_mm"]))
             changes.append(f"{one['run']}: {change} mm")
-    found = "No test has a change."
-    if changes:
-        found = f"Vertical: where it rises for good ({'; '.join(changes[:6])})."
+    rises = f"Vertical: where it rises for good ({'; '.join(changes[:6])})."
+    found = rises if changes else "No test has a change."
     return Figure.of(
         "irregular",
         Panel(

@@ -17,16 +17,8 @@ def minmax_decimate(x: Floats, y: NDArray[np.floating], *, most: int) -> tuple[F
 
     Unlike an average, this preserves the whole jump of a slip, however short it is.
 
-    Parameters
-    ----------
-    x, y
-        Times (points,) and values (points, columns), NaN if not known.
-    most
-        Largest number of points to return.
-
-    Returns
-    -------
-    x and y with two points per interval, NaN in an interval without values; unchanged if they are few enough.
+    x: (points,).  y: (points, columns), NaN if not known.  most: largest number of points to return.
+    The result has two points per interval, NaN without values; x and y are unchanged if they are few enough.
     """
     if len(x) <= most:
         return np.asarray(x, np.float64), np.asarray(y, np.float64)
@@ -76,19 +68,11 @@ def minmax_by_x(x: Floats, y: Floats, *, bins: int) -> tuple[Floats, Floats]:
 def time_rows(values: NDArray[np.floating], time: Floats, *, most: int) -> tuple[Floats32, Floats]:
     """Return rows of an image at equal steps of time, each the mean of its frames.
 
-    Parameters
-    ----------
-    values
-        Values (frames, columns), NaN in lost frames; they are read in parts.
-    time
-        Rising times (frames,).
-    most
-        Largest number of rows; there are no more than frames in the recording's duration.
+    values: (frames, columns), NaN in lost frames, read in parts.  time: (frames,), rising.  most: largest
+    number of rows; there are no more than frames in the recording's duration.
 
-    Returns
-    -------
-    The rows (k, columns), and their k + 1 edges in time. A single row without a frame, as frame times may
-    jitter, repeats the row before; rows in longer gaps are NaN.
+    Returns the rows (k, columns) and their k + 1 edges in time. A single row without a frame, as frame times
+    may jitter, repeats the row before; rows in longer gaps are NaN.
     """
     steps = np.diff(time)
     step = float(np.median(steps)) if steps.size else 0.0

@@ -37,16 +37,8 @@ def friction_figure(
 ) -> Figure:
     """Return μ(φ) with its maxima, μ_s and μ_d against N, and the threshold forces.
 
-    Parameters
-    ----------
-    measured, curves
-        Coefficients and curves of all measurements, in the same order.
-    law
-        The fitted law, None if there were too few measurements.
-    mu
-        Constant coefficient for comparison, as the fit of Eq. 1 gives it.
-    dynamic_deg
-        Range of angles for μ_d.
+    measured, curves: coefficients and curves of all measurements, in the same order.  law: None if there were
+    too few.  mu: constant coefficient for comparison, as from Eq. 1.  dynamic_deg: range of angles for μ_d.
     """
     fitted = (
         f" Line: μ_s = a(1 + b/N), a = {plus_minus(Estimate(law.a, law.a_err))}, "

@@ -148,15 +148,16 @@ def run_facts(analysis: Analysis, origin: Origin, inputs: Callable[[], Any]) -> 
         facts["force"] = ForceMetadata.of(analysis.force)
         facts["sample"] = analysis.settings.sample or PUBLISHED
     if analysis.sticks is not None:
-        whole = int((analysis.sticks["flag"] == "ok").sum())
+        unflagged = int((analysis.sticks["flag"] == "ok").sum())
         sticks = asdict(StickMetadata.of(analysis.sticks))
-        facts["events"] = {"found": len(analysis.sticks), "without_flag": whole, **sticks}
+        facts["events"] = {"found": len(analysis.sticks), "without_flag": unflagged, **sticks}
     if analysis.clock is not None:
         facts["clock"] = analysis.clock
     facts["systematic_errors"] = systematic_budget(analysis).to_json()
-    done = [part.attrs.get("operations", ()) for part in _parts(analysis)]
-    longest = max(done, key=len, default=())
-    facts["operations"] = [*longest, *(step for steps in done for step in steps if step not in longest)]
+    operations = [part.attrs.get("operations", ()) for part in _parts(analysis)]
+    longest = max(operations, key=len, default=())
+    others = [step for steps in operations for step in steps if step not in longest]
+    facts["operations"] = [*longest, *others]
     reasons = dict(zip(analysis.reasons, origin.named(analysis.reasons.values()), strict=True))
     return facts | {"warnings": origin.named(analysis.warnings), "not_measured": reasons}
 
