@@ -1,6 +1,7 @@
 """What a certificate predicts against what the errors truly were, on films it has not seen."""
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -232,6 +233,8 @@ def test_texture_of_the_paper_moves_with_the_sheets(tmp_path):
     found = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
     error = moved(tracks.x_px.values - scene.seen_px(slice(0, FRAMES)))
     assert 0.85 < found.error_px / rms(error) < 1.15
+    middle = certify(strip, tracks, encoder=encoder, settings=replace(ONE_FILM, most_frames=60))
+    assert 0.85 < middle.error_px / rms(moved(error[30:90])) < 1.15
 
 
 def test_noise_is_found_from_the_bits(tmp_path):

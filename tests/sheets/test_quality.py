@@ -95,6 +95,15 @@ def test_sheets_that_move_each_in_its_own_way_do_not_scatter():
     assert np.std(straight[:, 2:-2] - (straight[:, 1:-3] + straight[:, 3:-1]) / 2) > 5 * 0.02
 
 
+def test_slips_are_seen_while_the_camera_shakes():
+    """By more than sheets slip.  A failure means that slips count as errors that sheets share."""
+    rng = np.random.default_rng(4)
+    slips = np.cumsum(np.arange(400) % 40 == 39)[:, None] * np.linspace(-0.5, 0.5, 50)
+    x = 20 * np.arange(50) + slips + rng.normal(0, 0.5, (400, 1)) + rng.normal(0, 0.02, (400, 50))
+    assert np.diff(BetweenSlips(x).slips)[38::40].all()
+    assert shared_error(BetweenSlips(x), between_frames=False) < 0.3 * 0.02
+
+
 def test_a_scatter_needs_frames_between_slips():
     """A comb that slips in every other frame leaves none to compare: nothing is stated, and nothing fails."""
     slips = np.cumsum(np.where(np.arange(30) % 2, 0.01, 5.0))[:, None] * np.linspace(0.5, 1, 12)

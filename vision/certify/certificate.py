@@ -168,7 +168,7 @@ def _encoder(run: RunFolder, strip: xr.DataArray) -> Encoder | None:
         return None
     columns = (int(strip["x"].values[0]), int(strip["x"].values[-1]) + 1)
     rows = (facts.strip_z0, facts.strip_z1)
-    return read_encoder(film, rows, columns, rotate=facts.rotate)
+    return read_encoder(film, rows, columns, rotate=facts.rotate, first=int(strip["frame"].values[0]))
 
 
 def _clock(facts: dict[str, Any]) -> Clock | None:

@@ -240,7 +240,13 @@ def _contrast(values: Floats32) -> float:
 
 
 def read_encoder(
-    path: Path, rows: tuple[int, int], columns: tuple[int, int], *, rotate: int = 0, frames: int = 600
+    path: Path,
+    rows: tuple[int, int],
+    columns: tuple[int, int],
+    *,
+    rotate: int = 0,
+    first: int = 0,
+    frames: int = 600,
 ) -> Encoder | None:
     """How a recording was encoded; None where that cannot be read, or nothing here encodes like it.
 
@@ -252,6 +258,8 @@ def read_encoder(
         Of the strip, half-open.
     rotate
         Degrees clockwise by which the run turned frames.
+    first
+        Number of the run's first frame, the picture.
     frames
         Frames of it that are looked at.
     """
@@ -276,7 +284,8 @@ def read_encoder(
                     both_ways |= int(frame.pict_type) == int(PictureType.B)
                     quantisers += _quantiser(frame, codec)
             pixels = stream.codec_context.width * stream.codec_context.height
-        picture = next(iter(open_video(path, rotate=rotate).frames()))
+        shown = open_video(path, rotate=rotate, frames=slice(first, first + 1))
+        picture = next(iter(shown.frames()))
     except (OSError, av.FFmpegError, InputError, IndexError, StopIteration):
         return None
     if codec == "hevc" and (crf := _told(told, b"x265", b"crf")) is not None:
@@ -287,8 +296,8 @@ def read_encoder(
     even = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2].astype(np.float64)
     # Of large frames fewer rows, so that a film made to find the noise has at most 60 million pixels.
     most = 60_000_000 // (TRIED_FRAMES * even.shape[1])
-    first = max(0, min(rows[0], (rows[0] + rows[1] - most) // 2)) // 2 * 2 if len(even) > most else 0
-    even = even[first : first + max(most, rows[1] - first)] if len(even) > most else even
+    top = max(0, min(rows[0], (rows[0] + rows[1] - most) // 2)) // 2 * 2 if len(even) > most else 0
+    even = even[top : top + max(most, rows[1] - top)] if len(even) > most else even
     even = even[: len(even) // 2 * 2]
     return Encoder(
         codec=codec,
@@ -299,7 +308,7 @@ def read_encoder(
         told=bool(quantisers),
         preset=PRESETS.get(int(effort), "medium") if effort is not None else "medium",
         picture=even,
-        rows=(rows[0] - first, min(rows[1] - first, len(even))),
+        rows=(rows[0] - top, min(rows[1] - top, len(even))),
         columns=(columns[0], min(columns[1], even.shape[1])),
     )
 

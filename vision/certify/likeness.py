@@ -48,7 +48,7 @@ class Likeness:
     rigid_px
         Half width of the part of M that moves with each sheet, (sheet,).
     start_px
-        Their positions in the recording's first frame, (sheet,).
+        Their positions in the run's first frame, (sheet,).
     motion_px
         Smooth positions, (frame, sheet), columns of the strip; the truth of films.
     smooth
@@ -147,7 +147,7 @@ class Likeness:
         return film.assign_coords(frame=np.arange(frames), time_s=("frame", self._times_s(frames)))
 
     def shown_px(self, motion_px: Floats) -> Floats:
-        """Columns of the recording's first frame that show what each column does when the sheets are at
+        """Columns of the run's first frame that show what each column does when the sheets are at
         these positions (frame, sheet): (frame, x)."""
         columns = np.arange(self.strip.sizes["x"], dtype=float)
         return np.array([_material(columns, at, self.start_px, self.rigid_px) for at in motion_px])
@@ -212,7 +212,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     InputError
         For fewer than 30 frames that show all but a few sheets.
     """
-    part = _middle(tracks.sizes["frame"], settings.most_frames)
+    part, start = _middle(tracks.sizes["frame"], settings.most_frames), np.asarray(tracks["x_px"].values[0])
     strip, tracks = strip.isel(frame=part), tracks.isel(frame=part)
     order = np.argsort(nan_median(tracks["x_px"].values))
     x_px = np.asarray(tracks["x_px"].values, float)[:, order] - float(strip["x"].values[0])
@@ -230,6 +230,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     flag, err = tracks["flag"].values[:, order], np.asarray(tracks["x_err_px"].values, float)[:, order]
     often = np.isfinite(x_px[whole]).mean(axis=0) > 0.5
     x_px, err, frozen = x_px[:, often], err[:, often], (flag == "frozen").all(axis=1)
+    start = start[order][often] - float(strip["x"].values[0])
     slips = find_slips(x_px, settings)
     pulled = _pulled(err, flag[:, often], _beside(slips, len(x_px)), settings)
     chained = StripMetadata.of(strip).codec in BETWEEN_FRAMES
@@ -238,6 +239,9 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     if usable.sum() < LEAST_FRAMES:
         usable = whole
     rest = nan_median(motion)
+    there = float(
+        np.nan_to_num(nan_median(start - rest))
+    )  # where sheets are that the first frame does not show
     spacing = np.diff(rest)
     near = np.minimum(np.append(spacing, np.inf), np.insert(spacing, 0, np.inf))
     rigid = settings.rigid_share * np.where(np.isfinite(near), near, 20.0)
@@ -257,7 +261,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
         per_px=per_px,
         rest_px=rest,
         rigid_px=rigid,
-        start_px=motion[0],
+        start_px=np.where(np.isfinite(start), start, rest + there),
         motion_px=motion,
         smooth=left > 0,
         common_px=common,

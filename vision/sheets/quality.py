@@ -152,8 +152,11 @@ class BetweenSlips:
         if x_px.shape[1] < len(FOURTH):
             return
         step = np.diff(self.x_px, axis=0)
-        size, apart = (nan_quantile(np.abs(part), 0.75, axis=1) for part in (step, _fourth(step)))
-        slip = (size > 3 * nan_median(size[size > 0])) & (size > 3 * apart)
+        apart = nan_quantile(np.abs(_fourth(step)), 0.75, axis=1)
+        slip = np.zeros(len(step), bool)
+        for moved in (step, step - nan_median(step, axis=1)[:, None]):  # a camera that shakes hides no slip
+            size = nan_quantile(np.abs(moved), 0.75, axis=1)
+            slip |= (size > 3 * nan_median(size[size > 0])) & (size > 3 * apart)
         self.slips = np.cumsum(np.r_[0, slip])
 
     def second(self, lags: Sequence[int], values: Floats | None = None) -> Floats:
