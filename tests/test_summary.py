@@ -153,7 +153,7 @@ def test_systematic_errors_are_a_line_each():
     lines = summary_lines(with_force())
     first = next(k for k, line in enumerate(lines) if line.startswith("systematic"))
     place, scale, stiffness, rest = (line[11:] for line in lines[first:])
-    assert place.startswith("place of a sheet") and place.count("±") == 1
+    assert place.startswith("position of a sheet") and place.count("±") == 1
     assert scale.startswith("Λ̂ ±") and " mm" in scale
     assert stiffness.startswith("K ±") and "N/mm" in stiffness
     assert rest.startswith("not included: d0 has no error: give `d0_mm` as 13.0±0.1; pixel size has no error")
@@ -243,7 +243,7 @@ def test_a_change_for_good_is_said_with_its_size():
         ({}, "forces as recorded"),
         ({"lowpass_s": 0.012, "lowpass_how": "given"}, "low-pass of 12 ms (given)"),
         ({"lowpass_proposed_s": 0.0034, "lowpass_proven": True}, "the slips show a low-pass of 3.4 ms"),
-        ({"lowpass_proposed_s": 0.0034}, "may show, but not all slips alike, a low-pass of 3.4 ms"),
+        ({"lowpass_proposed_s": 0.0034}, "may show, though not all alike, a low-pass of 3.4 ms"),
     ],
 )
 def test_the_load_cell_s_time_constant_is_said_in_ms(facts, said):

@@ -57,15 +57,18 @@ def known_as(**names: str) -> Iterator[None]:
 
 
 def with_options(message: str, options: Mapping[str, str] | None = None) -> str:
-    """Replace arguments in backticks by the options of the command.
+    """Return a message with command-line options in place of the library's arguments.
+
+    An argument is any single name in backticks, which a regular expression finds in the text: a message must
+    have nothing else in backticks.
 
     Parameters
     ----------
     message
-        A message or warning of the library.
+        Message of an `InputError`, or a warning of the library.
     options
-        Option of each Python name, such as ``{"pixel_size_um": "--pixel-size"}``. Other names only lose their
-        backticks.
+        Python name to option, such as ``{"pixel_size_um": "--pixel-size"}``. Names that are not in it only
+        lose their backticks.
     """
     known = options or {}
     return _NAMED.sub(lambda match: known.get(match[1], match[1]), message)

@@ -1,4 +1,4 @@
-"""What was found, in about ten lines, and the few figures that say how well."""
+"""The summary of a run in about ten lines, and warnings that only its tracks or several stages show."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def summary_lines(results: Results) -> list[str]:
-    """Sheets, frames, positions, noise, what was found by itself, then the machine's side."""
+    """Return the summary: sheets, frames, positions, noise and findings of the film, then of the force."""
     lines: list[str] = []
     if results.tracks is not None:
         lines += _tracking_lines(results.tracks, results.pixel_size_um)
@@ -53,69 +53,69 @@ def summary_lines(results: Results) -> list[str]:
 
 
 def _systematic(budget: Budget) -> list[str]:
-    """Systematic errors of what other lines do not give with both errors, then the sources without one."""
+    """Return the systematic errors that other lines lack, then the sources whose error is unknown."""
     lines: list[str] = []
-    lacking: dict[str, None] = {}
+    unknown: dict[str, None] = {}
     for quantity in ("x_px", "Lambda_hat_mm", "K_N_per_mm", "ratio"):
         name, unit = QUANTITIES[quantity]
         total = budget.total(quantity)
         if quantity in budget.values and math.isfinite(total) and total > 0:
-            beside = budget.statistical[quantity]
-            lines.append(f"{name} ± {total:.2g} {unit} (statistical {beside:.2g})".replace("  ", " "))
-        if quantity != "x_px":  # what its sources are is found, not given
-            lacking |= dict.fromkeys(budget.unknown(quantity))
-    if lacking:
+            statistical = budget.statistical[quantity]
+            lines.append(f"{name} ± {total:.2g} {unit} (statistical {statistical:.2g})".replace("  ", " "))
+        if quantity != "x_px":  # its sources are measured: the user cannot give their errors
+            unknown |= dict.fromkeys(budget.unknown(quantity))
+    if unknown:
         advice = {"d0": "d0 has no error: give `d0_mm` as 13.0±0.1"}
-        without = [advice.get(one, f"{SOURCES.get(one, one)} has no error") for one in lacking]
+        without = [advice.get(one, f"{SOURCES.get(one, one)} has no error") for one in unknown]
         lines.append(f"not included: {'; '.join(without)}")
     return lines
 
 
 def tracking_warnings(tracks: xr.Dataset) -> list[str]:
-    """Doubtful identities, many missing positions, sheets perhaps overlooked."""
+    """Return warnings about frozen frames, doubtful or missing positions, motion, and overlooked sheets."""
     lines, flags = [], flag_counts(tracks)
     total = max(1, sum(flags.values()))
     if frozen := flags.get("frozen", 0):
         lines.append(
             f"{frozen // tracks.sizes['sheet']} frame(s) repeat the one before: no positions (frozen)"
         )
-    unsure = flags.get("doubtful", 0) + flags.get("merged", 0)
-    if unsure:
-        line = f"{unsure} of {total} positions not given because the sheet's identity is in doubt"
-        # With 0.2 it keeps quiet where a hand always covers part of the comb and others are wrong, too.
-        if unsure > 0.1 * total:
-            line += "; with so many, others may be wrong, too: look at overview.png, and leave out what hides"
+    uncertain = flags.get("doubtful", 0) + flags.get("merged", 0)
+    if uncertain:
+        line = f"{uncertain} of {total} positions not given because the sheet's identity is in doubt"
+        # With 0.2 there is no advice if a hand always covers part of the comb and other positions are wrong.
+        if uncertain > 0.1 * total:
+            line += "; with so many, others may be wrong, too: look at overview.png, and exclude what hides"
             line += " the comb with `frames` or `columns`"
         lines.append(line)
-    gone = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
-    if gone > 0.01 * total:  # fewer are the usual gaps at the edges of the picture
-        lines.append(f"{gone} of {total} positions missing (flags missing, edge, unfit in tracks.csv)")
-    if line := _hardly_any(tracks):
+    missing = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
+    if missing > 0.01 * total:  # fewer are the usual gaps at the edges of the picture
+        lines.append(f"{missing} of {total} positions missing (flags missing, edge, unfit in tracks.csv)")
+    if line := _frames_with_few_sheets(tracks):
         lines.append(line)
     if tracks.sizes["frame"] >= 10 and not (tracks["x_noise_px"].values > 0).any():
         lines.append("no frame differs from the one before: neither motion nor noise can be measured")
-    elif tracks.sizes["frame"] >= 20 and _stand_still(tracks):
+    elif tracks.sizes["frame"] >= 20 and _stationary(tracks):
         lines.append(
-            "the sheets do not move against each other by more than the noise: if they should, this may be no"
-            " comb but a pattern behind it (`rows`, `columns`), or the pull is in other `frames`"
+            "the sheets do not move against each other by more than the noise: if they should, the comb may"
+            " be a pattern in the background (`rows`, `columns`), or the pull is in other `frames`"
         )
     for change in TrackMetadata.of(tracks).scene_changes:
         frame = change["frame"]
         lines.append(
             f"the picture changes for good at frame {frame} (all sheets displaced by"
             f" {change['moved_px']:.0f} px, their brightness relative to each other changed by"
-            f" {100 * change['brightness']:.0f} %): a cut, or the camera or the light was moved; sheets"
-            f" before and after may be others: give `frames` as 0:{frame} or {frame}:"
+            f" {100 * change['brightness']:.0f} %): a cut, or the camera or the light was moved; the sheets"
+            f" may be others than before: give `frames` as 0:{frame} or {frame}:"
         )
     lines += _spacing_warning(tracks)
     return lines
 
 
 def overexposure(frame: Pixels, rows: slice, settings: VideoSettings) -> list[str]:
-    """A warning where many of the pixels averaged are as bright as pixels get, and ridges have no tops.
+    """Return a warning if many of the averaged pixels are saturated, so that ridges have flat tops.
 
-    Counted is what lies within 0.4 % of the brightest thousandth: a camera of 12 bits in a file of 16, or a
-    codec's white, ends below the file's own largest value.
+    A saturated pixel is one within 0.4 % of the 99.9 % quantile, as a camera of 12 bits in a file of 16, or a
+    codec's white, saturates below the largest value that the file could hold.
     """
     pixels = frame[rows]
     top = float(np.quantile(pixels, 0.999))
@@ -123,14 +123,14 @@ def overexposure(frame: Pixels, rows: slice, settings: VideoSettings) -> list[st
     if share < settings.overexposed or top < settings.few_levels:
         return []
     return [
-        f"{100 * share:.0f} % of the pixels averaged are as bright as the brightest ({top:.0f}): overexposed,"
-        " so that ridges lack their tops and x_err_px may be too small: film with less light"
+        f"{100 * share:.0f} % of the averaged pixels are as bright as the brightest ({top:.0f}): overexposed,"
+        " so that ridges have flat tops and x_err_px may be too small: film with less light"
     ]
 
 
 def _spacing_warning(tracks: xr.Dataset) -> list[str]:
-    """Ridges in pairs, whose narrow and wide spacings take turns all along the comb, unless their number was
-    given; else sheets overlooked."""
+    """Warn of ridges in pairs, whose narrow and wide spacings alternate along the whole comb, or of missing
+    sheets; no pairs are reported if the number of sheets was given."""
     counted = any(step["parameters"].get("sheets") for step in tracks.attrs.get("operations", ()))
     spacing = np.diff(np.sort(nan_median(tracks["x_px"].values)))
     if len(spacing) >= 9 and np.isfinite(spacing).all() and not counted:
@@ -143,15 +143,18 @@ def _spacing_warning(tracks: xr.Dataset) -> list[str]:
             ]
     if places := TrackMetadata.of(tracks).wide_spacings:
         return [
-            f"sheets may be missing at x = {', '.join(places)}, and are then not counted by n further out:"
-            " look there (dirt, too faint?), or give their number (`sheets`)"
+            f"sheets may be missing at x = {', '.join(places)}, which makes n of sheets further out too small:"
+            " look there (dirt, too faint?), or give the number of sheets (`sheets`)"
         ]
     return []
 
 
-def _stand_still(tracks: xr.Dataset) -> bool:
-    """Whether fewer than one in ten sheets move against what all do together: in some frames by well more
-    than noise, which exceeds 2.5 of its deviations in one of a hundred."""
+def _stationary(tracks: xr.Dataset) -> bool:
+    """Tell whether fewer than one in ten sheets move relative to the median sheet.
+
+    A sheet moves if its displacement exceeds three times its noise in at least 5 % of the frames, where
+    Gaussian noise exceeds 2.5 standard deviations in 1 %.
+    """
     x = tracks["x_px"].values
     moved = x - nan_median(x)
     moved = np.abs(moved - nan_median(moved, axis=1)[:, None])
@@ -159,35 +162,35 @@ def _stand_still(tracks: xr.Dataset) -> bool:
     return bool((nan_quantile(moved, 0.95) > 3.0 * noise).mean() < 0.1) and x.shape[1] >= 3
 
 
-def _hardly_any(tracks: xr.Dataset) -> str:
-    """The longest run of frames in which fewer than half of the sheets are found; "" for a short one."""
+def _frames_with_few_sheets(tracks: xr.Dataset) -> str:
+    """Return a warning if fewer than half of the sheets are found in ten or more successive frames, or ""."""
     flags = tracks["flag"].values
     read = ~np.isin(flags, ("frozen", "blank", "corrupt", "lost")).all(axis=1)
     few = read & (np.isin(flags, ("missing", "edge", "unfit")).mean(axis=1) > 0.5)
     _, first, stop = stretches(few[:, None])
     if not len(first) or (stop - first).max() < 10:
         return ""
-    run = int(np.argmax(stop - first))
+    longest = int(np.argmax(stop - first))
     number = tracks["frame"].values
-    where = f"{number[first[run]]}:{number[stop[run] - 1] + 1}"
+    where = f"{number[first[longest]]}:{number[stop[longest] - 1] + 1}"
     return (
         f"in {few.sum()} frames, the longest run {where}, fewer than half of the sheets are found: another"
-        " scene, or something in front of them? leave it out with `frames`"
+        " scene, or something in front of them? exclude these with `frames`"
     )
 
 
 def ridges_per_side(tracks: xr.Dataset) -> int:
-    """Ridges on the side of the axis that shows more."""
+    """Return the number of ridges on the side of the axis that shows more."""
     return max((int((tracks["side"].values == side).sum()) for side in (-1, 1)), default=0)
 
 
 def consistency_warnings(
     tracks: xr.Dataset, sample: Sample | None = None, *, assumed: Sample | None = None
 ) -> list[str]:
-    """What was found and does not fit together, each with what to do about it.
+    """Return warnings about findings that contradict each other, each with what to do about it.
 
-    The sheets per block of the sample given, or assumed where none was, are compared with the ridges per
-    side.
+    sample: the given sample, whose sheets per block are compared with the ridges per side.
+    assumed: the sample that is assumed if none was given.
     """
     found, lines = TrackMetadata.of(tracks), []
     if found.ridges_beyond:
@@ -203,7 +206,8 @@ def consistency_warnings(
             f"{len(weak)} of {found.sheets} sheets (index {which}) hardly stand out from the background or"
             " are found in few frames: they may be none; restrict `columns` or give `sheets`"
         )
-    slack = 0.75 * found.pitch_px  # half a spacing, as the axis lies between whole sheets, of uneven ones
+    # The axis lies between two sheets, half a pitch from both; sheets may be unevenly spaced.
+    slack = 0.75 * found.pitch_px
     known = math.isfinite(found.axis_low_px) and math.isfinite(found.axis_high_px)
     if known and not found.axis_low_px - slack <= found.axis_px <= found.axis_high_px + slack:
         lines.append(
@@ -230,15 +234,15 @@ def consistency_warnings(
 def shells_against_fits(
     shells: pd.DataFrame | None, fits: ModelFits | None, settings: ShellSettings
 ) -> list[str]:
-    """A warning where M_eff of the fits contradicts the stiff shells that the video shows.
+    """Return a warning if M_eff of the fits contradicts the stiff shells that the video shows.
 
-    k stiff sheets are what an M_eff from k to k + 1 predicts. A side that is stiff as far as it is in view
-    has no upper end. Of the errors only the statistical one of Λ̂ counts: d0 moves d and Λ̂ alike.
+    An M_eff from k to k + 1 predicts k stiff sheets. A side on which all sheets in view are stiff gives no
+    upper limit. Only the statistical error of Λ̂ is used, as an error of d0 shifts d and Λ̂ alike.
     """
     if shells is None or fits is None:
         return []
     known = shells[shells["stiff_sheets"].notna()]
-    if len(known) < 3:  # so few contradict by chance
+    if len(known) < 3:  # so few may contradict by chance
         return []
     d_mm, scale = known["d_v_mm"].to_numpy(float), fits.scale_mm
     beyond = settings.fit_sigma * scale.error
@@ -261,31 +265,34 @@ def shells_against_fits(
 
 
 def doubt_line(tracks: xr.Dataset) -> str:
-    """Number of doubtful stretches and the worst three; "" without any. Sheets doubted alike are one."""
+    """Return the number of doubtful stretches and the longest three, or "".
+
+    Sheets with the same frames and reason count as one stretch among the longest.
+    """
     table = doubtful_stretches(tracks)
     if table.empty:
         return ""
     alike = [rows for _, rows in table.groupby(["first_frame", "last_frame", "why"], sort=False)]
     worst = sorted(alike, key=lambda rows: -int(rows["frames"].sum()))
     longest = [
-        f"{_these(rows['sheet'])} in {rows['first_frame'].iloc[0]}:{rows['last_frame'].iloc[0] + 1}"
+        f"{_sheet_range(rows['sheet'])} in {rows['first_frame'].iloc[0]}:{rows['last_frame'].iloc[0] + 1}"
         f" ({rows['why'].iloc[0]})"
         for rows in worst[:3]
     ]
     return f"{len(table)} doubtful stretches; longest: {'; '.join(longest)}"
 
 
-def _these(sheets: pd.Series) -> str:
-    """Sheets that are doubted together, in few words."""
+def _sheet_range(sheets: pd.Series) -> str:
+    """Return "sheet 3", or "4 sheets from 3 to 9"."""
     if len(sheets) == 1:
         return f"sheet {sheets.iloc[0]}"
     return f"{len(sheets)} sheets from {sheets.min()} to {sheets.max()}"
 
 
 def flag_counts(tracks: xr.Dataset) -> dict[str, int]:
-    """How often each flag occurs."""
+    """Return how often each flag occurs, in alphabetical order."""
     flags = tracks["flag"].values
-    ok = flags == "ok"  # most are: only the others are sorted
+    ok = flags == "ok"  # most are, and need not be sorted
     names, counts = np.unique(flags[~ok], return_counts=True)
     found = {str(name): int(count) for name, count in zip(names, counts, strict=True)}
     if ok.any():
@@ -294,7 +301,7 @@ def flag_counts(tracks: xr.Dataset) -> dict[str, int]:
 
 
 def noise_figures(tracks: xr.Dataset, pixel_size_um: float | None) -> dict[str, float]:
-    """Median over the sheets of the noise of a position: measured, predicted from the pixels, and stated."""
+    """Return the median noise of a position: measured, predicted from the pixels, and stated (x_err_px)."""
     measured = float(nan_median(tracks["x_noise_px"].values.ravel()))
     stated = float(nan_median(tracks["x_err_px"].values.ravel()))
     known = "x_predicted_px" in tracks
@@ -308,7 +315,7 @@ def noise_figures(tracks: xr.Dataset, pixel_size_um: float | None) -> dict[str, 
 
 
 def findings(tracks: xr.Dataset) -> dict[str, Any]:
-    """What the program found in the video by itself."""
+    """Return what was found in the video, for run.json."""
     strip, found = StripMetadata.of(tracks), TrackMetadata.of(tracks)
     return {
         "strip": {
@@ -333,7 +340,7 @@ def findings(tracks: xr.Dataset) -> dict[str, Any]:
 
 
 def event_sizes(force: xr.Dataset, sticks: pd.DataFrame) -> str:
-    """Medians of ΔF, Λ_st and K, in the unit of the load."""
+    """Return the medians of ΔF, Λ_st and K as text, in the unit of the load."""
     middle = sticks.median(numeric_only=True)
     over_weight = force["load_N"].attrs["units"] == "1"
     drop, slope = (" of the weight", "/mm") if over_weight else (" N", " N/mm")
@@ -349,9 +356,9 @@ def lowpass_correction(sticks: pd.DataFrame) -> str:
     if not facts.lowpass_s:
         proposal = ""
         if math.isfinite(facts.lowpass_proposed_s):
-            sure = "show" if facts.lowpass_proven else "may show, but not all slips alike,"
+            proven = "show" if facts.lowpass_proven else "may show, though not all alike,"
             proposal = (
-                f"; the slips {sure} a low-pass of {1e3 * facts.lowpass_proposed_s:.2g} ms, which "
+                f"; the slips {proven} a low-pass of {1e3 * facts.lowpass_proposed_s:.2g} ms, which "
                 "`lowpass_s` would correct"
             )
         return f"forces as recorded{proposal}"
@@ -364,10 +371,10 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
     noise = noise_figures(tracks, pixel_size_um)
     length = "" if pixel_size_um is None else f" = {noise['measured_um']:.3f} µm"
     other = ", ".join(f"{count} {name}" for name, count in flags.items() if name != "ok") or "none missing"
-    tilt = f", lean {strip.tilt_deg:+.2f}°" if math.isfinite(strip.tilt_deg) else ""
+    tilt = f", tilt {strip.tilt_deg:+.2f}°" if math.isfinite(strip.tilt_deg) else ""
     corrupt = f" ({strip.frames_corrupt} of them corrupt)" if strip.frames_corrupt else ""
     scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
-    # compression hides the noise of pixels: what they predict is then no check of what was measured
+    # Compression hides the noise of pixels, so that the error predicted from them means nothing.
     predicted = (
         f"; {noise['stated_px']:.4f} px stated ({strip.codec} hides the noise of pixels)"
         if strip.codec in LOSSY
@@ -392,7 +399,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
 
 
 def _noise(noise: Mapping[str, float], length: str) -> str:
-    """Noise as measured; too few frames, or frames that are all the same, measure none."""
+    """Return the measured noise as text; it is not known from few or identical frames."""
     parts = []
     if noise["measured_px"] > 0:
         parts.append(f"{noise['measured_px']:.4f} px{length} from frame to frame")
@@ -402,15 +409,15 @@ def _noise(noise: Mapping[str, float], length: str) -> str:
 
 
 def heights_line(tracks: xr.Dataset) -> str:
-    """How many strips were measured beside the whole, and how far sheets lean from the first to the last."""
+    """Return the number of strips at different heights, and the tilt of the sheets between the outer two."""
     z = tracks["z"].values
-    over = tracks["x_z_px"].values
-    lean = nan_median((over[..., -1] - over[..., 0]).ravel())
-    missing = int((np.isfinite(tracks["x_px"].values)[..., None] & ~np.isfinite(over)).sum())
+    x_z = tracks["x_z_px"].values
+    tilt = nan_median((x_z[..., -1] - x_z[..., 0]).ravel())
+    missing = int((np.isfinite(tracks["x_px"].values)[..., None] & ~np.isfinite(x_z)).sum())
     lost = f"; {missing} positions without a fit" if missing else ""
     return (
-        f"heights    {len(z)} strips from row {z[0]:.1f} to {z[-1]:.1f}, x_z_px in tracks.nc; sheets lean by "
-        f"{lean:+.3f} px between them{lost}"
+        f"heights    {len(z)} strips from row {z[0]:.1f} to {z[-1]:.1f}, x_z_px in tracks.nc; sheets are "
+        f"tilted by {tilt:+.3f} px between them{lost}"
     )
 
 
@@ -424,7 +431,7 @@ def _axis(found: TrackMetadata) -> str:
 
 
 def frame_times(strip: StripMetadata) -> str:
-    """The frame rate and what it was taken from."""
+    """Return the frame rate and its source as text."""
     if not math.isfinite(strip.fps) and strip.clock_kind == "playback":
         return "the file holds no frame rate: give the camera's with `fps`"
     kinds: Mapping[str, str] = {

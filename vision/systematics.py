@@ -1,8 +1,8 @@
-"""The budget of systematic errors: what is wrong in the same way in every frame and event, beside the noise.
+"""The budget of systematic errors, which are the same in all frames or events.
 
-Statistical errors come with each number. What is here moves all of them together, so that it is no part of
-them: the separation at the start, the sample's geometry, a drifting load cell, the pixel size, the choice of
-the strip's rows, uneven light, and the clock.
+The statistical error of each number does not contain them. Their sources are the initial separation, the
+sample's geometry, drift of the load cell, the pixel size, the choice of the strip's rows, uneven light, and
+the clock.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from vision.figures import Results
 
 QUANTITIES: Mapping[str, tuple[str, str]] = {
-    "x_px": ("place of a sheet (not in x_err)", "px"),
+    "x_px": ("position of a sheet (not in x_err)", "px"),
     "mu": ("μ", ""),
     "T0_N": ("𝒯0", "N"),
     "A": ("A", ""),
@@ -32,12 +32,12 @@ QUANTITIES: Mapping[str, tuple[str, str]] = {
     "K_N_per_mm": ("K", "N/mm"),
     "ratio": ("σ_x/Λ_st", ""),
 }
-"""What the errors are of: a name for tables, and the unit."""
+"""Quantities with systematic errors: the name in tables, and the unit."""
 SOURCES = {
     "d0": "initial separation d0",
     "load_drift": "drift of the load cell",
     "low_pass": "load cell's low-pass",
-    "sampling": "rise of the force while a slip lasts",
+    "sampling": "rise of the force during a slip",
     "thickness_mm": "thickness of a sheet",
     "width_mm": "width of the sheets",
     "length_mm": "length of the sheets",
@@ -51,53 +51,55 @@ SOURCES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Budget:
-    """Errors of the quantities that a run has (keys of `QUANTITIES`), in their units; NaN where not known."""
+    """Errors of the quantities that a run measured (keys of `QUANTITIES`), in their units; NaN: not known."""
 
     values: Mapping[str, float]
-    statistical: Mapping[str, float]  # standard errors; of positions and of σ_x/Λ_st their median
-    # source (as in `SOURCES`) to what it contributes to each quantity; None where that is not known, no entry
-    # where it has no part in it
+    statistical: Mapping[str, float]  # standard errors; for positions and σ_x/Λ_st the median
+    # systematic errors: source (key of `SOURCES`) to quantity to error; None if the error is not known, no
+    # entry if the source does not affect the quantity
     sources: Mapping[str, Mapping[str, float | None]]
 
     def total(self, quantity: str) -> float:
-        """Root of the sum of squares of what is known; NaN where nothing is."""
-        parts = [part[quantity] for part in self.sources.values() if part.get(quantity) is not None]
-        return math.hypot(*parts) if parts else math.nan  # type: ignore[arg-type]
+        """Return the root of the sum of squares of the known errors; NaN if none is known."""
+        known = [error for errors in self.sources.values() if (error := errors.get(quantity)) is not None]
+        return math.hypot(*known) if known else math.nan
 
     def unknown(self, quantity: str) -> list[str]:
-        """Sources of unknown size, which the total lacks."""
-        return [name for name, part in self.sources.items() if quantity in part and part[quantity] is None]
+        """Return the sources whose error is not known, which the total lacks."""
+        return [name for name, errors in self.sources.items() if errors.get(quantity, 0.0) is None]
 
     def to_json(self) -> dict[str, dict[str, object]]:
-        """By quantity: value, statistical and systematic error, and each source's part; for run.json."""
+        """Return for run.json: quantity to value, statistical and systematic error, and error by source."""
         return {
             quantity: {
                 "value": self.values[quantity],
                 "statistical": self.statistical[quantity],
                 "systematic": self.total(quantity),
-                "sources": {name: part[quantity] for name, part in self.sources.items() if quantity in part},
+                "sources": {
+                    name: errors[quantity] for name, errors in self.sources.items() if quantity in errors
+                },
             }
             for quantity in self.values
         }
 
 
 def systematic_budget(results: Results) -> Budget:
-    """The budget of a run, as `vision.analyse` returns it; empty where it has neither sheets nor fits.
+    """Return the budget of a run's results; empty without tracks, motion and fits.
 
-    The force's part is that of the fits (everything fitted again with each source moved). What the strip's
-    rows and uneven light do to places of sheets is the same in every frame: displacements and σ_x are free of
-    it. The pixel size scales σ_x/Λ_st; its error is known where it was measured only, not where it was given.
-    The clock has no part in σ_x as long as it is better than the frames left out beside slips.
+    Errors of the fitted parameters are those of `ModelFits.budget` (a fit repeated with each source changed).
+    The strip's rows and uneven light shift each sheet by a constant, which displacements and σ_x do not have.
+    The pixel size scales σ_x/Λ_st; its error is not known. An error of the clock does not affect σ_x as long
+    as it is smaller than the time left out beside each slip.
     """
     values: dict[str, float] = {}
     statistical: dict[str, float] = {}
     sources: dict[str, dict[str, float | None]] = {}
 
-    def add(source: str, quantity: str, part: float | None) -> None:
-        sources.setdefault(source, {})[quantity] = part
+    def add(source: str, quantity: str, error: float | None) -> None:
+        sources.setdefault(source, {})[quantity] = error
 
     if results.tracks is not None:
-        values["x_px"] = math.nan  # one for each sheet and frame
+        values["x_px"] = math.nan  # a position for every sheet and frame
         statistical["x_px"] = float(nan_median(results.tracks["x_err_px"].values.ravel()))
         add("strip", "x_px", StripMetadata.of(results.tracks).strip_err_px)
         light = None if results.strip is None else uneven_light_px(results.strip, results.tracks)
@@ -106,9 +108,9 @@ def systematic_budget(results: Results) -> Budget:
         fitted = results.fits.named()
         for quantity, estimate in fitted.items():
             values[quantity], statistical[quantity] = estimate.value, estimate.error
-        for source, parts in results.fits.budget.items():
+        for source, errors in results.fits.budget.items():
             for quantity in (*fitted, "K_N_per_mm"):
-                add(source, quantity, parts[quantity])
+                add(source, quantity, errors[quantity])
     if results.sticks is not None and results.fits is not None:
         values["K_N_per_mm"] = float(nan_median(results.sticks["K_N_per_mm"].to_numpy(float)))
         statistical["K_N_per_mm"] = float(nan_median(results.sticks["K_err_N_per_mm"].to_numpy(float)))
@@ -123,33 +125,33 @@ def systematic_budget(results: Results) -> Budget:
 
 
 def uneven_light_px(strip: xr.DataArray, tracks: xr.Dataset) -> float | None:
-    r"""RMS over the sheets of how far the light's slope shifts their places, px; None where it is not known.
+    r"""Return by how much uneven light shifts the ridges, RMS over the sheets in px; None if not known.
 
-    A ridge of height C (negative where dark) over a level V, Gaussian with standard width :math:`\sigma`, in
-    light L(x), has its maximum at
+    A Gaussian ridge of standard width :math:`\sigma` and height C (negative if dark) stands at :math:`x_n` on
+    a level V. In light of intensity L(x), a parabola fitted over a window of w pixels has its vertex at x,
+    where to first order
 
     .. math:: x - x_n = \frac{L'}{L}\, \frac{V + C}{C}\, \left(\sigma^2 + \frac{w^2}{20}\right)
 
-    to first order, as the parabola over a window of w pixels sees it (its slope is that of the profile under
-    a parabolic kernel, whose variance is :math:`w^2/20`). V and :math:`L'/L` are those of the gaps on both
-    sides in the mean frame.
+    (:math:`w^2/20` is the variance of the parabolic kernel whose convolution with the profile has the
+    parabola's slope). V and :math:`L'/L` are measured in the gaps on both sides of a ridge in the mean frame.
     """
     found = TrackMetadata.of(tracks)
-    place = nan_median(tracks["x_px"].values) - float(strip["x"].values[0])
+    x = nan_median(tracks["x_px"].values) - float(strip["x"].values[0])  # column of each sheet
     known = np.isfinite(strip.values[:, :1]).all(axis=1)
-    if place.size < 3 or not known.any() or not math.isfinite(found.pitch_px):
+    if x.size < 3 or not known.any() or not math.isfinite(found.pitch_px):
         return None
     frames = np.flatnonzero(known)
-    some = frames[np.unique(np.linspace(0, frames.size - 1, 50).astype(int))]
-    mean = np.asarray(strip.values[some], np.float64).mean(axis=0)
+    sample = frames[np.unique(np.linspace(0, frames.size - 1, 50).astype(int))]
+    mean = np.asarray(strip.values[sample], np.float64).mean(axis=0)
     column = np.arange(mean.size)
-    gaps = np.interp(np.r_[place[:-1] + np.diff(place) / 2], column, mean)
+    gaps = np.interp(x[:-1] + np.diff(x) / 2, column, mean)
     level = (gaps[1:] + gaps[:-1]) / 2
-    slope = np.diff(gaps) / ((place[2:] - place[:-2]) / 2)
-    top = np.interp(place[1:-1], column, mean)
+    slope = np.diff(gaps) / ((x[2:] - x[:-2]) / 2)
+    top = np.interp(x[1:-1], column, mean)
     height = np.abs(top - level)
-    width = (found.ridge_fwhm_px / FWHM) ** 2 + found.window_px**2 / 20
+    variance = (found.ridge_fwhm_px / FWHM) ** 2 + found.window_px**2 / 20
     with np.errstate(divide="ignore", invalid="ignore"):
-        shift = slope / level * top / height * width
+        shift = slope / level * top / height * variance
     shift = shift[np.isfinite(shift)]
     return float(np.sqrt(np.mean(shift**2))) if shift.size else None

@@ -173,7 +173,7 @@ def test_every_figure_can_be_made_alone(pulled):
     [
         (
             {"motion": None, "shells": None},
-            "no stick phase was measured inside the video",
+            "no stick phase was measured in the video",
             {"stick", "deformation", "shells"},
         ),
         (
@@ -251,7 +251,7 @@ def test_k_is_marked_where_it_is_taken(pulled):
     """A failure means that the dots or arrows of F − F_v are not K's stretch, ΔF and Λ_st."""
     panel = FIGURES["sticks"].make(pulled).panel
     first = pulled.sticks.iloc[0]
-    dots = next(s for s in panel.series if s.label == "K is taken here")
+    dots = next(s for s in panel.series if s.label == "K is measured here")
     length = first["stick_length_um"]
     assert dots.x.min() >= 0.24 * length
     assert dots.x.max() <= 0.76 * length

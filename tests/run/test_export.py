@@ -23,7 +23,8 @@ from vision.run.export import (
     write_kymograph_tif,
     write_space_time_tif,
 )
-from vision.run.folder import Parameter, write_json
+from vision.run.folder import write_json
+from vision.run.provenance import Parameter
 from vision.run.reading import read_run, stored_kymograph
 from vision.run.tables import sheets_table, write_tracks_nc
 

@@ -16,7 +16,8 @@ import pytest
 
 from vision.errors import InputError
 from vision.run import folder
-from vision.run.folder import MIB, PARTS, Checksums, Parameter, describe_input, run_folder, write_json
+from vision.run.folder import run_folder, write_json
+from vision.run.provenance import MIB, PARTS, Checksums, Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf, netcdf_attrs
 
 
@@ -214,7 +215,7 @@ def test_attributes_come_back_from_netcdf_as_they_were():
 
 def test_many_images_have_one_fingerprint_that_sees_the_first_the_last_and_their_sizes(tmp_path, monkeypatch):
     """A failure means that a folder of 100 000 images is read twice, or that one that was changed passes."""
-    monkeypatch.setattr("vision.run.folder.MIB", 100)
+    monkeypatch.setattr("vision.run.provenance.MIB", 100)
     for n in range(40):
         (tmp_path / f"{n:02d}.bin").write_bytes(bytes([n]) * 333)
     plain = describe_input(tmp_path)
@@ -257,7 +258,7 @@ class Watched(Checksums):
 
 def test_checksums_do_not_run_ahead_of_the_film(tmp_path, monkeypatch):
     """A failure means that a film larger than the memory is read from the disk twice."""
-    monkeypatch.setattr("vision.run.folder.AHEAD_BYTES", MIB)
+    monkeypatch.setattr("vision.run.provenance.AHEAD_BYTES", MIB)
     file = tmp_path / "a.bin"
     file.write_bytes(bytes(20 * MIB))
     with Watched([file]) as sums:
@@ -278,14 +279,14 @@ def test_an_input_that_cannot_be_read_for_its_checksum_is_one_line(tmp_path, mon
     def gone(*arguments, **options):
         raise OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr("vision.run.folder._parts", gone)
+    monkeypatch.setattr("vision.run.provenance._parts", gone)
     with Checksums([tmp_path]) as sums, pytest.raises(InputError, match="input/output error"):
         sums.found()
 
 
 def test_a_run_that_fails_does_not_wait_for_its_checksum(tmp_path, monkeypatch):
     """A failure means that Ctrl-C, or the next film, waits until 100 GB are read."""
-    monkeypatch.setattr("vision.run.folder.AHEAD_BYTES", 0)
+    monkeypatch.setattr("vision.run.provenance.AHEAD_BYTES", 0)
     (tmp_path / "a.bin").write_bytes(bytes(20 * MIB))
     with Checksums([tmp_path / "a.bin"]) as sums:
         thread = sums._thread

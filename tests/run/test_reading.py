@@ -194,7 +194,7 @@ def test_two_runs_into_one_folder_do_not_share_what_they_keep(film, tmp_path):
         strip, _ = profile(film, tmp_path / "out")
         assert (first.kept, strip.sizes["frame"]) == (1200, 1200)
         assert (reading_folder(tmp_path / "out") / "frames").stat().st_size == 1200 * (9 + 4 * 50)
-        with pytest.raises(InputError, match="still runs"):
+        with pytest.raises(InputError, match="still running"):
             profile(film, tmp_path / "out", resume=True)
 
 

@@ -10,7 +10,7 @@ import xarray as xr
 from tests.scenes import analysed
 from vision.figures import drawing
 from vision.pipeline import Analysis, Settings
-from vision.run import Origin, folder, tables, write_run, writing
+from vision.run import Origin, provenance, tables, write_run, writing
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +114,7 @@ def test_a_full_disk_under_the_text_fails_the_run(found, tmp_path, monkeypatch):
 def test_inputs_are_read_while_tables_are_written(found, tmp_path, monkeypatch):
     """A failure means that a run stands still for the fingerprint of its film."""
     read = threading.Event()
-    monkeypatch.setattr(folder, "describe_input", lambda path, whole: read.set() or {"path": str(path)})
+    monkeypatch.setattr(provenance, "describe_input", lambda path, whole: read.set() or {"path": str(path)})
     monkeypatch.setattr(writing, "_write_tables", lambda *_: told.append(read.wait(20)))
     told = []
     content = write_run(found, tmp_path / "run", Origin(command="track", inputs=[tmp_path]), report=False)

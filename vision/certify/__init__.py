@@ -1,4 +1,4 @@
-"""What a recording can resolve: films like it with known truth, through the same analysis."""
+"""Measure what a recording can resolve, from similar films with known truth and the same analysis."""
 
 from vision.certify.certificate import Certificate, certify, certify_run
 from vision.certify.page import statements, write_certificate

@@ -1,4 +1,4 @@
-"""certify(): what one recording can resolve, measured on films like it whose truth is known."""
+"""Measure what a recording can resolve, on similar films whose truth is known."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ Progress = Callable[[int, int | None], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Threshold:
-    """σ_x/Λ_st of films in which every sheet stands at the threshold.
+    """Measured σ_x/Λ_st of films in which its true value is the threshold for every sheet.
 
     Parameters
     ----------
     ratio
-        The threshold, which is the truth.
+        The threshold.
     bias, raw_bias
-        Mean of the measured ratio over the truth, less 1; the same for the RMS displacement as measured.
+        Mean of the measured ratio over the true one, less 1, with and without noise correction.
     scatter
-        Standard deviation of single measurements over the truth.
+        Standard deviation of single measurements over the true ratio.
     stated
-        Median stated error over the truth.
+        Median stated error over the true ratio.
     called_stiff
-        Share called stiff: half, where there is no bias.
+        Share of the sheets called stiff, one half without a bias.
     """
 
     ratio: float
@@ -65,30 +65,29 @@ class Certificate:
     source, codec, fit
         The video, its codec, and the subpixel fit used.
     frames, films, pixel_size_um
-        Frames imitated, films made, and the scale where it is known.
+        Number of frames of a film, number of films, and the pixel size if known.
     sheets
-        One row a sheet: index, side, n, x_px, error_px (RMS error of a displacement), stated_px (median
+        One row per sheet: index, side, n, x_px, error_px (RMS error of a displacement), stated_px (median
         x_err_px), within_error (share of positions within it), found, locking_px (peak to peak),
-        sweep_error_px and smallest_sweep_px (over a stick).
+        sweep_error_px and smallest_sweep_px (in a stick phase).
     error_px, within_error, found, wrong
-        RMS over all sheets; shares; positions called ok that are more than half a pitch off.
+        RMS error over all sheets; shares of positions within their error and found; number of positions
+        called ok that are wrong by more than half a pitch.
     locking_px
         Error that repeats with the fraction of a pixel, peak to peak, median over sheets.
     smallest_sweep_px, stick_frames
-        Median over sheets, and the frames of a stick for which it holds; NaN without a piece long enough.
-    largest_jump_pitches, identity_margin
-        Largest jump of a sheet from frame to frame, and how many times the recording's motion was followed
-        without a wrong identity; the largest that was tried is a lower bound.
-    identity_tried
-        That largest.
+        Median over sheets, and number of frames of a stick phase; NaN if slips are too frequent.
+    largest_jump_pitches, identity_margin, identity_tried
+        Largest jump of a sheet from frame to frame; largest multiple of the recording's motion that was
+        tracked without a wrong identity; and largest multiple that was tested.
     threshold
-        At the stiffness threshold; None without stick phases or scale.
+        Results at the stiffness threshold; None without stick phases or pixel size.
     warnings
         What the certificate does not cover.
     encoding
-        How films were encoded again; "" where they got the recording's residuals.
+        How films were encoded again; "" if they have the recording's residuals.
     uncertain
-        Whether the recording contains what the films do not reproduce well: errors may then be others.
+        Whether the recording contains something that the films do not reproduce well.
     """
 
     source: str
@@ -115,7 +114,7 @@ class Certificate:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Everything but the table of sheets, for certificate.json."""
+        """All fields but the table of sheets, for certificate.json."""
         values = {part.name: getattr(self, part.name) for part in fields(self)}
         values.pop("sheets")
         return values
@@ -123,7 +122,7 @@ class Certificate:
 
 @dataclass(frozen=True)
 class _Measured:
-    """Errors of one film, (frame, sheet of the truth), px; NaN where nothing is called ok."""
+    """Errors of one film and stated errors, (frame, true sheet), px, NaN if not ok; wrong positions."""
 
     error_px: Floats
     stated_px: Floats
@@ -133,12 +132,12 @@ class _Measured:
 def certify_run(
     run: RunFolder, *, settings: CertifySettings = DEFAULT, progress: Progress | None = None
 ) -> Certificate:
-    """The certificate of a finished run, with its events and clock where it has them.
+    """Return the certificate of a finished run, using its events and clock if it has them.
 
     Raises
     ------
     InputError
-        For a run without a video, or whose sheets are seen in too few frames.
+        For a run without a video, or with sheets in too few frames.
     """
     sticks, path = read_table(run.folder, "events"), run.folder / "clock.json"
     clock = _clock(read_json(path)) if path.exists() else None
@@ -158,7 +157,7 @@ def certify_run(
 
 
 def _encoder(run: RunFolder, strip: xr.DataArray) -> Encoder | None:
-    """How the run's film was encoded, where the film is still there and its codec chains frames."""
+    """Return how the run's film was encoded, if it exists and its codec predicts frames from others."""
     facts = StripMetadata.of(strip)
     if facts.codec not in BETWEEN_FRAMES:
         return None
@@ -172,7 +171,7 @@ def _encoder(run: RunFolder, strip: xr.DataArray) -> Encoder | None:
 
 
 def _clock(facts: dict[str, Any]) -> Clock | None:
-    """The run's clock; None for one that may be wrong by whole slips."""
+    """Return the run's clock; None if it is ambiguous."""
     if facts.get("status") not in ("ok", "given"):
         return None
     known = {part.name for part in fields(Clock)} - {"candidates", "warnings"}
@@ -194,19 +193,19 @@ def certify(
     settings: CertifySettings = DEFAULT,
     progress: Progress | None = None,
 ) -> Certificate:
-    """What one recording can resolve.
+    """Measure what one recording can resolve.
 
     Parameters
     ----------
     strip, tracks
         I(x, t) and x(n, t) of the recording, as `strip_profile` and `track_sheets` return them.
     pixel_size_um, sticks, clock
-        Scale, stick-slip events and clock, without which there is no statement about σ_x/Λ_st.
+        Pixel size, stick-slip events and clock, which the results about σ_x/Λ_st need.
     threshold
         σ_x/Λ_st below which a sheet is stiff.
     encoder
-        How the recording was encoded, from `vision.certify.encoder.read_encoder`: films are then encoded
-        again in place of getting the recording's residuals.
+        How the recording was encoded, from `vision.certify.encoder.read_encoder`. Films are then encoded
+        again instead of getting the recording's residuals.
     settings
         Tunable constants.
     progress
@@ -219,30 +218,19 @@ def certify(
     Raises
     ------
     InputError
-        Where fewer than 30 frames show the sheets.
+        If fewer than 30 frames show the sheets.
 
     Notes
     -----
     Films are made from the recording's own mean picture, smooth motion and residuals, see
     `vision.certify.likeness`: nothing is assumed about the shape of ridges, the light or the noise. Residuals
-    are those that were recorded, what the codec did to them included, moved in time against the motion. What
-    a film cannot tell: a constant error of a sheet's position (displacements do not have it), and errors that
-    last as long as a stick, since those cannot be told from motion; codecs that carry content from frame to
-    frame make such.
+    are those of other frames, including the effect of the codec. The films do not show a constant error of a
+    sheet's position, which displacements do not have, nor errors that last as long as a stick phase, which
+    look like motion; codecs that predict frames from others make such errors.
     """
     like = learn(strip, tracks, settings)
     if encoder is not None:
-        # What the codec left out of the camera's shaking must be there to be left out again. A part of what
-        # all sheets do in single frames is no motion but the noise of their median: π/2 of a mean's variance.
-        x_px = np.asarray(tracks["x_px"].values, float)
-        between = BetweenSlips(x_px)
-        scatter = float(np.nan_to_num(nan_median(spatial_scatter(between, between_frames=True))))
-        noise = 1.57 * scatter**2 / x_px.shape[1]
-        moved = max(0.0, 1 - noise / max(float(np.var(like.common_px)), 1e-12))
-        more = left_out(between) * np.sqrt(moved) * like.common_px
-        like = replace(like, motion_px=like.motion_px + more[:, None])
-        drawn, shown = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
-        like = replace(like, encoder=encoder.fitted(drawn, shown, like.strip.values))
+        like = _with_encoder(like, encoder, np.asarray(tracks["x_px"].values, float))
     again = _tracking(tracks)
     scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]
     work = settings.films + 1 + len(scales) + (settings.films if sticks is not None else 0)
@@ -296,14 +284,31 @@ def certify(
     )
 
 
-def _tracking(tracks: xr.Dataset) -> Callable[[xr.DataArray], xr.Dataset]:
-    """`track_sheets` with what the run was asked for, and the fit that it used.
+def _with_encoder(like: Likeness, encoder: Encoder, x_px: Floats) -> Likeness:
+    """Prepare films that are encoded like the recording.  x_px: measured positions (frame, sheet).
 
-    Which sheets are none, or lie under a mark, the recording has told: its films are not asked again.
+    The codec leaves out a part of the camera's motion, which is added to the motion of the films, so that it
+    can be left out again. The common motion in single frames also contains the noise of a median over sheets,
+    whose variance is π/2 times that of a mean.
+    """
+    between = BetweenSlips(x_px)
+    scatter = float(np.nan_to_num(nan_median(spatial_scatter(between, between_frames=True))))
+    noise = 1.57 * scatter**2 / x_px.shape[1]
+    share = max(0.0, 1 - noise / max(float(np.var(like.common_px)), 1e-12))  # of the variance that is motion
+    added = left_out(between) * np.sqrt(share) * like.common_px
+    like = replace(like, motion_px=like.motion_px + added[:, None])
+    drawn, shown = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
+    return replace(like, encoder=encoder.fitted(drawn, shown, like.strip.values))
+
+
+def _tracking(tracks: xr.Dataset) -> Callable[[xr.DataArray], xr.Dataset]:
+    """Return `track_sheets` with the run's parameters and its fit.
+
+    It does not search for false sheets and marks again, as the recording has shown which they are.
     """
     steps = [step for step in tracks.attrs.get("operations", ()) if step["operation"] == "track_sheets"]
-    asked = dict(steps[-1]["parameters"]) if steps else {}
-    tuned = asked.pop("settings", {})
+    parameters = dict(steps[-1]["parameters"]) if steps else {}
+    tuned = parameters.pop("settings", {})
     known = {part.name for part in fields(TrackingSettings)}
     values: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value
@@ -311,16 +316,16 @@ def _tracking(tracks: xr.Dataset) -> Callable[[xr.DataArray], xr.Dataset]:
         if name in known
     }
     chosen = TrackingSettings(**values | {"mark_pulled": math.inf, "most_pulled": math.inf})
-    asked["fit"] = TrackMetadata.of(tracks).fit
-    return lambda film: track_sheets(film, **asked, settings=chosen)
+    parameters["fit"] = TrackMetadata.of(tracks).fit
+    return lambda film: track_sheets(film, **parameters, settings=chosen)
 
 
 def _measure(like: Likeness, truth_px: Floats, found: xr.Dataset) -> _Measured:
-    """Errors of the ridge that is nearest to each true sheet most of the time."""
+    """Compare tracks with the true positions (frame, sheet); tracks belong to the nearest true sheet."""
     x = found["x_px"].values - float(like.strip["x"].values[0])
     ok = found["flag"].values == "ok"
-    away = nan_median(np.abs(np.where(ok, x, np.nan)[:, :, None] - truth_px[:, None, :]))
-    sheet = np.argmin(np.nan_to_num(away, nan=np.inf), axis=1)
+    distance = nan_median(np.abs(np.where(ok, x, np.nan)[:, :, None] - truth_px[:, None, :]))
+    sheet = np.argmin(np.nan_to_num(distance, nan=np.inf), axis=1)
     error, stated = np.full(truth_px.shape, np.nan), np.full(truth_px.shape, np.nan)
     half, wrong = 0.5 * _pitch(like), 0
     for k, n in enumerate(sheet):
@@ -342,7 +347,7 @@ def _rms(values: Floats) -> float:
 
 
 def _columns(values: Floats, work: Callable[[Floats], float]) -> Floats:
-    """`work` of what is known of each column; NaN where nothing is."""
+    """Apply `work` to the known values of each column; NaN without any."""
     known = (column[np.isfinite(column)] for column in values.T)
     return np.array([work(column) if column.size else math.nan for column in known])
 
@@ -352,14 +357,14 @@ def _without_means(error: Floats) -> Floats:
 
 
 def _locking(like: Likeness, again: Callable[[xr.DataArray], xr.Dataset]) -> Floats:
-    """Peak to peak of the error, without noise, while all sheets cross one pixel together, (sheet,)."""
+    """Return the peak-to-peak error without noise while all sheets cross one pixel, (sheet,)."""
     motion = like.rest_px + np.linspace(0, 1, 41)[:, None]
     error = _measure(like, motion, again(like.film(motion, number=None))).error_px
     return _columns(error, lambda column: float(np.ptp(column)))
 
 
 def _pieces(like: Likeness) -> list[Ints]:
-    """Frames from slip to slip, without those that a slip may have blurred."""
+    """Return the frames from slip to slip, without those that a slip may have blurred."""
     edges = np.unique(np.concatenate([[0, len(like.motion_px)], like.slips]))
     pieces = [
         np.arange(start + (start > 0), stop - (stop < edges[-1])) for start, stop in itertools.pairwise(edges)
@@ -370,7 +375,7 @@ def _pieces(like: Likeness) -> list[Ints]:
 def _sweep_errors(
     like: Likeness, measured: list[_Measured], settings: CertifySettings
 ) -> tuple[Floats, float]:
-    """RMS error of the sweep by a straight line over a stick, (sheet,), and the frames of a typical one."""
+    """Return the RMS error of a line's sweep over a stick phase, (sheet,), and its median frames."""
     pieces = _pieces(like)
     if not pieces:
         return np.full(like.rest_px.size, np.nan), math.nan
@@ -385,7 +390,7 @@ def _sweep_errors(
 
 
 def _largest_jump(like: Likeness) -> float:
-    """Largest movement of a sheet from frame to frame against the others, in pitches."""
+    """Return the largest motion of a sheet from frame to frame relative to the others, in pitches."""
     if len(like.motion_px) < 2:
         return 0.0
     step = np.diff(like.motion_px, axis=0)
@@ -399,21 +404,21 @@ def _identity_margin(
     scales: list[float],
     done: Callable[[], None],
 ) -> tuple[float, float]:
-    """The largest multiple of the motion that is followed without a wrong identity, and the largest tried.
+    """Return the largest multiple of the motion without a wrong identity, and the largest tested.
 
-    Multiples at which sheets would overlap are not tried.
+    Multiples at which sheets would overlap are not tested.
     """
-    middle = np.median(like.motion_px, axis=0)
+    centre = np.median(like.motion_px, axis=0)
     margin = 0.0 if any(film.wrong for film in measured) else 1.0
-    tried, kept = 1.0, float(np.isfinite(measured[0].error_px).mean())
+    tried, found = 1.0, float(np.isfinite(measured[0].error_px).mean())
     for scale in scales if margin else []:
-        motion = middle + scale * (like.motion_px - middle)
+        motion = centre + scale * (like.motion_px - centre)
         if np.diff(motion, axis=1).min(initial=np.inf) < 0.6 * _pitch(like):
             break
         tried = scale
         film = _measure(like, motion, again(like.film(motion, number=0)))
         done()
-        if film.wrong or np.isfinite(film.error_px).mean() < 0.9 * kept:
+        if film.wrong or np.isfinite(film.error_px).mean() < 0.9 * found:
             break
         margin = scale
     return margin, tried
@@ -429,7 +434,7 @@ def _at_threshold(
     threshold: float,
     tracks: xr.Dataset,
 ) -> Threshold | None:
-    """Films in which every sheet creeps by √12 × threshold × Λ_st in every stick, fully analysed."""
+    """Analyse films in which every sheet creeps by √12 × threshold × Λ_st in every stick phase."""
     time = np.asarray(clock.to_force_s(np.asarray(like.strip["time_s"].values, float)), float)
     side = np.where(like.rest_px < TrackMetadata.of(tracks).axis_px - float(like.strip["x"].values[0]), -1, 1)
     length = sticks["stick_length_um"].to_numpy(float)
@@ -475,17 +480,17 @@ def _sheet_table(
     smallest: Floats,
     sweeps: Floats,
 ) -> pd.DataFrame:
-    """One row a sheet of the run; empty cells where a sheet was seen too seldom to be imitated."""
-    place = like.rest_px + float(like.strip["x"].values[0])
-    middle = nan_median(tracks["x_px"].values)
-    nearest = np.argmin(np.abs(np.nan_to_num(middle, nan=np.inf)[:, None] - place), axis=0)
+    """Return the table of the sheets that are in the films, one row per sheet."""
+    x_px = like.rest_px + float(like.strip["x"].values[0])
+    in_run = nan_median(tracks["x_px"].values)
+    nearest = np.argmin(np.abs(np.nan_to_num(in_run, nan=np.inf)[:, None] - x_px), axis=0)
     within = np.where(np.isfinite(error), np.abs(error) <= stated, np.nan)
     return pd.DataFrame(
         {
             "index": tracks["sheet"].values[nearest],
             "side": tracks["side"].values[nearest],
             "n": tracks["n"].values[nearest],
-            "x_px": place.round(3),
+            "x_px": x_px.round(3),
             "error_px": _columns(error, _rms).round(5),
             "stated_px": nan_median(stated).round(5),
             "within_error": _columns(within, lambda column: float(column.mean())).round(4),
@@ -498,42 +503,42 @@ def _sheet_table(
 
 
 def _doubts(like: Likeness, facts: StripMetadata, tracks: xr.Dataset, error_px: float) -> list[str]:
-    """What the recording contains and films do not reproduce well: errors may be others."""
+    """Return warnings about parts of the recording that the films do not reproduce well."""
     lines = []
     chained = facts.codec in BETWEEN_FRAMES
     if chained and like.encoder is None:
         lines.append(
-            f"{facts.codec} carries content from frame to frame, and nothing could be encoded again like it "
-            "(no encoder here, or the film is gone): its residuals were put in again, in which errors that "
-            "last as long as a stick look like motion; the true error is larger, up to twice in tests"
+            f"{facts.codec} carries content from frame to frame, and films could not be encoded in this way "
+            "(no encoder, or the film was moved): they have the recording's residuals, which lack errors "
+            "that last as long as a stick phase; the true error is larger, up to twice in tests"
         )
     noise_px = max(float(np.nan_to_num(nan_median(tracks["x_noise_px"].values))), 1e-6)
-    # The publication's fit errs by more than it scatters, and codecs that chain frames let it scatter less.
+    # Errors exceed the noise also with the publication's fit, and with codecs that predict frames.
     if not chained and TrackMetadata.of(tracks).fit != "paper" and error_px > 1.3 * noise_px:
         lines.append(
             f"errors of the films, {error_px:.3f} px, are above the noise of the recording from frame to "
-            f"frame, {noise_px:.3f} px: where its motion is not smooth, the films take some of it for "
-            "errors, and the true ones are smaller, 0.5 to 0.8 times these in tests"
+            f"frame, {noise_px:.3f} px: if its motion is not smooth, the films contain some of it as "
+            "noise, and the true errors are smaller, 0.5 to 0.8 times these in tests"
         )
     if not like.smooth.any():
-        lines.append("slips follow each other so fast that motion and noise are hard to tell apart")
+        lines.append("slips follow each other so fast that motion and noise can hardly be separated")
     disturbed = float(like.disturbed.mean())
     if disturbed > 0.02:
         lines.append(
-            f"something pulls ridges aside or hides them in {100 * disturbed:.0f} % of the film (dirt, a "
-            "highlight, a hand): the films show what was recorded there, and the sheets around are taken for "
-            "where those were; the true errors were 0.4 to 1.9 times these in tests"
+            f"something distorts or hides ridges in {100 * disturbed:.0f} % of the film (dirt, a highlight, "
+            "a hand): the films show the recorded pixels there, with true positions predicted from "
+            "neighbouring sheets; the true errors were 0.4 to 1.9 times these in tests"
         )
     return lines
 
 
 def _gaps(like: Likeness, tracks: xr.Dataset, known: Bools, no_threshold: bool) -> list[str]:
-    """What the certificate does not cover."""
+    """Return warnings about what the certificate does not cover."""
     lines, left_out_sheets = [], tracks.sizes["sheet"] - like.rest_px.size
     if left_out_sheets:
-        lines.append(f"{left_out_sheets} sheets seen in under half of the frames left out")
+        lines.append(f"{left_out_sheets} sheets left out, which are found in fewer than half of the frames")
     if known.mean() < 0.95:
         lines.append(f"only {100 * known.mean():.0f} % of the positions of the films were found")
     if no_threshold:
-        lines.append("nothing about σ_x/Λ_st: that needs a force recording, a clock and the pixel size")
+        lines.append("no results on σ_x/Λ_st, which need a force recording, a clock and the pixel size")
     return lines

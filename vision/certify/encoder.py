@@ -1,7 +1,7 @@
-"""Films encoded again as the recording was: its codec, its quantiser, as much noise as fills its bits.
+"""Encode films as the recording was: with its codec and quantiser, and noise that takes as many bits.
 
-A codec that carries content from frame to frame shifts ridges in ways that its own residuals do not show: it
-holds a sheet still while it creeps. A film with known truth that goes through the same codec shows it.
+A codec that predicts frames from others shifts ridges in ways that the recording's residuals do not show: a
+creeping sheet stands still for some frames. A film with known truth that is encoded in the same way shows it.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ ENCODERS = {
     "vp9": "libvpx-vp9",
     "av1": "libsvtav1",
 }
-"""Codecs that carry content from frame to frame, and what FFmpeg writes them with."""
+"""Codecs that predict frames from others, and FFmpeg's encoders."""
 QUANTISERS = {"hevc": (12, 16, 20, 24, 28, 32), "av1": (12, 20, 28, 36, 44)}
-"""What is tried where a decoder does not tell the quantiser."""
+"""Rate factors that are tried if the decoder does not report the quantiser."""
 PRESETS = {
     0: "ultrafast",
     1: "superfast",
@@ -48,10 +48,10 @@ PRESETS = {
     9: "slower",
     10: "veryslow",
 }
-"""x264's presets by the effort of its motion search (subme), which it writes into its films."""
+"""x264's presets by the effort of its motion search (subme), which x264 writes into its films."""
 TRIED_FRAMES = 60
 NOISE_GREY, NOISE_ERROR = 12.0, 0.03
-"""Most noise of pixels that is tried, more than ridges that can be tracked have, and how well it is found."""
+"""Largest pixel noise that is tried, more than films that can be tracked have, and its tolerance."""
 
 
 @dataclass(frozen=True)
@@ -61,27 +61,27 @@ class Encoder:
     Parameters
     ----------
     codec
-        As FFmpeg names it.
+        FFmpeg's name of the codec.
     quantiser
         Median of the frames' quantisers, or, for HEVC and AV1, the rate factor.
     keyframes
-        Frames from keyframe to keyframe; 0 where there is one only.
+        Number of frames from keyframe to keyframe; 0 if there is only one.
     bits_per_pixel
         Mean over the recording.
     picture
-        One frame (rows, columns), grey levels, turned as the run turned it.
+        One frame (rows, columns), grey levels, turned as in the run.
     rows, columns
-        Of the strip in it, half-open.
-    told
-        Whether the film tells its quantiser.
-    both_ways
-        Whether there are B frames.
+        The strip in the picture, half-open.
+    quantiser_known
+        Whether the film states its quantiser.
+    b_frames
+        Whether there are B frames, which are predicted from earlier and later ones.
     preset
-        Of x264, medium where the film does not tell it.
+        Preset of x264; medium if the film does not state it.
     noise_grey
-        Standard deviation of the pixels' noise before encoding.
+        Standard deviation of the pixel noise before encoding, at the mean brightness.
     shot_noise
-        Whether it grows with the root of the brightness, and this is that at the mean brightness.
+        Whether the noise grows with the square root of the brightness.
     """
 
     codec: str
@@ -91,38 +91,39 @@ class Encoder:
     picture: Floats
     rows: tuple[int, int]
     columns: tuple[int, int]
-    told: bool = True
-    both_ways: bool = True
+    quantiser_known: bool = True
+    b_frames: bool = True
     preset: str = "medium"
     noise_grey: float = 0.0
     shot_noise: bool = False
 
     @property
     def described(self) -> str:
-        """In words, for the certificate."""
-        known = "the quantiser" if self.told else "a rate factor of"
+        """The encoding as text, for the certificate."""
+        known = "the quantiser" if self.quantiser_known else "a rate factor of"
         more = " (more where it is bright)" if self.shot_noise else ""
         return (
             f"{self.codec} at {known} {self.quantiser}, with pixel "
-            f"noise of {self.noise_grey:g} grey levels{more}, for which a film takes the recording's "
+            f"noise of {self.noise_grey:g} grey levels{more}, with which a film takes the recording's "
             f"{self.bits_per_pixel:.2g} bits per pixel"
-            + ("" if self.told else " and changes from frame to frame as much")
+            + ("" if self.quantiser_known else " and changes as much from frame to frame")
         )
 
     @property
     def width(self) -> int:
-        """Columns of the strip: one less than the run's where that is odd at the picture's edge."""
+        """Columns of the strip: one less than in the run if an odd last column was cut off."""
         return self.columns[1] - self.columns[0]
 
-    def again(self, profile: Floats32, shown: Floats, *, seed: int) -> Floats32:
-        """I(x, t) (frame, x) drawn on all rows, encoded, decoded, and averaged over the strip's rows.
+    def encode(self, profile: Floats32, shown: Floats, *, seed: int) -> Floats32:
+        """Draw I(x, t) (frame, x) on all rows, encode and decode it, and average over the strip's rows.
 
-        What tells rows apart is that of the picture's columns `shown` (frame, x): it moves with the sheets.
+        The differences between rows are those of the picture at columns `shown` (frame, x), and so move with
+        the sheets.
         """
-        return self._again(profile, shown, seed)[0]
+        return self._encode(profile, shown, seed)[0]
 
-    def _again(self, profile: Floats32, shown: Floats, seed: int) -> tuple[Floats32, float]:
-        """The same, and the bits per pixel that it took."""
+    def _encode(self, profile: Floats32, shown: Floats, seed: int) -> tuple[Floats32, float]:
+        """Return I(x, t) after encoding and decoding, and the bits per pixel."""
         with tempfile.TemporaryDirectory(prefix="sheetvision-") as folder:
             path = Path(folder) / "again.mkv"
             size = self._write(path, profile, shown, seed)
@@ -132,16 +133,16 @@ class Encoder:
             return values, 8 * size / (len(profile) * self.picture.size)
 
     def fitted(self, profile: Floats32, shown: Floats, recorded: Floats32) -> Encoder:
-        """With the noise for which a part of this film takes as many bits as the recording did.
+        """Return this encoder with the noise for which a part of this film takes as many bits as recorded.
 
-        Where the quantiser is not known, it is the one, too, for which I(x, t) then changes from frame to
-        frame by as much as was recorded. Noise is alike everywhere, as a gamma of 0.45 makes it, or grows
-        with the root of the brightness, as a linear camera has it: whichever lets bright columns change from
-        frame to frame, against dark ones, more nearly as they do in the recording.
+        If the quantiser is not known, it is chosen so that I(x, t) also changes as much from frame to frame
+        as recorded. The noise is constant, as with a gamma of 0.45, or grows with the square root of the
+        brightness, as of a linear camera: whichever better reproduces how much more bright columns change
+        from frame to frame than dark ones.
         """
         part, recorded = profile[:TRIED_FRAMES], recorded[:TRIED_FRAMES, : self.width]
         best, chosen, values = np.inf, self, recorded
-        for quantiser in (self.quantiser,) if self.told else QUANTISERS[self.codec]:
+        for quantiser in (self.quantiser,) if self.quantiser_known else QUANTISERS[self.codec]:
             tried, found, off = replace(self, quantiser=quantiser)._with_noise(part, shown)
             off += abs(float(np.log(_change(found) / _change(recorded))))
             if off < best:
@@ -151,11 +152,11 @@ class Encoder:
         return growing if shot < even else chosen
 
     def _with_noise(self, part: Floats32, shown: Floats) -> tuple[Encoder, Floats32, float]:
-        """With the noise for which this takes the recording's bits; I(x, t) then; how far bits are off."""
+        """Return this encoder with the noise that takes the recorded bits, I(x, t), and |log(bits ratio)|."""
         tried: dict[float, tuple[Floats32, float]] = {}
 
         def too_many(noise: float) -> float:
-            values, bits = replace(self, noise_grey=noise)._again(part, shown, seed=0)
+            values, bits = replace(self, noise_grey=noise)._encode(part, shown, seed=0)
             tried[noise] = values, float(np.log(bits / self.bits_per_pixel))
             return tried[noise][1]
 
@@ -179,10 +180,10 @@ class Encoder:
             yield np.clip(np.rint(frame), 0, 255).astype(np.uint8)
 
     def _options(self) -> dict[str, str]:
-        """What makes the encoder write like the recording."""
+        """Return FFmpeg's options for an encoding like that of the recording."""
         q = str(self.quantiser)
         options = {
-            # x264's assembly reads beyond its buffers: with it, the same film takes other bits each time
+            # x264's assembly reads beyond its buffers, so that the bits would differ from call to call.
             "h264": {"crf": q, "preset": self.preset, "threads": "1", "x264-params": "asm=0"},
             "hevc": {"crf": q, "x265-params": "log-level=none:pools=1:frame-threads=1"},
             "vp9": {"crf": q, "b": "0", "cpu-used": "4"},
@@ -190,13 +191,13 @@ class Encoder:
         }.get(self.codec, {"qmin": q, "qmax": q})
         if self.keyframes:
             options["g"] = str(self.keyframes)
-        if not self.both_ways and self.codec in ("h264", "hevc"):
+        if not self.b_frames and self.codec in ("h264", "hevc"):
             options["bf"] = "0"
         return options
 
     def _write(self, path: Path, profile: Floats32, shown: Floats, seed: int) -> int:
-        """Bytes of the film's packets."""
-        # libx264 looks beyond sides that are no multiples of 16, at what memory happens to hold.
+        """Write the film and return the bytes of its packets."""
+        # libx264 reads undefined memory beyond sides that are not multiples of 16.
         multiple = 16 if self.codec == "h264" else 1
         beyond = [(0, -length % multiple) for length in self.picture.shape]
         height, width = np.pad(self.picture, beyond).shape
@@ -206,10 +207,10 @@ class Encoder:
             assert isinstance(stream, av.VideoStream)
             stream.height, stream.width, stream.pix_fmt = height, width, "yuv420p"
             stream.codec_context.time_base = Fraction(1, 25)
-            # both planes of colour, one after the other
+            # both colour planes, one after the other
             colourless = np.full((height // 2, width), 128, np.uint8)
             for n, grey in enumerate(self._frames(profile, shown, seed)):
-                # the plane of brightness as it is: no change of range
+                # the luma plane with unchanged range
                 planes = np.concatenate([np.pad(grey, beyond, mode="edge"), colourless])
                 frame = av.VideoFrame.from_ndarray(planes, format="yuv420p")
                 frame.pts, frame.time_base = n, Fraction(1, 25)
@@ -222,20 +223,22 @@ class Encoder:
 
 
 def _change(values: Floats32) -> float:
-    """Mean change from frame to frame, grey levels, without that of slips."""
+    """Return the median over frames of the mean change from frame to frame, grey levels."""
     change = np.abs(np.diff(values, axis=0)).mean(axis=1)
     return max(float(np.median(change)), 1e-3)
 
 
 def _contrast(values: Floats32) -> float:
-    """Mean change from frame to frame of the brightest quarter of the columns over that of the darkest, in
-    the nine tenths of the frames that change least."""
-    usual = np.median(values, axis=0)
-    dark, bright = np.quantile(usual, (0.25, 0.75))
+    """Return how much more the brightest quarter of the columns changes from frame to frame than the darkest.
+
+    The tenth of the frames that changes most, such as at slips, is left out.
+    """
+    typical = np.median(values, axis=0)
+    dark, bright = np.quantile(typical, (0.25, 0.75))
     change = np.abs(np.diff(values, axis=0))
     mean = change.mean(axis=1)
     change = change[mean <= np.quantile(mean, 0.9)]
-    of_dark, of_bright = (float(change[:, which].mean()) for which in (usual <= dark, usual >= bright))
+    of_dark, of_bright = (float(change[:, which].mean()) for which in (typical <= dark, typical >= bright))
     return max(of_bright, 1e-3) / max(of_dark, 1e-3)
 
 
@@ -248,20 +251,20 @@ def read_encoder(
     first: int = 0,
     frames: int = 600,
 ) -> Encoder | None:
-    """How a recording was encoded; None where that cannot be read, or nothing here encodes like it.
+    """Read how a recording was encoded; None if it cannot be read, or there is no such encoder.
 
     Parameters
     ----------
     path
         The recording.
     rows, columns
-        Of the strip, half-open.
+        The strip, half-open.
     rotate
         Degrees clockwise by which the run turned frames.
     first
-        Number of the run's first frame, the picture.
+        Number of the run's first frame, which becomes the picture.
     frames
-        Frames of it that are looked at.
+        Number of frames that are read.
     """
     try:
         with open_container(path) as film:
@@ -269,32 +272,37 @@ def read_encoder(
             codec = stream.codec_context.codec.canonical_name
             if ENCODERS.get(codec) not in av.codecs_available:
                 return None
-            told = bytes(stream.codec_context.extradata or b"")
+            header = bytes(stream.codec_context.extradata or b"")
             stream.codec_context.options = {"export_side_data": "venc_params"}
             stream.thread_type = "NONE"
-            quantisers, keys, size, seen, both_ways = [], [], 0, 0, False
+            quantisers, keys, size, decoded, b_frames = [], [], 0, 0, False
             for n, packet in enumerate(film.demux(stream)):
                 if n >= frames:
                     break
                 size += packet.size
-                told += bytes(packet)[:4096] if n == 0 else b""  # where x264 and x265 write their settings
+                header += bytes(packet)[:4096] if n == 0 else b""  # x264 and x265 write their settings here
                 keys += [n] if packet.is_keyframe and packet.size else []
                 for frame in packet.decode():
-                    seen += 1
-                    both_ways |= int(frame.pict_type) == int(PictureType.B)
+                    decoded += 1
+                    b_frames |= int(frame.pict_type) == int(PictureType.B)
                     quantisers += _quantiser(frame, codec)
             pixels = stream.codec_context.width * stream.codec_context.height
         shown = open_video(path, rotate=rotate, frames=slice(first, first + 1))
         picture = next(iter(shown.frames()))
     except (OSError, av.FFmpegError, InputError, IndexError, StopIteration):
         return None
-    if codec == "hevc" and (crf := _told(told, b"x265", b"crf")) is not None:
+    if codec == "hevc" and (crf := _setting(header, b"x265", b"crf")) is not None:
         quantisers = [crf]
-    effort = _told(told, b"x264", b"subme")
-    if not (quantisers or codec in QUANTISERS) or not seen or picture.ndim != 2 or picture.dtype != np.uint8:
+    effort = _setting(header, b"x264", b"subme")
+    if (
+        not (quantisers or codec in QUANTISERS)
+        or not decoded
+        or picture.ndim != 2
+        or picture.dtype != np.uint8
+    ):
         return None
     even = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2].astype(np.float64)
-    # Of large frames fewer rows, so that a film made to find the noise has at most 60 million pixels.
+    # Large frames are cropped, so that a film for finding the noise has at most 60 million pixels.
     most = 60_000_000 // (TRIED_FRAMES * even.shape[1])
     top = max(0, min(rows[0], (rows[0] + rows[1] - most) // 2)) // 2 * 2 if len(even) > most else 0
     even = even[top : top + max(most, rows[1] - top)] if len(even) > most else even
@@ -303,9 +311,9 @@ def read_encoder(
         codec=codec,
         quantiser=round(float(np.median(quantisers))) if quantisers else QUANTISERS[codec][0],
         keyframes=int(np.median(np.diff(keys))) if len(keys) > 1 else 0,
-        bits_per_pixel=8 * size / (seen * pixels),
-        both_ways=both_ways,
-        told=bool(quantisers),
+        bits_per_pixel=8 * size / (decoded * pixels),
+        b_frames=b_frames,
+        quantiser_known=bool(quantisers),
         preset=PRESETS.get(int(effort), "medium") if effort is not None else "medium",
         picture=even,
         rows=(rows[0] - top, min(rows[1] - top, len(even))),
@@ -313,17 +321,17 @@ def read_encoder(
     )
 
 
-def _told(text: bytes, encoder: bytes, name: bytes) -> float | None:
-    """A setting that this encoder wrote into its film; None where it did not."""
+def _setting(text: bytes, encoder: bytes, name: bytes) -> float | None:
+    """Return a setting that this encoder wrote into its film; None if it is not there."""
     found = re.search(rb"\b" + name + rb"=(\d+(?:\.\d+)?)", text) if encoder in text else None
     return None if found is None else float(found[1])
 
 
 def _quantiser(frame: av.VideoFrame, codec: str) -> list[float]:
-    """The quantiser of a frame, as FFmpeg's AVVideoEncParams hands it on; none where it does not.
+    """Return the quantiser of a frame from FFmpeg's AVVideoEncParams, as a list; empty if not reported.
 
-    In the units of the encoder's options: that of H.264 as it is, the index of VP9 over 4, and for MPEG-2 and
-    MPEG-4 half of what each block is given.
+    It is in the units of the encoder's options: for H.264 as reported, for VP9 the index over 4, and for
+    MPEG-2 and MPEG-4 half of the values of the blocks.
     """
     for part in cast("Iterable[Any]", frame.side_data):
         if "VIDEO_ENC_PARAMS" in str(part.type):

@@ -1,14 +1,14 @@
-"""The recording taken apart into what it shows, how that moves, and everything else; and put together again.
+"""Separate a recording into mean picture, motion and residuals, and make films with known truth of them.
 
-A frame is g(t) M(ξ(x, t)) + R(x, t): the mean picture M in the coordinate ξ of the sheets at rest, which
-moves with them and holds each ridge's own shape, the gaps and the light; the brightness g of the frame; and
-the residual R, which holds noise, unequal pixels, and what the codec added or took away.  Motion is smooth
-between slips; the noise of positions is therefore in R and not in the motion.  A film with another motion, or
-with the residuals of other frames, has exactly known positions.
+A frame is g(t) M(ξ(x, t)) + R(x, t). M is the mean picture in the coordinate ξ of the sheets at rest, which
+moves with them; it holds the shape of each ridge, the gaps and the light. g is the brightness of the frame.
+The residual R holds noise, unequal pixels, and errors of the codec.  Motion is smooth between slips, so that
+the noise of positions is in R and not in the motion.  A film with another motion, or with the residuals of
+other frames, has exactly known positions.
 
-What happened to the recording happens to its films: brightness steps, frames that repeat the one before or
-are not there, and places where something else pulls ridges aside (dirt, a highlight, a hand) show what was
-recorded, while the true motion there is that of the sheets around.
+Films have the defects of the recording: steps of the brightness, and repeated or missing frames. Where
+something distorts ridges (dirt, a highlight, a hand), they show the recorded pixels, and the true motion is
+that of the neighbouring sheets.
 """
 
 from __future__ import annotations
@@ -30,57 +30,57 @@ from vision.sheets.subpixel import position_noise
 from vision.sheets.tracks import BETWEEN_FRAMES
 
 LEAST_FRAMES = 30
-LEAST_SHARING = 5  # sheets from which what all do together is told from what each does
+LEAST_SHARING = 5  # smallest number of sheets whose common motion can be separated from individual motion
 
 
 @dataclass(frozen=True)
 class Likeness:
-    """What is needed to make films like a recording.
+    """Everything that is needed to make films like a recording.
 
     Parameters
     ----------
     picture
         M on the grid `first_px`, `first_px` + 1/`per_px` …, grey levels, as spline coefficients.
     first_px, per_px
-        Of the grid, in columns of the strip.
+        First point of the grid, in columns of the strip, and points per pixel.
     rest_px
         Positions of the sheets in M, (sheet,).
     rigid_px
         Half width of the part of M that moves with each sheet, (sheet,).
     start_px
-        Their positions in the run's first frame, (sheet,).
+        Positions of the sheets in the run's first frame, (sheet,).
     motion_px
         Smooth positions, (frame, sheet), columns of the strip; the truth of films.
     smooth
-        Where that is so, (frame, sheet): elsewhere they are as measured.
+        Whether they are smooth, (frame, sheet), and not as measured.
     common_px
-        What all sheets do together in single frames, a part of it, (frame,).
+        Common motion of all sheets in single frames, which is part of `motion_px`, (frame,).
     gain
         Brightness of each frame, (frame,).
     residual, slow
-        R of the usable frames, (usable frame, x), without its slow part, (frame, x).  Paper that is pulled
-        along the strip shows other grains, and with them ridges of another height: in another frame, where
-        the sheet stands elsewhere, that would be an error of its position, so it stays where it was.
+        R of the usable frames, (usable frame, x), without its slow part, (frame, x). The slow part is not
+        exchanged between frames: it contains the grain of paper that moves along the strip, which changes the
+        height of ridges, and would be an error of the position in another frame.
     reach
-        Frames within which residuals change places.
+        Number of frames within which residuals are exchanged.
     chained
-        Whether the codec carries content, and with it errors, from frame to frame.
+        Whether the codec predicts frames from others, and so carries errors from frame to frame.
     slips
         Frames before which the sheets jump.
     strip
         The part of the recording that is imitated.
     usable
-        Frames that the residuals are of.
+        Frames with residuals.
     part
-        Number of the part with the same brightness to which each frame belongs, (frame,).
+        Number of the part of constant brightness to which each frame belongs, (frame,).
     frozen
         Frames that repeat the one before, (frame,).
     disturbed
-        Pixels around ridges that something else pulls aside or hides, (frame, x).
+        Pixels around ridges that are distorted or hidden, (frame, x).
     ceiling
-        Brightest pixel, where the camera may have clipped.
+        Brightest pixel, at which the camera may have clipped.
     encoder
-        What films go through in place of getting residuals; None where those are put in.
+        Encoder that films pass through instead of getting residuals; None to use residuals.
     """
 
     picture: Floats
@@ -107,13 +107,13 @@ class Likeness:
     encoder: Encoder | None = None
 
     def film(self, motion_px: Floats, *, number: int | None) -> xr.DataArray:
-        """A strip with these true positions (frame, sheet) and the residuals of other frames.
+        """Return a strip with these true positions (frame, sheet) and the residuals of other frames.
 
-        They come in random order, another for each `number`, where frames are independent, from not too far
-        away since light may change; where a codec carries content from frame to frame they keep their order
-        and begin elsewhere. With an encoder the film is encoded anew instead, with another noise of pixels
-        for each number. None: neither. With the recording's own motion its frozen and lost frames and its
-        disturbed pixels are there, too.
+        The residuals are in random order, which differs with `number`, and come from nearby frames, as the
+        light may change. With a codec that predicts frames they keep their order and begin at another frame.
+        With an encoder the film is encoded instead, with pixel noise that differs with `number`. Without a
+        number the film has neither. With the recording's own motion, it also has the recording's frozen and
+        lost frames and disturbed pixels.
         """
         frames, own = len(motion_px), motion_px is self.motion_px and number is not None
         columns = np.arange(self.strip.sizes["x"], dtype=float)
@@ -135,7 +135,7 @@ class Likeness:
         if number is not None and self.encoder is not None:
             width = self.encoder.width
             shown = self.shown_px(motion_px)[:, :width]
-            values[:, :width] = self.encoder.again(values[:, :width], shown, seed=number)
+            values[:, :width] = self.encoder.encode(values[:, :width], shown, seed=number)
         part = self.strip.isel(frame=np.arange(frames) % self.strip.sizes["frame"])
         status = np.full(frames, "ok", "<U8")
         if own:
@@ -147,26 +147,25 @@ class Likeness:
         return film.assign_coords(frame=np.arange(frames), time_s=("frame", self._times_s(frames)))
 
     def shown_px(self, motion_px: Floats) -> Floats:
-        """Columns of the run's first frame that show what each column does when the sheets are at
-        these positions (frame, sheet): (frame, x)."""
+        """Return the column of the run's first frame that each column shows, for positions (frame, sheet)."""
         columns = np.arange(self.strip.sizes["x"], dtype=float)
         return np.array([_material(columns, at, self.start_px, self.rigid_px) for at in motion_px])
 
     def _sources(self, number: int) -> Ints:
-        """Which row of the residuals each frame gets, (frame,): one of the same brightness."""
-        kept = len(self.usable)
+        """Return the row of the residuals for each frame, (frame,), of the same brightness if possible."""
+        count = len(self.usable)
         if self.chained:
-            golden = 0.382  # so that any number of films begin at different places
-            rolled = np.roll(np.arange(kept), -round(kept * ((1 + number) * golden % 1)))
+            golden = 0.382  # makes any number of films begin at different frames
+            rolled = np.roll(np.arange(count), -round(count * ((1 + number) * golden % 1)))
             return np.resize(rolled, len(self.part))
-        later = np.arange(kept) + np.random.default_rng(number).uniform(0, self.reach, kept)
+        later = np.arange(count) + np.random.default_rng(number).uniform(0, self.reach, count)
         sources = np.zeros(len(self.part), np.int64)
         for part in np.unique(self.part):
-            here = np.flatnonzero(self.part == part)
+            frames = np.flatnonzero(self.part == part)
             rows = np.flatnonzero(self.part[self.usable] == part)
-            rows = rows if rows.size else np.arange(kept)
+            rows = rows if rows.size else np.arange(count)
             rows = rows[np.argsort(later[rows])]
-            sources[here] = rows[np.arange(here.size) * rows.size // here.size]
+            sources[frames] = rows[np.arange(frames.size) * rows.size // frames.size]
         return sources
 
     def _times_s(self, frames: int) -> Floats:
@@ -176,34 +175,35 @@ class Likeness:
         return np.asarray(times[0] + np.arange(frames) * float(np.median(np.diff(times))))
 
     def _shown(self, columns: Floats, at_px: Floats) -> Floats:
-        """M as it is seen at these columns when the sheets are there."""
+        """Return M at these columns when the sheets are at `at_px` (sheet,)."""
         material = _material(columns, at_px, self.rest_px, self.rigid_px)
-        place = (material - self.first_px) * self.per_px
+        index = (material - self.first_px) * self.per_px
         return np.asarray(
-            scipy.ndimage.map_coordinates(self.picture, place[None], order=3, mode="nearest", prefilter=False)
+            scipy.ndimage.map_coordinates(self.picture, index[None], order=3, mode="nearest", prefilter=False)
         )
 
 
 def _material(columns: Floats, at_px: Floats, rest_px: Floats, rigid_px: Floats) -> Floats:
-    """ξ of pixel columns: x − x_n + ξ_n near each sheet, stretched in between; beyond the last sheets the
-    picture stands still."""
-    here = np.column_stack([at_px - rigid_px, at_px + rigid_px]).ravel()
+    """Return ξ of pixel columns: x − x_n + ξ_n near each sheet n, and stretched in between.
+
+    The picture is stationary beyond 3.5 times `rigid_px` outside the outermost sheets.
+    """
+    moved = np.column_stack([at_px - rigid_px, at_px + rigid_px]).ravel()
     rest = np.column_stack([rest_px - rigid_px, rest_px + rigid_px]).ravel()
-    # Nothing moves with the outermost ridges further out than 3.5 times the part that is rigid.
     left, right = rest_px[0] - 3.5 * rigid_px[0], rest_px[-1] + 3.5 * rigid_px[-1]
-    still = np.array([left - 1e4, left]), np.array([right, right + 1e4])
-    here = np.maximum.accumulate(np.concatenate([still[0], here, still[1]]))
-    rest = np.concatenate([still[0], rest, still[1]])
-    return np.asarray(np.interp(columns, here, rest))
+    before, after = np.array([left - 1e4, left]), np.array([right, right + 1e4])
+    moved = np.maximum.accumulate(np.concatenate([before, moved, after]))
+    rest = np.concatenate([before, rest, after])
+    return np.asarray(np.interp(columns, moved, rest))
 
 
 def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) -> Likeness:
-    """Take a recording apart.
+    """Separate a recording into mean picture, motion and residuals.
 
     Parameters
     ----------
     strip, tracks
-        I(x, t) and x(n, t) of a run, frame by frame.
+        I(x, t) and x(n, t) of a run, with the same frames.
     settings
         Tunable constants.
 
@@ -239,9 +239,8 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     if usable.sum() < LEAST_FRAMES:
         usable = whole
     rest = nan_median(motion)
-    there = float(
-        np.nan_to_num(nan_median(start - rest))
-    )  # where sheets are that the first frame does not show
+    # Displacement in the first frame of sheets that have no position there.
+    offset = float(np.nan_to_num(nan_median(start - rest)))
     spacing = np.diff(rest)
     near = np.minimum(np.append(spacing, np.inf), np.insert(spacing, 0, np.inf))
     rigid = settings.rigid_share * np.where(np.isfinite(near), near, 20.0)
@@ -252,16 +251,16 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     disturbed[~np.isfinite(values).all(axis=1)] = False
     ceiling = float(np.nanmax(values))
     clipped = values > ceiling - 0.5
-    aside = disturbed | clipped if clipped.mean() > 1e-3 else disturbed
-    gain = _gain(values, aside, usable)
-    picture = _mean_picture(values, aside, gain, motion, np.flatnonzero(usable), grid, rest, rigid)
+    excluded = disturbed | clipped if clipped.mean() > 1e-3 else disturbed
+    gain = _gain(values, excluded, usable)
+    picture = _mean_picture(values, excluded, gain, motion, np.flatnonzero(usable), grid, rest, rigid)
     likeness = Likeness(
         picture=np.asarray(scipy.ndimage.spline_filter1d(picture, order=3, mode="nearest")),
         first_px=float(grid[0]),
         per_px=per_px,
         rest_px=rest,
         rigid_px=rigid,
-        start_px=np.where(np.isfinite(start), start, rest + there),
+        start_px=np.where(np.isfinite(start), start, rest + offset),
         motion_px=motion,
         smooth=left > 0,
         common_px=common,
@@ -278,42 +277,50 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
         disturbed=disturbed,
         ceiling=ceiling,
     )
+    return _with_residuals(likeness, values, left, settings)
+
+
+def _with_residuals(like: Likeness, values: Floats32, left: Floats, settings: CertifySettings) -> Likeness:
+    """Return the likeness with the residuals of `values` (frame, x).
+
+    left: share of the noise's variance that is not in the motion, (frame, sheet).
+    """
+    frame, width = like.usable, values.shape[1]
     columns = np.arange(width, dtype=float)
-    frame = likeness.usable
-    residual = np.array(
-        [values[t] - np.minimum(gain[t] * likeness._shown(columns, motion[t]), ceiling) for t in frame],
-        np.float32,
-    )
-    edges = np.union1d(slips, 1 + np.flatnonzero(np.diff(likeness.part)))
-    slow = _slow_part(residual, frame, edges, len(motion), settings.slow_frames)
-    as_measured = _around(left == 0, motion, width)  # the noise of positions is in the motion there
-    residual = _undisturbed(residual - slow[frame], (disturbed | as_measured)[frame])
-    # The smooth motion and the mean picture have taken up a part of the noise.
-    smooth = left[usable][left[usable] > 0]
-    share = float(smooth.mean()) * (1 - 1 / int(usable.sum())) if smooth.size else 0.2
-    return replace(likeness, residual=residual / np.float32(np.sqrt(share)), slow=slow)
+    residual = np.empty((len(frame), width), np.float32)
+    for row, t in enumerate(frame):
+        shown = like.gain[t] * like._shown(columns, like.motion_px[t])
+        residual[row] = values[t] - np.minimum(shown, like.ceiling)
+    edges = np.union1d(like.slips, 1 + np.flatnonzero(np.diff(like.part)))
+    slow = _slow_part(residual, frame, edges, len(values), settings.slow_frames)
+    as_measured = _around(left == 0, like.motion_px, width)  # the noise of positions is in the motion there
+    residual = _undisturbed(residual - slow[frame], (like.disturbed | as_measured)[frame])
+    # The smooth motion and the mean picture contain the rest of the noise.
+    smooth = left[frame][left[frame] > 0]
+    share = float(smooth.mean()) * (1 - 1 / len(frame)) if smooth.size else 0.2
+    return replace(like, residual=residual / np.float32(np.sqrt(share)), slow=slow)
 
 
 def _pulled(err_px: Floats, flag: Strings, beside: Bools, settings: CertifySettings) -> Bools:
-    """Positions, (frame, sheet), of which the run itself says that something other than noise is in them."""
-    usual = nan_median(err_px)
-    usual = np.fmin(usual, nan_median(usual))
+    """Return which positions, (frame, sheet), are distorted: of large error, or blurred without a slip."""
+    typical = nan_median(err_px)
+    typical = np.fmin(typical, nan_median(typical))
     with np.errstate(invalid="ignore"):
-        large = (err_px > settings.pulled_errors * usual) & (flag == "ok")
+        large = (err_px > settings.pulled_errors * typical) & (flag == "ok")
     return np.asarray(large | ((flag == "blurred") & ~beside[:, None]))
 
 
 def _around(which: Bools, motion: Floats, width: int) -> Bools:
-    """Pixels, (frame, x), nearer to one of these sheets, (frame, sheet), than to any other."""
-    columns, out = np.arange(width), np.zeros((len(motion), width), bool)
+    """Return which pixels, (frame, x), are nearest to one of these sheets, (frame, sheet)."""
+    columns, pixels = np.arange(width), np.zeros((len(motion), width), bool)
     for t in np.flatnonzero(which.any(axis=1)):
         middles = (motion[t, 1:] + motion[t, :-1]) / 2
-        out[t] = which[t, np.searchsorted(middles, columns)]
-    return out
+        pixels[t] = which[t, np.searchsorted(middles, columns)]
+    return pixels
 
 
 def _gain(values: Floats32, disturbed: Bools, usable: Bools) -> Floats:
-    """Brightness of each frame where nothing disturbs it, over the usual, (frame,)."""
+    """Return the brightness of each frame relative to the typical one, from undisturbed pixels, (frame,)."""
     clear = np.where(disturbed, np.nan, values)
     typical = nan_median(clear[usable])
     known = np.isfinite(clear) & np.isfinite(typical)
@@ -324,24 +331,24 @@ def _gain(values: Floats32, disturbed: Bools, usable: Bools) -> Floats:
 
 
 def _parts(gain: Floats, settings: CertifySettings) -> Ints:
-    """Numbers of the parts between steps of the brightness, (frame,)."""
+    """Return the number of the part between steps of the brightness for each frame, (frame,)."""
     step = np.abs(np.diff(np.log(gain)))
     least = max(settings.gain_step, settings.step_errors * float(np.median(step)))
     return np.asarray(np.concatenate([[0], np.cumsum(step > least)]), np.int64)
 
 
 def _undisturbed(residual: Floats32, disturbed: Bools) -> Floats32:
-    """What belongs to a disturbance replaced by what the same column shows in the next frame without."""
-    out, row = residual.copy(), np.arange(len(residual))
+    """Replace disturbed pixels by those of the same column in the next frame in which it is undisturbed."""
+    replaced, row = residual.copy(), np.arange(len(residual))
     for x in np.flatnonzero(disturbed.any(axis=0)):
         clear = row[~disturbed[:, x]]
         if clear.size:
-            out[:, x] = residual[clear[np.searchsorted(clear, row) % clear.size], x]
-    return out
+            replaced[:, x] = residual[clear[np.searchsorted(clear, row) % clear.size], x]
+    return replaced
 
 
 def _slow_part(residual: Floats32, frame: Ints, slips: Ints, frames: int, window: int) -> Floats32:
-    """The residual averaged over neighbouring frames between slips, (frame, x); zero where none is usable."""
+    """Return the residual averaged over neighbouring frames between slips, (frame, x); zero if unusable."""
     slow = np.zeros((frames, residual.shape[1]), np.float32)
     edges = np.unique(np.concatenate([[0, frames], slips]))
     for start, stop in pairwise(edges):
@@ -354,12 +361,13 @@ def _slow_part(residual: Floats32, frame: Ints, slips: Ints, frames: int, window
 
 
 def _middle(frames: int, most: int) -> slice:
+    """Return the middle part of a range, with at most `most` frames."""
     first = max(0, (frames - most) // 2)
     return slice(first, min(frames, first + most))
 
 
 def _beside(slips: Ints, frames: int) -> Bools:
-    """Frames that a slip may have blurred: the last before and the first after it."""
+    """Return which frames a slip may have blurred: the last before and the first after it, (frame,)."""
     beside = np.zeros(frames, bool)
     for step in (-1, 0):
         beside[np.clip(slips + step, 0, frames - 1)] = True
@@ -367,10 +375,7 @@ def _beside(slips: Ints, frames: int) -> Bools:
 
 
 def find_slips(x_px: Floats, settings: CertifySettings) -> Ints:
-    """Frames before which sheets jump, from how much their steps differ from sheet to sheet.
-
-    Steps that all sheets share are the camera's.
-    """
+    """Return the frames before which sheets jump relative to each other; common steps are the camera's."""
     step = np.diff(x_px, axis=0)
     step = step - nan_median(step, axis=1)[:, None]
     with np.errstate(invalid="ignore"):
@@ -390,13 +395,17 @@ def smooth_motion(
     chained: bool = False,
     pulled: Bools | None = None,
 ) -> tuple[Floats, Floats, Floats]:
-    """Positions without noise, (frame, sheet), what all sheets share of them in single frames, (frame,), and
-    the share of the noise's variance not in them, (frame, sheet): 0 where positions are as measured.
+    """Fit smooth positions between slips.
 
-    Between slips a cubic (a parabola in short pieces) through as many frames as it fits each sheet, plus what
-    all sheets do together in each frame; where none fits, as measured. It is a cubic in the sheets' own time,
-    see `own_time`. Codecs that chain frames make steps that are no motion: fits are kept. Positions that are
-    `pulled` aside are no motion either: there a sheet moves as those around it.
+    The motion of each sheet is a cubic (a parabola in short pieces) over as many frames as it fits, plus the
+    common motion of all sheets in each frame. The cubic is one in the sheets' own time (`own_time`). If none
+    fits, the motion is as measured. With codecs that predict frames (`chained`), all fits are used, as steps
+    about them are no motion. At `pulled`, that is distorted positions, a sheet moves like its neighbours.
+
+    Returns
+    -------
+    Positions without noise, (frame, sheet); the common motion in single frames, (frame,); and the share of
+    the noise's variance that is not in them, (frame, sheet), which is 0 where positions are as measured.
     """
     frames, sheets = x_px.shape
     x_px, raw = (x_px, x_px) if pulled is None else (np.where(pulled, np.nan, x_px), x_px)
@@ -434,11 +443,11 @@ def smooth_motion(
 
 
 def own_time(x_px: Floats, slips: Ints, settings: CertifySettings) -> Floats:
-    """Time that went by for the sheets, in frames, (frame,): more where frames were dropped, none where one
-    was written twice.
+    """Return the time of the sheets' motion at each frame, in frames, (frame,).
 
-    Each step of all sheets is compared with their usual steps around it; the number of frames that it took is
-    rounded, and is that of the film where steps are too small against the noise to tell it.
+    It advances by more than one where frames were dropped, and by none where one was written twice. Each step
+    of all sheets is compared with their typical steps around it, and the number of frames that it took is
+    rounded. It is one if steps are too small relative to the noise.
     """
     frames = len(x_px)
     new = np.flatnonzero(np.isfinite(x_px).mean(axis=1) > 0.5)
@@ -452,10 +461,10 @@ def own_time(x_px: Floats, slips: Ints, settings: CertifySettings) -> Floats:
     per_frame = np.where(slipped[:, None], np.nan, step)
     for k in np.flatnonzero(~slipped):
         around = slice(max(0, k - settings.least_piece), k + settings.least_piece + 1)
-        usual = np.nan_to_num(nan_median(per_frame[around]))
-        weight = float((usual**2).sum())
+        typical = np.nan_to_num(nan_median(per_frame[around]))
+        weight = float((typical**2).sum())
         error = np.sqrt(2) * noise / np.sqrt(max(weight, 1e-24))
-        ratio = float(np.nan_to_num(step[k]) @ usual) / max(weight, 1e-24)
+        ratio = float(np.nan_to_num(step[k]) @ typical) / max(weight, 1e-24)
         if error < settings.own_time_error:
             taken[k] = np.clip(np.rint(ratio), 0, 2 * settings.least_piece)
     total = np.concatenate([[0.0], np.cumsum(taken)])
@@ -463,23 +472,24 @@ def own_time(x_px: Floats, slips: Ints, settings: CertifySettings) -> Floats:
 
 
 def _filled(x_px: Floats, raw_px: Floats) -> Floats:
-    """Gaps filled with what the sheets around do; where none is seen by straight lines in time, ends held."""
-    place = nan_median(raw_px)
+    """Fill gaps by the displacement of neighbours, and frames without any sheet by linear interpolation."""
+    rest = nan_median(raw_px)
     filled = np.where(np.isfinite(x_px), x_px, said_by_neighbours(x_px))
-    moved, sheet = filled - place, np.arange(x_px.shape[1])
+    moved, sheet = filled - rest, np.arange(x_px.shape[1])
     known = np.isfinite(moved)
     for t in np.flatnonzero(~known.all(axis=1) & known.any(axis=1)):
-        there = sheet[known[t]]
-        here = moved[t, there]
-        moved[t] = np.interp(sheet, there, here)
-        for outer, inner in ((0, 3), (-1, -4)) if there.size > 3 else ():  # on beyond the last sheets seen
-            slope = (here[inner] - here[outer]) / (there[inner] - there[outer])
-            beyond = (sheet < there[0]) if outer == 0 else (sheet > there[-1])
-            moved[t, beyond] = here[outer] + slope * (sheet[beyond] - there[outer])
-    filled, frame = place + moved, np.arange(len(x_px))
+        found = sheet[known[t]]
+        displacement = moved[t, found]
+        moved[t] = np.interp(sheet, found, displacement)
+        # Beyond the last sheets found the displacement is extrapolated.
+        for outer, inner in ((0, 3), (-1, -4)) if found.size > 3 else ():
+            slope = (displacement[inner] - displacement[outer]) / (found[inner] - found[outer])
+            beyond = (sheet < found[0]) if outer == 0 else (sheet > found[-1])
+            moved[t, beyond] = displacement[outer] + slope * (sheet[beyond] - found[outer])
+    filled, frame = rest + moved, np.arange(len(x_px))
     for column in filled.T:
-        there = np.isfinite(column)
-        column[~there] = np.interp(frame[~there], frame[there], column[there])
+        finite = np.isfinite(column)
+        column[~finite] = np.interp(frame[~finite], frame[finite], column[finite])
     return np.asarray(filled)
 
 
@@ -493,17 +503,19 @@ def _mean_picture(
     rest: Floats,
     rigid: Floats,
 ) -> Floats:
-    """M on the grid, from what is not disturbed where there is such."""
+    """Return M on the grid, from undisturbed pixels if a point has any."""
     total, weights = np.zeros((2, grid.size)), np.zeros((2, grid.size))
     column = np.arange(values.shape[1])
     for t in usable:
-        seen = _material(grid, rest, motion[t], rigid)  # the column at which each point of M is seen
+        column_of = _material(grid, rest, motion[t], rigid)  # column that shows each point of M
         coefficients = scipy.ndimage.spline_filter1d(values[t].astype(float), order=3, mode="nearest")
         shown = (
-            scipy.ndimage.map_coordinates(coefficients, seen[None], order=3, mode="nearest", prefilter=False)
+            scipy.ndimage.map_coordinates(
+                coefficients, column_of[None], order=3, mode="nearest", prefilter=False
+            )
             / gain[t]
         )
-        clear = 1.0 - np.interp(seen, column, disturbed[t].astype(float))
+        clear = 1.0 - np.interp(column_of, column, disturbed[t].astype(float))
         for k, weight in enumerate((clear, np.ones_like(clear))):
             total[k] += weight * shown
             weights[k] += weight

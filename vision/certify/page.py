@@ -1,4 +1,4 @@
-"""The certificate on one page, with its numbers as JSON and CSV."""
+"""Write a certificate as one page, with its numbers as JSON and CSV."""
 
 from __future__ import annotations
 
@@ -26,15 +26,16 @@ img { width: 100% } .warning { border-left: 4px solid #b34700; padding-left: 0.8
 """
 
 
+# How films were made, and what the certificate does not include.
 _RESIDUALS = (
-    "That rest, the residual, holds noise, unequal pixels and what the codec did; the films got the "
-    "residuals of other frames of the same brightness.",
-    "errors that last as long as a stick, which look like motion;",
+    "The residual holds noise, unequal pixels and the effect of the codec; each frame of the films has the "
+    "residual of another frame of the same brightness.",
+    "errors that last as long as a stick phase, which look like motion;",
 )
 _ENCODED = (
-    "The codec carries errors from frame to frame, so that no residual shows them all: the films were drawn "
-    "without the rest on one of the recording's frames and encoded again ({}).",
-    "motion so fast or small that the recording itself lost it;",
+    "As the codec carries errors from frame to frame, no residual shows all of them: the films were drawn "
+    "without residuals on one of the recording's frames and encoded again ({}).",
+    "motion so fast or small that the recording does not show it;",
 )
 
 
@@ -47,14 +48,14 @@ def write_certificate(certificate: Certificate, folder: Path) -> None:
 
 
 def certificate_figure(certificate: Certificate) -> Figure:
-    """Error, smallest sweep and locking of every sheet."""
+    """Return error, smallest sweep and pixel locking of every sheet."""
     table = certificate.sheets
     x = table["x_px"].to_numpy(float)
     lines = (
         ("RMS error of a displacement", "error_px", DATA, "points", False),
         ("stated by the run, x_err", "stated_px", DATA, "line", True),
-        ("smallest sweep in a stick", "smallest_sweep_px", PEAK, "points", True),
-        ("pull to whole pixels, peak to peak", "locking_px", VALLEY, "line", False),
+        ("smallest sweep in a stick phase", "smallest_sweep_px", PEAK, "points", True),
+        ("pixel locking, peak to peak", "locking_px", VALLEY, "line", False),
     )
     series = tuple(
         Series(
@@ -78,15 +79,15 @@ def certificate_figure(certificate: Certificate) -> Figure:
     )
     return Figure(
         name="certificate",
-        title="What each sheet's position is good for",
-        caption="From films like the recording whose truth is known.",
+        title="Accuracy of each sheet's position",
+        caption="Measured on films that are similar to the recording and have known truth.",
         panels=(panel,),
         width_in=7.0,
     )
 
 
 def statements(certificate: Certificate) -> list[tuple[str, str]]:
-    """What can be resolved, in plain words: (question, answer)."""
+    """Return what can be resolved as pairs of quantity and text."""
     c = certificate
     answers = [
         (
@@ -97,16 +98,16 @@ def statements(certificate: Certificate) -> list[tuple[str, str]]:
         ),
         (
             "Stated errors",
-            f"hold {100 * c.within_error:.0f} % of the truths (68 % if normal)",
+            f"{100 * c.within_error:.0f} % of the errors are within the stated error (68 % if normal)",
         ),
         (
             "Smallest sweep",
-            f"{_length(c.smallest_sweep_px, c)} in a stick of {c.stick_frames:.0f} frames, "
+            f"{_length(c.smallest_sweep_px, c)} in a stick phase of {c.stick_frames:.0f} frames, "
             "which differs from zero by three standard errors"
             if math.isfinite(c.smallest_sweep_px)
             else "not known: no two slips far enough apart",
         ),
-        ("Pull towards whole pixels", f"{_length(c.locking_px, c)} peak to peak, without noise"),
+        ("Pixel locking", f"{_length(c.locking_px, c)} peak to peak, without noise"),
         (
             "Identities",
             f"{c.wrong} wrong of {c.films * c.frames * len(c.sheets)} positions, "
@@ -128,13 +129,15 @@ def statements(certificate: Certificate) -> list[tuple[str, str]]:
 
 
 def _margin(c: Certificate) -> str:
+    """Return up to which multiple of the motion identities are correct, as text."""
     if c.identity_margin < 1:
-        return "identities are not safe even with the recording's own motion"
+        return "identities are not certain even with the recording's own motion"
     if c.identity_margin == c.identity_tried:
-        more = "more would make them overlap or was not tried"
-        return f"sheets are still told apart with {c.identity_margin:g} times the motion ({more})"
-    safe, unsafe = c.identity_margin, c.identity_tried
-    return f"sheets are told apart with {safe:g} times the motion, not with {unsafe:g} times"
+        more = "with more the sheets would overlap, or it was not tested"
+        return f"identities are correct with {c.identity_margin:g} times the motion ({more})"
+    return (
+        f"identities are correct with {c.identity_margin:g} times the motion, not {c.identity_tried:g} times"
+    )
 
 
 def _length(px: float, c: Certificate) -> str:
@@ -150,8 +153,8 @@ def _page(c: Certificate) -> str:
     notes = "".join(f'<p class="warning">{to_html(line)}</p>' for line in c.warnings)
     picture = base64.b64encode(certificate_figure(c).png()).decode()
     source = html.escape(Path(c.source).name)
-    what_else, without = _ENCODED if c.encoding else _RESIDUALS
-    what_else = what_else.format(html.escape(c.encoding))
+    films_made, not_included = _ENCODED if c.encoding else _RESIDUALS
+    films_made = films_made.format(html.escape(c.encoding))
     return f"""<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>Certificate of {source}</title><style>{_STYLE}</style>
 <h1>What this recording can resolve</h1>
@@ -160,17 +163,17 @@ codec {html.escape(c.codec or "none")}; sheetvision {vision.__version__}.</p>
 <table>{rows}</table>
 {notes}
 <img alt="Errors of every sheet" src="data:image/png;base64,{picture}">
-<h2>How it was found</h2>
-<p>The recording was taken apart into its mean picture in the coordinate of the sheets (each ridge's own
-shape, the gaps, the light), the smooth motion of the sheets between slips with what they all do together, and
-everything else. {what_else}
-{c.films} films of the same length, whose positions are known exactly, were tracked as the recording was.
-For the pull towards whole pixels the sheets cross one pixel without noise; for the identities the motion was
-enlarged; at the threshold every sheet creeps by √12 times the threshold times Λ<sub>st</sub> in each stick,
-and the whole analysis follows. Frames that repeat the one before or are not there, steps of the brightness,
-clipped tops and whatever pulls ridges aside are in the films where they are in the recording.</p>
-<p>Not in it: a constant error of each sheet's position, which displacements do not have; {without}
-frames in which a slip happens. certificate.csv holds the numbers of
-every sheet, certificate.json the rest.</p>
+<h2>How it was measured</h2>
+<p>The recording was separated into its mean picture in coordinates that move with the sheets (the shape of
+each ridge, the gaps, the light), the smooth motion of the sheets between slips including their common motion,
+and the residual. {films_made}
+{c.films} films of the same length, whose positions are known exactly, were tracked like the recording.
+For the pixel locking the sheets cross one pixel without noise. For the identities the motion was enlarged.
+At the threshold every sheet creeps by √12 times the threshold times Λ<sub>st</sub> in each stick phase, and
+the whole analysis follows. Repeated and missing frames, steps of the brightness, clipped pixels and distorted
+ridges are in the films where they are in the recording.</p>
+<p>Not included: a constant error of each sheet's position, which displacements do not have; {not_included}
+frames in which a slip happens. certificate.csv holds the numbers of every sheet, certificate.json all other
+numbers.</p>
 </html>
 """

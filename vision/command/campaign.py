@@ -36,7 +36,7 @@ from vision.video.threads import usable_cores
 
 
 def campaign(table: Path | None, options: CampaignOptions) -> int:
-    """Plan and take the films of a table, of a folder that is watched, or of both; the exit status."""
+    """Plan and track the films of a table, a watched folder, or both; return the exit status."""
     named = table or options.watch
     if named is None:
         wanted = "a table of tests, or a folder to watch"
@@ -49,7 +49,7 @@ def campaign(table: Path | None, options: CampaignOptions) -> int:
     rows = [] if table is None else _read(table, check, options.watch)
     if not (options.dry_run or options.plan):
         jobs.check_engine(options.executor, [row.film for row in rows])
-    # On a cluster jobs are of full length: each one's start costs more there.
+    # On a cluster jobs have their full length, as starting one costs more there.
     cores = options.cores or (usable_cores() if options.executor == "local" else 1)
     config = options.config and options.config.absolute()
     make = partial(
@@ -71,25 +71,26 @@ def campaign(table: Path | None, options: CampaignOptions) -> int:
             name = safe_name(run_name(film))
             return Row(row=0, film=str(film.absolute()), name=name, values=check({}).values)
 
-        gone = vanished_rows(target, check, watcher.folder)  # done and moved away: they stay in the pool
+        # Films that were tracked and then moved away stay in the comparison.
+        gone = vanished_rows(target, check, watcher.folder)
         return _watch(
             watcher, rows, new, lambda ready: _conduct(make([*gone, *ready]), options, profile), options.idle
         )
 
 
 def job(plan: Path, name: str, fetched: Sequence[Path]) -> int:
-    """Take the films of one job of a plan; the exit status."""
+    """Track the films of one job of a plan, and return the exit status."""
     content = read_plan(plan)
     if name not in content.jobs:
         raise InputError(plan, "a plan with this job", f"no '{name}'", "run track campaign again")
     copies = [path.absolute() for path in fetched]
     if content.started_in.is_dir():  # files that the configuration names are relative to it
         os.chdir(content.started_in)
-    return run_job(content, name, partial(_take, content), fetched=copies)
+    return run_job(content, name, partial(_track_film, content), fetched=copies)
 
 
 def pool_runs(plan: Path) -> int:
-    """Compare the finished runs of a plan; the exit status."""
+    """Compare the finished runs of a plan, and return the exit status."""
     content = read_plan(plan)
     write_remarks(content, pool(content, command=command_line(), options=option_names()))
     return 0
@@ -99,12 +100,13 @@ def pool_runs(plan: Path) -> int:
 
 
 def _checker(config: Path | None) -> Check:
-    """The command line's own validation of one row's options."""
+    """Return a function that validates one row's options as the command line does."""
     if config is not None:
-        read_config(config)  # what is wrong with it is reported once, not for every row
+        read_config(config)  # its errors are reported once, not for every row
 
     @cache
-    def alone(name: str, text: str) -> tuple[Any, str]:
+    def one_option(name: str, text: str) -> tuple[Any, str]:
+        """Return the value and "", or None and the problem."""
         try:
             value = parse_option(Path("table"), name, text)
             settings_of(_merged({name: value}))
@@ -113,7 +115,7 @@ def _checker(config: Path | None) -> Check:
         return value, ""
 
     def check(options: Mapping[str, str]) -> Checked:
-        found = {name: alone(name, text) for name, text in options.items()}
+        found = {name: one_option(name, text) for name, text in options.items()}
         problems = [(name, why) for name, (_, why) in found.items() if why]
         values = {name: value for name, (value, why) in found.items() if not why}
         try:
@@ -127,14 +129,14 @@ def _checker(config: Path | None) -> Check:
 
 
 def _merged(values: Mapping[str, Any], config: Path | None = None) -> dict[str, Parameter]:
-    """Every option of `track`, from values by name."""
-    names = [{one.name for one in fields(group)} & values.keys() for group in GROUPS]
-    given = zip(GROUPS, names, strict=True)
-    return merged(*(group(**{name: values[name] for name in own}) for group, own in given), config=config)
+    """Return every option of `track` with its origin, from values by name."""
+    names = [[one.name for one in fields(group) if one.name in values] for group in GROUPS]
+    typed = [group(**{name: values[name] for name in own}) for group, own in zip(GROUPS, names, strict=True)]
+    return merged(*typed, config=config)
 
 
 def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:
-    """The table's rows.  Raises: InputError, after every problem of every row was shown."""
+    """Return the table's rows.  Raises: InputError, after printing every problem of every row."""
     rows, problems = read_campaign(
         table, options=option_fields(), check=check, name_of=run_name, awaited=awaited
     )
@@ -152,7 +154,7 @@ def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:
 
 
 def _dry_run(plan: Plan, cores: int) -> int:
-    """What would run and how long it takes."""
+    """Print what would run and how long it would take."""
     waiting = {name for job in plan.jobs.values() for name in job.films}
     lines = []
     for film in plan.films:
@@ -173,7 +175,7 @@ def _dry_run(plan: Plan, cores: int) -> int:
 
 
 def _profile(options: CampaignOptions) -> Path:
-    """The folder of the Snakemake profile.  Raises: InputError."""
+    """Return the folder of the Snakemake profile.  Raises: InputError."""
     where = options.profile or jobs.HERE / "profiles" / options.executor
     if not (where / "config.yaml").is_file():
         found = "no config.yaml in it" if where.is_dir() else "no such folder"
@@ -183,7 +185,7 @@ def _profile(options: CampaignOptions) -> Path:
 
 
 def _conduct(plan: Plan, options: CampaignOptions, profile: Path) -> int:
-    """Take a plan to its end: films, pool, page and summary; the exit status."""
+    """Carry out a plan: films, comparison, page and summary; return the exit status."""
     run = partial(jobs.run_snakemake, profile=profile, executor=options.executor, cores=options.cores)
     write_plan(plan)
     write_page(plan, live=bool(plan.jobs))
@@ -197,7 +199,7 @@ def _conduct(plan: Plan, options: CampaignOptions, profile: Path) -> int:
     finally:
         try:
             write_page(plan, live=False, remarks=read_remarks(plan))
-        except InputError as error:  # a full disk: the states of the films are shown all the same
+        except InputError as error:  # a full disk: the states of the films are still printed
             unwritten = True
             complain(str(error))
     states = [plan.state(film) for film in plan.films]
@@ -216,34 +218,36 @@ def _conduct(plan: Plan, options: CampaignOptions, profile: Path) -> int:
 
 
 def _progress(plan: Plan, *, quiet: bool) -> Callable[[], None] | None:
-    """Says which films have ended; None where there is no terminal."""
+    """Return a function that prints which films have ended; None without a terminal."""
     if quiet or sys.stderr is None or not sys.stderr.isatty():
         return None
     left = {name: plan.film(name) for job in plan.jobs.values() for name in job.films}
-    count, looked = len(left), [time.monotonic()]
+    count, checked_at = len(left), time.monotonic()
 
-    def look() -> None:
-        if time.monotonic() - looked[0] < 2 + count / 200:
+    def print_ended() -> None:
+        nonlocal checked_at
+        if time.monotonic() - checked_at < 2 + count / 200:
             return
-        looked[0] = time.monotonic()
+        checked_at = time.monotonic()
         for name, film in list(left.items()):
             state = plan.state(film)
             if state.state not in ("waiting", "running"):
                 del left[name]
                 complain(f"{count - len(left)} of {count}: {name}: {state.state} in {state.seconds:.1f} s")
 
-    return look
+    return print_ended
 
 
 def _summary(plan: Plan, states: Sequence[State], seconds: float) -> list[str]:
+    """Return the numbers of tests in each state, and the first twenty tests with warnings."""
     counts = Counter(state.state for state in states)
     ran = sum(len(job.films) for job in plan.jobs.values())
-    said = ", ".join(f"{count} {word}" for word, count in sorted(counts.items()))
-    lines = [f"{len(states)} tests: {said}; {ran} of them run now in {duration(seconds)}"]
-    noted = [state for state in states if state.state == "warnings"]
-    lines += [f"  {state.name}: {state.reason}" for state in noted[:20]]
-    if len(noted) > 20:
-        lines.append(f"  and {len(noted) - 20} more with warnings: campaign.csv")
+    by_state = ", ".join(f"{count} {state}" for state, count in sorted(counts.items()))
+    lines = [f"{len(states)} tests: {by_state}; {ran} of them run now in {duration(seconds)}"]
+    warned = [state for state in states if state.state == "warnings"]
+    lines += [f"  {state.name}: {state.reason}" for state in warned[:20]]
+    if len(warned) > 20:
+        lines.append(f"  and {len(warned) - 20} more with warnings: campaign.csv")
     return [*lines, f"results    {plan.out}/ (look at index.html first)"]
 
 
@@ -254,7 +258,7 @@ def _watch(
     conduct: Callable[[Sequence[Row]], int],
     idle: float | None,
 ) -> int:
-    """Take films as they are completed, until Ctrl-C or nothing came for so long; the exit status of all."""
+    """Track films as they are completed, until Ctrl-C or `idle` seconds without one; return the status."""
     taken: dict[str, Row] = {}
     status, last = 0, time.monotonic()
     try:
@@ -277,8 +281,8 @@ def _watch(
 # --- one film -----------------------------------------------------------------------------------------------
 
 
-def _take(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> Outcome:
-    """What a job does with a film, read from `source`: the same as `track`."""
+def _track_film(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> Outcome:
+    """Track one film of a job as `track` does; `source` is the film or a copy of it."""
     values = {name: parse_option(plan.out, name, text) for name, text in film.options.items()}
     parameters = _merged(values, plan.config)
     local = not is_remote(film.film)
@@ -289,10 +293,10 @@ def _take(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> Outcome:
         copy = source if local else None
         return track_one(video, target, parameters, options, one_of_many=True, copy=copy, config=plan.config)
 
-    # A job that was killed goes on where it ended, but not from a copy that is gone.
+    # A job that was killed is continued, unless it read a copy, which is gone.
     again = local and source == video and plan.state(film).attempts > 1 and not parameters["strips"].value
     done, status, why = attempt(partial(analyse, resume=again))
-    if again and status == 2 and done is None:  # what was kept is of another reading
+    if again and status == 2 and done is None:  # the frames kept were read with other settings
         done, status, why = attempt(partial(analyse, resume=False))
     status, analysis = done or (status, None)
     if analysis is not None and status >= 2:

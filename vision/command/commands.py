@@ -1,7 +1,6 @@
-"""Every command: what it takes and its help.
+"""Arguments and help of every command.
 
-Each function here imports the module that does the work when it is called, so that `--help` is quick; those
-modules import at their top what they need.
+Each function imports the module that does the work only when it is called, so that `--help` is quick.
 """
 
 from __future__ import annotations
@@ -39,15 +38,15 @@ def track(
 ) -> int:
     """Track every sheet of a video: positions x(n,t), their errors, pictures and tables in a new folder.
 
-    Several videos are tracked one after the other, each into its own folder; one that cannot be used does not
-    keep the others from being done. --out is then the folder that holds their folders.
+    Several videos are tracked one after the other, each into its own folder. If one cannot be used, the
+    others are still tracked. --out is then the folder that holds their folders.
 
     Parameters
     ----------
     videos
-        A video file, a TIFF stack, a folder or a quoted glob of numbered images; or several.
+        One or several: a video file, a TIFF stack, a folder or a quoted glob of numbered images.
     config
-        TOML file with any of these options; the command line wins.
+        TOML file with any of these options; the command line takes precedence.
     """
     from vision.command import track
 
@@ -62,10 +61,10 @@ def preview(
     config: Path | None = None,
     output: OutputOptions = OutputOptions(),
 ) -> int:
-    """In seconds: the frame, the strip, the ridges and their noise, as a picture and ten lines.
+    """Show within seconds the frame, the strip, the ridges and their noise, as a picture and ten lines.
 
-    Looks at some tens of frames: the first ones, which are tracked, and others spread over the film. Writes
-    NAME_preview.png, or a .pdf or .svg with --out.
+    Reads some tens of frames: the first ones, which are tracked, and others spread over the film. Writes
+    NAME_preview.png, or with --out also a .pdf or .svg file.
 
     Examples:
 
@@ -78,7 +77,7 @@ def preview(
     video
         A video as for track.
     config
-        TOML file with any of these options; the command line wins.
+        TOML file with any of these options; the command line takes precedence.
     """
     from vision.command import views
 
@@ -94,11 +93,11 @@ def kymograph(
     picture: Literal["png", "pdf", "svg"] = "png",
     output: OutputOptions = OutputOptions(),
 ) -> int:
-    """Space-time diagrams: the whole strip, or windows around sheets, side by side.
+    """Draw space-time diagrams of the whole strip, or of windows around sheets, side by side.
 
-    Writes the folder NAME_kymograph with a 16-bit TIFF for each, which Fiji opens in µm and s, and one
-    picture with axes. Slips are marked: those of a run's force recording, else the common outward steps of
-    the sheets. Of a run only columns, frames and pixel size can be chosen.
+    Writes the folder NAME_kymograph with one 16-bit TIFF per diagram, which Fiji opens in µm and s, and one
+    picture of all with axes. Slips are marked: those of the run's force recording, or without one the common
+    outward steps of the sheets. For a run only the columns, frames and pixel size can be chosen.
 
     Examples:
 
@@ -111,7 +110,7 @@ def kymograph(
     video_or_run
         A run folder, or a video as for track.
     picture
-        Kind of the picture.
+        Format of the picture.
     """
     from vision.command import views
 
@@ -125,11 +124,11 @@ def export(
     to: Literal["csv", "xlsx", "parquet", "mat", "trackpy", "napari"],
     output: OutputOptions = OutputOptions(),
 ) -> int:
-    """Tables of a finished run in another program's format.
+    """Write the tables of a finished run in another program's format.
 
-    csv and parquet: a folder with a file for each table. xlsx: one worksheet for each. mat: matrices and
+    csv and parquet: a folder with one file per table. xlsx: one worksheet per table. mat: matrices and
     structs for MATLAB. trackpy: x, y, frame, particle. napari: track_id, t, y, x. The unit is the last part
-    of a column's name; trackpy and napari have px. The file or folder is called after the run.
+    of a column's name; trackpy and napari use px. The file or folder has the run's name.
 
     Positions that were not measured are empty in csv, xlsx and parquet, NaN in mat, and left out for trackpy
     and napari.
@@ -160,9 +159,9 @@ def figures(
     to: Literal["pdf", "svg", "png", "csv"] = "pdf",
     output: OutputOptions = OutputOptions(),
 ) -> int:
-    """The figures of a finished run, for a manuscript; csv holds a figure's numbers.
+    """Write the figures of a finished run for a manuscript, or their numbers as csv.
 
-    Writes one file for each into the folder RUN_figures.
+    Writes one file per figure into the folder RUN_figures.
 
     Examples:
 
@@ -177,9 +176,9 @@ def figures(
     run
         Run folder.
     names
-        Figures; all of the run if none is named.
+        Names of figures; all of the run if none is given.
     compare
-        Folder that `track compare` wrote, in place of a run.
+        Folder that `track compare` wrote, instead of a run.
     to
         Format.
     """
@@ -196,7 +195,7 @@ def overlay(
     frames: str | None = None,
     output: OutputOptions = OutputOptions(),
 ) -> int:
-    """The film of a finished run with its tracks drawn on it, as MP4: to see whether they follow the sheets.
+    """Draw the tracks of a finished run on its film, as MP4, to see whether they follow the sheets.
 
     Writes RUN_overlay.mp4.
 
@@ -211,9 +210,9 @@ def overlay(
     run
         Run folder.
     film
-        Where the film lies now, if not where it was when it was tracked.
+        Path of the film, if it was moved since it was tracked.
     frames
-        Part of the film, A:B, frame numbers as in tracks.csv.
+        Part of the film, A:B, with frame numbers as in tracks.csv.
     """
     from vision.command import views
 
@@ -223,13 +222,13 @@ def overlay(
 def certify(
     run: Path, /, *, films: int = 3, most_frames: int = 600, output: OutputOptions = OutputOptions()
 ) -> int:
-    """What the recording of a finished run can resolve, from films like it whose truth is known.
+    """Measure what the recording of a finished run can resolve, from similar films with known truth.
 
-    Films are put together from the run's own mean ridges, light, motion and residuals, and go through the
-    same analysis. Writes the folder RUN_certificate: certificate.html says on one page how large the error of
-    each sheet is, the smallest sweep in a stick, the pull towards whole pixels, how safe identities are, and
-    the bias of σ_x/Λ_st at the threshold; certificate.csv and certificate.json hold the numbers. Exit status
-    1 where something is not covered.
+    Synthetic films are made from the run's own mean ridges, light, motion and residuals, and analysed in the
+    same way. Writes the folder RUN_certificate: certificate.html states on one page the error of each sheet,
+    the smallest sweep in a stick phase, the pixel locking, how certain identities are, and the bias of
+    σ_x/Λ_st at the threshold; certificate.csv and certificate.json hold the numbers. Exit status 1 if the
+    certificate does not cover everything.
 
     Examples:
 
@@ -242,9 +241,9 @@ def certify(
     run
         Run folder.
     films
-        Films made. More take longer and average over more encounters of noise and motion.
+        Number of synthetic films. More take longer and average over more noise and motion.
     most_frames
-        Frames imitated, from the middle of the run.
+        Largest number of frames of a film, from the middle of the run.
     """
     from vision.command import views
 
@@ -259,11 +258,11 @@ def compare(
     report: Report = True,
     output: OutputOptions = OutputOptions(),
 ) -> int:
-    """Several finished tests side by side: one table, one μ, the collapse, the change points, the trends.
+    """Compare several finished tests: one table, one μ, the collapse, change points and trends.
 
     Writes the folder comparison: tests.csv (one row per run), trends.json, all_events.csv, figures.npz,
-    collapse.png, trends.png, report.html and run.json. A run that cannot be used is named, the rest is done,
-    and the exit status is 1.
+    collapse.png, trends.png, report.html and run.json. A run that cannot be used is named, the others are
+    compared, and the exit status is 1.
 
     Examples:
 
@@ -274,13 +273,13 @@ def compare(
     Parameters
     ----------
     runs
-        Run folders with a force recording; those that the table names if none is given.
+        Run folders with a force recording; those of the table if none is given.
     table
         CSV with any of the columns run,sample,V_mm_min,n_test,RH_percent,T_C.
     main_sample
-        Sample whose Y_eff is held fixed for all tests; that of the first run if not given.
+        Sample whose Y_eff is used for all tests; that of the first run if not given.
     fix_yeff
-        Y_eff in GPa, where it is known otherwise.
+        Y_eff in GPa, if it is known.
     report
         Write report.html.
     """
@@ -303,11 +302,11 @@ def review(
     browser: bool = True,
     port: int = 0,
 ) -> int:
-    """See a run and correct it in a browser; a video is tracked first.
+    """Inspect and correct a run in a browser; a video is tracked first.
 
-    The page is served to this machine alone, at an address with a token. Decisions are kept at once in
-    corrections.toml of the run folder; saving re-runs what follows from them. Ctrl-C or the page's button
-    ends it. Options of track are for a video; of a run everything is known.
+    Only this computer can open the page, at an address with a token. Each decision is written at once to
+    corrections.toml in the run folder; saving repeats the analysis that depends on it. Ctrl-C or the page's
+    button ends the review. Options of track apply to a video only, as those of a run are known.
 
     Examples:
 
@@ -322,11 +321,11 @@ def review(
     config
         TOML file with any of these options.
     film
-        Where the film of a run lies now, if not where it was when it was tracked.
+        Path of the run's film, if it was moved since it was tracked.
     browser
         Open the default browser; the address is printed in any case.
     port
-        Of the address; a free one if not given.
+        Port of the address; a free one if not given.
     """
     from vision.command import review
 
@@ -346,21 +345,21 @@ def force(
     config: Path | None = None,
     output: OutputOptions = OutputOptions(),
 ) -> int:
-    """Stick-slip events, stiffness and model fits from a force recording alone.
+    """Find stick-slip events, stiffness and model fits from a force recording alone.
 
-    Writes the folder FILE_force: events.csv, models.json, run.json and force.png. Exit status 1 if a warning
-    matters.
+    Writes the folder FILE_force: events.csv, models.json, run.json and force.png. Exit status 1 if there is a
+    warning that matters.
 
     Parameters
     ----------
     file
         Recording of a testing machine: text, CSV, .TRA or .mat.
     free_t_star
-        Fit T* too (it can hardly be told from the friction coefficient).
+        Also fit T* (the data hardly separate it from the friction coefficient).
     detection_limit
-        Also put small known slips into the recording and look for them.
+        Also measure the smallest slip that is found, by adding known slips to the recording.
     config
-        TOML file with any of these options; the command line wins.
+        TOML file with any of these options; the command line takes precedence.
     """
     from vision.command import recordings
 
@@ -376,10 +375,10 @@ def modulus(
     *,
     output: OutputOptions = OutputOptions(),
 ) -> int:
-    """Young's modulus of one sheet from push–pull cycles.
+    """Measure Young's modulus of one sheet from push–pull cycles.
 
     Writes the folder FILE_modulus: cycles.csv, modulus.json, run.json, modulus.png and figures.npz. Exit
-    status 1 if a warning matters.
+    status 1 if there is a warning that matters.
 
     Parameters
     ----------
@@ -394,10 +393,10 @@ def modulus(
 def friction(
     *files: Path, options: FrictionOptions = FrictionOptions(), output: OutputOptions = OutputOptions()
 ) -> int:
-    """Static and dynamic friction of two sheets from a rheometer's files, and the law μ_s = a(1 + b/N).
+    """Measure static and dynamic friction of two sheets from rheometer files, and fit μ_s = a(1 + b/N).
 
     Writes the folder FIRSTFILE_friction: friction.csv, friction.json, run.json, friction.png and figures.npz.
-    A file or measurement that cannot be used is named, the others are done, and the exit status is 1.
+    A file or measurement that cannot be used is named, the others are used, and the exit status is 1.
 
     Parameters
     ----------
@@ -424,7 +423,7 @@ def simulate(
 ) -> int:
     """Make a synthetic traction test: video, force.txt, truth.nc and the camera's timestamps.txt.
 
-    Settings come from the preset, then the TOML file, then the options, then --set.
+    Settings are taken from the preset, then the TOML file, then the options, then --set; later ones override.
 
     Parameters
     ----------
@@ -435,13 +434,13 @@ def simulate(
     container
         raw (Y800 AVI), mjpeg, h264, ffv1, tiff or png.
     toml
-        Settings from a file: tables sample, mechanics, sheets, optics, camera, clocks, load_cell.
+        TOML file of settings in the tables sample, mechanics, sheets, optics, camera, clocks, load_cell.
     set_
         Any setting by name, such as --set optics.tilt_deg=0.5; can be repeated.
     overwrite
         Replace an earlier synthetic test.
     quiet
-        No progress bar and no summary.
+        Print no progress bar and no summary.
     """
     from vision.command import recordings
 
@@ -451,14 +450,15 @@ def simulate(
 
 
 def campaign(table: Path | None = None, /, options: CampaignOptions = CampaignOptions()) -> int:
-    """Track many films, on all cores of this machine or on a cluster; never repeat what is done.
+    """Track many films, on all cores of this machine or on a cluster, each only once.
 
-    The table has a row a test: film, force, any option of track as a column, and what describes it: sample,
-    V_mm_min, n_test, RH_percent, T_C. It is checked whole before anything starts. A film runs again where its
-    files or its options have changed; one that fails is tried twice and keeps no other from being done.
+    The table has one row per test. Its columns are film, force, any option of track, and the conditions
+    sample, V_mm_min, n_test, RH_percent and T_C. All rows are checked before anything starts. A film is
+    tracked again only if its files or options have changed. One that fails is tried twice; the others
+    continue.
 
-    Writes a run folder for each film in runs/, campaign.csv, index.html (live while it runs), the comparison
-    of the finished tests in pool/ and their tables as Parquet in tables/.
+    Writes a run folder for each film in runs/, campaign.csv, index.html (updated while it runs), the
+    comparison of the finished tests in pool/ and their tables as Parquet in tables/.
 
     Examples:
 
@@ -473,7 +473,7 @@ def campaign(table: Path | None = None, /, options: CampaignOptions = CampaignOp
     Parameters
     ----------
     table
-        CSV; files in it are relative to it.
+        CSV file; paths in it are relative to its folder.
     """
     from vision.command import campaign
 
@@ -481,7 +481,7 @@ def campaign(table: Path | None = None, /, options: CampaignOptions = CampaignOp
 
 
 def campaign_job(plan: Path, job: str, /, *fetched: Path) -> int:
-    """Take the films of one job of a plan: for the Snakefile."""
+    """Track the films of one job of a plan: for the Snakefile."""
     from vision.command import campaign
 
     return campaign.job(plan, job, fetched)

@@ -1,4 +1,4 @@
-"""Standard output and standard error, also where nobody reads them; an exception becomes one line."""
+"""Standard output and standard error, even if closed, and exceptions as one line."""
 
 from __future__ import annotations
 
@@ -20,39 +20,40 @@ T = TypeVar("T")
 
 
 def hold_streams() -> None:
-    """Closed standard streams (`2>&-`) lead nowhere; otherwise messages go into the next file opened.
+    """Open closed standard streams (`2>&-`) to the null device, so that no other file takes their number.
 
-    Letters that a stream's encoding lacks become "?".
+    Characters that a stream's encoding lacks are printed as "?".
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            nowhere = os.open(os.devnull, os.O_RDWR)  # the lowest number: its own
-            setattr(sys, name, os.fdopen(nowhere, mode, closefd=False))  # stays taken when it is replaced
+            nowhere = os.open(os.devnull, os.O_RDWR)  # gets the lowest free number: the stream's
+            # closefd=False: the number stays in use even if the stream is replaced
+            setattr(sys, name, os.fdopen(nowhere, mode, closefd=False))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
 
 
 def silence_libraries() -> None:
-    """What C libraries write to standard error by themselves leads nowhere; Python's own messages do not.
+    """Discard what C libraries write to standard error; what Python writes is printed.
 
-    libpng, OpenCV and HDF5 print a line of theirs beside the one that says what is wrong.
+    libpng, OpenCV and HDF5 print their own messages beside the one line that says what is wrong.
     """
     with suppress(OSError, ValueError, AttributeError):
-        kept = os.dup(sys.stderr.fileno())
-        os.set_inheritable(kept, False)
+        python = os.dup(sys.stderr.fileno())
+        os.set_inheritable(python, False)
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stderr.fileno())
         os.close(nowhere)
         sys.stderr = open(  # noqa: SIM115, PTH123  # for as long as the program runs
-            kept, "w", buffering=1, encoding=sys.stderr.encoding, errors="replace"
+            python, "w", buffering=1, encoding=sys.stderr.encoding, errors="replace"
         )
 
 
 def say(lines: Iterable[str]) -> None:
-    """Lines to standard output, after the results are safe: failing to print them fails nothing.
+    """Print lines to standard output. The results are written by then, so a failure here is no error.
 
-    A reader that left (`track … | head -1`), or none at all, is silent; a full disk is reported.
+    A closed pipe (`track … | head -1`) or stream is ignored; a full disk is reported.
     """
     error = _print(lines, sys.stdout)
     if error is not None and not isinstance(error, BrokenPipeError):
@@ -60,12 +61,12 @@ def say(lines: Iterable[str]) -> None:
 
 
 def complain(message: str) -> None:
-    """One line to standard error, if there is one and it can take it."""
+    """Print one line to standard error; do nothing if that fails."""
     _print([f"track: {message}"], sys.stderr)
 
 
 def conclude(lines: Iterable[str], warnings: Sequence[str], *, quiet: bool) -> int:
-    """A command's warnings and, unless it is quiet, its summary; the exit status, 1 with a warning."""
+    """Print warnings and, unless quiet, a summary; return the exit status, 1 if there is a warning."""
     for line in warnings:
         complain(f"warning: {line}")
     if not quiet:
@@ -74,7 +75,7 @@ def conclude(lines: Iterable[str], warnings: Sequence[str], *, quiet: bool) -> i
 
 
 def in_columns(rows: Sequence[Sequence[str]], align: str) -> list[str]:
-    """Lines with columns of even width, each to the left (<) or to the right (>), and the last as it is."""
+    """Format rows in columns; `align` has < or > for each but the last, which is not padded."""
     widths = [max((len(row[k]) for row in rows), default=0) for k in range(len(align))]
     lines = []
     for row in rows:
@@ -84,21 +85,21 @@ def in_columns(rows: Sequence[Sequence[str]], align: str) -> list[str]:
 
 
 def _print(lines: Iterable[str], stream: TextIO | None) -> OSError | None:
-    """Lines to a stream, with options in place of arguments; the error if the stream does not take them."""
+    """Print lines with options in place of arguments; return the error if the stream fails."""
     if stream is None:
         return None
     try:
         stream.write("".join(f"{with_options(line, option_names())}\n" for line in lines))
         stream.flush()
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # else Python complains as it closes
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # or Python reports it again at exit
         return error
     return None
 
 
 @contextmanager
 def frame_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[[int, int | None], None] | None]:
-    """A function to call with (frames done, total frames or None); None where there is no terminal."""
+    """Show a progress bar; yield a function of (frames done, total or None), or None without a terminal."""
     if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield None
         return
@@ -126,10 +127,10 @@ def frame_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[[int,
 
 
 def attempt(work: Callable[[], T]) -> tuple[T | None, int, str]:
-    """What some work returned, the exit status and what went wrong; Ctrl-C passes.
+    """Call `work` and return its result, the exit status and a line that says what went wrong.
 
-    0 and "": done.  2: input that cannot be used.  3: an unexpected error, with its details in a file that
-    the line names.
+    Status 0 and "": no error.  2: input that cannot be used.  3: an unexpected error; the line names a file
+    with its details. With 2 and 3 the result is None. KeyboardInterrupt is not caught.
     """
     try:
         return work(), 0, ""
@@ -140,6 +141,7 @@ def attempt(work: Callable[[], T]) -> tuple[T | None, int, str]:
 
 
 def _unexpected(error: Exception) -> str:
+    """Write the traceback to a temporary file and return a line that names it."""
     what = " ".join(f"{type(error).__name__}: {error}".split())
     try:
         with tempfile.NamedTemporaryFile("w", prefix="track-", suffix=".txt", delete=False) as file:
@@ -150,7 +152,7 @@ def _unexpected(error: Exception) -> str:
 
 
 def one_line(error: Exception) -> str:
-    """What went wrong, where, and what to do."""
+    """Return an exception as one line: where, what is wrong, and what to do."""
     if isinstance(error, UnusedCliTokensError):
         advice = "quote a glob of images; track --help lists the options"
         error = InputError(" ".join(error.unused_tokens or ()), "one input", "more", advice)

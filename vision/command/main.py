@@ -1,4 +1,4 @@
-"""The console command: one default action and subcommands; heavy imports wait until one of them runs."""
+"""The console command `track`; heavy modules are imported only when a command runs."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from vision.command import commands
 from vision.command.console import attempt, complain, hold_streams, silence_libraries
 from vision.files import MOST_PIXELS
 
-HELP = """Follow every sheet of a stick-slip video to a hundredth of a pixel.
+HELP = """Track every sheet of a stick-slip video to a hundredth of a pixel.
 
-The results go to a new folder, test_tracks in the working directory: overview.png to look at first, then \
-tracks.csv, tracks.nc, sheets.csv, kymograph.tif and run.json. Try:
+The results of test.avi go to a new folder test_tracks in the working directory: look at overview.png first, \
+then at tracks.csv, tracks.nc, sheets.csv, kymograph.tif and run.json. Examples:
 
     track test.avi --pixel-size 10 --fps 60
     track test.avi --strip 60:144 --sheets 50 --out results
@@ -36,7 +36,7 @@ error (what was measured before it is kept).
 
 
 def make_app() -> App:
-    """The application with all its commands."""
+    """Return the application with all its commands."""
     app = App(
         name="track",
         help=HELP,
@@ -68,12 +68,12 @@ def make_app() -> App:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit with its status; never a traceback for bad input.
+    """Run the command line and exit with its status; bad input never ends in a traceback.
 
-    Being told to stop (a closed terminal, a batch system's time limit) ends a run as Ctrl-C does.
+    A signal to stop (a closed terminal, a batch system's time limit) ends a run as Ctrl-C does.
     """
-    # Objects made before Python looks for unreachable ones (700 by default). Loading the libraries makes half
-    # a million that all stay: looking through them again and again takes up to a fifth of a short run.
+    # Number of new objects after which the garbage collector runs (700 by default). The libraries create half
+    # a million lasting objects: with the default, collecting takes up to a fifth of a short run.
     gc.set_threshold(500_000)
     hold_streams()
     silence_libraries()
@@ -83,41 +83,41 @@ def main(arguments: Sequence[str] | None = None) -> None:
             signal.signal(getattr(signal, name), _interrupt)
     status = run(sys.argv[1:] if arguments is None else list(arguments))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the status is decided
-    gc.freeze()  # else Python looks through all objects before it forgets them: a tenth of a short run
+    gc.freeze()  # or the collector visits all objects at exit, which takes a tenth of a short run
     sys.exit(130 if _interrupted else status)
 
 
 def _isolate_environment() -> None:
     """Ignore settings for other programs, modules in the working directory and warnings of libraries."""
-    sys.path[:] = [place for place in sys.path if place]  # "" is wherever the data are
-    os.environ.pop("MPLBACKEND", None)  # Jupyter's, which need not be installed here
+    sys.path[:] = [place for place in sys.path if place]  # "" is the working directory, with the data
+    os.environ.pop("MPLBACKEND", None)  # Jupyter sets one that may not be installed here
     os.environ["MATPLOTLIBRC"] = os.devnull
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
     # Matplotlib does without it, 20 ms sooner: no figure here has axes in space.
     sys.modules["mpl_toolkits.mplot3d"] = None  # type: ignore[assignment]
-    warnings.simplefilter("ignore")  # what a user should know is a warning line of the run
-    sys.unraisablehook = lambda _: None  # what libraries leave half-closed after the error that is told
+    warnings.simplefilter("ignore")  # the run has its own warnings for what a user should know
+    sys.unraisablehook = lambda _: None  # libraries that close files after an error that is reported
 
 
-_interrupted: list[int] = []  # signals that told to stop
+_interrupted: list[int] = []  # numbers of the signals received
 
 
 def _interrupt(number: int, frame: Any) -> None:
-    """Kept in mind too: where a library calls back, Python can only print the exception and go on."""
+    """Raise KeyboardInterrupt, and record the signal: in a library's callback Python ignores exceptions."""
     _interrupted.append(number)
     raise KeyboardInterrupt
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Exit status of a command line: 0 done, 1 with a warning that matters, 2 bad input, 3 unexpected."""
-    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # cut files are reported by the reader itself
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # a home that cannot be written is no concern
+    """Run a command line and return its exit status: 0, 1 (warning), 2 (bad input) or 3 (unexpected)."""
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # our reader reports truncated files
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # a read-only home directory does no harm
     try:
         returned, status, why = attempt(lambda: _answer(list(arguments)))
     except KeyboardInterrupt as stop:
         return _stopped(str(stop))
-    if _interrupted:  # it became another exception on its way
+    if _interrupted:  # a library turned the KeyboardInterrupt into another exception
         return _stopped()
     if why:
         complain(why)
@@ -125,13 +125,14 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _answer(arguments: Sequence[str]) -> Any:
-    """What the command returns."""
+    """Call the command and return its result."""
     app = make_app()
-    if arguments in ([], ["--help"]):  # without being parsed it takes three quarters of the time
+    if arguments in ([], ["--help"]):  # skipping the parser saves a quarter of the time
         return app.help_print([])
     return app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
 
 
 def _stopped(kept: str = "") -> int:
+    """Report an interruption and what is kept of the run; return the exit status."""
     complain(f"interrupted; {kept or 'no half-written run folder is left'}")
     return 130

@@ -1,4 +1,4 @@
-"""Groups of options, and how the library's names become options."""
+"""Groups of command-line options, and the option that sets each argument of the library."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cyclopts import Parameter as Option
 
 
 def _whole(kind: Any, tokens: Sequence[Any]) -> int:
-    """A whole number as it is written, 1.5 is none: a conversion would round it.  Raises: ValueError."""
+    """Return a typed whole number; `int` would round 1.5 instead of refusing it.  Raises: ValueError."""
     text = str(tokens[0].value).strip()
     if not re.fullmatch(r"[-+]?[0-9]{1,9}(?:\.0{1,9})?", text):
         raise ValueError("give a whole number")
@@ -31,37 +31,37 @@ class VideoOptions:
     """How a video is read and its sheets are found."""
 
     strip: str | None = None
-    """Rows averaged, Z0:Z1, half-open, from the top; auto finds where ridges are straight and clear."""
+    """Rows to average, Z0:Z1, half-open, from the top; auto finds where ridges are straight and clear."""
     columns: str | None = None
-    """Columns looked at, X0:X1."""
+    """Columns to use, X0:X1, half-open, from the left."""
     strips: Whole | None = None
-    """Measure in so many parts of the strip as well, one above the other: x(n,z,t) in tracks.nc."""
+    """Also measure in this many parts of the strip, one above the other: x(n,z,t) in tracks.nc."""
     sheets: Whole | None = None
     """Number of ridges in view; found if not given."""
     ridges: Literal["bright", "dark", "auto"] | None = None
-    """Polarity: bright, dark or auto."""
+    """Whether ridges are brighter or darker than the gaps between them: bright, dark or auto."""
     axis: float | None = None
     """Symmetry axis in px; found from the motion if not given."""
     fit: Literal["auto", "sliding", "paper", "template"] | None = None
     """auto (template where it is learned well, else sliding), sliding, paper (as published) or template."""
     window: str | None = None
-    """Fit window in px, odd, or auto to follow the ridges' width; 9 where they are 6 to 14 px wide."""
+    """Fit window in px, odd, or auto to follow the ridge width; 9 if ridges are 6 to 14 px wide."""
     corrections: Path | None = None
-    """TOML file of decisions by hand: accept, leave_out, swap, assign, add, delete, axis, strip, clock."""
+    """TOML file of manual decisions: accept, leave_out, swap, assign, add, delete, axis, strip, clock."""
     pixel_size: str | None = None
     """µm per pixel, also as 10um or 0.01mm; without it lengths are in px."""
     scale: str | None = None
-    """Pixel size from a known length, as in 1mm=103px."""
+    """Pixel size from a known length, such as 1mm=103px."""
     pitch: str | None = None
-    """Pixel size from the sheets' mean spacing, as in 0.2mm: the film's own ridges are the ruler."""
+    """Pixel size from the known mean distance between neighbouring sheets, such as 0.2mm."""
     fps: float | None = None
-    """The camera's frame rate, where the file's own is only a playback rate."""
+    """The camera's frame rate, where the file states only a playback rate."""
     timestamps: Path | None = None
     """Text file with the time of every frame."""
     frames: str | None = None
-    """Part of the video, A:B."""
+    """Part of the video, A:B, half-open, counted from 0."""
     rotate: Literal[0, 90, 180, 270] | None = None
-    """Turn each frame clockwise first, for sheets that move along y."""
+    """Degrees by which each frame is first turned clockwise, for sheets that move along y."""
 
 
 @Option(name="*")
@@ -70,23 +70,23 @@ class ForceOptions:
     """How a force recording is read and its stick-slip events are found."""
 
     speed: float | None = None
-    """Pulling speed V in mm/min, where no displacement is recorded."""
+    """Pulling speed V in mm/min, if no displacement is recorded."""
     d0: str | None = None
-    """Initial separation, mm, or 13.0±0.1, added to the crosshead's change; 0: column is separation."""
+    """Initial separation in mm, also 13.0±0.1; 0 if the displacement column is the separation itself."""
     force_columns: str | None = None
-    """Columns by name or number, as in time=Time,load=Load:kN,displacement=3."""
+    """Columns by name or number, such as time=Time,load=Load:kN,displacement=3."""
     force_threshold: float | None = None
-    """Smallest drop that is a slip, N; found from the noise if not given."""
+    """Smallest force drop that counts as a slip, N; found from the noise if not given."""
     force_lowpass: str | None = None
-    """Time constant of the load cell to correct for, s: 0 as recorded; auto where the slips prove it."""
+    """Load-cell time constant to correct for, s; 0: no correction; auto: only if the slips show it."""
     machine_stiffness: float | None = None
-    """The machine's own stiffness in N/mm, to correct d; no correction if not given."""
+    """Stiffness of the machine in N/mm, to correct d; no correction if not given."""
     fit_range: str | None = None
-    """Separations between which the models are fitted, A:B in mm; from where Eq. 1 fits if not given."""
+    """Separations A:B in mm between which the models are fitted; from where Eq. 1 fits if not given."""
     fix_mu: float | None = None
-    """Friction coefficient, where it is known and not to be fitted."""
+    """Known friction coefficient, which is then not fitted."""
     fix_yeff: float | None = None
-    """Effective modulus Y_eff in GPa, where it is known and not to be fitted."""
+    """Known effective modulus Y_eff in GPa, which is then not fitted."""
 
 
 @Option(name="*")
@@ -95,30 +95,30 @@ class SampleOptions:
     """The sample; the publication's if not given."""
 
     sheets_per_block: Whole | None = None
-    """M, sheets of one block on each side of the axis."""
+    """M, number of sheets of one block on each side of the axis."""
     thickness: str | None = None
-    """ε of one sheet, mm, or 0.1±0.002 with its error."""
+    """Thickness ε of one sheet, mm; with its error as 0.1±0.002."""
     width: str | None = None
-    """W of the sheets, mm, or with its error."""
+    """Width W of the sheets, mm; with its error as 45±0.2."""
     length: str | None = None
-    """L from the clamp to the sheets' end, mm, or with its error."""
+    """Length L from the clamp to the end of the sheets, mm; with its error as 57±0.5."""
     t_star: str | None = None
-    """T*, friction force of the adhering sheets, N, or with its error."""
+    """Friction force T* due to adhesion, N; with its error as 0.003±0.001."""
 
 
 @Option(name="*")
 @dataclass(frozen=True, kw_only=True)
 class TestOptions:
-    """What joins the video and the force recording."""
+    """Options that relate the video to the force recording."""
 
     force: Path | None = None
     """Force recording of the testing machine; adds events, clocks, σ_x/Λ_st and shells."""
     offset: float | None = None
-    """Force clock at video time 0, s, if known (0 with a common hardware trigger)."""
+    """Time on the force clock at video time 0, s, if known (0 with a common hardware trigger)."""
     threshold: float | None = None
     """σ_x/Λ_st below which a sheet is stiff; 0.1 if not given."""
     common_mode: Literal["on", "off"] | None = None
-    """Whether motion that all sheets share (the camera's) is taken off; on if not given."""
+    """Whether motion common to all sheets (the camera's) is subtracted; on if not given."""
 
 
 @Option(name="*")
@@ -131,17 +131,17 @@ class RunOptions:
     overwrite: Flag = False
     """Replace an earlier run folder."""
     resume: Flag = False
-    """Go on where an interrupted run of the same film ended."""
+    """Continue an interrupted run of the same film."""
     follow: Flag = False
-    """Track a film or folder that a camera still writes, until it is closed or Ctrl-C is pressed."""
+    """Track a film or folder while a camera writes it, until it is closed or Ctrl-C is pressed."""
     report: Report = True
     """Write report.html."""
     checksum: Flag = False
-    """SHA-256 of all of every input, in place of a fingerprint of 64 MiB."""
+    """Store the SHA-256 of every whole input file instead of a fingerprint of 64 MiB of it."""
     quiet: Flag = False
-    """No progress bar and no summary."""
+    """Print no progress bar and no summary."""
     verbose: Flag = False
-    """All of run.json's findings in the summary."""
+    """Print all findings of run.json in the summary."""
 
 
 @Option(name="*")
@@ -150,26 +150,26 @@ class OutputOptions:
     """Where the results of a command go."""
 
     out: Path | None = None
-    """Where the results go, in place of the name given above."""
+    """Where the results go, instead of the name given above."""
     overwrite: Flag = False
     """Replace what an earlier command wrote there."""
     quiet: Flag = False
-    """No progress bar and no summary."""
+    """Print no progress bar and no summary."""
 
 
 @Option(name="*")
 @dataclass(frozen=True, kw_only=True)
 class WindowOptions:
-    """What of the strip is shown."""
+    """Part of the strip that is shown."""
 
     sheet: Annotated[tuple[str, ...], Option(negative="", show_default=False)] = ()
-    """Window around a sheet: side and number, as right:23, or the index from the left; can be repeated."""
+    """Sheet to show: side and number, such as right:23, or the index from the left; can be repeated."""
     width: str | None = None
-    """Width of the window in mm, um, µm or px; 0.2mm, or one pitch where there is no pixel size."""
+    """Width of the window in mm, um, µm or px; 0.2mm, or one pitch without a pixel size."""
     follow: Flag = False
-    """The window moves with the sheet, interpolated between pixels, instead of standing still."""
+    """Move the window with the sheet (interpolated between pixels) instead of keeping it in place."""
     time: str | None = None
-    """Part of the recording in seconds of the video's clock, A:B."""
+    """Part of the recording, A:B in seconds of the video's clock."""
 
 
 @Option(name="*")
@@ -178,56 +178,56 @@ class ModulusOptions:
     """The sheet and the machine of push–pull cycles."""
 
     thickness: float = 0.1
-    """Of the sheet, mm."""
+    """Thickness of the sheet, mm."""
     width: float = 45.0
-    """Of the sheet, mm."""
+    """Width of the sheet, mm."""
     length: float = 16.8
-    """Between the clamps, mm."""
+    """Length of the sheet between the clamps, mm."""
     clamp_distance: float | None = None
-    """Distance of the clamps at the first sample, mm, where it is neither the displacement nor the length."""
+    """Distance of the clamps at the first sample, mm, if it is neither the displacement nor the length."""
     machine_stiffness: float | None = None
-    """The machine's own stiffness in N/mm, to correct the distance; no correction if absent."""
+    """Stiffness of the machine in N/mm, to correct the distance; no correction if not given."""
     part: str = "0.4:0.9"
     """Part of the rise of the force on each loading branch that is fitted."""
     force_columns: str | None = None
-    """Columns by name or number, as in time=Time,load=Load:kN,displacement=3."""
+    """Columns by name or number, such as time=Time,load=Load:kN,displacement=3."""
 
 
 @Option(name="*")
 @dataclass(frozen=True, kw_only=True)
 class FrictionOptions:
-    """The discs of a rheometer and what is measured on them."""
+    """The discs of a rheometer and how friction is measured on them."""
 
     radius: float = 25.0
     """Radius of the discs in mm."""
     normal_force: str | None = None
-    """Normal force in N in place of a recorded one: one for all files, or one a file, as in 0.1,0.5,1."""
+    """Normal force in N, instead of the recorded one: one value, or one per file, such as 0.1,0.5,1."""
     dynamic: str = "0.3:120"
-    """Travelled angles in degrees over which the dynamic coefficient is the mean."""
+    """Range of rotation angles in degrees over which the dynamic coefficient is averaged."""
     mu: float = 0.89
-    """Constant coefficient with which the thresholds are compared."""
+    """Constant friction coefficient for comparison."""
 
 
 def _sets(setting: str) -> Any:
-    """An option, not given, for this setting of `vision.experiment`."""
+    """Return a field, None by default, whose option sets this setting of `vision.experiment`."""
     return field(default=None, metadata={"setting": setting})
 
 
 @Option(name="*")
 @dataclass(frozen=True, kw_only=True)
 class SimulateOptions:
-    """The main settings of a synthetic test. What is not given is the preset's."""
+    """The main settings of a synthetic test; those not given are the preset's."""
 
     seed: int | None = _sets("seed")
-    """Same seed, same data."""
+    """Seed of the random numbers: the same seed gives the same data."""
     duration: float | None = _sets("camera.duration_s")
     """Length of the video, s."""
     fps: float | None = _sets("camera.fps")
     """Frames per second."""
     width: int | None = _sets("camera.width")
-    """Columns, px."""
+    """Width of a frame, px."""
     height: int | None = _sets("camera.height")
-    """Rows, px."""
+    """Height of a frame, px."""
     pixel_size: float | None = _sets("camera.pixel_size_um")
     """Micrometres per pixel."""
     exposure: float | None = _sets("camera.exposure_s")
@@ -235,23 +235,23 @@ class SimulateOptions:
     bits: int | None = _sets("camera.bits")
     """Bits per pixel, 8 to 16."""
     speed: float | None = _sets("mechanics.speed_mm_min")
-    """Speed V of the pull, mm/min."""
+    """Pulling speed V, mm/min."""
     d0: float | None = _sets("mechanics.d0_mm")
-    """Separation at the start of the pull, mm."""
+    """Separation at the start, mm."""
     d_end: float | None = _sets("mechanics.d_end_mm")
-    """Separation at its end, mm."""
+    """Separation at the end, mm."""
     offset: float | None = _sets("clocks.offset_s")
-    """Force clock at video time 0, s."""
+    """Time on the force clock at video time 0, s."""
     sheets: int | None = _sets("sheets.count")
-    """Ridges in view."""
+    """Number of ridges in view."""
     pitch: float | None = _sets("sheets.pitch_px")
     """Distance between ridges, px."""
     fwhm: float | None = _sets("optics.fwhm_px")
-    """Ridge width, px."""
+    """Full width of a ridge at half its height, px."""
     contrast: float | None = _sets("optics.contrast")
     """Michelson contrast of the ridges."""
     ridges: Literal["bright", "dark"] | None = _sets("optics.polarity")
-    """Polarity."""
+    """Whether ridges are brighter or darker than the gaps between them."""
     dropped: float | None = _sets("clocks.dropped")
     """Fraction of frames lost."""
     force_rate: float | None = _sets("clocks.force_rate_Hz")
@@ -271,36 +271,36 @@ class SimulateOptions:
 @Option(name="*")
 @dataclass(frozen=True, kw_only=True)
 class CampaignOptions:
-    """How many films are tracked."""
+    """How the films of a campaign are tracked."""
 
     out: Path | None = None
     """The campaign's folder; TABLE_campaign in the working directory if not given."""
     config: Path | None = None
-    """TOML file of options for all films; the table wins."""
+    """TOML file of options for all films; values in the table take precedence."""
     dry_run: Flag = False
-    """Say what would run and how long it takes; write nothing."""
+    """Print what would run and how long it would take; write nothing."""
     executor: Literal["local", "slurm"] = "local"
-    """local or slurm."""
+    """Where the jobs run: on this machine (local) or on a cluster (slurm)."""
     profile: Path | None = None
-    """Folder with a Snakemake profile, in place of the shipped one."""
+    """Folder with a Snakemake profile, instead of the shipped one."""
     cores: int | None = None
-    """Jobs at a time; all cores (on a cluster, the profile's number of jobs) if not given."""
+    """Number of jobs at a time; all cores (on a cluster, as in the profile) if not given."""
     watch: Path | None = None
-    """Folder into which films are written: each is taken when it is complete, until Ctrl-C."""
+    """Folder into which films are written: each is tracked when it is complete, until Ctrl-C."""
     idle: float | None = None
-    """End watching when no film came for so many seconds."""
+    """Stop watching when no new film has come for this many seconds."""
     stage: Flag = False
-    """Copy each film to the node's own disk (TMPDIR) before it is read."""
+    """Copy each film to the node's local disk (TMPDIR) before it is read."""
     report: Report = True
     """Write report.html of each run."""
     quiet: Flag = False
-    """No progress and no summary."""
+    """Print no progress and no summary."""
     plan: Annotated[Flag, Option(show=False)] = False
     """Write plan.json and end: for the Snakefile."""
 
 
 GROUPS = (VideoOptions, ForceOptions, SampleOptions, TestOptions)
-# What Python calls otherwise than the command line does.
+# Arguments of the library whose option has another name.
 _OPTION_OF: Mapping[str, str] = {
     "rows": "--strip",
     "axis_px": "--axis",
@@ -335,17 +335,21 @@ _OF_ONE_COMMAND = ("sheet", "film", "table", "main_sample", "executor", "profile
 
 
 def flag_of(name: str) -> str:
-    """How a field of a group is typed: pixel_size as --pixel-size."""
+    """Return the option of a group's field: --pixel-size for pixel_size."""
     return f"--{name.replace('_', '-')}"
 
 
 @cache
 def option_names() -> Mapping[str, str]:
-    """The library's argument names and the options that set them, for `vision.errors.with_options`."""
+    """Map each argument of the library to its option, `pixel_size_um` to ``--pixel-size``.
+
+    The library's messages name its arguments in backticks. Before the command prints or stores a message,
+    `vision.errors.with_options` finds these names and puts the options in their place.
+    """
     same = (*option_fields(), *(field.name for field in fields(RunOptions)), *_OF_ONE_COMMAND)
     return {name: flag_of(name) for name in same} | dict(_OPTION_OF)
 
 
 def option_fields() -> list[str]:
-    """The options that a file may give, by their names there."""
+    """Return the names of the options that a configuration file or a campaign's table may contain."""
     return [field.name for group in GROUPS for field in fields(group)]

@@ -1,4 +1,4 @@
-"""Commands on recordings of a machine alone: force, friction, modulus; and simulate, which makes one."""
+"""Commands without a video (force, friction, modulus), and simulate, which makes a synthetic test."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def force(
     free_t_star: bool,
     limit: bool,
 ) -> int:
-    """A force recording alone; the exit status.
+    """Analyse a force recording alone, and return the exit status.
 
     groups: options of the recording and the sample.  free_t_star: whether T* is fitted too.
     limit: whether the detection limit is measured.
@@ -83,7 +83,7 @@ def force(
 
 
 def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
-    """Young's modulus from push–pull cycles; the exit status."""
+    """Measure Young's modulus from push–pull cycles, and return the exit status."""
     started = time.perf_counter()
     target = output.out or Path(f"{file.stem}_modulus")
     check_target(target, overwrite=output.overwrite)
@@ -112,7 +112,7 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
         "notes": notes,
     }
     facts = {
-        **_origin([file], options, ModulusOptions()),
+        **_provenance([file], options, ModulusOptions()),
         "cycles": len(cycles),
         "notes": notes,
         "warnings": warnings,
@@ -137,7 +137,7 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
 
 
 def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOptions) -> int:
-    """Friction of two sheets from a rheometer's files; the exit status."""
+    """Measure the friction of two sheets from a rheometer's files, and return the exit status."""
     started = time.perf_counter()
     if not files:
         raise InputError("track friction", "one or more files", "none", "name the rheometer's files")
@@ -162,7 +162,7 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
         "notes": notes,
     }
     facts = {
-        **_origin([file for file in files if file.is_file()], options, FrictionOptions()),
+        **_provenance([file for file in files if file.is_file()], options, FrictionOptions()),
         "measurements": len(found.measured),
         "failures": found.failures,
         "notes": [*notes, RIM_CAVEAT],
@@ -181,7 +181,7 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     return 1 if found.failures or found.warnings else 0
 
 
-RECORDED = {
+_NAMES_WITH_UNITS = {
     "thickness": "thickness_mm",
     "width": "width_mm",
     "length": "length_mm",
@@ -191,13 +191,13 @@ RECORDED = {
     "normal_force": "normal_force_N",
     "dynamic": "dynamic_deg",
 }
-"""Options as run.json names them, with their units."""
+"""Names of options in run.json, where they end in their unit."""
 
 
-def _origin(files: Sequence[Path], options: Any, usual: Any) -> dict[str, Any]:
-    """What run.json begins with."""
-    given = parameters_given(vars(options), vars(usual))
-    parameters = {RECORDED.get(name, name): parameter for name, parameter in given.items()}
+def _provenance(files: Sequence[Path], options: Any, defaults: Any) -> dict[str, Any]:
+    """Return versions, command, inputs and parameters for run.json."""
+    given = parameters_given(vars(options), vars(defaults))
+    parameters = {_NAMES_WITH_UNITS.get(name, name): parameter for name, parameter in given.items()}
     return Origin(command=command_line(), inputs=files, parameters=parameters).facts()
 
 
@@ -210,7 +210,7 @@ def _write(
     content: Mapping[str, Any],
     facts: Mapping[str, Any],
 ) -> None:
-    """The run folder: a table, figures.npz, run.json, and a JSON file and a picture named like the figure."""
+    """Write the run folder: a table, figures.npz, run.json, and JSON and picture named like the figure."""
     with run_folder(target, overwrite=output.overwrite) as folder:
         write_table(table, folder / f"{name}.csv")
         write_json(content, folder / f"{figure.name}.json")
@@ -220,8 +220,8 @@ def _write(
 
 
 @dataclass
-class _Found:
-    """What the files gave: coefficients with their curves, what failed, and remarks."""
+class _Measurements:
+    """Friction coefficients of all files with their curves, failures (one line each), and notes."""
 
     measured: list[DiscFriction] = field(default_factory=list)
     curves: list[pd.DataFrame] = field(default_factory=list)
@@ -230,15 +230,16 @@ class _Found:
 
     @property
     def warnings(self) -> list[str]:
-        told = [(one, line) for one in self.measured for line in one.warnings]
-        return [f"{Path(one.source).name}, {one.measurement}: {line}" for one, line in told]
+        """Warnings of all measurements, each with its file and measurement."""
+        pairs = [(one, line) for one in self.measured for line in one.warnings]
+        return [f"{Path(one.source).name}, {one.measurement}: {line}" for one, line in pairs]
 
 
 def _measure(
     files: Sequence[Path], loads: Sequence[float | None], radius_mm: float, settings: FrictionSettings
-) -> _Found:
-    """Each file and each measurement by itself: one that fails is named and the others are done."""
-    found = _Found()
+) -> _Measurements:
+    """Evaluate every measurement of every file; one that fails is named and costs no other."""
+    found = _Measurements()
     for file, load in zip(files, loads, strict=True):
         try:
             rotations = read_rheometer(file)
@@ -259,8 +260,8 @@ def _measure(
     return found
 
 
-def _law(found: _Found) -> tuple[StaticFriction | None, str]:
-    """The fitted law, or None and the reason why there is none."""
+def _law(found: _Measurements) -> tuple[StaticFriction | None, str]:
+    """Return the fitted law and "", or None and the reason why there is none."""
     table = friction_table(found.measured)
     try:
         law = fit_static_friction(table["N_N"], table["mu_s"], table["mu_s_err"])
@@ -274,7 +275,7 @@ def _law(found: _Found) -> tuple[StaticFriction | None, str]:
     return law, ""
 
 
-def _friction_summary(found: _Found, law: StaticFriction | None) -> list[str]:
+def _friction_summary(found: _Measurements, law: StaticFriction | None) -> list[str]:
     lines = [
         f"N {one.N_N:.4g} N: μ_s {plus_minus(Estimate(one.mu_s, one.mu_s_err))}, "
         f"μ_d {plus_minus(Estimate(one.mu_d, one.mu_d_err))}"
@@ -287,6 +288,7 @@ def _friction_summary(found: _Found, law: StaticFriction | None) -> list[str]:
 
 
 def _loads(text: str | None, files: int) -> list[float | None]:
+    """Return the normal force typed for each file, None to take the recorded one.  Raises: InputError."""
     if text is None:
         return [None] * files
     try:
@@ -312,7 +314,7 @@ def simulate(
     overwrite: bool,
     quiet: bool,
 ) -> int:
-    """A synthetic traction test with known truth; the exit status."""
+    """Make a synthetic traction test with known truth, and return the exit status."""
     experiment = ready_made(preset)
     for changes in (settings_from_toml(toml) if toml else {}, _given(options), dict(map(_pair, set_))):
         experiment = with_settings(experiment, changes)
@@ -327,7 +329,7 @@ def simulate(
 
 
 def _given(options: SimulateOptions) -> dict[str, Any]:
-    """The options that were given, by the names of their settings; milliseconds become seconds."""
+    """Return the given options by the names of their settings; milliseconds become seconds."""
     given = {one.metadata["setting"]: getattr(options, one.name) for one in fields(options)}
     if options.exposure is not None:
         given["camera.exposure_s"] = options.exposure / 1000
@@ -335,6 +337,7 @@ def _given(options: SimulateOptions) -> dict[str, Any]:
 
 
 def _pair(text: str) -> tuple[str, str]:
+    """Parse `GROUP.SETTING=VALUE`.  Raises: InputError."""
     name, equals, value = text.partition("=")
     if not equals:
         raise InputError("--set", "GROUP.SETTING=VALUE", text)

@@ -1,6 +1,6 @@
-"""`track review RUN`: the run in a browser.
+"""`track review RUN`: serve a run to a browser.
 
-The page is served before the run is read: what reads it is imported meanwhile, beside the reading itself.
+The page is served first. The modules that read the run are imported after that, while its tracks are read.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def review(
     browser: bool,
     port: int,
 ) -> int:
-    """Serve a run, or a video that is tracked first, until it is ended; the exit status."""
+    """Serve a run, or a video that is tracked first, until the review is ended; return the exit status."""
     missing = [name for name in ("starlette", "uvicorn") if importlib.util.find_spec(name) is None]
     if missing:
         found = f"no {' and no '.join(missing)}"
@@ -58,14 +58,17 @@ def review(
         if browser:
             webbrowser.open(address)
 
-    kept = read_first_view(folder, film)
-    with ExitStack() as held:
-        serve(lambda stop: _answers(folder, film, held, stop), opened=opened, port=port, kept=kept)
+    first_view = read_first_view(folder, film)
+    with ExitStack() as cleanup:
+        serve(lambda stop: _answers(folder, film, cleanup, stop), opened=opened, port=port, kept=first_view)
     return 0
 
 
-def _answers(folder: Path, film: Path | None, held: ExitStack, stop: Callable[[], None]) -> ASGIApp:
-    """Reads the run, which `held` closes; its tracks while modules are imported."""
+def _answers(folder: Path, film: Path | None, cleanup: ExitStack, stop: Callable[[], None]) -> ASGIApp:
+    """Open the run and return the application that serves it; `cleanup` closes the run.
+
+    The tracks are read in a thread while modules are imported.
+    """
     from vision.review.tracks_file import read_tracks
 
     with ThreadPoolExecutor(1) as beside:
@@ -75,13 +78,13 @@ def _answers(folder: Path, film: Path | None, held: ExitStack, stop: Callable[[]
         from vision.review.session import Session
 
         session = Session(folder, settings_of_run(folder), film=film, options=option_names(), tracks=tracks)
-    held.enter_context(session)
-    held.callback(keep_first_view, session)
+    cleanup.enter_context(session)
+    cleanup.callback(keep_first_view, session)
     return answers(session, stop)
 
 
 def keep_first_view(folder: Path, settings: Settings) -> None:
-    """Write what a review shows first into a run's folder, where reviews are installed."""
+    """Store in a run folder what a review shows first, if the extra `review` is installed."""
     if importlib.util.find_spec("starlette") is not None:
         from vision.review import api
         from vision.review.session import Session

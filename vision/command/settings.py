@@ -1,4 +1,4 @@
-"""Options as typed, or from a TOML file, become the pipeline's settings."""
+"""Convert options, typed or from a TOML file, to the pipeline's settings."""
 
 from __future__ import annotations
 
@@ -26,48 +26,53 @@ UM_PER = {"mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Gre
 _GEOMETRY = {"thickness_mm": "thickness", "width_mm": "width", "length_mm": "length", "t_star_N": "t_star"}
 _SAMPLE = ("sheets_per_block", *_GEOMETRY.values())
 _WITH_ERROR = ("d0", "force_lowpass", *_GEOMETRY.values())
-_USUAL = Settings()
+_DEFAULT = Settings()
 DEFAULTS: Mapping[str, Any] = {
     "strip": "auto",
-    "force_lowpass": f"{_USUAL.force_lowpass_s:g}",
-    "common_mode": "on" if _USUAL.common_mode else "off",
+    "force_lowpass": f"{_DEFAULT.force_lowpass_s:g}",
+    "common_mode": "on" if _DEFAULT.common_mode else "off",
     "sheets_per_block": PUBLISHED.sheets_per_block,
-    **{name: getattr(_USUAL, name) for name in ("ridges", "fit", "rotate", "threshold")},
+    **{name: getattr(_DEFAULT, name) for name in ("ridges", "fit", "rotate", "threshold")},
     **{option: getattr(PUBLISHED, name) for name, option in _GEOMETRY.items()},
 }
-"""What run.json says of options that are not given, as they would be typed; of the others None."""
+"""Values that run.json holds for options that are not given, as they would be typed; None if not listed."""
 
 
 def parameters_given(
-    typed: Mapping[str, Any], usual: Mapping[str, Any] | None = None
+    typed: Mapping[str, Any], defaults: Mapping[str, Any] | None = None
 ) -> dict[str, Parameter]:
-    """Options of a command for run.json: given where they differ from the usual value, else from nothing."""
-    known = usual or {}
+    """Return a command's options for run.json, marked as given where they differ from their default.
+
+    An option that `defaults` lacks counts as given if it is not empty, None or False.
+    """
+    known = defaults or {}
     same = {name: value == known[name] if name in known else not value for name, value in typed.items()}
     return {name: Parameter(value, "default" if same[name] else "given") for name, value in typed.items()}
 
 
 def merged(*groups: Any, config: Path | None = None) -> dict[str, Parameter]:
-    """Every option of these groups with its value and origin: the command line wins over the file.
+    """Return every option of these groups with its value and origin; the command line overrides the file.
 
     Raises: InputError for a TOML file that cannot be read, names an unknown option or gives it a wrong value.
     """
-    filed = read_config(config) if config else {}
+    from_file = read_config(config) if config else {}
     found: dict[str, Parameter] = {}
     for name, value in ((name, value) for group in groups for name, value in vars(group).items()):
         if value is not None:
             found[name] = Parameter(_plain(name, value), "given")
-        elif filed.get(name) is not None:
-            found[name] = Parameter(_plain(name, filed[name]), "config")
+        elif from_file.get(name) is not None:
+            found[name] = Parameter(_plain(name, from_file[name]), "config")
         else:
             found[name] = Parameter(DEFAULTS.get(name), "default")
     return found | _pixel_size(found) if "pixel_size" in found else found
 
 
 def _pixel_size(options: Mapping[str, Parameter]) -> dict[str, Parameter]:
-    """The pixel size in µm from the one option that gives it; one typed wins over another in a file.
+    """Return the three options that set the pixel size, with `pixel_size` in µm or None.
 
-    Raises: InputError for two of them.
+    One of them on the command line overrides those of a file.
+
+    Raises: InputError if two are given in the same place.
     """
     names, none = ("pixel_size", "scale", "pitch"), Parameter(None, "default")
     hows = [options[name].how for name in names if options[name].value is not None]
@@ -81,15 +86,16 @@ def _pixel_size(options: Mapping[str, Parameter]) -> dict[str, Parameter]:
 
 
 def _plain(name: str, value: Any) -> Any:
-    """A number where an option that may also carry an error, or be a word, is no more than one."""
+    """Convert a value to a number if its option also accepts a word or an error, and it has neither."""
     number = _float(value) if name in _WITH_ERROR and isinstance(value, str) else math.nan
     return number if math.isfinite(number) else value
 
 
 def read_config(path: Path) -> dict[str, Any]:
-    """Options from a TOML file, by their long names with hyphens or underscores, parsed as if typed.
+    """Read options from a TOML file and parse them as if they were typed.
 
-    Tables group options: ``[sample]`` holds those of the sample.
+    Keys are the long names with hyphens or underscores. Options of the sample may stand in a table
+    ``[sample]``.
     """
     wanted = "a TOML file of options"
     if check_regular(path, wanted).st_size > 1 << 20:
@@ -98,18 +104,18 @@ def read_config(path: Path) -> dict[str, Any]:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     found: dict[str, Any] = {}
     for key, value in table.items():
-        lines = value if isinstance(value, dict) and key == "sample" else {key: value}
-        for name, item in lines.items():
+        options = value if isinstance(value, dict) and key == "sample" else {key: value}
+        for name, item in options.items():
             option = name.replace("-", "_")
             found[option] = parse_option(path, option, item)
     return found
 
 
 def parse_option(source: Path, name: str, value: Any) -> Any:
-    """One option's value, text or a number, through the same conversion as on the command line.
+    """Convert one option's value, text or a number, as the command line would.
 
-    source: where it stands, a TOML file or a table.  name: the option, with underscores.
-    Raises: InputError for an unknown option, or a value that it cannot have.
+    source: the TOML file or table that holds it.  name: the option, with underscores.
+    Raises: InputError for an unknown option, or a value that it does not accept.
     """
     known = option_fields()
     if name not in known:
@@ -130,7 +136,7 @@ def parse_option(source: Path, name: str, value: Any) -> Any:
 
 
 def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
-    """The pipeline's settings.  Raises: InputError for values that no recording could fit."""
+    """Return the pipeline's settings.  Raises: InputError for values that are invalid for any recording."""
     value = {name: parameter.value for name, parameter in parameters.items()}
     columns, corrections = value.get("force_columns"), value.get("corrections")
     sizes = {name: parse_with_error(value.get(option), flag_of(option)) for name, option in _GEOMETRY.items()}
@@ -180,9 +186,9 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
 
 
 def settings_of_run(folder: Path) -> Settings:
-    """The settings that a run was made with; its corrections are read from the run folder.
+    """Return the settings that a run was made with, without its corrections.
 
-    Raises: InputError for a folder that is no run, or one whose run.json is damaged.
+    Raises: InputError for a folder that is no run, or whose run.json is damaged.
     """
     facts = folder / "run.json"
     parameters = parameters_of(folder, read_json(facts)) | {"corrections": Parameter(None, "default")}
@@ -191,7 +197,7 @@ def settings_of_run(folder: Path) -> Settings:
 
 
 def parse_range(text: str | None, option: str) -> slice | None:
-    """`A:B`, half-open, either end may be left out; None and "auto" for all.  Raises: InputError."""
+    """Parse `A:B`, half-open; either end may be left out. None and "auto" give None.  Raises: InputError."""
     if text is None or text == "auto":
         return None
     match = re.fullmatch(r"\s*([0-9]{0,12})\s*:\s*([0-9]{0,12})\s*", text)
@@ -202,7 +208,7 @@ def parse_range(text: str | None, option: str) -> slice | None:
 
 
 def parse_with_error(text: str | float | None, option: str) -> tuple[float | None, float | None]:
-    """(value, error) of 13, 13.0±0.1, 13.0+-0.1 or 13.0+/-0.1, the error None if not given.
+    """Return (value, error) of 13, 13.0±0.1, 13.0+-0.1 or 13.0+/-0.1; the error is None if not given.
 
     Raises: InputError.
     """
@@ -217,7 +223,7 @@ def parse_with_error(text: str | float | None, option: str) -> tuple[float | Non
 
 
 def parse_lowpass(text: str | float | None) -> float | Literal["auto"] | None:
-    """Seconds from 0, or "auto".  Raises: InputError."""
+    """Parse a number of seconds from 0, or "auto".  Raises: InputError."""
     if text is None or text == "auto":
         return None if text is None else "auto"
     value = _float(str(text))
@@ -229,7 +235,7 @@ def parse_lowpass(text: str | float | None) -> float | Literal["auto"] | None:
 def parse_pair(
     text: str, option: str, wanted: str, *, most: float = math.inf, advice: str = ""
 ) -> tuple[float, float]:
-    """`A:B`, two numbers from 0 to `most`, the second larger.  Raises: InputError."""
+    """Parse `A:B`, two numbers from 0 to `most`, the second larger.  Raises: InputError."""
     first, _, last = text.partition(":")
     low, high = _float(first), _float(last)
     if not 0 <= low < high <= most or high == math.inf:
@@ -238,13 +244,13 @@ def parse_pair(
 
 
 def parse_mm_range(text: str | None, option: str) -> tuple[float, float] | None:
-    """`A:B` in mm.  Raises: InputError."""
+    """Parse `A:B` in mm.  Raises: InputError."""
     wanted = "two separations in mm A:B with A < B"
     return None if text is None else parse_pair(text, option, wanted, advice="write 13.2:17")
 
 
 def parse_window(text: str | None) -> int | Literal["auto"] | None:
-    """An odd number of pixels, or "auto".  Raises: InputError."""
+    """Parse a number of pixels, or "auto".  Raises: InputError."""
     if text is None or text == "auto":
         return None if text is None else "auto"
     if not re.fullmatch(r"[0-9]{1,9}", text):
@@ -253,7 +259,7 @@ def parse_window(text: str | None) -> int | Literal["auto"] | None:
 
 
 def number(value: float | None, option: str, *, least: float, whole: bool = False) -> Any:
-    """A number not below `least`, as it is; None passes.  Raises: InputError."""
+    """Return the number unchanged if it is None or not below `least`.  Raises: InputError."""
     if value is None:
         return None
     if not (least <= value < math.inf):
@@ -263,7 +269,7 @@ def number(value: float | None, option: str, *, least: float, whole: bool = Fals
 
 
 def parse_pixel_size(text: str | None) -> float | None:
-    """µm per pixel: a plain number, or with its unit (10um, 0.01mm).  Raises: InputError."""
+    """Parse µm per pixel: a plain number, or one with its unit (10um, 0.01mm).  Raises: InputError."""
     if text is None:
         return None
     match = re.fullmatch(r"\s*(\S+?)\s*(mm|um|µm|μm)?(/px)?\s*", text)
@@ -275,7 +281,7 @@ def parse_pixel_size(text: str | None) -> float | None:
 
 
 def parse_scale(text: str | None) -> float | None:
-    """µm per pixel from a length and the pixels it takes, in either order: 1mm=103px.  Raises: InputError."""
+    """Return µm per pixel from a length in both units, in either order: 1mm=103px.  Raises: InputError."""
     if text is None:
         return None
     sides = sorted(text.split("="), key=lambda side: side.strip().endswith("px"))
@@ -290,7 +296,7 @@ def parse_scale(text: str | None) -> float | None:
 
 
 def parse_pitch(text: str | None) -> float | None:
-    """µm from one sheet to the next, with its unit: 0.2mm.  Raises: InputError."""
+    """Return the distance of neighbouring sheets in µm from a length: 0.2mm.  Raises: InputError."""
     if text is None:
         return None
     length = parse_length(text, "--pitch")
@@ -300,9 +306,9 @@ def parse_pitch(text: str | None) -> float | None:
 
 
 def parse_length(text: str, option: str) -> dict[str, float]:
-    """A positive length with its unit: {"width_um": …} for mm, um and µm, {"width_px": …} for px.
+    """Parse a positive length with its unit: {"width_um": …} for mm, um and µm, {"width_px": …} for px.
 
-    Raises: InputError, also for a number without a unit, as µm and px are both likely.
+    Raises: InputError, also for a number without a unit, which could be in µm or in px.
     """
     match = re.fullmatch(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(mm|um|µm|μm|px)\s*", text)
     value = _float(match[1]) if match else math.nan
@@ -313,7 +319,7 @@ def parse_length(text: str, option: str) -> dict[str, float]:
 
 
 def parse_seconds(text: str | None, option: str) -> tuple[float | None, float | None] | None:
-    """`A:B` in seconds, half-open, either end may be left out; None for all.  Raises: InputError."""
+    """Parse `A:B` in seconds, half-open; either end may be left out.  Raises: InputError."""
     if text is None:
         return None
     first, colon, last = text.partition(":")
@@ -326,7 +332,7 @@ def parse_seconds(text: str | None, option: str) -> tuple[float | None, float | 
 
 
 def parse_sheets(texts: Sequence[str]) -> list[Sheet]:
-    """Sheets as side and number (right:23) or index from the left (47), several with commas.
+    """Parse sheets: side and number (right:23) or index from the left (47), several with commas.
 
     Raises: InputError.
     """

@@ -1,4 +1,4 @@
-"""`track VIDEO…`: one film, or several in turn; a film that a camera still writes; how every run ends."""
+"""`track VIDEO…`: track one film, several in turn, or one that a camera is still writing."""
 
 from __future__ import annotations
 
@@ -33,23 +33,23 @@ from vision.video.high_speed import PIXELS, is_photron
 from vision.video.threads import answered
 
 LONG_FRAMES = 20_000
-"""Of a film whose first view in a review is kept with the run: seconds here, where tracking took minutes. A
-review reads shorter runs as fast as its page is loaded."""
+"""Number of frames from which a run stores what a review shows first. This takes seconds, where tracking took
+minutes; a review reads shorter runs while its page loads."""
 STILLS = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
-REFUSED = ("sticks", "clock", "motion", "shells")  # stages whose input cannot be used: exit status 2
+REFUSED = ("sticks", "clock", "motion", "shells")  # stages whose unusable input gives exit status 2
 
 
 def track(videos: Sequence[Path], groups: Sequence[Any], run: RunOptions, config: Path | None) -> int:
-    """Track one video or several; the exit status.
+    """Track one video or several, and return the exit status.
 
     Parameters
     ----------
     videos
-        As given.
+        Paths or patterns as typed.
     groups
         Options of the video, the test, the force recording and the sample.
     run
-        Where the results go.
+        Options of the run folder.
     config
         TOML file of options.
 
@@ -64,15 +64,18 @@ def track(videos: Sequence[Path], groups: Sequence[Any], run: RunOptions, config
         target = run.out or Path(f"{run_name(videos[0])}_tracks")
         return track_one(videos[0], target, parameters, run, config=config)[0]
     if run.follow:
-        raise InputError("`follow`", "one video", f"{len(videos)}", "follow each in a terminal of its own")
+        raise InputError("`follow`", "one video", f"{len(videos)}", "follow each in its own terminal")
     targets = _targets_of(videos, run.out, parameters)
-    settings_of(parameters)  # what is wrong for every film is reported once
+    settings_of(parameters)  # an invalid option is reported once, not for every film
     _check_force(parameters)
     return _track_several(targets, parameters, run, config)
 
 
 def _check_force(parameters: Mapping[str, Parameter]) -> None:
-    """Options typed for a force recording that is not given are refused; in a file they may serve others."""
+    """Refuse typed options of the force if no recording is given; a configuration file may hold them.
+
+    Raises: InputError.
+    """
     names = (*(field.name for field in fields(ForceOptions)), "offset", "threshold", "common_mode")
     typed = [flag_of(name) for name in names if parameters[name].how == "given"]
     if typed and parameters["force"].value is None:
@@ -89,13 +92,13 @@ def track_one(
     copy: Path | None = None,
     config: Path | None = None,
 ) -> tuple[int, Analysis]:
-    """One film to one run folder: the exit status and what was found.
+    """Track one film into one run folder; return the exit status and the analysis.
 
-    Of many films each warning names its film, and the summary waits for the table unless all is asked for.
-    A copy of the film is read in its place where there is one. `config` is the file that options were taken
-    from.
+    one_of_many: whether several films are tracked. Each warning then names its film, and the summary is
+    printed only if `run.verbose`, as a table of all films follows.  copy: copy of the film, which is read
+    instead, if there is one.  config: file from which options were taken, recorded as an input.
     """
-    # The help texts of matplotlib's artists are a third of the time that its import takes.
+    # Matplotlib spends a third of its import time on the help texts of its artists.
     matplotlib.artist.kwdoc = lambda artist: ""
     if run.follow and run.resume:
         raise InputError("`follow` and `resume`", "one of the two", "both")
@@ -113,12 +116,12 @@ def track_one(
             with frame_progress("reading", quiet=run.quiet) as progress:
                 show = sums.beside(progress)
                 analysis = analyse(copy or video, force, settings, progress=show, log=checkpoint)
-        # The film comes first and the force recording last: a review finds them there.
+        # A review expects the film first and the force recording last.
         files = (parameters["timestamps"].value, config, parameters["corrections"].value, force)
         inputs = (*video_files(video), *(file for file in files if file is not None))
         if settings.pitch_um is not None:
             parameters = {**parameters, "pixel_size": Parameter(analysis.pixel_size_um, "found")}
-        analysis = _made_for_this_film(analysis, parameters["corrections"].value, inputs[0])
+        analysis = _warn_of_other_film(analysis, parameters["corrections"].value, inputs[0])
         origin = Origin(
             command=command_line(),
             inputs=inputs,
@@ -143,21 +146,23 @@ def track_one(
     return status, analysis
 
 
-def _made_for_this_film(analysis: Analysis, corrections: Path | None, film: Path) -> Analysis:
-    """The analysis, with a warning where the file of corrections was made for another film."""
-    about = "" if corrections is None else read_decisions(corrections).film
-    known = describe_input(film) if about else {}
-    if about in ("", known.get("sha256"), known.get("fingerprint")):
+def _warn_of_other_film(analysis: Analysis, corrections: Path | None, film: Path) -> Analysis:
+    """Return the analysis, with a warning if the file of corrections was made for another film."""
+    checksum = "" if corrections is None else read_decisions(corrections).film
+    known = describe_input(film) if checksum else {}
+    if checksum in ("", known.get("sha256"), known.get("fingerprint")):
         return analysis
-    if about == describe_input(film, whole=True).get("sha256"):  # the run was made with --checksum
+    if checksum == describe_input(film, whole=True).get("sha256"):  # the run was made with --checksum
         return analysis
-    line = f"`corrections` were made for another film: {corrections} names one that is not {film.name}"
+    line = (
+        f"`corrections` were made for another film: the checksum in {corrections} is not that of {film.name}"
+    )
     return replace(analysis, warnings=(*analysis.warnings, line))
 
 
 @contextmanager
 def _resumable(checkpoint: Checkpoint) -> Iterator[None]:
-    """An interrupted run says how it goes on, where what it read is kept."""
+    """Make a KeyboardInterrupt say how many frames a later run with --resume need not read again."""
     try:
         yield
     except KeyboardInterrupt:
@@ -166,29 +171,28 @@ def _resumable(checkpoint: Checkpoint) -> Iterator[None]:
 
 
 def run_name(video: Path) -> str:
-    """Base name of the run folder: the file's or folder's own; of a pattern what is not a wildcard."""
-    whole = video.absolute() if video.name else video.resolve()
-    is_there, is_folder = answered(lambda: (whole.exists(), whole.is_dir()), video)
+    """Return the base name of the run folder: that of the film, or a pattern without its wildcards."""
+    path = video.absolute() if video.name else video.resolve()
+    is_there, is_folder = answered(lambda: (path.exists(), path.is_dir()), video)
     if is_there:
-        return whole.name if is_folder else whole.stem
-    readable = "".join(c for c in whole.stem if c not in '*?[]<>|:"').strip("_-. ")
-    return readable or whole.parent.name or "video"
+        return path.name if is_folder else path.stem
+    readable = "".join(c for c in path.stem if c not in '*?[]<>|:"').strip("_-. ")
+    return readable or path.parent.name or "video"
 
 
 def command_line() -> str:
-    """As typed, to be typed again."""
+    """Return the command line, quoted so that it can be typed again."""
     return shlex.join(["track", *sys.argv[1:]])
 
 
 def finish(
     analysis: Analysis, target: Path, picture: str, *, quiet: bool, verbose: bool = False, about: str = ""
 ) -> int:
-    """Summary to standard output, warnings to standard error; the exit status.
+    """Print the summary and the warnings (to standard error), and return the exit status.
 
     0: done.  1: a warning that matters.  2: the force recording could not be used (what was measured is
-    kept).  3: an unexpected error ended a stage (likewise).
+    kept).  3: an unexpected error ended a stage (likewise).  `about` precedes each warning.
     """
-
     for line in analysis.warnings:
         complain(f"warning: {about}{line.removeprefix(about)}")
     if not quiet:
@@ -214,11 +218,10 @@ def finish(
 def _targets_of(
     videos: Sequence[Path], out: Path | None, parameters: Mapping[str, Parameter]
 ) -> dict[Path, Path]:
-    """The run folder of each film: NAME_tracks in the working directory, or in the folder `out`.
+    """Return the run folder of each film: NAME_tracks in the working directory or in the folder `out`.
 
-    A Photron recording of which both files are named counts once.
+    A Photron recording counts once if both its files are named.
     """
-
     if not videos:
         advice = "track --help lists the options"
         raise InputError("VIDEO", "a video file, a folder or a quoted glob of images", "none", advice)
@@ -228,7 +231,7 @@ def _targets_of(
     if all(_is_still(video) for video in videos):
         found = f"{len(videos)} still images"
         raise InputError(videos[0].parent, "films", found, "quote the glob: track 'frames/*.png'")
-    one_film = ("force", "timestamps", "offset")  # options that cannot be true of several
+    one_film = ("force", "timestamps", "offset")  # options that belong to a single film
     given = [f"--{name}" for name in one_film if parameters[name].value is not None]
     if given:
         wanted = f"one video with {', '.join(given)}"
@@ -248,7 +251,7 @@ def _targets_of(
 
 
 def _is_still(path: Path) -> bool:
-    """Whether this is one image: a TIFF of several pages is a film."""
+    """Tell whether a file holds a single image; a TIFF of several pages is a film."""
     if path.suffix.lower() not in STILLS or not path.is_file():
         return False
     if path.suffix.lower() not in (".tif", ".tiff"):
@@ -256,13 +259,13 @@ def _is_still(path: Path) -> bool:
     try:
         return (open_video(path).expected or 0) == 1
     except InputError:
-        return False  # it is named when its turn comes
+        return False  # reported when this file is tracked
 
 
 def _track_several(
     targets: Mapping[Path, Path], parameters: dict[str, Parameter], run: RunOptions, config: Path | None
 ) -> int:
-    """Every film in turn, and a table of them; the highest of their exit statuses."""
+    """Track the films in turn, print a table of them, and return the highest exit status."""
     head = ("film", "status", "sheets", "frames", "lost", "measured", "noise px", "seconds", "remark")
     rows: list[tuple[str, ...]] = [head]
     worst = 0
@@ -282,6 +285,7 @@ def _track_several(
 
 
 def _row(video: Path, status: int, found: Analysis | None, why: str, seconds: float) -> tuple[str, ...]:
+    """Return the table's row of one film; `why` says why there is no analysis."""
     if found is None or found.tracks is None:
         return (video.name, str(status), "", "", "", "", "", f"{seconds:.1f}", why)
     strip, flags = StripMetadata.of(found.tracks), flag_counts(found.tracks)
@@ -300,17 +304,17 @@ def _row(video: Path, status: int, found: Analysis | None, why: str, seconds: fl
     )
 
 
-# --- a film that a camera still writes ----------------------------------------------------------------------
+# --- a film that a camera is still writing ------------------------------------------------------------------
 
 
 @contextmanager
 def _following(settings: Settings, *, quiet: bool) -> Iterator[Follow]:
-    """Follow a growing recording with a line of its state now and then; Ctrl-C ends the following.
+    """Follow a growing recording and print its state now and then; Ctrl-C completes the recording.
 
-    A second Ctrl-C, or one while the results are made, ends the run as always.
+    A second Ctrl-C, or one while the results are written, interrupts the run as usual.
     """
     follow = Follow(
-        seen=None if quiet else _Shown(settings),
+        seen=None if quiet else _StatePrinter(settings),
         waiting=None if quiet else lambda reason: complain(f"waiting: {reason}"),
     )
     earlier = signal.getsignal(signal.SIGINT)
@@ -327,8 +331,8 @@ def _following(settings: Settings, *, quiet: bool) -> Iterator[Follow]:
         signal.signal(signal.SIGINT, earlier)
 
 
-class _Shown:
-    """Writes the state of the recording to standard error, at most every five seconds."""
+class _StatePrinter:
+    """Prints the state of the recording to standard error, at most every five seconds."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -337,9 +341,9 @@ class _Shown:
     def __call__(self, last: Callable[[int], xr.DataArray], behind: int | None) -> None:
         if sys.stderr is None or time.monotonic() < self._next:
             return
-        strip = last(100)  # enough to know the noise to a tenth, few enough to be quick
+        strip = last(100)  # give the noise to 10 %, and are tracked quickly
         if behind and strip.sizes["frame"] < 20:
-            return  # too few to tell the noise, and more are coming
+            return  # too few to measure the noise, and more are in the file
         line = _state(strip, behind, self._settings)
         tty = sys.stderr.isatty()
         sys.stderr.write(f"\r\x1b[K{line}" if tty else f"{line}\n")
@@ -348,12 +352,12 @@ class _Shown:
 
 
 def _state(strip: xr.DataArray, behind: int | None, settings: Settings) -> str:
-    """How far the recording is read, and what its last frames show."""
+    """Return a line that says how far the recording is read and what its last frames show."""
     frame, time_s = int(strip["frame"].values[-1]), float(strip["time_s"].values[-1])
     where = f"frame {frame}" + (f", {time_s:.1f} s" if math.isfinite(time_s) else "")
     late = "" if behind is None else f"; {behind} more in the file"
     try:
-        # Decisions by hand are about the whole film.
+        # Corrections apply to the whole film.
         tracks = track_strip(strip, replace(settings, corrections=()))
     except InputError as error:
         return f"{where}{late}; {error}"

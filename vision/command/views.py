@@ -1,4 +1,4 @@
-"""Commands that look: at a recording (preview, kymograph), or at finished runs (export to compare)."""
+"""Commands on a recording (preview, kymograph) and on finished runs (export to compare)."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ from vision.video import Video, reference_frame, strip_profile, video_files
 from vision.video.strip import row_means
 from vision.video.strip_find import choose_strip
 
-DIAGRAMS = "diagrams"  # of run.json: tells a folder of diagrams from a run
+DIAGRAMS = "diagrams"  # key in run.json that distinguishes a folder of diagrams from a run
 
 
 # --- preview ------------------------------------------------------------------------------------------------
@@ -69,41 +69,42 @@ DIAGRAMS = "diagrams"  # of run.json: tells a folder of diagrams from a run
 
 @dataclass(frozen=True)
 class Preview:
-    """What a few frames show."""
+    """Results of tracking a few consecutive frames of a film, and ridges counted over all of it."""
 
     video: Video  # the whole film
-    frame: Pixels  # the first frame of those tracked that shows something
-    strip: xr.DataArray  # of the consecutive frames
+    frame: Pixels  # the first of the tracked frames that is not blank
+    strip: xr.DataArray  # of the tracked frames
     tracks: xr.Dataset
-    counts: Ints  # ridges in each of the frames spread over the film
-    warnings: tuple[str, ...]  # about the strip, the light, and positions in the frames that were tracked
+    ridge_counts: Ints  # in each of some frames spread over the film
+    warnings: tuple[str, ...]
 
 
 def preview(video: Path, reading: VideoOptions, config: Path | None, output: OutputOptions) -> int:
-    """What would be measured, from a few frames; the exit status."""
+    """Write the picture of a preview, print its summary, and return the exit status."""
     settings = settings_of(merged(reading, config=config))
     target = output.out or Path(f"{run_name(video)}_preview.png")
     if output.out is not None:
         check_new(target, overwrite=output.overwrite)
-    found = look(video, settings)
+    found = make_preview(video, settings)
     size = settings.pixel_size_um
     if settings.pitch_um is not None:
         size = pixel_size_from_pitch(found.tracks, settings.pitch_um)
     with whole_file(target) as path:
         preview_figure(found.frame, found.strip, found.tracks, pixel_size_um=size).save(path)
-    return conclude([*lines(found, size), f"picture    {target}"], found.warnings, quiet=output.quiet)
+    summary = [*preview_summary(found, size), f"picture    {target}"]
+    return conclude(summary, found.warnings, quiet=output.quiet)
 
 
-def look(path: Path, settings: Settings) -> Preview:
-    """Read, track and count a few frames.  Raises: InputError as `track` does."""
+def make_preview(path: Path, settings: Settings) -> Preview:
+    """Track the first frames of a film and count ridges in others.  Raises: InputError as `track` does."""
     film = open_recording(path, settings)
     strip_settings = settings.tuning.video
     chosen = choose_strip(film, settings.rows, columns=settings.columns, settings=strip_settings)
     rows = chosen.rows
-    count = min(24, film.estimated or 24)  # the scatter of one position is then known to a seventh
+    count = min(24, film.estimated or 24)  # 24 frames give the scatter of a position to one seventh
     few = open_recording(path, replace(settings, frames=slice(film.first, film.first + count)))
     strip = strip_profile(few, rows, columns=settings.columns, settings=strip_settings)
-    # Decisions by hand are about frames that are not looked at here.
+    # Corrections are about frames that are not tracked here.
     tracks = track_strip(strip, replace(settings, corrections=()))
     columns = slice(int(strip["x"].values[0]), int(strip["x"].values[-1]) + 1)
     spread = list(film.sample(12)) or list(itertools.islice(film.frames(), 12))
@@ -111,25 +112,23 @@ def look(path: Path, settings: Settings) -> Preview:
     comb = describe_ridges(profile, polarity=tracks.attrs["ridges"], settings=settings.tuning.tracking)
     ridges = find_ridges(profile, comb, settings=settings.tuning.tracking)
     frame = reference_frame(few)
-    # What is missing can only be known from all frames.
-    kept = [line for line in warnings_of(tracks) if "missing" not in line]
-    light = overexposure(frame, rows, strip_settings)
-    warnings = dict.fromkeys([*film.warnings, *chosen.warnings, *kept, *light, *tracking_warnings(tracks)])
-    return Preview(film, frame, strip, tracks, ridges.count, tuple(warnings))
+    warnings = [*film.warnings, *chosen.warnings, *warnings_of(tracks)]
+    warnings += [*overexposure(frame, rows, strip_settings), *tracking_warnings(tracks)]
+    return Preview(film, frame, strip, tracks, ridges.count, tuple(dict.fromkeys(warnings)))
 
 
-def lines(found: Preview, pixel_size_um: float | None) -> list[str]:
-    """What was found, in nine lines."""
+def preview_summary(found: Preview, pixel_size_um: float | None) -> list[str]:
+    """Return what the frames show, in nine lines."""
     strip, comb, film = StripMetadata.of(found.strip), TrackMetadata.of(found.tracks), found.video
     rows, columns = film.shape
     count = "an unknown number of" if film.estimated is None else f"{film.estimated}"
     about = "" if film.expected is not None else "about " * (film.estimated is not None)
     noise = noise_figures(found.tracks, pixel_size_um)
     length = "" if pixel_size_um is None else f" = {noise['stated_um']:.3f} µm"
-    lean = "no lean measured" if math.isnan(strip.tilt_deg) else f"lean {strip.tilt_deg:+.2f}°"
+    tilt = "tilt not measured" if math.isnan(strip.tilt_deg) else f"tilt {strip.tilt_deg:+.2f}°"
     flags = flag_counts(found.tracks)
     other = ", ".join(f"{n} {name}" for name, n in flags.items() if name != "ok") or "none missing"
-    low, high = int(found.counts.min()), int(found.counts.max())
+    low, high = int(found.ridge_counts.min()), int(found.ridge_counts.max())
     counted = f"{low}" if low == high else f"{low} to {high}"
     scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
     frames, left = found.tracks.sizes["frame"], int((found.tracks["side"] < 0).sum())
@@ -138,10 +137,10 @@ def lines(found: Preview, pixel_size_um: float | None) -> list[str]:
     return [
         f"film       {about}{count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
         f"clock      {frame_times(strip)}",
-        f"strip      rows {strip.strip_z0}:{strip.strip_z1}, clarity {strip.strip_clarity:.2f}, {lean}, "
-        f"{strip.strip_err_px:.3f} px from the choice of rows",
-        f"sheets     {comb.sheets} {comb.ridges} ridges{sides}; {counted} in {found.counts.size} frames over "
-        "the film, others than sheets included",
+        f"strip      rows {strip.strip_z0}:{strip.strip_z1}, clarity {strip.strip_clarity:.2f}, {tilt}, "
+        f"{strip.strip_err_px:.3f} px uncertain by the choice of rows",
+        f"sheets     {comb.sheets} {comb.ridges} ridges{sides}; {counted} ridges, sheets or not, in "
+        f"{found.ridge_counts.size} frames over the film",
         f"ridges     {comb.ridge_fwhm_px:.1f} px wide, {comb.pitch_px:.1f} px apart; {comb.fit} fit over "
         f"{comb.window_px} px",
         f"light      ridges {comb.contrast:.3g} grey levels high, profile noise {comb.profile_noise:.2g}",
@@ -156,22 +155,22 @@ def lines(found: Preview, pixel_size_um: float | None) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Source:
-    """What diagrams are cut from: the strip, the sheets and the times of slips as far as they are known."""
+class DiagramData:
+    """Data of a run or a video from which space-time diagrams are made."""
 
     strip: xr.DataArray
-    tracks: xr.Dataset | None
-    slips_s: Floats | None
-    slips_from: str
+    tracks: xr.Dataset | None  # None if only the strip was read
+    slips_s: Floats | None  # times on the video's clock; None if not known
+    slips_from: str  # what the times were found from
     pixel_size_um: float | None
-    files: tuple[Path, ...]
+    files: tuple[Path, ...]  # inputs
     warnings: tuple[str, ...] = ()
 
 
 def kymograph(
     video_or_run: Path, window: WindowOptions, reading: VideoOptions, picture: str, output: OutputOptions
 ) -> int:
-    """Space-time diagrams of a video or of a run; the exit status."""
+    """Write space-time diagrams of a video or of a run, and return the exit status."""
     started = time.perf_counter()
     options = _space_time_options(window)
     target = output.out or Path(f"{run_name(video_or_run)}_kymograph")
@@ -180,7 +179,7 @@ def kymograph(
     parameters = merged(reading)
     if is_run(video_or_run):
         with reading_of(video_or_run, "a run folder as track writes it", AGAIN):
-            source = _from_run(video_or_run, reading)
+            data = _from_run(video_or_run, reading)
         options["frames"] = parse_range(reading.frames, "--frames")
     else:
         wanted, settings = bool(options["sheets"]), settings_of(parameters)
@@ -189,15 +188,15 @@ def kymograph(
             raise InputError(f"--width {window.width}", needed, "none", "or give the width as 20px")
         given = (parameters[name].value for name in ("timestamps", "corrections"))
         files = (*video_files(video_or_run), *(file for file in given if file is not None))
-        source = _from_video(video_or_run, settings, files, track=wanted, quiet=output.quiet)
-    diagrams = _diagrams(source, **options)
-    warnings = [*source.warnings, *_warnings(diagrams)]
-    slips, chosen = _slips_shown(source, diagrams[0]), parameters | parameters_given(vars(window))
-    facts = Origin(command=command_line(), inputs=source.files, parameters=chosen).facts()
-    facts |= {DIAGRAMS: [_about(diagram) for diagram in diagrams], "slips": slips, "warnings": warnings}
+        data = _from_video(video_or_run, settings, files, track=wanted, quiet=output.quiet)
+    diagrams = _diagrams(data, **options)
+    warnings = [*data.warnings, *_warnings(diagrams)]
+    slips, chosen = _slips_shown(data, diagrams[0]), parameters | parameters_given(vars(window))
+    facts = Origin(command=command_line(), inputs=data.files, parameters=chosen).facts()
+    facts |= {DIAGRAMS: [_facts(diagram) for diagram in diagrams], "slips": slips, "warnings": warnings}
     names = [f"kymograph_{d.attrs.get('sheet', 'strip').replace(':', '')}.tif" for d in diagrams]
-    figure = kymograph_figure(diagrams, slips_s=source.slips_s, slips_from=source.slips_from)
-    size = source.pixel_size_um
+    figure = kymograph_figure(diagrams, slips_s=data.slips_s, slips_from=data.slips_from)
+    size = data.pixel_size_um
     with run_folder(target, overwrite=output.overwrite) as folder:
         for name, diagram in zip(names, diagrams, strict=True):
             write_space_time_tif(diagram, folder / name, pixel_size_um=size)
@@ -215,7 +214,7 @@ def kymograph(
 
 
 def _space_time_options(window: WindowOptions) -> dict[str, Any]:
-    """Arguments of `space_time` but for the strip.  Raises: InputError, before anything is read."""
+    """Return the arguments of `_diagrams` besides the data.  Raises: InputError, before anything is read."""
     sheets = parse_sheets(window.sheet)
     for option, given in (("--width", window.width), ("--follow", window.follow)):
         if given and not sheets:
@@ -228,13 +227,13 @@ def _space_time_options(window: WindowOptions) -> dict[str, Any]:
     }
 
 
-def _from_run(folder: Path, reading: VideoOptions) -> Source:
-    """A run's kymograph.tif, tracks and slips; a pixel size given now goes before the run's own.
+def _from_run(folder: Path, reading: VideoOptions) -> DiagramData:
+    """Read a run's kymograph.tif, tracks and slips; a given pixel size overrides that of the run.
 
     Raises: InputError for options that only a video takes, columns that the run lacks, and a damaged run.
     """
-    taken = ("columns", "frames", "pixel_size")
-    given = [name for name, value in vars(reading).items() if value is not None and name not in taken]
+    accepted = ("columns", "frames", "pixel_size")
+    given = [name for name, value in vars(reading).items() if value is not None and name not in accepted]
     if given:
         found = ", ".join(f"--{name}" for name in given)
         raise InputError(folder, "options that a run takes", found, "give the video, or run track again")
@@ -243,7 +242,7 @@ def _from_run(folder: Path, reading: VideoOptions) -> Source:
     columns, size = parse_range(reading.columns, "--columns"), parse_pixel_size(reading.pixel_size)
     files = ("kymograph.tif", "tracks.nc", "events.csv", "clock.json")
     slips_s, slips_from = slip_times(run.tracks, slip_times_s(run))
-    return Source(
+    return DiagramData(
         strip=_cut(strip, columns or slice(None), folder),
         tracks=run.tracks,
         slips_s=slips_s,
@@ -254,6 +253,7 @@ def _from_run(folder: Path, reading: VideoOptions) -> Source:
 
 
 def _cut(strip: xr.DataArray, columns: slice, folder: Path) -> xr.DataArray:
+    """Return these columns of a run's strip.  Raises: InputError if it has none of them."""
     x = strip["x"].values
     keep = (x >= (columns.start or 0)) & (x < (x[-1] + 1 if columns.stop is None else columns.stop))
     if not keep.any():
@@ -265,8 +265,8 @@ def _cut(strip: xr.DataArray, columns: slice, folder: Path) -> xr.DataArray:
 
 def _from_video(
     path: Path, settings: Settings, files: tuple[Path, ...], *, track: bool, quiet: bool
-) -> Source:
-    """A video's strip, and its sheets where windows around them are wanted; it is read from `files`."""
+) -> DiagramData:
+    """Read a video's strip and, with `track` or a pitch, track its sheets; `files` are its inputs."""
     with frame_progress("reading", quiet=quiet) as progress:
         if track or settings.pitch_um is not None:
             analysis = analyse(path, None, settings, progress=progress)
@@ -277,39 +277,39 @@ def _from_video(
             strip = strip_profile(video, settings.rows, columns=settings.columns, progress=progress)
             tracks, warnings = None, tuple(warnings_of(strip))
     assert strip is not None
-    return Source(strip, tracks, *slip_times(tracks), settings.pixel_size_um, files, warnings)
+    return DiagramData(strip, tracks, *slip_times(tracks), settings.pixel_size_um, files, warnings)
 
 
 def _diagrams(
-    source: Source, *, sheets: list[Any], width: dict[str, Any], follow: bool, **part: Any
+    data: DiagramData, *, sheets: list[Any], width: dict[str, Any], follow: bool, **part: Any
 ) -> list[xr.DataArray]:
-    """One per sheet; of the whole strip where no sheet is asked for."""
-    size = source.pixel_size_um
-    if not sheets or source.tracks is None:
-        return [space_time(source.strip, pixel_size_um=size, **part)]
-    pitch = min(TrackMetadata.of(source.tracks).pitch_px, float(source.strip.sizes["x"]))
+    """Return one diagram per sheet, or one of the whole strip if no sheet is asked for."""
+    size = data.pixel_size_um
+    if not sheets or data.tracks is None:
+        return [space_time(data.strip, pixel_size_um=size, **part)]
+    pitch = min(TrackMetadata.of(data.tracks).pitch_px, float(data.strip.sizes["x"]))
     width = width or ({"width_px": pitch} if size is None else {"width_um": 200.0})
-    window: dict[str, Any] = {"around": source.tracks, "follow": follow, "pixel_size_um": size}
-    cut = [space_time(source.strip, sheet=sheet, **window, **width, **part) for sheet in sheets]
-    return list({diagram.attrs["sheet"]: diagram for diagram in cut}.values())  # each sheet once
+    window: dict[str, Any] = {"around": data.tracks, "follow": follow, "pixel_size_um": size}
+    diagrams = [space_time(data.strip, sheet=sheet, **window, **width, **part) for sheet in sheets]
+    return list({diagram.attrs["sheet"]: diagram for diagram in diagrams}.values())  # each sheet once
 
 
 def _warnings(diagrams: list[xr.DataArray]) -> list[str]:
-    """What makes the TIFF's even time axis, or a sheet's window, misleading."""
+    """Return warnings of uneven frame times, empty frames, and frames in which a sheet was not found."""
     off = unevenness_s(diagrams[0]["time_s"].values)
     lines = [f"frame times are uneven: the TIFF's time axis is off by up to {off:.3g} s"] if off else []
-    there = diagrams[0]["status"] == "ok"
-    if empty := int((~there).sum()):
-        lines.append(f"{empty} of {there.size} frames shown are empty")
+    recorded = diagrams[0]["status"] == "ok"
+    if empty := int((~recorded).sum()):
+        lines.append(f"{empty} of {recorded.size} frames shown are empty")
     for diagram in diagrams:
-        if "sheet" in diagram.attrs and (gone := int((diagram["x_sheet_px"].isnull() & there).sum())):
+        if "sheet" in diagram.attrs and (lost := int((diagram["x_sheet_px"].isnull() & recorded).sum())):
             name = diagram.attrs["sheet"]
-            lines.append(f"sheet {name}: not found in {gone} of {there.size} frames shown")
+            lines.append(f"sheet {name}: not found in {lost} of {recorded.size} frames shown")
     return lines
 
 
-def _about(diagram: xr.DataArray) -> dict[str, Any]:
-    """What one diagram shows."""
+def _facts(diagram: xr.DataArray) -> dict[str, Any]:
+    """Return what run.json says of one diagram."""
     names = ("sheet", "sheet_index", "centre_px", "follow", "pixel_size_um")
     frame, x = diagram["frame"].values, diagram["x"].values
     return {
@@ -320,21 +320,21 @@ def _about(diagram: xr.DataArray) -> dict[str, Any]:
     }
 
 
-def _slips_shown(source: Source, diagram: xr.DataArray) -> str:
-    """How many slips are marked and what they were taken from, or why none is."""
-    if source.slips_s is None:
-        return "not known: without a force they take tracked sheets and a symmetry axis"
+def _slips_shown(data: DiagramData, diagram: xr.DataArray) -> str:
+    """Return how many slips are marked and what they were found from, or why none is marked."""
+    if data.slips_s is None:
+        return "not known: without a force recording, tracked sheets and a symmetry axis are needed"
     times = diagram["time_s"].values
     half = frame_step_s(times) / 2
-    seen = (source.slips_s >= times[0] - half) & (source.slips_s <= times[-1] + half)
-    return f"{seen.sum()} in the part shown, from {source.slips_from}"
+    shown = (data.slips_s >= times[0] - half) & (data.slips_s <= times[-1] + half)
+    return f"{shown.sum()} in the part shown, from {data.slips_from}"
 
 
 # --- finished runs: export, figures, overlay, certify, compare ----------------------------------------------
 
 
 def export(run: Path, to: Format, output: OutputOptions) -> int:
-    """Tables of a run for another program; the exit status."""
+    """Write the tables of a run for another program, and return the exit status."""
     exported = export_run(read_run(run), to, out=output.out, overwrite=output.overwrite)
     for note in exported.notes:
         complain(note)
@@ -345,8 +345,8 @@ def export(run: Path, to: Format, output: OutputOptions) -> int:
 def figures(
     run: Path | None, names: Sequence[str], compare: Path | None, to: str, output: OutputOptions
 ) -> int:
-    """The figures of a run or of a comparison, a file each; the exit status."""
-    if compare is not None:  # what stands where the run does is the first figure's name
+    """Write the figures of a run or of a comparison, one file each, and return the exit status."""
+    if compare is not None:  # the first argument is then not a run but the name of a figure
         names = names if run is None else (str(run), *names)
         run = compare
     if run is None:
@@ -366,7 +366,7 @@ def figures(
 
 
 def overlay(run: Path, film: Path | None, frames: str | None, output: OutputOptions) -> int:
-    """The film of a run with its tracks drawn on it; the exit status."""
+    """Write the film of a run with its tracks drawn on it, and return the exit status."""
     part = parse_range(frames, "--frames")
     made = read_run(run)
     target = output.out or Path(f"{made.folder.resolve().name}_overlay.mp4")
@@ -383,7 +383,7 @@ def overlay(run: Path, film: Path | None, frames: str | None, output: OutputOpti
 
 
 def _slower(played: float, recorded: float) -> str:
-    """How much slower or faster than the film a copy of all its frames plays; "" for the same or unknown."""
+    """Say how much slower or faster than recorded a film is played; "" if equal or not known."""
     times = recorded / played
     if not math.isfinite(times) or abs(times - 1) < 0.01:
         return ""
@@ -392,7 +392,7 @@ def _slower(played: float, recorded: float) -> str:
 
 
 def certify(run: Path, films: int, most_frames: int, output: OutputOptions) -> int:
-    """The certificate of a run; the exit status."""
+    """Write the certificate of a run, and return the exit status."""
     for name, value, least in (("--films", films, 1), ("--most-frames", most_frames, 30)):
         if value < least:
             raise InputError(name, f"a whole number from {least}", f"{value}")
@@ -418,7 +418,7 @@ def compare(
     report: bool,
     output: OutputOptions,
 ) -> int:
-    """Several runs side by side; the exit status."""
+    """Compare several runs, and return the exit status."""
     target = output.out or Path("comparison")
     check_target(target, overwrite=output.overwrite)
     check_mark(target, MARK)

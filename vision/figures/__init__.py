@@ -1,4 +1,4 @@
-"""Every figure, declared once as data: drawn by matplotlib or by the report's page, written as a table."""
+"""Figures as plain data, which matplotlib or the report's page draws, or which are written as tables."""
 
 from vision.figures.camera import (
     frame_figure,

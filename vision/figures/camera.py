@@ -1,4 +1,4 @@
-"""What the camera saw: one frame, its profile I(x), and space-time diagrams with tracks and slips."""
+"""Figures of the film: one frame, its profile I(x), and space-time diagrams with tracks and slips."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ KYMOGRAPH_CAPTION = (
 
 
 def sides_known(tracks: xr.Dataset) -> bool:
-    """Whether the symmetry axis was given or found between sheets, so that sides and n mean something.
+    """Tell whether the sides and n are meaningful: the axis was given, or lies between sheets.
 
-    In few frames sheets hardly move: an axis found beside all of them is then none.
+    In few frames the sheets hardly move, and the axis that is found may lie beside all of them.
     """
     side = tracks["side"].values
     return TrackMetadata.of(tracks).axis_how == "given" or bool((side < 0).any() and (side > 0).any())
 
 
 def frame_figure(frame: Pixels, tracks: xr.Dataset, *, axis: bool = True) -> Figure:
-    """One whole frame with the averaged rows outlined, the sheets' numbers n and the symmetry axis.
+    """Return one whole frame with the averaged rows outlined, the sheets' numbers n and the symmetry axis.
 
-    Without an axis the numbers are the index from the left. A pixel is drawn square; only a frame too flat
-    to show anything is stretched, and its title says so.
+    Without an axis the numbers are the index from the left. Pixels are square, unless the frame is so flat
+    that it must be stretched, as its title then says.
     """
     rows, columns = frame.shape
     step = max(1, -(-rows // MOST_ROWS), -(-columns // (2 * MOST_ROWS)))
@@ -51,9 +51,9 @@ def frame_figure(frame: Pixels, tracks: xr.Dataset, *, axis: bool = True) -> Fig
     z0, z1 = float(strip.strip_z0), float(strip.strip_z1)
     axis_px = TrackMetadata.of(tracks).axis_px if axis else math.nan
     numbers = "sheet numbers n, symmetry axis (dashed)" if axis else "index from the left (axis not known)"
-    # The numbers stand above the strip.
-    shown = min(-0.5, z0 - max(0.15 * rows, 0.02 * columns)), rows - 0.5
-    aspect, flattest = (shown[1] - shown[0]) / columns, 0.06
+    # The range includes the numbers above the strip.
+    z_range = min(-0.5, z0 - max(0.15 * rows, 0.02 * columns)), rows - 0.5
+    aspect, flattest = (z_range[1] - z_range[0]) / columns, 0.06
     which = _which_frame(tracks)
     stretched = f"; z stretched {flattest / aspect:.2g} times" if aspect < flattest else ""
     panel = Panel(
@@ -73,7 +73,7 @@ def frame_figure(frame: Pixels, tracks: xr.Dataset, *, axis: bool = True) -> Fig
         bands=(Band(low=z0 - 0.5, high=z1 - 0.5, label="strip", outline=True),),
         x_lines=(axis_px,) if np.isfinite(axis_px) else (),
         x_range=(-0.5, columns - 0.5),
-        y_range=shown,
+        y_range=z_range,
         downwards=True,
         aspect=float(np.clip(aspect, flattest, 1)),
         square_pixels=aspect >= flattest,
@@ -89,7 +89,7 @@ def frame_figure(frame: Pixels, tracks: xr.Dataset, *, axis: bool = True) -> Fig
 
 
 def _which_frame(tracks: xr.Dataset) -> str:
-    """Number and time of the frame that is shown, the first that is neither lost nor blank."""
+    """Return number and time of the frame shown, the first that is not lost, blank or corrupt."""
     first = 0
     if "flag" in tracks:
         first = int((~np.isin(tracks["flag"].values, ("lost", "blank", "corrupt"))).all(axis=1).argmax())
@@ -99,8 +99,8 @@ def _which_frame(tracks: xr.Dataset) -> str:
 
 
 def _numbered_strokes(tracks: xr.Dataset, z0: float, z1: float) -> tuple[Series, ...]:
-    """Vertical strokes from row z0 to z1 at every sheet seen, with n as text; one series per side."""
-    x = _places_shown(tracks)
+    """Return vertical strokes from row z0 to z1 at every sheet found, with n as text; one series per side."""
+    x = _positions_shown(tracks)
     known = np.flatnonzero(np.isfinite(x))
     inks = sheet_inks(tracks)
     side, n = tracks["side"].values, tracks["n"].values
@@ -112,14 +112,14 @@ def _numbered_strokes(tracks: xr.Dataset, z0: float, z1: float) -> tuple[Series,
 
 
 def _indexed_strokes(tracks: xr.Dataset, z0: float, z1: float) -> tuple[Series, ...]:
-    """The same without sides: the index from the left as text, all in one ink."""
-    x = _places_shown(tracks)
+    """Return strokes with the index from the left as text, as one series, if the sides are not known."""
+    x = _positions_shown(tracks)
     known = np.isfinite(x)
     return (_strokes("sheets", x[known], tracks["sheet"].values[known], PEAK, z0, z1),)
 
 
-def _places_shown(tracks: xr.Dataset) -> Floats:
-    """Positions in the frame shown: the first with any."""
+def _positions_shown(tracks: xr.Dataset) -> Floats:
+    """Return the positions in the first frame that has any, (sheet,)."""
     x_px = tracks["x_px"].values
     return np.asarray(x_px[int(np.argmax(np.isfinite(x_px).any(axis=1)))], np.float64)
 
@@ -143,9 +143,9 @@ def _strokes(label: str, x: Floats, numbers: Ints, ink: Ink, z0: float, z1: floa
 def preview_figure(
     frame: Pixels, strip: xr.DataArray, tracks: xr.Dataset, *, pixel_size_um: float | None = None
 ) -> Figure:
-    """One frame with strip and sheets, its profile I(x) with the positions, and the noise of every position.
+    """Return a frame with strip and sheets, its profile I(x) with positions, and the noise of each sheet.
 
-    Strip and tracks are those of a few consecutive frames, of which the frame is the first that is usable.
+    Strip and tracks are those of a few consecutive frames, and the frame is the first usable one of them.
     """
     facts = StripMetadata.of(strip)
     x = np.asarray(strip["x"].values, np.float64)
@@ -165,29 +165,29 @@ def preview_figure(
         aspect=0.2,
     )
     scale, unit = displacement_unit(pixel_size_um)
-    middle = np.asarray(tracks["x_mean_px"].values, np.float64)
-    predicted = nan_median(tracks["x_err_px"].values) * scale
+    mean = np.asarray(tracks["x_mean_px"].values, np.float64)
+    stated = nan_median(tracks["x_err_px"].values) * scale
     measured = np.asarray(tracks["x_noise_px"].values, np.float64) * scale
     noise = Panel(
         title="Noise of one position of every sheet",
         x_label="x (px)",
         y_label=f"noise of x ({unit})",
         series=(
-            Series.points("scatter between frames", middle, measured, DATA),
-            Series.points("stated error", middle, predicted, VALLEY, hollow=True),
+            Series.points("scatter between frames", mean, measured, DATA),
+            Series.points("stated error", mean, stated, VALLEY, hollow=True),
         ),
         x_range=(left, right),
-        y_range=from_zero(predicted, measured),
+        y_range=from_zero(stated, measured),
         aspect=0.2,
         placeholder="no positions",
     )
     return Figure(
         name="preview",
-        title="What would be measured",
+        title="Preview",
         caption=(
-            f"Above: frame {int(tracks['frame'].values[first])} with the averaged rows (outlined) and the "
-            "sheets' numbers. Middle: the mean of these rows with the positions found. Below: the standard "
-            "error stated for one position (hollow) and the scatter from frame to frame over "
+            f"Top: frame {int(tracks['frame'].values[first])} with the averaged rows (outlined) and the "
+            "sheets' numbers. Middle: the mean of these rows with the positions. Bottom: the stated standard "
+            "error of one position (hollow) and the scatter from frame to frame over "
             f"{tracks.sizes['frame']} consecutive frames (filled)."
         ),
         panels=(frame_figure(frame, tracks, axis=sides_known(tracks)).panel, curve, noise),
@@ -196,24 +196,24 @@ def preview_figure(
 
 
 def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | None = None) -> Figure | None:
-    """I(x) of one frame with the positions, and one ridge at the start and end of a stick and after the slip.
+    """Return I(x) of one frame, and one ridge at the start and end of a stick phase and after the slip.
 
-    Without two slips (times on the camera's clock, rising) only I(x) is shown.
+    slips_s: rising times on the camera's clock. With fewer than two only I(x) is shown.
     """
     x_px = np.asarray(tracks["x_px"].values, np.float64)
     frames = _stick_frames(tracks, slips_s)
-    seen = np.flatnonzero(np.isfinite(x_px).any(axis=1))
-    if not seen.size:
+    measured = np.flatnonzero(np.isfinite(x_px).any(axis=1))
+    if not measured.size:
         return None
-    start = frames[0] if frames and frames[0] in seen else int(seen[0])
+    start = frames[0] if frames and frames[0] in measured else int(measured[0])
     columns = np.asarray(strip["x"].values, np.float64)
     values = np.asarray(strip.values[start], np.float64)
     at = np.sort(x_px[start][np.isfinite(x_px[start])])
     time, label = time_axis(tracks)
-    place = f"frame {time[start]:.4g}" if label == "frame" else f"t = {time[start]:.4g} s"
+    when = f"frame {time[start]:.4g}" if label == "frame" else f"t = {time[start]:.4g} s"
     panels = [
         Panel(
-            title=f"Profile at {place}",
+            title=f"Profile at {when}",
             x_label="x (px)",
             y_label="I (grey levels)",
             series=(
@@ -228,14 +228,13 @@ def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | 
     if frames and sheet is not None:
         panels.append(_ridge_panel(strip, tracks, frames, sheet))
         ridge = (
-            " Right: one ridge at the beginning and at the end of a stick and after the slip; vertical lines "
-            "are its positions. It moves inwards during the stick and back in the slip."
+            " Right: one ridge at the beginning and at the end of a stick phase and after the slip; vertical "
+            "lines are its positions. It moves inwards during the stick phase and back in the slip."
         )
     return Figure(
         name="intensity",
         title="Intensity profile and one ridge in three frames",
-        caption="Intensity averaged over the strip's rows against the column, with the positions that were "
-        f"found.{ridge}",
+        caption=f"Intensity averaged over the strip's rows against the column, with the positions.{ridge}",
         panels=tuple(panels),
         columns=len(panels),
         width_in=13.0 if ridge else 8.0,
@@ -243,7 +242,7 @@ def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | 
 
 
 def _stick_frames(tracks: xr.Dataset, slips_s: Floats | None) -> tuple[int, int, int] | None:
-    """First and last whole frame of the longest stick of the first ones, and the first after its slip."""
+    """Return first and last frame of the longest early stick phase, and the first frame after its slip."""
     time, label = time_axis(tracks)
     if slips_s is None or label == "frame" or time.size < 4:
         return None
@@ -252,7 +251,7 @@ def _stick_frames(tracks: xr.Dataset, slips_s: Floats | None) -> tuple[int, int,
     if slips.size < 2:
         return None
     which = int(np.diff(slips[: SHOWN_SLIPS + 1]).argmax())
-    # a frame beside a slip may have it in its exposure
+    # One frame is left out on each side of a slip, as the slip may be in its exposure.
     start = int(np.searchsorted(time, slips[which] + step))
     end = int(np.searchsorted(time, slips[which + 1] - step)) - 1
     after = int(np.searchsorted(time, slips[which + 1] + step))
@@ -260,22 +259,24 @@ def _stick_frames(tracks: xr.Dataset, slips_s: Floats | None) -> tuple[int, int,
 
 
 def _ridge_sheet(tracks: xr.Dataset, frames: tuple[int, int, int] | None) -> int | None:
-    """The outermost sheet of the right side that has a position in each of the three frames."""
+    """Return the rightmost sheet that has a position in each of the three frames."""
     if frames is None:
         return None
-    there = np.isfinite(tracks["x_px"].values[list(frames)]).all(axis=0)
-    rank = np.where(there, tracks["side"].values * tracks["n"].values, -np.inf)
-    return int(rank.argmax()) if there.any() else None
+    measured = np.isfinite(tracks["x_px"].values[list(frames)]).all(axis=0)
+    outwards = np.where(measured, tracks["side"].values * tracks["n"].values, -np.inf)
+    return int(outwards.argmax()) if measured.any() else None
 
 
 def _ridge_panel(strip: xr.DataArray, tracks: xr.Dataset, frames: tuple[int, int, int], sheet: int) -> Panel:
+    """Return the profiles of one ridge in three frames, with its positions."""
     columns = np.asarray(strip["x"].values, np.float64)
-    place = tracks["x_px"].values[list(frames), sheet]
+    positions = tracks["x_px"].values[list(frames), sheet]
     pitch = TrackMetadata.of(tracks).pitch_px
-    near = np.flatnonzero(np.abs(columns - place.mean()) <= (0.9 * pitch if math.isfinite(pitch) else 20))
+    reach = 0.9 * pitch if math.isfinite(pitch) else 20.0
+    near = np.flatnonzero(np.abs(columns - positions.mean()) <= reach)
     series: list[Series] = []
     names = ("start of the stick", "end of the stick", "after the slip")
-    for name, ink, frame, at in zip(names, (DATA, PEAK, MODEL), frames, place, strict=True):
+    for name, ink, frame, at in zip(names, (DATA, PEAK, MODEL), frames, positions, strict=True):
         values = np.asarray(strip.values[frame, near], np.float64)
         hollow = name == names[2]
         series.append(Series(label=name, x=columns[near], y=values, ink=ink, look="both", hollow=hollow))
@@ -295,11 +296,11 @@ def _ridge_panel(strip: xr.DataArray, tracks: xr.Dataset, frames: tuple[int, int
 
 
 def slip_times(tracks: xr.Dataset | None, force_s: Floats | None = None) -> tuple[Floats | None, str]:
-    """Times of the slips on the camera's clock, s, and what they are from.
+    """Return the times of the slips on the camera's clock, s, and their source.
 
-    Those of the force where they are surely known on that clock (`force_s`), else the common outward steps of
-    the sheets; None where neither is known: with an axis that was only guessed from the sheets' places,
-    outward is not known.
+    The times are those of the force recording on that clock (`force_s`), or else those of the common outward
+    steps of the sheets. They are None if the axis is only the middle of the sheets in view, as the outward
+    direction is then not known.
     """
     if force_s is not None:
         return np.sort(force_s), "the force"
@@ -310,7 +311,7 @@ def slip_times(tracks: xr.Dataset | None, force_s: Floats | None = None) -> tupl
         return None, ""
     try:
         return video_slips(tracks)["time_s"].to_numpy(float), "the sheets' common steps"
-    except InputError:  # too few frames, or none with a time: nothing to mark
+    except InputError:  # too few frames, or none with a time
         return None, ""
 
 
@@ -322,10 +323,10 @@ def space_time_figure(
     slips_s: Floats | None = None,
     slips_from: str = "the force",
 ) -> Figure:
-    """I(x, t), time downwards, with the tracks on it, and marks at the times of the slips.
+    """Return I(x, t), time downwards, with the tracks and marks at the times of the slips.
 
-    Rows of the image are means of the frames that they stand for, in which a slip cannot be seen; the tracks
-    keep the minimum and maximum position of each interval.
+    A row of the image is the mean of several frames of a long film, and does not show single slips. The
+    tracks show the minimum and maximum position of each interval.
     """
     scale, _ = position_unit(pixel_size_um, strip.sizes["x"])
     at, x_px = decimated_tracks(tracks)
@@ -335,7 +336,7 @@ def space_time_figure(
         pixel_size_um=pixel_size_um,
         limits=grey_limits(strip.values),
         series=tuple(
-            replace(series, dashed=False)  # dashes are lost in a narrow line with a dark edge
+            replace(series, dashed=False)  # dashes are invisible in a narrow line with a dark edge
             for series in sheet_series(tracks, at, x_px * scale, inks=inks, width=1.0)
         ),
         title="Space-time diagram with the tracks",
@@ -358,7 +359,7 @@ def space_time_figure(
 
 
 def _comb_range(tracks: xr.Dataset, panel: Panel, scale: float) -> Range | None:
-    """The sheets and two pitches beside them, within the image."""
+    """Return the range of the sheets and two pitches beside them, within the image."""
     x = tracks["x_px"].values
     if panel.image is None or not np.isfinite(x).any():
         return panel.y_range
@@ -375,19 +376,18 @@ def kymograph_figure(
     slips_s: Floats | None = None,
     slips_from: str = "the force",
 ) -> Figure:
-    """Space-time diagrams side by side, with one time axis and one grey scale for all.
+    """Return space-time diagrams side by side, with one time axis and one grey scale.
 
     Parameters
     ----------
     diagrams
-        From `space_time`: the whole strip, or windows around sheets. The pixel size in their attributes is
-        used where they have one.
+        The whole strip, or windows around sheets, as returned by `space_time`.
     pixel_size_um
-        For diagrams without it.
+        Pixel size of diagrams without one in their attributes.
     slips_s
         Times to mark, on the recording's clock, s.
     slips_from
-        What the times were taken from, for the label.
+        Source of the times, for the label.
     """
     limits = grey_limits(*(diagram.values for diagram in diagrams))
     windows = "sheet" in diagrams[0].attrs
@@ -429,7 +429,7 @@ def _diagram_panel(
     with_time: bool = True,
     aspect: float = 0.5,
 ) -> Panel:
-    """I(x, t) with time downwards; gaps in the frames' times stay gaps."""
+    """Return I(x, t) with time downwards; gaps in the frames' times are gaps in the image."""
     time, time_label = time_axis(diagram)
     edges_x, x_label = _columns(diagram, pixel_size_um)
     thin = max(1, -(-diagram.shape[1] // (2 * MOST_ROWS)))
@@ -462,7 +462,10 @@ def _diagram_panel(
 
 
 def _columns(diagram: xr.DataArray, size: float | None) -> tuple[Floats, str]:
-    """Edges of the columns and their label: mm, or µm below 1 mm and in a window; px without a pixel size."""
+    """Return the edges of the columns and the label of their axis.
+
+    The unit is mm, µm in a window or below 1 mm, or px without a pixel size.
+    """
     x = np.asarray(diagram["x"].values, np.float64)
     edges = np.append(x - 0.5, x[-1] + 0.5)
     if "sheet" not in diagram.attrs:
@@ -480,8 +483,8 @@ def _window_title(diagram: xr.DataArray, pixel_size_um: float | None) -> str:
         return "Space-time diagram of the strip"
     side, n = diagram.attrs["sheet"].split(":")
     size, centre = diagram.attrs.get("pixel_size_um", pixel_size_um), diagram.attrs["centre_px"]
-    place = f"{centre:.1f} px" if size is None else f"{centre * size / UM_PER_MM:.2f} mm"
-    return f"{side}, n = {n}" + ("" if diagram.attrs["follow"] else f"\nx₀ = {place}")
+    x_0 = f"{centre:.1f} px" if size is None else f"{centre * size / UM_PER_MM:.2f} mm"
+    return f"{side}, n = {n}" + ("" if diagram.attrs["follow"] else f"\nx₀ = {x_0}")
 
 
 # --- single sheets ------------------------------------------------------------------------------------------
@@ -495,18 +498,18 @@ def single_sheets_figure(
     pixel_size_um: float | None = None,
     slips_from: str = "the force",
 ) -> Figure | None:
-    """Space-time diagrams around an outer and an inner sheet over a few slips; None where there are none.
+    """Return space-time diagrams around an outer and an inner sheet over a few slips; None without slips.
 
-    The windows are 0.2 mm wide, as in the publication; without a pixel size one pitch. The times of the slips
-    are on the camera's clock, rising.
+    The windows are 0.2 mm wide, as in the publication, or one pitch without a pixel size.
+    slips_s: rising times on the camera's clock.
     """
     time = time_axis(tracks)[0]
     slips = slips_s[(slips_s >= time[0]) & (slips_s <= time[-1])]
     names = _two_sheets(tracks)
     if slips.size < 2 or not names:
         return None
-    some = slips[:SHOWN_SLIPS]
-    half = 0.5 * float(np.median(np.diff(some)))
+    shown = slips[:SHOWN_SLIPS]
+    half = 0.5 * float(np.median(np.diff(shown)))  # of a stick phase
     try:
         diagrams = [
             space_time(
@@ -514,36 +517,35 @@ def single_sheets_figure(
                 around=tracks,
                 sheet=name,
                 pixel_size_um=pixel_size_um,
-                time_s=(some[0] - half, some[-1] + half),
+                time_s=(shown[0] - half, shown[-1] + half),
                 width_um=None if pixel_size_um is None else 200.0,
                 width_px=TrackMetadata.of(tracks).pitch_px if pixel_size_um is None else None,
             )
             for name in names
         ]
-    except InputError:  # a sheet that is not seen in these frames
+    except InputError:  # a sheet without positions in these frames
         return None
-    who = " and ".join(f"n = {n} ({side})" for side, n in names)
+    sheets = " and ".join(f"n = {n} ({side})" for side, n in names)
     return replace(
-        kymograph_figure(diagrams, pixel_size_um=pixel_size_um, slips_s=some, slips_from=slips_from),
+        kymograph_figure(diagrams, pixel_size_um=pixel_size_um, slips_s=shown, slips_from=slips_from),
         name="single_sheets",
         title="Space-time diagrams of single sheets",
         caption=(
-            f"Intensity in a window around {who}, one frame below the other, over {some.size} slips (orange, "
-            f"from {slips_from}). Outer sheets move more."
+            f"Intensity in a window around {sheets}, one frame below the other, over {shown.size} slips "
+            f"(orange, from {slips_from}). Outer sheets move more."
         ),
     )
 
 
 def _two_sheets(tracks: xr.Dataset) -> list[tuple[str, int]]:
-    """An outer and an inner sheet of the right side (of the left where that has none)."""
+    """Return an outer and an inner sheet of the right side, or of the left if the right has none."""
     side, n = np.asarray(tracks["side"].values), np.asarray(tracks["n"].values)
     which = 1 if (side > 0).any() else -1
-    seen = np.isfinite(tracks["x_px"].values).any(axis=0) & (side == which)
-    there = n[seen]
-    if not there.size:
+    found = n[np.isfinite(tracks["x_px"].values).any(axis=0) & (side == which)]
+    if not found.size:
         return []
-    outer, inner = 23, 10  # the publication's
-    if there.max() < outer:  # as far out in a block of fewer sheets
-        outer, inner = round(0.92 * there.max()), round(0.4 * there.max())
-    nearest = {int(there[np.abs(there - wanted).argmin()]) for wanted in (outer, inner)}
+    outer, inner = 23, 10  # those of the publication
+    if found.max() < outer:  # the same fractions of a block with fewer sheets
+        outer, inner = round(0.92 * found.max()), round(0.4 * found.max())
+    nearest = {int(found[np.abs(found - wanted).argmin()]) for wanted in (outer, inner)}
     return [("right" if which > 0 else "left", k) for k in sorted(nearest, reverse=True)]

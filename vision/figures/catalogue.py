@@ -1,4 +1,4 @@
-"""Every figure of a run by name, in reading order, and what a run has no figure of."""
+"""All figures of a run by name, in reading order, and what is missing in a run."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 
 class Results(Protocol):
-    """What figures and the report are made from; parts that a run does not have are None.
+    """Results of a run from which figures and the report are made, such as `vision.analyse` returns.
 
-    `vision.analyse` returns such an object.
+    Parts that a run does not have are None.
     """
 
     @property
@@ -49,11 +49,11 @@ class Results(Protocol):
 
     @property
     def fits(self) -> ModelFits | None:
-        """The models, from `fit_models`."""
+        """Fitted models, from `fit_models`."""
 
     @property
     def clock(self) -> Clock | None:
-        """From `synchronise`."""
+        """Relation of the camera's clock to the machine's, from `synchronise`."""
 
     @property
     def motion(self) -> xr.Dataset | None:
@@ -73,27 +73,26 @@ class Results(Protocol):
 
     @property
     def reasons(self) -> Mapping[str, str]:
-        """Why a part is None, by its name above."""
+        """Reason why a part is None, by the name of the part."""
 
     @property
     def warnings(self) -> Sequence[str]:
-        """What the reader must know."""
+        """Warnings that matter for the results."""
 
 
 @dataclass(frozen=True)
 class CatalogueEntry:
     """How one figure is made."""
 
-    # heading of the report under which it stands; "" for figures that the report does not show, because
-    # their panels are figures of their own there
+    # heading in the report; "" for figures that the report lacks, as it shows their panels individually
     section: str
-    # the figure of results that have what it needs; None where there is still nothing to show
+    # makes the figure from results with the parts in `needs`; returns None if there is nothing to show
     build: Callable[[Any], Figure | None]
-    needs: tuple[str, ...] = ()  # parts of the results without which there is no such figure (`_has`)
-    paper: str = ""  # number of the publication's figure that it corresponds to, "" for none
+    needs: tuple[str, ...] = ()  # parts of the results that the figure needs (`_has`)
+    paper: str = ""  # number of the corresponding figure of the publication, or ""
 
     def make(self, results: Results) -> Figure | None:
-        """The figure, with the publication's number in its caption; None where the results lack its data."""
+        """Return the figure, with the publication's number in its caption; None without its data."""
         figure = self.build(results) if all(_has(results, part) for part in self.needs) else None
         if figure is None or not self.paper:
             return figure
@@ -101,15 +100,12 @@ class CatalogueEntry:
 
 
 def figures_of(results: Results) -> list[Figure]:
-    """All figures that these results allow, in reading order.
-
-    Those that only put others together, "overview", "kymograph" and "force_overview", are left out.
-    """
+    """Return all figures of the report for which there are data, in reading order."""
     return _made(results, (entry for entry in FIGURES.values() if entry.section))
 
 
 def publication_figures_of(results: Results) -> list[Figure]:
-    """The publication's figures that are not among `figures_of`: no part of the report, drawn by name."""
+    """Return the figures that correspond to the publication's but are not in the report."""
     return _made(results, (entry for entry in FIGURES.values() if entry.paper and not entry.section))
 
 
@@ -118,7 +114,7 @@ def _made(results: Results, entries: Iterable[CatalogueEntry]) -> list[Figure]:
 
 
 def sections_of(figures: Iterable[Figure]) -> list[tuple[str, list[Figure]]]:
-    """Headings with their figures, in reading order."""
+    """Return headings with their figures, in reading order."""
     sections: dict[str, list[Figure]] = {}
     for figure in figures:
         if section := FIGURES[figure.name].section:
@@ -127,7 +123,7 @@ def sections_of(figures: Iterable[Figure]) -> list[tuple[str, list[Figure]]]:
 
 
 def overview(figures: Iterable[Figure]) -> Figure | None:
-    """One page to judge a run by: frame, space-time diagram and displacements, of these figures."""
+    """Return a figure of frame, space-time diagram and displacements, taken from these figures."""
     named = {figure.name: figure.panel for figure in figures}
     aspects = {"frame": None, "space_time": 0.45, "tracks": 0.33}
     panels = tuple(
@@ -151,7 +147,7 @@ def overview(figures: Iterable[Figure]) -> Figure | None:
 
 
 def kymograph(figures: Iterable[Figure]) -> Figure | None:
-    """The space-time diagram of the whole strip without the tracks, of these figures."""
+    """Return the space-time diagram of the whole strip without tracks, taken from these figures."""
     panel = next((figure.panel for figure in figures if figure.name == "space_time"), None)
     if panel is None or panel.image is None:
         return None
@@ -162,14 +158,14 @@ def kymograph(figures: Iterable[Figure]) -> Figure | None:
 
 
 def slips_of(r: Results) -> tuple[Floats | None, str]:
-    """Times of the slips on the camera's clock, s, and what they are from."""
+    """Return the times of the slips on the camera's clock, s, and their source."""
     if r.sticks is None or not len(r.sticks) or r.clock is None or r.clock.status == "ambiguous":
         return camera.slip_times(r.tracks)
     return camera.slip_times(r.tracks, r.clock.to_video_s(r.sticks["t_p_s"].to_numpy(float)))
 
 
 def _has(r: Results, part: str) -> bool:
-    """Whether the results hold this part, and something in it; "separation": events with a known one."""
+    """Tell whether the results have this part and it is not empty; "separation": events with known d."""
     if part == "separation":
         return r.sticks is not None and bool(r.sticks["d_v_mm"].notna().any())
     if part == "motion":
@@ -201,7 +197,6 @@ _TRUST = "Can the positions be trusted?"
 _CLOCKS = "The two clocks"
 _STICKS = "Stick phases"
 _SHELL = "Deformation and the stiff shell"
-# name: heading of the report, how it is made, what it needs, the publication's figure
 FIGURES: Mapping[str, CatalogueEntry] = {
     "frame": CatalogueEntry(
         _CAMERA, lambda r: camera.frame_figure(r.frame, r.tracks), ("frame", "tracks"), paper="7a"
@@ -295,7 +290,7 @@ FIGURES: Mapping[str, CatalogueEntry] = {
 
 
 def missing_parts(results: Results) -> list[str]:
-    """What cannot be shown and why, one sentence each, arguments in backticks."""
+    """Return what cannot be shown and why, one sentence each, with arguments in backticks."""
     return [*_missing_from_video(results), *_missing_from_force(results)]
 
 
@@ -306,7 +301,7 @@ def _missing_from_video(r: Results) -> Iterator[str]:
     if r.pixel_size_um is None:
         yield "Lengths in µm: no pixel size was given (`pixel_size_um`)."
     if r.frame is None:
-        yield f"An image of one frame: {r.reasons.get('frame', 'none was kept.')}"
+        yield f"An image of one frame: {r.reasons.get('frame', 'none was stored.')}"
 
 
 def _missing_from_force(r: Results) -> Iterator[str]:
@@ -327,9 +322,9 @@ def _missing_from_force(r: Results) -> Iterator[str]:
         yield f"Deformation and shells: {r.reasons.get('clock', default)}"
     elif not _has(r, "motion"):
         default = (
-            "the clocks are ambiguous, so no stick phase can be placed in the video (give `offset_s`)."
+            "the clocks are ambiguous, so the time of stick phases in the video is unknown (give `offset_s`)."
             if r.clock.status == "ambiguous"
-            else "no stick phase was measured inside the video."
+            else "no stick phase was measured in the video."
         )
         yield f"Deformation and shells: {r.reasons.get('motion', default)}"
     elif not _has(r, "shells"):
@@ -338,7 +333,7 @@ def _missing_from_force(r: Results) -> Iterator[str]:
 
 
 class Plots:
-    """The figures of some results as functions: ``plot.NAME(ax=None)``."""
+    """Functions that draw the figures of some results: ``plot.NAME(ax=None)``."""
 
     def __init__(self, results: Results) -> None:
         self._results = results
@@ -353,7 +348,7 @@ class Plots:
 
 
 def figure_named(results: Results, name: str) -> Figure:
-    """One figure by its name.  Raises: InputError where the results lack its data."""
+    """Return a figure by its name.  Raises: InputError if the results lack its data."""
     figure = FIGURES[name].make(results)
     if figure is None:
         reasons = "; ".join(results.reasons.values())

@@ -1,4 +1,4 @@
-"""Figures of several tests: overlays by velocity, the collapse, irregular stick-slip, the trends."""
+"""Figures of several tests: overlays by velocity, collapse, irregular stick-slip and trends."""
 
 from __future__ import annotations
 
@@ -27,37 +27,37 @@ _QUANTITY = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ComparedTests:
-    """What the figures of several tests are drawn from."""
+    """Data for the figures of several tests."""
 
     events: pd.DataFrame  # all events with ``run``, ``sample``, ``V_mm_min`` and ``used``
     table: pd.DataFrame  # tests.csv
     sample: Sample  # geometry of the first test, for the model curves
     mu: Estimate  # of the joint fit
     amplitude: Estimate  # A
-    modulus: Estimate  # the Y_eff held fixed
-    joint_name: str  # sample of the joint fit; "" where there is none
-    misfit: float  # χ²/dof of the tests' own μ about the joint one where that does not fit; else NaN
-    collapse: pd.DataFrame | None  # one row an event: ``run``, ``d_v_mm``, ``d_hat``, ``sheets``
-    rms: tuple[float, float, float]  # distance from the master curve before and after, that of noise alone
-    irregular: Sequence[Mapping[str, Any]]  # running variation of ΔF and its change point, one mapping a test
-    trends: Sequence[Mapping[str, Any]]  # one mapping a trend
-    sticks: Sequence[tuple[float, Figure]]  # velocity and figure of single sticks, one a velocity
+    modulus: Estimate  # the fixed Y_eff
+    joint_name: str  # sample of the joint fit; "" without one
+    misfit: float  # χ²/dof of the individual μ about the joint one if that does not fit; else NaN
+    collapse: pd.DataFrame | None  # one row per event: ``run``, ``d_v_mm``, ``d_hat``, ``sheets``
+    rms: tuple[float, float, float]  # from the master curve: with one Λ̂, with individual ones; noise alone
+    irregular: Sequence[Mapping[str, Any]]  # running variation of ΔF and its change point, one per test
+    trends: Sequence[Mapping[str, Any]]
+    sticks: Sequence[tuple[float, Figure]]  # velocity and its figure of single events
 
 
-def compare_figures(overlay: ComparedTests) -> list[Figure]:
-    """Every figure that these tests allow, in reading order."""
-    made = [
-        *(make(overlay) for make in (peaks_figure, drops_figure, stiffnesses_figure)),
-        *sticks_figures(overlay),
-        collapse_figure(overlay),
-        irregular_figure(overlay),
-        *trends_figures(overlay),
+def compare_figures(tests: ComparedTests) -> list[Figure]:
+    """Return all figures for which there are data, in reading order."""
+    figures = [
+        *(make(tests) for make in (peaks_figure, drops_figure, stiffnesses_figure)),
+        *sticks_figures(tests),
+        collapse_figure(tests),
+        irregular_figure(tests),
+        *trends_figures(tests),
     ]
-    return [figure for figure in made if figure is not None]
+    return [figure for figure in figures if figure is not None]
 
 
 def compare_sections(figures: Iterable[Figure]) -> list[tuple[str, list[Figure]]]:
-    """Headings of the report's page with their figures; those of several panels are left out."""
+    """Return headings of the report with their figures of one panel."""
     sections: dict[str, list[Figure]] = {}
     for figure in figures:
         heading = next((text for start, text in _HEADINGS.items() if figure.name.startswith(start)), "")
@@ -67,9 +67,9 @@ def compare_sections(figures: Iterable[Figure]) -> list[tuple[str, list[Figure]]
 
 
 _HEADINGS = {
-    "peaks": "All tests over one another",
-    "drops": "All tests over one another",
-    "stiffnesses": "All tests over one another",
+    "peaks": "All tests",
+    "drops": "All tests",
+    "stiffnesses": "All tests",
     "sticks": "Single stick-slip events",
     "collapse": "The collapse",
     "irregular": "Where stick-slip turns irregular",
@@ -81,24 +81,24 @@ _HEADINGS = {
 
 
 def velocity(speed_mm_min: float) -> float:
-    """Nominal velocity: two digits of the measured one."""
+    """Return the nominal velocity, two digits of the measured one."""
     return float(f"{speed_mm_min:.2g}") if np.isfinite(speed_mm_min) else float("nan")
 
 
-def peaks_figure(o: ComparedTests) -> Figure:
-    """F_p − 𝒯0 against d of all velocities, with Eq. 1 and the joint μ where that fits."""
-    offset = o.table.set_index("run")["T0_N"]
-    events = o.events.assign(y=o.events["F_p_N"] - o.events["run"].map(offset))
-    series = _points(o, events, "d_p_mm", "y")
-    if np.isfinite(o.misfit):
-        model = f"No curve: no single μ fits these tests (χ²/dof of their own μ {o.misfit:.3g})."
+def peaks_figure(tests: ComparedTests) -> Figure:
+    """Return F_p − 𝒯0 against d at all velocities, with Eq. 1 if one μ fits all tests."""
+    offset = tests.table.set_index("run")["T0_N"]
+    events = tests.events.assign(y=tests.events["F_p_N"] - tests.events["run"].map(offset))
+    series = _points(tests, events, "d_p_mm", "y")
+    if np.isfinite(tests.misfit):
+        model = f"No curve: no single μ fits these tests (χ²/dof of their individual μ {tests.misfit:.3g})."
     else:
         d = _span(events, "d_p_mm")
-        eq1 = Series.model("Eq. 1", d, equations.traction(d, mu=o.mu.value, sample=o.sample), MODEL)
+        eq1 = Series.model("Eq. 1", d, equations.traction(d, mu=tests.mu.value, sample=tests.sample), MODEL)
         series = (*series, eq1)
-        whose = f"fitted jointly to {o.joint_name}" if o.joint_name else "of the first test"
-        t_star = f"T* = {1000 * o.sample.t_star_N:g} mN"
-        model = f"Dashed: Eq. 1 with μ = {plus_minus(o.mu)}, {whose}, {t_star}."
+        whose = f"fitted jointly to {tests.joint_name}" if tests.joint_name else "of the first test"
+        t_star = f"T* = {1000 * tests.sample.t_star_N:g} mN"
+        model = f"Dashed: Eq. 1 with μ = {plus_minus(tests.mu)}, {whose}, {t_star}."
     return Figure.of(
         "peaks",
         Panel(x_label="d_p (mm)", y_label="F_p − T_0 (N)", series=series),
@@ -107,43 +107,45 @@ def peaks_figure(o: ComparedTests) -> Figure:
     )
 
 
-def drops_figure(o: ComparedTests) -> Figure:
-    """ΔF against d_v of all velocities, with A times the normal force."""
-    d = _span(o.events, "d_v_mm")
-    series = _points(o, o.events, "d_v_mm", "dF_N")
+def drops_figure(tests: ComparedTests) -> Figure:
+    """Return ΔF against d_v at all velocities, with A times the normal force."""
+    d = _span(tests.events, "d_v_mm")
+    series = _points(tests, tests.events, "d_v_mm", "dF_N")
     model = ""
-    if np.isfinite(o.amplitude.value) and not np.isfinite(o.misfit):
-        drop = equations.stick_slip_amplitude(d, mu=o.mu.value, prefactor=o.amplitude.value, sample=o.sample)
+    if np.isfinite(tests.amplitude.value) and not np.isfinite(tests.misfit):
+        drop = equations.stick_slip_amplitude(
+            d, mu=tests.mu.value, prefactor=tests.amplitude.value, sample=tests.sample
+        )
         series = (*series, Series.model("A × normal force", d, drop, MODEL))
-        model = f" Dashed: A times the total normal force, A = {plus_minus(o.amplitude)} (slow tests)."
+        model = f" Dashed: A times the total normal force, A = {plus_minus(tests.amplitude)} (slow tests)."
     return Figure.of(
         "drops",
-        Panel(x_label="d_v (mm)", y_label="ΔF (N)", y_range=_above_zero(o.events["dF_N"]), series=series),
+        Panel(x_label="d_v (mm)", y_label="ΔF (N)", y_range=_above_zero(tests.events["dF_N"]), series=series),
         f"ΔF = F_p − F_v of every event against the separation at its valley.{model}",
         title="Stick-slip amplitudes at all velocities",
     )
 
 
-def stiffnesses_figure(o: ComparedTests) -> Figure:
-    """K against d_v of all velocities, with M_eff K_eff and (L + d)⁻¹."""
-    d = _span(o.events, "d_v_mm")
-    scale = float(o.table["Lambda_hat_mm"].median())
-    series = _points(o, o.events, "d_v_mm", "K_N_per_mm")
+def stiffnesses_figure(tests: ComparedTests) -> Figure:
+    """Return K against d_v at all velocities, with M_eff K_eff and (L + d)⁻¹."""
+    d = _span(tests.events, "d_v_mm")
+    scale = float(tests.table["Lambda_hat_mm"].median())
+    series = _points(tests, tests.events, "d_v_mm", "K_N_per_mm")
     if np.isfinite(scale):
-        one = equations.sheet_stiffness(modulus_GPa=o.modulus.value, sample=o.sample)
-        k = np.asarray(equations.effective_sheets(d / scale, sample=o.sample) * one)
-        longer = k[0] * (o.sample.length_mm + d[0]) / (o.sample.length_mm + d)
+        one = equations.sheet_stiffness(modulus_GPa=tests.modulus.value, sample=tests.sample)
+        k = np.asarray(equations.effective_sheets(d / scale, sample=tests.sample) * one)
+        longer = k[0] * (tests.sample.length_mm + d[0]) / (tests.sample.length_mm + d)
         series = (
             *series,
             Series.model("M_eff K_eff, median Λ̂", d, k, MODEL),
             Series(label="∝ (L + d)⁻¹", x=d, y=longer, ink=OTHER_MODEL, width=2.0),
         )
-    y_range = _above_zero(o.events["K_N_per_mm"])
+    y_range = _above_zero(tests.events["K_N_per_mm"])
     return Figure.of(
         "stiffnesses",
         Panel(x_label="d_v (mm)", y_label="K (N/mm)", y_range=y_range, series=series),
-        "K of every event, the slope of the central part of its stick. Dashed: M_eff K_eff with the median Λ̂ "
-        f"of the tests and Y_eff = {plus_minus(o.modulus)} GPa. Solid: lengthening alone.",
+        "K of every event, the slope of the central part of its stick phase. Dashed: M_eff K_eff with the "
+        f"median Λ̂ of the tests and Y_eff = {plus_minus(tests.modulus)} GPa. Solid: lengthening alone.",
         title="Stiffness at all velocities",
     )
 
@@ -152,17 +154,17 @@ def _velocity_name(speed_mm_min: float) -> str:
     return "V unknown" if np.isnan(speed_mm_min) else f"V = {speed_mm_min:g} mm/min"
 
 
-def _points(o: ComparedTests, events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
-    """Used events by velocity, or by test where no single μ fits them; all others hollow and grey."""
+def _points(tests: ComparedTests, events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
+    """Return used events by velocity, or by test if no single μ fits them; unused ones hollow and grey."""
     used, rest = events[events["used"]], events[~events["used"]].sort_values(x)
-    series = _by_test(used, x, y) if np.isfinite(o.misfit) else _by_velocity(used, x, y)
+    series = _by_test(used, x, y) if np.isfinite(tests.misfit) else _by_velocity(used, x, y)
     if len(rest):
         series = (*series, Series.points("not used", rest[x], rest[y], QUIET, hollow=True))
     return series
 
 
 def _by_velocity(events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
-    """Points of all tests of one velocity."""
+    """Return one series per velocity."""
     groups = list(events.sort_values(x).groupby(events["V_mm_min"].map(velocity), dropna=False))
     return tuple(
         Series.points(_velocity_name(v), part[x], part[y], ink, hollow=k % 2 == 1)
@@ -173,15 +175,15 @@ def _by_velocity(events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
 # --- single events ------------------------------------------------------------------------------------------
 
 
-def sticks_figures(o: ComparedTests) -> list[Figure]:
-    """F − F_v against d − d_v: one panel a velocity, and all of them in one figure."""
-    panels = [(v, figure.panel) for v, figure in o.sticks]
+def sticks_figures(tests: ComparedTests) -> list[Figure]:
+    """Return F − F_v against d − d_v: one figure per velocity, and one with all of them."""
+    panels = [(v, figure.panel) for v, figure in tests.sticks]
     caption = (
-        "Force above the valley against separation beyond it, events from the beginning to the end of the "
-        "test, as recorded; of each velocity the test with most events. Dots: the central part, whose slope "
-        "is K. Arrows: ΔF and Λ_st of the first."
+        "Force above the valley against separation beyond it as recorded, for events from the beginning to "
+        "the end of the test with most events at this velocity. Dots: the central part, whose slope is K. "
+        "Arrows: ΔF and Λ_st of the first event."
     )
-    made = [
+    figures = [
         Figure.of(
             f"sticks_V{v:g}".replace(".", "p"), panel, caption, title=f"Stick-slip events at V = {v:g} mm/min"
         )
@@ -190,26 +192,26 @@ def sticks_figures(o: ComparedTests) -> list[Figure]:
     if len(panels) > 1:
         parts = tuple(replace(panel, title=f"V = {v:g} mm/min") for v, panel in panels)
         title = "Single stick-slip events at several velocities"
-        made.append(_page("sticks", title, caption, parts))
-    return made
+        figures.append(_page("sticks", title, caption, parts))
+    return figures
 
 
 def _page(name: str, title: str, caption: str, panels: tuple[Panel, ...]) -> Figure:
-    """Several panels on one page."""
+    """Return a figure of several panels."""
     return Figure(name=name, title=title, caption=caption, panels=panels, columns=2, width_in=13.0)
 
 
 # --- the collapse -------------------------------------------------------------------------------------------
 
 
-def collapse_figure(o: ComparedTests) -> Figure | None:
-    """K/K_eff against d̂ with M√(1 − d̂), and K(d_v) in the inset."""
-    if o.collapse is None:
+def collapse_figure(tests: ComparedTests) -> Figure | None:
+    """Return K/K_eff against d̂ with M√(1 − d̂), and K(d_v) in the inset."""
+    if tests.collapse is None:
         return None
-    named = o.collapse.merge(
-        o.events[["run", "sample", "V_mm_min"]].drop_duplicates("run"), on="run", how="left"
+    named = tests.collapse.merge(
+        tests.events[["run", "sample", "V_mm_min"]].drop_duplicates("run"), on="run", how="left"
     )
-    stiffness = o.events.loc[o.events["used"], ["run", "sample", "V_mm_min", "d_v_mm", "K_N_per_mm"]]
+    stiffness = tests.events.loc[tests.events["used"], ["run", "sample", "V_mm_min", "d_v_mm", "K_N_per_mm"]]
     d_hat = np.linspace(min(0.999, float(named["d_hat"].min())), 1.0, 300)
     blocks = sorted(named["sheets_per_block"].unique())
     several = len(blocks) > 1
@@ -225,47 +227,47 @@ def collapse_figure(o: ComparedTests) -> Figure | None:
         series=_by_test(stiffness, "d_v_mm", "K_N_per_mm", label=False),
     )
     top = 1.05 * float(np.nanquantile(named["sheets"], 0.999))
-    before, after, noise = o.rms
+    before, after, noise = tests.rms
     return Figure.of(
         "collapse",
         Panel(
             x_label="d̂ = d_v / Λ̂",
             y_label="K / K_eff (sheets)",
             series=(*_by_test(named, "d_hat", "sheets"), *masters),
-            y_range=(0.0, 1.75 * top),  # the inset stands above the points
+            y_range=(0.0, 1.75 * top),  # leaves room for the inset above the points
             inset=inset,
             aspect=0.75,
         ),
-        "K/K_eff of every event against d̂ = d_v/Λ̂, Λ̂ of each test with Y_eff = "
-        f"{plus_minus(o.modulus)} GPa held fixed. Dashed: the master curve. Root mean square distance from "
-        f"it: {before:.3g} sheets with one Λ̂ for all tests, {after:.3g} with each test's own; neighbouring "
-        f"events alone scatter by {noise:.3g}. Inset: K against d_v.",
+        "K/K_eff of every event against d̂ = d_v/Λ̂, with the Λ̂ of each test at fixed Y_eff = "
+        f"{plus_minus(tests.modulus)} GPa. Dashed: the master curve. Root mean square distance from it: "
+        f"{before:.3g} sheets with one Λ̂ for all tests, {after:.3g} with individual Λ̂; neighbouring events "
+        f"scatter by {noise:.3g}. Inset: K against d_v.",
         title="Stiffness in units of one sheet against the reduced separation",
     )
 
 
 def _by_test(events: pd.DataFrame, x: str, y: str, *, label: bool = True) -> tuple[Series, ...]:
-    """Points by run where these are few, else by sample, else by velocity."""
+    """Return one series per run, or of more than eight runs one per sample or velocity."""
     key = events["run"]
-    if key.nunique() > 8:  # more colours cannot be told apart
+    if key.nunique() > 8:  # more colours cannot be distinguished
         samples = len(set(events["sample"])) > 1
         key = events["sample"] if samples else events["V_mm_min"].map(velocity).map(_velocity_name)
     names = list(dict.fromkeys(key))
     series = []
     for k, (name, ink) in enumerate(zip(names, ordered_inks(len(names)), strict=True)):
         part = events[key == name].sort_values(x)
-        shown = (str(name) or "sample not named") if label else ""
-        series.append(Series.points(shown, part[x], part[y], ink, hollow=k % 2 == 1))
+        text = (str(name) or "sample not named") if label else ""
+        series.append(Series.points(text, part[x], part[y], ink, hollow=k % 2 == 1))
     return tuple(series)
 
 
 # --- irregular stick-slip -----------------------------------------------------------------------------------
 
 
-def irregular_figure(o: ComparedTests) -> Figure | None:
-    """Running coefficient of variation of ΔF against d_v with the change points."""
+def irregular_figure(tests: ComparedTests) -> Figure | None:
+    """Return the running coefficient of variation of ΔF against d_v with the change points."""
     known = [
-        (velocity(one["speed_mm_min"]), one) for one in o.irregular if np.isfinite(one["variation"]).any()
+        (velocity(one["speed_mm_min"]), one) for one in tests.irregular if np.isfinite(one["variation"]).any()
     ]
     if not known:
         return None
@@ -273,7 +275,7 @@ def irregular_figure(o: ComparedTests) -> Figure | None:
     names = list(dict.fromkeys(_velocity_name(v) for v, _ in known))
     inks = ordered_inks(len(names))
     series: list[Series] = []
-    lines, said = [], []
+    lines, changes = [], []
     for v, one in known:
         k = names.index(name := _velocity_name(v))
         label = "" if any(curve.label == name for curve in series) else name
@@ -281,9 +283,10 @@ def irregular_figure(o: ComparedTests) -> Figure | None:
         series.append(Series(label=label, x=x, y=y, ink=inks[k], dashed=k % 2 == 1))
         if np.isfinite(one["change_mm"]):
             lines.append(float(one["change_mm"]))
-            place = plus_minus(Estimate(one["change_mm"], one["change_err_mm"]))
-            said.append(f"{one['run']}: {place} mm")
-    found = f"Vertical: where it rises for good ({'; '.join(said[:6])})." if said else "No test has a change."
+            change = plus_minus(Estimate(one["change_mm"], one["change_err_mm"]))
+            changes.append(f"{one['run']}: {change} mm")
+    rises = f"Vertical: where it rises for good ({'; '.join(changes[:6])})."
+    found = rises if changes else "No test has a change."
     return Figure.of(
         "irregular",
         Panel(
@@ -293,8 +296,7 @@ def irregular_figure(o: ComparedTests) -> Figure | None:
             x_lines=tuple(lines),
             y_range=from_zero(*(one["variation"] for _, one in known)),
         ),
-        "Coefficient of variation of ΔF over a running window of events, about ΔF's own smooth course. "
-        f"{found}",
+        f"Coefficient of variation of ΔF about its smooth course, over a running window of events. {found}",
         title="Regularity of stick-slip",
     )
 
@@ -302,36 +304,36 @@ def irregular_figure(o: ComparedTests) -> Figure | None:
 # --- trends -------------------------------------------------------------------------------------------------
 
 
-def trends_figures(o: ComparedTests) -> list[Figure]:
-    """μ and N̂, and Λ̂, against the previous tests and the humidity: single, and all four in one."""
-    made = []
+def trends_figures(tests: ComparedTests) -> list[Figure]:
+    """Return μ and N̂, and Λ̂, against previous tests and humidity: one figure each, and one with all."""
+    figures = []
     for quantities, title in ((("N_hat_N", "mu"), "N̂ and μ"), (("Lambda_hat_mm",), "Λ̂")):
         for predictor, what in SHOWN_TRENDS.items():
-            panel = _trend_panel(o, quantities, predictor, what)
+            panel = _trend_panel(tests, quantities, predictor, what)
             if panel is not None:
-                said = " ".join(_said(o, quantity, predictor) for quantity in quantities)
-                caption = f"Values of every test with standard errors, and weighted lines. {said}"
+                results = " ".join(_trend_text(tests, quantity, predictor) for quantity in quantities)
+                caption = f"Values of every test with standard errors, and weighted lines. {results}"
                 name = f"trend_{'scale' if len(quantities) == 1 else 'fits'}_{predictor.partition('_')[0]}"
-                made.append(Figure.of(name, panel, caption, title=f"{title} against {what}"))
-    if len(made) > 1:
-        parts = tuple(replace(figure.panel, title=figure.title) for figure in made)
-        caption = " ".join(f"({figure.title}) {figure.caption}" for figure in made)
-        made.append(_page("trends", "Trends", caption, parts))
-    return made
+                figures.append(Figure.of(name, panel, caption, title=f"{title} against {what}"))
+    if len(figures) > 1:
+        parts = tuple(replace(figure.panel, title=figure.title) for figure in figures)
+        caption = " ".join(f"({figure.title}) {figure.caption}" for figure in figures)
+        figures.append(_page("trends", "Trends", caption, parts))
+    return figures
 
 
-def _trend_panel(o: ComparedTests, quantities: Sequence[str], predictor: str, what: str) -> Panel | None:
+def _trend_panel(tests: ComparedTests, quantities: Sequence[str], predictor: str, what: str) -> Panel | None:
     series: list[Series] = []
     for k, quantity in enumerate(quantities):
         _, error_name, short = _QUANTITY[quantity]
         ink = (DATA, PEAK)[k] if len(quantities) > 1 else VALLEY
-        known = o.table.dropna(subset=[quantity, predictor]).sort_values(predictor)
+        known = tests.table.dropna(subset=[quantity, predictor]).sort_values(predictor)
         if known.empty or known[predictor].nunique() < 2:
             continue
         x, y, error = (known[name].to_numpy(float) for name in (predictor, quantity, error_name))
         look: dict[str, Any] = {"ink": ink, "axis": "right" if k else "left"}
         series.append(Series.points(short, x, y, error=error, hollow=k == 1, **look))
-        trend = _trend_of(o, quantity, predictor)
+        trend = _trend_of(tests, quantity, predictor)
         if trend is not None and np.isfinite(trend["slope"]):
             ends = x[[0, -1]]
             line = trend["intercept"] + trend["slope"] * ends
@@ -344,13 +346,14 @@ def _trend_panel(o: ComparedTests, quantities: Sequence[str], predictor: str, wh
     )
 
 
-def _trend_of(o: ComparedTests, quantity: str, predictor: str) -> Mapping[str, Any] | None:
+def _trend_of(tests: ComparedTests, quantity: str, predictor: str) -> Mapping[str, Any] | None:
     wanted = (quantity, predictor)
-    return next((one for one in o.trends if (one["quantity"], one["predictor"]) == wanted), None)
+    return next((one for one in tests.trends if (one["quantity"], one["predictor"]) == wanted), None)
 
 
-def _said(o: ComparedTests, quantity: str, predictor: str) -> str:
-    trend = _trend_of(o, quantity, predictor)
+def _trend_text(tests: ComparedTests, quantity: str, predictor: str) -> str:
+    """Return slope, correlation and significance of a trend as a sentence."""
+    trend = _trend_of(tests, quantity, predictor)
     if trend is None or not np.isfinite(trend["slope"]):
         return ""
     slope = plus_minus(Estimate(trend["slope"], trend["slope_err"]))
@@ -358,7 +361,7 @@ def _said(o: ComparedTests, quantity: str, predictor: str) -> str:
     text = f"{_QUANTITY[quantity][2]}: slope {slope}, {rank}"
     if np.isfinite(trend["partial_slope"]):
         partial = plus_minus(Estimate(trend["partial_slope"], trend["partial_slope_err"]))
-        text += f", with the other held fixed {partial} (p = {trend['partial_p']:.2g})"
+        text += f", with the other predictor fixed {partial} (p = {trend['partial_p']:.2g})"
     claim = "a trend (solid line)" if trend["claimed"] else "no trend claimed (dashed line)"
     return f"{text}; {claim}.".replace("-", "−")
 

@@ -1,4 +1,4 @@
-"""Fewer points for drawings: long records become the minimum and maximum of short intervals."""
+"""Reduce long records and images for drawings, without losing minima and maxima."""
 
 from __future__ import annotations
 
@@ -13,28 +13,27 @@ _ROWS_AT_ONCE = 64  # of an image, so that memory stays at a few copies of them
 
 
 def minmax_decimate(x: Floats, y: NDArray[np.floating], *, most: int) -> tuple[Floats, Floats]:
-    """Minimum and maximum of every column in intervals of equally many points, in the order of time.
+    """Return the minimum and maximum of every column in intervals of equally many points, in order of time.
 
-    No average is taken, so a slip keeps its whole jump however short it is.
+    Unlike an average, this preserves the whole jump of a slip, however short it is.
 
-    x (points,); y (points, columns), NaN where there is nothing; most: largest number of points wanted.
-    Returns x and y, two points an interval; unchanged where they are few enough. NaN for an interval
-    without values.
+    x: (points,).  y: (points, columns), NaN if not known.  most: largest number of points to return.
+    The result has two points per interval, NaN without values; x and y are unchanged if they are few enough.
     """
     if len(x) <= most:
         return np.asarray(x, np.float64), np.asarray(y, np.float64)
     step = -(-2 * len(x) // most)
     intervals = -(-len(x) // step)
     at = np.minimum(np.arange(intervals)[:, None] * step + [0, min(step - 1, step // 2)], len(x) - 1)
-    out = np.empty((2 * intervals, y.shape[1]))
-    for start in range(0, y.shape[1], 16):  # so that memory stays at a few copies of some columns
+    extremes = np.empty((2 * intervals, y.shape[1]))
+    for start in range(0, y.shape[1], 16):  # limits the memory to a few copies of 16 columns
         part = slice(start, start + 16)
-        out[:, part] = _extremes(y[:, part], step, intervals)
-    return np.asarray(x, np.float64)[at.ravel()], out
+        extremes[:, part] = _extremes(y[:, part], step, intervals)
+    return np.asarray(x, np.float64)[at.ravel()], extremes
 
 
 def _extremes(y: NDArray[np.floating], step: int, intervals: int) -> Floats:
-    """(2 intervals, columns): the extreme that came first, then the other."""
+    """Return the extremes of each interval of `step` rows, the earlier first, (2 intervals, columns)."""
     padded = np.full((intervals * step, y.shape[1]), np.nan)
     padded[: len(y)] = y
     blocks = padded.reshape(intervals, step, -1)
@@ -46,34 +45,34 @@ def _extremes(y: NDArray[np.floating], step: int, intervals: int) -> Floats:
 
 
 def minmax_by_x(x: Floats, y: Floats, *, bins: int) -> tuple[Floats, Floats]:
-    """Minimum and maximum of y in equal bins of x, whatever the order of the points.
+    """Return the minimum and maximum of y in equal bins of x, for points in any order.
 
-    For curves whose x jitters or stands still, such as a separation that is recorded in steps. Bins without
-    points are left out.
+    This suits curves whose x jitters or does not change, such as a separation that is recorded in steps. Bins
+    without points are left out.
     """
     good = np.isfinite(x) & np.isfinite(y)
     x, y = x[good], y[good]
     if len(x) == 0 or x.max() <= x.min():
         return np.empty(0), np.empty(0)
     width = (x.max() - x.min()) / bins
-    place = np.minimum((x - x.min()) / width, bins - 1).astype(np.int64)
-    order = np.argsort(place, kind="stable")
-    found, first = np.unique(place[order], return_index=True)
+    bin_of = np.minimum((x - x.min()) / width, bins - 1).astype(np.int64)
+    order = np.argsort(bin_of, kind="stable")
+    filled, first = np.unique(bin_of[order], return_index=True)
     low, high = (op.reduceat(y[order], first) for op in (np.minimum, np.maximum))
-    centre = x.min() + (found + 0.5) * width
+    centre = x.min() + (filled + 0.5) * width
     both = np.stack([low, high], axis=1)
-    both[1::2] = both[1::2, ::-1]  # up, then down: no line from bin to bin that the data lack
+    both[1::2] = both[1::2, ::-1]  # up, then down, so that no long line joins two bins
     return np.repeat(centre, 2) + np.tile([-0.25, 0.25], len(centre)) * width, both.ravel()
 
 
 def time_rows(values: NDArray[np.floating], time: Floats, *, most: int) -> tuple[Floats32, Floats]:
-    """Rows of an image at equal steps of time, each the mean of its frames.
+    """Return rows of an image at equal steps of time, each the mean of its frames.
 
     values: (frames, columns), NaN in lost frames, read in parts.  time: (frames,), rising.  most: largest
-    number of rows wanted; fewer where the recording has fewer frame intervals.
+    number of rows; there are no more than frames in the recording's duration.
 
-    Returns rows (k, columns), and their k + 1 edges in time. A row without a frame between two rows with
-    frames, as where the frame times jitter, repeats the one before; in longer gaps rows are NaN.
+    Returns the rows (k, columns) and their k + 1 edges in time. A single row without a frame, as frame times
+    may jitter, repeats the row before; rows in longer gaps are NaN.
     """
     steps = np.diff(time)
     step = float(np.median(steps)) if steps.size else 0.0
@@ -81,16 +80,16 @@ def time_rows(values: NDArray[np.floating], time: Floats, *, most: int) -> tuple
     count = min(most, 1 + round(span / step)) if step > 0 else min(most, len(time))
     half = step / 2 or 0.5
     edges = np.linspace(time[0] - half, time[-1] + half, count + 1)
-    place = np.searchsorted(time, edges)
-    rows = mean_rows(values, place)
-    has_frame = np.diff(place) > 0
-    lone = np.flatnonzero(~has_frame[1:-1] & has_frame[:-2] & has_frame[2:]) + 1
-    rows[lone] = rows[lone - 1]
+    ends = np.searchsorted(time, edges)
+    rows = mean_rows(values, ends)
+    has_frame = np.diff(ends) > 0
+    single = np.flatnonzero(~has_frame[1:-1] & has_frame[:-2] & has_frame[2:]) + 1
+    rows[single] = rows[single - 1]
     return rows, edges
 
 
 def mean_rows(values: NDArray[np.floating], ends: NDArray[np.integer[Any]]) -> Floats32:
-    """Means of the known values between neighbouring ends, (len(ends) - 1, columns); NaN for none.
+    """Return means of the known values from each of `ends` to the next, (len(ends) - 1, columns), or NaN.
 
     The values are read in parts, so that memory does not grow with the recording.
     """
@@ -104,7 +103,7 @@ def mean_rows(values: NDArray[np.floating], ends: NDArray[np.integer[Any]]) -> F
 
 
 def _means(values: NDArray[np.floating], starts: NDArray[np.integer[Any]]) -> Floats:
-    """Means of the known values from each start to the next, the last to the end."""
+    """Return means of the known values from each start to the next start or the end."""
     known = np.isfinite(values)
     if known.all():  # as in most films
         count = np.diff(np.append(starts, len(values)))[:, None]
@@ -115,14 +114,14 @@ def _means(values: NDArray[np.floating], starts: NDArray[np.integer[Any]]) -> Fl
 
 
 def grey_limits(*pictures: NDArray[np.floating]) -> tuple[float, float]:
-    """Grey levels that are drawn black and white, the same for all pictures (rows, columns).
+    """Return the grey levels that are drawn black and white in all of the pictures (rows, columns).
 
-    All but 0.2 % of the levels at either end: a few dead pixels or reflections would take up the whole scale,
-    but ridges, bright or dark, may fill so little of a picture that leaving out 0.5 % flattens them. Some
-    hundred rows and columns are looked at. NaN does not count.
+    These are the quantiles at 0.2 and 99.8 %. The extremes would be those of a few dead pixels or
+    reflections; with 0.5 and 99.5 % narrow ridges, bright or dark, would be cut off. About 500 rows and
+    columns are used; NaN is ignored.
     """
-    some = [p[:: max(1, p.shape[0] // 500), :: max(1, p.shape[1] // 500)] for p in pictures]
-    known = np.concatenate([np.empty(0), *(part[np.isfinite(part)] for part in some)])
+    samples = [p[:: max(1, p.shape[0] // 500), :: max(1, p.shape[1] // 500)] for p in pictures]
+    known = np.concatenate([np.empty(0), *(part[np.isfinite(part)] for part in samples)])
     if not known.size:
         return 0.0, 1.0
     low, high = np.percentile(known, (0.2, 99.8))
@@ -130,9 +129,9 @@ def grey_limits(*pictures: NDArray[np.floating]) -> tuple[float, float]:
 
 
 def grey_levels(values: NDArray[np.floating], low: float, high: float) -> NDArray[np.uint8]:
-    """8-bit grey between two levels; unknown values become mid-grey."""
-    share = np.subtract(values, low, dtype=np.float32)
-    share *= 255 / max(high - low, 1e-9)
-    share[np.isnan(share)] = 127.5
-    np.clip(share, 0, 255, out=share)  # in place: a seventh of the time
-    return np.asarray(np.rint(share, out=share), np.uint8)
+    """Convert values to 8-bit grey, black at `low` and white at `high`; NaN becomes mid-grey."""
+    grey = np.subtract(values, low, dtype=np.float32)
+    grey *= 255 / max(high - low, 1e-9)
+    grey[np.isnan(grey)] = 127.5
+    np.clip(grey, 0, 255, out=grey)  # in place, in a seventh of the time
+    return np.asarray(np.rint(grey, out=grey), np.uint8)

@@ -1,7 +1,7 @@
-"""Figures drawn by matplotlib, on given axes or as files.
+"""Draw figures with matplotlib, on given axes or to files.
 
-Files start from matplotlib's defaults whatever matplotlibrc says, and from fixed places for the axes: layout
-engines and tight bounding boxes draw everything twice. pyplot is not imported.
+Files use matplotlib's defaults, not a user's matplotlibrc. Axes have computed positions, as layout engines
+and tight bounding boxes draw everything twice. pyplot is not imported.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from vision.figures.labels import to_mathtext
 from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET
 from vision.numeric import Bools, Floats
 
-MOST_LINES = 40  # marked times with a line across; more are marked at the edges alone
-# A sixth of the time of `savefig`: no alpha channel, little compression, each row less the one above it.
+MOST_LINES = 40  # marked times that get a line across; more are marked only at the edges
+# Without alpha channel, with little compression and the "up" filter: a sixth of the time of `savefig`.
 _PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP)
 _DASHES = (0, (4, 2))
-_MANY_POINTS = 150  # of a series: more are drawn smaller, their error bars faint
+_MANY_POINTS = 150  # more points of a series are drawn smaller, with faint error bars
 _STYLE: dict[str, Any] = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib and has all letters that figures need
+    "font.family": "DejaVu Sans",  # part of matplotlib, with all characters that figures need
     "font.size": 10,
     "axes.titlesize": 11,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "image.composite_image": False,
     "mathtext.default": "regular",
-    "text.hinting": "no_hinting",  # looks the same at this size, 20 ms sooner
+    "text.hinting": "no_hinting",  # saves 20 ms, and makes no difference at this size
     "svg.fonttype": "none",
     "pdf.fonttype": 42,
 }
@@ -51,19 +51,18 @@ _STYLE: dict[str, Any] = {
 class _Inches:
     """Sizes on a page."""
 
-    SIDE, INNER = 0.8, 0.15  # beside a panel with and without the numbers and label of an axis
-    TOP, BOTTOM, FOOT = 0.12, 0.55, 0.2  # around each panel; below the last for what its marks mean
-    TITLE, LEGEND_ROW = 0.26, 0.24
-    LETTER, MARKER = 0.075, 0.55  # of a legend's entry
+    SIDE, INNER = 0.8, 0.15  # margin of a panel with and without the numbers and label of an axis
+    TOP, BOTTOM, FOOT = 0.12, 0.55, 0.2  # above and below each panel; below the last for the marks' label
+    TITLE, LEGEND_ROW = 0.26, 0.24  # heights
+    CHARACTER, MARKER = 0.075, 0.55  # widths in a legend
     X_LABEL, Y_LABEL = 0.3, 0.57  # from an axis to its label
     LEAST_HEIGHT, MOST_HEIGHT = 0.35, 9.0  # of a panel
 
 
 def draw_panel(ax: Axes, panel: Panel) -> Axes:
-    """Draw a panel on these axes with colours for a light background, and return them.
+    """Draw a panel on these axes with colours for a light background, and return the axes.
 
-    A second y axis is added where the panel has one. The legend stands above the axes, where it hides no
-    data.
+    A second y axis is added if the panel has one. The legend is above the axes, so that it hides no data.
     """
     right = ax.twinx() if panel.y2_label else None
     if panel.image is not None:
@@ -88,7 +87,7 @@ def draw_panel(ax: Axes, panel: Panel) -> Axes:
 
 
 def _draw_annotations(ax: Axes, panel: Panel) -> None:
-    """What explains the data: arrows, a grey scale, numbers, an inset, marks along the edge."""
+    """Draw arrows, the grey scale, numbers of sheets, the inset, and marks along the edge."""
     _draw_arrows(ax, panel.arrows)
     if panel.image is not None and panel.image.scale:
         _draw_scale(ax, panel.image.scale, below=panel.downwards)
@@ -100,15 +99,16 @@ def _draw_annotations(ax: Axes, panel: Panel) -> None:
 
 
 def new_figure(figure: Figure, *, interactive: bool = False) -> Page:
-    """A matplotlib figure with every panel in its place.
+    """Return a matplotlib figure with all panels.
 
-    interactive: made by pyplot in a notebook that uses it, so that it is shown below the cell.
+    interactive: let pyplot make it in a notebook that uses pyplot, so that it is displayed below the cell.
     """
     with picture_style():
         return _page(figure, interactive=interactive)
 
 
 def _page(figure: Figure, *, interactive: bool = False) -> Page:
+    """Return a matplotlib figure; the caller sets the style."""
     boxes, size = _layout(figure)
     notebook = interactive and "ipykernel" in sys.modules
     pyplot = sys.modules.get("matplotlib.pyplot") if notebook else None
@@ -117,7 +117,7 @@ def _page(figure: Figure, *, interactive: bool = False) -> Page:
         box = left / size[0], bottom / size[1], width / size[0], height / size[1]
         ax = page.add_axes(box)
         draw_panel(ax, panel)
-        # Else they are placed beside the numbers, all of which are measured for it at each drawing.
+        # By default matplotlib measures the tick labels at each drawing to place the axis labels.
         ax.xaxis.set_label_coords(0.5, -_Inches.X_LABEL / height)
         ax.yaxis.set_label_coords(-_Inches.Y_LABEL / width, 0.5)
         if panel.y2_label:
@@ -133,7 +133,7 @@ def _page(figure: Figure, *, interactive: bool = False) -> Page:
 
 
 def write(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
-    """Write a PNG, PDF or SVG, by the path's ending; the same figure gives the same file."""
+    """Write a PNG, PDF or SVG, by the path's suffix; equal figures give equal files."""
     kind = path.suffix.lower().removeprefix(".")
     if kind == "png":
         write_png(drawn(figure, dpi=dpi), path)
@@ -145,12 +145,12 @@ def write(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
 
 
 def png(figure: Figure, *, dpi: float | None = None) -> bytes:
-    """The figure as PNG."""
+    """Return the content of a PNG file."""
     return _png(drawn(figure, dpi=dpi))
 
 
 def drawn(figure: Figure, *, dpi: float | None = None) -> NDArray[np.uint8]:
-    """The figure's pixels, RGBA (rows, columns, 4)."""
+    """Return the figure's pixels, RGBA (rows, columns, 4)."""
     with picture_style():
         page = _page(figure)
         page.set_dpi(100 if dpi is None else dpi)
@@ -160,7 +160,7 @@ def drawn(figure: Figure, *, dpi: float | None = None) -> NDArray[np.uint8]:
 
 
 def write_png(pixels: NDArray[np.uint8], path: Path) -> None:
-    """Write what was `drawn`; the interpreter is free meanwhile."""
+    """Write pixels as returned by `drawn`; other Python threads can run meanwhile."""
     path.write_bytes(_png(pixels))
 
 
@@ -169,9 +169,9 @@ def _png(pixels: NDArray[np.uint8]) -> bytes:
 
 
 def picture_style() -> AbstractContextManager[None]:
-    """matplotlib's own defaults and the style of these figures, for as long as the block lasts."""
-    plain: dict[Any, Any] = {k: v for k, v in mpl.rcParamsDefault.items() if not k.startswith("backend")}
-    return mpl.rc_context(plain | _STYLE)
+    """Return a context with matplotlib's defaults and the style of these figures."""
+    defaults: dict[Any, Any] = {k: v for k, v in mpl.rcParamsDefault.items() if not k.startswith("backend")}
+    return mpl.rc_context(defaults | _STYLE)
 
 
 # --- one panel ----------------------------------------------------------------------------------------------
@@ -184,7 +184,7 @@ def _draw_image(ax: Axes, panel: Panel, image: Image) -> None:
         extent=(image.left, image.right, image.bottom, image.top),
         aspect="equal" if panel.square_pixels else "auto",
         interpolation="nearest",
-        # Grey values, which become colours where the page shows them: a quarter of the time of an RGB image.
+        # Grey values, to which colours are applied last, take a quarter of the time of an RGB image.
         cmap=mpl.colormaps["gray"].with_extremes(bad=MISSING),
         vmin=0,
         vmax=255,
@@ -193,18 +193,18 @@ def _draw_image(ax: Axes, panel: Panel, image: Image) -> None:
 
 
 def _draw_scale(ax: Axes, text: str, *, below: bool) -> None:
-    """The grey scale in words: below a frame, which may be flat, at the end of the panel's room, since it may
-    be narrow; else in the corner of the image."""
-    look: dict[str, Any] = {"ha": "right", "fontsize": 6.5}
+    """Write the grey scale in the corner of the image, or below it, as a frame may be too flat or narrow."""
+    style: dict[str, Any] = {"ha": "right", "fontsize": 6.5}
     if below and (page := ax.get_figure(root=True)) is not None:
-        room = blended_transform_factory(page.transFigure, ax.transAxes)
+        # The right end of the space for the panel, which the image need not fill.
         end = (ax.get_position(original=True).x1, 0.0)
-        # 19 points are past the numbers of the axis
-        place: dict[str, Any] = {"xytext": (0, -19), "textcoords": "offset points", "va": "top"}
-        ax.annotate(text, end, xycoords=room, color=QUIET[0], annotation_clip=False, **place, **look)
+        transform = blended_transform_factory(page.transFigure, ax.transAxes)
+        # 19 points are below the numbers of the axis
+        offset: dict[str, Any] = {"xytext": (0, -19), "textcoords": "offset points", "va": "top"}
+        ax.annotate(text, end, xycoords=transform, color=QUIET[0], annotation_clip=False, **offset, **style)
     else:
         box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8}
-        ax.text(0.99, 0.01, text, bbox=box, transform=ax.transAxes, va="bottom", **look)
+        ax.text(0.99, 0.01, text, bbox=box, transform=ax.transAxes, va="bottom", **style)
 
 
 def _draw_bands(ax: Axes, panel: Panel) -> None:
@@ -219,9 +219,9 @@ def _draw_bands(ax: Axes, panel: Panel) -> None:
 
 
 def _draw_sheets(ax: Axes, panel: Panel) -> None:
-    """Lines of many sheets, those of one side in one collection: three times as fast as one by one.
+    """Draw the lines of many sheets, with one collection per side, which is three times as fast.
 
-    Dots mark single positions, of which a line shows nothing, and every one where they are few.
+    Dots mark isolated positions, which a line does not show, or all positions if they are few.
     """
     casing: dict[str, Any] = {"colors": CASING, "alpha": 0.7}
     for dashed in (True, False):
@@ -230,21 +230,21 @@ def _draw_sheets(ax: Axes, panel: Panel) -> None:
             continue
         lines = [np.stack([s.y, s.x] if panel.time_down else [s.x, s.y], axis=1) for s in mine]
         width = mine[0].width
-        if panel.image is not None:  # coloured lines are lost on white ridges without a dark edge
+        if panel.image is not None:  # coloured lines are invisible on white ridges without a dark edge
             ax.add_collection(LineCollection(lines, linewidths=width + 0.9, **casing))
         inks = [s.ink[0] for s in mine]
         ax.add_collection(
             LineCollection(lines, colors=inks, linewidths=width, linestyles=_DASHES if dashed else "-")
         )
     for series in panel.series:
-        dots = np.isfinite(series.y) if series.look == "both" else _single(series.y)
+        dots = np.isfinite(series.y) if series.look == "both" else _isolated(series.y)
         if dots.any():
             x, y = (series.y, series.x) if panel.time_down else (series.x, series.y)
             ax.plot(x[dots], y[dots], ls="none", marker="o", ms=2.5, color=series.ink[0])
 
 
-def _single(y: Floats) -> Bools:
-    """Values with none before or after them."""
+def _isolated(y: Floats) -> Bools:
+    """Tell which values have no value before or after them."""
     known = np.r_[False, np.isfinite(y), False]
     return np.asarray(known[1:-1] & ~known[:-2] & ~known[2:])
 
@@ -252,7 +252,7 @@ def _single(y: Floats) -> Bools:
 def _draw_series(ax: Axes, series: Series) -> None:
     colour, at = series.ink[0], series.x + series.shift
     if series.low is not None and series.high is not None:
-        if series.look == "line":  # a spread about a curve
+        if series.look == "line":  # a shaded range about a curve
             ax.fill_between(at, series.low, series.high, color=colour, alpha=0.2, lw=0)
         else:
             faint = at.size > _MANY_POINTS
@@ -261,49 +261,50 @@ def _draw_series(ax: Axes, series: Series) -> None:
         width = float(series.x[1] - series.x[0]) if len(series.x) > 1 else 1.0
         ax.bar(at, series.y, width, color=colour, alpha=0.5, ec=colour, label=series.label)
         return
-    ax.plot(at, series.y, label=to_mathtext(series.label) or "_", **_line_look(series))
+    ax.plot(at, series.y, label=to_mathtext(series.label) or "_", **_line_style(series))
 
 
-def _line_look(series: Series) -> dict[str, Any]:
-    look: dict[str, Any] = {
+def _line_style(series: Series) -> dict[str, Any]:
+    """Return the arguments of `plot` for a series."""
+    style: dict[str, Any] = {
         "color": series.ink[0],
         "lw": series.width,
         "ls": _DASHES if series.dashed else "-",
-        "zorder": 2.1 if series.dashed else 2.0,  # what is solid would hide it
+        "zorder": 2.1 if series.dashed else 2.0,  # a solid line would hide a dashed one
     }
     if series.look in ("points", "both"):
-        look |= {"marker": "o", "ms": 3.5, "mfc": "none" if series.hollow else series.ink[0], "mew": 0.9}
-    if series.look == "points":  # a point within a ring shows both
+        style |= {"marker": "o", "ms": 3.5, "mfc": "none" if series.hollow else series.ink[0], "mew": 0.9}
+    if series.look == "points":  # a filled point fits into a hollow one
         ring = 5.5 if series.x.size <= _MANY_POINTS else 3.5
-        look |= {"ls": "none", "ms": ring if series.hollow else 3.0}
-    return look
+        style |= {"ls": "none", "ms": ring if series.hollow else 3.0}
+    return style
 
 
 def _draw_ticks(ax: Axes, groups: list[Series]) -> None:
-    """Strokes at both ends of every tick, with as many numbers above as fit. The x range must be set."""
+    """Draw strokes at both ends of every tick, and as many numbers as fit. The x range must be set."""
     low, high = ax.get_xlim()
-    letter = abs(high - low) / max(_width_in(ax), 0.1) * _Inches.LETTER  # in units of the axis
-    taken: list[tuple[float, float]] = []
+    character = abs(high - low) / max(_width_in(ax), 0.1) * _Inches.CHARACTER  # in units of the axis
+    taken: list[tuple[float, float]] = []  # ranges of x with a number
     box = {"boxstyle": "round,pad=0.12", "fc": "white", "ec": "none", "alpha": 0.75}
-    place: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "bottom", "bbox": box}
-    step = max((label_step(s.x, _label_room(s, letter)) for s in groups), default=1)
+    style: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "bottom", "bbox": box}
+    step = max((label_step(s.x, _label_width(s, character)) for s in groups), default=1)
     for series in groups:
         if series.low is None or series.high is None:
             continue
-        stroke = 0.2 * (series.high - series.low)  # the ridge stays in view between the two
+        stroke = 0.2 * (series.high - series.low)  # leaves the ridge visible between the two
         ax.vlines(series.x, series.low, series.low + stroke, color=series.ink[0], lw=0.9)
         ax.vlines(series.x, series.high - stroke, series.high, color=series.ink[0], lw=0.9)
-        room = _label_room(series, letter)
+        width = _label_width(series, character)
         for x, y, text in zip(series.x, series.low, series.text, strict=True):
-            span = (x - room / 2, x + room / 2)
+            span = (x - width / 2, x + width / 2)
             if (int(text) - 1) % step == 0 and not any(span[0] < b and a < span[1] for a, b in taken):
                 taken.append(span)
-                ax.annotate(text, (x, y), (0, 3), fontsize=7, **place)
+                ax.annotate(text, (x, y), (0, 3), fontsize=7, **style)
 
 
-def _label_room(series: Series, letter: float) -> float:
-    """Width of the longest number and a gap."""
-    return letter * (0.8 + max((len(text) for text in series.text), default=1))
+def _label_width(series: Series, character: float) -> float:
+    """Return the width of the longest number and a gap, from that of a character."""
+    return character * (0.8 + max((len(text) for text in series.text), default=1))
 
 
 def _draw_inset(ax: Axes, panel: Panel) -> None:
@@ -317,10 +318,10 @@ def _draw_inset(ax: Axes, panel: Panel) -> None:
         line.set_markersize(2.0)
 
 
-def label_step(x: Any, room: float) -> int:
-    """Every how many-th of these points has `room` for a label: 1, 2, 5, 10, 20 …"""
-    pitch = float(np.median(np.abs(np.diff(x)))) if len(x) > 1 else room
-    least = room / max(pitch, 1e-9)
+def label_step(x: Any, width: float) -> int:
+    """Return 1, 2, 5, 10, 20, …: labels of this width fit at every so many-th point."""
+    pitch = float(np.median(np.abs(np.diff(x)))) if len(x) > 1 else width
+    least = width / max(pitch, 1e-9)
     steps = np.outer(10 ** np.arange(6), [1, 2, 5]).ravel()
     return int(steps[min(int(np.searchsorted(steps, least)), steps.size - 1)])
 
@@ -330,19 +331,21 @@ def _draw_arrows(ax: Axes, arrows: tuple[Arrow, ...]) -> None:
         (x0, x1), (y0, y1) = arrow.x, arrow.y
         head = {"arrowstyle": "<->", "shrinkA": 0, "shrinkB": 0, "color": MODEL[0], "lw": 1.1}
         ax.annotate("", (x1, y1), (x0, y0), arrowprops=head)
-        upright = x0 == x1
-        look: dict[str, Any] = {"ha": "left", "va": "center"} if upright else {"ha": "center", "va": "bottom"}
-        middle, beside = ((x0 + x1) / 2, (y0 + y1) / 2), (5, 0) if upright else (0, 3)
-        ax.annotate(to_mathtext(arrow.label), middle, beside, textcoords="offset points", **look)
+        vertical = x0 == x1
+        style: dict[str, Any] = (
+            {"ha": "left", "va": "center"} if vertical else {"ha": "center", "va": "bottom"}
+        )
+        middle, offset = ((x0 + x1) / 2, (y0 + y1) / 2), (5, 0) if vertical else (0, 3)
+        ax.annotate(to_mathtext(arrow.label), middle, offset, textcoords="offset points", **style)
 
 
 def _draw_marks(ax: Axes, marks: Floats) -> None:
-    """A pointer at both edges for each time and a thin line across; short ticks alone where they are many."""
+    """Draw pointers at both edges and a thin line across for each time, or only ticks if there are many."""
     few = marks.size <= MOST_LINES
-    look: dict[str, Any] = {"ms": 5, "mec": "white", "mew": 0.5} if few else {"ms": 9, "mew": 0.6}
-    look |= {"color": HIGHLIGHT, "transform": ax.get_yaxis_transform(), "clip_on": False, "zorder": 3}
+    style: dict[str, Any] = {"ms": 5, "mec": "white", "mew": 0.5} if few else {"ms": 9, "mew": 0.6}
+    style |= {"color": HIGHLIGHT, "transform": ax.get_yaxis_transform(), "clip_on": False, "zorder": 3}
     for edge, pointer in ((0.0, ">"), (1.0, "<")):
-        ax.plot(np.full(marks.size, edge), marks, pointer if few else "_", **look)
+        ax.plot(np.full(marks.size, edge), marks, pointer if few else "_", **style)
     if few:
         ax.hlines(marks, *ax.get_xlim(), color=HIGHLIGHT, lw=0.7, ls=(0, (4, 4)))
 
@@ -365,7 +368,7 @@ def _set_axes(ax: Axes, right: Axes | None, panel: Panel) -> None:
         ax.set_ylim(across[::-1] if panel.downwards or panel.time_down else across)
     if panel.image is None:
         ax.grid(alpha=0.25)
-    elif panel.downwards:  # no rows above the first
+    elif panel.downwards:  # no ticks above the first row of the image
         ax.set_yticks([tick for tick in ax.get_yticks() if -0.5 <= tick <= panel.image.bottom])
     if right is not None:
         right.set_ylabel(to_mathtext(panel.y2_label))
@@ -374,21 +377,19 @@ def _set_axes(ax: Axes, right: Axes | None, panel: Panel) -> None:
 
 
 def _stack(ax: Axes, right: Axes, panel: Panel) -> None:
-    """Ranges of two y axes, from what is in view, that put one curve above the other."""
-    for own, side, below, above in ((ax, "left", 1.15, 0.05), (right, "right", 0.05, 1.15)):
-        mine = [series for series in panel.series if series.axis == side]
-        low, high = ax.get_xlim()
-        seen = np.concatenate(
-            [
-                part[(s.x >= low) & (s.x <= high) & np.isfinite(part)]
-                for s in mine
-                for part in (s.y, s.low, s.high)  # error bars, too
-                if part is not None
-            ]
-        )
-        if seen.size:
-            span = float(np.ptp(seen)) or 1.0
-            own.set_ylim(float(seen.min()) - below * span, float(seen.max()) + above * span)
+    """Set the ranges of two y axes so that the curves in view are above each other."""
+    low, high = ax.get_xlim()
+    for axes, side, below, above in ((ax, "left", 1.15, 0.05), (right, "right", 0.05, 1.15)):
+        in_view = [np.empty(0)]
+        for series in panel.series:
+            if series.axis == side:
+                inside = (series.x >= low) & (series.x <= high)
+                ends = (series.y, series.low, series.high)  # with error bars
+                in_view += [y[inside & np.isfinite(y)] for y in ends if y is not None]
+        y = np.concatenate(in_view)
+        if y.size:
+            span = float(np.ptp(y)) or 1.0
+            axes.set_ylim(float(y.min()) - below * span, float(y.max()) + above * span)
 
 
 # --- legends ------------------------------------------------------------------------------------------------
@@ -399,12 +400,12 @@ def _draw_legend(ax: Axes, panel: Panel) -> None:
     if entries:
         columns = _legend_columns(entries, _width_in(ax))
         handles = [_legend_handle(series, label) for series, label in entries]
-        place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.1}
-        ax.legend(handles=handles, fontsize=8, ncols=columns, frameon=False, columnspacing=1.2, **place)
+        above: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.1}
+        ax.legend(handles=handles, fontsize=8, ncols=columns, frameon=False, columnspacing=1.2, **above)
 
 
 def _legend_entries(panel: Panel) -> list[tuple[Series | Band, str]]:
-    """What has a label; of sheets one entry per side, which names the tones. Nothing over an image."""
+    """Return series and bands with their labels: for sheets one per side, for images none."""
     if panel.image is not None or panel.empty:
         return []
     if not panel.switchable:
@@ -425,23 +426,23 @@ def _legend_handle(series: Series | Band, label: str) -> Any:
         return Rectangle((0, 0), 1, 1, fc=QUIET[0], alpha=0.15, label=text)
     if series.look == "steps":
         return Rectangle((0, 0), 1, 1, fc=series.ink[0], alpha=0.5, ec=series.ink[0], label=text)
-    return Line2D([], [], label=text, **_line_look(series) | {"lw": max(series.width, 1.2)})
+    return Line2D([], [], label=text, **_line_style(series) | {"lw": max(series.width, 1.2)})
 
 
 def _legend_width(entries: list[tuple[Series | Band, str]], columns: int) -> float:
-    """Width of the legend in so many columns, about, in inches."""
-    widths = [len(label) * _Inches.LETTER + _Inches.MARKER for _, label in entries]
+    """Return the approximate width in inches of a legend with this number of columns."""
+    widths = [len(label) * _Inches.CHARACTER + _Inches.MARKER for _, label in entries]
     return float(sum(part.max() for part in np.array_split(widths, columns)))
 
 
 def _legend_columns(entries: list[tuple[Series | Band, str]], width_in: float) -> int:
-    """As many columns as fit."""
+    """Return the largest number of columns that fits."""
     fitting = (k for k in range(len(entries), 1, -1) if _legend_width(entries, k) <= width_in)
     return next(fitting, 1)
 
 
 def _head(panel: Panel, width_in: float) -> tuple[float, float]:
-    """Heights of the legend above a panel of several, and of that part of it that is below the title."""
+    """Return the height of a panel's legend, and the part of it below the title: all or nothing, inches."""
     entries = _legend_entries(panel)
     if not entries:
         return 0.0, 0.0
@@ -452,13 +453,13 @@ def _head(panel: Panel, width_in: float) -> tuple[float, float]:
     return height, 0.0 if beside else height
 
 
-# --- places -------------------------------------------------------------------------------------------------
+# --- layout -------------------------------------------------------------------------------------------------
 
 Box = tuple[float, float, float, float]
 
 
 def _layout(figure: Figure) -> tuple[list[Box], tuple[float, float]]:
-    """Left, bottom, width and height of every panel, and the size of the page, in inches."""
+    """Return left, bottom, width and height of every panel, and the size of the page, in inches."""
     columns = min(figure.columns, len(figure.panels))
     grid = [figure.panels[k : k + columns] for k in range(0, len(figure.panels), columns)]
     across = [[row[c] for row in grid if c < len(row)] for c in range(columns)]
@@ -481,7 +482,7 @@ def _layout(figure: Figure) -> tuple[list[Box], tuple[float, float]]:
 
 
 def _top(figure: Figure, panel: Panel, width_in: float) -> float:
-    """Height of title and legend above a panel."""
+    """Return the height of title and legend above a panel, inches."""
     legend, below = _head(panel, width_in)
     if len(figure.panels) == 1:
         return legend
@@ -489,7 +490,7 @@ def _top(figure: Figure, panel: Panel, width_in: float) -> float:
 
 
 def _labelled(panel: Panel) -> bool:
-    """Whether the vertical axis has a label of its own."""
+    """Tell whether the vertical axis has its own label."""
     return bool(panel.x_label if panel.time_down else panel.y_label)
 
 

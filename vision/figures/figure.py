@@ -1,7 +1,7 @@
-"""What a figure is: panels of curves, points and images as plain data.
+"""Classes of a figure: panels of curves, points and images as plain data.
 
-The same data are drawn by matplotlib (`Figure.plot`, `Figure.save`), drawn by the report's page, written as a
-table (`Figure.table`), and kept in a file (`save_figures`, `load_figures`).
+Matplotlib (`Figure.plot`, `Figure.save`) and the report's page draw the same data. They can be written as a
+table (`Figure.table`) or stored in a file (`save_figures`, `load_figures`).
 """
 
 from __future__ import annotations
@@ -38,36 +38,31 @@ class Series:
     """One curve or set of points."""
 
     label: str  # name in legends and tables; "" for none
-    # x, y: (k,), x rising; NaN in y leaves a gap
-    x: Floats
-    y: Floats
-    ink: Ink  # its colour
-    # "line", "points", "both", "steps" (bars of a histogram) or "ticks" (strokes at `low` and `high`
-    # with `text` above)
+    x: Floats  # (k,), rising
+    y: Floats  # (k,); NaN leaves a gap
+    ink: Ink  # colour
+    # appearance; "steps": bars of a histogram, "ticks": strokes at `low` and `high` with `text` above
     look: Literal["line", "points", "both", "steps", "ticks"] = "line"
-    # low, high: ends of error bars, (k,), where there are any
-    low: Floats | None = None
-    high: Floats | None = None
-    text: tuple[str, ...] = ()  # one label a point, for "ticks"
-    # dashed, hollow: distinguish series without colour
-    dashed: bool = False
-    hollow: bool = False
-    # added to x in drawings, so that points with the same x stand side by side; tables hold x itself
-    shift: float = 0.0
+    low: Floats | None = None  # lower ends of error bars, (k,)
+    high: Floats | None = None  # upper ends
+    text: tuple[str, ...] = ()  # labels of "ticks", one per point
+    dashed: bool = False  # distinguishes lines without colour
+    hollow: bool = False  # distinguishes points without colour
+    shift: float = 0.0  # added to x in drawings, not in tables, so that points do not overlap
     width: float = 1.2  # of the line, in points
-    axis: Literal["left", "right"] = "left"  # which y axis
+    axis: Literal["left", "right"] = "left"  # the y axis that is used
     sheet: tuple[int, int] | None = None  # (side, n) of a sheet, which the page can switch on and off
 
     @classmethod
     def points(cls, label: str, x: Any, y: Any, ink: Ink, error: Any = None, **rest: Any) -> Series:
-        """Points, with their standard errors where these are given."""
+        """Return points, with error bars of the standard errors if these are given."""
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
         bars = {} if error is None else {"low": y - np.asarray(error), "high": y + np.asarray(error)}
         return cls(label=label, x=x, y=y, ink=ink, look="points", **bars | rest)
 
     @classmethod
     def model(cls, label: str, x: Floats, y: Any, ink: Ink) -> Series:
-        """The curve of a model: wide and dashed."""
+        """Return the curve of a model, wide and dashed."""
         return cls(label=label, x=x, y=np.asarray(y, np.float64), ink=ink, dashed=True, width=2.0)
 
 
@@ -76,21 +71,17 @@ class Image:
     """A grey image under the curves."""
 
     pixels: NDArray[np.uint8]  # grey levels (row, column)
-    # left, right, top, bottom: outer edges in units of the axes
-    left: float
+    left: float  # outer edges in units of the axes
     right: float
     top: float
     bottom: float
-    # True where nothing was recorded, (row, column); None where every pixel is known
-    missing: Bools | None = None
-    # black, white: grey levels of the recording that are shown black and white; NaN where the image has
-    # no scale
-    black: float = math.nan
-    white: float = math.nan
+    missing: Bools | None = None  # True where nothing was recorded, (row, column); None if nowhere
+    black: float = math.nan  # grey level of the recording that is drawn black; NaN without a grey scale
+    white: float = math.nan  # grey level that is drawn white
 
     @property
     def scale(self) -> str:
-        """The grey scale in words, black to white, "" without one."""
+        """The grey scale in words, from black to white; "" without one."""
         if not (math.isfinite(self.black) and math.isfinite(self.white)):
             return ""
         return f"grey levels {self.black:.3g} to {self.white:.3g}"
@@ -98,7 +89,7 @@ class Image:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Band:
-    """A shaded range of the y axis, or of the x axis (`of_x`), or only its outline."""
+    """A range of the y axis, or of the x axis (`of_x`), shaded or as an outline."""
 
     low: float
     high: float
@@ -109,7 +100,7 @@ class Band:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arrow:
-    """A length between two points, with a head at both ends."""
+    """A double-headed arrow between two points that shows a length."""
 
     x: Range
     y: Range
@@ -118,42 +109,36 @@ class Arrow:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Panel:
-    """One pair of axes with what is drawn on them."""
+    """One pair of axes and what is drawn on them."""
 
-    # x_label, y_label, y2_label: with units. The second y axis is there where it has a label; its
-    # curves go below those of the first, so that neither hides the other. A panel without `y_label`
-    # shares the axis of its left neighbour.
-    x_label: str
-    y_label: str
+    x_label: str  # with unit, as the other labels
+    y_label: str  # "" for a panel that shares the axis of its left neighbour
+    # There is a second y axis if it has a label; its curves are drawn below those of the first.
     y2_label: str = ""
-    # series, image, bands: what is drawn
     series: tuple[Series, ...] = ()
     image: Image | None = None
     bands: tuple[Band, ...] = ()
     x_lines: tuple[float, ...] = ()  # dashed vertical lines
-    # marks, marks_label: times marked across an image, and what they are
-    marks: Floats | None = None
-    marks_label: str = ""
-    # x_range, y_range: what is shown; None for everything
-    x_range: Range | None = None
+    marks: Floats | None = None  # times that are marked across an image
+    marks_label: str = ""  # what the marks are
+    x_range: Range | None = None  # range that is shown; None for everything
     y_range: Range | None = None
     first_view: Range | None = None  # part of x that the page shows first
     downwards: bool = False  # y grows downwards, as in an image
     time_down: bool = False  # x of the series runs down the page and y across it, as in a space-time diagram
-    whole_numbers: bool = False  # x counts something
+    whole_numbers: bool = False  # x has only whole numbers
     aspect: float = 0.5  # height over width of the plotted area
     square_pixels: bool = False  # both axes have the same scale
-    # x_log, y_log: logarithmic axes
-    x_log: bool = False
+    x_log: bool = False  # logarithmic axes
     y_log: bool = False
-    arrows: tuple[Arrow, ...] = ()  # lengths that are pointed out, with their symbols
-    title: str = ""  # shown above a panel of several
-    placeholder: str = "no data"  # shown where there is nothing to draw
-    inset: Panel | None = None  # a small panel in the upper right corner, which the page leaves out
+    arrows: tuple[Arrow, ...] = ()
+    title: str = ""  # shown if a figure has several panels
+    placeholder: str = "no data"  # text that is shown without data
+    inset: Panel | None = None  # small panel in the upper right corner, which the page leaves out
 
     @property
     def switchable(self) -> bool:
-        """Whether its series are sheets, which the page can switch on and off."""
+        """Whether some series are sheets, which the page can switch on and off."""
         return any(series.sheet is not None for series in self.series)
 
     @property
@@ -167,7 +152,7 @@ class Panel:
         return self.image is None and not any(np.isfinite(series.y).any() for series in self.series)
 
     def table(self) -> pd.DataFrame:
-        """One column a series where all share x, else one row a point with the name of its series."""
+        """Return one column per series if all share x, else one row per point with its series' label."""
         if not self.series:
             return pd.DataFrame()
         plain = all(series.low is None and not series.text for series in self.series)
@@ -188,20 +173,19 @@ class Panel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Figure:
-    """A figure: numbers, labels with units, and a caption that says what it shows and how it was computed."""
+    """A figure: one or more panels and a caption that says what it shows and how it was computed."""
 
     name: str  # short, used for files and in `track figures`
-    # title, caption: of the page and of a manuscript
-    title: str
+    title: str  # for the page and a manuscript, as is the caption
     caption: str
-    panels: tuple[Panel, ...]  # one, or several in reading order
-    columns: int = 1  # panels side by side
+    panels: tuple[Panel, ...]  # in reading order
+    columns: int = 1  # number of panels side by side
     width_in: float = 6.0  # width of the saved figure, inches
-    notes: tuple[str, ...] = ()  # warnings that belong to the figure
+    notes: tuple[str, ...] = ()  # warnings about the figure
 
     @classmethod
     def of(cls, name: str, panel: Panel, caption: str, *, title: str = "", **rest: Any) -> Figure:
-        """A figure of one panel, under the panel's title unless another is given."""
+        """Return a figure of one panel, with the panel's title unless another is given."""
         return cls(name=name, title=title or panel.title, caption=caption, panels=(panel,), **rest)
 
     @property
@@ -210,10 +194,7 @@ class Figure:
         return self.panels[0]
 
     def table(self) -> pd.DataFrame:
-        """The drawn numbers; with several panels, one row a point and the name of its panel.
-
-        Images are not in it.
-        """
+        """Return the drawn numbers without images; of several panels one row per point, with its panel."""
         if len(self.panels) == 1:
             return self.panel.table()
         parts = [_long(panel.table(), panel) for panel in self.panels if panel.series]
@@ -225,17 +206,17 @@ class Figure:
         Parameters
         ----------
         ax
-            Axes to draw on, for a figure of one panel; None makes a new matplotlib figure, in a notebook that
-            uses pyplot one that is shown.
+            Axes to draw on, for a figure of one panel. By default a new matplotlib figure is made, which
+            notebooks that use pyplot display.
 
         Returns
         -------
-        The axes of the first panel; ``.figure`` is the whole.
+        The axes of the first panel; ``.figure`` is the whole figure.
 
         Raises
         ------
         InputError
-            For `ax` with a figure of several panels.
+            If `ax` is given for a figure of several panels.
         """
         from vision.figures import drawing
 
@@ -246,14 +227,14 @@ class Figure:
         return drawing.draw_panel(ax, self.panel)
 
     def save(self, path: str | Path, *, dpi: float | None = None) -> Path:
-        """Write the figure; the ending of `path` says how.
+        """Write the figure in the format of the suffix of `path`.
 
         Parameters
         ----------
         path
-            Ends in .png, .pdf, .svg (text stays text in both), or .csv for the table.
+            File with suffix .png, .pdf or .svg (both with text as text), or .csv for the table.
         dpi
-            Resolution of a PNG and of images within the other two; None for what suits the kind.
+            Resolution of a PNG and of images within the other two; by default that of the format.
 
         Returns
         -------
@@ -262,9 +243,9 @@ class Figure:
         Raises
         ------
         InputError
-            For another ending.
+            For another suffix.
         OSError
-            Where the file cannot be written.
+            If the file cannot be written.
         """
         path = Path(path)
         kind = path.suffix.lower()
@@ -279,7 +260,7 @@ class Figure:
         return path
 
     def png(self) -> bytes:
-        """The figure as a PNG file's content."""
+        """Return the content of a PNG file of the figure."""
         from vision.figures import drawing
 
         return drawing.png(self)
@@ -289,7 +270,7 @@ class Figure:
 
 
 def _long(table: pd.DataFrame, panel: Panel) -> pd.DataFrame:
-    """One row a point, under names that all panels share."""
+    """Return a panel's table with one row per point, and with column names that all panels share."""
     x, y = panel.x_label, panel.y_label
     if "series" not in table:
         table = table.melt(id_vars=x, var_name="series", value_name="y")
@@ -304,30 +285,30 @@ _CLASSES: dict[str, type] = {part.__name__: part for part in (Series, Image, Ban
 
 
 def save_figures(path: str | Path, figures: Iterable[Figure]) -> Path:
-    """Write figures to one compressed .npz file, from which `load_figures` reads them; returns its path.
+    """Write figures to one compressed .npz file for `load_figures`; return its path.
 
-    It holds JSON (as bytes, "figures"), all curves in one array ("curves") and the images.
+    The file holds JSON (as bytes, "figures"), all curves in one array ("curves") and the images.
     """
     path = Path(path)
     curves: list[Floats] = []
     images: dict[str, NDArray[Any]] = {}
-    places: dict[int, Any] = {}
+    stored: dict[int, Any] = {}  # id of an array to its range in `curves`, or its name in `images`
     length = 0
 
-    def place(array: NDArray[Any]) -> Any:
+    def store(array: NDArray[Any]) -> Any:
         nonlocal length
-        if id(array) not in places:  # arrays that figures share are kept once
+        if id(array) not in stored:  # arrays that figures share are stored once
             if array.ndim == 1:
                 curves.append(np.asarray(array, np.float64))
-                places[id(array)] = [length, length + array.size]
+                stored[id(array)] = [length, length + array.size]
                 length += array.size
             else:
-                places[id(array)] = f"image{len(images)}"
-                images[places[id(array)]] = array
-        return {"array": places[id(array)]}
+                stored[id(array)] = f"image{len(images)}"
+                images[stored[id(array)]] = array
+        return {"array": stored[id(array)]}
 
-    kept = list(figures)  # alive while their arrays are told apart by id
-    text = json.dumps([_encode(figure, place) for figure in kept], ensure_ascii=False, allow_nan=False)
+    listed = list(figures)  # keeps all arrays alive, so that each id is that of one array
+    text = json.dumps([_encode(figure, store) for figure in listed], ensure_ascii=False, allow_nan=False)
     arrays = {
         "figures": np.frombuffer(text.encode(), np.uint8),
         "curves": np.concatenate([*curves, np.empty(0)]),
@@ -335,35 +316,35 @@ def save_figures(path: str | Path, figures: Iterable[Figure]) -> Path:
     # Level 1 is four times as fast as the usual 6, for files a twentieth larger.
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, array in (arrays | images).items():
-            entry = zipfile.ZipInfo(f"{name}.npy")  # without the time of day: same figures, same file
+            entry = zipfile.ZipInfo(f"{name}.npy")  # without a time, so that equal figures give equal files
             entry.compress_type = zipfile.ZIP_DEFLATED
             with archive.open(entry, "w", force_zip64=True) as stream:
                 np.lib.format.write_array(stream, np.ascontiguousarray(array), allow_pickle=False)
     return path
 
 
-def _encode(value: Any, place: Callable[[NDArray[Any]], Any]) -> Any:
-    """A value as JSON; arrays by their place in the file."""
+def _encode(value: Any, store: Callable[[NDArray[Any]], Any]) -> Any:
+    """Convert a value to JSON; `store` takes an array and returns what refers to it."""
     if isinstance(value, np.ndarray):
-        return place(value)
+        return store(value)
     if type(value).__name__ in _CLASSES:
         content = {
-            part.name: _encode(found, place)
-            for part in fields(value)
-            if not _is_default(found := getattr(value, part.name), part.default)
+            one.name: _encode(item, store)
+            for one in fields(value)
+            if not _is_default(item := getattr(value, one.name), one.default)
         }
         return {"class": type(value).__name__} | content
-    return [_encode(item, place) for item in value] if isinstance(value, tuple) else value
+    return [_encode(item, store) for item in value] if isinstance(value, tuple) else value
 
 
 def _is_default(value: Any, default: Any) -> bool:
-    """Whether a field need not be kept; NaN, which JSON lacks, is only ever a default."""
+    """Tell whether a field can be left out. NaN, which JSON lacks, occurs only as a default."""
     numbers = isinstance(value, float) and isinstance(default, float)
     return value is default or (numbers and math.isnan(value) and math.isnan(default))
 
 
 def load_figures(path: str | Path) -> list[Figure]:
-    """Figures from a file of `save_figures`, in their order.
+    """Read the figures of a file of `save_figures`, in their order.
 
     Raises: InputError for a file that does not hold figures, or those of an incompatible version.
     """
@@ -371,49 +352,54 @@ def load_figures(path: str | Path) -> list[Figure]:
         with np.load(path, allow_pickle=False) as arrays:
             stored = {name: arrays[name] for name in arrays.files}
         listed = json.loads(stored["figures"].tobytes().decode())
-        cut: dict[tuple[int, int], Floats] = {}
-        figures = [_decode(item, stored, cut) for item in listed]
-        for figure in figures:  # it becomes the name of a file
+        curves: dict[tuple[int, int], Floats] = {}
+        figures = [_decode(item, stored, curves) for item in listed]
+        for figure in figures:  # the name of a figure becomes that of a file
             if not re.fullmatch(r"\w{1,60}", figure.name):
                 raise ValueError(f"a figure of the name {figure.name!r}")
         return figures
 
 
-def _decode(value: Any, stored: dict[str, NDArray[Any]], cut: dict[tuple[int, int], Floats]) -> Any:
-    """The reverse of `_encode`; arrays that were one are one again."""
+def _decode(value: Any, stored: dict[str, NDArray[Any]], curves: dict[tuple[int, int], Floats]) -> Any:
+    """Convert a value back from JSON; a shared array becomes one array again.
+
+    stored: arrays of the file by name.  curves: those cut from its "curves" so far, by their ends.
+    """
     if isinstance(value, list):
-        return tuple(_decode(item, stored, cut) for item in value)
+        return tuple(_decode(item, stored, curves) for item in value)
     if not isinstance(value, dict):
         return value
     if "array" in value:
-        at = value["array"]
-        if isinstance(at, str):
-            return stored[at]
-        return cut.setdefault((at[0], at[1]), stored["curves"][at[0] : at[1]])
-    made = _CLASSES[value["class"]]
-    parts = {name: _decode(item, stored, cut) for name, item in value.items() if name != "class"}
-    hints = get_type_hints(made)
-    if wrong := [name for name, part in parts.items() if not _fits(part, hints[name])]:
+        array = value["array"]
+        if isinstance(array, str):
+            return stored[array]
+        start, stop = array
+        return curves.setdefault((start, stop), stored["curves"][start:stop])
+    kind = _CLASSES[value["class"]]
+    parts = {name: _decode(item, stored, curves) for name, item in value.items() if name != "class"}
+    hints = get_type_hints(kind)
+    if wrong := [name for name, part in parts.items() if not _has_type(part, hints[name])]:
         raise TypeError(f"{value['class']}.{wrong[0]} is no {hints[wrong[0]]}")
-    figure = made(**parts)
-    if isinstance(figure, Series):
-        held = [part for part in (figure.y, figure.low, figure.high, figure.text or None) if part is not None]
-        if figure.x.ndim != 1 or any(len(part) != len(figure.x) for part in held):
-            raise ValueError(f"a series of {figure.x.shape} points with values of another number")
-    return figure
+    decoded = kind(**parts)
+    if isinstance(decoded, Series):
+        optional = (decoded.low, decoded.high, decoded.text or None)
+        columns = [decoded.y, *(part for part in optional if part is not None)]
+        if decoded.x.ndim != 1 or any(len(column) != len(decoded.x) for column in columns):
+            raise ValueError(f"a series of {decoded.x.shape} points with values of another number")
+    return decoded
 
 
-def _fits(value: Any, kind: Any) -> bool:
-    """Whether a value read from a file is of the declared type; the types are those of this module."""
+def _has_type(value: Any, kind: Any) -> bool:
+    """Tell whether a value has the declared type, for the types of fields in this module."""
     origin, inner = get_origin(kind), get_args(kind)
     if origin is Literal:
         return value in inner
     if origin in (Union, UnionType):
-        return any(_fits(value, one) for one in inner)
+        return any(_has_type(value, one) for one in inner)
     if origin is tuple and isinstance(value, tuple):
         if inner[-1] is Ellipsis:
-            return all(_fits(item, inner[0]) for item in value)
-        return len(value) == len(inner) and all(map(_fits, value, inner))
+            return all(_has_type(item, inner[0]) for item in value)
+        return len(value) == len(inner) and all(map(_has_type, value, inner))
     if kind is float:
         return isinstance(value, (int, float)) and not isinstance(value, bool)
     return isinstance(value, origin or kind)

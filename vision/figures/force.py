@@ -1,4 +1,4 @@
-"""Figures of the force recording: F(d), single sticks, their amplitude and stiffness, the two clocks."""
+"""Figures of the force recording: F(d), single events, their amplitude and stiffness, the two clocks."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from vision.force import good_samples
 from vision.models import ModelFits, equations
 from vision.numeric import Floats
 
-SHOWN_STICKS = 5  # from first to last, and of the early and of the late part of a test
-MOST_SAMPLES = 30_000  # of force or opening on the clocks' axis
+SHOWN_STICKS = 5  # events from first to last, or of the early or late part of a test
+MOST_SAMPLES = 30_000  # of force or motion in the figure of the clocks
 CURVE_POINTS = 300
-SAME_SLIP = 0.25  # of the time from slip to slip: farther apart, two slips are not the same one
-SHOWN_FLAGS = frozenset({"ok", "slow", "negative", "oscillation", "cycles"})  # measured whole
+SAME_SLIP = 0.25  # largest distance of the same slip on both clocks, over the time between slips
+SHOWN_FLAGS = frozenset({"ok", "slow", "negative", "oscillation", "cycles"})  # of completely measured events
 
 
 def force_figure(
     force: xr.Dataset, sticks: pd.DataFrame | None = None, fits: ModelFits | None = None
 ) -> Figure:
-    """F(d) with the peaks and valleys of the stick phases and the fitted Eq. 1.
+    """Return F(d) with the peaks and valleys of the stick phases and the fitted Eq. 1.
 
-    Against time where the separation is not known. The curve is the minimum and maximum of the force in
-    each of some thousand steps of d, so that every slip is shown.
+    If the separation is not known, F is drawn against time. The curve is the minimum and maximum of the force
+    in each of 4000 steps of d, so that every slip is visible.
     """
     good = good_samples(force)
     d, time = good["d_mm"].to_numpy(), good["time_s"].to_numpy()
@@ -71,7 +71,7 @@ def force_figure(
         "force",
         panel,
         "Traction force as recorded (minimum and maximum of each small step), with the peaks (filled) and "
-        "valleys (hollow) of the stick phases, from lines fitted to each stick and extended to its ends."
+        "valleys (hollow) of the stick phases, from a line fitted to each and extended to its ends."
         f"{model}",
     )
 
@@ -87,9 +87,9 @@ def clocks_figure(
     *,
     pixel_size_um: float | None = None,
 ) -> Figure:
-    """Force and the sheets' mean outward displacement on the force clock: slips must coincide.
+    """Return force and mean outward displacement of the sheets on the force clock: slips must coincide.
 
-    With `sticks`, a few of them in the middle of the video are shown at first.
+    With `sticks`, the page first shows a few of them in the middle of the video.
     """
     time = clock.to_force_s(time_axis(tracks)[0])
     scale, unit = displacement_unit(pixel_size_um)
@@ -126,19 +126,19 @@ def clocks_figure(
 def clock_residuals_figure(
     force: xr.Dataset, tracks: xr.Dataset, clock: Clock, sticks: pd.DataFrame
 ) -> Figure | None:
-    """Slips of the video less the nearest of the force, ms; None where none coincide."""
+    """Return the times of slips in the video less those of the nearest in the force, ms, or None."""
     try:
-        seen, drops = video_slips(tracks), force_slips(force, sticks)
-    except InputError:  # frames without times, or too few: nothing to compare
+        steps, drops = video_slips(tracks), force_slips(force, sticks)
+    except InputError:  # frames without times, or too few
         return None
-    if not len(seen) or len(drops) < 2:
+    if not len(steps) or len(drops) < 2:
         return None
-    there, machine = clock.to_force_s(seen["time_s"].to_numpy()), drops["time_s"].to_numpy()
-    apart = there[:, None] - machine
-    residual = np.take_along_axis(apart, np.abs(apart).argmin(axis=1)[:, None], axis=1)[:, 0]
+    camera, machine = clock.to_force_s(steps["time_s"].to_numpy()), drops["time_s"].to_numpy()
+    difference = camera[:, None] - machine
+    residual = np.take_along_axis(difference, np.abs(difference).argmin(axis=1)[:, None], axis=1)[:, 0]
     same = np.abs(residual) < SAME_SLIP * float(np.median(np.diff(machine)))
-    error = 1000 * seen["error_s"].to_numpy()[same]
-    at, residual = there[same], 1000 * residual[same]
+    error = 1000 * steps["error_s"].to_numpy()[same]
+    at, residual = camera[same], 1000 * residual[same]
     if not at.size:
         return None
     reach = 1.1 * float(np.max(np.abs(residual) + error))
@@ -155,16 +155,16 @@ def clock_residuals_figure(
     return Figure.of(
         "clock_residuals",
         panel,
-        "Time of each slip in the video, taken to the force clock, less that of the nearest slip in the "
-        f"force, with the standard error of the former; {at.size} of {there.size} slips of the video are "
-        f"within {SAME_SLIP:g} of a stick from one in the force. A trend would be a drift that the clock "
-        "does not take up, one level all along a wrong offset.",
+        "Time of each slip in the video on the force clock less that of the nearest slip in the force, with "
+        f"the standard error of the former; {at.size} of {camera.size} slips of the video are within "
+        f"{SAME_SLIP:g} of a stick time from one in the force. A trend means an uncorrected drift, a "
+        "constant difference a wrong offset.",
         title="Residuals of the clocks",
     )
 
 
 def _agreement(clock: Clock) -> str:
-    """How well the clocks agree, and how certain that is."""
+    """Return how well the clocks agree, and how certain this is, as text."""
     matches = (
         f"{clock.matched} slips matched, median residual {clock.residual_ms:.2g} ms, {clock.unmatched_video} "
         f"seen only in the video and {clock.unmatched_force} only in the force."
@@ -180,7 +180,7 @@ def _agreement(clock: Clock) -> str:
 
 
 def _some_sticks(t_video: Floats, sticks: pd.DataFrame | None) -> Range | None:
-    """Ten sticks in the middle of the video; None where it is no longer than that."""
+    """Return the times of ten stick phases in the middle of the video; None if it is not longer."""
     if sticks is None or len(sticks) < 2:
         return None
     middle, period = float(np.median(t_video)), float(np.median(np.diff(sticks["t_p_s"])))
@@ -192,7 +192,7 @@ def _some_sticks(t_video: Floats, sticks: pd.DataFrame | None) -> Range | None:
 
 
 def sticks_figure(force: xr.Dataset, sticks: pd.DataFrame) -> Figure:
-    """F − F_v against d − d_v for a few stick-slip events from first to last."""
+    """Return F − F_v against d − d_v for a few stick-slip events from first to last."""
     chosen = _spread(sticks)
     good = good_samples(force)
     time, d, load = (good[name].to_numpy().astype(float) for name in ("time_s", "d_mm", "load_N"))
@@ -200,11 +200,11 @@ def sticks_figure(force: xr.Dataset, sticks: pd.DataFrame) -> Figure:
         chosen[name].to_numpy(float) for name in ("t_v_s", "t_p_s", "slip_time_s", "d_v_mm", "F_v_N")
     )
     first = np.searchsorted(time, t_v)
-    last = np.searchsorted(time, t_p + slip, side="right") + 2  # so that the slip is seen to its end
+    last = np.searchsorted(time, t_p + slip, side="right") + 2  # includes the end of the slip
     series = tuple(
         Series(
             label=f"d_v = {d_v[k]:.2f} mm",
-            # the crosshead is recorded in steps, which may fall back by one
+            # The displacement is recorded in steps, and may go back by one.
             x=np.maximum.accumulate(1000 * (d[first[k] : last[k]] - d_v[k])),
             y=load[first[k] : last[k]] - f_v[k],
             ink=ink,
@@ -230,28 +230,28 @@ def sticks_figure(force: xr.Dataset, sticks: pd.DataFrame) -> Figure:
     return Figure.of(
         "sticks",
         panel,
-        "Force above the valley against separation beyond the valley, samples as recorded, for events from "
-        "the beginning to the end of the test; later ones brighter. Dots: the central "
-        f"{100 * part:.0f} %, whose slope is K; arrows: the height ΔF and the length Λ_st of the first. "
-        "A drop at the very start is the end of the slip before.",
+        "Force above the valley against separation beyond the valley as recorded, for events from the "
+        "beginning to the end of the test; later ones are brighter. Dots: the central "
+        f"{100 * part:.0f} %, whose slope is K; arrows: the height ΔF and the length Λ_st of the first "
+        "event. A drop at the very start is the end of the slip before.",
         title="Single stick-slip events",
     )
 
 
 def _central_parts(chosen: pd.DataFrame, curves: tuple[Series, ...], part: float) -> tuple[Series, ...]:
-    """The samples over which K is taken, thinned to a dozen per stick."""
+    """Return the samples from which K is measured, thinned to about a dozen per event."""
     dots: list[Series] = []
     for length, curve in zip(chosen["stick_length_um"].to_numpy(float), curves, strict=True):
         inside = np.flatnonzero(np.abs(curve.x - length / 2) <= part * length / 2)
         inside = inside[:: max(1, inside.size // 12)]
         if inside.size:
-            label = "" if dots else "K is taken here"
+            label = "" if dots else "K is measured here"
             dots.append(Series.points(label, curve.x[inside], curve.y[inside], curve.ink))
     return tuple(dots)
 
 
 def _stick_sizes(chosen: pd.DataFrame) -> tuple[Arrow, ...]:
-    """ΔF and Λ_st of the first event shown."""
+    """Return arrows for ΔF and Λ_st of the first event shown."""
     if chosen.empty or not np.isfinite(chosen["stick_length_um"].iloc[0]):
         return ()
     length, drop = float(chosen["stick_length_um"].iloc[0]), float(chosen["dF_N"].iloc[0])
@@ -263,7 +263,7 @@ def _stick_sizes(chosen: pd.DataFrame) -> tuple[Arrow, ...]:
 
 
 def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: str = "N") -> Figure:
-    """Stick-slip amplitude ΔF(d_v) with A times the total normal force; ΔF(t_v) where d is not known.
+    """Return the stick-slip amplitude ΔF(d_v) with A times the total normal force, or ΔF(t_v) without d.
 
     unit: of the load, "1" for a force over a weight.
     """
@@ -294,7 +294,7 @@ def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, un
 
 
 def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: str = "N") -> Figure:
-    """K(d_v) with M_eff K_eff, and with the decay (L + d)⁻¹ of a sample that only gets longer.
+    """Return K(d_v) with M_eff K_eff, and with the decay (L + d)⁻¹ of a sample that only lengthens.
 
     unit: of the load, "1" for a force over a weight.
     """
@@ -310,7 +310,7 @@ def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, uni
         model = (
             f" Dashed: M_eff K_eff with N̂ = {plus_minus(fits.n_hat_N)} N and "
             f"Y_eff = {plus_minus(fits.modulus_GPa)} GPa. Solid: (L + d)⁻¹ "
-            "from the same start, which is what lengthening alone would do."
+            "from the same start, the effect of lengthening alone."
         )
     panel = Panel(
         title="Stiffness of the sample",
@@ -320,7 +320,7 @@ def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, uni
         series=tuple(series),
         placeholder="d is not known",
     )
-    caption = f"K from the slope of the central half of every stick, with its standard error.{model}"
+    caption = f"K, the slope of the central half of every stick phase, with its standard error.{model}"
     return Figure.of("stiffness", panel, caption)
 
 
@@ -329,7 +329,7 @@ def _stiffness_label(name: str, unit: str) -> str:
 
 
 def stiffness_residuals_figure(sticks: pd.DataFrame, fits: ModelFits, *, unit: str = "N") -> Figure | None:
-    """K less M_eff K_eff against d, with K's errors; None without a stick.
+    """Return K less M_eff K_eff against d, with the errors of K; None without events.
 
     unit: of the load, "1" for a force over a weight.
     """
@@ -350,14 +350,14 @@ def stiffness_residuals_figure(sticks: pd.DataFrame, fits: ModelFits, *, unit: s
     return Figure.of(
         "stiffness_residuals",
         panel,
-        "K of every stick less M_eff K_eff at its d_v, with K's standard error. What is not spread evenly "
-        "about zero the model does not describe.",
+        "K of every stick phase less M_eff K_eff at its d_v, with the standard error of K. If the points are "
+        "not scattered evenly about zero, the model does not describe them.",
         title="Stiffness less its model",
     )
 
 
 def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits | None = None) -> Figure:
-    """The whole recording, a few sticks with their lines, amplitude and stiffness against d, on one page."""
+    """Return the whole recording, a few events with their lines, amplitude and stiffness as one figure."""
     unit = load_unit(force)
     whole = force_figure(force, sticks, fits).panel
     drops, stiffness = (make(sticks, fits, unit=unit) for make in (force_drop_figure, stiffness_figure))
@@ -370,7 +370,7 @@ def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFi
     return Figure(
         name="force_overview",
         title="The force recording and its stick-slip events",
-        caption="The whole recording, a few sticks of its middle, amplitude and stiffness of every event.",
+        caption="The whole recording, a few events in its middle, amplitude and stiffness of every event.",
         panels=tuple(replace(panel, aspect=0.6) for panel in panels),
         columns=2,
         width_in=13.0,
@@ -378,21 +378,21 @@ def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFi
 
 
 def _zoom(force: xr.Dataset, sticks: pd.DataFrame) -> Panel:
-    """F(t) of six events in the middle of the test, with their valleys, peaks and the lines between."""
+    """Return F(t) of six events in the middle of the test, with valleys, peaks and the lines between."""
     start = max(len(sticks) // 2 - 3, 0)
-    some = sticks.iloc[start : start + 6]
-    t_v, t_p, f_v, f_p = (some[name].to_numpy(float) for name in ("t_v_s", "t_p_s", "F_v_N", "F_p_N"))
-    title = "A few sticks, with the lines from valley to peak"
+    shown = sticks.iloc[start : start + 6]
+    t_v, t_p, f_v, f_p = (shown[name].to_numpy(float) for name in ("t_v_s", "t_p_s", "F_v_N", "F_p_N"))
+    title = "A few events, with the lines from valley to peak"
     if lowpass_s := StickMetadata.of(sticks).lowpass_s:
         title += f"\n(corrected for the load cell's low-pass of {1e3 * lowpass_s:.2g} ms; F as recorded)"
     series: tuple[Series, ...] = ()
-    if len(some):
+    if len(shown):
         margin = 0.15 * (t_p[-1] - t_v[0])
         good = good_samples(force)
         time = good["time_s"].to_numpy()
         near = (time > t_v[0] - margin) & (time < t_p[-1] + margin)
         at, load = minmax_decimate(time[near], good["load_N"].to_numpy()[near][:, None], most=3000)
-        gap = np.full(len(some), np.nan)
+        gap = np.full(len(shown), np.nan)
         lines_t, lines_f = (np.stack(parts, axis=1).ravel() for parts in ((t_v, t_p, t_p), (f_v, f_p, gap)))
         series = (
             Series(label="F", x=at, y=load[:, 0], ink=QUIET, width=0.8),
@@ -410,7 +410,7 @@ def _zoom(force: xr.Dataset, sticks: pd.DataFrame) -> Panel:
 
 
 def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits | None = None) -> Figure:
-    """F(d) of the whole test, its initial elastic rise, and some early and late stick-slip events."""
+    """Return F(d) of the whole test, its initial elastic rise, and some early and late events."""
     whole = force_figure(force, sticks, fits).panel
     usable = sticks[sticks["d_v_mm"].notna()]
     rise = float(usable["t_p_s"].iloc[0]) if len(usable) else np.inf  # to the first slip
@@ -424,7 +424,7 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
         title="Traction force and stages of the test",
         caption=(
             "Traction force against separation with the fit of Eq. 1 to the peaks; the first rise of the "
-            "force, events of an early and of a late stage of the test (peaks filled, valleys hollow)."
+            "force; and events of an early and a late stage of the test (peaks filled, valleys hollow)."
         ),
         panels=tuple(panels),
         columns=2,
@@ -432,22 +432,23 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
     )
 
 
-def _some_events(force: xr.Dataset, some: pd.DataFrame, title: str) -> Panel:
-    if some.empty:
+def _some_events(force: xr.Dataset, sticks: pd.DataFrame, title: str) -> Panel:
+    """Return F(d) of these events with their peaks and valleys."""
+    if sticks.empty:
         return _part(force, (np.inf, np.inf), (), title)
-    start, end = float(some["t_v_s"].iloc[0]), float(some["t_p_s"].iloc[-1])
+    start, end = float(sticks["t_v_s"].iloc[0]), float(sticks["t_p_s"].iloc[-1])
     margin = 0.1 * (end - start)
-    peaks = Series.points("peaks", some["d_p_mm"], some["F_p_N"], PEAK)
-    valleys = Series.points("valleys", some["d_v_mm"], some["F_v_N"], VALLEY, hollow=True)
+    peaks = Series.points("peaks", sticks["d_p_mm"], sticks["F_p_N"], PEAK)
+    valleys = Series.points("valleys", sticks["d_v_mm"], sticks["F_v_N"], VALLEY, hollow=True)
     return _part(force, (start - margin, end + margin), (peaks, valleys), title)
 
 
 def _part(force: xr.Dataset, time_s: Range, series: tuple[Series, ...], title: str) -> Panel:
-    """F(d) of a part of the recording."""
+    """Return F(d) of a part of the recording."""
     good = good_samples(force)
-    keep = (good["time_s"].to_numpy() >= time_s[0]) & (good["time_s"].to_numpy() <= time_s[1])
-    d = np.maximum.accumulate(good["d_mm"].to_numpy()[keep])  # recorded in steps, which may fall back by one
-    at, load = minmax_decimate(d, good["load_N"].to_numpy()[keep, None], most=4000)
+    inside = (good["time_s"].to_numpy() >= time_s[0]) & (good["time_s"].to_numpy() <= time_s[1])
+    d = np.maximum.accumulate(good["d_mm"].to_numpy()[inside])  # recorded in steps, may go back by one
+    at, load = minmax_decimate(d, good["load_N"].to_numpy()[inside, None], most=4000)
     return Panel(
         title=title,
         x_label="d (mm)",
@@ -471,24 +472,24 @@ def _points(
     error: str | None = None,
     hollow: bool = False,
 ) -> Series:
-    """The events that were measured whole, in order of x."""
-    usable = _whole(sticks).dropna(subset=[x, y]).sort_values(x)
+    """Return the completely measured events as points, in order of x."""
+    usable = _complete(sticks).dropna(subset=[x, y]).sort_values(x)
     return Series.points(label, usable[x], usable[y], ink, error and usable[error], hollow=hollow)
 
 
-def _whole(sticks: pd.DataFrame) -> pd.DataFrame:
-    """Events without a flag, or with one that only says how or what they are."""
-    known = [set(str(flag).split("+")) <= SHOWN_FLAGS for flag in sticks["flag"]]
-    return sticks[np.asarray(known, dtype=bool)]
+def _complete(sticks: pd.DataFrame) -> pd.DataFrame:
+    """Return the events that have only flags of `SHOWN_FLAGS`."""
+    shown = [set(str(flag).split("+")) <= SHOWN_FLAGS for flag in sticks["flag"]]
+    return sticks[np.asarray(shown, dtype=bool)]
 
 
 def _spread(sticks: pd.DataFrame) -> pd.DataFrame:
-    """A few events without a flag from that of the largest peaks, where the build-up is over, to the last."""
-    usable = _whole(sticks).dropna(subset="d_v_mm")
+    """Return a few events evenly spread over d, from the largest peaks (after the build-up) to the last."""
+    usable = _complete(sticks).dropna(subset="d_v_mm")
     if usable.empty:
         return usable
     top = int(usable["F_p_N"].rolling(7, center=True, min_periods=1).median().to_numpy(float).argmax())
     usable = usable.iloc[min(top, max(len(usable) - SHOWN_STICKS, 0)) :]
     d = np.maximum.accumulate(usable["d_v_mm"].to_numpy(float))
-    places = np.searchsorted(d, np.linspace(d[0], d[-1], SHOWN_STICKS))
-    return usable.iloc[np.unique(places)]
+    chosen = np.searchsorted(d, np.linspace(d[0], d[-1], SHOWN_STICKS))
+    return usable.iloc[np.unique(chosen)]

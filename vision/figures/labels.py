@@ -1,4 +1,4 @@
-"""Text of figures and of the report: symbols, numbers with their errors, units and axes."""
+"""Text of figures and of the report: symbols, numbers with errors, units and axes."""
 
 from __future__ import annotations
 
@@ -24,21 +24,22 @@ _SMALL_LETTERS = str.maketrans("xvpst0", "ₓᵥₚₛₜ₀")
 
 
 def to_html(text: str) -> Markup:
-    """For the page: safe markup with <sub>."""
+    """Return safe HTML, with <sub> for subscripts."""
     return Markup(_SYMBOL.sub(r"\1<sub>\2</sub>", str(escape(text))))
 
 
 def to_unicode(text: str) -> str:
-    """For one line of plain text: Unicode subscripts; "eff" and "sl" stay, as Unicode lacks them."""
+    """Return plain text with Unicode subscripts; "_eff" and "_sl" are unchanged, as Unicode lacks them."""
     return _SYMBOL.sub(
         lambda m: m[0] if m[2] in ("eff", "sl") else m[1] + m[2].translate(_SMALL_LETTERS), text
     )
 
 
 def to_mathtext(text: str) -> str:
-    """For matplotlib: Unicode subscripts, and mathtext, which is slower, for those that Unicode lacks."""
-    plain = _SYMBOL.sub(r"$\1_{\\mathrm{\2}}$", to_unicode(text).replace("$", r"\$"))  # as of names
-    # A hat on a tall letter is cut off where the letter ends, but for mathtext's own.
+    """Return text for matplotlib, with Unicode subscripts, or else mathtext, which is slower."""
+    # A name may contain "$".
+    plain = _SYMBOL.sub(r"$\1_{\\mathrm{\2}}$", to_unicode(text).replace("$", r"\$"))
+    # Outside mathtext, a hat on a capital is cut off.
     return re.sub("(\\w)\u0302", r"$\\hat{\\mathrm{\1}}$", plain)
 
 
@@ -46,7 +47,7 @@ def to_mathtext(text: str) -> str:
 
 
 def plus_minus(estimate: Estimate) -> str:
-    """A value and its standard error, rounded to the error's second digit; four digits without an error."""
+    """Return a value ± its standard error, to two digits of the error; four digits without an error."""
     value, error = estimate.value, estimate.error
     if not math.isfinite(error) or error <= 0:
         return f"{value:.4g}".replace("-", "−")
@@ -55,7 +56,7 @@ def plus_minus(estimate: Estimate) -> str:
 
 
 def both_errors(estimate: Estimate) -> str:
-    """A value with its statistical and its systematic error; without the latter where none is known."""
+    """Return a value with its statistical and, if known, its systematic error."""
     systematic = estimate.systematic_error
     if not math.isfinite(systematic) or systematic == 0:
         return plus_minus(estimate)
@@ -69,24 +70,24 @@ def both_errors(estimate: Estimate) -> str:
 
 
 def percent(fraction: float) -> str:
-    """A fraction as a percentage that does not round 99.96 up to 100."""
+    """Return a fraction as a percentage with one decimal, rounded down so that 99.96 is not 100."""
     return f"{math.floor(1000 * fraction) / 10:g} %"
 
 
 def signed(value: float) -> str:
-    """A whole number with its sign."""
+    """Return a number rounded to a whole one, with its sign."""
     return f"{value:+.0f}".replace("-", "−")
 
 
 def offset_text(clock: Clock) -> str:
-    """A clock's offset with its error, where that is known."""
+    """Return a clock's offset, with its error if known."""
     if not clock.offset_err_s > 0:
         return f"{clock.offset_s:.4f} s".replace("-", "−")
     return f"{plus_minus(Estimate(clock.offset_s, clock.offset_err_s))} s"
 
 
 def drift_text(clock: Clock) -> str:
-    """A clock's drift with its error, where that is known."""
+    """Return a clock's drift, with its error if known."""
     error = clock.drift_err_ppm
     if not error > 0:
         return f"{signed(clock.drift_ppm)} ppm"
@@ -95,7 +96,7 @@ def drift_text(clock: Clock) -> str:
 
 
 def candidates_text(clock: Clock) -> str:
-    """Offsets of the best three alignments with their log-likelihoods."""
+    """Return the offsets of the best three alignments with their log-likelihoods."""
     best = [f"{one.offset_s:.3f} s ({one.log_likelihood:.1f})" for one in clock.candidates[:3]]
     return ", ".join(best).replace("-", "−")
 
@@ -106,10 +107,10 @@ UM_PER_MM = 1000
 
 
 def time_axis(data: xr.Dataset | xr.DataArray) -> tuple[Floats, str]:
-    """Times of the frames of tracks or I(x, t), and the label of their axis.
+    """Return the times of the frames of tracks or I(x, t), (frame,), and the label of their axis.
 
-    Seconds, (frame,), and their label, which says where they come from the file's playback rate alone. Frame
-    numbers where the times are unknown, stand still or run backwards; single times that repeat are kept.
+    The label names the playback rate if the times are known only from it. Frame numbers replace times that
+    are unknown, do not increase in most frames, or decrease.
     """
     time = np.asarray(data["time_s"].values, np.float64)
     steps = np.diff(time)
@@ -120,31 +121,31 @@ def time_axis(data: xr.Dataset | xr.DataArray) -> tuple[Floats, str]:
 
 
 def displacement_unit(pixel_size_um: float | None) -> tuple[float, str]:
-    """Factor from px, and unit: µm, or px where the pixel size is not known."""
+    """Return the factor from px, and the unit: µm, or px if the pixel size is not known."""
     return (1.0, "px") if pixel_size_um is None else (pixel_size_um, "µm")
 
 
 def position_unit(pixel_size_um: float | None, width_px: float) -> tuple[float, str]:
-    """Factor from px, and unit, for a picture `width_px` wide: mm, µm below 1 mm, px without a pixel size."""
+    """Return factor from px and unit for a picture `width_px` wide: mm, µm below 1 mm, or px."""
     if pixel_size_um is None or pixel_size_um * width_px < UM_PER_MM:
         return displacement_unit(pixel_size_um)
     return pixel_size_um / UM_PER_MM, "mm"
 
 
 def from_zero(*values: Floats, share: float = 1.0) -> tuple[float, float] | None:
-    """Range of an axis from 0 to above this share of the values; None where none is above 0."""
+    """Return the range of an axis from 0 to above this share of the values; None if none is positive."""
     known = np.concatenate([np.asarray(part, np.float64).ravel() for part in values])
     known = known[np.isfinite(known)]
-    room = 1.15 if share == 1 else 1.25  # for the outliers
-    top = room * float(np.quantile(known, share)) if known.size else 0.0
+    margin = 1.15 if share == 1 else 1.25  # for the outliers
+    top = margin * float(np.quantile(known, share)) if known.size else 0.0
     return (0.0, top) if top > 0 else None
 
 
 def load_unit(force: xr.Dataset) -> str:
-    """The load's unit: "N", or "1" for a force over a weight."""
+    """Return the load's unit: "N", or "1" for a force over a weight."""
     return str(force["load_N"].attrs.get("units", "N"))
 
 
 def load_label(name: str, unit: str) -> str:
-    """Label of an axis of force."""
+    """Return the label of an axis of force."""
     return f"{name} / weight" if unit == "1" else f"{name} ({unit})"

@@ -1,4 +1,4 @@
-"""Figures of x(n, t): displacement from one origin, noise, pixel locking, deformation, the stiff shell."""
+"""Figures of x(n, t): displacement, noise, pixel locking, deformation, and the stiff shell."""
 
 from __future__ import annotations
 
@@ -18,30 +18,28 @@ from vision.models import ModelFits
 from vision.numeric import Bools, Floats, Ints, nan_median
 
 MOST_POINTS = 1600  # of one sheet
-BINS = 20  # of a pixel
+BINS = 20  # per pixel
 ORIGIN_FRAMES = 20
-"""Frames whose median is the origin: the noise of an origin is a quarter of that of a position. More would
-reach into the motion of the first stick."""
+"""Number of frames whose median is the origin of a displacement. The noise of the origin is then about a
+quarter of that of a position. More frames would include motion of the first stick phase."""
 LEAST_SHARE = 0.9
-"""Share of the sheets that the stretch for the origin must show. More would wait for sheets that come into
-view late, while the others already move; fewer would place many sheets by their neighbours."""
+"""Share of the sheets that must have positions in the frames for the origin. A larger one would wait for
+sheets that come into view late, while others already move; with a smaller one, more origins would be
+interpolated between neighbours."""
 LEAST_FOUND = 0.95
-"""Share of the frames in which a sheet must have a position to count in a mean over sheets: a sheet that
-comes and goes would shift the mean, a mean over too few sheets is noisier."""
+"""Share of the frames in which a sheet must have a position to be in a mean over sheets. With a smaller one,
+sheets that are often missing would leave fewer frames; with a larger one, too few sheets remain."""
 
 
 def tracks_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Figure:
-    """x(n, t) less each sheet's first position, in µm where the pixel size is known, else px.
-
-    The origin is that of `origin_px`.
-    """
+    """Return x(n, t) less each sheet's origin (`origin_px`), in µm, or in px without a pixel size."""
     at, x_px = decimated_tracks(tracks)
     scale, unit = displacement_unit(pixel_size_um)
     displacement = (x_px - origin_px(tracks)) * scale
     frames = tracks.sizes["frame"]
     decimated = (
         f" The lines show the minimum and maximum position in each of {len(at) // 2} intervals of the "
-        f"{frames} frames, so that no slip is lost; tracks.csv holds every frame."
+        f"{frames} frames, so that all slips are visible; tracks.csv holds every frame."
         if len(at) < frames
         else ""
     )
@@ -56,15 +54,15 @@ def tracks_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> 
     return Figure.of(
         "tracks",
         panel,
-        "Position of each sheet less its median over the first frames in which most sheets were measured, so "
-        "that a gap later on shifts no curve. Left sheets are dashed and blue, right ones solid and orange; "
-        f"the tone changes steadily from the centre outwards.{decimated}",
+        "Position of each sheet less its median over the first frames in which most sheets were measured. "
+        "Left sheets are dashed and blue, right ones solid and orange; the tone changes from the centre "
+        f"outwards.{decimated}",
         title="x(n,t): displacement of every sheet",
     )
 
 
 def outer_inner_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Figure | None:
-    """Deformation alone: the outer third of each side's sheets less the inner third; None for few."""
+    """Return the mean motion of each side's outer third of sheets less the inner third; None for few."""
     scale, unit = displacement_unit(pixel_size_um)
     curves = outer_less_inner_px(tracks)
     if not curves:
@@ -81,7 +79,7 @@ def outer_inner_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None
             dashed=which < 0,
             width=1.0,
         )
-        # the right one first: the left one is dashed and lies on it
+        # The right one is drawn first: the left one is dashed, so that both are visible.
         for which, column in sorted(zip(curves, y.T, strict=True), key=lambda curve: -curve[0])
     )
     panel = Panel(
@@ -95,14 +93,14 @@ def outer_inner_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None
     return Figure.of(
         "outer_inner",
         panel,
-        "Mean outward displacement of the outer third of each side's sheets less that of its inner third: "
-        "motion of the camera and of the sample as a whole drops out, deformation is left. Empty where a "
-        "sheet that is otherwise there has no position.",
+        "Mean outward displacement of the outer third of each side's sheets less that of its inner third. "
+        "Motion of the camera and of the whole sample cancels, and deformation remains. Frames in which one "
+        "of the sheets has no position are left out.",
     )
 
 
 def noise_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> Figure:
-    """Noise of every sheet's position in time and between sheets, and the error that is stated."""
+    """Return the noise of every sheet's position in time and between sheets, and the stated error."""
     scale, unit = displacement_unit(pixel_size_um)
     numbers, order = signed_number(tracks)
     measured = tracks["x_noise_px"].values[order] * scale
@@ -124,20 +122,20 @@ def noise_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> F
     return Figure.of(
         "noise",
         panel,
-        "Filled: scatter of each sheet's position from frame to frame, from second differences in time, so "
-        "that creep and common motion do not count, and against its neighbours, from fourth differences "
-        "along n. Hollow: the error stated for a position (median over the frames), from the noise of the "
-        "profile, or with a lossy codec from the scatter between sheets. Scatter from frame to frame that is "
-        "larger than the error is motion, or something that the error lacks.",
+        "Filled: scatter of each sheet's position from frame to frame, from second differences in time, "
+        "which exclude creep and common motion; and against its neighbours, from fourth differences along n. "
+        "Hollow: stated error of a position (median over the frames), from the noise of the profile, or with "
+        "a lossy codec from the scatter between sheets. If the scatter from frame to frame exceeds the "
+        "error, the sheet moves, or the error is too small.",
         title="Noise of the positions",
     )
 
 
 def pixel_locking_figure(tracks: xr.Dataset) -> Figure:
-    """Histogram of x modulo one pixel: flat unless the fit locks to whole pixels.
+    """Return a histogram of x modulo one pixel, which is flat unless the fit locks to whole pixels.
 
-    The band is two standard errors about 1 from the scatter between sheets, each sheet counted as one
-    observation however many frames it was seen in: positions of one sheet are not independent.
+    The band is two standard errors about 1, from the scatter between sheets. Each sheet is one observation,
+    as its positions in different frames are not independent.
     """
     x = tracks["x_px"].values
     density, error = _density_modulo_one(x)
@@ -157,40 +155,40 @@ def pixel_locking_figure(tracks: xr.Dataset) -> Figure:
     return Figure.of(
         "pixel_locking",
         panel,
-        f"Density of x modulo one pixel over {np.isfinite(x).sum()} positions; 1 is an even spread. A fit "
-        "that locks to whole pixels piles up near 0 and 1 and empties the middle, in every sheet. Band: "
-        "two standard errors about 1, from the scatter between sheets; it is wide where the sheets move by "
-        "less than a pixel.",
+        f"Density of x modulo one pixel of {np.isfinite(x).sum()} positions; 1 is an even spread. With a fit "
+        "that locks to whole pixels, the density is high near 0 and 1 and low in the middle. Band: two "
+        "standard errors about 1, from the scatter between sheets; it is wide if the sheets move by less "
+        "than a pixel.",
         title="Position modulo one pixel (locking check)",
     )
 
 
 def _density_modulo_one(x_px: Floats) -> tuple[Floats, float]:
-    """Density in each bin over an even one, and its standard error with sheets as the units.
+    """Return the density in each bin over an even one, (bins,), and its standard error.
 
-    One error for all bins, the root mean square of theirs: without locking no bin differs from another. For
-    a single sheet it is 1.
+    Sheets are the independent observations. The error is the root mean square over the bins, which are alike
+    without locking; for a single sheet it is 1.
     """
     frame, sheet = np.nonzero(np.isfinite(x_px))
-    place = np.minimum((x_px[frame, sheet] % 1.0 * BINS).astype(np.int64), BINS - 1)
+    bin_of = np.minimum((x_px[frame, sheet] % 1.0 * BINS).astype(np.int64), BINS - 1)
     sheets = x_px.shape[1]
-    counts = np.bincount(sheet * BINS + place, minlength=sheets * BINS).reshape(sheets, BINS)
-    seen = counts.sum(axis=1, keepdims=True)
-    total, known = max(1, int(seen.sum())), int((seen > 0).sum())
+    counts = np.bincount(sheet * BINS + bin_of, minlength=sheets * BINS).reshape(sheets, BINS)
+    per_sheet = counts.sum(axis=1, keepdims=True)
+    total, known = max(1, int(per_sheet.sum())), int((per_sheet > 0).sum())
     share = counts.sum(axis=0) / total
-    square = ((counts - seen * share) ** 2).sum(axis=0).mean() / total**2
-    error = float(np.sqrt(square * known / (known - 1))) * BINS if known > 1 else 1.0
+    variance = ((counts - per_sheet * share) ** 2).sum(axis=0).mean() / total**2
+    error = float(np.sqrt(variance * known / (known - 1))) * BINS if known > 1 else 1.0
     return share * BINS, error
 
 
 def decimated_tracks(tracks: xr.Dataset) -> tuple[Floats, Floats]:
-    """Time and positions (points, sheet) in px, few enough for a page."""
-    each = min(MOST_POINTS, max(200, 150_000 // max(1, tracks.sizes["sheet"])))
-    return minmax_decimate(time_axis(tracks)[0], tracks["x_px"].values, most=each)
+    """Return times and positions (points, sheet) in px, reduced to at most 150 000 positions or so."""
+    most = min(MOST_POINTS, max(200, 150_000 // max(1, tracks.sizes["sheet"])))
+    return minmax_decimate(time_axis(tracks)[0], tracks["x_px"].values, most=most)
 
 
 def signed_number(data: xr.Dataset) -> tuple[Floats, Ints]:
-    """side · n in rising order, and the indices of the sheets in that order."""
+    """Return side · n in rising order, and the indices of the sheets in that order."""
     numbers = np.asarray(data["side"].values * data["n"].values, np.float64)
     order = np.argsort(numbers, kind="stable")
     return numbers[order], order
@@ -199,7 +197,7 @@ def signed_number(data: xr.Dataset) -> tuple[Floats, Ints]:
 def sheet_series(
     tracks: xr.Dataset, at: Floats, y: Floats, *, inks: list[Ink], width: float = 1.0
 ) -> tuple[Series, ...]:
-    """One curve a sheet, left ones dashed. at (points,); y (points, sheet), in the order of the tracks."""
+    """Return one curve per sheet, dashed on the left.  at: (points,).  y: (points, sheet)."""
     sides, numbers = tracks["side"].values, tracks["n"].values
     look: Literal["both", "line"] = "both" if len(at) <= 60 else "line"
     return tuple(
@@ -221,53 +219,55 @@ def sheet_series(
 
 
 def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event: int | None = None) -> Figure:
-    """Displacement of all sheets over one stick phase; by default over the one with most frames.
+    """Return the displacement of all sheets in one stick phase, by default the one with most frames.
 
-    Raises: InputError for an event that is not in `motion`, what `horizontal_deformation` returned.
+    motion: as returned by `horizontal_deformation`.
+
+    Raises: InputError for an event that is not in `motion`.
     """
     if event is None:
         event = int(motion["event"].values[int(np.argmax(motion["frames"].to_numpy().sum(axis=1)))])
-    moved = stick_displacement(tracks, motion, clock, event=event)
+    delta = stick_displacement(tracks, motion, clock, event=event)
     stick = motion.sel(event=event)
-    series = sheet_series(tracks, moved["since_s"].to_numpy(), moved.to_numpy(), inks=sheet_inks(tracks))
+    series = sheet_series(tracks, delta["since_s"].to_numpy(), delta.to_numpy(), inks=sheet_inks(tracks))
     panel = Panel(x_label="t − t_v (s)", y_label="δx (µm)", series=series)
     return Figure.of(
         "stick",
         panel,
-        "Displacement δx = x − x̂ of every sheet while the force rises from valley to peak, x̂ its mean over "
-        f"the stick; positive to the right. Stick length Λ_st = {float(stick['stick_length_um']):.1f} µm. As "
-        "measured: noise and camera movement are in it. Left sheets dashed; the tone changes steadily "
-        "outwards.",
+        "Displacement δx = x − x̂ of every sheet while the force rises from valley to peak, where x̂ is its "
+        "mean position in the stick phase; positive to the right. Stick length Λ_st = "
+        f"{float(stick['stick_length_um']):.1f} µm. Noise and motion of the camera are not removed. Left "
+        "sheets are dashed; the tone changes outwards.",
         title=f"One stick phase: event {event}, d = {float(stick['d_v_mm']):.2f} mm",
     )
 
 
 def deformation_figure(motion: xr.Dataset, *, threshold: float = 0.1) -> Figure:
-    """σ_x over stick length against the sheet's number for a few separations, with standard errors."""
+    """Return σ_x/Λ_st against the sheet's number for a few stick phases, with standard errors."""
     chosen = np.flatnonzero(np.isfinite(motion["ratio"].to_numpy()).any(axis=1))
     if chosen.size:
         chosen = chosen[np.unique(np.linspace(0, chosen.size - 1, 5).astype(int))]
     numbers, order = signed_number(motion)
     series = []
-    for k, (ink, place) in enumerate(zip(ordered_inks(chosen.size), chosen, strict=True)):
-        stick = motion.isel(event=place, sheet=order)
+    for k, (ink, index) in enumerate(zip(ordered_inks(chosen.size), chosen, strict=True)):
+        stick = motion.isel(event=index, sheet=order)
         value, error = stick["ratio"].to_numpy(), stick["ratio_err"].to_numpy()
-        look: dict[str, Any] = {"look": "both", "hollow": k % 2 == 1, "width": 1.0}
-        look |= {"low": np.maximum(value - error, 0), "high": value + error}
+        style: dict[str, Any] = {"look": "both", "hollow": k % 2 == 1, "width": 1.0}
+        style |= {"low": np.maximum(value - error, 0), "high": value + error}
         label = f"d_v = {float(stick['d_v_mm']):.2f} mm"
-        series.append(Series(label=label, x=numbers, y=value, ink=ink, **look))
+        series.append(Series(label=label, x=numbers, y=value, ink=ink, **style))
     return Figure.of(
         "deformation",
         _ratio_panel(tuple(series), threshold),
-        "σ_x/Λ_st: RMS displacement over a stick, without camera noise and common-mode motion, over the "
-        "length of the stick, with standard errors; sticks spread over the video, later ones brighter, every "
-        f"other one hollow. Shaded: below {threshold:g}, where a sheet counts as stiff.",
+        "σ_x/Λ_st, the RMS displacement in a stick phase without camera noise and common-mode motion, over "
+        "the stick length, with standard errors; for stick phases spread over the video, later ones "
+        f"brighter, every other one hollow. Shaded: below {threshold:g}, where a sheet counts as stiff.",
         title="Horizontal deformation against sheet number",
     )
 
 
 def _ratio_panel(series: tuple[Series, ...], threshold: float) -> Panel:
-    """Axes of σ_x/Λ_st against the sheet's number, with the range of stiff sheets."""
+    """Return a panel of σ_x/Λ_st against the sheet's number, with the range of stiff sheets."""
     return Panel(
         x_label="side · n (left negative)",
         y_label="σ_x / Λ_st",
@@ -278,7 +278,7 @@ def _ratio_panel(series: tuple[Series, ...], threshold: float) -> Panel:
 
 
 def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = 0.1) -> Figure | None:
-    """σ_x/Λ_st against the sheet's number, each curve the mean of about a dozen sticks; None without any."""
+    """Return σ_x/Λ_st against the sheet's number, as means over up to a dozen stick phases, or None."""
     known = np.flatnonzero(np.isfinite(motion["ratio"].to_numpy()).any(axis=1))
     if not known.size:
         return None
@@ -288,40 +288,40 @@ def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = 0.1) -> Fi
     d_v = motion["d_v_mm"].to_numpy()
     series = []
     for ink, start in zip(ordered_inks(len(starts)), starts, strict=True):
-        places = known[start : start + each]
-        part = motion["ratio"].isel(event=places, sheet=order)
+        events = known[start : start + each]
+        part = motion["ratio"].isel(event=events, sheet=order)
         value, spread = part.mean("event").to_numpy(), part.std("event", ddof=1).fillna(0).to_numpy()
-        label, low, high = f"d_v = {d_v[places].mean():.2f} mm", np.maximum(value - spread, 0), value + spread
+        label, low, high = f"d_v = {d_v[events].mean():.2f} mm", np.maximum(value - spread, 0), value + spread
         series.append(Series(label=label, x=numbers, y=value, low=low, high=high, ink=ink, width=1.4))
     return Figure.of(
         "mean_deformation",
         _ratio_panel(tuple(series), threshold),
-        f"σ_x/Λ_st of every sheet: mean over {each} stick phases around each separation d_v (the mean of "
-        "theirs), shaded by the standard deviation from stick to stick. Shaded range: below "
+        f"σ_x/Λ_st of every sheet: means over {each} stick phases with mean separation d_v, and their "
+        "standard deviation (shaded curves). Shaded range: below "
         f"{threshold:g}, where a sheet counts as stiff.",
-        title="Horizontal deformation, means over sticks",
+        title="Horizontal deformation, means over stick phases",
         width_in=8.0,
     )
 
 
 def shells_figure(shells: pd.DataFrame, fits: ModelFits | None = None) -> Figure:
-    """Number of stiff sheets per side against d, with its interval, and M_eff of the force."""
+    """Return the number of stiff sheets per side against d, with its interval, and M_eff of the force."""
     known = shells[shells["stiff_sheets"].notna()].sort_values("d_v_mm")
     steps = np.diff(np.unique(known["d_v_mm"].to_numpy(float)))
-    beside = 0.12 * float(np.median(steps)) if steps.size else 0.0
+    shift = 0.12 * float(np.median(steps)) if steps.size else 0.0
     series = []
     for side, name, ink in ((-1, "left", DATA), (1, "right", PEAK)):
-        mine = known[known["side"] == side]
-        if mine.empty:
+        part = known[known["side"] == side]
+        if part.empty:
             continue
-        look: dict[str, Any] = {"hollow": side < 0, "shift": side * beside}
-        look |= {end: mine[f"stiff_{end}"].to_numpy(float) for end in ("low", "high")}
-        series.append(Series.points(f"{name} side", mine["d_v_mm"], mine["stiff_sheets"], ink, **look))
+        style: dict[str, Any] = {"hollow": side < 0, "shift": side * shift}
+        style |= {end: part[f"stiff_{end}"].to_numpy(float) for end in ("low", "high")}
+        series.append(Series.points(f"{name} side", part["d_v_mm"], part["stiff_sheets"], ink, **style))
     model = ""
     if fits is not None and not known.empty:
         d = np.linspace(float(known["d_v_mm"].min()), float(known["d_v_mm"].max()), 300)
         series.append(Series.model("M_eff (force)", d, fits.effective_sheets(d), MODEL))
-        model = " Dashed: M_eff = M √(1 − d̂), which the stiffness of the force recording implies on its own."
+        model = " Dashed: M_eff = M √(1 − d̂), from the stiffness of the force recording alone."
     panel = Panel(
         x_label="d_v (mm)",
         y_label="stiff sheets per side",
@@ -331,26 +331,26 @@ def shells_figure(shells: pd.DataFrame, fits: ModelFits | None = None) -> Figure
     return Figure.of(
         "shells",
         panel,
-        "Sheets per side, from the centre, whose σ_x/Λ_st is below the threshold, one point a stick and side "
-        "(left hollow and drawn a little to the left, right filled and to the right), with the interval that "
-        f"the errors allow.{model}",
+        "Number of sheets per side, from the centre, whose σ_x/Λ_st is below the threshold, with the "
+        "interval that the errors allow; one point per stick phase and side (left hollow and shifted to the "
+        f"left, right filled and shifted to the right).{model}",
         title="Size of the stiff shell",
     )
 
 
-# --- displacement from one origin, the same in every figure ------------------------------------------------
+# --- displacement from an origin ----------------------------------------------------------------------------
 
 
 def origin_px(tracks: xr.Dataset) -> Floats:
-    """Position of every sheet in the first stretch in which most sheets were measured, (sheet,) in px.
+    """Return the origin from which every sheet's displacement is counted, (sheet,) in px.
 
-    Medians over up to `ORIGIN_FRAMES` frames, the same frames for all sheets: the first run of frames in
-    which nearly as many sheets as ever have a position. A sheet without one there starts, in its own first
-    frames, at the displacement that its neighbours have in these frames (linear in n). NaN for a sheet that
-    was never found.
+    The origin is the median position over up to `ORIGIN_FRAMES` frames, the same for all sheets: the first
+    ones in which nearly as many sheets as ever have a position. For a sheet that has none there, its own
+    first frames are used, and the displacement that its neighbours have by then (linear in n) is subtracted.
+    The origin is NaN for a sheet that was never found.
 
-    A mean or median over all frames depends on which of them have a position: a gap would shift the whole
-    curve against its neighbours'.
+    A median over all frames would depend on which of them have a position, and a gap would shift the whole
+    curve relative to its neighbours.
     """
     x = np.asarray(tracks["x_px"].values, np.float64)
     known = np.isfinite(x)
@@ -359,65 +359,64 @@ def origin_px(tracks: xr.Dataset) -> Floats:
     first, last = _first_stretch(known)
     origin = nan_median(x[first:last])
     late = np.flatnonzero(~np.isfinite(origin) & known.any(axis=0))
-    placed = np.flatnonzero(np.isfinite(origin))
+    early = np.flatnonzero(np.isfinite(origin))
     signed = np.asarray(tracks["side"].values * tracks["n"].values, np.float64)
     for sheet in late:
         frames = np.flatnonzero(known[:, sheet])[:ORIGIN_FRAMES]
-        moved = nan_median(x[np.ix_(frames, placed)] - origin[placed])
-        seen = np.flatnonzero(np.isfinite(moved))
-        order = seen[np.argsort(signed[placed[seen]])]
-        shift = np.interp(signed[sheet], signed[placed[order]], moved[order]) if order.size else 0.0
+        displacement = nan_median(x[np.ix_(frames, early)] - origin[early])
+        measured = np.flatnonzero(np.isfinite(displacement))
+        order = measured[np.argsort(signed[early[measured]])]
+        shift = np.interp(signed[sheet], signed[early[order]], displacement[order]) if order.size else 0.0
         origin[sheet] = np.median(x[frames, sheet]) - shift
     return origin
 
 
 def _first_stretch(known: Bools) -> tuple[int, int]:
-    """First and last + 1 of the frames for the origin."""
+    """Return the half-open range of frames for the origin.  known: whether x is measured, (frame, N)."""
     frames, sheets = known.shape
     length = min(ORIGIN_FRAMES, frames)
     total = np.concatenate([np.zeros((1, sheets), np.int64), np.cumsum(known, axis=0)])
-    whole = (total[length:] - total[:-length] == length).sum(axis=1)  # sheets with a position throughout
-    if whole.max() == 0:
+    # Number of sheets with positions in all `length` frames, by the first of them.
+    count = (total[length:] - total[:-length] == length).sum(axis=1)
+    if count.max() == 0:
         start = int(known.any(axis=1).argmax())
         return start, min(start + length, frames)
-    start = int((whole >= LEAST_SHARE * whole.max()).argmax())
+    start = int((count >= LEAST_SHARE * count.max()).argmax())
     return start, start + length
 
 
 def outward_px(tracks: xr.Dataset, sheets: Ints | None = None) -> Floats:
-    """Mean displacement of sheets away from the axis since the origin, px, (frame,).
+    """Return the mean outward displacement of sheets from their origins, px, (frame,).
 
-    sheets: indices of those that count; None for all. Only those with a position in most frames are used,
-    or all of them where there is none.
-
-    NaN in frames in which one of the sheets used has no position: without it the mean would jump. Where this
-    leaves no frame, the mean over the sheets that have one.
+    sheets: indices of the sheets, by default all. The mean is over those with a position in at least
+    `LEAST_FOUND` of the frames, or those with most positions. It is NaN in frames in which one of them has
+    none, where the mean would jump. If no frame is left, the mean is over the sheets that have a position.
     """
     chosen = np.arange(tracks.sizes["sheet"]) if sheets is None else sheets
     x = np.asarray(tracks["x_px"].values, np.float64)[:, chosen]
     found = np.isfinite(x).mean(axis=0)
-    steady = found >= min(LEAST_FOUND, float(found.max(initial=0.0)))
+    often = found >= min(LEAST_FOUND, float(found.max(initial=0.0)))
     outward = (x - origin_px(tracks)[chosen]) * tracks["side"].values[chosen]
-    whole = np.asarray(outward[:, steady].mean(axis=1)) if steady.any() else np.full(len(x), np.nan)
-    if np.isfinite(whole).any():
-        return whole
+    mean = np.asarray(outward[:, often].mean(axis=1)) if often.any() else np.full(len(x), np.nan)
+    if np.isfinite(mean).any():
+        return mean
     known = np.isfinite(outward)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.where(known, outward, 0).sum(axis=1) / known.sum(axis=1))
 
 
 def outer_less_inner_px(tracks: xr.Dataset) -> dict[int, Floats]:
-    """Outward displacement of the outer third of the sheets less that of the inner third, by side, px.
+    """Return the outward displacement of the outer third of the sheets less that of the inner, by side, px.
 
-    Motion of the camera and of the whole sample is in both thirds and drops out; what is left is deformation.
-    Sides with fewer than three sheets are left out.
+    Motion of the camera and of the whole sample cancels, and deformation remains. Sides with fewer than three
+    sheets are left out.
     """
     n, side = np.asarray(tracks["n"].values), np.asarray(tracks["side"].values)
     curves = {}
     for which in (-1, 1):
-        mine = np.flatnonzero(side == which)
-        third = mine.size // 3
+        sheets = np.flatnonzero(side == which)
+        third = sheets.size // 3
         if third:
-            ordered = mine[np.argsort(n[mine])]
+            ordered = sheets[np.argsort(n[sheets])]
             curves[which] = outward_px(tracks, ordered[-third:]) - outward_px(tracks, ordered[:third])
     return curves

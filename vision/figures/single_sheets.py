@@ -1,4 +1,4 @@
-"""Figures of single sheets: friction of two on the rheometer, modulus of one from push–pull cycles."""
+"""Figures of single sheets: friction of two on a rheometer, and modulus of one from push–pull cycles."""
 
 from __future__ import annotations
 
@@ -35,25 +35,25 @@ def friction_figure(
     mu: float = 0.89,
     dynamic_deg: tuple[float, float] = (0.3, 120.0),
 ) -> Figure:
-    """μ(φ) with the maxima, μ_s and μ_d against N, and the threshold forces.
+    """Return μ(φ) with its maxima, μ_s and μ_d against N, and the threshold forces.
 
-    The curves are those of the measurements, in the same order; `law` is None where there were too few; `mu`
-    is the constant coefficient to compare with, as the fit of Eq. 1 gives it; the range of μ_d is shaded.
+    measured, curves: coefficients and curves of all measurements, in the same order.  law: None if there were
+    too few.  mu: constant coefficient for comparison, as from Eq. 1.  dynamic_deg: range of angles for μ_d.
     """
     fitted = (
         f" Line: μ_s = a(1 + b/N), a = {plus_minus(Estimate(law.a, law.a_err))}, "
         f"b = {plus_minus(Estimate(law.b_N, law.b_err_N))} N."
         if law is not None
-        else " Too few measurements for a law of their own: the publication's thresholds are shown."
+        else " Too few measurements to fit the law: the publication's thresholds are shown."
     )
     return Figure(
         name="friction",
         title="Friction of two sheets",
         caption=(
-            "Left: μ = 3τ/2RN against the angle, later loads brighter, with the first maximum of each, μ_s; "
-            "shaded: where μ_d is the mean. Middle: both coefficients against the normal force, with "
-            f"standard errors.{fitted} Right: static friction force over the loads inside the blocks, with a "
-            "constant coefficient and with this law. Compare figure 10 of the publication."
+            "Left: μ = 3τ/2RN against the angle, larger loads brighter, with the first maximum of each, μ_s; "
+            "shaded: range over which μ_d is the mean. Middle: both coefficients against the normal force, "
+            f"with standard errors.{fitted} Right: static friction force at the loads inside the blocks, "
+            "with a constant coefficient and with this law. Compare figure 10 of the publication."
         ),
         panels=(
             _angle_panel(measured, curves, dynamic_deg),
@@ -151,9 +151,9 @@ def _threshold_panel(law: StaticFriction | None, mu: float) -> Panel:
 def modulus_figure(
     force: xr.Dataset, cycles: pd.DataFrame, *, clamp_distance_mm: float | None = None
 ) -> Figure:
-    """F(Δ) with the fitted parts, the loading branches about their lines, and the modulus of each cycle.
+    """Return F(Δ) with the fitted parts, the loading branches less their lines, and the moduli.
 
-    clamp_distance_mm: as given to `measure_cycles`, which made the cycles.
+    clamp_distance_mm: as given to `measure_cycles`, which returned the cycles.
     """
     facts = CyclesMetadata.of(cycles)
     thickness, width, length = facts.sheet
@@ -167,7 +167,7 @@ def modulus_figure(
         title="Young's modulus of one sheet",
         caption=(
             f"Left: force against the distance of the clamps, {len(cycles)} loading branches with the fitted "
-            "parts F = kΔ + F0 in colour. Middle: the branches less their lines; shaded: what is fitted. "
+            "parts F = kΔ + F0 in colour. Middle: the branches less their lines; shaded: the fitted range. "
             "Right: modulus of each cycle with its standard error, and the means (dashed). Compare figure 11 "
             "of the publication."
         ),
@@ -182,7 +182,7 @@ def modulus_figure(
 
 
 def _cycles_panel(delta: Floats, load: Floats, cycles: pd.DataFrame) -> Panel:
-    step = max(1, -(-delta.size // (4 * MOST_POINTS)))  # a loop has no rising x: thinned, not decimated
+    step = max(1, -(-delta.size // (4 * MOST_POINTS)))  # thinned, as minmax_decimate needs a rising x
     series = [Series(label="F", x=delta[::step], y=load[::step], ink=QUIET, width=0.7)]
     for ink, row in zip(ordered_inks(len(cycles)), cycles.to_dict("records"), strict=True):
         line = np.array([row["fit_from_mm"], row["fit_to_mm"]])
@@ -198,7 +198,7 @@ def _cycles_panel(delta: Floats, load: Floats, cycles: pd.DataFrame) -> Panel:
 
 
 def _branches_panel(force: xr.Dataset, delta: Floats, load: Floats, cycles: pd.DataFrame) -> Panel:
-    """Residuals of the loading branches; what is far from the fitted part only tells of the slack."""
+    """Return residuals of the loading branches near the fitted part; farther off the sheet is slack."""
     time = force["time_s"].to_numpy()
     low, high = float(cycles["fit_from_mm"].min()), float(cycles["fit_to_mm"].max())
     view: Range = (low - 0.3 * (high - low), min(high + 0.3 * (high - low), float(np.nanmax(delta))))

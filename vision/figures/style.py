@@ -1,7 +1,7 @@
-"""Colours of all figures: safe for colour-blind eyes and in grey print, on light and on dark backgrounds.
+"""Colours of all figures, for light and dark backgrounds, grey print and colour-blind readers.
 
-The fixed set is that of Okabe & Ito; series differ in luminance, dashes and marks as well. Sheets are blue on
-the left and orange on the right, darkest (on paper) at the centre.
+Single colours are those of Okabe & Ito; series also differ in luminance, dashes and markers. Sheets are blue
+on the left and orange on the right, and darkest (on a light background) at the axis.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ OTHER_MODEL: Ink = ("#8a5a83", "#e0a3d6")
 QUIET: Ink = ("#6b6b6b", "#a8a8a8")
 LEFT_ON_GREY: Ink = ("#3fb0ff", "#3fb0ff")
 RIGHT_ON_GREY: Ink = ("#ff8a1f", "#ff8a1f")
-HIGHLIGHT = "#d55e00"  # of the strip's outline and of marked slips
+HIGHLIGHT = "#d55e00"  # outline of the strip and marks of slips
 CASING = "#101010"  # edge of tracks over an image
 MISSING = "#cfe3f5"  # pixels that were not recorded
 
@@ -31,7 +31,7 @@ _VIRIDIS = ("#440154", "#3b528b", "#21918c", "#5ec962", "#fde725")
 
 
 def sheet_inks(tracks: xr.Dataset) -> list[Ink]:
-    """One colour a sheet, strongest at the centre on either background."""
+    """Return one colour per sheet, with the strongest contrast at the axis on either background."""
     side, n = tracks["side"].values, tracks["n"].values
     most = int(n.max(initial=1))
     outward = (n - 1) / (most - 1) if most > 1 else np.full(n.shape, 2 / 3)
@@ -40,19 +40,19 @@ def sheet_inks(tracks: xr.Dataset) -> list[Ink]:
 
 
 def ordered_inks(count: int) -> list[Ink]:
-    """Colours for an ordered set (sticks from first to last); luminance rises steadily, also in grey."""
+    """Return colours for an ordered set, such as sticks from first to last, with rising luminance."""
     shares = np.linspace(0, 1, max(count, 2))[:count]
     light, dark = _along(_VIRIDIS, 0.82 * shares), _along(_VIRIDIS, 0.3 + 0.7 * shares)
     return list(zip(light, dark, strict=True))
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """Red, green and blue of "#rrggbb", 0 to 255."""
+    """Return red, green and blue of "#rrggbb", 0 to 255."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
 def _along(colours: tuple[str, ...], shares: Floats) -> list[str]:
-    """Colours at these shares, 0 to 1, of the way from the first to the last."""
+    """Return interpolated colours at these shares of the way from the first to the last, 0 to 1."""
     at = np.linspace(0, 1, len(colours))
     channels = [np.interp(shares, at, channel) for channel in zip(*map(rgb, colours), strict=True)]
     return [f"#{round(r):02x}{round(g):02x}{round(b):02x}" for r, g, b in zip(*channels, strict=True)]

@@ -1,4 +1,4 @@
-"""report.html: one page that holds everything about a run and needs no network."""
+"""Write report.html, one page with everything about a run that needs no network."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from vision.report.text import answers, citation, methods, subtitle
 from vision.sheets import doubtful_stretches
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
 
-PLAIN = 400  # values up to which an array is written as numbers
+PLAIN = 400  # largest number of values of an array that is written as plain numbers
 
 
 def write_report(
@@ -39,25 +39,25 @@ def write_report(
     figures: Sequence[Figure] | None = None,
     options: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write the page: one file of less than 3 MB that opens offline and needs no other file beside it.
+    """Write the page: one file of less than 3 MB that opens offline and needs no other file.
 
     Parameters
     ----------
     path
-        Where to.
+        The file to write.
     results
-        What the run found. Long records are shown by the minimum and maximum of short intervals.
+        Results of the run. Long records are shown as the minimum and maximum of short intervals.
     facts
-        The content of run.json: command, parameters, inputs, versions, warnings, as far as there.
+        The content of run.json: command, parameters, inputs, versions, warnings; entries may be missing.
     figures
-        Those of `figures_of(results)`, where they are made already.
+        The figures of `figures_of(results)`, if they exist already.
     options
-        Names of arguments and the command's options to be shown in their place.
+        Option that replaces each argument of the library in messages.
 
     Raises
     ------
     OSError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     figures = figures_of(results) if figures is None else figures
     named = dict(options or {})
@@ -85,13 +85,13 @@ def render_page(
     facts: Mapping[str, Any],
     **content: Any,
 ) -> Path:
-    """Write a page of these figures, of one panel each, under their headings.
+    """Write a page of figures, with one panel each, under their headings.
 
-    `facts` is the content of run.json; `content` holds what else the template shows: title, kind, subtitle,
-    answers, warnings, missing, methods, citation and tables.
+    `facts` is the content of run.json; `content` holds the other variables of the template: title, kind,
+    subtitle, answers, warnings, missing, methods, citation and tables.
     """
     text = _template().render(
-        sections=[(heading, [_shown(figure) for figure in part]) for heading, part in sections],
+        sections=[(heading, [_figure_text(figure) for figure in part]) for heading, part in sections],
         provenance=provenance(facts),
         data=Markup(_script_safe(page_data([figure for _, part in sections for figure in part]))),
         **{name: Markup(text) for name, text in _assets().items()},
@@ -102,8 +102,8 @@ def render_page(
     return path
 
 
-def _shown(figure: Figure) -> dict[str, Any]:
-    """What the template needs of a figure."""
+def _figure_text(figure: Figure) -> dict[str, Any]:
+    """Return a figure's text for the template."""
     scale = "" if figure.panel.image is None else figure.panel.image.scale
     return {
         "name": figure.name,
@@ -121,7 +121,7 @@ def _title(results: Results) -> str:
 
 @cache
 def _assets() -> dict[str, str]:
-    """The plotting library and the page's own style and script, as shipped with the package."""
+    """Return the plotting library and the page's own style and script, as shipped with the package."""
     plot = {"plot_css": "uPlot.min.css", "plot_js": "uPlot.iife.min.js"}
     own = {"css": "report.css", "js": "report.js"}
     return {name: _asset(place) for name, place in (plot | own).items()}
@@ -138,25 +138,26 @@ def _asset(name: str) -> str:
     return files("vision.report").joinpath("assets", name).read_text(encoding="utf-8")
 
 
-# --- figures as the page's script draws them ----------------------------------------------------------------
+# --- data for the page's script -----------------------------------------------------------------------------
 
 
 def page_data(figures: Iterable[Figure]) -> dict[str, Any]:
-    """What the page's script draws from: figures by name, and the long arrays that they share."""
+    """Return the data of the page's script: figures by name, and the long arrays that they share."""
     store = ArrayStore()
     content = {figure.name: _panel_data(figure.name, figure.panel, store) for figure in figures}
     return {"charts": content, "blobs": store.blobs()}
 
 
 def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
+    """Return a panel as JSON; its series refer to arrays by their index in `arrays`."""
     arrays: list[dict[str, Any]] = []
-    places: dict[int, int] = {}
+    indices: dict[int, int] = {}
 
-    def place(values: Floats) -> int:
-        if id(values) not in places:
-            places[id(values)] = len(arrays)
+    def index_of(values: Floats) -> int:
+        if id(values) not in indices:
+            indices[id(values)] = len(arrays)
             arrays.append(store.add(values))
-        return places[id(values)]
+        return indices[id(values)]
 
     picture = None
     if (image := panel.image) is not None:
@@ -168,7 +169,7 @@ def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
         "yLabel": panel.y_label,
         "y2Label": panel.y2_label,
         "axisLabels": [to_unicode(label) for label in (panel.x_label, panel.y_label, panel.y2_label)],
-        "series": [_series_data(series, place) for series in panel.series],
+        "series": [_series_data(series, index_of) for series in panel.series],
         "arrays": arrays,
         "switchable": panel.switchable,
         "wholeNumbers": panel.whole_numbers,
@@ -188,18 +189,18 @@ def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
     }
 
 
-def _series_data(series: Series, place: Callable[[Floats], int]) -> dict[str, Any]:
+def _series_data(series: Series, index_of: Callable[[Floats], int]) -> dict[str, Any]:
     same = ("label", "ink", "look", "dashed", "hollow", "shift", "width", "axis", "sheet")
     data: dict[str, Any] = {name: getattr(series, name) for name in same}
     data |= {"html": str(to_html(series.label)), "textLabel": to_unicode(series.label)}
-    data |= {"x": place(series.x), "y": place(series.y)}
+    data |= {"x": index_of(series.x), "y": index_of(series.y)}
     if series.low is not None and series.high is not None:
-        data |= {"low": place(series.low), "high": place(series.high)}
+        data |= {"low": index_of(series.low), "high": index_of(series.high)}
     return data | ({"text": series.text} if series.text else {})
 
 
 def image_uri(image: Image, *, most_bytes: int) -> str:
-    """An image as a JPEG data URI, of the best quality that keeps to the size, made smaller if need be."""
+    """Return an image as a JPEG data URI of at most `most_bytes`, with fewer pixels if necessary."""
     pixels = image.pixels
     if image.missing is not None:
         pixels = np.repeat(pixels[:, :, None], 3, axis=2)
@@ -215,48 +216,50 @@ def image_uri(image: Image, *, most_bytes: int) -> str:
 
 
 class ArrayStore:
-    """Arrays of a page, each kept once however many figures draw it."""
+    """Arrays of a page, each stored once even if several figures draw it."""
 
     def __init__(self) -> None:
-        self._places: dict[bytes, int] = {}
+        self._indices: dict[bytes, int] = {}  # encoded array to its index in `blobs`
 
     def add(self, values: Floats) -> dict[str, Any]:
-        """What the page holds of an array: numbers if it is short, else 16-bit steps about a line.
+        """Encode an array for the page: as numbers if it is short, else as 16-bit residuals from a line.
 
-        A long array is kept to 1/65534 of its range about the straight line from its first to its last value
-        (rising arrays, such as times) or about its middle, far below what a screen resolves.
+        The line goes from the first to the last value of a rising array, such as times, and is constant for
+        others. The resolution is 1/65534 of the residuals' range, finer than a screen.
         """
         values = np.asarray(values, np.float64)
         if values.size <= PLAIN:
             return {"v": [float(f"{v:.8g}") if isfinite(v) else None for v in values.tolist()]}
         start, slope = _line(values)
-        rest = values - start - slope * np.arange(values.size)
-        known = np.isfinite(rest)
-        low, high = (float(rest[known].min()), float(rest[known].max())) if known.any() else (0.0, 0.0)
+        residual = values - start - slope * np.arange(values.size)
+        known = np.isfinite(residual)
+        low, high = (
+            (float(residual[known].min()), float(residual[known].max())) if known.any() else (0.0, 0.0)
+        )
         middle, step = (low + high) / 2, (high - low) / (2 * 32767) or 1.0
-        code = np.where(known, np.rint((np.nan_to_num(rest) - middle) / step), -32768).astype("<i2")
-        place = self._places.setdefault(code.tobytes(), len(self._places))
-        return {"b": place, "start": start + middle, "slope": slope, "step": step}
+        code = np.where(known, np.rint((np.nan_to_num(residual) - middle) / step), -32768).astype("<i2")
+        index = self._indices.setdefault(code.tobytes(), len(self._indices))
+        return {"b": index, "start": start + middle, "slope": slope, "step": step}
 
     def blobs(self) -> list[str]:
-        """All arrays in base64, in the order of their places."""
-        return [base64.b64encode(data).decode("ascii") for data in self._places]
+        """Return all arrays in base64, in the order of their indices."""
+        return [base64.b64encode(data).decode("ascii") for data in self._indices]
 
 
 def _line(values: Floats) -> tuple[float, float]:
-    """Start and slope of the line about which an array is written: 0 and 0 unless it rises throughout."""
+    """Return start and slope of the line from which an array's residuals are stored."""
     if not np.isfinite(values).all() or (np.diff(values) < 0).any():
         return 0.0, 0.0
     return float(values[0]), float(values[-1] - values[0]) / (values.size - 1)
 
 
 def _script_safe(data: dict[str, Any]) -> str:
-    """JSON that cannot end the script element that holds it."""
+    """Return JSON that cannot end the script element around it."""
     text = json.dumps(data, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
-# --- where the numbers come from ----------------------------------------------------------------------------
+# --- tables -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -270,33 +273,34 @@ class FactsTable:
 
 
 def budget_table(results: Results) -> FactsTable:
-    """What contributes how much to the systematic error of each result, beside the statistical one."""
+    """Return the contributions to the systematic error of each result, and its statistical error."""
     budget = systematic_budget(results)
     quantities = [name for name in QUANTITIES if name in budget.values]
     heads = ("", *(" in ".join(filter(None, QUANTITIES[name])) for name in quantities))
     rows = [("value", *(_digits(budget.values[name]) for name in quantities))]
     rows.append(("statistical error", *(_two_digits(budget.statistical[name]) for name in quantities)))
-    for source, parts in budget.sources.items():
-        cells = ("" if name not in parts else _two_digits(parts[name], "not known") for name in quantities)
+    for source, errors in budget.sources.items():
+        cells = ("" if name not in errors else _two_digits(errors[name], "not known") for name in quantities)
         rows.append((SOURCES.get(source, source), *cells))
     rows.append(("systematic error", *(_total(budget, name) for name in quantities)))
     note = (
-        "The last row is the root of the sum of squares of what is known. Statistical errors of a place, of "
-        "K and of σ_x/Λ_st are medians of those of single positions, events and sheets. What moves a sheet's "
-        "place alike in every frame does not move its displacements. Empty: no part in it."
+        "The last row is the root of the sum of squares of the known errors. Statistical errors of a "
+        "position, of K and of σ_x/Λ_st are medians over positions, events and sheets. The systematic error "
+        "of a position is the same in every frame, so that displacements do not have it. An empty cell means "
+        "no effect."
     )
     return FactsTable("Systematic errors", heads, tuple(rows) if quantities else (), note)
 
 
 def _total(budget: Budget, quantity: str) -> str:
-    """The systematic error of a quantity; a sum of nothing but zeros is no bound for what is not known."""
+    """Return the systematic error as text: "not known" if some sources are unknown and the others zero."""
     total = budget.total(quantity)
     return "not known" if total == 0 and budget.unknown(quantity) else _two_digits(total, "not known")
 
 
 def doubt_table(results: Results) -> FactsTable:
-    """Where the identity of a sheet is in doubt."""
-    heads = ("sheet", "side", "n", "frames", "why", "ridge withheld (px)", "neighbours say (px)")
+    """Return the stretches in which the identity of a sheet is in doubt."""
+    heads = ("sheet", "side", "n", "frames", "why", "ridge withheld (px)", "predicted by neighbours (px)")
     if results.tracks is None:
         return FactsTable("Doubtful stretches", heads, ())
     table = doubtful_stretches(results.tracks)
@@ -313,7 +317,7 @@ def doubt_table(results: Results) -> FactsTable:
         for row in table.head(100).to_dict("records")
     )
     note = (
-        "No position is given there; a file of corrections settles them by hand, and this list says of what."
+        "No position is given there; the entries of a file of corrections decide manually about each stretch."
     )
     if more := len(table) - len(rows):
         note += f" {more} shorter ones: run.json."
@@ -331,11 +335,11 @@ def _two_digits(error: float | None, unknown: str = "—") -> str:
 
 
 def provenance(facts: Mapping[str, Any]) -> list[FactsTable]:
-    """Parameters and whether they were given or found, inputs with checksums, versions; what is known."""
+    """Return tables of parameters, findings, manual decisions, inputs, versions and command."""
     tables = [
         FactsTable("Parameters", ("parameter", "value", "given or found"), tuple(_parameters(facts))),
         FactsTable("What was found", ("quantity", "value"), tuple(_texts(facts.get("found", {})))),
-        FactsTable("Decisions by hand", ("decision", "date"), tuple(_decisions(facts))),
+        FactsTable("Manual decisions", ("decision", "date"), tuple(_decisions(facts))),
         FactsTable("Inputs", ("file", "bytes", "SHA-256"), tuple(_inputs(facts))),
         FactsTable("Versions", ("package", "version"), tuple(_texts(facts.get("versions", {})))),
         FactsTable("Command", ("command line",), ((str(facts["command"]),),) if "command" in facts else ()),
@@ -369,7 +373,7 @@ def _texts(values: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
 
 
 def flattened(values: Mapping[str, Any], joint: str, before: str = "") -> Iterator[tuple[str, Any]]:
-    """(name, value) of nested mappings, the names joined."""
+    """Yield (name, value) of nested mappings, with the names joined by `joint`."""
     for name, value in values.items():
         if isinstance(value, Mapping):
             yield from flattened(value, joint, f"{before}{name}{joint}")

@@ -1,4 +1,4 @@
-"""What the page says: the answers at its top, the methods paragraph, and what to cite."""
+"""Text of the report page: the answers at its top, the methods paragraphs, and what to cite."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ PAPER = (
     "A. Plati, F. Restagno, C. Poulard, Stick-slip dynamics in an interleaved system with self-amplified "
     "friction."
 )
-DOUBTFUL = ("doubtful", "merged")  # flags of positions whose sheet is not sure
+DOUBTFUL = ("doubtful", "merged")  # flags of positions whose sheet is uncertain
 
 # --- the answers --------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Answer:
-    """One box at the top. doubt: whether it must not be taken at face value."""
+    """One box at the top of the page. doubt: whether the value may be wrong or incomplete."""
 
     what: str
     value: str
@@ -38,13 +38,13 @@ class Answer:
 
 
 def answers(results: Results) -> list[Answer]:
-    """The boxes, most important first."""
+    """Return the boxes, the most important first."""
     boxes = (_sheets, _sticks, _shell, _clocks, _friction, _noise, _frames)
     return [answer for box in boxes if (answer := box(results)) is not None]
 
 
 def subtitle(results: Results) -> str:
-    """What was recorded, in one line."""
+    """Return a line that describes the recording."""
     if results.strip is None:
         return "a force recording without a video"
     time = np.asarray(results.strip["time_s"].values, np.float64)
@@ -71,25 +71,25 @@ def _sheets(results: Results) -> Answer | None:
 def _sticks(results: Results) -> Answer | None:
     if results.force is None or results.sticks is None:
         return None
-    whole = int((results.sticks["flag"] == "ok").sum())
+    good = int((results.sticks["flag"] == "ok").sum())
     if results.strip is None:
-        return Answer("stick phases", str(len(results.sticks)), f"{whole} of them without a flag")
+        return Answer("stick phases", str(len(results.sticks)), f"{good} of them without a flag")
     if results.motion is None and results.clock is not None and results.clock.status == "ambiguous":
-        detail = f"{len(results.sticks)} in the force recording, {whole} of them without a flag"
+        detail = f"{len(results.sticks)} in the force recording, {good} of them without a flag"
         return Answer("stick phases in the video", "not known (clocks ambiguous)", detail, doubt=True)
     inside = 0 if results.motion is None else results.motion.sizes["event"]
-    detail = f"of {len(results.sticks)} in the force recording, {whole} of them without a flag"
+    detail = f"of {len(results.sticks)} in the force recording, {good} of them without a flag"
     return Answer("stick phases in the video", str(inside), detail, doubt=inside == 0)
 
 
 def _shell(results: Results) -> Answer | None:
-    """First and last size of the shell: medians over the first and the last few sticks of both sides."""
+    """Return the size of the stiff shell in the first and in the last three stick phases (medians)."""
     if results.shells is None:
         return None
     known = results.shells[results.shells["stiff_sheets"].notna()].sort_values("d_v_mm")
     if known.empty:
         return Answer("stiff shell", "not known", "too few sheets with a known deformation", doubt=True)
-    ends = known.head(6), known.tail(6)  # three sticks of two sides
+    ends = known.head(6), known.tail(6)  # three stick phases on two sides
     first, last = (f"{end['stiff_sheets'].astype(float).median():.3g}" for end in ends)
     d_mm = known["d_v_mm"]
     size = first if first == last else f"{first} → {last}"
@@ -122,7 +122,7 @@ def _friction(results: Results) -> Answer | None:
 
 
 def _with_total(one: Estimate) -> str:
-    """A value with the root of the sum of squares of those of its errors that are known."""
+    """Return a value with its statistical and systematic errors added in quadrature, as far as known."""
     known = [error for error in (one.error, one.systematic_error) if math.isfinite(error)]
     return plus_minus(Estimate(one.value, math.hypot(*known)))
 
@@ -136,14 +136,14 @@ def _noise(results: Results) -> Answer | None:
     if not np.isfinite(measured):
         return Answer(what, "not known", "too few consecutive positions to measure it", doubt=True)
     size, codec = results.pixel_size_um, StripMetadata.of(results.tracks).codec
-    hidden = codec in LOSSY  # then what the pixels predict is no check of what was measured
+    hidden = codec in LOSSY  # so that the error predicted from the pixels is too small
     check = (
         f"{codec} hides the noise of pixels" if hidden else f"{predicted:.2g} px predicted from the pixels"
     )
     return Answer(
         what,
         f"{measured:.2g} px" + ("" if size is None else f" = {measured * size:.2g} µm"),
-        f"median of the sheets, from frame to frame; {check}; the error of a displacement, not of a place",
+        f"median of the sheets, from frame to frame; {check}; an error of displacements, not of positions",
         doubt=bool(not hidden and measured > 3 * predicted),
     )
 
@@ -161,11 +161,11 @@ def _frames(results: Results) -> Answer | None:
     )
 
 
-# --- the methods paragraph ----------------------------------------------------------------------------------
+# --- the methods paragraphs ---------------------------------------------------------------------------------
 
 
 def methods(results: Results) -> list[str]:
-    """Paragraphs that say what was done, every number the one used in this run."""
+    """Return paragraphs that describe the analysis, with the numbers used in this run."""
     paragraphs = []
     if results.strip is not None:
         paragraphs.append(_video(results.strip, results.pixel_size_um))
@@ -183,7 +183,7 @@ def methods(results: Results) -> list[str]:
 
 
 def citation() -> list[str]:
-    """The program and the publication whose method it follows."""
+    """Return the program and the publication to cite."""
     return [f"sheetvision, version {vision.__version__} (positions of interleaved sheets from video).", PAPER]
 
 
@@ -198,32 +198,32 @@ def _video(profile: xr.DataArray, pixel_size_um: float | None) -> str:
     scale = (
         "; the pixel size is not known" if pixel_size_um is None else f" at {pixel_size_um:g} µm per pixel"
     )
-    chosen = {"given": "as given", "all rows": "all there are"}.get(strip.strip_how, "found automatically")
-    lean = (
-        f" The ridges lean by {abs(strip.tilt_deg):.2f}°, which the mean over the rows does not correct for."
+    chosen = {"given": "as given", "all rows": "the whole frame"}.get(strip.strip_how, "found automatically")
+    tilt = (
+        f" The ridges are tilted by {abs(strip.tilt_deg):.2f}°; the mean over the rows does not correct this."
         if math.isfinite(strip.tilt_deg)
         else ""
     )
     bad = f" ({bad})" if (bad := _bad_frames(strip)) else ""
     return (
-        f"The edges of the sheets were recorded at {rate}{scale}, {strip.depth_bits} bits deep"
+        f"The edges of the sheets were recorded at {rate}{scale}, with {strip.depth_bits} bits per pixel"
         f"{_compression(strip.codec)}. In each of {strip.frames_read} frames{bad} the "
         f"intensity was averaged over {strip.strip_z1 - strip.strip_z0} rows (rows {strip.strip_z0} to "
-        f"{strip.strip_z1}, {chosen}) to a profile I(x,t).{lean}"
+        f"{strip.strip_z1}, {chosen}) to a profile I(x,t).{tilt}"
     )
 
 
 def _compression(codec: str) -> str:
-    """How the film was stored, "" where that is not known."""
+    """Return how the film is compressed, "" if not known."""
     if not codec:
         return ""
     if codec in LOSSY:
-        return f" and compressed with loss ({codec}), which alters and can hide the noise"
+        return f" and lossy compression ({codec}), which alters and can hide the noise"
     return ", uncompressed" if codec in ("uncompressed", "rawvideo", "packed") else f", stored as {codec}"
 
 
 def _bad_frames(strip: StripMetadata) -> str:
-    """How many frames show nothing, and why; "" for none."""
+    """Return the numbers of lost, blank and corrupt frames, "" if there are none."""
     bad = {"lost": strip.frames_lost, "blank": strip.frames_blank, "corrupt": strip.frames_corrupt}
     return ", ".join(f"{count} {name}" for name, count in bad.items() if count)
 
@@ -231,8 +231,9 @@ def _bad_frames(strip: StripMetadata) -> str:
 def _tracking(tracks: xr.Dataset) -> str:
     t = TrackMetadata.of(tracks)
     method = {
-        "sliding": "where the slope of a least-squares parabola over {} pixels, slid along x, is zero",
-        "paper": "at the vertex of a parabola fitted to {} pixels centred on the brightest pixel",
+        "sliding": "as the centre of the sliding window of {} pixels in which the slope of a least-squares "
+        "parabola is zero",
+        "paper": "as the vertex of a parabola fitted to {} pixels centred on the brightest pixel",
         "template": "by matching each ridge to its own mean shape over {} pixels",
     }[t.fit].format(t.window_px)
     noise = float(tracks["x_noise_px"].median())
@@ -246,23 +247,23 @@ def _tracking(tracks: xr.Dataset) -> str:
     axis = where if math.isfinite(t.axis_px) else ""
     return (
         f"The {t.sheets} sheets appear as {t.ridges} ridges {t.ridge_fwhm_px:.1f} px wide and "
-        f"{t.pitch_px:.1f} px apart. Their positions x(n,t) were located {method}; identities were kept "
-        "through slips from the order of the sheets, their spacing and their brightness, and n counts "
-        f"outwards from the symmetry axis{axis}.{scatter}{_withheld(tracks)}{_by_hand(tracks)}"
+        f"{t.pitch_px:.1f} px apart. Their positions x(n,t) were measured {method}. The sheets were "
+        "identified through slips by their order, spacing and brightness; n counts outwards from the "
+        f"symmetry axis{axis}.{scatter}{_withheld(tracks)}{_decisions(tracks)}"
     )
 
 
-def _by_hand(tracks: xr.Dataset) -> str:
-    """That somebody decided, and where it is listed."""
+def _decisions(tracks: xr.Dataset) -> str:
+    """Return how many manual decisions there are and where they are listed, "" if there are none."""
     count = TrackMetadata.of(tracks).corrections_applied
     if not count:
         return ""
     made = "decisions were" if count > 1 else "decision was"
-    return f" {count} {made} made by hand; they are listed under “Decisions by hand”."
+    return f" {count} {made} made manually; see “Manual decisions”."
 
 
 def _withheld(tracks: xr.Dataset) -> str:
-    """Positions that are not given, and those that carry a flag; "" where all are measured."""
+    """Return how many positions were withheld or carry a flag, "" if there are none."""
     flags = tracks["flag"].values
     total = max(1, flags.size)
     doubtful = int(np.isin(flags, DOUBTFUL).sum())
@@ -281,8 +282,8 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
     s = StickMetadata.of(sticks)
     source = {
         "noise": "a multiple of the noise",
-        "jumps": "above most of the load's jumps upward, which are no slips",
-        "gap": "where the sizes of the drops leave a gap above the noise",
+        "jumps": "larger than most upward jumps of the load, which are no slips",
+        "gap": "in a gap of the sizes of the drops above the noise",
         "given": "as given",
     }.get(s.threshold_how, s.threshold_how)
     unit = "of the weight" if load_unit(force) == "1" else load_unit(force)
@@ -290,8 +291,8 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
         f"The traction force was recorded while the blocks were pulled apart{pulled}. Slips are drops of "
         f"more than {s.threshold_N:.3g} {unit} ({source}; the noise is {s.noise_N:.2g}), located "
         f"at the steepest fall; {len(sticks)} stick phases were found. Peak and valley forces F_p and F_v "
-        "are those of the line through the central 80 % of each stick, extended to its ends within what was "
-        "recorded there, and recorded extremes beside slow slips; the "
+        "are those of a line through the central 80 % of each stick phase, extended to its ends but not "
+        "beyond the recorded forces, and beside slow slips the recorded extremes. The "
         f"stiffness K is the slope of the central {100 * s.central_part:.0f} %.{_lowpass(s)}"
     )
 
@@ -301,7 +302,7 @@ def _lowpass(sticks: StickMetadata) -> str:
         return " All forces are as recorded."
     source = "found from the transients after slips" if sticks.lowpass_how == "found" else "as given"
     return (
-        f" All of these were corrected for the load cell's response, a first-order low-pass of "
+        " All forces were corrected for the load cell's response, a first-order low-pass of "
         f"{1e3 * sticks.lowpass_s:.2g} ms ({source})."
     )
 
@@ -315,8 +316,8 @@ def _alignment(clock: Clock) -> str:
         how = f"were aligned by {source.get(clock.how, clock.how)}"
     else:
         how = (
-            f"were aligned on {clock.matched} slips seen in both (log-likelihood {clock.margin:.0f} above "
-            f"the next alignment, median residual {clock.residual_ms:.2g} ms)"
+            f"were aligned by {clock.matched} slips seen in both (log-likelihood {clock.margin:.0f} above "
+            f"the next best alignment, median residual {clock.residual_ms:.2g} ms)"
         )
     return (
         f"The clocks of camera and testing machine {how}: offset {offset_text(clock)}, drift "
@@ -328,10 +329,10 @@ def _deformation(motion: xr.Dataset, threshold: float) -> str:
     margin = MotionMetadata.of(motion).margin_s
     excluded = f", without frames within {1000 * margin:.0f} ms of a slip" if math.isfinite(margin) else ""
     return (
-        f"For each of {motion.sizes['event']} stick phases inside the video{excluded}, the displacement of a "
-        "sheet is δx = x − x̂ with x̂ its mean over the stick, and σ_x its root mean square, corrected for "
-        "the camera's noise and for motion common to all sheets. A sheet counts as stiff where σ_x over the "
-        f"stick length is below {threshold:g}."
+        f"For each of {motion.sizes['event']} stick phases in the video{excluded}, the displacement of a "
+        "sheet is δx = x − x̂, where x̂ is its mean position in the stick phase. σ_x is the root mean square "
+        "of δx, corrected for the camera's noise and for motion common to all sheets. A sheet counts as "
+        f"stiff if σ_x over the stick length is below {threshold:g}."
     )
 
 

@@ -25,7 +25,8 @@ from vision.errors import InputError
 from vision.figures.decimate import grey_levels, grey_limits, minmax_decimate
 from vision.numeric import Floats, Floats32, Pixels
 from vision.pipeline import Settings, open_force, open_recording
-from vision.run.folder import MARK, Parameter, lock_open_file
+from vision.run.folder import MARK, lock_open_file
+from vision.run.provenance import Parameter
 from vision.run.reading import AGAIN, input_of, parameters_of, read_json, read_table, stored_kymograph
 from vision.sheets.corrections import Correction, correction_of
 from vision.sheets.settings import TrackingSettings

@@ -28,7 +28,8 @@ from vision.numeric import Floats, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.review.positions import Before, Positions, median_positions, positions_of
 from vision.review.tracks_file import read_tracks
-from vision.run.folder import Origin, Parameter, clean_up, plain, put_in_place
+from vision.run.folder import clean_up, plain, put_in_place
+from vision.run.provenance import Origin, Parameter
 from vision.run.reading import input_of, parameters_of, read_run, read_strip, read_table, tracks_of
 from vision.run.writing import write_run
 from vision.sheets.corrections import Correction, Decisions

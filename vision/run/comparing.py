@@ -1,4 +1,4 @@
-"""A comparison of several tests becomes a folder with a page, whole or not at all."""
+"""Write a comparison of several tests to a folder with a page."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ from vision.figures.compare import compare_sections
 from vision.models import Estimate
 from vision.report.page import render_page
 from vision.report.text import Answer, citation
-from vision.run.folder import Origin, run_folder, write_json
+from vision.run.folder import run_folder, write_json
+from vision.run.provenance import Origin
 from vision.run.tables import write_table
 
-MARK = "compare"  # of run.json: tells a comparison from a run
+MARK = "compare"  # key in run.json that distinguishes a comparison from a run
 PICTURES = ("collapse", "trends")
 
 
 def write_comparison(
     found: Comparison, target: Path, origin: Origin, *, overwrite: bool = False, report: bool = True
 ) -> dict[str, Any]:
-    """Write tests.csv, trends.json, all_events.csv, the figures, report.html and run.json, which it returns.
+    """Write the tables, figures, report.html and run.json of a comparison; return the content of run.json.
 
-    Raises: InputError where the folder exists (without `overwrite`) or cannot be written; nothing is left.
+    Raises: InputError if the folder exists (without `overwrite`) or cannot be written; nothing is left then.
     """
     started = time.perf_counter()
     facts = origin.facts() | {
@@ -56,7 +57,7 @@ def write_comparison(
 
 
 def _write_page(path: Path, found: Comparison, facts: Mapping[str, Any], figures: Sequence[Figure]) -> None:
-    """report.html of several tests."""
+    """Write report.html of several tests."""
     samples = {test.sample_name for test in found.tests}
     speeds = sorted({float(f"{test.speed_mm_min:.2g}") for test in found.tests if test.speed_mm_min > 0})
     pulled = f", V = {', '.join(f'{v:g}' for v in speeds)} mm/min" if speeds else ""
@@ -77,7 +78,8 @@ def _write_page(path: Path, found: Comparison, facts: Mapping[str, Any], figures
 
 
 def _answers(found: Comparison) -> list[Answer]:
-    made = [
+    """Return the main results for the top of the page."""
+    answers = [
         Answer(
             f"friction coefficient, {one.sample or 'all tests'}",
             f"μ = {plus_minus(one.mu)}",
@@ -92,21 +94,22 @@ def _answers(found: Comparison) -> list[Answer]:
             f"{c.rms_before:.2g} with one Λ̂ for all tests; neighbouring events scatter by {c.rms_noise:.2g}"
         )
         doubt = c.rms_after > 2 * c.rms_noise
-        made.append(Answer("collapse", f"rms {c.rms_after:.2g} sheets", detail, doubt=doubt))
+        answers.append(Answer("collapse", f"rms {c.rms_after:.2g} sheets", detail, doubt=doubt))
     changed = [one for one in found.irregular if np.isfinite(one.change_mm)]
     if changed:
         first = changed[0]
-        place = plus_minus(Estimate(first.change_mm, first.change_err_mm))
+        change = plus_minus(Estimate(first.change_mm, first.change_err_mm))
         detail = f"{first.run}; {len(changed)} of {len(found.irregular)} tests change"
-        made.append(Answer("irregular stick-slip", f"from d_v = {place} mm", detail))
+        answers.append(Answer("irregular stick-slip", f"from d_v = {change} mm", detail))
     claimed = [f"{t.quantity} with {t.predictor}" for t in found.trends if t.claimed]
-    looked = sum(not t.reason for t in found.trends)
-    if looked:
-        made.append(Answer("trends", f"{len(claimed)} of {looked}", ", ".join(claimed) or "none claimed"))
-    return made
+    tested = sum(not t.reason for t in found.trends)
+    if tested:
+        answers.append(Answer("trends", f"{len(claimed)} of {tested}", ", ".join(claimed) or "none claimed"))
+    return answers
 
 
 def _missing(found: Comparison) -> list[str]:
+    """Return what could not be determined, with the reason."""
     lines = [f"{t.quantity} with {t.predictor}: {t.reason}." for t in found.trends if t.reason]
     if found.collapse is None:
         lines.append("The collapse: no test has a Λ̂.")
@@ -119,14 +122,14 @@ def _methods(found: Comparison) -> list[str]:
     modulus = plus_minus(found.modulus)
     return [
         f"For each of {len(found.tests)} tests the peak forces were fitted with Eq. 1 of the publication and "
-        f"an offset, T* = {t_star:.3g} mN held fixed, and K with M_eff K_eff, Y_eff = {modulus} GPa "
-        f"({source}) held fixed and Λ̂ alone free; N̂ follows from Λ̂ and μ. One μ for all tests of a sample "
-        "was fitted with an offset of each test within ±10 N. Standard errors are White's, scaled where "
-        "χ²/dof exceeds 1.",
-        "The place where stick-slip turns irregular is the split of the events that best divides the "
-        "logarithm of the relative deviation of ΔF from its smooth course into two levels, claimed where "
-        "fewer than 1 % of random orders divide as well, and where a steady rise describes it worse. Trends "
-        "are weighted lines; p values come from permutations, those with the other predictor held fixed "
-        "after Freedman and Lane, adjusted for the number of trends after Holm.",
+        f"an offset, with T* = {t_star:.3g} mN fixed. K was fitted with M_eff K_eff, with Y_eff = {modulus} "
+        f"GPa ({source}) fixed and only Λ̂ free; N̂ follows from Λ̂ and μ. One μ for all tests of a sample "
+        "was fitted with an individual offset of each test within ±10 N. Standard errors are White's, scaled "
+        "if χ²/dof exceeds 1.",
+        "Stick-slip turns irregular at the event that best divides the logarithm of the relative deviation "
+        "of ΔF from its smooth course into two levels. The change is claimed if fewer than 1 % of random "
+        "permutations divide as well, and a steady rise fits worse. Trends are weighted lines. Their p "
+        "values come from permutations, with the other predictor fixed after Freedman and Lane, and are "
+        "adjusted for the number of trends after Holm.",
         f"The analysis was done with sheetvision {vision.__version__}.",
     ]

@@ -1,4 +1,4 @@
-"""A run for other programs: tables in their formats, I(x, t) for Fiji, the film with its tracks as MP4."""
+"""Export a run: tables in other formats, I(x, t) for Fiji, and the film with its tracks as MP4."""
 
 from __future__ import annotations
 
@@ -33,29 +33,30 @@ from vision.video import Video, open_video
 
 Format = Literal["csv", "xlsx", "parquet", "mat", "trackpy", "napari"]
 ENDINGS = {"xlsx": ".xlsx", "mat": ".mat", "trackpy": "_trackpy.csv", "napari": "_napari.csv"}
-MARK = "export"  # of run.json: tells a folder of exported tables from a run
+MARK = "export"  # key in run.json that distinguishes exported tables from a run
 
-EXCEL_ROWS = (1 << 20) - 1  # below the header
-ROWS_AT_ONCE = 50_000  # turned into cells, so that memory does not grow with the recording
+EXCEL_ROWS = (1 << 20) - 1  # that a worksheet holds below the header
+ROWS_AT_ONCE = 50_000  # converted to cells, so that memory does not grow with the recording
 
 
 @dataclass(frozen=True)
 class Exported:
-    """The file or folder that was written, and notes on what is not in it."""
+    """The file or folder that was written, and notes on what was left out."""
 
     target: Path
     notes: tuple[str, ...] = ()
 
 
 def export_run(run: RunFolder, to: Format, *, out: Path | None = None, overwrite: bool = False) -> Exported:
-    """Write a run's tables for another program; csv and parquet become a folder, the rest one file.
+    """Write a run's tables for another program: a folder for csv and parquet, else one file.
 
     Positions that were not measured are empty in csv, xlsx and parquet, NaN in mat, and left out for
     trackpy and napari.
 
-    Args: out, file or folder; by default the run's name with the format's ending in the working directory.
+    out: file or folder; by default the run's name with the format's suffix in the working directory.
+
     Raises: InputError for a target that exists (without overwrite), lies in the run itself, is another run or
-    cannot be written, for a package that is not installed, or for a run without what the format holds.
+    cannot be written; for a package that is not installed; or for a run without the data that are exported.
     """
     if to == "xlsx" and importlib.util.find_spec("openpyxl") is None:
         advice = "install it: pip install '.[export]'"
@@ -63,7 +64,7 @@ def export_run(run: RunFolder, to: Format, *, out: Path | None = None, overwrite
     target = out or Path(f"{run.folder.resolve().name}{ENDINGS.get(to, f'_{to}')}")
     if target.resolve().is_relative_to(run.folder.resolve()):
         raise InputError(target, "a place outside the run folder", "one inside", "give another `out`")
-    with reading(run.folder, "a run folder as track writes it", AGAIN):  # damaged tables show only in use
+    with reading(run.folder, "a run folder as track writes it", AGAIN):  # tables are read and checked here
         if to not in ENDINGS:
             _write_folder(run, to, target, overwrite=overwrite)
             return Exported(target)
@@ -86,7 +87,7 @@ def _write_folder(run: RunFolder, to: Format, target: Path, *, overwrite: bool) 
 
 
 def _write_file(run: RunFolder, to: Format, path: Path) -> list[str]:
-    """Notes on what was left out."""
+    """Write the table or tables of a format to one file; return notes on what was left out."""
     if to == "xlsx":
         return write_xlsx(all_tables(run), path)
     if to == "mat":
@@ -98,12 +99,12 @@ def _write_file(run: RunFolder, to: Format, path: Path) -> list[str]:
 
 
 def all_tables(run: RunFolder) -> dict[str, pd.DataFrame]:
-    """Every table of a run, by name; those that it does not have are left out.
+    """Return all tables that a run has, by name.
 
-    tracks: one row per frame and sheet, every one. positions: x with one row per frame and one column per
-    sheet, as side_n_unit. sheets, events, deformation, shells: as in the run folder. settings: what
-    run.json, clock.json and models.json say. The unit is the last part of a column's name. Positions that
-    were not measured are NaN, their flag says why.
+    tracks: one row per frame and sheet. positions: x with one row per frame and one column per sheet, called
+    side_n_unit. sheets, events, deformation, shells: as in the run folder. settings: the content of run.json,
+    clock.json and models.json. The unit is the last part of a column's name. Positions that were not measured
+    are NaN; their flag says why.
     """
     tables: dict[str, pd.DataFrame] = {}
     if run.tracks is not None:
@@ -115,15 +116,15 @@ def all_tables(run: RunFolder) -> dict[str, pd.DataFrame]:
 
 
 def _event_tables(run: RunFolder) -> dict[str, pd.DataFrame]:
-    """The tables that a force recording adds to a run."""
+    """Return the tables of a run that depend on the force recording."""
     found = {name: read_table(run.folder, name) for name in ("events", "deformation", "shells")}
     return {name: table for name, table in found.items() if table is not None}
 
 
 def positions_table(tracks: xr.Dataset, *, pixel_size_um: float | None) -> pd.DataFrame:
-    """x(n, t), one row per frame: frame, time_s, then a column for each sheet from left to right.
+    """Return x(n, t), one row per frame: frame, time_s, then one column per sheet from left to right.
 
-    Columns are called left_3_um, right_23_um, or …_px where the pixel size is not known.
+    Columns are called left_3_um, right_23_um, or …_px if the pixel size is not known.
     """
     unit, scale = ("px", 1.0) if pixel_size_um is None else ("um", pixel_size_um)
     sides = np.where(tracks["side"].values < 0, "left", "right")
@@ -135,10 +136,10 @@ def positions_table(tracks: xr.Dataset, *, pixel_size_um: float | None) -> pd.Da
 
 
 def trackpy_table(run: RunFolder) -> pd.DataFrame:
-    """What trackpy's functions take: x, y, frame, particle and ep, px, with time_s, side and n beside.
+    """Return the tracks as trackpy expects them: x, y, frame, particle and ep in px; also time_s, side and n.
 
-    particle is the sheet's index from the left, ep the standard error of x. y is the middle of the strip,
-    the same for all. Positions that were not measured are left out, as trackpy allows no NaN.
+    particle is the sheet's index from the left, ep the standard error of x, and y the middle of the strip.
+    Positions that were not measured are left out, as trackpy accepts no NaN.
     """
     tracks = tracks_of(run)
     table = tracks_table(tracks)
@@ -152,7 +153,7 @@ def trackpy_table(run: RunFolder) -> pd.DataFrame:
 
 
 def napari_table(run: RunFolder) -> pd.DataFrame:
-    """What napari's tracks layer takes: track_id, t (frame number), y, x, in px, track after track.
+    """Return the tracks for napari's tracks layer: track_id, t (frame number), y, x in px, track by track.
 
     y is the middle of the strip. Positions that were not measured are left out.
     """
@@ -161,7 +162,7 @@ def napari_table(run: RunFolder) -> pd.DataFrame:
 
 
 def settings_table(run: RunFolder) -> pd.DataFrame:
-    """name and value, as text, of everything the run says about itself, nested names joined by dots."""
+    """Return name and value as text of all entries of the run's JSON files; nested names have dots."""
     facts = dict(run.facts)
     for name in ("clock", "models"):
         path = run.folder / f"{name}.json"
@@ -175,23 +176,24 @@ def settings_table(run: RunFolder) -> pd.DataFrame:
 
 
 def write_csv(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
-    """One file per table, as in the run folder: commas, points, empty where there is nothing."""
+    """Write one CSV file per table, as in the run folder."""
     for name, table in tables.items():
         harmless_table(table).to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
 
 
 def write_parquet(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
-    """One file per table; null where there is nothing."""
+    """Write one Parquet file per table."""
     for name, table in tables.items():
         table.to_parquet(folder / f"{name}.parquet", engine="pyarrow", index=False)
 
 
 def write_xlsx(tables: Mapping[str, pd.DataFrame], path: Path) -> list[str]:
-    """One worksheet per table, the column names with their units frozen on top; empty cells for nothing.
+    """Write one worksheet per table, with a frozen header; missing values are empty cells.
 
-    Returns what was left out: tracks, where it has more rows than a worksheet holds; its positions are in
-    the wide table, too.
-    Raises: InputError where any other table is too long.
+    Returns notes on what was left out: tracks, if it has more rows than a worksheet holds; its positions are
+    also in the wide table.
+
+    Raises: InputError if any other table is too long.
     """
     import openpyxl
 
@@ -223,7 +225,7 @@ def _write_sheet(book: Any, name: str, table: pd.DataFrame) -> None:
 
 
 def _cells(table: pd.DataFrame) -> Iterator[tuple[Any, ...]]:
-    """Rows as Excel can hold them."""
+    """Yield the rows of a table as Excel can store them."""
     for start in range(0, len(table), ROWS_AT_ONCE):
         part = table.iloc[start : start + ROWS_AT_ONCE]
         columns = [_column(part[name]) for name in part.columns]
@@ -231,7 +233,7 @@ def _cells(table: pd.DataFrame) -> Iterator[tuple[Any, ...]]:
 
 
 def _column(column: pd.Series[Any]) -> pd.Series[Any]:
-    """Nothing for NaN, words for infinity, text without control characters."""
+    """Convert NaN to None, infinity to text, and remove control characters from text."""
     from openpyxl.cell.cell import ILLEGAL_CHARACTERS_RE
 
     cells = column.astype(object).where(column.notna(), None)
@@ -245,11 +247,11 @@ def _column(column: pd.Series[Any]) -> pd.Series[Any]:
 
 
 def write_mat(run: RunFolder, path: Path) -> None:
-    """A MATLAB 5 file: x_px, x_err_px, x_um and flag (frames × sheets), and what belongs to them.
+    """Write a MATLAB 5 file: x_px, x_err_px, x_um and flag (frames × sheets), with their coordinates.
 
-    frame and time_s are columns, index, side and n rows. Positions that were not measured are NaN; flag
-    counts from 1 into flag_names. sheets, events, deformation, shells and settings are structs with a column
-    per field. x_um is all NaN where the pixel size is not known.
+    frame and time_s are columns; index, side and n are rows. Positions that were not measured are NaN; flag
+    is an index from 1 into flag_names. sheets, events, deformation, shells and settings are structs with one
+    field per column. x_um is NaN if the pixel size is not known.
     """
     from scipy.io import savemat
 
@@ -263,7 +265,7 @@ def write_mat(run: RunFolder, path: Path) -> None:
 
 
 def _matrices(tracks: xr.Dataset, pixel_size_um: float) -> dict[str, Any]:
-    """x(n, t) and its coordinates, numbers as doubles."""
+    """Return x(n, t) and its coordinates, with numbers as doubles."""
     x = tracks["x_px"].values
     names, codes = np.unique(tracks["flag"].values, return_inverse=True)
     return {
@@ -282,7 +284,7 @@ def _matrices(tracks: xr.Dataset, pixel_size_um: float) -> dict[str, Any]:
 
 
 def _struct(table: pd.DataFrame) -> dict[str, Any]:
-    """Columns of a table: numbers as doubles, text as cells."""
+    """Return the columns of a table: numbers as doubles, text as cells."""
     return {
         str(name): (
             column.to_numpy(np.float64)[:, None]
@@ -293,18 +295,18 @@ def _struct(table: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-# --- I(x, t) as Fiji reads it: µm and s per pixel -----------------------------------------------------------
+# --- I(x, t) for Fiji, with µm and s per pixel --------------------------------------------------------------
 
 
 ROWS = 4096  # written at once, so that memory does not grow with the recording
-IMAGEJ_BYTES = (1 << 32) - (1 << 20)  # ImageJ's own TIFF ends at 4 GiB
+IMAGEJ_BYTES = (1 << 32) - (1 << 20)  # ImageJ's TIFF holds less than 4 GiB
 
 
 def write_kymograph_tif(strip: xr.DataArray, path: Path, *, pixel_size_um: float | None) -> None:
-    """Rows are frames, columns x; 32-bit floats in grey levels, NaN for frames that are not there.
+    """Write I(x, t) as 32-bit grey levels: rows are frames, columns x; NaN for frames without a picture.
 
-    ImageJ metadata hold the size of a pixel: µm (or "pixel") along x and seconds along t; above 4 GiB it is
-    a plain BigTIFF without them.
+    ImageJ metadata hold the size of a pixel: µm (or "pixel") along x and seconds along t. Above 4 GiB the
+    file is a plain BigTIFF without them.
     """
     values = np.asarray(strip.values, np.float32)
     if values.nbytes > IMAGEJ_BYTES:
@@ -314,14 +316,14 @@ def write_kymograph_tif(strip: xr.DataArray, path: Path, *, pixel_size_um: float
 
 
 def write_space_time_tif(diagram: xr.DataArray, path: Path, *, pixel_size_um: float | None) -> None:
-    """Rows are frames, columns x; 16 bits, 0 where there is no picture, so 1 to 65535 are grey values.
+    """Write a space-time diagram with 16 bits: rows are frames, columns x; 0 is a frame without a picture.
 
-    1 is black (0 for whole numbers, the smallest value for a float recording) and 65535 white (the camera's
-    largest grey level, or the largest value). ImageJ metadata turn the numbers back into grey levels, and
-    hold the size of a pixel, µm (or "pixel") along x and seconds along t, and the place of x = 0 and t = 0.
-    Fiji's time axis is even: rows are frames also where the recording's times are not (`unevenness_s`).
+    1 is black (grey level 0, or the smallest value of a float recording) and 65535 white (the camera's
+    largest grey level, or the largest value). ImageJ metadata convert the numbers to grey levels, and hold
+    the size of a pixel, µm (or "pixel") along x and seconds along t, and the origin of x and t. Each row is a
+    frame, so that Fiji's time axis is wrong if frame times are uneven (`unevenness_s`).
 
-    Raises: InputError for more than ImageJ's TIFF can hold, 4 GiB.
+    Raises: InputError for more than 4 GiB, the limit of ImageJ's TIFF.
     """
     size = 2 * diagram.size
     if size > IMAGEJ_BYTES:
@@ -333,7 +335,7 @@ def write_space_time_tif(diagram: xr.DataArray, path: Path, *, pixel_size_um: fl
     facts["metadata"] |= {"cf": 0, "c0": low - step, "c1": step, "vunit": "grey level"}
     facts["metadata"] |= _display(diagram, low, step)
     pixels = tifffile.memmap(path, shape=diagram.shape, dtype=np.uint16, imagej=True, **facts)
-    if hasattr(os, "posix_fallocate"):  # a mapping that finds the disk full kills the process
+    if hasattr(os, "posix_fallocate"):  # writing to a mapped file on a full disk would kill the process
         with path.open("r+b") as file:
             os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
     for start in range(0, len(diagram), ROWS):
@@ -344,21 +346,19 @@ def write_space_time_tif(diagram: xr.DataArray, path: Path, *, pixel_size_um: fl
 
 
 def frame_step_s(times_s: Floats) -> float:
-    """Time from one frame to the next, s: the mean over all steps but gaps; 1 without a clock.
+    """Return the mean time between frames without gaps, s; 1 without a clock.
 
-    The mean, as time stamps rounded to whole milliseconds have a median that is off by up to half of one.
+    The median would be wrong by up to half a millisecond for times rounded to whole milliseconds.
     """
     steps = np.diff(times_s[np.isfinite(times_s)])
-    middle = float(np.median(steps)) if len(steps) else 0.0
-    if middle <= 0:
+    median = float(np.median(steps)) if len(steps) else 0.0
+    if median <= 0:
         return 1.0
-    return float(steps[np.abs(steps - middle) <= middle / 2].mean())
+    return float(steps[np.abs(steps - median) <= median / 2].mean())
 
 
 def unevenness_s(times_s: Floats) -> float:
-    """How far, at most, an even time axis through the first frame is off, s, where that is more than half a
-    frame; else 0.
-    """
+    """Return the largest error of an even time axis from the first frame, s; 0 if below half a frame."""
     known = np.flatnonzero(np.isfinite(times_s))
     if known.size < 2:
         return 0.0
@@ -369,7 +369,7 @@ def unevenness_s(times_s: Floats) -> float:
 
 
 def _calibration(strip: xr.DataArray, pixel_size_um: float | None) -> dict[str, Any]:
-    """Size of a pixel and the place of the origin, as `tifffile` writes them for ImageJ."""
+    """Return the size of a pixel and the origin as `tifffile` writes them for ImageJ."""
     times = np.asarray(strip["time_s"].values, np.float64)
     step_s = frame_step_s(times)
     first_s = float(times[0]) if np.isfinite(times[:1]).all() else float(strip["frame"].values[0])
@@ -386,7 +386,7 @@ def _calibration(strip: xr.DataArray, pixel_size_um: float | None) -> dict[str, 
 
 
 def _levels(diagram: xr.DataArray) -> tuple[float, float]:
-    """Grey level of the number 1, and grey levels per number."""
+    """Return the grey level of the pixel value 1, and grey levels per pixel value."""
     bits = int(diagram.attrs.get("depth_bits", 32))
     if bits <= 16:
         low, high = 0.0, float((1 << bits) - 1)
@@ -397,7 +397,7 @@ def _levels(diagram: xr.DataArray) -> tuple[float, float]:
 
 
 def _display(diagram: xr.DataArray, low: float, step: float) -> dict[str, float]:
-    """The range Fiji shows at first: all but the outermost grey values."""
+    """Return the range of pixel values that Fiji displays at first (`grey_limits`)."""
     sample = diagram.values[:: max(1, len(diagram) // 4096)]
     if not np.isfinite(sample).any():
         return {}
@@ -418,7 +418,7 @@ _WHITE = (235, 235, 235)
 
 @dataclass(frozen=True)
 class Overlay:
-    """What was written: frames, the size of a frame (rows, columns), and frames per second when played."""
+    """The film that was written: number of frames, shape (rows, columns), and frames per second."""
 
     frames: int
     shape: tuple[int, int]
@@ -426,7 +426,7 @@ class Overlay:
 
 
 def film_of(run: RunFolder, moved: Path | None = None) -> Path:
-    """The film that the run was made from, or where it was moved to.  Raises: InputError as `input_of`."""
+    """Return the path of a run's film, which may have moved; see `input_of`.  Raises: InputError."""
     inputs = run.facts.get("inputs") or []
     if not inputs or run.tracks is None:
         raise InputError(run.folder, "a run of a video", "no film in its run.json", "give the run of a video")
@@ -436,29 +436,29 @@ def film_of(run: RunFolder, moved: Path | None = None) -> Path:
 def write_overlay(
     run: RunFolder, film: Path, target: Path, *, frames: slice | None = None, progress: Progress | None = None
 ) -> Overlay:
-    """Draw the sheets on every frame: strokes at both ends of the strip, and their numbers n above.
+    """Write a film with marks at every sheet: strokes at both ends of the strip, and the number n above.
 
     Parameters
     ----------
     run, film
-        From `read_run` and `film_of`.
+        As returned by `read_run` and `film_of`.
     target
-        The MP4 to be written.
+        The MP4 to write.
     frames
-        Half-open range of frame numbers; all of the run's by default.
+        Half-open range of frame numbers; all of the run by default.
     progress
         Called with (frames done, total frames or None).
 
     Raises
     ------
     InputError
-        Where the film cannot be read, or holds none of these frames.
+        If the film cannot be read, or holds none of these frames.
 
     Notes
     -----
-    One frame is held at a time. Grey levels are stretched by the same limits throughout. Sheets left of the
-    axis are blue, right ones orange; positions with a flag other than "ok" are white. Frames that cannot be
-    shown are black and say why.
+    One frame is in memory at a time. The same grey levels are black and white in all frames. Sheets left of
+    the axis are blue, right ones orange; positions with a flag other than "ok" are white. Frames without a
+    picture are black and show their status.
     """
     import av  # 30 ms that no other export needs
 
@@ -466,7 +466,7 @@ def write_overlay(
     video = open_video(film, rotate=StripMetadata.of(tracks).rotate, frames=_within(tracks, frames, run))
     canvas = _Canvas.of(video, tracks)
     row_of = {int(number): row for row, number in enumerate(tracks["frame"].values)}
-    # A high-speed film is played in slow motion, a time lapse not as still pictures.
+    # A high-speed film is played in slow motion, a time lapse faster than it was recorded.
     shown = float(np.clip(np.nan_to_num(StripMetadata.of(tracks).fps, nan=25.0), 5.0, 50.0))
     fps = Fraction(shown).limit_denominator(1000)
     quality = {"crf": "23", "preset": "veryfast", "maxrate": "8M", "bufsize": "16M"}
@@ -493,7 +493,7 @@ def write_overlay(
 
 
 def _within(tracks: xr.Dataset, frames: slice | None, run: RunFolder) -> slice:
-    """The part of the run that is asked for."""
+    """Return the frames of the run that are to be drawn.  Raises: InputError if there are none."""
     numbers = tracks["frame"].values
     first, last = int(numbers[0]), int(numbers[-1]) + 1
     start, stop = (frames.start or first, frames.stop or last) if frames else (first, last)
@@ -505,20 +505,20 @@ def _within(tracks: xr.Dataset, frames: slice | None, run: RunFolder) -> slice:
 
 @dataclass(frozen=True)
 class _Canvas:
-    """Where everything stands. scale: pixels of the MP4 per pixel of the film; low, high: black and white."""
+    """Geometry and grey levels of the frames of an overlay."""
 
     tracks: xr.Dataset
-    x_px: Floats
-    scale: float
-    picture: tuple[int, int]
-    low: float
+    x_px: Floats  # (frame, sheet)
+    scale: float  # pixels of the MP4 per pixel of the film
+    picture: tuple[int, int]  # rows and columns of the film in the MP4
+    low: float  # grey levels that are drawn black and white
     high: float
 
     @classmethod
     def of(cls, video: Video, tracks: xr.Dataset) -> _Canvas:
         rows, columns = video.shape
-        scale = min(1.0, 1920 / columns, 1080 / rows)  # no player shows more pixels
-        if max(rows, columns) < 480:  # enlarged by a whole factor, or numbers would cover the picture
+        scale = min(1.0, 1920 / columns, 1080 / rows)  # players show no more pixels
+        if max(rows, columns) < 480:  # enlarge by a whole factor, or the numbers cover the picture
             scale = float(-(-480 // max(rows, columns)))
         low, high = grey_limits(*(np.asarray(frame, np.float32) for frame in video.sample(8)))
         picture = (max(2, round(rows * scale)), max(2, round(columns * scale)))
@@ -529,11 +529,11 @@ class _Canvas:
     def shape(self) -> tuple[int, int]:
         """(rows, columns) of the MP4, both even as libx264 demands."""
         height, width = self.picture
-        height, width = height + 2 * MARGIN, max(width, 240)  # room for the line below
+        height, width = height + 2 * MARGIN, max(width, 240)  # room for the line of text below
         return height + height % 2, width + width % 2
 
     def draw(self, pixels: Pixels | None, row: int) -> Colour:
-        """The frame with everything on it, RGB."""
+        """Return a frame with all marks, RGB; `row` is its row in the tracks."""
         canvas = np.zeros((*self.shape, 3), np.uint8)
         height, width = self.picture
         flag = np.asarray(self.tracks["flag"].values[row])
@@ -554,12 +554,12 @@ class _Canvas:
         return canvas
 
     def _mark(self, canvas: Colour, row: int, flag: NDArray[np.str_]) -> None:
-        """Outline of the strip, strokes at its ends, numbers above the picture."""
+        """Draw the edges of the strip, strokes at them, and the numbers above the picture."""
         strip = StripMetadata.of(self.tracks)
         top, bottom = self._y(strip.strip_z0 - 0.5), self._y(strip.strip_z1 - 0.5)
         for edge in (top, bottom):
             self._line(canvas, (0.0, edge), (self.picture[1] - 1.0, edge), rgb(HIGHLIGHT))
-        stroke = max(3.0, (bottom - top) / 4)  # at both ends: the ridge itself stays in view
+        stroke = max(3.0, (bottom - top) / 4)  # leaves the middle of the ridge visible
         side, n = self.tracks["side"].values, self.tracks["n"].values
         seen, numbered = np.flatnonzero(np.isfinite(self.x_px[row])), set(self._numbered(n))
         for k in seen:
@@ -573,7 +573,7 @@ class _Canvas:
                 _write(canvas, text, x - LETTER_WIDTH * len(text) / 2, MARGIN - 7, own)
 
     def _numbered(self, n: Ints) -> Ints:
-        """Sheets whose numbers are written: each, or every second, fifth, … so that none overlap."""
+        """Return the sheets that get a number: all, or every second, fifth, …, so that none overlap."""
         middle = np.nanmedian(self.x_px, axis=0) if self.x_px.size else np.empty(0)
         gaps = np.diff(middle[np.isfinite(middle)]) * self.scale
         room = float(np.percentile(gaps, 10)) if gaps.size else np.inf
@@ -582,7 +582,7 @@ class _Canvas:
         return np.flatnonzero(n % every == 0) if every > 1 else np.arange(n.size)
 
     def _x(self, x_px: float) -> float:
-        """Column of the MP4: pixel centres are at integers in both."""
+        """Return the column in the MP4; pixel centres are at integers in both."""
         return float((x_px + 0.5) * self.scale - 0.5)
 
     def _y(self, z_px: float) -> float:
@@ -590,7 +590,7 @@ class _Canvas:
 
     @staticmethod
     def _line(canvas: Colour, start: tuple[float, float], end: tuple[float, float], ink: Any) -> None:
-        bits = 4  # of the coordinates behind the point: strokes lie where the sheet was found, to 1/16 px
+        bits = 4  # fractional bits of OpenCV's coordinates: strokes are positioned to 1/16 px
         fixed = [tuple(round(v * (1 << bits)) for v in point) for point in (start, end)]
         cv2.line(canvas, fixed[0], fixed[1], ink, 1, cv2.LINE_AA, bits)
 

@@ -1,4 +1,4 @@
-"""A run read back: a finished one from its folder, an interrupted one from what was kept beside it."""
+"""Read a finished run from its folder, and the frames of an interrupted run from its checkpoint."""
 
 from __future__ import annotations
 
@@ -26,16 +26,8 @@ from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.files import READ_HDF5, check_regular, reading, shortened, try_out
 from vision.numeric import Floats, Floats32
-from vision.run.folder import (
-    MARK,
-    Parameter,
-    describe_input,
-    existing_parent,
-    lock_folder,
-    plain,
-    reading_folder,
-    write_json,
-)
+from vision.run.folder import MARK, existing_parent, lock_folder, plain, reading_folder, write_json
+from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf
 from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files
 from vision.video.frames import ProfileStore
@@ -47,15 +39,15 @@ AGAIN = "run track again"
 
 @dataclass(frozen=True)
 class RunFolder:
-    """A run folder."""
+    """Content of a run folder."""
 
     folder: Path
-    facts: Mapping[str, Any]  # what run.json says
-    tracks: xr.Dataset | None  # as `track_sheets` gave them; None for a run of a force recording alone
+    facts: Mapping[str, Any]  # content of run.json
+    tracks: xr.Dataset | None  # as `track_sheets` returned them; None for a run without a video
 
     @property
     def pixel_size_um(self) -> float | None:
-        """µm per pixel as recorded in run.json; None where it was not given."""
+        """µm per pixel as recorded in run.json; None if it was not given."""
         value = self._parameter("pixel_size")
         with reading(self.folder / MARK, "a pixel size in µm", AGAIN):
             if value is None or 0 < float(value) < math.inf:
@@ -64,7 +56,7 @@ class RunFolder:
 
     @property
     def first_column(self) -> int:
-        """Column of the video at which the strip begins."""
+        """First column of the strip in the video."""
         first = str(self._parameter("columns") or "").partition(":")[0].strip()
         return int(first) if first.isdigit() else 0
 
@@ -74,12 +66,12 @@ class RunFolder:
 
 
 def is_run(folder: Path) -> bool:
-    """Whether this is a run folder and no folder of images."""
+    """Tell a run folder from a folder of images."""
     return (folder / MARK).is_file()
 
 
 def check_mark(target: Path, mark: str) -> None:
-    """Keep a run from being overwritten by what is made from it: `mark` stands in an earlier one's run.json.
+    """Check that an existing folder's run.json has the key `mark`, so that no other kind is overwritten.
 
     Raises: InputError.
     """
@@ -88,7 +80,7 @@ def check_mark(target: Path, mark: str) -> None:
 
 
 def read_run(folder: Path) -> RunFolder:
-    """Facts and tracks of a run folder.  Raises: InputError if it is none, or a file in it is damaged."""
+    """Read run.json and tracks.nc of a run folder.  Raises: InputError if it is none, or is damaged."""
     if not is_run(folder):
         found = "no run.json in it" if folder.is_dir() else "no such folder"
         raise InputError(folder, "a run folder of track", found, "give the folder that track wrote")
@@ -98,9 +90,9 @@ def read_run(folder: Path) -> RunFolder:
 
 
 def parameters_of(folder: Path, facts: Mapping[str, Any]) -> dict[str, Parameter]:
-    """What a run was made with, by the names of the command's options.
+    """Return a run's parameters by the names of the command's options.
 
-    Raises: InputError where run.json holds none, or something else in their place.
+    Raises: InputError if run.json holds none, or they are damaged.
     """
     known = facts.get("parameters")
     if not isinstance(known, dict) or not all(isinstance(one, dict) for one in known.values()):
@@ -109,14 +101,14 @@ def parameters_of(folder: Path, facts: Mapping[str, Any]) -> dict[str, Parameter
 
 
 def tracks_of(run: RunFolder) -> xr.Dataset:
-    """The tracks of a run that has some.  Raises: InputError."""
+    """Return a run's tracks.  Raises: InputError for a run without a video."""
     if run.tracks is None:
         raise InputError(run.folder, "a run of a video", "no tracks.nc in it", "give the run of a video")
     return run.tracks
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """One JSON object.  Raises: InputError."""
+    """Read a JSON object.  Raises: InputError."""
     with reading(path, "JSON as track writes it", AGAIN):
         content = json.loads(path.read_text(encoding="utf-8"))
     if not isinstance(content, dict):
@@ -125,7 +117,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def read_table(folder: Path, name: str) -> pd.DataFrame | None:
-    """A CSV table of a run folder; None where it has none.  Raises: InputError for a damaged one."""
+    """Read a CSV table of a run folder; None if there is none.  Raises: InputError for a damaged one."""
     path = folder / f"{name}.csv"
     if not path.exists():
         return None
@@ -134,11 +126,13 @@ def read_table(folder: Path, name: str) -> pd.DataFrame | None:
 
 
 def read_strip(run: RunFolder) -> xr.DataArray:
-    """I(x, t) from kymograph.tif, with the coordinates and attributes `strip_profile` gave it.
+    """Read I(x, t) from kymograph.tif, with the coordinates and attributes that `strip_profile` set.
 
-    The values are a copy, beyond 1 GiB in a temporary file: a mapped file that becomes shorter kills the
-    process. A frame's status is "ok" wherever its row has values, else the flag of its sheets.
-    Raises: InputError where the file is missing, damaged, or does not fit the tracks.
+    The values are a copy, above 1 GiB in a temporary file. The file itself is not memory-mapped: if it became
+    shorter, access would kill the process. A frame's status is "ok" if its row has values, else the flag of
+    its sheets.
+
+    Raises: InputError if the file is missing or damaged, or does not fit the tracks.
     """
     tracks, path = tracks_of(run), run.folder / "kymograph.tif"
     values = _read_tif(path, tracks.sizes["frame"])
@@ -159,16 +153,18 @@ def read_strip(run: RunFolder) -> xr.DataArray:
 
 
 def input_of(folder: Path, known: Mapping[str, Any], moved: Path | None = None) -> Path:
-    """A file that the run was made from: `known` is its entry in run.json, `moved` where it lies now.
+    """Return the path of one of a run's inputs after checking that it is the same file.
 
-    Raises: InputError where it is gone, or another file has its name (by size and fingerprint).
+    known: its entry in run.json.  moved: its new path, if it was moved.
+
+    Raises: InputError if there is no such file, or its size or fingerprint differs.
     """
     named = Path(str(known["path"]))
-    places = [named, folder.absolute().parent / named] if moved is None else [moved]
-    path = next((place for place in places if _there(place)), None)
+    candidates = [named, folder.absolute().parent / named] if moved is None else [moved]
+    path = next((candidate for candidate in candidates if _exists(candidate)), None)
     if path is None:
-        found, advice = "no such file", "say where it lies now (`film`)"
-        raise InputError(places[0], f"an input of {folder}", found, advice)
+        found, advice = "no such file", "give its new path (`film`)"
+        raise InputError(candidates[0], f"an input of {folder}", found, advice)
     whole = "sha256" in known
     now = describe_input(path, whole=whole)
     if now["size_bytes"] != known["size_bytes"]:
@@ -180,15 +176,15 @@ def input_of(folder: Path, known: Mapping[str, Any], moved: Path | None = None) 
     return path
 
 
-def _there(place: Path) -> bool:
-    return place.exists() or bool(glob.glob(str(place)))  # noqa: PTH207  # may be absolute
+def _exists(path: Path) -> bool:
+    """Tell whether a file, or a file that matches a pattern, exists."""
+    return path.exists() or bool(glob.glob(str(path)))  # noqa: PTH207  # may be absolute
 
 
 def slip_times_s(run: RunFolder) -> Floats | None:
-    """When the slips begin, in the video's seconds: the events' peaks moved by the run's clock.
+    """Return when the slips begin on the video's clock: the peaks of the events, converted, in s.
 
-    None where the run has no events, or its clocks are ambiguous: a slip in the wrong place is worse than
-    none.
+    None if the run has no events, or its clocks are ambiguous: wrong times are worse than none.
     """
     events, clock = read_table(run.folder, "events"), run.folder / "clock.json"
     if events is None or not clock.exists():
@@ -203,7 +199,7 @@ def slip_times_s(run: RunFolder) -> Floats | None:
 
 
 def _read_tracks(path: Path) -> xr.Dataset:
-    """tracks.nc; HDF5 can crash or run for ever on a damaged file, so a process of its own tries it first."""
+    """Read tracks.nc, first in a separate process, as HDF5 can crash or hang on a damaged file."""
     wanted = "tracks as track writes them"
     try_out(path, READ_HDF5, wanted)
     with reading(path, wanted, AGAIN):
@@ -226,9 +222,11 @@ def _read_tracks(path: Path) -> xr.Dataset:
 
 
 def stored_kymograph(path: Path) -> tuple[int, np.dtype[Any], tuple[int, int]]:
-    """Where in the file of a space-time diagram its values begin, their type and shape (frame, x).
+    """Return the byte at which the values of a space-time diagram begin, their type and shape (frame, x).
 
-    For reading a part at a time: it is never mapped, as a mapping of a file that shrinks ends the process.
+    Callers read the file in parts rather than mapping it, as a mapped file that becomes shorter kills the
+    process.
+
     Raises: InputError for a damaged file.
     """
     wanted = "a space-time diagram as track writes it"
@@ -246,7 +244,7 @@ def stored_kymograph(path: Path) -> tuple[int, np.dtype[Any], tuple[int, int]]:
 
 
 def _read_tif(path: Path, frames: int) -> Floats32:
-    """The one page of a space-time diagram.  Raises: InputError."""
+    """Read a space-time diagram, (frames, x).  Raises: InputError."""
     start, stored, shape = stored_kymograph(path)
     if shape[0] != frames:
         raise InputError(path, f"{frames} rows, one per frame of tracks.nc", f"shape {shape}", AGAIN)
@@ -263,47 +261,47 @@ def _read_tif(path: Path, frames: int) -> Floats32:
     return rows.rows()
 
 
-# --- what an interrupted run kept ---------------------------------------------------------------------------
+# --- checkpoint of an interrupted run -----------------------------------------------------------------------
 
 
 FRAMES, FACTS = "frames", "reading.json"
-STATUS = ("", "ok", "corrupt", "lost")  # by their number in the file; 0 is what a crash leaves unwritten
-PART = 4096  # frames read back at a time
+STATUS = ("", "ok", "corrupt", "lost")  # status by its number in the file; 0: not written before a crash
+PART = 4096  # frames read or written at a time
 RESTART = "run without `resume` to start at the first frame"
 
 
 class Checkpoint:
-    """Keeps I(x, t) block by block while a film is read, and gives it back to a run that resumes.
+    """Stores I(x, t) while a film is read, so that an interrupted run can be resumed.
 
-    A folder beside the run folder, hidden as the run folder itself is until it is whole, holds one file that
-    grows by a record per frame (status, time, the strip's mean) and one that says what is read and how. It
-    exists once the reading has taken `after_s`, and until the run folder is written: `done` removes it. A
-    record that was cut short by a kill is left out.
+    A hidden folder beside the run folder holds two files. One grows by a record per frame (status, time, the
+    strip's mean). The other says which film is read and how. The folder is made when reading has taken
+    `after_s`, and `done` removes it when the run folder is written. A record that was only partly written
+    before a kill is ignored.
 
-    With `resume` a run goes on where an interrupted one of the same film with the same settings ended, or
-    from the first frame where nothing was kept; without, what an earlier run left is removed. Frames are
-    numbered without gaps (`vision.video.Reader`), and each row is computed from its frame alone, so that the
-    result is the same bit for bit. A disk that is full costs the checkpoint, not the run.
+    With `resume` a run continues where an interrupted one of the same film with the same settings ended; if
+    nothing was stored, at the first frame. Without `resume`, what an earlier run left is removed. As frames
+    are numbered without gaps (`vision.video.Reader`), and each row is computed from its frame alone, the
+    result is the same bit for bit. If the disk is full, the run continues without a checkpoint.
 
     Raises
     ------
     InputError
-        With `resume`: on entering, where another process reads into the same folder; from `begin`, where the
-        film or the way it is read is another one.
+        With `resume`: on entering, if another process reads into the same folder; from `begin`, if the film
+        or the settings differ.
     """
 
     def __init__(
         self, target: Path, *, resume: bool = False, after_s: float = VideoSettings.resume_after_s
     ) -> None:
-        # where I(x, t) may spill: on the disk that has room for results
+        # Temporary files for I(x, t) go to the disk of the results, which has enough room.
         self.folder = existing_parent(target)
-        self.resumed = 0  # frames taken over from the interrupted run
-        self.kept = 0  # frames in the file by now
+        self.resumed = 0  # frames taken from the interrupted run
+        self.kept = 0  # frames in the file so far
         self._target, self._place = target, reading_folder(target)
         self._resume, self._after_s = resume, after_s
         self._began = time.monotonic()
-        self._own = False  # whether the folder is this run's
-        self._off = False  # whether nothing is kept: another run has the folder, or it cannot be written
+        self._own = False  # whether this run holds the folder's lock
+        self._off = False  # whether nothing is stored: another run has the folder, or writing failed
         self._lock: int | None = None
         self._file: BinaryIO | None = None
         self._facts: Callable[[], dict[str, Any]] = dict
@@ -314,7 +312,7 @@ class Checkpoint:
             self._own = self._lock is not None or os.name != "posix"
             self._off = not self._own
             if self._off and self._resume:
-                found, advice = "one that still runs", "wait for it, or give another `out`"
+                found, advice = "one that is still running", "wait for it, or give another `out`"
                 raise InputError(self._target, "an interrupted run to resume", found, advice)
             if not self._resume:
                 self.done()
@@ -328,14 +326,14 @@ class Checkpoint:
             self._lock = None
 
     def done(self) -> None:
-        """Leave nothing to resume: the run folder is written."""
+        """Remove what was stored, as the run folder is written."""
         if self._own:
             shutil.rmtree(self._place, ignore_errors=True)
         self.__exit__()
         self._file, self._own, self.kept = None, False, 0
 
     def begin(self, video: Video, rows: slice, columns: slice) -> Iterator[FramesRead]:
-        """What an interrupted run kept of this reading, part by part; nothing where there is none."""
+        """Start, and yield the frames that an interrupted run stored, part by part."""
         self._began = time.monotonic()
         self._facts = partial(_facts, video, rows, columns)
         width = columns.stop - columns.start
@@ -347,17 +345,17 @@ class Checkpoint:
         with reading(frames, "frames of an interrupted run", RESTART):
             self._file = frames.open("r+b", buffering=0)
         while (part := np.fromfile(self._file, self._record, PART)).size:
-            whole = part[: _first_odd(part["status"])]
-            self.kept += whole.size
-            yield FramesRead(whole["intensity"], np.array(STATUS)[whole["status"]], whole["time_s"])
-            if whole.size < part.size:
+            written = part[: _count_written(part["status"])]
+            self.kept += written.size
+            yield FramesRead(written["intensity"], np.array(STATUS)[written["status"]], written["time_s"])
+            if written.size < part.size:
                 break
         self.resumed = self.kept
         self._file.truncate(self.kept * self._record.itemsize)
         self._file.seek(0, os.SEEK_END)
 
     def add(self, frames: FrameStore) -> None:
-        """Keep what is new, once reading has taken long enough."""
+        """Store new frames, once reading has taken `after_s`."""
         if self._off or (self._file is None and time.monotonic() - self._began < self._after_s):
             return
         try:
@@ -365,12 +363,12 @@ class Checkpoint:
                 self._start()
             for start in range(self.kept, frames.count, PART):
                 self._write(frames.part(start, min(start + PART, frames.count)))
-        except (OSError, InputError):  # the run itself may still succeed
+        except (OSError, InputError):  # the run continues without a checkpoint
             self.done()
             self._off = True
 
     def _start(self) -> None:
-        """Make the folder; the facts come last, as frames without them are nothing."""
+        """Make the folder; the facts are written last, as `begin` ignores frames without them."""
         self.done()
         self._place.mkdir(parents=True)
         self._own, self._lock = True, lock_folder(self._place)
@@ -388,7 +386,7 @@ class Checkpoint:
         self.kept += records.size
 
     def _check(self) -> None:
-        """Refuse to go on with another film, or with the same one read otherwise."""
+        """Check that film and settings are those of the interrupted run.  Raises: InputError."""
         kept = read_json(self._place / FACTS)
         for name, now in plain(self._facts()).items():
             if kept.get(name) != now:
@@ -398,7 +396,7 @@ class Checkpoint:
 
 
 def _facts(video: Video, rows: slice, columns: slice) -> dict[str, Any]:
-    """What I(x, t) depends on."""
+    """Return everything that I(x, t) depends on."""
     given = video.given_times_s
     return {
         "sheetvision": vision.__version__,
@@ -408,7 +406,7 @@ def _facts(video: Video, rows: slice, columns: slice) -> dict[str, Any]:
         "frames": [video.first, video.stop],
         "fps": video.given_fps,
         "timestamps": None if given is None else hashlib.sha256(given.tobytes()).hexdigest(),
-        # size and content of every file of the film; its name and time may change
+        # Size and content of the film's files; their names and times may change.
         "inputs": [
             {k: v for k, v in describe_input(path).items() if k not in ("path", "modified_s")}
             for path in video_files(video.path)
@@ -416,7 +414,7 @@ def _facts(video: Video, rows: slice, columns: slice) -> dict[str, Any]:
     }
 
 
-def _first_odd(status: NDArray[np.uint8]) -> int:
-    """How many records come before the first one that was not written."""
-    odd = np.flatnonzero((status == 0) | (status >= len(STATUS)))
-    return int(odd[0]) if odd.size else status.size
+def _count_written(status: NDArray[np.uint8]) -> int:
+    """Return the number of records before the first one that was not written."""
+    unwritten = np.flatnonzero((status == 0) | (status >= len(STATUS)))
+    return int(unwritten[0]) if unwritten.size else status.size

@@ -1,4 +1,4 @@
-"""tracks.csv, tracks.nc and sheets.csv."""
+"""Write tracks.csv, tracks.nc, sheets.csv and other tables."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from pyarrow import csv
 
 from vision.escaping import harmless_table
 
-_JSON = ("[", "{", '"')  # what text that is read back as JSON begins with
+_JSON = ("[", "{", '"')  # first character of an attribute that is read back as JSON
 ROWS_PER_CHUNK = 500_000  # of tracks.csv, so that memory does not grow with the recording
 
 
 def write_tracks_csv(
     tracks: xr.Dataset, path: Path, *, pixel_size_um: float | None, stop: threading.Event | None = None
 ) -> None:
-    """One row per frame and sheet, every one, frame after frame; lengths to 1e-4 px, empty where there is
-    none. Ends early once `stop` is set.
+    """Write one row for every frame and sheet, frame by frame; stop early once `stop` is set.
 
-    Written by Arrow, five times as fast as pandas: a test of 100 000 frames has five million rows.
+    Positions have four decimals and are empty if not measured. Arrow writes five times as fast as pandas: a
+    test of 100 000 frames has five million rows.
     """
     sheets = max(1, tracks.sizes["sheet"])
     step = max(1, ROWS_PER_CHUNK // sheets)
@@ -47,12 +47,12 @@ def write_tracks_csv(
 
 
 def tracks_table(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> pd.DataFrame:
-    """The tracks as a long table: frame, time_s, index, side, n, x_px, x_err_px, x_um, flag."""
+    """Return tracks as a long table: frame, time_s, index, side, n, x_px, x_err_px, x_um, flag."""
     return pd.DataFrame(tracks_columns(tracks, pixel_size_um=pixel_size_um))
 
 
 def tracks_columns(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> dict[str, NDArray[Any]]:
-    """The columns of that table."""
+    """Return the columns of `tracks_table`, (frame × sheet,)."""
     frames, sheets = tracks.sizes["frame"], tracks.sizes["sheet"]
     x = tracks["x_px"].values.ravel()
     return {
@@ -69,7 +69,7 @@ def tracks_columns(tracks: xr.Dataset, *, pixel_size_um: float | None = None) ->
 
 
 def sheets_table(tracks: xr.Dataset) -> pd.DataFrame:
-    """One row per sheet: index, side, n, x_mean_px, found, fwhm_px, snr, x_noise_px."""
+    """Return one row per sheet: index, side, n, x_mean_px, found, fwhm_px, snr and noise columns."""
     digits = {"x_mean_px": 4, "found": 5, "fwhm_px": 2, "snr": 1, "x_noise_px": 5}
     digits |= {name: 5 for name in ("x_scatter_px", "x_predicted_px") if name in tracks}
     who = {"index": tracks["sheet"].values, "side": tracks["side"].values, "n": tracks["n"].values}
@@ -79,16 +79,16 @@ def sheets_table(tracks: xr.Dataset) -> pd.DataFrame:
 def write_tracks_nc(
     tracks: xr.Dataset, path: Path, *, pixel_size_um: float | None, constant_error_px: float = math.nan
 ) -> None:
-    """netCDF-4 with CF units and long names; x_um only where the pixel size is known; flags as characters.
+    """Write netCDF-4 with CF units and long names; x_um only if the pixel size is known; flags as characters.
 
-    `constant_error_px` is the error of places that is the same for every frame, an attribute of x_px.
-    Made in memory, because HDF5 crashes the process when a disk fills up.  Raises: OSError.
+    `constant_error_px`, an attribute of x_px, is the error of positions that is the same in all frames. The
+    file is made in memory, because HDF5 crashes the process if a disk fills up.  Raises: OSError.
     """
     data = tracks.assign_coords(index=("sheet", tracks["sheet"].values, {"long_name": "index from the left"}))
     data["frame"].attrs["long_name"] = "frame number"
     data["sheet"].attrs["long_name"] = "sheet, counted from the left"
     if math.isfinite(constant_error_px):
-        comment = "x_err_px is the error of a displacement, constant_error_px that of places, in all frames"
+        comment = "x_err_px: error of a displacement; constant_error_px: of a position, alike in all frames"
         about = {"constant_error_px": constant_error_px, "comment": comment}
         data["x_px"] = data["x_px"].assign_attrs(about)
     if pixel_size_um is not None:
@@ -99,12 +99,12 @@ def write_tracks_nc(
 
 
 def _netcdf(data: xr.Dataset) -> bytes:
-    """A dataset as netCDF-4 with CF's attributes, as `to_netcdf` has it, which takes four times as long.
+    """Return a dataset as netCDF-4 with CF attributes, as `to_netcdf` writes it in four times the time.
 
-    A dimension is an HDF5 dimension scale, with its number; text is characters along a dimension of its own.
+    A dimension is a numbered HDF5 dimension scale. Text is an array of characters with one more dimension.
     """
     dimensions = dict.fromkeys(str(name) for name in data.sizes)
-    aside = sorted(str(name) for name in data.coords if name not in dimensions)
+    coordinates = sorted(str(name) for name in data.coords if name not in dimensions)
     numbers = {name: number for number, name in enumerate(dimensions)}
     scales: dict[str, h5py.Dataset] = {}
     with h5py.File("tracks", "w", driver="core", backing_store=False, block_size=1 << 20) as file:
@@ -125,62 +125,61 @@ def _netcdf(data: xr.Dataset) -> bytes:
             if values.dtype.kind == "f":
                 attrs["_FillValue"] = np.nan
             if name in data.data_vars:
-                beside = [part for part in aside if set(data[part].dims) <= set(variable.dims)]
-                attrs |= {"coordinates": " ".join(beside)} if beside else {}
+                own = [part for part in coordinates if set(data[part].dims) <= set(variable.dims)]
+                attrs |= {"coordinates": " ".join(own)} if own else {}
             packed = {"compression": 1, "shuffle": True} if values.ndim >= 2 else {}
             blank = np.nan if values.dtype.kind == "f" else None
-            held = file.create_dataset(name, data=values, fillvalue=blank, track_order=True, **packed)
+            stored = file.create_dataset(name, data=values, fillvalue=blank, track_order=True, **packed)
             if name in dimensions:
-                held.make_scale(name)
-                scales[name] = held
+                stored.make_scale(name)
+                scales[name] = stored
             else:
                 for axis, part in enumerate(along):
-                    held.dims[axis].attach_scale(scales[part])
+                    stored.dims[axis].attach_scale(scales[part])
             order = np.array([numbers[part] for part in along], np.int32)
-            _set_attrs(held, {"_Netcdf4Coordinates": order, "_Netcdf4Dimid": order[0]} | attrs)
+            _set_attrs(stored, {"_Netcdf4Coordinates": order, "_Netcdf4Dimid": order[0]} | attrs)
         file.flush()
         return bytes(file.id.get_file_image())
 
 
-def _set_attrs(held: h5py.File | h5py.Dataset, attrs: Mapping[str, Any]) -> None:
-    """Text as it is, numbers as netCDF has them, each in a list."""
+def _set_attrs(target: h5py.File | h5py.Dataset, attrs: Mapping[str, Any]) -> None:
+    """Set attributes; netCDF stores numbers as arrays of length one."""
     for name, value in attrs.items():
-        held.attrs[name] = value if isinstance(value, str | np.generic) else np.atleast_1d(value)
+        target.attrs[name] = value if isinstance(value, str | np.generic) else np.atleast_1d(value)
 
 
 def _as_bytes(text: NDArray[Any]) -> NDArray[np.bytes_]:
-    """ASCII text, one byte a character, no wider than the longest: all at once, where xarray and NumPy encode
-    each by itself."""
-    held = np.ascontiguousarray(text, np.str_)
-    width = max(1, int(np.strings.str_len(held).max(initial=1)))
-    letters = held.view(np.uint32).reshape(*held.shape, -1)[..., :width]
-    return np.ascontiguousarray(letters, np.uint8).view(f"S{width}")[..., 0]
+    """Encode ASCII text, as wide as the longest one; vectorised, unlike NumPy's own encoding."""
+    wide = np.ascontiguousarray(text, np.str_)
+    width = max(1, int(np.strings.str_len(wide).max(initial=1)))
+    codes = wide.view(np.uint32).reshape(*wide.shape, -1)[..., :width]  # of the characters
+    return np.ascontiguousarray(codes, np.uint8).view(f"S{width}")[..., 0]
 
 
 def write_table(table: pd.DataFrame, path: Path) -> None:
-    """CSV with nine digits; no text in it is a formula."""
+    """Write CSV with nine digits, with text that a spreadsheet would take for a formula made harmless."""
     harmless_table(table).to_csv(path, index=False, float_format="%.9g", lineterminator="\n")
 
 
 def netcdf_attrs(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """Attributes as netCDF holds them: lists and tables become JSON, and text that would pass for it.
+    """Convert attributes for netCDF: lists and dicts to JSON, also text that would be read back as JSON.
 
-    In names of files "?" replaces what is not UTF-8.
+    Characters of file names that are not UTF-8 become "?".
     """
-    held = {name: _held(value) for name, value in attrs.items() if value is not None}
+    encoded = {name: _encoded(value) for name, value in attrs.items() if value is not None}
     return {
         name: value.encode("utf-8", "replace").decode() if isinstance(value, str) else value
-        for name, value in held.items()
+        for name, value in encoded.items()
     }
 
 
-def _held(value: Any) -> Any:
+def _encoded(value: Any) -> Any:
     is_text = isinstance(value, str) and value[:1] in _JSON
     return json.dumps(value, default=str) if is_text or isinstance(value, list | tuple | dict) else value
 
 
 def attrs_of_netcdf(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """The inverse of `netcdf_attrs`."""
+    """Convert attributes back: the inverse of `netcdf_attrs`."""
     return {
         name: json.loads(value) if isinstance(value, str) and value[:1] in _JSON else value
         for name, value in attrs.items()

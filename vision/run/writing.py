@@ -1,4 +1,4 @@
-"""write_run(): an analysis becomes a run folder, whole or not at all."""
+"""Write an analysis to a run folder."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ from vision.figures import (
 from vision.pipeline import Analysis
 from vision.report import write_report
 from vision.run.export import write_kymograph_tif
-from vision.run.folder import Origin, run_folder, write_json
+from vision.run.folder import run_folder, write_json
+from vision.run.provenance import Origin
 from vision.run.tables import sheets_table, write_table, write_tracks_csv, write_tracks_nc
 from vision.sample import PUBLISHED
 from vision.sheets import doubtful_stretches
@@ -56,26 +57,26 @@ def write_run(
     Parameters
     ----------
     analysis
-        Of a video, with or without a force recording, or of a force recording alone.
+        Results of a video, with or without a force recording, or of a force recording alone.
     target, overwrite
         The run folder, and whether an earlier one is replaced.
     origin, facts
-        For run.json.
+        Provenance and further entries of run.json.
     report
         Whether report.html is written.
     decisions
-        For corrections.toml, where more is known of them than ``analysis.settings.corrections``.
+        Decisions for corrections.toml, by default ``analysis.settings.corrections``.
     beside
-        More files: content by name.
+        Further files: name to content.
 
     Returns
     -------
-    What run.json holds.
+    The content of run.json.
 
     Raises
     ------
     InputError
-        Where the folder exists (without ``overwrite``) or cannot be written; nothing is left then.
+        If the folder exists (without ``overwrite``) or cannot be written; nothing is left then.
     """
     started = time.perf_counter()
     seconds = dict(analysis.seconds)
@@ -90,7 +91,7 @@ def write_run(
         seconds["fingerprints"] = time.perf_counter() - started - seconds["tables"]
         drawn = time.perf_counter()
         failures = dict(analysis.failures)
-        _shown(analysis, folder, content, failures, origin, report=report)
+        _write_figures_and_page(analysis, folder, content, failures, origin, report=report)
         if failures:
             text = "\n\n".join(f"{name}\n{details}" for name, details in failures.items())
             (folder / FAILURES).write_text(text, encoding="utf-8", errors="replace")
@@ -105,15 +106,15 @@ def write_run(
 def _write_decisions(
     analysis: Analysis, folder: Path, content: Mapping[str, Any], decisions: Decisions | None
 ) -> None:
-    """corrections.toml, where there is a decision to be kept."""
+    """Write corrections.toml, if there are any decisions."""
     film: Mapping[str, Any] = next(iter(content["inputs"]), {})
     checksum = str(film.get("sha256") or film.get("fingerprint") or "")
-    kept = decisions or Decisions(corrections=ordered(analysis.settings.corrections), film=checksum)
-    if kept.corrections or kept.undone:
-        (folder / CORRECTIONS).write_text(corrections_text(kept), encoding="utf-8")
+    written = decisions or Decisions(corrections=ordered(analysis.settings.corrections), film=checksum)
+    if written.corrections or written.undone:
+        (folder / CORRECTIONS).write_text(corrections_text(written), encoding="utf-8")
 
 
-def _shown(
+def _write_figures_and_page(
     analysis: Analysis,
     folder: Path,
     content: dict[str, Any],
@@ -122,7 +123,7 @@ def _shown(
     *,
     report: bool,
 ) -> None:
-    """Pictures and page; an unexpected error in them is added to `failures` and loses no table."""
+    """Write figures and page; an unexpected error is added to `failures`, as the tables are complete."""
     try:
         figures = figures_of(analysis)
         with ThreadPoolExecutor(1) as beside:
@@ -132,14 +133,14 @@ def _shown(
                 write_report(page, analysis, content, figures=figures, options=origin.options)
             for file in written:
                 file.result()
-    except OSError:  # a full disk is the run's own failure
+    except OSError:  # a full disk ends the run
         raise
     except Exception:
         failures["pictures and report"] = traceback.format_exc()
 
 
 def run_facts(analysis: Analysis, origin: Origin, inputs: Callable[[], Any]) -> dict[str, Any]:
-    """Everything run.json holds but the timings."""
+    """Return the content of run.json without the timings."""
     facts = origin.facts(inputs)
     if analysis.tracks is not None:
         facts |= _video_facts(analysis)
@@ -147,15 +148,16 @@ def run_facts(analysis: Analysis, origin: Origin, inputs: Callable[[], Any]) -> 
         facts["force"] = ForceMetadata.of(analysis.force)
         facts["sample"] = analysis.settings.sample or PUBLISHED
     if analysis.sticks is not None:
-        whole = int((analysis.sticks["flag"] == "ok").sum())
+        unflagged = int((analysis.sticks["flag"] == "ok").sum())
         sticks = asdict(StickMetadata.of(analysis.sticks))
-        facts["events"] = {"found": len(analysis.sticks), "without_flag": whole, **sticks}
+        facts["events"] = {"found": len(analysis.sticks), "without_flag": unflagged, **sticks}
     if analysis.clock is not None:
         facts["clock"] = analysis.clock
     facts["systematic_errors"] = systematic_budget(analysis).to_json()
-    done = [part.attrs.get("operations", ()) for part in _parts(analysis)]
-    longest = max(done, key=len, default=())
-    facts["operations"] = [*longest, *(step for steps in done for step in steps if step not in longest)]
+    operations = [part.attrs.get("operations", ()) for part in _parts(analysis)]
+    longest = max(operations, key=len, default=())
+    others = [step for steps in operations for step in steps if step not in longest]
+    facts["operations"] = [*longest, *others]
     reasons = dict(zip(analysis.reasons, origin.named(analysis.reasons.values()), strict=True))
     return facts | {"warnings": origin.named(analysis.warnings), "not_measured": reasons}
 
@@ -208,7 +210,7 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
 
 
 def _write_tracks(analysis: Analysis, tracks: xr.Dataset, strip: xr.DataArray, folder: Path) -> None:
-    """Every position as text in one thread, and the rest in this one: each takes as long as the other."""
+    """Write tracks.csv in a thread, and meanwhile, in about the same time, the other files of the tracks."""
     size, stop = analysis.pixel_size_um, threading.Event()
     with ThreadPoolExecutor(1) as beside:
         text = beside.submit(write_tracks_csv, tracks, folder / "tracks.csv", pixel_size_um=size, stop=stop)
@@ -220,20 +222,20 @@ def _write_tracks(analysis: Analysis, tracks: xr.Dataset, strip: xr.DataArray, f
             write_kymograph_tif(strip, folder / "kymograph.tif", pixel_size_um=size)
             text.result()
         finally:
-            stop.set()  # after Ctrl-C nothing waits for the whole table
+            stop.set()  # Ctrl-C does not wait for the complete table
 
 
 def _write_pictures(
     analysis: Analysis, folder: Path, figures: Sequence[Figure], beside: Executor
 ) -> list[Future[Any]]:
-    """overview.png and kymograph.png, or force.png of a recording alone; all figures as data.
+    """Write figures.npz, overview.png and kymograph.png (without a video force.png); return what to wait for.
 
-    They are drawn here; `beside` compresses them, which takes half as long, while others are drawn.
+    Pictures are drawn here, and compressed by `beside`, in half the time, while others are drawn.
     """
     from vision.figures import drawing  # loads matplotlib
 
-    kept = [*figures, *publication_figures_of(analysis)]
-    written: list[Future[Any]] = [beside.submit(save_figures, folder / "figures.npz", kept)]
+    stored = [*figures, *publication_figures_of(analysis)]
+    written: list[Future[Any]] = [beside.submit(save_figures, folder / "figures.npz", stored)]
     if analysis.tracks is None:
         pictures = {"force.png": FIGURES["force_overview"].make(analysis)}
     else:
