@@ -171,7 +171,7 @@ class _Ground(NamedTuple):
             low[on] = np.minimum(low[on], seen)
             beyond = dip if to_right else dip - 1  # the next maximum
             further = inside & (beyond >= 0) & (beyond <= last)
-            further &= self.height[np.clip(beyond, 0, last)] <= height
+            further &= self.height[np.minimum(np.maximum(beyond, 0), last)] <= height
             on, dip, here, height = on[further], dip[further] + step, here[further], height[further]
         return low
 

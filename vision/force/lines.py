@@ -129,8 +129,9 @@ def fit_polynomials(y: Floats, start: Ints, stop: Ints, degree: int = 4) -> tupl
     level = (np.bincount(row, y[index], start.size) / (stop - start))[row]  # sums of less lose fewer digits
     products = np.empty((start.size, size, size + 1))
     for k, one in enumerate(terms):
-        for m, other in enumerate((*terms, y[index] - level)):
-            products[:, k, m] = np.bincount(row, one * other, start.size)
+        products[:, k, size] = np.bincount(row, one * (y[index] - level), start.size)
+        for m, other in enumerate(terms[: k + 1]):
+            products[:, k, m] = products[:, m, k] = np.bincount(row, one * other, start.size)
     found = np.asarray(np.linalg.solve(products[:, :, :size], products[:, :, size:])[:, :, 0], np.float64)
     return found, y[index] - level - np.sum(found.T[:, row] * terms, axis=0), row
 

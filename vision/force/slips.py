@@ -94,10 +94,12 @@ def _jumps_upward(y: Floats, edge: Ints, sigma: float, settings: ForceSettings, 
     _, left, _ = fit_polynomials(y, bounds[whole], bounds[whole + 1], 2)
     mirrored = y.copy()
     mirrored[flat_ranges(bounds[whole], bounds[whole + 1])[1]] -= 2 * left
-    found = _edges(mirrored, _local_period(edge, y.size), sigma, settings)
+    period = _local_period(edge, y.size)
     # Not the slips themselves; and what the load itself, between lines on both sides, shows to jump.
-    beside = np.concatenate([edge + away for away in range(-3, 4)])
-    found = np.setdiff1d(found, beside)
+    slips = np.concatenate([edge + away for away in range(-3, 4)])
+    if not np.setdiff1d(_peaks(mirrored, _half_widths(period, settings), sigma, settings), slips).size:
+        return np.empty(0)
+    found = np.setdiff1d(_edges(mirrored, period, sigma, settings), slips)
     both = np.union1d(edge, found)
     height = -_stick_drops(y, both, settings)[np.searchsorted(both, found)]
     return height[height >= least]
@@ -140,9 +142,13 @@ def _peaks(y: Floats, half: Ints, sigma: float, settings: ForceSettings) -> Ints
 
 def _edges(y: Floats, period: Floats, sigma: float, settings: ForceSettings) -> Ints:
     """Drops of a signal whose period, in samples, is known at every sample."""
-    half = np.clip(np.rint(settings.step_width * period), 2, None).astype(np.int64)
-    edge = _join_weak(y, _peaks(y, half, sigma, settings), sigma, settings)
+    edge = _join_weak(y, _peaks(y, _half_widths(period, settings), sigma, settings), sigma, settings)
     return _join_knees(y, _join_parts(y, edge, settings), sigma, settings)
+
+
+def _half_widths(period: Floats, settings: ForceSettings) -> Ints:
+    """Half the widths of the step filter for these periods."""
+    return np.asarray(np.clip(np.rint(settings.step_width * period), 2, None), np.int64)
 
 
 def _first_period(y: Floats, sigma: float, settings: ForceSettings) -> Floats:

@@ -67,8 +67,10 @@ def find_corners(
     if stick.size and 2 * nan_median(np.fmin(middle - high, low - middle)) < settings.shape_slip * np.median(
         stick
     ):
-        base = _Baselines.of(signal, two_slopes, settings, Shape.of(signal.load, signal.edge, settings))
-        high, middle, low = _crossings(signal.load, signal.edge, base)
+        shape = Shape.of(signal.load, signal.edge, settings)
+        if shape.begin or shape.end:
+            base = _Baselines.of(signal, two_slopes, settings, shape)
+            high, middle, low = _crossings(signal.load, signal.edge, base)
     # What sampling and smoothing alone make of a sudden drop is no part of a slip's length: it crosses 90 %
     # and 50 % 0.4 samples apart, and more where deconvolution leaves a sample part of the way down.
     blur = np.hypot(0.4 * signal.width, 0.5 if signal.late else 0.0)
@@ -225,6 +227,7 @@ class Shape:
         some = np.flatnonzero((length > long) & (rise > 0))  # the shorter ones may be swings
         if some.size < 8:
             return straight
+        some = some[:: some.size // 400 + 1]  # enough for medians
         share = fit_polynomials(y, start[some], stop[some])[0][:, 2:] / rise[some, np.newaxis]
         middle = np.median(share, axis=0)
         standard = 1.25 * mad_sigma(share, axis=0) / np.sqrt(some.size)
@@ -374,7 +377,7 @@ def _filled_in(load: Floats) -> Bools:
     Then nearly all runs of equal values, or of equal differences, are of one length; steps of a coarse load
     are not. Where a line's ends lie between samples the first sample after each is kept.
     """
-    steps = np.diff(np.unique(load))
+    steps = np.diff(np.unique(load[:20_000]))  # enough to show the last digit written
     rounding = 3 * float(np.min(steps, where=steps > 1e-9 * np.ptp(load), initial=np.inf))
     repeats = np.diff(load, prepend=np.nan) == 0
     bends = np.r_[True, np.abs(np.diff(load, 2)) > rounding, True]

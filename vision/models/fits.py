@@ -554,7 +554,7 @@ def _remarks(
             "check `d0_mm`, the sample's geometry, the zero and the units"
         )
     elif abs(fits.t0_N.value) > _CLEAR_OFFSET * fits.t0_N.error > 0:
-        warnings.append(
+        notes.append(
             f"𝒯0 = {fits.t0_N.value:.3g} N is {abs(fits.t0_N.value) / fits.t0_N.error:.2g} errors from 0: "
             "the load cell's zero was off by so much, or `d0_mm` or the sample's geometry is"
         )
