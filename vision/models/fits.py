@@ -461,7 +461,7 @@ def _with_systematics(
         ramp = by * (events["d_p_mm"] - events["d_p_mm"].min()) / span
         return events.assign(F_p_N=events["F_p_N"] + ramp, K_N_per_mm=events["K_N_per_mm"] + by / span)
 
-    unaffected = {"K_N_per_mm": 0.0, "ratio": 0.0}
+    unaffected: dict[str, float | None] = {"K_N_per_mm": 0.0, "ratio": 0.0}
     unknown: dict[str, float | None] = dict.fromkeys((*PARAMETERS, "K_N_per_mm", "ratio"))
     budget = {"d0": unknown}
     if np.isfinite(d0_err):
