@@ -38,7 +38,7 @@ class Candidate:
 
     offset_s: float
     drift_ppm: float
-    log_likelihood: float  # less that of no slip in common
+    log_likelihood: float  # minus that of no matched slip
     matched: int  # number of paired slips
 
 
@@ -184,9 +184,7 @@ def synchronise(
     else:
         clock = _from_slips(tracks, force, sticks, settings)
         if "video_time_s" in force:
-            unusable = (
-                "the column of video times in the force recording is not usable: the slips set the clock"
-            )
+            unusable = "the column of video times in the force recording is not usable: the slips are used"
             warnings = (*warnings, unusable)
     return replace(clock, warnings=(*warnings, *clock.warnings))
 

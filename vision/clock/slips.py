@@ -78,8 +78,8 @@ def _bounds(sticks: pd.DataFrame) -> tuple[Floats, Floats, Floats]:
         return np.empty(0), np.empty(0), np.empty(0)
     valley, peak = sticks["t_v_s"].to_numpy(float), sticks["t_p_s"].to_numpy(float)
     first = StickMetadata.of(sticks).first_slip_s
-    usual = float(np.median(valley[1:] - peak[:-1])) if len(peak) > 1 else 0.0
-    begin, end = np.r_[first, peak], np.r_[valley, peak[-1] + max(usual, 0.0)]
+    typical = float(np.median(valley[1:] - peak[:-1])) if len(peak) > 1 else 0.0
+    begin, end = np.r_[first, peak], np.r_[valley, peak[-1] + max(typical, 0.0)]
     known = np.isfinite(begin) & np.isfinite(end)
     top, bottom = (np.asarray(sticks[name], np.float64) for name in ("F_p_N", "F_v_N"))
     rise, fall = top - bottom, top[:-1] - bottom[1:]

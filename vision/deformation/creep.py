@@ -113,10 +113,7 @@ class Creep:
 
 
 def legendre(u: Floats, terms: int) -> Floats:
-    """Legendre polynomials P_0, P_1, ... at u, (size of u, terms).
-
-    They are orthogonal over the stick, so that the coefficient of P_0 is the mean.
-    """
+    """Legendre polynomials P_0, P_1, ... at u, (size of u, terms); the coefficient of P_0 is the mean."""
     return np.asarray(legvander(u, terms - 1))
 
 
@@ -221,11 +218,10 @@ class LateSlips:
 def find_late_slips(x_px: Floats, frames: StickFrames, settings: DeformationSettings) -> LateSlips:
     """Find sheets that slip late or early, by a parabola through the frames in the middle of each stick.
 
-    x_px: positions without vibration, (F, sheet).  Sticks with too few frames are not corrected.  A sheet
-    that in one frame is still where it was before its slip was there in all earlier frames of the stick, and
-    slipped between that frame and the next (and the reverse at the end of a stick).  The delay of the other
-    sheets follows from the share of late ones, assuming that all delays up to a longest one are equally
-    likely.
+    x_px: positions without vibration, (F, sheet).  Sticks with too few frames are not corrected.  A sheet is
+    late if it has not slipped yet in the first frames of a stick; it slips between the last such frame and
+    the next.  Early slips are found in the same way at the end of a stick.  The delay of the other sheets
+    follows from the share of late ones, assuming that all delays up to the longest are equally likely.
     """
     late, blurred, clear = _late(x_px, frames, settings)
     length_s = frames.length_s[:, None]
@@ -263,7 +259,7 @@ def _late(x_px: Floats, frames: StickFrames, settings: DeformationSettings) -> t
     with np.errstate(divide="ignore", invalid="ignore"):
         largest = -frames.lowest(np.where(end & np.isfinite(limit), -limit, 0.0))
         clear = (largest > 0) & np.isfinite(largest) & (np.abs(jump) > 2 * largest)
-        # The part of the slip that the sheet has still to make, or has already made at the end of the stick.
+        # Part of the slip that is still missing, or, at the end of the stick, that is already made.
         part = -np.sign(frames.u)[:, None] * residual / jump[frames.row]
         part = np.where(end & clear[frames.row] & (part < 1.5), part, np.nan)  # more is not a late slip
         common = np.maximum(_lower_quantile(part, settings.late_common), 0.0)[:, None]
@@ -344,8 +340,8 @@ def correct_pixel_locking(
 ) -> Floats:
     """Correct positions for pixel locking of this slope, (sheet,); returns px, (F, sheet).
 
-    The brightest pixel is one of the two next to the position.  The one is taken that puts the position
-    nearer to the sheet's creep, fitted with so many terms, plus vibration.
+    The brightest pixel is one of the two next to the position: the one for which the corrected position is
+    nearer to the sheet's creep, fitted with this number of terms, plus vibration.
     """
     if not slope.any():
         return x_px
@@ -458,10 +454,8 @@ def _typical_variance(creep: Creep) -> Floats:
 
 
 def _uneven(square: Floats, dof: Ints, variance: Floats, settings: DeformationSettings) -> Bools:
-    """Whether the residuals are significantly too large.
-
-    The test uses half the degrees of freedom, because sums of squares of correlated noise scatter more.
-    """
+    """Whether the residuals are significantly too large."""
+    # Half the degrees of freedom, because sums of squares of correlated noise scatter more.
     fewer = np.maximum(dof / 2, 1)
     limit = scipy.special.chdtri(fewer, settings.uneven_probability)
     return np.asarray(square / variance * fewer / np.maximum(dof, 1) > limit)

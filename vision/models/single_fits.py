@@ -318,8 +318,8 @@ def stiffness_errors(events: pd.DataFrame) -> Floats:
     if "K_err_N_per_mm" in events:
         error = events["K_err_N_per_mm"].to_numpy(float)
     known: Bools = np.isfinite(error) & (error > 0)
-    usual = float(np.median(error[known] if known.any() else 0.05 * events["K_N_per_mm"]))
-    return np.hypot(np.where(known, error, usual), 0.5 * usual)
+    median = float(np.median(error[known] if known.any() else 0.05 * events["K_N_per_mm"]))
+    return np.hypot(np.where(known, error, median), 0.5 * median)
 
 
 def with_friction(fit: Callable[[float], Fit], mu: Estimate) -> Fit:
