@@ -187,7 +187,7 @@ def test_too_few_slips_are_refused(recorded):
 
 def test_three_slips_are_refused(recorded):
     """A failure means that three sticks of a video are laid anywhere in the recording."""
-    with pytest.raises(InputError, match="expected at least 4 slips to set the clocks by; found 3"):
+    with pytest.raises(InputError, match="expected at least 4 slips to align the clocks; found 3"):
         synchronise(first_slips(recorded[0], 3), *recorded[1:])
 
 

@@ -38,8 +38,8 @@ class Candidate:
 
     offset_s: float
     drift_ppm: float
-    log_likelihood: float  # less that of no slip in common
-    matched: int  # slips paired
+    log_likelihood: float  # minus that of no matched slip
+    matched: int  # number of paired slips
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,26 +55,27 @@ class Clock:
     residual_ms
         Median absolute residual of the matched slips; NaN without any.
     matched, unmatched_video, unmatched_force
-        Slips within the time that both recordings cover.
+        Numbers of slips within the time that both recordings cover.
     margin
-        Log-likelihood over the next different alignment; NaN where slips did not decide.
+        Log-likelihood minus that of the next different alignment; NaN where the clock was given.
     status
-        "ok"; "ambiguous": the numbers are those of the best candidate and may be wrong by whole slips, not to
-        be used unseen; or "given": an offset or a column of video times decided.
+        "ok"; "ambiguous": the numbers are those of the best candidate, which may be wrong by whole slips and
+        must be checked before use; or "given": set by an offset or by a column of video times.
     how
-        What decided.
+        What set the clock.
     error_ms
-        Standard error of a mapped time in the middle of the matched slips; NaN where it is not known (given).
+        Standard error of a mapped time in the middle of the matched slips; NaN where the clock was given.
     drift_err_ppm
-        Standard error of the drift; NaN likewise.
+        Standard error of the drift; NaN where the clock was given.
     offset_err_s
-        Standard error of the offset, with what the drift adds up to video time 0; NaN likewise.
+        Standard error of the offset, including that of the drift up to video time 0; NaN where the clock was
+        given.
     candidates
         Alignments considered, best first.
     ambiguity
-        Why the status is "ambiguous"; "" where it is not.
+        Why the status is "ambiguous"; "" otherwise.
     warnings
-        What the user must be told.
+        Warnings for the user.
 
     Notes
     -----
@@ -138,9 +139,9 @@ def synchronise(
 ) -> Clock:
     """Find the straight line from video time to the force clock.
 
-    A given offset decides, else a column of the camera's times in the force recording,
-    else the slips that both instruments saw. Slips that do not decide are still compared, and a contradiction
-    is a warning.
+    The clock is the given offset; without one, a column of the camera's times in the force recording;
+    without that, the alignment of the slips that both instruments recorded. A clock that does not come from
+    the slips is compared with them, and a contradiction gives a warning.
 
     Parameters
     ----------
@@ -153,21 +154,20 @@ def synchronise(
     offset_s
         Force clock at video time 0, where it is known.
     drift_ppm
-        By how much the force clock is then faster than the camera's.
+        By how much the force clock is faster than the camera's, if `offset_s` is given.
     settings
         See `ClockSettings`.
 
     Returns
     -------
     The clock. Slips are nearly periodic, so an alignment shifted by whole slips fits nearly as well as the
-    right one: the status is "ok" only where `align` finds no ambiguity, else "ambiguous", with the
-    candidates.
+    right one. The status is "ok" where `align` finds no ambiguity, and "ambiguous" otherwise.
 
     Raises
     ------
     InputError
-        Where the frames have no times, where a given clock puts the video outside the force recording, or,
-        with slips to decide, where either recording has fewer than four or none coincide.
+        If the frames have no times; if a given clock puts the video outside the force recording; or if the
+        clock must come from the slips and either recording has fewer than four or none coincide.
     """
     TRACKS.check(tracks)
     FORCE.check(force)
@@ -184,13 +184,13 @@ def synchronise(
     else:
         clock = _from_slips(tracks, force, sticks, settings)
         if "video_time_s" in force:
-            unusable = "the column of video times in the force recording is not usable: slips decide"
+            unusable = "the column of video times in the force recording is not usable: the slips are used"
             warnings = (*warnings, unusable)
     return replace(clock, warnings=(*warnings, *clock.warnings))
 
 
 def _check_overlap(tracks: xr.Dataset, force: xr.Dataset, line: tuple[float, float], about: str) -> None:
-    """Raises InputError for a clock at which the video lies outside the force recording."""
+    """Raise InputError if this clock puts the video outside the force recording."""
     times = tracks["time_s"].to_numpy()
     times = times[np.isfinite(times)]
     if not len(times):
@@ -210,6 +210,7 @@ def _check_overlap(tracks: xr.Dataset, force: xr.Dataset, line: tuple[float, flo
 
 
 def _slip_trains(seen: pd.DataFrame, drops: pd.DataFrame, settings: ClockSettings) -> SlipTrains:
+    """The tables of `video_slips` and `force_slips` as trains."""
     force_error = float(np.hypot(np.median(drops["error_s"]), 0.001))  # a slip itself lasts about 1 ms
     return SlipTrains(
         seen["time_s"].to_numpy(),
@@ -224,16 +225,16 @@ def _slip_trains(seen: pd.DataFrame, drops: pd.DataFrame, settings: ClockSetting
 def _from_slips(
     tracks: xr.Dataset, force: xr.Dataset, sticks: pd.DataFrame, settings: ClockSettings
 ) -> Clock:
-    """The best alignment of the slips, "ok" or "ambiguous"."""
+    """Clock of the best alignment of the slips, with status "ok" or "ambiguous"."""
     seen, drops = video_slips(tracks, settings=settings), force_slips(force, sticks, settings=settings)
     video, machine = StripMetadata.of(tracks).source, ForceMetadata.of(force).source
     for about, slips in ((video, seen), (machine, drops)):
         if len(slips) < settings.least_slips:
-            need = f"at least {settings.least_slips} slips to set the clocks by"
+            need = f"at least {settings.least_slips} slips to align the clocks"
             raise InputError(about, need, f"{len(slips)}", "give `offset_s`")
     found = align(_slip_trains(seen, drops, settings), settings)
     strip = StripMetadata.of(tracks)
-    rate = _other_rate(found) if found.ambiguity and strip.clock_kind != "file" else math.nan
+    rate = _rate_beyond_search(found) if found.ambiguity and strip.clock_kind != "file" else math.nan
     advice = "" if math.isnan(rate) else f"the slips agree at {_frame_rate(strip, rate)}: check `fps`"
     if found.fits.log_likelihood[0] <= 0:
         raise InputError(
@@ -244,7 +245,6 @@ def _from_slips(
         )
     error, drift_error, offset_error = found.errors()
     clocks, fits = found.clocks, found.fits
-    facts = clocks.offset_s, 1e6 * clocks.drift, fits.log_likelihood, fits.matched
     drift = float(clocks.drift[0])
     warnings = (
         [f"clocks ambiguous: {found.ambiguity}; {advice or 'give `offset_s`'}"] if found.ambiguity else []
@@ -252,27 +252,32 @@ def _from_slips(
     if not found.ambiguity and abs(drift) - 2 * drift_error > 1e-6 * settings.usual_drift_ppm:
         warnings.append(
             f"the clocks of film and machine differ by {100 * drift:+.2f} %, more than clocks do: they agree"
-            f" at {_frame_rate(strip, 1 + drift)}, check `fps`"
+            f" at {_frame_rate(strip, 1 + drift)}; check `fps`"
         )
     return replace(
-        _compared(clocks, fits, "events"),
+        _given_clock(clocks, fits, "events"),
         margin=found.margin,
         status="ambiguous" if found.ambiguity else "ok",
         error_ms=1e3 * float(np.hypot(error, drops.attrs["lag_s"])),
         drift_err_ppm=1e6 * drift_error,
         offset_err_s=float(np.hypot(offset_error, drops.attrs["lag_s"])),
         candidates=tuple(
-            Candidate(offset_s=float(a), drift_ppm=float(b), log_likelihood=float(c), matched=int(m))
-            for a, b, c, m in zip(*(fact[:5] for fact in facts), strict=True)
+            Candidate(
+                offset_s=float(clocks.offset_s[k]),
+                drift_ppm=1e6 * float(clocks.drift[k]),
+                log_likelihood=float(fits.log_likelihood[k]),
+                matched=int(fits.matched[k]),
+            )
+            for k in range(min(5, len(clocks.drift)))
         ),
         ambiguity=found.ambiguity,
         warnings=tuple(warnings),
     )
 
 
-def _other_rate(found: Alignments) -> float:
-    """Rate of the force clock against the camera's, beyond the drifts that are searched, at which the slips
-    align without ambiguity; NaN where there is none."""
+def _rate_beyond_search(found: Alignments) -> float:
+    """Rate of the force clock relative to the camera's at which the slips align without ambiguity, searched
+    beyond the largest drift; NaN where there is none."""
     trains, step = found.trains, 1.8e-6 * found.settings.largest_drift_ppm
     for steps in (1, -1, 2, -2, 3, -3):
         rate = 1 + steps * step
@@ -283,14 +288,15 @@ def _other_rate(found: Alignments) -> float:
 
 
 def _frame_rate(strip: StripMetadata, rate: float) -> str:
-    """The frame rate at which the camera's clock would go as the machine's, which goes at `rate` now."""
+    """Frame rate at which the clocks would agree, given the machine's present `rate` relative to the
+    camera's."""
     if not math.isfinite(strip.fps):
         return f"{1 / rate:.4f} times the frame rate"
     return f"{strip.fps / rate:.5g} frames/s in place of {strip.fps:.5g}"
 
 
-def _compared(clocks: CandidateClocks, fits: ClockFits, how: How) -> Clock:
-    """The first of the clocks with its counts of slips and its residual."""
+def _given_clock(clocks: CandidateClocks, fits: ClockFits, how: How) -> Clock:
+    """First of the clocks as a given one, with its numbers of slips and its residual."""
     return Clock(
         offset_s=float(clocks.offset_s[0]),
         drift_ppm=1e6 * float(clocks.drift[0]),
@@ -311,7 +317,7 @@ def _given(
     how: How,
     settings: ClockSettings,
 ) -> Clock:
-    """A given clock, compared with the slips where there are enough."""
+    """A given clock, with warnings where the slips contradict it."""
     seen, drops = video_slips(tracks, settings=settings), force_slips(force, sticks, settings=settings)
     if min(len(seen), len(drops)) < settings.least_slips:
         return Clock(
@@ -324,16 +330,16 @@ def _given(
         )
     trains = _slip_trains(seen, drops, settings)
     clocks = CandidateClocks(np.array([line[0]]), np.array([1e-6 * line[1]]), np.zeros(1))
-    given = _compared(clocks, fit_clocks(trains, clocks, settings), how)
+    given = _given_clock(clocks, fit_clocks(trains, clocks, settings), how)
     return replace(given, warnings=_contradiction(given, align(trains, settings)))
 
 
 def _contradiction(given: Clock, found: Alignments) -> tuple[str, ...]:
-    """A warning where the slips do not match a given clock."""
+    """Warning that the slips do not match a given clock; empty where they do."""
     centre = found.clocks.centre_s[0]
-    away = float(found.clocks.middle_s[0] - given.to_force_s(centre))
+    difference = float(found.clocks.middle_s[0] - given.to_force_s(centre))
     error = float(np.hypot(found.errors()[0], found.trains.typical_error_s))
-    if not found.ambiguity and abs(away) > found.settings.contradiction_sigma * error:
+    if not found.ambiguity and abs(difference) > found.settings.contradiction_sigma * error:
         return (
             f"by the slips the force clock is {found.clocks.offset_s[0]:.4f} s at video time 0, not "
             f"{given.offset_s:.4f} s (margin {found.margin:.0f})",
@@ -348,13 +354,11 @@ def _contradiction(given: Clock, found: Alignments) -> tuple[str, ...]:
 
 
 def clock_from_column(force: xr.Dataset) -> tuple[float, float] | None:
-    """Straight line through the column of video times that the testing machine wrote beside its own.
+    """Return (offset_s, drift_ppm) of the line through the video times that the testing machine recorded.
 
-    A value is repeated until the next frame arrives: only the first sample of each counts. Values more than
-    5 σ off the line are left out.
-
-    (offset_s, drift_ppm); None without a usable column: one with under ten different values, or whose seconds
-    differ from the machine's by over 2 %, is no clock of the recording.
+    A value is repeated until the next frame arrives, so only its first sample counts. Values more than 5 σ
+    off the line are left out. None without a usable column: it needs ten different values, and a rate
+    within 2 % of the machine's.
     """
     if "video_time_s" not in force:
         return None
@@ -373,15 +377,15 @@ def clock_from_column(force: xr.Dataset) -> tuple[float, float] | None:
 
 
 def _robust_line(x: Floats, y: Floats) -> tuple[float, float]:
-    """Slope and intercept without outliers; starts from the median of slopes across half the data."""
+    """Slope and intercept without outliers, starting from the median of slopes across half the data."""
     half = len(x) // 2
     rise, run = y[-half:] - y[:half], x[-half:] - x[:half]
     slope = float(np.median(rise[run > 0] / run[run > 0])) if np.any(run > 0) else math.nan
     intercept = float(np.median(y - slope * x))
     for _ in range(10):
-        away = np.abs(y - intercept - slope * x)
-        near = away <= 5 * max(float(np.median(away)) / NORMAL_MEDIAN, 1e-6)
-        if not np.ptp(x[near]) > 0:
+        residual = np.abs(y - intercept - slope * x)
+        used = residual <= 5 * max(float(np.median(residual)) / NORMAL_MEDIAN, 1e-6)
+        if not np.ptp(x[used]) > 0:
             break
-        slope, intercept = (float(c) for c in np.polyfit(x[near], y[near], 1))
+        slope, intercept = (float(c) for c in np.polyfit(x[used], y[used], 1))
     return slope, intercept

@@ -1,4 +1,4 @@
-"""How far each sheet moves sideways in each stick phase: δx, σ_x, σ_x/Λ_st."""
+"""Horizontal deformation of each sheet in each stick phase: δx, σ_x, σ_x/Λ_st."""
 
 from vision.deformation.motion import horizontal_deformation, stick_displacement
 from vision.deformation.settings import DeformationSettings

@@ -1,7 +1,7 @@
-"""Creep of every sheet in every stick: a Legendre series fitted by generalised least squares to all at once.
+"""Creep of every sheet in every stick: Legendre series fitted to all at once by generalised least squares.
 
-Also which frames lie in which stick, which of those a single sheet is not part of because it slipped late or
-early, the noise of the positions with its autocorrelation, and the standard errors that follow from it.
+The module also assigns frames to sticks, finds sheets that slip late or early, corrects pixel locking, and
+measures the noise of the positions with its autocorrelation, from which the standard errors follow.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from vision.sheets import TrackingSettings
 
 @dataclass(frozen=True)
 class StickFrames:
-    """Frames that lie wholly within a stick, stick after stick, in order of time."""
+    """The F frames that lie wholly within sticks, in order of time."""
 
-    frame: Ints  # place in the tracks, (F,)
-    row: Ints  # stick that each belongs to, (F,), rising
+    frame: Ints  # index in the tracks, (F,)
+    row: Ints  # index of the stick of each frame, increasing, (F,)
     u: Floats  # time from -1 at the valley to +1 at the peak, (F,)
-    slot: Ints  # time since the valley in whole frame intervals, (F,): lost frames leave gaps
-    sticks: int  # number of sticks, those without a frame included
+    slot: Ints  # time since the valley in whole frame intervals, (F,); lost frames leave gaps
+    sticks: int  # number of sticks, including those without frames
     length_s: Floats  # duration of each stick, (stick,)
     middle_s: Floats  # middle of each stick, (stick,)
     interval_s: float  # time between frames
@@ -40,15 +40,15 @@ class StickFrames:
 
     @property
     def counts(self) -> Ints:
-        """Frames in each stick, (stick,)."""
+        """Number of frames in each stick, (stick,)."""
         return np.bincount(self.row, minlength=self.sticks)
 
     def sums(self, values: NDArray[np.generic]) -> Floats:
-        """Sum of `values` (F, ...) over the frames of each stick, (stick, ...); 0 for a stick without."""
+        """Sum of `values` (F, ...) over the frames of each stick, (stick, ...); 0 without frames."""
         return self._reduce(np.add, values, 0.0)
 
     def lowest(self, values: NDArray[np.generic]) -> Floats:
-        """Smallest of `values` (F, ...) in each stick, (stick, ...); inf for a stick without frames."""
+        """Minimum of `values` (F, ...) in each stick, (stick, ...); inf without frames."""
         return self._reduce(np.minimum, values, np.inf)
 
     def _reduce(self, operation: np.ufunc, values: NDArray[np.generic], empty: float) -> Floats:
@@ -62,11 +62,11 @@ class StickFrames:
 def frames_of_sticks(
     time_s: Floats, start_s: Floats, stop_s: Floats, *, margin_s: float, interval_s: float
 ) -> StickFrames:
-    """Frames at least `margin_s` after the start and before the end of each stick.
+    """Return the frames at least `margin_s` after the start and before the end of each stick.
 
-    time_s is the time of every frame on the force clock, NaN where unknown; start_s and stop_s are those of
-    the sticks, in order and not overlapping. A frame that is not later than the one before (a stale time
-    stamp) is left out, for its time is wrong.
+    time_s: time of every frame on the force clock, NaN where unknown.  start_s, stop_s: start and end of the
+    sticks, in order and not overlapping.  Frames that are not later than the one before (stale time stamps)
+    are left out.
     """
     known = np.flatnonzero(np.isfinite(time_s))
     known = known[time_s[known] > np.r_[-np.inf, np.maximum.accumulate(time_s[known])[:-1]]]
@@ -86,7 +86,7 @@ def frames_of_sticks(
 class AR1Noise:
     r"""Noise with autocorrelation 1 at lag 0 and :math:`s \rho^k` at a lag of k frames; white by default."""
 
-    share: float = 0.0  # s: 1 for an AR(1) process; below 1, white noise lies on top of it
+    share: float = 0.0  # s: share of the AR(1) process in the variance; the rest is white noise
     rho: float = 0.0  # AR(1) coefficient
 
 
@@ -95,11 +95,11 @@ class Creep:
     r"""Fitted creep, :math:`x(u) = \sum_k c_k P_k(u)`; NaN where not `good`."""
 
     coefficient: Floats  # px, (stick, sheet, term)
-    inverse: Floats  # of the normal matrix, (stick, sheet, term, term): the covariance for noise of 1 px
+    inverse: Floats  # inverse normal matrix, (stick, sheet, term, term): the covariance for noise of 1 px
     square: Floats  # sum of squares of the whitened residuals, px², (stick, sheet)
-    log_det: Floats  # of the noise's correlation matrix, (stick, sheet)
-    count: Ints  # positions used, (stick, sheet)
-    good: Bools  # whether they allow a fit, (stick, sheet)
+    log_det: Floats  # log determinant of the correlation matrix of the noise, (stick, sheet)
+    count: Ints  # number of positions used, (stick, sheet)
+    good: Bools  # whether there are enough positions for a fit, (stick, sheet)
 
     def at(self, frames: StickFrames) -> Floats:
         """Fitted positions in every frame, px, (F, sheet)."""
@@ -113,27 +113,27 @@ class Creep:
 
 
 def legendre(u: Floats, terms: int) -> Floats:
-    """P_0, P_1, ... at u, (size of u, terms): orthogonal over the stick, so P_0's coefficient is its mean."""
+    """Legendre polynomials P_0, P_1, ... at u, (size of u, terms); the coefficient of P_0 is the mean."""
     return np.asarray(legvander(u, terms - 1))
 
 
 def fit_creep(
     x_px: Floats, frames: StickFrames, terms: int, settings: DeformationSettings, noise: AR1Noise = AR1Noise()
 ) -> Creep:
-    r"""Generalised least squares over the frames of each stick.
+    r"""Fit the creep by generalised least squares over the frames of each stick.
 
     x_px: positions, px, (F, sheet); NaN is left out.  terms: 2 for a line, 3 for a parabola, 4 for a cubic.
     A fit needs four positions (the terms of a cubic) that span at least ``least_cover`` of the stick.
 
     .. math:: c = (A^T R^{-1} A)^{-1} A^T R^{-1} x
 
-    with the Legendre polynomials at the frames in the columns of A and the noise's correlation R.  The
-    inverse T of an AR(1) correlation matrix is tridiagonal, whichever frames are missing, and with white
-    noise on top
+    Here the columns of A are the Legendre polynomials at the frames, and R is the correlation matrix of the
+    noise.  The inverse T of an AR(1) correlation matrix is tridiagonal, whichever frames are missing.  With
+    additional white noise
 
     .. math:: R^{-1} = (s 1 + (1 - s) T)^{-1} T,
 
-    one banded system for all sticks and sheets.
+    which is one banded system for all sticks and sheets.
     """
     known = np.isfinite(x_px)
     count = frames.sums(known).astype(np.int64)
@@ -141,9 +141,9 @@ def fit_creep(
     span = (-frames.lowest(np.where(known, -u, np.inf)) - frames.lowest(np.where(known, u, np.inf))) / 2
     good = (count >= 4) & (span >= settings.least_cover)
     middle = frames.sums(np.where(known, x_px, 0.0)) / np.maximum(count, 1)
-    away = x_px - middle[frames.row]  # else rounding would show in the squares
-    blocks = np.array_split(np.arange(x_px.shape[1]), max(1, x_px.size // 500_000))  # bounds the memory
-    parts = [_normal_equations(away[:, block], frames, terms, noise) for block in blocks]
+    displacement = x_px - middle[frames.row]  # otherwise rounding would affect the sums of squares
+    blocks = np.array_split(np.arange(x_px.shape[1]), max(1, x_px.size // 500_000))  # limits the memory
+    parts = [_normal_equations(displacement[:, block], frames, terms, noise) for block in blocks]
     matrix, log_det = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
     inverse = np.full((*good.shape, terms, terms), np.nan)
     inverse[good] = np.linalg.inv(matrix[good][:, :terms, :terms])
@@ -157,9 +157,12 @@ def fit_creep(
 def _normal_equations(
     x_px: Floats, frames: StickFrames, terms: int, noise: AR1Noise
 ) -> tuple[Floats, Floats]:
-    """(A x)' R⁻¹ (A x) of every stick and sheet, (stick, sheet, terms + 1, terms + 1), and log det R."""
+    """Matrix (A x)' R⁻¹ (A x) of every stick and sheet, (stick, sheet, terms + 1, terms + 1), and log det R.
+
+    (A x) is the design matrix A with the positions x as another column.
+    """
     sheet, at = np.nonzero(np.isfinite(x_px).T)
-    cell = frames.row[at] * x_px.shape[1] + sheet  # positions of a stick and sheet follow each other in time
+    cell = frames.row[at] * x_px.shape[1] + sheet  # positions of one stick and sheet are consecutive
     begins = np.ones(cell.size, bool)
     begins[1:] = np.diff(cell) != 0
     gap = np.zeros(cell.size)
@@ -177,8 +180,10 @@ def _normal_equations(
 
 
 def _times_inverse(columns: Floats, phi: Floats, share: float) -> tuple[Floats, Floats]:
-    """R⁻¹ times columns (k, N), and each position's part of log det R; phi: correlation of the slow noise
-    with that in the position before, 0 where a stick begins."""
+    """R⁻¹ times the columns, (k, N), and the contribution of each position to log det R, (N,).
+
+    phi: correlation of the AR(1) noise with that of the previous position, 0 where a stick begins, (N,).
+    """
     if share == 0 or phi.size == 0:
         return columns, np.zeros(phi.size)
     weight = 1 / (1 - phi**2)
@@ -198,25 +203,25 @@ def _times_inverse(columns: Floats, phi: Floats, share: float) -> tuple[Floats, 
     return solved, 2 * np.log(factor[0]) - np.log(weight)
 
 
-# --- sheets that slip one by one ----------------------------------------------------------------------------
+# --- sheets that slip late or early -------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class LateSlips:
-    """Parts of sticks in which single sheets do not creep: they slip after the force drops, or before."""
+    """Parts of sticks in which individual sheets do not creep, since they slip after or before the others."""
 
-    outside: Bools  # positions at which the sheet is not in the stick yet, or no longer, (F, sheet)
-    lost: Floats  # share of the stick in which it does not creep therefore, (stick, sheet)
-    lost_err: Floats  # its standard error
+    outside: Bools  # positions before the sheet's own slip into the stick or after the next, (F, sheet)
+    lost: Floats  # share of the stick in which the sheet does not creep, (stick, sheet)
+    lost_err: Floats  # its standard error, (stick, sheet)
 
 
 def find_late_slips(x_px: Floats, frames: StickFrames, settings: DeformationSettings) -> LateSlips:
-    """Compare the frames at either end of each stick with a parabola through the others.
+    """Find sheets that slip late or early, by a parabola through the frames in the middle of each stick.
 
-    x_px: positions without the camera's vibration, (F, sheet).  Sticks with too few frames are left as they
-    are. A sheet that in one frame is where it was before its slip was there in the frames nearer to the slip
-    too, and slipped between that frame and the next.  How late the other sheets were follows from the share
-    of late ones: all delays up to the longest are taken to be equally likely.
+    x_px: positions without vibration, (F, sheet).  Sticks with too few frames are not corrected.  A sheet is
+    late if it has not slipped yet in the first frames of a stick; it slips between the last such frame and
+    the next.  Early slips are found in the same way at the end of a stick.  The delay of the other sheets
+    follows from the share of late ones, assuming that all delays up to the longest are equally likely.
     """
     late, blurred, clear = _late(x_px, frames, settings)
     length_s = frames.length_s[:, None]
@@ -224,45 +229,47 @@ def find_late_slips(x_px: Floats, frames: StickFrames, settings: DeformationSett
     for since_s in (frames.since_s, frames.length_s[frames.row] - frames.since_s):
         near = (since_s < frames.length_s[frames.row] / 2)[:, None]
         begin = _latest(near & blurred, since_s, frames)
-        last = np.maximum(_latest(near & late, since_s, frames), begin)
-        gone = (since_s[:, None] <= last[frames.row]) & (last > 0)[frames.row]
-        first = frames.lowest(np.where(gone | np.isnan(x_px), np.inf, since_s[:, None]))
-        delay = _longest_delay(frames.lowest(since_s) - begin[:, 0], last > begin, clear, settings)
-        until = np.where(last > begin, first, np.minimum(first, begin + delay))
-        until = np.where(np.isfinite(until), until, last)
-        outside |= gone
-        lost += ((last + until) / 2 - begin) / length_s
-        variance += (until - last) ** 2 / 12 / length_s**2
+        last_late = np.maximum(_latest(near & late, since_s, frames), begin)
+        excluded = (since_s[:, None] <= last_late[frames.row]) & (last_late > 0)[frames.row]
+        first = frames.lowest(np.where(excluded | np.isnan(x_px), np.inf, since_s[:, None]))
+        delay = _longest_delay(frames.lowest(since_s) - begin[:, 0], last_late > begin, clear, settings)
+        # Each sheet slips at a time between last_late and `until`, uniformly distributed.
+        until = np.where(last_late > begin, first, np.minimum(first, begin + delay))
+        until = np.where(np.isfinite(until), until, last_late)
+        outside |= excluded
+        lost += ((last_late + until) / 2 - begin) / length_s
+        variance += (until - last_late) ** 2 / 12 / length_s**2
     return LateSlips(outside, lost, np.sqrt(variance))
 
 
-def _latest(these: Bools, since_s: Floats, frames: StickFrames) -> Floats:
-    """Time of the last of these frames (F, ...) in each stick, s, (stick, ...); 0 without any."""
-    return np.maximum(-frames.lowest(np.where(these, -since_s[:, None], 0.0)), 0.0)
+def _latest(selected: Bools, since_s: Floats, frames: StickFrames) -> Floats:
+    """Time of the last selected frame (F, ...) in each stick, s, (stick, ...); 0 without any."""
+    return np.maximum(-frames.lowest(np.where(selected, -since_s[:, None], 0.0)), 0.0)
 
 
 def _late(x_px: Floats, frames: StickFrames, settings: DeformationSettings) -> tuple[Bools, Bools, Bools]:
-    """Positions before the sheet's slip, or after the next, (F, sheet); frames in which all sheets are
-    slipping, (F, 1); and sheets whose slips are large enough to tell, (stick, sheet)."""
+    """Positions before the sheet's slip or after the next one, (F, sheet); frames in which all sheets are
+    slipping, (F, 1); and sheets with slips large enough for this test, (stick, sheet)."""
     end = _near_the_ends(frames, settings)
     creep = fit_creep(np.where(end, np.nan, x_px), frames, 3, settings)
     residual = x_px - creep.at(frames)
     residual -= nan_median(residual, axis=1)[:, None]
-    far = settings.late_errors * _extrapolation_error(np.where(end, np.nan, residual), end, creep, frames)
+    limit = settings.late_errors * _extrapolation_error(np.where(end, np.nan, residual), end, creep, frames)
     jump = 2 * creep.coefficient[..., 1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        worst = -frames.lowest(np.where(end & np.isfinite(far), -far, 0.0))
-        clear = (worst > 0) & np.isfinite(worst) & (np.abs(jump) > 2 * worst)
+        largest = -frames.lowest(np.where(end & np.isfinite(limit), -limit, 0.0))
+        clear = (largest > 0) & np.isfinite(largest) & (np.abs(jump) > 2 * largest)
+        # Part of the slip that is still missing, or, at the end of the stick, that is already made.
         part = -np.sign(frames.u)[:, None] * residual / jump[frames.row]
-        part = np.where(end & clear[frames.row] & (part < 1.5), part, np.nan)  # more is no part of a slip
+        part = np.where(end & clear[frames.row] & (part < 1.5), part, np.nan)  # more is not a late slip
         common = np.maximum(_lower_quantile(part, settings.late_common), 0.0)[:, None]
-        least = np.maximum(far / np.abs(jump)[frames.row], 0.01)
+        least = np.maximum(limit / np.abs(jump)[frames.row], 0.01)
         late, blurred = part - common > least, (common > least).any(axis=1, keepdims=True)
     return np.asarray(late), np.asarray(blurred), clear
 
 
 def _near_the_ends(frames: StickFrames, settings: DeformationSettings) -> Bools:
-    """Frames at either end of sticks that have six others or more, (F, 1)."""
+    """Frames within `slip_delay_s` of either end of sticks that have at least six others, (F, 1)."""
     reach = int(np.ceil(settings.slip_delay_s / frames.interval_s))
     after = np.arange(frames.row.size) - np.searchsorted(frames.row, frames.row)
     before = frames.counts[frames.row] - 1 - after
@@ -271,72 +278,77 @@ def _near_the_ends(frames: StickFrames, settings: DeformationSettings) -> Bools:
 
 
 def _extrapolation_error(residual: Floats, end: Bools, creep: Creep, frames: StickFrames) -> Floats:
-    """Standard error of residuals at the ends, to which the curve is not fitted, px, (F, sheet); NaN for the
-    others."""
+    """Standard error of the residuals at the ends, which are not fitted, px, (F, sheet); NaN elsewhere."""
     terms = creep.coefficient.shape[2]
     count = max(float(np.median(creep.count)), terms + 1)
-    usual = nan_median(np.abs(residual)) / NORMAL_MEDIAN * np.sqrt(count / (count - terms))
+    noise = nan_median(np.abs(residual)) / NORMAL_MEDIAN * np.sqrt(count / (count - terms))
     left_out = np.flatnonzero(end[:, 0])
     design = legendre(frames.u[left_out], terms)
     variance = 1 + np.einsum("fa,fsab,fb->fs", design, creep.inverse[frames.row[left_out]], design)
     error = np.full(residual.shape, np.nan)
-    error[left_out] = usual * np.sqrt(variance)
+    error[left_out] = noise * np.sqrt(variance)
     return error
 
 
 def _lower_quantile(part: Floats, share: float) -> Floats:
-    """Quantile over the sheets, rounded down to one of them, (F,); 0 where nothing is known."""
+    """Quantile over the sheets, rounded down to one of the values, (F,); 0 where none is known."""
     ordered = np.nan_to_num(np.sort(part, axis=1))  # NaN comes last
-    place = (share * np.maximum(np.isfinite(part).sum(axis=1) - 1, 0)).astype(int)
-    return np.asarray(np.take_along_axis(ordered, place[:, None], axis=1)[:, 0])
+    index = (share * np.maximum(np.isfinite(part).sum(axis=1) - 1, 0)).astype(int)
+    return np.asarray(np.take_along_axis(ordered, index[:, None], axis=1)[:, 0])
 
 
 def _longest_delay(first_s: Floats, late: Bools, clear: Bools, settings: DeformationSettings) -> float:
-    """Longest delay, s, from how the share of late sheets falls with the time of the first frame, (stick,); 0
-    where too few are late to tell."""
+    """Longest delay of a sheet, s, at which the expected share of late sheets equals the observed one.
+
+    first_s: time of the first frame of each stick, (stick,); a sheet is late if its delay exceeds it.  0 if
+    too few sheets are late.
+    """
     weight = clear.sum(axis=1)
-    seen = (late & clear).sum() / max(weight.sum(), 1)
-    if seen < 0.004:
+    observed = (late & clear).sum() / max(weight.sum(), 1)
+    if observed < 0.004:
         return 0.0
     longest = np.linspace(0.0, 2 * settings.slip_delay_s, 101)[1:]
-    share = weight @ np.maximum(1 - first_s[:, None] / longest, 0.0) / weight.sum()
-    return float(np.interp(seen, share, longest))
+    expected = weight @ np.maximum(1 - first_s[:, None] / longest, 0.0) / weight.sum()
+    return float(np.interp(observed, expected, longest))
 
 
 # --- pixel locking ------------------------------------------------------------------------------------------
 
 
 def pixel_locking_slope(x_px: Floats, x_err_px: Floats) -> Floats:
-    """Share by which the publication's fit underestimates distances to the brightest pixel, (sheet,).
+    """Fraction by which the publication's fit underestimates distances to the brightest pixel, (sheet,).
 
-    The stated variance of a position holds the square of the bias, so that it rises with the square of the
-    distance; the slope of that rise, by least squares over all frames, is the square of the share. 0 where no
-    locking is seen.  x_px, x_err_px: positions with their standard errors, px, (frame, sheet).
+    The stated variance of a position includes the square of the bias, so that it increases with the square of
+    the distance. The slope of that increase, by least squares over all frames, is the square of the fraction.
+    It is 0 where no locking is found.  x_px, x_err_px: positions with their standard errors, px, (frame,
+    sheet).
     """
     known = np.isfinite(x_px) & np.isfinite(x_err_px)
     count = np.maximum(known.sum(axis=0), 1)
-    offset, error = (
-        np.where(known, value**2 - np.where(known, value**2, 0.0).sum(axis=0) / count, 0.0)
-        for value in (x_px - np.rint(x_px), x_err_px)
-    )
-    rise = (offset * error).sum(axis=0) / np.maximum((offset**2).sum(axis=0), 1e-12)
-    return np.asarray(np.sqrt(np.maximum(rise, 0.0)))
+
+    def squared_about_mean(value: Floats) -> Floats:
+        square = np.where(known, value**2, 0.0)
+        return np.where(known, value**2 - square.sum(axis=0) / count, 0.0)
+
+    distance2, variance = squared_about_mean(x_px - np.rint(x_px)), squared_about_mean(x_err_px)
+    slope = (distance2 * variance).sum(axis=0) / np.maximum((distance2**2).sum(axis=0), 1e-12)
+    return np.asarray(np.sqrt(np.maximum(slope, 0.0)))
 
 
 def correct_pixel_locking(
     x_px: Floats, slope: Floats, frames: StickFrames, terms: int, settings: DeformationSettings
 ) -> Floats:
-    """Positions in the sticks' frames, px, (F, sheet), without pixel locking of this slope, (sheet,).
+    """Correct positions for pixel locking of this slope, (sheet,); returns px, (F, sheet).
 
-    Which pixel was the brightest is decided by the sheet's creep, of so many terms, and the camera's
-    vibration: the nearer one of the two candidates is taken.
+    The brightest pixel is one of the two next to the position: the one for which the corrected position is
+    nearer to the sheet's creep, fitted with this number of terms, plus vibration.
     """
     if not slope.any():
         return x_px
     offset = x_px - np.rint(x_px)
-    nearest, other = (x_px + slope * _bias(away) for away in (offset, offset - np.sign(offset)))
+    nearest, other = (x_px + slope * _bias(distance) for distance in (offset, offset - np.sign(offset)))
     corrected = nearest
-    for order in (2, 2, 3, 4):  # a line is not led astray by wrong pixels
+    for order in (2, 2, 3, 4):  # a line comes first, because wrong pixels hardly bend it
         expected = fit_creep(corrected, frames, min(order, terms), settings).at(frames)
         expected = expected + nan_median(corrected - expected, axis=1)[:, None]
         better = np.abs(other - expected) < np.abs(nearest - expected)
@@ -345,38 +357,38 @@ def correct_pixel_locking(
 
 
 def _bias(offset_px: Floats) -> Floats:
-    """Bias over the sheet's share; measured on drawn ridges, the same for all their widths."""
+    """Bias divided by the sheet's slope; measured on synthetic ridges, the same for all widths."""
     return np.asarray(0.945 * offset_px + 0.034 * np.sin(2 * np.pi * offset_px))
 
 
-_LEAST_VARIANCE_PX2 = 1e-12  # of positions without noise, whose residuals are rounding
+_LEAST_VARIANCE_PX2 = 1e-12  # noise variance of exact positions, whose residuals are rounding errors
 
 # --- size and autocorrelation -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of all sheets."""
+    """Noise of the positions of all sheets."""
 
-    noise_px: Floats  # standard deviation of single positions of each sheet, (sheet,)
+    noise_px: Floats  # standard deviation of single positions, (sheet,)
     correlation: AR1Noise  # from frame to frame, the same for all sheets
-    excess: Floats  # factor, 1 or more, by which a stick's residuals exceed that noise, (stick, sheet)
+    excess: Floats  # factor, at least 1, by which the residuals of a stick exceed noise_px, (stick, sheet)
 
 
 def measure_noise(
     x_px: Floats, frames: StickFrames, terms: int, predicted_px: Floats, settings: DeformationSettings
 ) -> Noise:
-    """Noise of every sheet and its autocorrelation, from the residuals to a parabola or cubic in each stick.
+    """Measure the noise and its autocorrelation from the residuals of a parabola or cubic in each stick.
 
     x_px: positions without vibration, (F, sheet), NaN where there is none.  predicted_px: their standard
-    errors as the subpixel fit states them, (sheet,), NaN where unknown.  Sticks with uneven residuals (a
-    sheet that slipped by itself) do not count towards the noise.
+    errors as stated by the subpixel fit, (sheet,), NaN where unknown.  Sticks with uneven residuals (a sheet
+    that slipped by itself) are left out.
     """
     white = fit_creep(x_px, frames, terms, settings)
-    usual = (white.dof > 0) & ~_uneven(white.square, white.dof, _typical_variance(white), settings)
-    correlation = _fit_correlation(x_px, frames, terms, usual, settings)
+    even = (white.dof > 0) & ~_uneven(white.square, white.dof, _typical_variance(white), settings)
+    correlation = _fit_correlation(x_px, frames, terms, even, settings)
     creep = fit_creep(x_px, frames, terms, settings, correlation)
-    variance = _variance(np.where(usual, creep.square, 0.0), creep.dof * usual, predicted_px, settings)
+    variance = _variance(np.where(even, creep.square, 0.0), creep.dof * even, predicted_px, settings)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(creep.dof > 0, creep.square / creep.dof / variance, 1.0)
     uneven = _uneven(ratio * creep.dof, creep.dof, np.ones(variance.size), settings)
@@ -384,70 +396,74 @@ def measure_noise(
 
 
 def _fit_correlation(
-    x_px: Floats, frames: StickFrames, terms: int, usual: Bools, settings: DeformationSettings
+    x_px: Floats, frames: StickFrames, terms: int, used: Bools, settings: DeformationSettings
 ) -> AR1Noise:
-    """White noise, AR(1), or AR(1) under white noise, by restricted maximum likelihood with a variance of
-    its own for each sheet; a more general one only where it fits better than chance.
+    """Fit white noise, AR(1) noise, or AR(1) plus white noise by restricted maximum likelihood.
 
-    Every so many sheets and sticks are enough in a long recording.  usual: (stick, sheet) used.
+    Each sheet has its own variance.  A more general model is chosen only where it fits significantly better.
+    In long recordings a regular selection of sheets and sticks is fitted.  used: which sheets in which sticks
+    may be selected, (stick, sheet).
     """
     every = max(1, round(x_px.size / settings.correlation_positions))
     sheets = max(1, min(every, x_px.shape[1] // 8))
-    kept = usual[:, ::sheets] & (np.arange(frames.sticks) % max(1, every // sheets) == 0)[:, None]
-    inside = kept.any(axis=1)[frames.row]
+    selected = used[:, ::sheets] & (np.arange(frames.sticks) % max(1, every // sheets) == 0)[:, None]
+    inside = selected.any(axis=1)[frames.row]
     names = ("frame", "row", "u", "slot")
     part = replace(frames, **{name: getattr(frames, name)[inside] for name in names})
-    x_px = np.where(kept[part.row], x_px[inside, ::sheets], np.nan)
+    x_px = np.where(selected[part.row], x_px[inside, ::sheets], np.nan)
 
     def deviance(share: float, rho: float) -> float:
+        """-2 log restricted likelihood, up to a constant."""
         creep = fit_creep(x_px, part, terms, settings, AR1Noise(share, rho))
         dof = creep.dof.sum(axis=0)
         variance = np.nansum(creep.square, axis=0)[dof > 0] / dof[dof > 0]
-        sizes = dof[dof > 0] @ np.log(np.maximum(variance, _LEAST_VARIANCE_PX2))
-        return float(sizes + creep.log_det.sum() - np.linalg.slogdet(creep.inverse[creep.good])[1].sum())
+        log_variance = dof[dof > 0] @ np.log(np.maximum(variance, _LEAST_VARIANCE_PX2))
+        log_det = np.linalg.slogdet(creep.inverse[creep.good])[1].sum()
+        return float(log_variance + creep.log_det.sum() - log_det)
 
-    def mixture(both: Floats) -> float:
-        return deviance(float(both[0]), float(both[1]))
+    def of_mixture(share_and_rho: Floats) -> float:
+        return deviance(float(share_and_rho[0]), float(share_and_rho[1]))
 
-    gain = 9.0  # in -2 log-likelihood that one more parameter must bring: 3 standard errors
+    required_gain = 9.0  # decrease of the deviance required of one more parameter: 3 standard errors
     white = fit_creep(x_px, part, terms, settings)
     if white.dof.sum() < 30 or not np.nansum(white.square) > _LEAST_VARIANCE_PX2 * white.dof.sum():
         return AR1Noise()
     pure = scipy.optimize.minimize_scalar(
         lambda rho: deviance(1.0, rho), bounds=(0.01, 0.97), method="bounded", options={"xatol": 0.01}
     )
-    if pure.fun + gain > deviance(0.0, 0.0):
+    if pure.fun + required_gain > deviance(0.0, 0.0):
         return AR1Noise()
     mixed = scipy.optimize.minimize(
-        mixture,
+        of_mixture,
         [0.5, max(0.5, pure.x)],
         method="Nelder-Mead",
         bounds=[(0.01, 1.0), (0.02, 0.97)],
         options={"xatol": 0.01, "fatol": 0.5, "maxfev": 40},
     )
-    if mixed.fun + gain > pure.fun:
+    if mixed.fun + required_gain > pure.fun:
         return AR1Noise(1.0, float(pure.x))
     return AR1Noise(float(mixed.x[0]), float(mixed.x[1]))
 
 
 def _typical_variance(creep: Creep) -> Floats:
-    """Median noise variance per sheet, px², (sheet,); the sheets' median for those without."""
-    median = 2 * scipy.special.gammaincinv(np.maximum(creep.dof, 1) / 2, 0.5)  # of chi-square
+    """Median noise variance of each sheet over the sticks, px², (sheet,); the overall median if unknown."""
+    median = 2 * scipy.special.gammaincinv(np.maximum(creep.dof, 1) / 2, 0.5)  # median of chi-square
     each = nan_median(np.where(creep.dof > 0, creep.square / median, np.nan))
     overall = float(nan_median(each[None], axis=1)[0])
     return np.maximum(np.where(np.isfinite(each), each, np.nan_to_num(overall)), _LEAST_VARIANCE_PX2)
 
 
 def _uneven(square: Floats, dof: Ints, variance: Floats, settings: DeformationSettings) -> Bools:
-    """Residuals larger than chance allows, with half the degrees of freedom: correlated noise scatters
-    more."""
+    """Whether the residuals are significantly too large."""
+    # Half the degrees of freedom, because sums of squares of correlated noise scatter more.
     fewer = np.maximum(dof / 2, 1)
     limit = scipy.special.chdtri(fewer, settings.uneven_probability)
     return np.asarray(square / variance * fewer / np.maximum(dof, 1) > limit)
 
 
 def _variance(square: Floats, dof: Ints, predicted_px: Floats, settings: DeformationSettings) -> Floats:
-    """Noise variance per sheet: of its residuals, averaged with the predicted one times the common ratio."""
+    """Noise variance of each sheet: the mean of that of its residuals and of the predicted one, which is
+    scaled by the ratio of the two over all sheets."""
     measured, weight = square.sum(axis=0), dof.sum(axis=0)
     predicted = predicted_px**2
     middle = float(nan_median(predicted[None], axis=1)[0])
@@ -461,11 +477,12 @@ def _variance(square: Floats, dof: Ints, predicted_px: Floats, settings: Deforma
 
 
 def fixed_pattern_gain(reach_px: Floats, terms: int) -> Floats:
-    r"""RMS share of a fixed pattern of 1 px in each coefficient of the creep, (..., terms).
+    r"""RMS contribution of a fixed pattern of 1 px RMS to each coefficient of the creep, (..., terms).
 
-    reach_px (...) is half the distance that the sheet creeps.  A wave of f per px has the share
-    :math:`(2 l + 1) j_l(2 \pi f r)` in :math:`P_l` (spherical Bessel functions); waves are weighted by the
-    transfer function of the subpixel fit, which weighs pixels by their distance from its centre.
+    reach_px (...): half the distance r that the sheet creeps.  A wave of frequency f per px contributes
+    :math:`(2 l + 1) j_l(2 \pi f r)` to the coefficient of :math:`P_l` (spherical Bessel functions).  Waves
+    are weighted by the transfer function of the subpixel fit, which weights pixels by their distance from its
+    centre.
     """
     waves_per_px = np.arange(0.01, 0.5, 0.01)
     window_px = np.arange(TrackingSettings().standard_window_px // 2 + 1)
@@ -478,29 +495,30 @@ def fixed_pattern_gain(reach_px: Floats, terms: int) -> Floats:
 
 
 def fixed_pattern_px(creep: Creep, error: Floats, noise: Noise, settings: DeformationSettings) -> Floats:
-    """RMS error of position that repeats wherever a sheet passes (unequal pixels, dust), px, (sheet,).
+    """RMS position error that repeats at each position on the sensor (unequal pixels, dust), px, (sheet,).
 
     Such errors do not average out over the frames of a stick, and a straight line hides them.  Their size
-    follows from bends of the creep (three terms or more) that a sheet shows again in every stick; bends that
-    all sheets share are no pattern but camera movement, or creep that slows down.  error: of the coefficients
-    from noise alone, px, (stick, sheet, term).
+    follows from bends of the creep (third and higher terms) that a sheet repeats in every stick.  Bends that
+    all sheets share are not a pattern, but camera movement or decelerating creep.  error: standard errors of
+    the coefficients from noise alone, px, (stick, sheet, term).
     """
     used = (creep.good & (noise.excess <= 1))[..., None]
-    everything = creep.coefficient, error, fixed_pattern_gain(creep.coefficient[..., 1], error.shape[2])
-    coefficient, error, expected = (np.where(used, values, 0.0) for values in everything)
+    gain = fixed_pattern_gain(creep.coefficient[..., 1], error.shape[2])
+    coefficient, error, gain = (np.where(used, values, 0.0) for values in (creep.coefficient, error, gain))
     unit_px = noise.noise_px[:, None]
-    own = _own(coefficient[..., 2:], coefficient[..., 1:2], used)
-    seen, size = _repeated(own / unit_px), _repeated(expected[..., 2:])
+    bend = _without_common_part(coefficient[..., 2:], coefficient[..., 1:2], used)
+    observed, expected = _repeated(bend / unit_px), _repeated(gain[..., 2:])
     chance = ((error[..., 2:] / unit_px) ** 2).sum(axis=0)
-    usual = settings.fixed_pattern**2
-    common = _posterior(seen.sum(), size.sum(), ((chance + usual * size) ** 2).sum(), usual, 0.6 * usual)
-    scatter = ((chance + common * size) ** 2).sum(axis=1)
-    each = _posterior(seen.sum(axis=1), size.sum(axis=1), scatter, common, common)
+    prior = settings.fixed_pattern**2
+    scatter = ((chance + prior * expected) ** 2).sum()
+    common = _posterior(observed.sum(), expected.sum(), scatter, prior, 0.6 * prior)
+    scatter = ((chance + common * expected) ** 2).sum(axis=1)
+    each = _posterior(observed.sum(axis=1), expected.sum(axis=1), scatter, common, common)
     return np.asarray(np.sqrt(each) * noise.noise_px)
 
 
-def _own(bend: Floats, slope: Floats, used: Bools) -> Floats:
-    """Bends (stick, sheet, ...) less what all sheets of a stick share: a constant, a share of the slope."""
+def _without_common_part(bend: Floats, slope: Floats, used: Bools) -> Floats:
+    """Bends (stick, sheet, ...) minus what the sheets of a stick share: a constant, a part of the slope."""
     count = np.maximum(used.sum(axis=1, keepdims=True), 1)
     bend, slope = (np.where(used, v - v.sum(axis=1, keepdims=True) / count, 0.0) for v in (bend, slope))
     square = np.maximum((slope**2).sum(axis=1, keepdims=True), 1e-12)
@@ -508,17 +526,19 @@ def _own(bend: Floats, slope: Floats, used: Bools) -> Floats:
 
 
 def _repeated(value: Floats) -> Floats:
-    """Sums of products between different sticks of each sheet, (sheet, ...): what does not repeat cancels."""
+    """Sums of products between different sticks of each sheet, (sheet, ...); only what repeats remains."""
     return np.asarray(value.sum(axis=0) ** 2 - (value**2).sum(axis=0))
 
 
 def _posterior(
-    seen: Floats, size: Floats, scatter: Floats, prior: Floats | float, prior_err: Floats | float
+    observed: Floats, expected: Floats, scatter: Floats, prior: Floats | float, prior_err: Floats | float
 ) -> Floats:
-    """Square of the pattern from the ratio seen/size and its prior, each weighted by its variance; half the
-    variance of `seen` is `scatter`.  Not below 0; the prior where its error is 0."""
-    weight = size / np.maximum(2 * scatter, 1e-300) * np.square(prior_err)
-    return np.asarray(np.maximum(seen * weight + prior, 0.0) / (size * weight + 1))
+    """Mean of observed/expected and its prior, weighted by their inverse variances; at least 0.
+
+    It is the mean square of the pattern in units of the noise.  scatter: half the variance of `observed`.
+    """
+    weight = expected / np.maximum(2 * scatter, 1e-300) * np.square(prior_err)
+    return np.asarray(np.maximum(observed * weight + prior, 0.0) / (expected * weight + 1))
 
 
 # --- standard errors ----------------------------------------------------------------------------------------
@@ -526,14 +546,14 @@ def _posterior(
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """What the errors of the creep are made of."""
+    """Components of the errors of the creep."""
 
     noise: Noise  # of the positions
     pattern_px: Floats  # fixed-pattern error of each sheet, (sheet,)
     scale: float = 0.0  # relative error of the magnification
 
     def of(self, fit: Creep) -> Floats:
-        """Standard errors of the coefficients of a fit with the noise's correlation, px, (stick, sheet,
+        """Standard errors of the coefficients of a fit with this noise's correlation, px, (stick, sheet,
         term)."""
         variance = np.einsum("eskk->esk", fit.inverse)
         random = np.sqrt(variance) * (self.noise.noise_px * self.noise.excess)[..., None]

@@ -1,4 +1,4 @@
-"""Horizontal deformation: x(n, t) and the stick phases become σ_x and σ_x/Λ_st."""
+"""Horizontal deformation: σ_x and σ_x/Λ_st from x(n, t) and the stick phases."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from vision.deformation.settings import DeformationSettings
 from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
 
-LEAST_STEADY = 5  # sticks that tell whether the pull is steady
+LEAST_STEADY = 5  # sticks needed to measure how steady the pull is
 
 
 def horizontal_deformation(
@@ -50,27 +50,26 @@ def horizontal_deformation(
     common_mode: bool = True,
     settings: DeformationSettings = DeformationSettings(),
 ) -> xr.Dataset:
-    r"""Horizontal deformation of every sheet in every stick phase that lies inside the video.
+    r"""Measure the horizontal deformation of every sheet in every stick phase inside the video.
 
     Parameters
     ----------
     tracks
-        Of `track_sheets`: x_px (frame, sheet) with time_s, side and n.  Positions from elsewhere will do;
-        where they do not say in ``attrs["fit"]`` how they were measured in a picture, errors that come from
-        pixels are not part of the stated ones.
+        From `track_sheets`: x_px (frame, sheet) with time_s, side and n.  Positions from other sources work,
+        too; without ``attrs["fit"]``, the fit that measured them, the errors do not include those of pixels.
     sticks
-        Of `find_stick_slip`: t_v_s, t_p_s, stick_length_um and, if known, stick_length_err_um.
+        From `find_stick_slip`: t_v_s, t_p_s, stick_length_um and, if known, stick_length_err_um.
     clock
-        Of `synchronise`.
+        From `synchronise`.
     pixel_size_um
-        µm per pixel; needed.
+        µm per pixel; required.
     margin_s
-        Time kept clear of each slip; by default half a frame interval (the exposure) and what the clock may
-        be wrong by.
+        Time left out next to each slip; by default half a frame interval (the exposure) plus the error of the
+        clock.
     common_mode
-        Whether to take camera movement off.
+        Whether to subtract camera movement.
     settings
-        Tunable constants.
+        See `DeformationSettings`.
 
     Returns
     -------
@@ -78,15 +77,15 @@ def horizontal_deformation(
 
     - "few": fewer than 4 usable frames, or they span less than two fifths of the stick; all values are NaN;
     - "no_length": Λ_st is not known; the ratio is NaN;
-    - "outward": the sheet moves outwards by more than 3 errors; its size is reported;
-    - "uneven": residuals larger than the sheet's noise (it slipped by itself); the error is raised;
-    - "below_noise": a negative measurement, reported as 0; ``ratio_signed`` keeps it.
+    - "outward": the sheet moves outwards by more than 3 errors; the size of the movement is reported;
+    - "uneven": the residuals exceed the noise of the sheet (it slipped by itself); the error is increased;
+    - "below_noise": the measurement is negative and reported as 0; ``ratio_signed`` contains it.
 
     Raises
     ------
     InputError
-        Without a pixel size, times, stick lengths or a stick phase inside the video, and for ambiguous
-        clocks.
+        If there is no pixel size, no time of a frame, no stick length, or no stick phase inside the video,
+        or if the clock is ambiguous.
 
     Notes
     -----
@@ -94,25 +93,26 @@ def horizontal_deformation(
 
     .. math:: \sigma_x = \sqrt{\langle \delta x^2 \rangle},
 
-    so that a linear sweep S gives :math:`S / \sqrt{12}`.  ``sigma_x_um`` is just that over the usable
-    frames, with noise and vibration.  ``sigma_x_corrected_um`` is
+    so that a linear sweep S gives :math:`S / \sqrt{12}`.  ``sigma_x_um`` is this value over the usable
+    frames, including noise and vibration.  ``sigma_x_corrected_um`` is
 
     .. math:: \sqrt{a_1^2 / 3 + a_2^2 / 5}
 
-    with the creep :math:`\hat x + a_1 P_1(u) + a_2 P_2(u)` (Legendre polynomials, u from −1 at the valley to
-    +1 at the peak) fitted to the usable frames and taken over the whole stick; :math:`a_2`, less its noise,
-    only where it exceeds 3 errors.  For many frames it equals :math:`\sqrt{\sigma^2 - \mathrm{noise}^2}`;
-    for few it has less bias, since it keeps the sign.
+    with the creep :math:`\hat x + a_1 P_1(u) + a_2 P_2(u)` fitted to the usable frames (Legendre polynomials,
+    u from −1 at the valley to +1 at the peak).  The term :math:`a_2^2`, minus its noise, is used only where
+    :math:`a_2` exceeds 3 errors.  For many frames the result equals
+    :math:`\sqrt{\sigma^2 - \mathrm{noise}^2}`; for few frames it has less bias, since it keeps the sign.
 
-    Camera movement is what all sheets do together beyond their creep in each frame, and what moved during the
-    stick, found from left and right or, with one side in view, from the sheets' creep in other sticks;
-    ``attrs["camera_movement"]`` says which.  A sheet that slips late or early creeps for that much less.
+    Camera movement consists of vibration, the common motion in each frame beyond the creep, and of drift
+    during the stick.  Drift is found from left and right, or, with one side in view, from the creep of the
+    sheets in other sticks; ``attrs["camera_movement"]`` states which.  The creep of a sheet that slips late
+    or early is shortened accordingly.
 
-    Errors rest on the residuals of each sheet with their autocorrelation.  For positions measured in a
-    picture they hold unequal pixels and unequal magnification too, and positions of the publication's fit
-    are corrected for pixel locking first, except in ``sigma_x_um``.  The error of the pixel size is not in
-    them, nor that of the stick length where `sticks` does not state it or the pull is steady: where the ends
-    of a stick are misplaced, σ_x and Λ_st change alike.
+    Errors follow from the residuals of each sheet and their autocorrelation.  For positions measured in a
+    picture they include unequal pixels and unequal magnification, and positions of the publication's fit are
+    first corrected for pixel locking, except in ``sigma_x_um``.  The errors exclude that of the pixel size.
+    They exclude that of the stick length where `sticks` does not state it or the pull is steady, because an
+    error of the ends of a stick changes σ_x and Λ_st alike.
 
     Source: paper, horizontal deformation by image processing.
     """
@@ -128,9 +128,8 @@ def horizontal_deformation(
     events = _inside(sticks, time, interval, source)
     margin = interval / 2 + _clock_error_s(clock, interval) if margin_s is None else margin_s
     start, stop = (events[name].to_numpy(float) for name in ("t_v_s", "t_p_s"))
-    every, frames = (
-        frames_of_sticks(time, start, stop, margin_s=clear, interval_s=interval) for clear in (0.0, margin)
-    )
+    every = frames_of_sticks(time, start, stop, margin_s=0.0, interval_s=interval)
+    frames = frames_of_sticks(time, start, stop, margin_s=margin, interval_s=interval)
     sheets = _Sheets.of(tracks)
     x_px = np.asarray(tracks["x_px"].values, float)[frames.frame]
     found = _measure(x_px, frames, sheets, common_mode, settings)
@@ -159,14 +158,14 @@ def horizontal_deformation(
 def stick_displacement(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event: int) -> xr.DataArray:
     """Displacement of every sheet during one stick, δx = x − x̂.
 
-    As measured: noise, camera movement and the frames next to the slips are in it.
+    The positions are as measured: noise, camera movement and the frames next to the slips are included.
 
     Parameters
     ----------
     tracks, clock
         As given to `horizontal_deformation`.
     motion
-        What it returned.
+        The result of `horizontal_deformation`.
     event
         Number of the event.
 
@@ -178,7 +177,7 @@ def stick_displacement(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, 
     Raises
     ------
     InputError
-        For an event that is not in `motion`.
+        If the event is not in `motion`.
     """
     if event not in motion["event"]:
         known = motion["event"].values
@@ -188,16 +187,16 @@ def stick_displacement(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, 
     since = clock.to_force_s(np.asarray(tracks["time_s"].values, float)) - float(stick["t_v_s"])
     inside = (since >= 0) & (since <= float(stick["t_p_s"] - stick["t_v_s"]))
     size_um = MotionMetadata.of(motion).pixel_size_um
-    away: xr.DataArray = (tracks["x_px"][inside] - stick["x_hat_px"]) * size_um
-    away = away.assign_coords(since_s=("frame", since[inside], {"units": "s"}))
-    return away.assign_attrs(units="um", long_name="displacement from the mean over the stick")
+    displacement: xr.DataArray = (tracks["x_px"][inside] - stick["x_hat_px"]) * size_um
+    displacement = displacement.assign_coords(since_s=("frame", since[inside], {"units": "s"}))
+    return displacement.assign_attrs(units="um", long_name="displacement from the mean over the stick")
 
 
 # --- input --------------------------------------------------------------------------------------------------
 
 
 def _pixel_size(size_um: float | None) -> float:
-    """The pixel size, checked."""
+    """Return the pixel size; raise InputError if it is missing or not positive."""
     if size_um is None or not (np.isfinite(size_um) and size_um > 0):
         found = "none" if size_um is None or np.isnan(size_um) else f"{size_um:g}"
         raise InputError("`pixel_size_um`", "µm per pixel, without which there is no σ_x/Λ_st", found)
@@ -205,7 +204,7 @@ def _pixel_size(size_um: float | None) -> float:
 
 
 def _interval(time_s: Floats, source: str) -> float:
-    """Usual time between frames, s."""
+    """Median time between frames, s."""
     step = np.diff(time_s[np.isfinite(time_s)])
     if not (step > 0).any():
         found = "no increasing frame times"
@@ -214,8 +213,8 @@ def _interval(time_s: Floats, source: str) -> float:
 
 
 def _clock_error_s(clock: Clock, interval_s: float) -> float:
-    """What a mapped time may be wrong by: two standard errors, or what the residuals are beyond what they
-    would be if frames alone limited them (a quarter of an interval)."""
+    """Error of a mapped time, s: two standard errors, or, where these are unknown, the residuals beyond those
+    that the frame interval explains (a quarter of it)."""
     if np.isfinite(clock.error_ms):
         return 2 * float(clock.error_ms) / 1000
     residual_s = float(np.nan_to_num(clock.residual_ms)) / 1000
@@ -243,14 +242,13 @@ def _inside(sticks: pd.DataFrame, time_s: Floats, interval_s: float, source: str
 
 @dataclass(frozen=True)
 class _Sheets:
-    """What is known of the sheets, (sheet,): stated error of a position, px, NaN if none; pixel-locking
-    slope; and whether positions were measured in a picture, so that unequal pixels are among their errors."""
+    """Properties of the sheets, (sheet,)."""
 
     side: Ints
     n: Ints
-    predicted_px: Floats
-    locking: Floats
-    pictured: bool
+    predicted_px: Floats  # stated error of a position, px, NaN if none
+    locking: Floats  # pixel-locking slope
+    pictured: bool  # whether the positions were measured in a picture, with the errors of unequal pixels
 
     @classmethod
     def of(cls, tracks: xr.Dataset) -> _Sheets:
@@ -268,32 +266,27 @@ class _Sheets:
 
 @dataclass(frozen=True)
 class _Deformation:
-    """Creep of every sheet in every stick, (stick, sheet), px; NaN where `good` is False.
+    """Creep of every sheet in every stick, (stick, sheet), px; NaN where `good` is False."""
 
-    rms_px: over the usable frames as they are.  signed_px: RMS over the whole stick, positive inwards, with
-    error_px.  sweep_px: inward movement over the stick.  middle_px: x̂.  count: positions used.  uneven:
-    residuals stand out.  effective_frames, drift_px, drift_err_px: (stick,).
-    """
-
-    rms_px: Floats
-    signed_px: Floats
-    error_px: Floats
-    sweep_px: Floats
-    middle_px: Floats
-    count: Ints
+    rms_px: Floats  # RMS displacement in the usable frames as measured
+    signed_px: Floats  # RMS of the fitted creep over the whole stick, positive inwards
+    error_px: Floats  # standard error of signed_px
+    sweep_px: Floats  # inward movement over the stick
+    middle_px: Floats  # mean position over the stick, x̂
+    count: Ints  # positions used
     good: Bools
-    uneven: Bools
-    effective_frames: Floats
-    drift_px: Floats
-    drift_err_px: Floats
+    uneven: Bools  # whether the residuals exceed the noise
+    effective_frames: Floats  # number of frames with independent noise, (stick,)
+    drift_px: Floats  # (stick,)
+    drift_err_px: Floats  # (stick,)
     noise: Noise
-    camera_movement: str
+    camera_movement: str  # which parts of it were subtracted
 
 
 def _measure(
     x_px: Floats, frames: StickFrames, sheets: _Sheets, common_mode: bool, settings: DeformationSettings
 ) -> _Deformation:
-    """Creep from the positions in usable frames, (F, sheet), NaN where there is none."""
+    """Measure the creep from the positions in usable frames, px, (F, sheet), NaN where there is none."""
     terms = 4 if np.median(frames.counts) >= settings.cubic_frames else 3
     unlocked = correct_pixel_locking(x_px, sheets.locking, frames, terms, settings)
     vibration, factor = np.zeros(len(x_px)), np.ones(x_px.shape[1])
@@ -313,7 +306,7 @@ def _measure(
         pattern = fixed_pattern_px(close, errors.of(close), noise, settings)
         errors = ErrorModel(noise, pattern, settings.scale_error)
     camera = drift_model(line, sheets.side, sheets.n, frames, vibration, settings) if common_mode else None
-    # Independent frames over frames: the sweep's variance for white noise over that for correlated noise.
+    # The share of independent frames is the ratio of the sweep's variances for white and correlated noise.
     white = fit_creep(steady, frames, 2, settings)
     independent = nan_median(white.inverse[..., 1, 1] / line.inverse[..., 1, 1], axis=1)
     curve = _Curve.of(line, parabola, errors, camera, settings).shortened(slips)
@@ -335,30 +328,30 @@ def _measure(
 
 
 def _rms(x_px: Floats, frames: StickFrames) -> Floats:
-    """Root mean square of x − mean x over the frames of each stick, px, (stick, sheet); NaN without
-    frames."""
+    """RMS of x minus its mean over the frames of each stick, px, (stick, sheet); NaN without frames."""
     known = np.isfinite(x_px)
     count = frames.sums(known)
     count[count == 0] = np.nan
     mean = frames.sums(np.where(known, x_px, 0.0)) / count
-    away = np.where(known, x_px - mean[frames.row], 0.0)
-    return np.sqrt(frames.sums(away**2) / count)
+    displacement = np.where(known, x_px - mean[frames.row], 0.0)
+    return np.sqrt(frames.sums(displacement**2) / count)
 
 
 @dataclass(frozen=True)
 class _Curve:
-    """Line or parabola, whichever each sheet needs, without drift: x = middle + slope P1(u) + bend P2(u), px,
-    (stick, sheet); bend is 0 for a line.  straight: the line's slope in any case.  drift, drift_err:
-    (stick,)."""
+    """Creep without drift, x = middle + slope P1(u) + bend P2(u), px, (stick, sheet).
+
+    It is a parabola where that differs significantly from a line, else a line.
+    """
 
     middle: Floats
     slope: Floats
     slope_err: Floats
-    bend: Floats
+    bend: Floats  # 0 for a line
     bend_err: Floats
-    straight: Floats
-    drift: Floats
-    drift_err: Floats
+    straight: Floats  # slope of the line, also where a parabola is used
+    drift: Floats  # (stick,)
+    drift_err: Floats  # (stick,)
 
     @classmethod
     def of(
@@ -369,36 +362,39 @@ class _Curve:
         camera: BothSides | OneSide | None,
         settings: DeformationSettings,
     ) -> _Curve:
-        bent_err, line_err = errors.of(parabola), errors.of(line)
-        bend, bend_err, _ = _without_drift(camera, parabola.coefficient[..., 2], bent_err[..., 2], slow=False)
+        """Choose line or parabola for each sheet and stick, and subtract the drift of the camera."""
+        parabola_err, line_err = errors.of(parabola), errors.of(line)
+        bend, bend_err, _ = _without_drift(
+            camera, parabola.coefficient[..., 2], parabola_err[..., 2], slow=False
+        )
         curved = np.abs(bend) > settings.curvature_errors * bend_err
         curved &= parabola.count >= settings.least_curved
         best = np.where(curved[..., None], parabola.coefficient[..., :2], line.coefficient)
-        best_err = np.where(curved, bent_err[..., 1], line_err[..., 1])
+        best_err = np.where(curved, parabola_err[..., 1], line_err[..., 1])
         slope, slope_err, _ = _without_drift(camera, best[..., 1], best_err)
         straight, _, drift = _without_drift(camera, line.coefficient[..., 1], line_err[..., 1])
         bend = np.where(curved, bend, 0.0)
         return cls(best[..., 0], slope, slope_err, bend, bend_err, straight, drift.value, drift.error)
 
     def shortened(self, slips: LateSlips) -> _Curve:
-        """For sheets that creep for less than the whole stick."""
-        part = 1 - slips.lost
+        """The curve scaled to the part of the stick in which each sheet creeps."""
+        creeping = 1 - slips.lost
         return replace(
             self,
-            slope=self.slope * part,
+            slope=self.slope * creeping,
             slope_err=np.hypot(self.slope_err, self.slope * slips.lost_err),
-            bend=self.bend * part,
-            straight=self.straight * part,
+            bend=self.bend * creeping,
+            straight=self.straight * creeping,
         )
 
     @property
     def mean_square(self) -> Floats:
-        """Of the displacement over the whole stick, px²."""
+        """Mean square displacement over the whole stick, px²."""
         return self.slope**2 / 3 + np.where(self.bend == 0, 0.0, self.bend**2 - self.bend_err**2) / 5
 
     @property
     def rms_err(self) -> Floats:
-        """Standard error of its root, to first order."""
+        """Standard error of the root of the mean square, to first order, px."""
         spread = np.hypot(self.slope / 3 * self.slope_err, self.bend / 5 * self.bend_err)
         with np.errstate(divide="ignore", invalid="ignore"):
             curved = spread / np.sqrt(self.mean_square)
@@ -408,7 +404,7 @@ class _Curve:
 def _without_drift(
     camera: BothSides | OneSide | None, value: Floats, error: Floats, *, slow: bool = True
 ) -> tuple[Floats, Floats, Drift]:
-    """A coefficient without the camera's movement, its error with that of the movement, and the movement."""
+    """Coefficient minus the camera's drift, its error including that of the drift, and the drift."""
     if camera is None:
         none = np.zeros(len(value))
         return value, error, Drift(none, none, np.zeros_like(value))
@@ -420,10 +416,10 @@ def _without_drift(
 
 
 def _length_err_um(events: pd.DataFrame) -> Floats:
-    """Error of the stick lengths at the given ends, µm, (stick,).
+    """Error of the stick lengths between the given ends, µm, (stick,).
 
-    A stick whose ends are misplaced is longer or shorter for the sheets, too, and σ_x/Λ_st remains. So
-    lengths count as far as they differ from those of a steady pull between the same ends.
+    An error of the ends of a stick changes σ_x and Λ_st alike, so that σ_x/Λ_st remains. Therefore the error
+    of a length is limited to the differences from a steady pull between the same ends.
     """
     length = events["stick_length_um"].to_numpy(float)
     if "stick_length_err_um" not in events:
@@ -439,7 +435,8 @@ def _length_err_um(events: pd.DataFrame) -> Floats:
 def _dataset(
     events: pd.DataFrame, found: _Deformation, pixel_size_um: float, settings: DeformationSettings
 ) -> xr.Dataset:
-    """In µm and over the stick lengths, with flags; what is negative becomes 0 unless it is sure."""
+    """Deformation in µm, its ratio to the stick length, and flags; negative values that are not significant
+    become 0."""
     length = events["stick_length_um"].to_numpy(float)[:, None]
     length = np.where(length > 0, length, np.nan)
     length_err = _length_err_um(events)[:, None]
@@ -471,9 +468,9 @@ def _dataset(
         "drift_err_um": found.drift_err_px * pixel_size_um,
         "noise_um": found.noise.noise_px * pixel_size_um,
     }
-    places = [name for name in ("t_v_s", "t_p_s", "d_v_mm", "d_p_mm") if name in events]
+    ends = [name for name in ("t_v_s", "t_p_s", "d_v_mm", "d_p_mm") if name in events]
     return xr.Dataset(
         {name: (MOTION[name].dims, value, MOTION[name].attrs) for name, value in values.items()},
         {"event": events["event"].to_numpy()}
-        | {name: ("event", events[name].to_numpy(float), MOTION[name].attrs) for name in places},
+        | {name: ("event", events[name].to_numpy(float), MOTION[name].attrs) for name in ends},
     )

@@ -1,4 +1,4 @@
-"""The equations of the paper, and the fits to them."""
+"""Equations of the publication and fits of them to recordings."""
 
 from vision.models.fits import fit_models
 from vision.models.single_fits import Estimate, Goodness, ModelFits

@@ -1,8 +1,8 @@
-"""The paper's equations: amplification, traction, normal force, stiffness; angles and bending of sheets.
+"""Equations of the publication: amplification, traction, normal force, stiffness; geometry of sheets.
 
-Every function follows NumPy broadcasting over separation (and sheet number, where there is one). Separations
-are in mm, forces in N, moduli in GPa; the sample is the publication's unless another is given. NaN comes back
-only where an input is NaN or has no meaning (negative friction, separation not positive).
+All functions broadcast over separation and sheet number. Separations are in mm, forces in N, moduli in GPa;
+the sample is the publication's unless another is given. The result is NaN only where an input is NaN or out
+of range (negative friction, separation not positive).
 Source: Plati, Restagno & Poulard, Eqs. 1-2 and section IV; Alarcon et al. 2016 for the traction model.
 """
 
@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike
 from vision.numeric import Floats
 from vision.sample import PUBLISHED, Sample
 
-_LARGEST_EXPONENT = 700.0  # its exp() is still a finite double: a fit that strays meets no infinity
+_LARGEST_EXPONENT = 700.0  # its exp() is a finite double, so that a fit that diverges meets no infinity
 
 
 def amplification(d_mm: ArrayLike, *, mu: ArrayLike, sample: Sample = PUBLISHED) -> Floats:
-    r"""Amplification parameter, without unit; NaN where d <= 0 or mu < 0.
+    r"""Amplification parameter, dimensionless; NaN where d <= 0 or mu < 0.
 
     .. math:: \alpha = 2 \epsilon \mu M^2 / d
     """
@@ -33,15 +33,15 @@ def amplification(d_mm: ArrayLike, *, mu: ArrayLike, sample: Sample = PUBLISHED)
 
 
 def mean_amplification_excess(alpha: ArrayLike) -> Floats:
-    r"""Mean over s = n/M from 0 to 1 of the amplification of the normal force less one.
+    r"""Mean over s = n/M from 0 to 1 of the amplification of the normal force, minus one.
 
     .. math:: \int_0^1 e^{\alpha (1 - s^2)} ds - 1
         = \sqrt{\frac{\pi}{4 \alpha}}\, e^\alpha\, \mathrm{erf}\sqrt\alpha - 1
 
-    0 at alpha = 0 (no amplification); saturates instead of overflowing; NaN for negative alpha.
+    It is 0 at alpha = 0 (no amplification), saturates instead of overflowing, and is NaN for negative alpha.
     """
     a = np.asarray(alpha, float)
-    large = a > 1e-4  # below, the closed form loses digits and its series takes over
+    large = a > 1e-4  # below this the closed form loses digits, and its series is used
     positive = np.where(large, a, 1.0)
     exponent = np.minimum(positive, _LARGEST_EXPONENT)
     closed = np.sqrt(np.pi / (4 * positive)) * np.exp(exponent) * scipy.special.erf(np.sqrt(positive)) - 1
@@ -55,7 +55,7 @@ def traction(d_mm: ArrayLike, *, mu: ArrayLike, sample: Sample = PUBLISHED) -> F
     .. math:: \mathcal T = 2 M T^* \sqrt{\frac{\pi}{4 \alpha}}\, e^\alpha\, \mathrm{erf}\sqrt\alpha
 
     The peaks of a recording follow it up to a constant offset, since the load cell is zeroed at d0. This is
-    the continuum limit as printed; the sum over 25 discrete sheets lies 6-7 % below.
+    the continuum limit as printed; the sum over 25 discrete sheets is 6-7 % smaller.
     """
     alpha = amplification(d_mm, mu=mu, sample=sample)
     return np.asarray(2 * sample.sheets_per_block * sample.t_star_N * (1 + mean_amplification_excess(alpha)))
@@ -66,15 +66,15 @@ def normal_force(n: ArrayLike, d_mm: ArrayLike, *, mu: ArrayLike, sample: Sample
 
     .. math:: N(n) = \frac{T^*}{2 \mu} \left(e^{\alpha (1 - (n/M)^2)} - 1\right)
 
-    n counts from the centre outwards (0 is the axis itself, M the outermost sheet, where the force is 0).
+    n counts from the centre outwards: 0 is the axis, M the outermost sheet, on which the force is 0.
     """
     alpha = amplification(d_mm, mu=mu, sample=sample)
     m, t_star = sample.sheets_per_block, sample.t_star_N
-    share = 1 - (np.asarray(n, float) / m) ** 2
+    depth = 1 - (np.asarray(n, float) / m) ** 2
     with np.errstate(divide="ignore", invalid="ignore"):
-        excess = np.expm1(np.minimum(alpha * share, _LARGEST_EXPONENT))
+        excess = np.expm1(np.minimum(alpha * depth, _LARGEST_EXPONENT))
         force = t_star / (2 * np.asarray(mu, float)) * excess
-        without_friction = t_star * sample.thickness_mm * m**2 / np.asarray(d_mm, float) * share
+        without_friction = t_star * sample.thickness_mm * m**2 / np.asarray(d_mm, float) * depth
     return np.where(np.asarray(mu) == 0, without_friction, force)
 
 
@@ -83,7 +83,7 @@ def sheet_weight_N(
 ) -> float:
     """Weight m_p g in N of one sheet of a given grammage: 2.6 mN for the publication's, close to its T*.
 
-    The total length counts, with what is clamped and interleaved.
+    The total length includes the clamped and the interleaved part.
     """
     return 1e-9 * grammage_g_m2 * scipy.constants.g * sample.width_mm * total_length_mm
 
@@ -97,7 +97,7 @@ def normal_force_on_edge(
     mu: ArrayLike,
     sample: Sample = PUBLISHED,
 ) -> Floats:
-    r"""Normal force in N on sheet n where gravity acts along x: the blocks turned by 90°.
+    r"""Normal force in N on sheet n if gravity acts along x, as in blocks turned by 90°.
 
     Parameters
     ----------
@@ -106,11 +106,12 @@ def normal_force_on_edge(
     side
         +1 where the weight points to the axis, -1 where it points away from it.
     weight_N
-        m_p g of a sheet, as from `sheet_weight_N`; for blocks turned by an angle, times its sine.
+        Weight m_p g of a sheet, for example from `sheet_weight_N`; for blocks turned by another angle, times
+        the sine of the angle.
 
     Returns
     -------
-    Newtons; negative where sheets that cannot pull at each other would part.
+    Force in N; negative where the sheets would separate.
 
     Notes
     -----
@@ -122,24 +123,24 @@ def normal_force_on_edge(
     .. math:: \pm 2 m_p g \int_n^M e^{\alpha (n'^2 - n^2) / M^2} dn' = \pm \frac{2 m_p g M}{\sqrt\alpha}
         \left[e^{\alpha (1 - s^2)} D(\sqrt\alpha) - D(s \sqrt\alpha)\right], \quad s = n / M
 
-    with Dawson's function D. The two sides cancel: the traction stays that of Eq. 1 as long as no N is
-    negative.
+    with Dawson's function D. The contributions of the two sides cancel, so that the traction is that of Eq. 1
+    as long as no N is negative.
     """
     m = sample.sheets_per_block
     root = np.sqrt(amplification(d_mm, mu=mu, sample=sample))
     s = np.asarray(n, float) / m
     with np.errstate(over="ignore"):
-        grown = np.exp(root**2 * (1 - s**2)) * scipy.special.dawsn(root) - scipy.special.dawsn(s * root)
-    weight = 2 * np.asarray(side) * weight_N * m * grown / root
-    return np.asarray(normal_force(n, d_mm, mu=mu, sample=sample) + weight)
+        amplified = np.exp(root**2 * (1 - s**2)) * scipy.special.dawsn(root) - scipy.special.dawsn(s * root)
+    from_weight = 2 * np.asarray(side) * weight_N * m * amplified / root
+    return np.asarray(normal_force(n, d_mm, mu=mu, sample=sample) + from_weight)
 
 
 def total_normal_force(d_mm: ArrayLike, *, mu: ArrayLike, sample: Sample = PUBLISHED) -> Floats:
-    r"""Normal force in N summed over the 4M faces; NaN at mu = 0, where it has no use.
+    r"""Normal force in N summed over the 4M faces; NaN at mu = 0.
 
     .. math:: \mathcal N = 4 M \int_0^1 N(M s)\, ds = (\mathcal T - 2 M T^*) / \mu
 
-    The paper calls it an average; it is a total.
+    The publication calls it an average, but it is a total.
     """
     alpha = amplification(d_mm, mu=mu, sample=sample)
     friction = np.where(np.asarray(mu, float) > 0, mu, np.nan)
@@ -158,7 +159,7 @@ def stick_slip_amplitude(
 
 
 def separation_scale_mm(*, mu: ArrayLike, n_hat_N: ArrayLike, sample: Sample = PUBLISHED) -> Floats:
-    r"""Separation in mm beyond which no sheet is pressed harder than N-hat.
+    r"""Separation in mm beyond which no normal force exceeds N-hat.
 
     .. math:: \hat\Lambda = \frac{2 \mu \epsilon M^2}{\ln(1 + 2 \mu \hat N / T^*)}
     """
@@ -170,7 +171,7 @@ def separation_scale_mm(*, mu: ArrayLike, n_hat_N: ArrayLike, sample: Sample = P
 def reduced_separation(
     d_mm: ArrayLike, *, mu: ArrayLike, n_hat_N: ArrayLike, sample: Sample = PUBLISHED
 ) -> Floats:
-    r"""Reduced separation, without unit.
+    r"""Reduced separation, dimensionless.
 
     .. math:: \hat d = \ln(1 + 2 \mu \hat N / T^*) / \alpha = d / \hat\Lambda
     """
@@ -178,12 +179,12 @@ def reduced_separation(
 
 
 def effective_sheets(d_hat: ArrayLike, *, sample: Sample = PUBLISHED) -> Floats:
-    r"""Sheets per side that carry the pull.
+    r"""Effective number of sheets per side, which carry the pull.
 
     .. math:: M_\mathrm{eff} = M \sqrt{1 - \hat d}
 
-    0 (not NaN) where d-hat > 1, which happens inside the quoted ranges: there no sheet is pressed beyond
-    N-hat.
+    It is 0 (not NaN) where d-hat > 1, because there no normal force exceeds N-hat. This occurs within the
+    publication's ranges of the parameters.
     """
     d = np.asarray(d_hat, float)
     return np.where(np.isnan(d), np.nan, sample.sheets_per_block * np.sqrt(np.maximum(1 - d, 0)))
@@ -209,7 +210,7 @@ def assembly_stiffness(
     return effective_sheets(d_hat, sample=sample) * sheet_stiffness(modulus_GPa=modulus_GPa, sample=sample)
 
 
-# --- single sheets on their way from the clamp to the interleaved part --------------------------------------
+# --- geometry of single sheets between the clamp and the interleaved part -----------------------------------
 
 
 def sheet_angle_rad(n: ArrayLike, d_mm: ArrayLike, *, sample: Sample = PUBLISHED) -> Floats:
@@ -217,29 +218,29 @@ def sheet_angle_rad(n: ArrayLike, d_mm: ArrayLike, *, sample: Sample = PUBLISHED
 
     .. math:: \theta(n, d) = \arctan(n\epsilon/d)
 
-    10.89° at n = 25, d = 13 mm; 7.91° at 18 mm.
+    It is 10.89° at n = 25 and d = 13 mm, and 7.91° at 18 mm.
     """
     return np.asarray(np.arctan(largest_inward_displacement_mm(n, sample=sample) / np.asarray(d_mm, float)))
 
 
 def largest_inward_displacement_mm(n: ArrayLike, *, sample: Sample = PUBLISHED) -> Floats:
-    """Bound in mm on how far sheet n can move towards the axis, n ε."""
+    """Upper limit n ε in mm of the displacement of sheet n towards the axis."""
     return np.asarray(np.asarray(n, float) * sample.thickness_mm)
 
 
 def excess_length_mm(n: ArrayLike, d_mm: ArrayLike, *, sample: Sample = PUBLISHED) -> Floats:
-    r"""How much longer the oblique path of sheet n is than the separation, in mm.
+    r"""Length of the oblique path of sheet n minus the separation, in mm.
 
     .. math:: \sqrt{d^2 + (n\epsilon)^2} - d
 
-    Its mean over n = 1 … 25 at d = 13 mm is 0.085 mm: sheets of one length are not equally taut.
+    Its mean over n = 1 … 25 at d = 13 mm is 0.085 mm, so that sheets of equal length are not equally taut.
     """
     d = np.asarray(d_mm, float)
     return np.asarray(np.hypot(d, largest_inward_displacement_mm(n, sample=sample)) - d)
 
 
 def mean_excess_length_mm(d_mm: ArrayLike, *, sample: Sample = PUBLISHED) -> Floats:
-    """Mean of `excess_length_mm` over the sheets of one side, in mm; the shape of `d_mm`."""
+    """Mean of `excess_length_mm` over the sheets of one side, in mm, with the shape of `d_mm`."""
     n = np.arange(1, int(sample.sheets_per_block) + 1)
     d = np.asarray(d_mm, float)[..., np.newaxis]
     return np.asarray(excess_length_mm(n, d, sample=sample).mean(axis=-1))
@@ -253,12 +254,11 @@ def second_moment_mm4(*, sample: Sample = PUBLISHED) -> float:
 def bending_force_N(
     n: ArrayLike, d_mm: ArrayLike, *, lever_mm: ArrayLike, modulus_GPa: ArrayLike, sample: Sample = PUBLISHED
 ) -> Floats:
-    r"""Force in N that bends sheet n back to the pull, applied at a distance λ (`lever_mm`) from the clamp
-    end.
+    r"""Force in N that bends sheet n parallel to the pull, at a distance λ (`lever_mm`) from the clamp end.
 
     .. math:: \hat N = \frac{3\,\delta\,I\,Y_p}{\lambda^3}, \qquad \delta = \lambda\,n\epsilon/d
 
-    A cantilever fixed at the interleaving point.
+    The sheet is a cantilever fixed at the interleaving point.
     """
     lever = np.asarray(lever_mm, float)
     deflection = lever * largest_inward_displacement_mm(n, sample=sample) / np.asarray(d_mm, float)
@@ -269,11 +269,11 @@ def bending_force_N(
 def bending_length_mm(
     n: ArrayLike, d_mm: ArrayLike, *, n_hat_N: ArrayLike, modulus_GPa: ArrayLike, sample: Sample = PUBLISHED
 ) -> Floats:
-    r"""Distance λ in mm at which N̂ bends sheet n back to the pull: `bending_force_N` solved for λ.
+    r"""Distance λ in mm at which N̂ bends sheet n parallel to the pull: `bending_force_N` solved for λ.
 
     .. math:: \lambda = \sqrt{\frac{n W Y_p \epsilon^4}{4 d \hat N}}
 
-    It is a number of one n and one d: always give them with it.
+    It depends on n and d, so always state them with it.
     """
     rigidity = 1000 * np.asarray(modulus_GPa, float) * sample.width_mm * sample.thickness_mm**4
     lever = 4 * np.asarray(d_mm, float) * np.asarray(n_hat_N, float)
@@ -288,7 +288,7 @@ def bending_lengths(
     n_hat_N: Sequence[float] = (0.48, 0.57, 0.77),
     sample: Sample = PUBLISHED,
 ) -> pd.DataFrame:
-    """λ for every combination, one row each, shortest first.
+    """Table of λ for every combination of the values, shortest first.
 
     Parameters
     ----------
@@ -300,8 +300,7 @@ def bending_lengths(
     Returns
     -------
     pandas.DataFrame
-        ``n``, ``d_mm``, ``modulus_GPa``, ``n_hat_N``, ``bending_length_mm``: λ always stands beside its n and
-        d.
+        Columns ``n``, ``d_mm``, ``modulus_GPa``, ``n_hat_N``, ``bending_length_mm``.
     """
     axes = np.meshgrid(n, d_mm, modulus_GPa, n_hat_N, indexing="ij")
     sheet, d, modulus, force = (axis.ravel() for axis in axes)

@@ -1,4 +1,4 @@
-"""Fits of the paper's models to stick-slip events: which events, all three fits, systematic errors."""
+"""Fits of the publication's models to stick-slip events: choice of events, fits, systematic errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from vision.models.single_fits import (
     fit_peaks,
     fit_stiffness,
     fit_weighted,
-    usual_chi2,
+    largest_chi2,
     with_friction,
 )
 from vision.numeric import NORMAL_MEDIAN, Floats
@@ -31,10 +31,10 @@ from vision.sample import PUBLISHED, Sample
 from vision.signals import running_median
 
 _LEAST_EVENTS = 6
-_MEASURED = frozenset({"ok", "slow", "negative"})  # flags of events that are whole
-_LARGEST_OFFSET_N = 10.0  # limits of T0 in the publication: what a load cell's zero may be off by
-_CLEAR_OFFSET = 5.0  # errors by which T0 differs from 0 beyond chance
-_CONTRADICTS = 3.0  # χ²/dof of peaks that are not those of Eq. 1
+_MEASURED = frozenset({"ok", "slow", "negative"})  # flags of complete events
+_LARGEST_OFFSET_N = 10.0  # limit of |T0| in the publication: the largest error of a load cell's zero
+_CLEAR_OFFSET = 5.0  # T0 over its error above which it differs significantly from 0
+_CONTRADICTS = 3.0  # χ²/dof above which a model contradicts its points
 _GEOMETRY = ("thickness_mm", "width_mm", "length_mm", "t_star_N")
 
 
@@ -49,23 +49,23 @@ def fit_models(
     fit_range_mm: tuple[float, float] | None = None,
     geometry_err: Mapping[str, float] | None = None,
 ) -> ModelFits:
-    r"""Friction coefficient and offset from the peaks, A from the drops, N-hat and Y_eff from the stiffness.
+    r"""Fit μ and an offset to the peaks, A to the drops, and N-hat and Y_eff to the stiffness.
 
     Parameters
     ----------
     force
-        As from `read_force`: its load must be in N and its initial separation known.
+        From `read_force`. Its load must be in N and its initial separation known.
     sticks
-        As from `find_stick_slip`; events with a flag other than "slow" or "negative" are left out.
+        From `find_stick_slip`; events with a flag other than "slow" or "negative" are left out.
     sample
         M, thickness, width, length and T*; the publication's by default.
     free_t_star
-        Fit T* too, which is degenerate with the friction coefficient (correlation -0.999) and noted.
+        Whether to fit T* as well. It is degenerate with μ (correlation -0.999), which is noted.
     mu, modulus_GPa
-        Friction coefficient and Y_eff, where they are known and not to be fitted.
+        Known values of μ and Y_eff, which are then not fitted.
     fit_range_mm
-        Separations (d_v) of the first and last event to use. By default from the maximum of the peaks on, or
-        from where Eq. 1 fits after it: while the pull builds up no event follows it.
+        Separations (d_v) of the first and last event to use. By default the range begins at the maximum of
+        the peaks or, if that is later, where Eq. 1 begins to fit: no event of the build-up follows it.
     geometry_err
         Errors of fields of the sample, such as ``{"thickness_mm": 0.002}``, for the systematic errors.
 
@@ -76,22 +76,23 @@ def fit_models(
     Raises
     ------
     InputError
-        For a force over a weight, an unknown initial separation, fewer than six whole events, separations
-        that are not between 0 and the sheets' length, a stiffness that no material has (a displacement in m
-        taken for mm), events that do not determine the parameters, or arguments that are not positive.
+        If the load is a force over a weight, the initial separation is unknown, there are fewer than six
+        complete events, separations are not between 0 and the length of the sheets, the stiffness is that of
+        no material (a displacement in m read as mm), the events do not determine the parameters, or an
+        argument is not positive.
 
     Notes
     -----
     .. math:: F_p = \mathcal T(d_p; \mu, T^*) + \mathcal T_0, \quad
         \Delta F = A\, \mathcal N(d_v), \quad K = M_\mathrm{eff}(d_v; \hat N)\, \epsilon W Y_\mathrm{eff} / L
 
-    The first fit gives the friction coefficient. K depends on it and on N-hat through Lambda-hat alone, so
-    (Lambda-hat, Y_eff) are fitted and N-hat follows. Where sticks have a knee, K is the slope after it. Peaks
-    and drops scatter by a share of themselves and are weighted accordingly; K by its own error. Standard
-    errors come from the deviations themselves (White's covariance), so they hold whatever the size of the
-    scatter, times the root of chi2_dof where that is above 1. Systematic errors are what the parameters
-    change by when d0 and the geometry move by their errors, and when a drift of the load cell as large as T0
-    (at most 10 N) builds up over the test.
+    The first fit gives μ. K depends on μ and N-hat through Lambda-hat alone, so Lambda-hat and Y_eff are
+    fitted and N-hat follows. Where sticks have a knee, K is the slope after it. Peaks and drops are weighted
+    by their size, to which their scatter is proportional; K is weighted by its errors. Standard errors follow
+    from the residuals (White's covariance), so they are valid for any size of the scatter; they are
+    multiplied by the root of chi2_dof if that exceeds 1. Systematic errors are the changes of the parameters
+    when d0 and the geometry change by their errors, and when the load cell drifts by as much as T0 (at most
+    10 N) over the test.
     Source: paper, Eqs. 1 and 2, section on the effective number of sheets.
     """
     FORCE.check(force)
@@ -101,29 +102,29 @@ def fit_models(
     for name, value in errors.items():
         if name not in _GEOMETRY or not 0 <= value < np.inf:
             raise InputError("`geometry_err`", f"errors of {', '.join(_GEOMETRY)}", f"{name}: {value!r}")
-    whole = _usable(sticks, sample, force)
-    doubt = _doubtful_units(whole, sample, force)
-    with np.errstate(all="ignore"):  # fits may stray; what comes out is checked
+    complete = _complete_events(sticks, sample, force)
+    unit_doubt = _doubtful_units(complete, sample, force)
+    with np.errstate(all="ignore"):  # fits may diverge; their results are checked
         try:
-            events, left_out = _chosen(whole, sample, held, fit_range_mm)
+            events, left_out = _choose_events(complete, sample, held, fit_range_mm)
             fits = _fit_all(events, sample, free_t_star, held)
         except InputError as error:
-            if doubt and "`" not in str(error).partition(":")[0]:  # no argument is to blame
-                error.args = (f"{error}; {doubt}",)
+            if unit_doubt and "`" not in str(error).partition(":")[0]:  # the error is not about an argument
+                error.args = (f"{error}; {unit_doubt}",)
             raise
         except FAILURES as error:
-            raise _undetermined(str(error), doubt) from error
+            raise _undetermined(str(error), unit_doubt) from error
         if not all(np.isfinite((one.value, one.error)).all() for one in fits.named().values()):
-            raise _undetermined("values or errors that are not finite", doubt)
-        left_out = {"flagged": len(sticks) - len(whole)} | left_out
+            raise _undetermined("values or errors that are not finite", unit_doubt)
+        left_out = {"flagged": len(sticks) - len(complete)} | left_out
         lowpass = {name: float(sticks.attrs.get(name, 0.0)) for name in _LOWPASS}
         fits = _with_systematics(fits, force, events, free_t_star, held, errors, lowpass)
-        misread = _misread_lengths(fits, whole, held, force)
+        misread = _misread_lengths(fits, complete, held, force)
         if abs(fits.t0_N.value) > float(events["F_p_N"].abs().max()):
             reason = f"an offset 𝒯0 of {fits.t0_N.value:.2g} N, larger than the peaks"
-            raise _undetermined(reason, misread or doubt)
+            raise _undetermined(reason, misread or unit_doubt)
     notes, warnings = _remarks(fits, force, left_out, fit_range_mm is not None)
-    warnings = (*(line for line in (doubt, misread) if line), *warnings)
+    warnings = (*(line for line in (unit_doubt, misread) if line), *warnings)
     d0_err = ForceMetadata.of(force).d0_err_mm
     return replace(
         fits,
@@ -135,19 +136,20 @@ def fit_models(
 
 
 def _held(mu: float | None, modulus_GPa: float | None) -> dict[str, float]:
-    """Parameters that are given, by their field in `ModelFits`."""
+    """Given parameters by their field in `ModelFits`."""
     check_positive(mu=mu, modulus_GPa=modulus_GPa)
     held = {"mu": mu, "modulus_GPa": modulus_GPa}
     return {name: float(value) for name, value in held.items() if value is not None}
 
 
-def _undetermined(reason: str, doubt: str = "") -> InputError:
-    advice = doubt or "check `d0_mm`, and that the force was recorded while the blocks were pulled apart"
+def _undetermined(reason: str, advice: str = "") -> InputError:
+    """Error for events that do not determine the parameters."""
+    advice = advice or "check `d0_mm`, and that the force was recorded while the blocks were pulled apart"
     return InputError("model fits", "events that follow the paper's model", f"others ({reason})", advice)
 
 
 def _check_force(force: xr.Dataset) -> None:
-    """Refuses a load that is no force, and separations counted from an unknown place."""
+    """Raise InputError if the load is not a force or the initial separation is unknown."""
     if force["load_N"].attrs.get("units") == "1":
         raise InputError("model fits", "a force in N", "a force over a weight")
     facts = ForceMetadata.of(force)
@@ -156,7 +158,7 @@ def _check_force(force: xr.Dataset) -> None:
 
 
 def _read_as(force: xr.Dataset) -> str:
-    """What to check where numbers are off by powers of ten."""
+    """Advice to check the units, with the columns that were read."""
     columns = ForceMetadata.of(force).columns
     advice = "check the units of displacement and load"
     return (
@@ -165,19 +167,19 @@ def _read_as(force: xr.Dataset) -> str:
 
 
 def _doubtful_units(events: pd.DataFrame, sample: Sample, force: xr.Dataset) -> str:
-    """Why the units are doubtful, "" where they are not.
+    """Why the units are doubtful, "" if they are not.
 
-    K of all M sheets together gives the smallest modulus that they can have.  Raises: InputError where no
-    material has it, or events lie closer than a crosshead can move.
+    The modulus of the sheets is at least the one at which all M sheets together have the stiffness K.
+    InputError is raised if no material has it, or if events are closer than a crosshead can resolve.
     """
-    apart = float(np.ptp(events["d_v_mm"])) / (len(events) - 1)
-    if apart < 1e-4:  # no crosshead tells less
-        wanted, found = "events at least 0.1 µm apart", f"{1e3 * apart:.2g} µm"
+    distance = float(np.ptp(events["d_v_mm"])) / (len(events) - 1)
+    if distance < 1e-4:  # below the resolution of any crosshead
+        wanted, found = "events at least 0.1 µm apart", f"{1e3 * distance:.2g} µm"
         raise InputError("model fits", wanted, found, _read_as(force))
     k = float(events["K_N_per_mm"].median())
     least = k * sample.length_mm / (1000 * sample.sheets_per_block * sample.thickness_mm * sample.width_mm)
     found = f"K of {k:.3g} N/mm, which needs sheets of {least:.2g} GPa"
-    if least > 1000:  # that of diamond
+    if least > 1000:  # the modulus of diamond
         raise InputError("model fits", "sheets of less than 1000 GPa", found, _read_as(force))
     return "" if 0.1 < least < 30 else f"{found} or more: {_read_as(force)}"
 
@@ -185,9 +187,9 @@ def _doubtful_units(events: pd.DataFrame, sample: Sample, force: xr.Dataset) -> 
 def _misread_lengths(
     fits: ModelFits, events: pd.DataFrame, held: Mapping[str, float], force: xr.Dataset
 ) -> str:
-    """One line where Eq. 1 fits only if the displacement is in another unit than mm; "" elsewhere.
+    """Warning that Eq. 1 fits only if the displacement is in another unit than mm; "" if that is not so.
 
-    Raises: InputError where the file states no unit, so that mm was a guess.
+    InputError is raised instead if the file states no unit, so that mm was a guess.
     """
     facts, chi2 = ForceMetadata.of(force), fits.goodness["peaks"].chi2_dof
     if not (chi2 > _CONTRADICTS and abs(fits.t0_N.value) > _LARGEST_OFFSET_N and np.isfinite(facts.d0_mm)):
@@ -196,7 +198,7 @@ def _misread_lengths(
         lengths = {name: facts.d0_mm + mm * (events[name] - facts.d0_mm) for name in ("d_v_mm", "d_p_mm")}
         read = events.assign(**lengths, K_N_per_mm=events["K_N_per_mm"] / mm)
         try:
-            peaks = fit_peaks(_chosen(read, fits.sample, held, None)[0], fits.sample, False, held)
+            peaks = fit_peaks(_choose_events(read, fits.sample, held, None)[0], fits.sample, False, held)
         except FAILURES:
             continue
         if peaks.goodness.chi2_dof < _CONTRADICTS and abs(peaks.value[1]) < _LARGEST_OFFSET_N:
@@ -209,19 +211,19 @@ def _misread_lengths(
     return ""
 
 
-def _usable(sticks: pd.DataFrame, sample: Sample, force: xr.Dataset) -> pd.DataFrame:
-    """Whole events with everything the fits need."""
+def _complete_events(sticks: pd.DataFrame, sample: Sample, force: xr.Dataset) -> pd.DataFrame:
+    """Return the complete events with all that the fits need; raise InputError if they are too few."""
     needed = ["d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm"]
     if absent := [name for name in needed if name not in sticks]:
         raise InputError("model fits", f"columns {', '.join(needed)}", f"no {', '.join(absent)}")
     if "flag" in sticks:
-        fine = [set(str(flag).split("+")) <= _MEASURED for flag in sticks["flag"]]
-        events: pd.DataFrame = sticks[np.asarray(fine, dtype=bool)]
+        measured = [set(str(flag).split("+")) <= _MEASURED for flag in sticks["flag"]]
+        events: pd.DataFrame = sticks[np.asarray(measured, dtype=bool)]
     else:
         events = sticks
     knees = "K2_N_per_mm" in events and len(events) > 0
     if knees and np.isfinite(events["K2_N_per_mm"].to_numpy(float)).mean() > 0.5:
-        # Sticks with a knee: the assembly's stiffness is what is left when all sheets have gripped.
+        # In sticks with a knee, the stiffness of the assembly is the slope after all sheets have gripped.
         events = events.assign(K_N_per_mm=events["K2_N_per_mm"])
         if "K2_err_N_per_mm" in events:
             events = events.assign(K_err_N_per_mm=events["K2_err_N_per_mm"])
@@ -248,22 +250,22 @@ def _usable(sticks: pd.DataFrame, sample: Sample, force: xr.Dataset) -> pd.DataF
     return events
 
 
-# --- which events -------------------------------------------------------------------------------------------
+# --- choice of events ---------------------------------------------------------------------------------------
 
 
-def _chosen(
-    events: pd.DataFrame, sample: Sample, held: Mapping[str, float], given: tuple[float, float] | None
+def _choose_events(
+    events: pd.DataFrame, sample: Sample, held: Mapping[str, float], fit_range: tuple[float, float] | None
 ) -> tuple[pd.DataFrame, dict[str, int]]:
-    """The events to fit, and how many are left out for what reason."""
-    if given is not None:
-        low, high = given
+    """The events to fit, and the numbers of those left out by reason."""
+    if fit_range is not None:
+        low, high = fit_range
         if not 0 <= low < high < np.inf:
             raise InputError("`fit_range_mm`", "two separations A < B in mm", f"{low:g} and {high:g}")
         inside = events["d_v_mm"].between(low, high)
         if inside.sum() < _LEAST_EVENTS:
-            seen = f"{inside.sum()} of {len(events)}, which lie between "
-            seen += f"{events['d_v_mm'].min():.4g} and {events['d_v_mm'].max():.4g} mm"
-            raise InputError("`fit_range_mm`", f"at least {_LEAST_EVENTS} events within", seen)
+            found = f"{inside.sum()} of {len(events)}, which lie between "
+            found += f"{events['d_v_mm'].min():.4g} and {events['d_v_mm'].max():.4g} mm"
+            raise InputError("`fit_range_mm`", f"at least {_LEAST_EVENTS} events within", found)
         return events[inside], {"outside": int((~inside).sum())}
     top = _maximum(events["F_p_N"].to_numpy(float))
     start = _first_that_fits(events, sample, held, top)
@@ -271,24 +273,24 @@ def _chosen(
 
 
 def _maximum(peaks: Floats) -> int:
-    """Where the peaks, smoothed over seven, are largest; 0 where scatter alone may have put it there."""
+    """Index of the largest peak, smoothed over seven; 0 if the rise to it is not beyond the scatter."""
     smooth = running_median(peaks, min(7, peaks.size), ends="symmetric")
     top = int(np.argmax(smooth))
     scatter = float(np.median(np.abs(np.diff(peaks)))) / (NORMAL_MEDIAN * np.sqrt(2))
-    risen = smooth[top] - np.median(peaks[: max(min(3, top), 1)])
-    return top if risen > 3 * scatter and peaks.size - top >= _LEAST_EVENTS else 0
+    rise = smooth[top] - np.median(peaks[: max(min(3, top), 1)])
+    return top if rise > 3 * scatter and peaks.size - top >= _LEAST_EVENTS else 0
 
 
 def _first_that_fits(events: pd.DataFrame, sample: Sample, held: Mapping[str, float], top: int) -> int:
-    """The first event from which on Eq. 1 follows the peaks, over the whole range and where it begins.
+    """Index of the first event from which Eq. 1 fits the peaks, at the beginning and over the whole range.
 
-    Later starts are tried up to half of the events, and where none fits they are tried less strictly: peaks
-    whose scatter is not quite independent must not leave all of a build-up in. Else it is the maximum of the
-    peaks.
+    Starts from the maximum of the peaks (`top`) to half of the later events are tried. If none fits, they are
+    tried less strictly, so that peaks with slightly correlated scatter do not leave in the whole build-up. If
+    still none fits, the result is `top`.
     """
     count = len(events) - top
     steps = np.r_[0.0, np.geomspace(0.01, 0.5, 12)] * count
-    begins: dict[int, float] = {}  # starts at which the first peaks follow, with the misfit over the usual
+    misfits: dict[int, float] = {}  # χ²/dof − 1 over its limit, by start; only where the first peaks fit
     for start in top + np.unique(steps.astype(np.int64)):
         part = events.iloc[int(start) :]
         if len(part) < _LEAST_EVENTS:
@@ -297,21 +299,23 @@ def _first_that_fits(events: pd.DataFrame, sample: Sample, held: Mapping[str, fl
         first = fit.residual[: max(5, len(part) // 20)]
         noise = np.sqrt(np.mean(np.diff(fit.residual) ** 2) / 2)
         if abs(float(first.mean())) < 2 * noise / np.sqrt(first.size):
-            begins[int(start)] = (fit.goodness.chi2_dof - 1) / (usual_chi2(len(part)) - 1)
-            if begins[int(start)] < 1:
+            misfits[int(start)] = (fit.goodness.chi2_dof - 1) / (largest_chi2(len(part)) - 1)
+            if misfits[int(start)] < 1:
                 break
-    for start in (next((s for s, misfit in begins.items() if misfit < limit), None) for limit in (1, 2)):
-        if start is not None:
-            over = _build_up_over(events, sample, held, start) if start else 0
-            return int(max(start, min(over, len(events) - max(2 * _LEAST_EVENTS, len(events) // 4))))
+    for limit in (1, 2):
+        fitting = [start for start, misfit in misfits.items() if misfit < limit]
+        if fitting:
+            end = _end_of_build_up(events, sample, held, fitting[0]) if fitting[0] else 0
+            latest = len(events) - max(2 * _LEAST_EVENTS, len(events) // 4)
+            return int(max(fitting[0], min(end, latest)))
     return top
 
 
-def _build_up_over(events: pd.DataFrame, sample: Sample, held: Mapping[str, float], start: int) -> int:
-    """First event from which what an exponential build-up still lacks hardly moves μ and 𝒯0.
+def _end_of_build_up(events: pd.DataFrame, sample: Sample, held: Mapping[str, float], start: int) -> int:
+    """First event from which the rest of a build-up changes μ and 𝒯0 by at most a tenth of their errors.
 
-    Noise hides the last part of a build-up, which bends the fit all the same: its beginning shows how long it
-    is, and the fit's own weights how much its rest moves each parameter. At most a tenth of their errors.
+    The build-up is modelled as exponential. Noise hides its last part, which still biases the fit. Its length
+    follows from its beginning, and its effect on each parameter from the linearised fit.
     """
     d, peak = events["d_p_mm"].to_numpy(float), events["F_p_N"].to_numpy(float)
     after = fit_peaks(events.iloc[start:], sample, False, held)
@@ -320,27 +324,29 @@ def _build_up_over(events: pd.DataFrame, sample: Sample, held: Mapping[str, floa
         return np.asarray(equations.traction(d, mu=max(mu, 1e-3), sample=sample) + t0)
 
     expected = steady(*after.value[:2])
-    # Where little force is built up yet, its share of scatter is none of the peaks' scatter.
+    # At the very beginning the scatter relative to the force differs from that of the later peaks.
     first = int(np.argmax(peak > 0.5 * expected))
     span = max(float(np.ptp(d)), 1e-9)
 
-    def lacks(q: Floats) -> Floats:
-        return np.asarray(np.exp(-np.exp(q[3]) - (d - d[first]) / np.exp(q[2])))  # a share of 1 or less
+    def missing_share(q: Floats) -> Floats:
+        """Share of the steady force that is not built up yet, at most 1, with length exp(q[2])."""
+        return np.asarray(np.exp(-np.exp(q[3]) - (d - d[first]) / np.exp(q[2])))
 
     def model(q: Floats) -> Floats:
-        return (steady(q[0], q[1]) * (1 - lacks(q)))[first:]
+        return (steady(q[0], q[1]) * (1 - missing_share(q)))[first:]
 
-    lacking = max(1 - float(peak[first] / expected[first]), 0.01)
-    long = max(float(d[start] - d[first]) / 4, span / 1000)
-    fit = fit_weighted(model, peak[first:], None, [*after.value[:2], np.log(long), np.log(-np.log(lacking))])
-    rest, force = lacks(fit.value), steady(*fit.value[:2])
+    missing = max(1 - float(peak[first] / expected[first]), 0.01)
+    length = max(float(d[start] - d[first]) / 4, span / 1000)
+    guess = [*after.value[:2], np.log(length), np.log(-np.log(missing))]
+    fit = fit_weighted(model, peak[first:], None, guess)
+    share, force = missing_share(fit.value), steady(*fit.value[:2])
     by_mu = (steady(fit.value[0] * 1.001, fit.value[1]) - force) / (0.001 * fit.value[0])
     by_t0 = np.ones_like(d)
     slopes = np.array([by_t0] if "mu" in held else [by_mu, by_t0]).T / force[:, np.newaxis]
     for begin in range(start, d.size):
         inverse = np.linalg.pinv(slopes[begin:])
         error = fit.goodness.scatter * np.sqrt(np.sum(inverse**2, axis=1))
-        if (np.abs(inverse @ rest[begin:]) <= 0.1 * error).all():
+        if (np.abs(inverse @ share[begin:]) <= 0.1 * error).all():
             return begin
     return start
 
@@ -349,7 +355,7 @@ def _build_up_over(events: pd.DataFrame, sample: Sample, held: Mapping[str, floa
 
 
 def _fit_all(events: pd.DataFrame, given: Sample, free_t_star: bool, held: Mapping[str, float]) -> ModelFits:
-    """The three fits one after the other, and what follows from them."""
+    """Run the three fits one after the other, and derive N̂ and the bending length."""
     peaks = fit_peaks(events, given, free_t_star, held)
     mu, t0 = peaks.estimate(0), peaks.estimate(1)
     t_star = Estimate(given.t_star_N, float("nan"))
@@ -383,9 +389,9 @@ def _fit_all(events: pd.DataFrame, given: Sample, free_t_star: bool, held: Mappi
 def _derived(
     stiffness: Fit, peaks: Fit, sample: Sample, free_t_star: bool, d_mm: float
 ) -> tuple[Estimate, Estimate, dict[str, float]]:
-    """(N̂, λ of the outermost sheet, all correlations), errors carried through to first order.
+    """N̂, λ of the outermost sheet, and all correlations, with errors propagated to first order.
 
-    N̂ = T*/2μ (exp(2 μ ε M²/Λ̂) − 1) depends on μ itself: that part of its error is much of it.
+    N̂ = T*/2μ (exp(2 μ ε M²/Λ̂) − 1) depends on μ, which contributes much of its error.
     """
     shared = [0, 2] if free_t_star else [0]
     parameters = np.r_[stiffness.value, np.abs(peaks.value[shared])]
@@ -393,7 +399,8 @@ def _derived(
     covariance[:2, :2] = stiffness.covariance
     covariance[2:, 2:] = peaks.covariance[np.ix_(shared, shared)]
 
-    def both(q: Floats) -> Floats:
+    def derived(q: Floats) -> Floats:
+        """N̂, λ and Y_eff from Λ̂, Y_eff, μ and, if it is fitted, T*."""
         t_star = float(q[3]) if free_t_star else sample.t_star_N
         alpha = 2 * q[2] * sample.thickness_mm * sample.sheets_per_block**2 / q[0]
         n_hat = t_star / (2 * q[2]) * float(np.expm1(alpha))
@@ -403,17 +410,18 @@ def _derived(
         )
         return np.array([n_hat, float(bending), q[1]])
 
-    moves = 1e-5 * np.diag(parameters)
-    slopes = np.column_stack(
-        [(both(parameters + move) - both(parameters - move)) / (2 * move.sum()) for move in moves]
+    steps = 1e-5 * np.diag(parameters)
+    jacobian = np.column_stack(
+        [(derived(parameters + step) - derived(parameters - step)) / (2 * step.sum()) for step in steps]
     )
-    spread = slopes @ covariance @ slopes.T
-    values, errors = both(parameters), np.sqrt(np.diag(spread))
-    together = float(spread[0, 2] / (errors[0] * errors[2])) if errors[0] * errors[2] > 0 else 0.0
-    found = {"mu,T0_N": peaks.correlation(0, 1), "Lambda_hat_mm,Y_eff_GPa": stiffness.correlation(0, 1)}
-    found |= {"mu,T_star_N": peaks.correlation(0, 2)} if free_t_star else {}
+    propagated = jacobian @ covariance @ jacobian.T
+    values, errors = derived(parameters), np.sqrt(np.diag(propagated))
+    product = errors[0] * errors[2]
+    correlation = {"mu,T0_N": peaks.correlation(0, 1), "Lambda_hat_mm,Y_eff_GPa": stiffness.correlation(0, 1)}
+    correlation |= {"mu,T_star_N": peaks.correlation(0, 2)} if free_t_star else {}
+    correlation["N_hat_N,Y_eff_GPa"] = float(propagated[0, 2] / product) if product > 0 else 0.0
     n_hat, bending = (Estimate(float(values[k]), float(errors[k])) for k in (0, 1))
-    return n_hat, bending, found | {"N_hat_N,Y_eff_GPa": together}
+    return n_hat, bending, correlation
 
 
 # --- systematic errors --------------------------------------------------------------------------------------
@@ -430,41 +438,41 @@ def _with_systematics(
     geometry: Mapping[str, float],
     lowpass: Mapping[str, float],
 ) -> ModelFits:
-    """The fits with a budget of systematic errors: everything fitted again with each source moved."""
+    """Add a budget of systematic errors, by repeating the fits with each source changed by its error."""
     d0_err = ForceMetadata.of(force).d0_err_mm
     drift = min(max(abs(fits.t0_N.value), fits.t0_N.error), _LARGEST_OFFSET_N)
     span = max(fits.d_mm[1] - fits.d_mm[0], 1e-9)
 
-    def again(moved: pd.DataFrame, sample: Sample = fits.sample) -> dict[str, float]:
+    def refit(changed: pd.DataFrame, sample: Sample = fits.sample) -> dict[str, float]:
         try:
-            found = _fit_all(moved, sample, free_t_star, held)
+            found = _fit_all(changed, sample, free_t_star, held)
         except FAILURES:
             return dict.fromkeys(PARAMETERS, float("nan"))
         return {name: one.value for name, one in found.named().items()}
 
-    def half(plus: Mapping[str, float], minus: Mapping[str, float]) -> dict[str, float | None]:
+    def half_difference(plus: Mapping[str, float], minus: Mapping[str, float]) -> dict[str, float | None]:
         return {name: abs(plus[name] - minus[name]) / 2 for name in PARAMETERS}
 
     def shifted(by: float) -> pd.DataFrame:
         return events.assign(d_v_mm=events["d_v_mm"] + by, d_p_mm=events["d_p_mm"] + by)
 
     def drifted(by: float) -> pd.DataFrame:
-        # Growing from nothing at the first event to `by` at the last.
+        # The drift grows linearly from 0 at the first event to `by` at the last.
         ramp = by * (events["d_p_mm"] - events["d_p_mm"].min()) / span
         return events.assign(F_p_N=events["F_p_N"] + ramp, K_N_per_mm=events["K_N_per_mm"] + by / span)
 
+    unaffected: dict[str, float | None] = {"K_N_per_mm": 0.0, "ratio": 0.0}
     unknown: dict[str, float | None] = dict.fromkeys((*PARAMETERS, "K_N_per_mm", "ratio"))
     budget = {"d0": unknown}
     if np.isfinite(d0_err):
-        moved = half(again(shifted(d0_err)), again(shifted(-d0_err)))
-        budget["d0"] = moved | {"K_N_per_mm": 0.0, "ratio": 0.0}
-    moved = half(again(drifted(drift)), again(drifted(-drift)))
-    budget["load_drift"] = moved | {"T0_N": drift, "K_N_per_mm": drift / span, "ratio": 0.0}
-    budget |= _unresolved(fits, force, events, lowpass)
+        budget["d0"] = half_difference(refit(shifted(d0_err)), refit(shifted(-d0_err))) | unaffected
+    by_drift = half_difference(refit(drifted(drift)), refit(drifted(-drift)))
+    budget["load_drift"] = by_drift | {"T0_N": drift, "K_N_per_mm": drift / span, "ratio": 0.0}
+    budget |= _unresolved_valleys(fits, force, events, lowpass)
     for name, error in geometry.items():
         value = getattr(fits.sample, name)
         larger, smaller = (replace(fits.sample, **{name: value + by}) for by in (error, -error))
-        budget[name] = half(again(events, larger), again(events, smaller)) | {"K_N_per_mm": 0.0, "ratio": 0.0}
+        budget[name] = half_difference(refit(events, larger), refit(events, smaller)) | unaffected
 
     def systematic(name: str, estimate: Estimate) -> Estimate:
         parts = [part for source in budget.values() if (part := source[name]) is not None]
@@ -474,29 +482,29 @@ def _with_systematics(
     return replace(fits, budget=budget, **changed)  # type: ignore[arg-type]
 
 
-def _unresolved(
+def _unresolved_valleys(
     fits: ModelFits, force: xr.Dataset, events: pd.DataFrame, lowpass: Mapping[str, float]
 ) -> dict[str, dict[str, float | None]]:
-    """What the load cell's low-pass and the time between samples hide, as a share of all drops and slopes."""
+    """Part of the budget from valleys that the low-pass and the sampling make too shallow."""
     none: dict[str, float | None] = dict.fromkeys((*PARAMETERS, "K_N_per_mm", "ratio"), 0.0)
-    unseen = _unseen_valleys(force, events)
+    by_sampling = _drop_lost_by_sampling(force, events)
     if not any(lowpass.values()):
-        return {"sampling": none | {"A": abs(fits.amplitude.value * unseen)}} if unseen else {}
-    # Both hide the same valleys from the same side: they add up.
-    moved = none | {
-        "A": abs(fits.amplitude.value) * (abs(lowpass["lowpass_dF_share"]) + abs(unseen)),
+        return {"sampling": none | {"A": abs(fits.amplitude.value * by_sampling)}} if by_sampling else {}
+    # Both make the valleys too shallow, so the errors add linearly.
+    by_lowpass = none | {
+        "A": abs(fits.amplitude.value) * (abs(lowpass["lowpass_dF_share"]) + abs(by_sampling)),
         "Y_eff_GPa": abs(fits.modulus_GPa.value * lowpass["lowpass_K_share"]),
         "K_N_per_mm": abs(float(events["K_N_per_mm"].median()) * lowpass["lowpass_K_share"]),
     }
-    return {"low_pass": moved}
+    return {"low_pass": by_lowpass}
 
 
-def _unseen_valleys(force: xr.Dataset, events: pd.DataFrame) -> float:
-    """Share of ΔF by which the force rises while a slip lasts, median; 0 where sticks are straight.
+def _drop_lost_by_sampling(force: xr.Dataset, events: pd.DataFrame) -> float:
+    """Median share of ΔF by which the force rises again during a slip; 0 if sticks are straight.
 
-    Else the force rises fastest right after a slip, by as much from sample to sample as from the lowest to
-    the next. What it gains until the recorded valley, one sample at least, and while a load cell that is late
-    still falls, no line through later ones gives back.
+    In sticks with a knee, or that begin steeply, the force rises fastest right after a slip, as from the
+    lowest sample to the next. The rise before the recorded valley is lost: it lasts as long as the slip and
+    the delay of the load cell, at least one sample, and cannot be recovered by a line through later samples.
     """
     if not events.attrs.get("two_slopes") and not events.attrs.get("bend_share", 0.0) < 0:
         return 0.0
@@ -504,18 +512,19 @@ def _unseen_valleys(force: xr.Dataset, events: pd.DataFrame) -> float:
     near = np.searchsorted(time, events["t_v_s"].to_numpy(float))[:, np.newaxis] + np.arange(-3, 4)
     near = np.clip(near, 0, load.size - 2)
     lowest = np.take_along_axis(near, np.argmin(load[near], axis=1)[:, np.newaxis], axis=1)[:, 0]
-    late = np.nan_to_num(events.attrs.get("lowpass_proposed_s", 0.0))
-    lasts = np.maximum((events["slip_time_s"].to_numpy(float) + late) / (time[lowest + 1] - time[lowest]), 1)
-    rise = (load[lowest + 1] - load[lowest]) * lasts
+    delay_s = np.nan_to_num(events.attrs.get("lowpass_proposed_s", 0.0))
+    slip_s = events["slip_time_s"].to_numpy(float) + delay_s
+    samples = np.maximum(slip_s / (time[lowest + 1] - time[lowest]), 1)
+    rise = (load[lowest + 1] - load[lowest]) * samples
     share = float(np.nanmedian(rise / events["dF_N"].to_numpy(float)))
     return share if np.isfinite(share) else 0.0
 
 
-# --- what is said -------------------------------------------------------------------------------------------
+# --- notes and warnings -------------------------------------------------------------------------------------
 
 
 def _notes(peaks: Fit, stiffness: Fit, span: tuple[float, float], free_t_star: bool) -> tuple[str, ...]:
-    """What limits the result."""
+    """Notes on degenerate parameters and on the range of d."""
     notes = []
     if free_t_star:
         notes.append(
@@ -531,26 +540,26 @@ def _notes(peaks: Fit, stiffness: Fit, span: tuple[float, float], free_t_star: b
 def _remarks(
     fits: ModelFits, force: xr.Dataset, left_out: Mapping[str, int], given_range: bool
 ) -> tuple[list[str], tuple[str, ...]]:
-    """(notes, warnings) on the range used, the misfit, the offset, the speed and systematic errors."""
+    """Notes and warnings on the range used, the misfit, the offset, the speed and systematic errors."""
     notes: list[str] = []
     warnings: list[str] = []
     used = fits.goodness["peaks"].points
     build_up, misfit = left_out.get("build_up", 0), left_out.get("misfit", 0)
     if build_up or misfit:
         notes.append(
-            f"{build_up} events of the build-up and {misfit} after it that Eq. 1 does not fit are left out: "
+            f"{build_up} events of the build-up and {misfit} after it that Eq. 1 does not fit are left out; "
             f"{used} events from d = {fits.d_mm[0]:.2f} to {fits.d_mm[1]:.2f} mm used (`fit_range_mm`)"
         )
     elif given_range:
-        notes.append(f"{used} events within the range given used, {left_out.get('outside', 0)} left out")
+        notes.append(f"{used} events within the given range used, {left_out.get('outside', 0)} left out")
     for name, good in fits.goodness.items():
-        if good.chi2_dof > usual_chi2(good.points):
+        if good.chi2_dof > largest_chi2(good.points):
             line = f"the model does not follow the {name} (χ²/dof {good.chi2_dof:.3g}): "
             line += f"errors widened {np.sqrt(good.chi2_dof):.2g} times"
             (warnings if good.chi2_dof > _CONTRADICTS else notes).append(line)
     if abs(fits.t0_N.value) > _LARGEST_OFFSET_N:
         warnings.append(
-            f"𝒯0 = {fits.t0_N.value:.3g} N lies beyond the ±{_LARGEST_OFFSET_N:g} N of a load cell's zero: "
+            f"𝒯0 = {fits.t0_N.value:.3g} N exceeds ±{_LARGEST_OFFSET_N:g} N, the largest error of a zero: "
             "check `d0_mm`, the sample's geometry, the zero and the units"
         )
     elif abs(fits.t0_N.value) > _CLEAR_OFFSET * fits.t0_N.error > 0:
@@ -566,5 +575,5 @@ def _remarks(
             f"A, N_hat and Y_eff belong to models for V ≤ 1 mm/min; here V = {facts.speed_mm_min:.3g} mm/min"
         )
     if not np.isfinite(facts.d0_err_mm):
-        notes.append("systematic errors are without that of d0, which is not known (give `d0_err_mm`)")
+        notes.append("systematic errors do not include that of d0, which is not known (give `d0_err_mm`)")
     return notes, tuple(warnings)

@@ -27,48 +27,49 @@ RIM_CAVEAT = (
     "μ_s takes the whole disc to be at its threshold; where slip starts at the rim (shear ∝ r), the torque "
     "is μ_s N R / 2 and the value is 0.75 times the true μ_s"
 )
-"""What the static coefficient assumes, to be shown wherever it is."""
+"""Assumption of the static coefficient, to be shown beside it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionSettings:
-    """How μ_s and μ_d are taken from one curve μ(φ)."""
+    """Tunable constants of the measurement of μ_s and μ_d from a curve μ(φ)."""
 
     dynamic_deg: tuple[float, float] = (0.3, 120.0)
-    """Travelled angle over which μ_d is the mean: the publication's. A smaller start takes in the static peak
-    (`test_a_mean_from_zero_takes_in_the_peak`)."""
+    """Range of the travelled angle over which μ_d is the mean; the publication's. A smaller start includes
+    the static peak (`test_a_mean_from_zero_takes_in_the_peak`)."""
     peak_before_deg: float = 5.0
-    """Where the static peak is looked for. Larger takes a later, slower maximum for the static one; smaller
-    misses the peak of a soft mounting, which winds up first
+    """Angle up to which the static peak is searched. Larger mistakes a later, slower maximum for the static
+    one; smaller misses the peak of a soft mounting, which is twisted first
     (`test_a_later_maximum_is_not_the_static_one`)."""
     peak_drop: float = 0.02
-    """Least fall after the peak, as a share of it. Larger misses flat peaks, smaller takes a bump of the
-    rising flank for the peak."""
+    """Least decrease after the peak, as a fraction of it. Larger misses flat peaks, smaller mistakes a bump
+    on the rising flank for the peak."""
     peak_noise: float = 8.0
-    """Least fall after the peak, in standard deviations of the noise."""
+    """Least decrease after the peak, in standard deviations of the noise. Larger misses peaks in noise;
+    smaller mistakes noise for the peak."""
     normal_window_s: float = 1.0
-    """Running mean of the measured normal force. Longer averages more noise, shorter follows a controller
-    that overshoots (`test_a_drifting_normal_force_is_followed`)."""
+    """Window of the running mean of the measured normal force. Longer averages more noise, shorter follows a
+    controller that overshoots (`test_a_drifting_normal_force_is_followed`)."""
     blocks: int = 12
-    """Stretches whose means tell the error of μ_d: more of them are shorter than the fluctuations of μ and
-    make the error too small."""
+    """Number of blocks whose means give the error of μ_d. With more, blocks are shorter than the fluctuations
+    of μ and the error is too small."""
 
 
 def disc_friction(
     torque_N_m: ArrayLike, *, normal_force_N: ArrayLike, radius_mm: float = RADIUS_MM
 ) -> Floats:
-    r"""Friction coefficient of two discs from their torque, the whole area sliding under uniform pressure.
+    r"""Friction coefficient of two discs from their torque, if the whole area slides at uniform pressure.
 
     Parameters
     ----------
     torque_N_m, normal_force_N
         Torque and normal force; they broadcast.
     radius_mm
-        R, of the discs.
+        Radius R of the discs.
 
     Returns
     -------
-    Without unit; NaN where the normal force is not positive.
+    Friction coefficient; NaN where the normal force is not positive.
 
     Notes
     -----
@@ -85,13 +86,13 @@ def disc_friction(
 def rim_slip_torque_N_m(
     mu_s: ArrayLike, *, normal_force_N: ArrayLike, radius_mm: float = RADIUS_MM
 ) -> Floats:
-    r"""Torque at which the rim begins to slip where the shear stress grows as the radius.
+    r"""Torque at which the rim begins to slip if the shear stress is proportional to the radius.
 
     Notes
     -----
     .. math:: \tau = \int_0^R \mu_s \frac{N}{\pi R^2}\frac{r}{R}\, 2\pi r^2\, dr = \tfrac12 \mu_s N R,
 
-    which `disc_friction` reads as 0.75 μ_s.
+    from which `disc_friction` gives 0.75 μ_s.
     """
     return np.asarray(0.5 * np.asarray(mu_s, float) * np.asarray(normal_force_N, float) * radius_mm / 1000)
 
@@ -104,13 +105,13 @@ class DiscFriction:
     measurement: str
     N_N: float  # mean normal force over the range of μ_d
     N_err_N: float  # 0 where N was given
-    mu_s: float  # the first maximum; NaN where the curve has none
+    mu_s: float  # first maximum; NaN if the curve has none
     mu_s_err: float
-    mu_d: float  # the mean over the range of angles; NaN where the rotation does not reach it
+    mu_d: float  # mean over the range of angles
     mu_d_err: float
     peak_deg: float  # travelled angle of the maximum
-    samples_before_dynamic: int  # from the start to the range of μ_d, in which the peak must be resolved
-    warnings: tuple[str, ...] = ()  # what may spoil these numbers
+    samples_before_dynamic: int  # from the start to the range of μ_d, where the peak must be resolved
+    warnings: tuple[str, ...] = ()  # possible errors of these numbers
 
 
 def friction_curve(
@@ -120,29 +121,29 @@ def friction_curve(
     normal_force_N: float | None = None,
     settings: FrictionSettings = FrictionSettings(),
 ) -> pd.DataFrame:
-    """μ against the travelled angle.
+    """Friction coefficient as a function of the travelled angle.
 
     Parameters
     ----------
     rotation
-        One measurement of `read_rheometer`.
+        One measurement from `read_rheometer`.
     radius_mm
-        R, of the discs.
+        Radius R of the discs.
     normal_force_N
-        N where it was not recorded, or to be used in place of the record.
+        N, if it was not recorded or is to replace the recorded one.
     settings
-        `FrictionSettings`.
+        See `FrictionSettings`.
 
     Returns
     -------
     pandas.DataFrame
-        ``angle_deg``, ``mu``, ``N_N`` (given, or the running mean of the record) and ``N_err_N`` (its
-        standard error), one row per sample.
+        Columns ``angle_deg``, ``mu``, ``N_N`` (given, or the running mean of the recorded one) and
+        ``N_err_N`` (its standard error), one row per sample.
 
     Raises
     ------
     InputError
-        Without a normal force, or with one that is not a compression all along.
+        If there is no normal force, or it is not compressive throughout.
     """
     ROTATION.check(rotation)
     about = f"{RotationMetadata.of(rotation).source}: {RotationMetadata.of(rotation).measurement}"
@@ -173,7 +174,7 @@ def friction_curve(
 
 
 def _running_load(rotation: pd.DataFrame, window_s: float) -> tuple[Floats, Floats]:
-    """Running mean of the normal force and its standard error; compression counts positive."""
+    """Running mean of the normal force and its standard error; compression is positive."""
     time = rotation["time_s"].to_numpy(float)
     record_N = rotation["normal_force_N"].to_numpy(float)
     known = np.isfinite(record_N)
@@ -192,7 +193,7 @@ def _running_load(rotation: pd.DataFrame, window_s: float) -> tuple[Floats, Floa
 
 
 def _noise(values: Floats) -> float:
-    """Standard deviation of white noise from second differences, which smooth curves do not enter."""
+    """Standard deviation of white noise, from second differences, in which smooth curves cancel."""
     return float(mad_sigma(np.diff(values, 2)) / math.sqrt(6)) if values.size > 4 else 0.0
 
 
@@ -203,7 +204,7 @@ def friction_of_disc(
     normal_force_N: float | None = None,
     settings: FrictionSettings = FrictionSettings(),
 ) -> DiscFriction:
-    """μ_s and μ_d of one measurement, each with its standard error.
+    """Measure μ_s and μ_d of one measurement, with standard errors.
 
     Parameters
     ----------
@@ -213,20 +214,20 @@ def friction_of_disc(
     Returns
     -------
     DiscFriction
-        μ_s is the first maximum of μ(φ): the height of a parabola through the samples around it as far as one
-        fits them within their noise, or the highest sample of a sharp peak, whose error then has half the
-        step to its neighbour. μ_d is the mean over the angle (not over the samples, which may be unevenly
-        spaced) from 0.3° to 120°, its error from the scatter of the means of stretches. Errors contain that
-        of a measured N; sheets differ from each other by more.
+        μ_s is the first maximum of μ(φ): the height of a parabola through the surrounding samples, if one
+        fits them within the noise, else the highest sample of a sharp peak, whose error then includes half
+        the step to the neighbouring sample. μ_d is the mean over the angle (not over the samples, which may
+        be unevenly spaced) from 0.3° to 120°; its error follows from the scatter of block means. The errors
+        include that of a measured N. Sheets differ from each other by more than these errors.
 
     Raises
     ------
     InputError
-        Without a normal force, or where the rotation ends before the range of μ_d.
+        If there is no normal force, or the rotation ends before the range of μ_d.
 
     Notes
     -----
-    Where slip starts at the rim, the static value is 0.75 of the true one: `RIM_CAVEAT`.
+    If slip starts at the rim, the static value is 0.75 times the true one: `RIM_CAVEAT`.
     Source: appendix "Single sheets characterization".
     """
     facts = RotationMetadata.of(rotation)
@@ -243,12 +244,12 @@ def friction_of_disc(
     mean_load = float(curve["N_N"].to_numpy()[inside].mean())
     load_err = _noise(rotation["normal_force_N"].to_numpy(float)[inside]) if normal_force_N is None else 0.0
     load_err /= math.sqrt(float(inside.sum()))
-    mu_d, scatter = _dynamic(angle[inside], mu[inside], settings)
+    mu_d, scatter = _mean_over_angle(angle[inside], mu[inside], settings)
     noise = _noise(mu[inside])
     peak = _first_maximum(angle, mu, noise, mu_d, settings)
     mu_s, mu_s_err, peak_deg = (math.nan,) * 3
     if peak is not None:
-        mu_s, fit_err = _height(mu, peak, noise)
+        mu_s, fit_err = _peak_height(mu, peak, noise)
         share = float(curve["N_err_N"].iloc[peak] / curve["N_N"].iloc[peak])
         mu_s_err, peak_deg = math.hypot(fit_err, mu_s * share), float(angle[peak])
     samples = int(np.argmax(angle >= low))
@@ -263,11 +264,12 @@ def friction_of_disc(
         mu_d_err=math.hypot(scatter, mu_d * load_err / mean_load),
         peak_deg=peak_deg,
         samples_before_dynamic=samples,
-        warnings=(*facts.warnings, *_doubts(angle, peak_deg, samples, settings)),
+        warnings=(*facts.warnings, *_warnings(angle, peak_deg, samples, settings)),
     )
 
 
-def _doubts(angle: Floats, peak_deg: float, samples: int, settings: FrictionSettings) -> list[str]:
+def _warnings(angle: Floats, peak_deg: float, samples: int, settings: FrictionSettings) -> list[str]:
+    """Warnings of a short rotation, a missing or late maximum, and an unresolved peak."""
     low, high = settings.dynamic_deg
     found = []
     if angle.max() < 0.98 * high:
@@ -276,15 +278,15 @@ def _doubts(angle: Floats, peak_deg: float, samples: int, settings: FrictionSett
         found.append(f"no maximum before {settings.peak_before_deg:g}°: no μ_s")
     elif peak_deg > low:
         found.append(f"the first maximum lies at {peak_deg:.2g}°, within the range of μ_d")
-    if samples < 5:  # on the way to the peak and down from it
+    if samples < 5:  # they must show the rise to the peak and the fall after it
         found.append(
             f"{samples} samples before {low:g}°: the static peak is not resolved and μ_s may be too small"
         )
     return found
 
 
-def _dynamic(angle: Floats, mu: Floats, settings: FrictionSettings) -> tuple[float, float]:
-    """Mean over the angle and its standard error from the means of stretches of equal length."""
+def _mean_over_angle(angle: Floats, mu: Floats, settings: FrictionSettings) -> tuple[float, float]:
+    """Mean of μ over the angle, and its standard error from the means of blocks of equal length."""
     edges = np.linspace(angle[0], angle[-1], settings.blocks + 1)
     order = np.argsort(angle, kind="stable")
     phi, height = angle[order], mu[order]
@@ -296,35 +298,35 @@ def _dynamic(angle: Floats, mu: Floats, settings: FrictionSettings) -> tuple[flo
 def _first_maximum(
     angle: Floats, mu: Floats, noise: float, mu_d: float, settings: FrictionSettings
 ) -> int | None:
-    """The sample of the first maximum from which μ clearly falls; None where there is none in reach."""
-    near = int(np.searchsorted(np.maximum.accumulate(angle), settings.peak_before_deg, side="right"))
-    early = mu[:near]
+    """Index of the first maximum after which μ decreases significantly; None without one in the range."""
+    count = int(np.searchsorted(np.maximum.accumulate(angle), settings.peak_before_deg, side="right"))
+    early = mu[:count]
     if not early.size:
         return None
     highest = np.maximum.accumulate(early)
-    fall = np.maximum(settings.peak_noise * noise, settings.peak_drop * highest)
-    fallen = (highest - early > fall) & (highest > 0.5 * mu_d)
-    return int(np.argmax(early[: int(np.argmax(fallen)) + 1])) if fallen.any() else None
+    least = np.maximum(settings.peak_noise * noise, settings.peak_drop * highest)
+    decreased = (highest - early > least) & (highest > 0.5 * mu_d)
+    return int(np.argmax(early[: int(np.argmax(decreased)) + 1])) if decreased.any() else None
 
 
-def _height(mu: Floats, peak: int, noise: float) -> tuple[float, float]:
+def _peak_height(mu: Floats, peak: int, noise: float) -> tuple[float, float]:
     """Height of the peak and its error.
 
-    The widest parabola that fits within the noise, of 41 samples at most, averages most of it; 0.6 of it is
-    taken, for a bias that the noise just hides goes with the cube of the width. A sharp peak that even the
-    narrowest does not fit is known to half a step between samples.
+    The widest parabola of at most 41 samples that fits within the noise averages most. Only 0.6 of its width
+    is used, because a bias just hidden by the noise increases with the cube of the width. If even the
+    narrowest parabola does not fit, the peak is sharp and the error is half a step between samples.
     """
     reach = min(peak, mu.size - 1 - peak, 20)
-    fits = [half for half in range(2, reach + 1) if _parabola(mu, peak, half, noise)[2]]
-    if noise > 0 and fits:
-        height, error, _ = _parabola(mu, peak, max(2, round(0.6 * max(fits))), noise)
+    fitting = [half for half in range(2, reach + 1) if _parabola(mu, peak, half, noise)[2]]
+    if noise > 0 and fitting:
+        height, error, _ = _parabola(mu, peak, max(2, round(0.6 * max(fitting))), noise)
         return height, error
-    beside = np.abs(np.diff(mu[max(peak - 1, 0) : peak + 2]))
-    return float(mu[peak]), math.hypot(noise, 0.5 * float(beside.min()) if beside.size else 0.0)
+    steps = np.abs(np.diff(mu[max(peak - 1, 0) : peak + 2]))
+    return float(mu[peak]), math.hypot(noise, 0.5 * float(steps.min()) if steps.size else 0.0)
 
 
 def _parabola(mu: Floats, peak: int, half: int, noise: float) -> tuple[float, float, bool]:
-    """(height, error, whether it fits within the noise) of the parabola through 2 half + 1 samples."""
+    """Height and error of the parabola through 2 half + 1 samples, and whether it fits within the noise."""
     values = mu[peak - half : peak + half + 1]
     u = np.arange(-half, half + 1) / half
     design = np.stack([np.ones_like(u), u, u * u], axis=1)
@@ -339,8 +341,8 @@ def _parabola(mu: Floats, peak: int, half: int, noise: float) -> tuple[float, fl
 
 
 def friction_table(measured: Iterable[DiscFriction]) -> pd.DataFrame:
-    """One row per measurement: file, measurement, N_N, mu_s, mu_s_err, mu_d, mu_d_err, N_err_N, peak_deg,
-    warnings."""
+    """Table with one row per measurement: file, measurement, N_N, mu_s, mu_s_err, mu_d, mu_d_err, N_err_N,
+    peak_deg, warnings."""
     names = ("measurement", "N_N", "mu_s", "mu_s_err", "mu_d", "mu_d_err", "N_err_N", "peak_deg")
     rows = [
         {"file": Path(one.source).name}
@@ -367,12 +369,12 @@ class StaticFriction:
     b_N: float = 0.143  # load at which adhesion doubles it
     a_err: float = math.nan
     b_err_N: float = math.nan
-    correlation: float = math.nan  # of the two
+    correlation: float = math.nan  # of a and b
     chi2_dof: float = math.nan  # NaN with two points; above 1 the errors are scaled by its square root
-    points: int = 0  # measurements fitted
+    points: int = 0  # number of measurements fitted
 
     def mu_s(self, N_N: ArrayLike) -> Floats:
-        """Static coefficient under a load; infinite at zero load, where the force itself is a b."""
+        """Static coefficient under a load; infinite at zero load, where the friction force is a b."""
         with np.errstate(divide="ignore"):
             return np.asarray(self.a * (1 + self.b_N / np.asarray(N_N, float)))
 
@@ -381,7 +383,7 @@ class StaticFriction:
         return np.asarray(self.a * (np.asarray(N_N, float) + self.b_N))
 
     def crossing_N(self, mu: float) -> float:
-        """Load at which the threshold equals that of a constant coefficient; infinite for mu <= a."""
+        """Load at which the threshold equals that of a constant coefficient mu; infinite for mu <= a."""
         return self.a * self.b_N / (mu - self.a) if mu > self.a else math.inf
 
 
@@ -395,10 +397,10 @@ def fit_static_friction(N_N: ArrayLike, mu_s: ArrayLike, mu_s_err: ArrayLike | N
     Parameters
     ----------
     N_N, mu_s
-        Loads and static coefficients, one each per measurement; pairs with NaN are left out.
+        Loads and static coefficients of the measurements; pairs with NaN are left out.
     mu_s_err
-        Standard errors. None, or errors that are not all positive: every point weighs the same and the errors
-        come from the scatter.
+        Standard errors. If None, or not all positive, all points have equal weights and the errors follow
+        from the scatter.
 
     Returns
     -------
@@ -407,7 +409,7 @@ def fit_static_friction(N_N: ArrayLike, mu_s: ArrayLike, mu_s_err: ArrayLike | N
     Raises
     ------
     InputError
-        With fewer than two loads that differ, loads that are not positive, or points that give a ≤ 0.
+        If there are fewer than two different loads, a load is not positive, or the result is a ≤ 0.
 
     Notes
     -----
@@ -415,15 +417,15 @@ def fit_static_friction(N_N: ArrayLike, mu_s: ArrayLike, mu_s_err: ArrayLike | N
 
     .. math:: \sigma_b^2 = \left(\sigma_c^2 + b^2\sigma_a^2 - 2b\,\sigma_{ac}\right)/a^2 .
 
-    The errors of single measurements know nothing of how sheets differ: where χ²/dof is above 1, all errors
-    are scaled by its square root.
+    The errors of single measurements do not include the differences between sheets. Therefore all errors are
+    scaled by the square root of χ²/dof if that is above 1.
     """
     load, mu = np.asarray(N_N, float), np.asarray(mu_s, float)
     error = np.full(mu.shape, np.nan) if mu_s_err is None else np.asarray(mu_s_err, float)
     if load.shape != mu.shape or error.shape != mu.shape or load.ndim != 1:
         raise InputError("`N_N`, `mu_s`, `mu_s_err`", "columns of one length", f"{load.shape}, {mu.shape}")
-    kept = np.isfinite(load) & np.isfinite(mu)
-    load, mu, error = load[kept], mu[kept], error[kept]
+    known = np.isfinite(load) & np.isfinite(mu)
+    load, mu, error = load[known], mu[known], error[known]
     if (load <= 0).any():
         raise InputError("`N_N`", "positive loads", f"{load.min():.3g} N")
     if load.size < 2 or float(np.ptp(load)) < 0.01 * float(load.max()):
@@ -445,15 +447,15 @@ def fit_static_friction(N_N: ArrayLike, mu_s: ArrayLike, mu_s_err: ArrayLike | N
     elif free and chi2_dof > 1:
         covariance = covariance * chi2_dof
     b = c / a
-    turn = np.array([[1.0, 0.0], [-b / a, 1 / a]])
-    of_ab = turn @ covariance @ turn.T
-    a_err, b_err = (float(value) for value in np.sqrt(np.diag(of_ab)))
+    jacobian = np.array([[1.0, 0.0], [-b / a, 1 / a]])  # of (a, b) by (a, c)
+    covariance = jacobian @ covariance @ jacobian.T
+    a_err, b_err = (float(value) for value in np.sqrt(np.diag(covariance)))
     return StaticFriction(
         a=a,
         b_N=b,
         a_err=a_err,
         b_err_N=b_err,
-        correlation=float(of_ab[0, 1] / (a_err * b_err)) if a_err * b_err > 0 else math.nan,
+        correlation=float(covariance[0, 1] / (a_err * b_err)) if a_err * b_err > 0 else math.nan,
         chi2_dof=chi2_dof,
         points=int(load.size),
     )
@@ -462,22 +464,22 @@ def fit_static_friction(N_N: ArrayLike, mu_s: ArrayLike, mu_s_err: ArrayLike | N
 def threshold_curves(
     N_N: ArrayLike | None = None, *, mu: float = 0.89, law: StaticFriction = PUBLISHED_FRICTION
 ) -> pd.DataFrame:
-    """Static friction force of a constant coefficient and of the law, over the loads inside the blocks.
+    """Static friction force of a constant coefficient and of the law, over the loads in the blocks.
 
     Parameters
     ----------
     N_N
-        Loads; by default 200 of them from 0.0034 N (T*/μ) to 6.4 N (the axis at d = 13.5 mm), the
-        publication's range.
+        Loads; by default 200 from 0.0034 N (T*/μ) to 6.4 N (on the axis at d = 13.5 mm), the publication's
+        range.
     mu
         The constant coefficient.
     law
-        Of `fit_static_friction`.
+        Result of `fit_static_friction`.
 
     Returns
     -------
     pandas.DataFrame
-        ``N_N``, ``constant_N`` = μN and ``law_N`` = a(N + b). They cross at ``law.crossing_N(mu)``.
+        Columns ``N_N``, ``constant_N`` = μN and ``law_N`` = a(N + b). They cross at ``law.crossing_N(mu)``.
     """
     load = np.geomspace(0.0034, 6.4, 200) if N_N is None else np.asarray(N_N, float)
     return pd.DataFrame({"N_N": load, "constant_N": mu * load, "law_N": law.threshold_N(load)})

@@ -1,6 +1,6 @@
 r"""Young's modulus of one sheet from push–pull cycles between two clamps.
 
-The distance Δ of the clamps goes back and forth; where the sheet is taut, the traction follows F = kΔ + F0.
+The distance Δ of the clamps increases and decreases; while the sheet is taut, the force is F = kΔ + F0.
 Source: Plati, Restagno & Poulard, appendix "Single sheets characterization".
 """
 
@@ -28,19 +28,20 @@ STRIP = Sample(length_mm=16.8)
 
 @dataclass(frozen=True, kw_only=True)
 class ModulusSettings:
-    """How cycles are cut and which part of a loading branch is fitted."""
+    """Tunable constants of the cycles and of the fit to a loading branch."""
 
     part: tuple[float, float] = (0.4, 0.9)
-    """Part of the rise of the force on a loading branch that is fitted. A lower start takes in the slack of a
+    """Part of the rise of the force on a loading branch that is fitted. A lower start includes the slack of a
     sheet that was pushed (`test_a_fit_from_the_slack_on_is_wrong`); a narrow part has larger errors."""
     smoothing: float = 0.02
-    """Running mean of Δ and F before turning points and levels are looked for, as a share of a branch. Larger
-    blunts the turning points, smaller lets noise make some."""
+    """Window of the running mean of Δ and F for finding turning points and levels, as a fraction of a branch.
+    Larger rounds the turning points, smaller finds false ones in noise."""
     least_reversal: float = 0.2
-    """Least way back, as a share of the whole range of Δ, that is a turning point. Larger misses cycles of
-    growing amplitude, smaller takes a slip of the clamp for a cycle."""
+    """Least movement back, as a fraction of the range of Δ, after a turning point. Larger misses cycles of
+    growing amplitude, smaller mistakes a slip of the clamp for a cycle."""
     least_samples: int = 12
-    """Samples on the fitted part of a branch, below which it is left out."""
+    """Fewest samples on the fitted part of a branch. Larger leaves out more branches; smaller fits lines to
+    too few points for an error from their scatter."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,11 +55,11 @@ class CyclesMetadata(Metadata):
     sheet
         ε, W and L of the sheet in mm.
     clamp_distance_from
-        "given", "column" (the recording holds Δ itself) or "length" (Δ = L + crosshead).
+        "given", "column" (the recording contains Δ) or "length" (Δ = L + crosshead).
     machine_stiffness_N_per_mm
-        By which Δ was corrected; NaN for no correction.
+        Stiffness for which Δ was corrected; NaN without correction.
     notes, warnings
-        What was assumed, and what may spoil the numbers.
+        Assumptions, and possible errors of the numbers.
     """
 
     source: str = "the recording"
@@ -86,9 +87,9 @@ CYCLES = Schema(
         "delta0_mm": Variable(_CYCLE, "mm", "Δ0 = −F0/k"),
         "delta0_err_mm": Variable(_CYCLE, "mm", "standard error of Δ0"),
         "loop_mJ": Variable(_CYCLE, "mJ", "energy lost in the cycle"),
-        "residual_mm": Variable(_CYCLE, "mm", "Δ at F = 0, unloading less loading"),
+        "residual_mm": Variable(_CYCLE, "mm", "Δ at F = 0, unloading minus loading"),
         "K_tangent_N_per_mm": Variable(_CYCLE, "N/mm", "slope after the turn from loading to unloading"),
-        "drift_N": Variable(_CYCLE, "N", "largest force less that of the cycle before"),
+        "drift_N": Variable(_CYCLE, "N", "largest force minus that of the cycle before"),
         "t_start_s": Variable(_CYCLE, "s", "start of the loading branch"),
         "t_end_s": Variable(_CYCLE, "s", "end of the loading branch"),
         "fit_from_mm": Variable(_CYCLE, "mm", "Δ where the fitted part starts"),
@@ -103,32 +104,33 @@ CYCLES = Schema(
 
 
 def turning_points(displacement: ArrayLike, *, settings: ModulusSettings = ModulusSettings()) -> Ints:
-    """Samples at which a displacement turns back, its first and last sample included.
+    """Indices of the samples at which a displacement reverses, including the first and the last sample.
 
-    Rising indices that alternate between low and high; [0, last] for a displacement that only rises. It is
-    without NaN, in any unit; noise and steps of the resolution are smoothed.
+    The indices increase and alternate between minima and maxima; they are [0, last] for a displacement that
+    only increases. The displacement must not contain NaN; noise and steps of the resolution are smoothed.
     """
     raw = np.asarray(displacement, float)
     last = raw.size - 1
     if raw.size < 5 or float(np.ptp(raw)) == 0:
         return np.array([0, max(last, 0)], np.int64)
-    turns = _turns(raw, settings.least_reversal)
-    if turns.size > 2:  # smoothed again in proportion to the branches found
+    turns = _extrema(raw, settings.least_reversal)
+    if turns.size > 2:  # smooth in proportion to the length of the branches, and repeat
         width = max(int(settings.smoothing * float(np.median(np.diff(turns)))), 1)
-        turns = _turns(running_mean(raw, width), settings.least_reversal)
+        turns = _extrema(running_mean(raw, width), settings.least_reversal)
     return turns
 
 
-def _turns(values: Floats, least: float) -> Ints:
+def _extrema(values: Floats, least: float) -> Ints:
+    """Indices of the extrema with a prominence of `least` times the range, and of both ends."""
     prominence = least * float(np.ptp(values))
-    # Ends count as turning points of their own: padding makes them none.
+    # The padding lets values at the ends be extrema; they are removed and added again below.
     padded = np.concatenate([[values.min()], values, [values.min()]])
     high = find_maxima(padded, least_prominence=prominence, reach=padded.size).at
     padded = np.concatenate([[values.max()], values, [values.max()]])
     low = find_maxima(-padded, least_prominence=prominence, reach=padded.size).at
     inner = np.union1d(high, low).astype(np.int64) - 1
     inner = inner[(inner > 0) & (inner < values.size - 1)]
-    # The noise beside an end is as low or high as the end itself: not a turn of its own.
+    # An extremum near an end value is noise beside that end.
     if inner.size and abs(values[inner[0]] - values[0]) < prominence:
         inner = inner[1:]
     if inner.size and abs(values[inner[-1]] - values[-1]) < prominence:
@@ -139,23 +141,23 @@ def _turns(values: Floats, least: float) -> Ints:
 def looks_like_cycles(
     time: ArrayLike, displacement: ArrayLike, *, settings: ModulusSettings = ModulusSettings()
 ) -> bool:
-    """Whether a recording is made of push–pull cycles rather than one pull.
+    """Whether a recording consists of push–pull cycles rather than one pull.
 
-    True where the displacement turns back at least twice by a fifth of its range: on such a recording rises
-    and falls of the force are loading and unloading, not stick and slip. One pull with one return is none.
-    Samples with NaN, or with times that do not rise, are left out.
+    True if the displacement reverses at least twice by a fifth of its range: the force then rises and falls
+    by loading and unloading, not by stick-slip. One pull with one return is not a cycle. Samples with NaN, or
+    with times that do not increase, are left out.
     """
-    at, position = np.asarray(time, float), np.asarray(displacement, float)
-    kept = np.isfinite(at) & np.isfinite(position)
-    at, position = at[kept], position[kept]
-    rising = at > np.maximum.accumulate(np.concatenate([[-np.inf], at[:-1]]))
-    return turning_points(position[rising], settings=settings).size >= 4
+    t, position = np.asarray(time, float), np.asarray(displacement, float)
+    known = np.isfinite(t) & np.isfinite(position)
+    t, position = t[known], position[known]
+    increasing = t > np.maximum.accumulate(np.concatenate([[-np.inf], t[:-1]]))
+    return turning_points(position[increasing], settings=settings).size >= 4
 
 
 def cycles_seen(force: xr.Dataset) -> str:
-    """One line that says how many push–pull cycles a recording holds; "" for a single pull.
+    """Return one line on the number of push–pull cycles of a recording; "" for a single pull.
 
-    Without a recorded displacement nothing can be told and it is "".
+    It is also "" without a recorded displacement.
     """
     if "crosshead_mm" not in force:
         return ""
@@ -197,42 +199,43 @@ def measure_cycles(
     machine_stiffness_N_per_mm: float | None = None,
     settings: ModulusSettings = ModulusSettings(),
 ) -> pd.DataFrame:
-    r"""Slope, offset and modulus of every loading branch.
+    r"""Measure slope, offset and modulus of every loading branch.
 
     Parameters
     ----------
     force
-        As `vision.read_force` returns it, with a displacement.
+        From `vision.read_force`, with a displacement.
     sheet
-        ε, W and L of the sheet (its other fields have no meaning here).
+        ε, W and L of the sheet; its other fields are not used.
     clamp_distance_mm
-        Δ at the first sample. By default the displacement is taken for Δ itself where it lies within half of
-        L from L, else for a crosshead that is 0 at Δ = L; a note says which.
+        Δ at the first sample. By default the displacement is Δ itself if its median differs from L by less
+        than L/2, else that of a crosshead that is 0 at Δ = L; a note states which.
     machine_stiffness_N_per_mm
-        Of frame, load cell and clamps, to take F over it off Δ; no correction if absent.
+        Stiffness of frame, load cell and clamps together; F divided by it is subtracted from Δ. No correction
+        if absent.
     settings
-        `ModulusSettings`.
+        See `ModulusSettings`.
 
     Returns
     -------
     pandas.DataFrame
         Columns as in `CYCLES`, one row per loading branch, ``attrs`` as in `CyclesMetadata`. NaN in
-        ``loop_mJ`` and ``K_tangent_N_per_mm`` where the recording ends before the cycle does, in
-        ``residual_mm`` where F does not return to 0, and in ``drift_N`` of the first cycle.
+        ``loop_mJ`` and ``K_tangent_N_per_mm`` if the recording ends before the cycle, in ``residual_mm`` if F
+        does not return to 0, and in ``drift_N`` of the first cycle.
 
     Raises
     ------
     InputError
-        Without a displacement or without cycles, for a load that is no force, a machine softer than the sheet
-        with it, or branches without enough samples.
+        If there is no displacement or no cycle, the load is not a force, the given machine stiffness is
+        smaller than the measured one, or all branches have too few samples.
 
     Notes
     -----
     .. math:: F = k\Delta + F_0, \qquad \sigma_{F_0}^2 = s^2/n + \bar\Delta^2\sigma_k^2
 
-    F0 is an extrapolation from strains of a few per cent to Δ = 0, over the whole length of the sheet: k and
-    F0 share their relative error nearly. Residuals that are correlated from sample to sample (ρ, first order)
-    make errors larger by √((1 + ρ)/(1 − ρ)). An error of Δ itself enters in full: 1 % of L is 1 % of Y_p.
+    F0 is extrapolated from strains of a few per cent to Δ = 0, over the whole length of the sheet, so k and
+    F0 have nearly the same relative error. Residuals with a correlation ρ between samples enlarge the errors
+    by √((1 + ρ)/(1 − ρ)). An error of Δ enters in full: 1 % of L is 1 % of Y_p.
     Source: appendix "Single sheets characterization".
     """
     machine = machine_stiffness_N_per_mm
@@ -241,15 +244,15 @@ def measure_cycles(
     source = facts.source
     branches = _loading_branches(cycles)
     if not branches:
-        returns = max(cycles.turns.size - 2, 0)
-        raise InputError(source, "push–pull cycles", f"a displacement that turns back {returns} times")
+        reversals = max(cycles.turns.size - 2, 0)
+        raise InputError(source, "push–pull cycles", f"a displacement that turns back {reversals} times")
     rows, skipped = [], 0
     for start, stop, following in branches:
-        chosen = _part(cycles.smooth, start, stop, settings.part)
-        if chosen.stop - chosen.start < settings.least_samples:
+        fitted = _part(cycles.smooth, start, stop, settings.part)
+        if fitted.stop - fitted.start < settings.least_samples:
             skipped += 1
             continue
-        rows.append(_branch(cycles, start, stop, following, chosen, sheet))
+        rows.append(_branch(cycles, start, stop, following, fitted, sheet))
     if not rows:
         raise InputError(
             source,
@@ -286,7 +289,7 @@ _ORIGINS = {
 def clamp_distance(
     force: xr.Dataset, *, sheet: Sample = STRIP, clamp_distance_mm: float | None = None
 ) -> Floats:
-    """Δ in mm of every sample, as `measure_cycles` takes it, without a correction for the machine."""
+    """Δ in mm of every sample as in `measure_cycles`, without the correction for the machine."""
     crosshead = force["crosshead_mm"].values.astype(float)
     known = crosshead[np.isfinite(crosshead)]
     how = _origin(known, sheet, clamp_distance_mm)
@@ -294,6 +297,7 @@ def clamp_distance(
 
 
 def _origin(crosshead: Floats, sheet: Sample, clamp_distance_mm: float | None) -> str:
+    """Source of Δ: "given", "column" or "length", as in `CyclesMetadata`."""
     if clamp_distance_mm is not None:
         check_positive(clamp_distance_mm=clamp_distance_mm)
         return "given"
@@ -301,7 +305,7 @@ def _origin(crosshead: Floats, sheet: Sample, clamp_distance_mm: float | None) -
 
 
 def _shift(how: str, first_mm: float, sheet: Sample, clamp_distance_mm: float | None) -> float:
-    """What is added to the displacement to make it Δ."""
+    """Difference between Δ and the displacement, mm."""
     if clamp_distance_mm is not None:
         return clamp_distance_mm - first_mm
     return 0.0 if how == "column" else sheet.length_mm
@@ -309,22 +313,22 @@ def _shift(how: str, first_mm: float, sheet: Sample, clamp_distance_mm: float | 
 
 @dataclass(frozen=True)
 class _Cycles:
-    """t, Δ (corrected for the machine), F and smoothed F of the good samples, and the turning points."""
+    """Usable samples of a recording."""
 
-    time: Floats
-    delta: Floats
-    load: Floats
-    smooth: Floats
-    turns: Ints
+    time: Floats  # s
+    delta: Floats  # Δ corrected for the machine, mm
+    load: Floats  # N
+    smooth: Floats  # smoothed load, N
+    turns: Ints  # indices of the turning points
 
 
 def _loading_branches(cycles: _Cycles) -> list[tuple[int, int, int | None]]:
-    """(start, top, end of the unloading or None) of each branch on which Δ grows; [] without cycles."""
+    """Start, end, and end of the next unloading (None if cut off) of each branch on which Δ increases."""
     turns = cycles.turns
     if turns.size < 4:
         return []
     travel = np.diff(cycles.delta[turns])
-    whole = np.abs(travel) > 0.5 * float(np.median(np.abs(travel)))  # the others the recording's ends cut off
+    whole = np.abs(travel) > 0.5 * float(np.median(np.abs(travel)))  # others are cut off by the recording
     return [
         (int(turns[k]), int(turns[k + 1]), int(turns[k + 2]) if whole[k + 1 : k + 2].any() else None)
         for k in np.flatnonzero((travel > 0) & whole)
@@ -332,20 +336,20 @@ def _loading_branches(cycles: _Cycles) -> list[tuple[int, int, int | None]]:
 
 
 def _branch(
-    cycles: _Cycles, start: int, stop: int, following: int | None, chosen: slice, sheet: Sample
+    cycles: _Cycles, start: int, stop: int, following: int | None, fitted: slice, sheet: Sample
 ) -> dict[str, float]:
-    """The row of one loading branch, without its number."""
+    """Row of the table for one loading branch, without its number."""
     delta, load, smooth = cycles.delta, cycles.load, cycles.smooth
-    line = _line(delta[chosen], load[chosen])
+    line = _line(delta[fitted], load[fitted])
     return {
-        **_row(line, sheet),
+        **_line_columns(line, sheet),
         **_unloading(cycles, start, stop, following),
         "t_start_s": float(cycles.time[start]),
         "t_end_s": float(cycles.time[stop]),
-        "fit_from_mm": float(delta[chosen][0]),
-        "fit_to_mm": float(delta[chosen][-1]),
+        "fit_from_mm": float(delta[fitted][0]),
+        "fit_to_mm": float(delta[fitted][-1]),
         "F_max_N": float(smooth[start : stop + 1].max()),
-        "samples": chosen.stop - chosen.start,
+        "samples": fitted.stop - fitted.start,
     }
 
 
@@ -356,21 +360,21 @@ def _clean(
     machine_N_per_mm: float,
     settings: ModulusSettings,
 ) -> tuple[_Cycles, CyclesMetadata]:
-    """The samples that can be measured on with their turning points, and what Δ was taken from."""
+    """Usable samples with their turning points, and the metadata with source, origin of Δ and warnings."""
     FORCE.check(force)
     source = str(force.attrs.get("path", force.attrs.get("source", "the recording")))
     if "crosshead_mm" not in force:
         raise InputError(source, "a displacement", "time and load only", "name its column")
     if force["load_N"].attrs.get("units", "N") != "N":
         raise InputError(source, "a load in N", f"units {force['load_N'].attrs['units']!r}")
-    at = force["time_s"].values.astype(float)
+    time = force["time_s"].values.astype(float)
     crosshead, load = force["crosshead_mm"].values.astype(float), force["load_N"].values.astype(float)
-    kept = np.isfinite(at) & np.isfinite(crosshead) & np.isfinite(load)
-    kept &= ~np.isin(force["flag"].values, ("saturated", "backwards", "repeated"))
-    warnings = [] if kept.all() else [f"{int((~kept).sum())} of {kept.size} samples left out"]
-    at, crosshead, load = at[kept], crosshead[kept], load[kept]
-    if at.size < 5:
-        raise InputError(source, "samples with time, displacement and load", f"{at.size}")
+    usable = np.isfinite(time) & np.isfinite(crosshead) & np.isfinite(load)
+    usable &= ~np.isin(force["flag"].values, ("saturated", "backwards", "repeated"))
+    warnings = [] if usable.all() else [f"{int((~usable).sum())} of {usable.size} samples left out"]
+    time, crosshead, load = time[usable], crosshead[usable], load[usable]
+    if time.size < 5:
+        raise InputError(source, "samples with time, displacement and load", f"{time.size}")
     how = _origin(crosshead, sheet, clamp_distance_mm)
     delta = crosshead + _shift(how, float(crosshead[0]), sheet, clamp_distance_mm)
     notes = [_ORIGINS[how].format(length=sheet.length_mm)] if how != "given" else []
@@ -378,11 +382,11 @@ def _clean(
     turns = turning_points(delta, settings=settings)
     width = max(int(settings.smoothing * float(np.median(np.diff(turns)))), 1)
     smooth = running_mean(load, width)
-    return _Cycles(at, delta - load / machine_N_per_mm, load, smooth, turns), facts
+    return _Cycles(time, delta - load / machine_N_per_mm, load, smooth, turns), facts
 
 
 def _part(smooth: Floats, start: int, stop: int, part: tuple[float, float]) -> slice:
-    """The contiguous samples of a branch between two levels of the rise of the force."""
+    """Contiguous samples of a branch between two fractions of the rise of the force."""
     branch = smooth[start : stop + 1]
     top = int(np.argmax(branch))
     low = int(np.argmin(branch[: top + 1]))
@@ -395,19 +399,20 @@ def _part(smooth: Floats, start: int, stop: int, part: tuple[float, float]) -> s
 
 @dataclass(frozen=True)
 class _Line:
-    """F = slope Δ + offset, with errors that hold for correlated residuals."""
+    """F = slope Δ + offset, with standard errors for correlated residuals."""
 
     slope: float
     slope_err: float
     offset: float
     offset_err: float
-    root: float
+    root: float  # Δ at F = 0
     root_err: float
 
 
 def _line(delta: Floats, load: Floats) -> _Line:
-    middle, level = float(delta.mean()), float(load.mean())
-    x, y = delta - middle, load - level
+    """Least-squares line through the samples."""
+    mean_delta, mean_load = float(delta.mean()), float(load.mean())
+    x, y = delta - mean_delta, load - mean_load
     sxx = float(x @ x)
     if sxx <= 0:
         return _Line(-math.inf, math.nan, math.nan, math.nan, math.nan, math.nan)
@@ -417,20 +422,21 @@ def _line(delta: Floats, load: Floats) -> _Line:
     rho = float(residual[1:] @ residual[:-1]) / squares if squares > 0 else 0.0
     rho = min(max(rho, 0.0), 0.99)
     variance = squares / max(delta.size - 2, 1) * (1 + rho) / (1 - rho)
-    of_slope, of_mean = variance / sxx, variance / delta.size
-    # Δ0 = middle − level / slope: only the uncorrelated level and slope enter.
-    of_root = (of_mean + (level / slope) ** 2 * of_slope) / slope**2 if slope else math.inf
+    slope_var, mean_var = variance / sxx, variance / delta.size
+    # The root mean_delta − mean_load / slope depends on two quantities with independent errors.
+    root_var = (mean_var + (mean_load / slope) ** 2 * slope_var) / slope**2 if slope else math.inf
     return _Line(
         slope=slope,
-        slope_err=math.sqrt(of_slope),
-        offset=level - slope * middle,
-        offset_err=math.sqrt(of_mean + middle**2 * of_slope),
-        root=middle - level / slope if slope else math.nan,
-        root_err=math.sqrt(of_root),
+        slope_err=math.sqrt(slope_var),
+        offset=mean_load - slope * mean_delta,
+        offset_err=math.sqrt(mean_var + mean_delta**2 * slope_var),
+        root=mean_delta - mean_load / slope if slope else math.nan,
+        root_err=math.sqrt(root_var),
     )
 
 
-def _row(line: _Line, sheet: Sample) -> dict[str, float]:
+def _line_columns(line: _Line, sheet: Sample) -> dict[str, float]:
+    """Columns of the table that follow from the line."""
     return {
         "k_N_per_mm": line.slope,
         "k_err_N_per_mm": line.slope_err,
@@ -446,34 +452,35 @@ def _row(line: _Line, sheet: Sample) -> dict[str, float]:
 
 
 def _unloading(cycles: _Cycles, start: int, top: int, stop: int | None) -> dict[str, float]:
-    """Energy lost between loading and unloading, how far Δ at F = 0 has moved, and the slope after the turn.
+    """Columns of the unloading: energy lost in the cycle, change of Δ at F = 0, and slope after the turn.
 
-    That slope is over the first fifth of the fall of the force, less what the turn itself blunts: friction
-    within the sample has to turn back before anything slides, so it is its stiffness as a whole.
+    The slope is taken from 5 % to 25 % of the fall of the force, without the rounded turn itself. There the
+    friction within the sample reverses and nothing slides yet, so it is the stiffness of the whole sample.
     """
     if stop is None:
         return dict.fromkeys(("loop_mJ", "residual_mm", "K_tangent_N_per_mm"), math.nan)
     delta, load, smooth = cycles.delta, cycles.load, cycles.smooth
-    # Closed over the range of Δ that both branches cover: cycles need not return to where they began.
+    # The energy is that over the range of Δ common to both branches, since a cycle need not close.
     up, down = slice(start, top + 1), slice(top, stop + 1)
-    shared = max(float(delta[start]), float(delta[stop]))
+    common = max(float(delta[start]), float(delta[stop]))
     turn = _part(-smooth, top, stop, (0.05, 0.25))
     tangent = _line(delta[turn], load[turn]).slope if turn.stop - turn.start > 2 else math.nan
     return {
-        "loop_mJ": _work(delta[up], load[up], shared) + _work(delta[down], load[down], shared),
-        "residual_mm": _zero(delta[down][::-1], smooth[down][::-1]) - _zero(delta[up], smooth[up]),
+        "loop_mJ": _work(delta[up], load[up], common) + _work(delta[down], load[down], common),
+        "residual_mm": _zero_crossing(delta[down][::-1], smooth[down][::-1])
+        - _zero_crossing(delta[up], smooth[up]),
         "K_tangent_N_per_mm": tangent,
     }
 
 
 def _work(delta: Floats, load: Floats, above: float) -> float:
-    """Integral of F dΔ where Δ is above a limit, N mm."""
+    """Integral of F dΔ over the part with Δ above a limit, mJ."""
     clipped = np.maximum(delta, above)
     return float(np.sum(0.5 * (load[1:] + load[:-1]) * np.diff(clipped)))
 
 
-def _zero(delta: Floats, load: Floats) -> float:
-    """Δ where a rising force passes 0 for the last time; NaN where it does not."""
+def _zero_crossing(delta: Floats, load: Floats) -> float:
+    """Δ at the last crossing of 0 by a rising force; NaN without one."""
     below = np.flatnonzero(load <= 0)
     if not below.size or below[-1] == load.size - 1:
         return math.nan
@@ -482,6 +489,7 @@ def _zero(delta: Floats, load: Floats) -> float:
 
 
 def _remarks(table: pd.DataFrame, sheet: Sample, machine: float) -> list[str]:
+    """Notes on the extrapolation and on a missing correction for the machine."""
     k, root = float(table["k_N_per_mm"].mean()), float(table["delta0_mm"].mean())
     notes = [
         f"Y_p = |F0|/(εW) extrapolates from Δ = {table['fit_from_mm'].min():.4g} mm to 0; "
@@ -509,8 +517,8 @@ class MeanValue:
 def mean_over_cycles(cycles: pd.DataFrame, column: str) -> MeanValue:
     """Mean of a column of `measure_cycles`, such as "Y_p_GPa", over the cycles.
 
-    Every cycle weighs the same. The error is the larger of what the scatter over √n and the errors of the
-    fits give; with one cycle the scatter is NaN.
+    All cycles have equal weights. The error is the larger of the scatter over √n and the error from those of
+    the fits; with one cycle the scatter is NaN.
     """
     CYCLES.check(cycles)
     values = cycles[column].to_numpy(float)
@@ -518,19 +526,20 @@ def mean_over_cycles(cycles: pd.DataFrame, column: str) -> MeanValue:
     if not values.size:
         return MeanValue(value=math.nan, error=math.nan, scatter=math.nan)
     scatter = float(values.std(ddof=1)) if values.size > 1 else math.nan
-    # Y_p_err_GPa from Y_p_GPa: the unit comes last.
+    # The error of Y_p_GPa is Y_p_err_GPa, with the unit last.
     unit = next((unit for unit in ("_N_per_mm", "_GPa", "_N", "_mm", "_mJ") if column.endswith(unit)), "")
-    given = f"{column.removesuffix(unit)}_err{unit}"
-    fitted = 0.0
-    if given in cycles:
-        errors = cycles[given].to_numpy(float)
-        fitted = float(np.sqrt(np.nansum(errors**2))) / values.size
-    spread = scatter / math.sqrt(values.size) if values.size > 1 else 0.0
-    return MeanValue(value=float(values.mean()), error=max(fitted, spread) or math.nan, scatter=scatter)
+    error_column = f"{column.removesuffix(unit)}_err{unit}"
+    from_fits = 0.0
+    if error_column in cycles:
+        errors = cycles[error_column].to_numpy(float)
+        from_fits = float(np.sqrt(np.nansum(errors**2))) / values.size
+    from_scatter = scatter / math.sqrt(values.size) if values.size > 1 else 0.0
+    error = max(from_fits, from_scatter) or math.nan
+    return MeanValue(value=float(values.mean()), error=error, scatter=scatter)
 
 
 def summarise_modulus(cycles: pd.DataFrame) -> dict[str, MeanValue]:
-    """Y_p, kL/(εW), k, F0, Δ0, and of the loops energy, residual Δ, peak, tangent K and drift: the means."""
+    """Means over the cycles of the moduli, of the fitted lines, and of the loops, by column."""
     moduli = ("Y_p_GPa", "Y_slope_GPa", "k_N_per_mm", "F0_N", "delta0_mm")
     loops = ("loop_mJ", "residual_mm", "F_max_N", "K_tangent_N_per_mm", "drift_N")
     return {name: mean_over_cycles(cycles, name) for name in (*moduli, *loops)}

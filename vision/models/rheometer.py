@@ -1,4 +1,4 @@
-"""Rheometer exports with several results: RheoCompass (Anton Paar), TRIOS (TA), and plain tables."""
+"""Reading of rheometer exports: RheoCompass (Anton Paar), TRIOS (TA Instruments), and plain tables."""
 
 from __future__ import annotations
 
@@ -18,16 +18,18 @@ from vision.errors import InputError
 
 @dataclass(frozen=True, kw_only=True)
 class RotationMetadata(Metadata):
-    """Which measurement a table of one rotation holds.
+    """Metadata of the table of one rotation.
 
     Parameters
     ----------
-    source, measurement
-        The file's path; result and interval, unique within the file.
+    source
+        Path of the file.
+    measurement
+        Result and interval, unique within the file.
     notes, warnings
-        What was assumed, and what may spoil the numbers.
+        Assumptions, and possible errors of the numbers.
     left_out
-        Results and intervals of the same file that hold no usable measurement, each with the reason.
+        Results and intervals of the same file without a usable measurement, each with the reason.
     """
 
     source: str = "the rheometer's file"
@@ -67,15 +69,14 @@ _SPEED = {"rad/s": 1.0, "1/s": 2 * math.pi, "1/min": math.pi / 30, "rpm": math.p
 
 @dataclass(frozen=True)
 class _Quantity:
-    """How a column is recognised: words of its name, words it lacks, units, the unit where none is
-    written, and words that count only beside such a unit."""
+    """Rules by which the column of a quantity is recognised."""
 
-    column: str
-    words: tuple[str, ...]
-    never: tuple[str, ...]
-    units: Mapping[str, float]
-    unsaid: str = ""
-    with_unit: tuple[str, ...] = ()
+    column: str  # name in `ROTATION`
+    words: tuple[str, ...]  # one of which is in its name
+    never: tuple[str, ...]  # none of which is in its name
+    units: Mapping[str, float]  # possible units, with their factors to SI
+    default_unit: str = ""  # unit if none is written
+    with_unit: tuple[str, ...] = ()  # words in its name that count only with one of the units
 
 
 _QUANTITIES = (
@@ -98,12 +99,12 @@ _QUANTITIES = (
     _Quantity("speed_rad_s", (), ("shear",), _SPEED, with_unit=("speed", "drehzahl", "vitesse", "velocity")),
 )
 _MARKS = ("Project:", "Test:", "Result:", "Interval and data points:", "Interval data:")
-_STEP = "[step]"  # of a TRIOS export: before the step's name, its columns, their units and the rows
+_STEP = "[step]"  # in a TRIOS export the line before a step's name, columns, units and rows
 _SEPARATORS = ("\t", ";", ",")
 
 
 def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
-    """Every rotation that a rheometer's file holds.
+    """Read every rotation in a file of a rheometer.
 
     Parameters
     ----------
@@ -117,20 +118,20 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
     -------
     list of pandas.DataFrame
         One per measurement in file order, columns as in `ROTATION`: time in s, angle in rad, torque in N m
-        and, where recorded, the normal force in N (NaN where a cell is empty). The angle starts at 0 and,
-        like the torque, is positive in the sense of the rotation. ``attrs`` as in `RotationMetadata`.
+        and, if recorded, the normal force in N (NaN where a cell is empty). The angle starts at 0. Angle and
+        torque are positive in the direction of the rotation. ``attrs`` as in `RotationMetadata`.
 
     Raises
     ------
     InputError
-        For a file that is missing, empty or binary, or of which no part has a torque with a known unit and a
+        If the file is missing, empty or binary, or no part of it has a torque with a known unit and a
         rotation.
 
     Notes
     -----
-    Intervals of one result are one measurement where the second goes on at the angle and the normal force at
+    Intervals of one result are one measurement if the second continues at the angle and the normal force at
     which the first ended (a fine sampling of the peak, then a coarse one). Intervals without rotation
-    (approach, waiting) are left out, and a note says so. A result that cannot be used costs no other one.
+    (approach, waiting) are left out, with a note. A result that cannot be used does not affect the others.
     """
     path = Path(path)
     lines = _decode(path).splitlines()
@@ -144,40 +145,37 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
     else:
         blocks = [_plain_table(path, lines)]
     if len(blocks) == 1 and not blocks[0].problem:
-        _rotation(path, blocks[0])
+        _convert(path, blocks[0])
     else:
         for block in blocks:
-            _tried(path, block)
-    rotations = _joined(blocks)
+            _try_convert(path, block)
+    rotations = _measurements(blocks)
     if not rotations:
         problems = list(dict.fromkeys(block.problem for block in blocks if block.problem))
         found = "; ".join(problems[:3]) or "no rows of numbers"
         raise InputError(path, "a rotation", found, "export torque and deflection angle")
     left_out = _left_out(blocks, {k: _words(lines[k], _separator(lines[k]))[1] for k in results})
-    return [_finished(path, parts, blocks, left_out) for parts in rotations]
+    return [_table(path, parts, blocks, left_out) for parts in rotations]
 
 
 @dataclass
 class _Block:
-    """One interval: its cells as text, and why it is no measurement.
-
-    The line of the file at which its result begins tells results of one name apart. waiting: it is an
-    interval without rotation, as there are before and between measurements.
-    """
+    """One interval of a result."""
 
     result: str
-    line: int
+    line: int  # line of the file at which the result begins, which distinguishes results of one name
     name: str
-    names: list[str] = field(default_factory=list)
-    units: list[str] = field(default_factory=list)
-    cells: pd.DataFrame = field(default_factory=pd.DataFrame)
+    names: list[str] = field(default_factory=list)  # of the columns
+    units: list[str] = field(default_factory=list)  # of the columns, as written
+    cells: pd.DataFrame = field(default_factory=pd.DataFrame)  # as text
     warnings: list[str] = field(default_factory=list)
-    problem: str = ""
-    waiting: bool = False
-    values: pd.DataFrame = field(default_factory=pd.DataFrame)
+    problem: str = ""  # why it is not a measurement; "" if it is
+    waiting: bool = False  # whether it has values but no rotation, as before and between measurements
+    values: pd.DataFrame = field(default_factory=pd.DataFrame)  # numbers in SI units
 
 
 def _decode(path: Path) -> str:
+    """Text of the file in whatever encoding; raise InputError if it is missing, empty or binary."""
     if not path.is_file():
         raise InputError(path, "a rheometer's file", "a folder" if path.is_dir() else "no such file")
     data = path.read_bytes()
@@ -187,7 +185,7 @@ def _decode(path: Path) -> str:
         return data.decode("utf-16", errors="replace")
     head = np.frombuffer(data[:4096], np.uint8)
     odd, even = float(np.mean(head[1::2] == 0)), float(np.mean(head[::2] == 0))
-    if max(odd, even) > 0.4 and min(odd, even) < 0.1:  # Latin text in two bytes a letter, without the mark
+    if max(odd, even) > 0.4 and min(odd, even) < 0.1:  # Latin text in UTF-16 without a byte order mark
         return data.decode("utf-16-le" if odd > even else "utf-16-be", errors="replace")
     if max(odd, even) > 0:
         raise InputError(path, "a text export of a rheometer", "a binary file", "export it as text or CSV")
@@ -200,12 +198,13 @@ def _decode(path: Path) -> str:
 
 
 def _mark(line: str) -> str:
-    """The RheoCompass keyword that a line begins with, "" for none."""
+    """The RheoCompass keyword at the start of a line, "" for none."""
     start = line.lstrip('\ufeff" ')
     return next((mark for mark in _MARKS if start.startswith(mark)), "")
 
 
 def _separator(line: str) -> str:
+    """The most frequent separator in a line."""
     return max(_SEPARATORS, key=line.count)
 
 
@@ -237,14 +236,14 @@ def _intervals(lines: list[str], starts: list[int], results: list[int]) -> list[
         before = max((k for k in results if k < start), default=-1)
         separator = _separator(lines[start])
         result = "" if before < 0 else _words(lines[before], separator)[1]
-        said = _words(lines[start], separator)
+        announced = _words(lines[start], separator)
         header = next((k for k in range(start, stop) if marks[k] == "Interval data:"), None)
-        name = f"{result or 'result'}, interval {said[1] or len(blocks) + 1}"
+        name = f"{result or 'result'}, interval {announced[1] or len(blocks) + 1}"
         if header is None or header + 1 >= stop:
             problem = "no 'Interval data:' with columns and rows"
             blocks.append(_Block(result, before, name, problem=problem))
         else:
-            blocks.append(_interval(result, before, name, lines[header:stop], said[2]))
+            blocks.append(_interval(result, before, name, lines[header:stop], announced[2]))
     repeated = {b.name for b in blocks if sum(b.name == other.name for other in blocks) > 1}
     for number, block in enumerate(blocks):
         if block.name in repeated:
@@ -253,12 +252,15 @@ def _intervals(lines: list[str], starts: list[int], results: list[int]) -> list[
 
 
 def _words(line: str, separator: str) -> list[str]:
-    """Cells of a line of keywords, at least three."""
+    """Cells of a line with a keyword, padded to at least three."""
     return [*(cell.strip().strip('"').strip() for cell in line.split(separator)), "", ""]
 
 
-def _interval(result: str, line: int, name: str, lines: list[str], promised: str) -> _Block:
-    """One interval: names, one or two rows of which the last has the units in brackets, then data."""
+def _interval(result: str, line: int, name: str, lines: list[str], announced: str) -> _Block:
+    """One interval: a row of names, rows of which the last has the units in brackets, then data.
+
+    announced: number of points, as written.
+    """
     cells = _cells(lines, _separator(lines[0])).map(str.strip)
     names = [str(cell) for cell in cells.iloc[0, 1:]]
     units = [""] * len(names)
@@ -271,13 +273,13 @@ def _interval(result: str, line: int, name: str, lines: list[str], promised: str
     data = cells.iloc[first:, 1:].reset_index(drop=True)
     data = data[(data != "").any(axis=1)]
     block = _Block(result, line, name, names, units, data)
-    if promised.isdecimal() and int(promised) != len(data):
-        block.warnings.append(f"{name} announces {promised} points and has {len(data)}")
+    if announced.isdecimal() and int(announced) != len(data):
+        block.warnings.append(f"{name} announces {announced} points and has {len(data)}")
     return block
 
 
 def _steps(lines: list[str], starts: list[int]) -> list[_Block]:
-    """The steps of a TRIOS export: name, columns, units, rows up to an empty line or the next section."""
+    """The steps of a TRIOS export: name, columns, units, and rows up to an empty line or the next section."""
     blocks: list[_Block] = []
     for number, start in enumerate(starts):
         end = starts[number + 1] if number + 1 < len(starts) else len(lines)
@@ -295,7 +297,7 @@ def _steps(lines: list[str], starts: list[int]) -> list[_Block]:
 
 
 def _plain_table(path: Path, lines: list[str]) -> _Block:
-    """A table with a header row that names torque and units in it or in the row below."""
+    """A plain table: its header names a torque, and the units are in the header or in the row below."""
     header = next((k for k, line in enumerate(lines) if _looks_like_header(line)), None)
     if header is None:
         shown = next((line.strip()[:60] for line in lines if line.strip()), "nothing")
@@ -310,13 +312,15 @@ def _plain_table(path: Path, lines: list[str]) -> _Block:
 
 
 def _looks_like_header(line: str) -> bool:
+    """Whether a line has several cells, one of which names a torque."""
     low = line.lower()
-    if len(line) > 5000:  # is no header, and taking it apart would take for ever
+    if len(line) > 5000:  # not a header, and slow to split
         return False
     return max(map(line.count, _SEPARATORS)) > 0 and any(word in low for word in _QUANTITIES[0].words)
 
 
 def _is_number(text: str) -> bool:
+    """Whether the text is a number, with a decimal point or comma."""
     try:
         float(text.replace(",", "."))
     except ValueError:
@@ -325,7 +329,7 @@ def _is_number(text: str) -> bool:
 
 
 def _split_unit(header: str) -> tuple[str, str]:
-    """("Torque", "mN·m") from "Torque [mN·m]", "Torque (mN·m)", "Torque in mN·m" or "torque_mNm"."""
+    """Split a header: "Torque [mN·m]", "Torque (mN·m)", "Torque in mN·m" → ("Torque", "mN·m")."""
     name = header.strip()
     for opened, closed in ("[]", "()"):
         if name.endswith(closed) and opened in name:
@@ -345,23 +349,23 @@ _NO_SIGN = str.maketrans(dict.fromkeys("·⋅•∙*. _-[]()") | {"μ": "µ"})
 
 
 def _unit(text: str) -> str:
-    """A unit without brackets, spaces and signs of multiplication: "[mN·m]" is "mNm"."""
+    """The unit without brackets, spaces and multiplication signs: "[mN·m]" becomes "mNm"."""
     plain = text.strip().translate(_NO_SIGN)
     return "µ" + plain[1:] if plain[:1] == "u" and plain[1:] in ("Nm", "N", "rad") else plain
 
 
-def _tried(path: Path, block: _Block) -> None:
-    """Numbers of one interval of several; a unit that is not known is its own problem, not the others'."""
+def _try_convert(path: Path, block: _Block) -> None:
+    """Convert one of several intervals; an unknown unit becomes its problem, without an error."""
     if block.problem:
         return
     try:
-        _rotation(path, block)
+        _convert(path, block)
     except InputError as error:
         block.problem = str(error).removeprefix(f"{path}: expected ").replace("; found ", ", but ", 1)
 
 
-def _rotation(path: Path, block: _Block) -> None:
-    """Gives an interval its numbers, in SI, or the reason why it is no rotation."""
+def _convert(path: Path, block: _Block) -> None:
+    """Set the values of an interval in SI units, or the problem for which it is not a rotation."""
     found = {q.column: column for q in _QUANTITIES if (column := _column(path, block, q)) is not None}
     if "torque_N_m" not in found:
         block.problem = f"no torque (columns: {', '.join(filter(None, block.names))})"
@@ -377,30 +381,31 @@ def _rotation(path: Path, block: _Block) -> None:
     if "angle_rad" not in values:
         block.problem = f"no deflection angle (columns: {', '.join(filter(None, block.names))})"
         return
-    kept = values[["torque_N_m", "angle_rad"]].notna().all(axis=1)
-    if int((~kept).sum()):
-        block.warnings.append(f"{block.name}: {int((~kept).sum())} of {len(values)} points without numbers")
-    block.values = values[kept].reset_index(drop=True)
+    known = values[["torque_N_m", "angle_rad"]].notna().all(axis=1)
+    if int((~known).sum()):
+        block.warnings.append(f"{block.name}: {int((~known).sum())} of {len(values)} points without numbers")
+    block.values = values[known].reset_index(drop=True)
     travelled = float(np.ptp(block.values["angle_rad"])) if len(block.values) else 0.0
-    if travelled < math.radians(0.05):  # an interval of waiting
+    if travelled < math.radians(0.05):
         block.problem = f"no rotation ({math.degrees(travelled):.2g}° travelled)"
         block.waiting = len(block.values) > 0
 
 
 def _column(path: Path, block: _Block, quantity: _Quantity) -> pd.Series[float] | None:
-    """The numbers of one quantity in its SI unit; None where there is no such column."""
+    """The values of one quantity in its SI unit; None without such a column."""
     low = [name.lower() for name in block.names]
 
     def named(words: Sequence[str]) -> list[int]:
-        able = [k for k, name in enumerate(low) if not any(word in name for word in quantity.never)]
-        return [k for k in able if any(word in low[k] for word in words)]
+        """Columns with one of these words in their names, and none of the excluded ones."""
+        possible = [k for k, name in enumerate(low) if not any(word in name for word in quantity.never)]
+        return [k for k in possible if any(word in low[k] for word in words)]
 
-    fits = named(quantity.words)
-    known = [k for k in fits or named(quantity.with_unit) if _unit(block.units[k]) in quantity.units]
-    if not fits and not known:
+    by_name = named(quantity.words)
+    with_unit = [k for k in by_name or named(quantity.with_unit) if _unit(block.units[k]) in quantity.units]
+    if not by_name and not with_unit:
         return None
-    k = min(known or fits, key=lambda index: len(low[index]))  # "Time" before "Interval Time"
-    unit = _unit(block.units[k]) or quantity.unsaid
+    k = min(with_unit or by_name, key=lambda index: len(low[index]))  # "Time" before "Interval Time"
+    unit = _unit(block.units[k]) or quantity.default_unit
     if unit not in quantity.units:
         written = f'"{block.units[k]}"' if unit else "no unit"
         raise InputError(
@@ -413,7 +418,7 @@ def _column(path: Path, block: _Block, quantity: _Quantity) -> pd.Series[float] 
 
 
 def _numbers(cells: pd.Series[Any]) -> pd.Series[float]:
-    """Numbers from text with a decimal point or comma; NaN for what is none."""
+    """Numbers from text with a decimal point or comma; NaN where the text is not a number."""
     text = cells.astype(str)
     comma = text.str.contains(",", regex=False)
     if comma.any():
@@ -423,13 +428,13 @@ def _numbers(cells: pd.Series[Any]) -> pd.Series[float]:
     return numbers
 
 
-def _joined(blocks: list[_Block]) -> list[list[_Block]]:
-    """Intervals that belong to one measurement."""
+def _measurements(blocks: list[_Block]) -> list[list[_Block]]:
+    """The usable intervals, grouped by measurement."""
     groups: list[list[_Block]] = []
     previous: _Block | None = None
     for block in blocks:
         if not block.problem:
-            if previous is not None and not previous.problem and _goes_on(previous, block):
+            if previous is not None and not previous.problem and _continues(previous, block):
                 groups[-1].append(block)
             else:
                 groups.append([block])
@@ -437,14 +442,14 @@ def _joined(blocks: list[_Block]) -> list[list[_Block]]:
     return groups
 
 
-def _goes_on(first: _Block, second: _Block) -> bool:
-    """Whether an interval goes on where the one before ended: same result, sense, angle and normal force."""
+def _continues(first: _Block, second: _Block) -> bool:
+    """Whether the second interval continues the first: same result, direction, angle and normal force."""
     if first.result != second.result:
         return False
     a, b = first.values["angle_rad"].to_numpy(), second.values["angle_rad"].to_numpy()
-    sense = np.sign(a[-1] - a[0])
-    step = (b[0] - a[-1]) * sense
-    if np.sign(b[-1] - b[0]) != sense or not 0 <= step <= 0.05 * (np.ptp(a) + np.ptp(b)):
+    direction = np.sign(a[-1] - a[0])
+    step = (b[0] - a[-1]) * direction
+    if np.sign(b[-1] - b[0]) != direction or not 0 <= step <= 0.05 * (np.ptp(a) + np.ptp(b)):
         return False
     if "normal_force_N" not in first.values or "normal_force_N" not in second.values:
         return True
@@ -453,42 +458,45 @@ def _goes_on(first: _Block, second: _Block) -> bool:
 
 
 def _left_out(blocks: list[_Block], results: Mapping[int, str]) -> list[str]:
-    """What holds no usable measurement, and why: a whole result in one line, else each interval."""
+    """Results and intervals without a usable measurement, with the reason.
+
+    A result without any is one line; otherwise each interval is. results: names by line of the file.
+    """
     found: list[str] = []
     for line in dict.fromkeys([*results, *(block.line for block in blocks)]):
-        mine = [block for block in blocks if block.line == line]
-        bad = [block for block in mine if block.problem and not block.waiting]
-        if not mine:
+        of_result = [block for block in blocks if block.line == line]
+        unusable = [block for block in of_result if block.problem and not block.waiting]
+        if not of_result:
             found.append(f"{results[line] or 'a result'}: no interval with data")
-        elif bad and all(block.problem for block in mine):
-            found.append(f"{results.get(line) or mine[0].name}: {bad[0].problem}")
+        elif unusable and all(block.problem for block in of_result):
+            found.append(f"{results.get(line) or of_result[0].name}: {unusable[0].problem}")
         else:
-            found += [f"{block.name}: {block.problem}" for block in bad]
+            found += [f"{block.name}: {block.problem}" for block in unusable]
     return found
 
 
-def _finished(path: Path, parts: list[_Block], blocks: list[_Block], left_out: Sequence[str]) -> pd.DataFrame:
-    """One measurement: parts joined, the angle from 0, signs along the rotation."""
+def _table(path: Path, parts: list[_Block], blocks: list[_Block], left_out: Sequence[str]) -> pd.DataFrame:
+    """Table of one measurement: its intervals joined, with the angle from 0 and signs along the rotation."""
     table = pd.concat([part.values for part in parts], ignore_index=True)
     time = table["time_s"].to_numpy(float)
     if not np.all(np.diff(time) >= 0):
-        # "Interval Time" starts again at 0; without times only the order is known.
+        # "Interval Time" starts again at 0 in each interval; without times only the order is known.
         steps = np.diff(time, prepend=time[:1])
-        usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-        table["time_s"] = np.cumsum(np.where(steps >= 0, steps, usual))
+        typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+        table["time_s"] = np.cumsum(np.where(steps >= 0, steps, typical))
     angle = table["angle_rad"].to_numpy(float)
-    sense = 1.0 if angle[-1] >= angle[0] else -1.0
-    table["angle_rad"] = sense * (angle - angle[0])
-    turning = sense * table["torque_N_m"]
-    table["torque_N_m"] = turning if float(turning.mean()) >= 0 else -turning
-    skipped = [b for b in blocks if b.waiting and b.line == parts[0].line]
+    direction = 1.0 if angle[-1] >= angle[0] else -1.0
+    table["angle_rad"] = direction * (angle - angle[0])
+    torque = direction * table["torque_N_m"]
+    table["torque_N_m"] = torque if float(torque.mean()) >= 0 else -torque
+    waiting = [block for block in blocks if block.waiting and block.line == parts[0].line]
     name = parts[0].name
     if len(parts) > 1:
         name += f" to {parts[-1].name.rsplit(' ', 1)[-1]}"
     facts = RotationMetadata(
         source=str(path),
         measurement=name,
-        notes=[f"left out: {block.name}: {block.problem}" for block in skipped],
+        notes=[f"left out: {block.name}: {block.problem}" for block in waiting],
         warnings=[line for part in parts for line in part.warnings],
         left_out=left_out,
     )

@@ -1,6 +1,6 @@
-"""One model at a time: the peaks by Eq. 1, the drops by A𝒩, the stiffness by M_eff K_eff; and what they give.
+"""Fits of one model each: peaks by Eq. 1, drops by A𝒩, stiffness by M_eff K_eff; and the classes of results.
 
-Weighted least squares whose errors come from the deviations themselves.
+All are weighted least squares with standard errors from the residuals.
 """
 
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
@@ -21,7 +21,7 @@ from vision.models import equations
 from vision.numeric import Bools, Floats
 from vision.sample import Sample
 
-FAILURES = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)  # of a fit to strange events
+FAILURES = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)  # of a fit to unusual events
 PARAMETERS = {
     "mu": "mu",
     "T0_N": "t0_N",
@@ -30,13 +30,13 @@ PARAMETERS = {
     "Y_eff_GPa": "modulus_GPa",
     "Lambda_hat_mm": "scale_mm",
 }
-"""Names in models.json of what is fitted, and the fields of `ModelFits`."""
-LARGEST_SCALE = 20.0  # Λ̂ over d at which K no longer falls as M_eff does: a limit, not a result
+"""Names of the fitted parameters in models.json, and their fields in `ModelFits`."""
+LARGEST_SCALE = 20.0  # largest Λ̂/d that is fitted; there K no longer decreases as M_eff does
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value, its standard error and its systematic error; errors that are not known are NaN."""
+    """A value with its standard error and its systematic error; unknown errors are NaN."""
 
     value: float
     error: float
@@ -45,12 +45,12 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Goodness:
-    """How well one model follows its points."""
+    """Goodness of fit of one model."""
 
-    points: int  # how many
-    scatter: float  # root mean square of the deviation over the model
-    # squared deviations over the point-to-point scatter of neighbours, which knows no model: about 1 where
-    # the model's shape is right, more where it is not
+    points: int  # number of points
+    scatter: float  # RMS of the relative deviation from the model
+    # Mean square deviation over that expected from the scatter between neighbouring points, which does not
+    # depend on the model: about 1 if the shape of the model is right, larger if it is not.
     chi2_dof: float
 
 
@@ -63,34 +63,34 @@ class ModelFits:
     mu, t0_N
         Friction coefficient, and offset of the peak forces.
     t_star_N
-        T*; its error is NaN where it was held fixed.
+        T*; its error is NaN if it was not fitted.
     amplitude, n_hat_N, modulus_GPa
         A, N-hat and Y_eff.
     scale_mm
         Lambda-hat, where M_eff reaches 0.
     bending_mm
-        Bending length of the outermost sheet at mid-test.
+        Bending length of the outermost sheet in the middle of the test.
     goodness
-        Of the fits to "peaks", "drops" and "stiffness".
+        Goodness of the fits to "peaks", "drops" and "stiffness".
     correlation
-        Of the pairs of parameters that are fitted together.
+        Correlations of parameters that are fitted together.
     d_mm
         Separation at the first and last event used.
     sample
-        As given.
+        The given sample.
     notes
-        What limits the result.
+        Limitations of the result.
     warnings
-        Why it may be wrong.
+        Reasons why it may be wrong.
     held
         Names of parameters that were given, not fitted.
     left_out
-        Events not used, by the reason: "flagged", "build_up" (before the peaks' maximum), "misfit" (after it,
-        before Eq. 1 fits) and "outside" the range given.
+        Numbers of unused events by reason: "flagged", "build_up" (before the maximum of the peaks), "misfit"
+        (after it, before Eq. 1 fits) and "outside" the given range.
     input_errors
-        Standard errors of d0 (``d0_mm``) and of fields of the sample, as given.
+        Given standard errors of d0 (``d0_mm``) and of fields of the sample.
     budget
-        Source of a systematic error to what it contributes to each parameter; None where it is not known.
+        Contribution of each source of systematic error to each parameter; None where it is not known.
     """
 
     mu: Estimate
@@ -113,30 +113,30 @@ class ModelFits:
     budget: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
 
     def named(self) -> dict[str, Estimate]:
-        """What is fitted, by the names in models.json."""
+        """Fitted parameters by their names in models.json."""
         return {name: getattr(self, part) for name, part in PARAMETERS.items()}
 
     def reduced_separation(self, d_mm: ArrayLike) -> Floats:
-        """Separation over Lambda-hat, without unit."""
+        """Separation divided by Lambda-hat, dimensionless."""
         return np.asarray(d_mm, float) / self.scale_mm.value
 
     def effective_sheets(self, d_mm: ArrayLike) -> Floats:
-        """M_eff per side that the force implies at d; 0 beyond Lambda-hat."""
+        """M_eff per side at d according to the force; 0 beyond Lambda-hat."""
         return equations.effective_sheets(self.reduced_separation(d_mm), sample=self.sample)
 
     def peak_force_N(self, d_mm: ArrayLike) -> Floats:
-        """The fitted peak force, traction plus offset."""
+        """Fitted peak force, traction plus offset."""
         sample = replace(self.sample, t_star_N=self.t_star_N.value)
         return np.asarray(equations.traction(d_mm, mu=self.mu.value, sample=sample) + self.t0_N.value)
 
     def stiffness_N_per_mm(self, d_mm: ArrayLike) -> Floats:
-        """The fitted K(d) = M_eff K_eff."""
+        """Fitted stiffness K(d) = M_eff K_eff."""
         one = equations.sheet_stiffness(modulus_GPa=self.modulus_GPa.value, sample=self.sample)
         return np.asarray(self.effective_sheets(d_mm) * one)
 
     @property
     def chi2_dof(self) -> float:
-        """That of the three fits together."""
+        """Mean chi2_dof of the three fits."""
         return float(np.mean([good.chi2_dof for good in self.goodness.values()]))
 
     def _repr_html_(self) -> str:
@@ -154,7 +154,7 @@ class ModelFits:
         return html_table("models fitted to the force recording", rows)
 
     def to_json(self) -> dict[str, Any]:
-        """The content of models.json: values with errors, how well they fit, and the sample; no NaN in it."""
+        """Return the content of models.json: values with errors, goodness of fit and sample, without NaN."""
         named = self.named() | {"bending_length_mm": self.bending_mm}
         if np.isfinite(self.t_star_N.error):
             named["T_star_N"] = self.t_star_N
@@ -180,6 +180,7 @@ class ModelFits:
 
 
 def _without_nan(value: Any) -> Any:
+    """The value with None in place of each float that is not finite."""
     if isinstance(value, dict):
         return {key: _without_nan(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -204,20 +205,20 @@ class Fit:
         return Estimate(float(self.value[k]), float(np.sqrt(self.covariance[k, k])))
 
     def correlation(self, a: int, b: int) -> float:
-        """Of parameters a and b; 0 where one is known."""
-        both = float(np.sqrt(self.covariance[a, a] * self.covariance[b, b]))
-        return float(self.covariance[a, b]) / both if both > 0 else 0.0
+        """Correlation of parameters a and b; 0 if one has no error."""
+        product = float(np.sqrt(self.covariance[a, a] * self.covariance[b, b]))
+        return float(self.covariance[a, b]) / product if product > 0 else 0.0
 
-    def with_held(self, place: int, value: float) -> Fit:
-        """The same with one more parameter, known and without error, before `place`."""
-        covariance = np.insert(np.insert(self.covariance, place, 0.0, axis=0), place, 0.0, axis=1)
-        return replace(self, value=np.insert(self.value, place, value), covariance=covariance)
+    def with_held(self, index: int, value: float) -> Fit:
+        """The fit with a given parameter, which has no error, inserted before `index`."""
+        covariance = np.insert(np.insert(self.covariance, index, 0.0, axis=0), index, 0.0, axis=1)
+        return replace(self, value=np.insert(self.value, index, value), covariance=covariance)
 
 
 def fit_weighted(
     model: Callable[[Floats], Floats], y: Floats, sigma: Floats | None, start: Sequence[float]
 ) -> Fit:
-    """Weighted least squares with White's covariance; with sigma None the errors are a share of the model."""
+    """Weighted least squares with White's covariance; without sigma, errors are a fraction of the model."""
     value, width = np.asarray(start, float), np.abs(y) if sigma is None else sigma
     scale = np.maximum(np.abs(value), 1e-3)
 
@@ -238,13 +239,13 @@ def fit_weighted(
     neighbours = float(np.sum(np.diff(residual) ** 2) / (2 * max(residual.size - 1, 1)))
     chi2 = float(np.sum(residual**2) / free / neighbours) if neighbours > 0 else float("nan")
     goodness = Goodness(int(y.size), float(np.sqrt(np.mean((y / model(value) - 1) ** 2))), chi2)
-    # Deviations that hang together from event to event count for fewer than they are.
-    wider = max(chi2, 1.0) if np.isfinite(chi2) else 1.0
-    return Fit(value, bread @ meat @ bread * (y.size / free * wider), goodness, residual)
+    # Residuals that are correlated from event to event count as fewer independent ones.
+    widening = max(chi2, 1.0) if np.isfinite(chi2) else 1.0
+    return Fit(value, bread @ meat @ bread * (y.size / free * widening), goodness, residual)
 
 
 def fit_peaks(events: pd.DataFrame, sample: Sample, free_t_star: bool, held: Mapping[str, float]) -> Fit:
-    """μ, 𝒯0 and, if that is free, T* from the peak forces."""
+    """Fit μ, 𝒯0 and, if it is free, T* to the peak forces."""
     d, peak = events["d_p_mm"].to_numpy(float), events["F_p_N"].to_numpy(float)
 
     def force(mu: float, t0: float, t_star: float) -> Floats:
@@ -268,14 +269,14 @@ def fit_peaks(events: pd.DataFrame, sample: Sample, free_t_star: bool, held: Map
 
 
 def fit_drops(events: pd.DataFrame, sample: Sample, mu: float) -> Fit:
-    """A from the force drops."""
+    """Fit A to the force drops."""
     d, drop = events["d_v_mm"].to_numpy(float), events["dF_N"].to_numpy(float)
     total = equations.total_normal_force(d, mu=mu, sample=sample)
     return fit_weighted(lambda q: np.asarray(q[0] * total), drop, None, [float(np.mean(drop / total))])
 
 
 def fit_stiffness(events: pd.DataFrame, sample: Sample, held: Mapping[str, float]) -> Fit:
-    """Λ̂ and Y_eff from the stiffness, K = M √(1 − d/Λ̂) ε W Y_eff / L: no friction coefficient in it."""
+    """Fit Λ̂ and Y_eff to the stiffness, K = M √(1 − d/Λ̂) ε W Y_eff / L, which does not contain μ."""
     d, k = events["d_v_mm"].to_numpy(float), events["K_N_per_mm"].to_numpy(float)
     sigma = stiffness_errors(events)
     given = held.get("modulus_GPa")
@@ -303,30 +304,31 @@ def fit_stiffness(events: pd.DataFrame, sample: Sample, held: Mapping[str, float
     if fit.value[0] >= np.log(largest):
         modulus_alone = fit_weighted(lambda q: stiffness(largest, float(q[0])), k, sigma, [fit.value[1]])
         fit = modulus_alone.with_held(0, float(np.log(largest)))
-        fit.covariance[0, 0] = 1.0  # of a logarithm: as large as Λ̂ itself
-    # Fitted as log Λ̂, which keeps it positive; reported as Λ̂.
+        fit.covariance[0, 0] = 1.0  # of log Λ̂: an error as large as Λ̂ itself
+    # The fitted parameter is log Λ̂, which keeps Λ̂ positive.
     scale = float(np.exp(fit.value[0]))
-    turn = np.diag([scale, 1.0])
-    return replace(fit, value=np.array([scale, fit.value[1]]), covariance=turn @ fit.covariance @ turn)
+    jacobian = np.diag([scale, 1.0])
+    covariance = jacobian @ fit.covariance @ jacobian
+    return replace(fit, value=np.array([scale, fit.value[1]]), covariance=covariance)
 
 
 def stiffness_errors(events: pd.DataFrame) -> Floats:
-    """Errors of K, each added to half the usual one: one luckily small error must not outweigh the rest."""
+    """Errors of K, with half the median error added in quadrature, so that no single event dominates."""
     error = np.full(len(events), np.nan)
     if "K_err_N_per_mm" in events:
         error = events["K_err_N_per_mm"].to_numpy(float)
     known: Bools = np.isfinite(error) & (error > 0)
-    usual = float(np.median(error[known] if known.any() else 0.05 * events["K_N_per_mm"]))
-    return np.hypot(np.where(known, error, usual), 0.5 * usual)
+    median = float(np.median(error[known] if known.any() else 0.05 * events["K_N_per_mm"]))
+    return np.hypot(np.where(known, error, median), 0.5 * median)
 
 
 def with_friction(fit: Callable[[float], Fit], mu: Estimate) -> Fit:
-    """A fit at the fitted μ whose covariance carries the error of μ too."""
+    """Fit with this μ, and include the error of μ in the covariance."""
     centre = fit(mu.value)
     slope = (fit(mu.value + mu.error).value - fit(mu.value - mu.error).value) / 2
     return replace(centre, covariance=centre.covariance + np.outer(slope, slope))
 
 
-def usual_chi2(points: int) -> float:
-    """What chi2_dof rarely exceeds where the model is right: it compares two estimates of one variance."""
+def largest_chi2(points: int) -> float:
+    """Upper limit of the chi2_dof of a correct model: three standard errors of a ratio of two variances."""
     return float(1 + 3 / np.sqrt(points))

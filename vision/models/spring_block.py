@@ -1,8 +1,8 @@
-r"""Stick-slip of a block dragged through a spring: exact, in the limit of slow pulling, and integrated.
+r"""Stick-slip of a block pulled through a spring: exact, in the limit of slow pulling, and by integration.
 
-A block of mass m under the load w is dragged at the speed v through a spring of stiffness k. Its friction
+A block of mass m under the load w is pulled at the speed v through a spring of stiffness k. Its friction
 coefficient is μ_s at rest and μ_d < μ_s while it slides. The elongation u of the spring grows as v t until
-k u = μ_s w; then
+k u = μ_s w. Then
 
 .. math:: m\ddot u = -k u + \mu_d w, \qquad u(0) = \mu_s w/k, \qquad \dot u(0) = v,
 
@@ -27,7 +27,7 @@ from vision.numeric import Bools, Floats
 
 @dataclass(frozen=True, kw_only=True)
 class SpringBlock:
-    """The block, its spring and its friction.
+    """Parameters of the block, its spring and its friction.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class SpringBlock:
     Raises
     ------
     InputError
-        For numbers that are not positive and finite, or μ_d ≥ μ_s, where nothing sticks and slips.
+        If a number is not positive and finite, or μ_d ≥ μ_s, where there is no stick-slip.
     """
 
     mass_kg: float
@@ -62,30 +62,30 @@ class SpringBlock:
 
     @property
     def critical_speed_mm_s(self) -> float:
-        """v_c = (μ_s − μ_d) w / √(mk): pulling is slow where v is far below it."""
+        """v_c = (μ_s − μ_d) w / √(mk); pulling is slow if v is far below it."""
         drop = (self.mu_static - self.mu_dynamic) * self.load_N
         return 1000 * drop / math.sqrt(self.mass_kg * self.stiffness_N_per_m)
 
 
 @dataclass(frozen=True, kw_only=True)
 class StickSlipCycle:
-    """One period of the stationary motion; each field has the shape of the speeds it was computed for."""
+    """One period of the stationary motion; each field has the shape of the speeds."""
 
     stick_time_s: Floats  # t_st
     slip_time_s: Floats  # t_sl
-    slip_length_mm: Floats  # Λ_sl = v t_sl, by which the spring's far end moves meanwhile
+    slip_length_mm: Floats  # Λ_sl = v t_sl, displacement of the pulled end during the slip
     lowest_elongation_mm: Floats  # u0, at the end of the slip
     highest_elongation_mm: Floats  # μ_s w / k, at its start
     force_drop_N: Floats  # Δf = 2 (μ_s − μ_d) w
 
 
 def stick_slip(block: SpringBlock, speed_mm_s: ArrayLike) -> StickSlipCycle:
-    r"""The stationary cycle, exact at every pulling speed v, mm/s.
+    r"""Stationary cycle, exact at every pulling speed v, mm/s.
 
     Raises
     ------
     InputError
-        For speeds that are not positive.
+        If a speed is not positive.
 
     Notes
     -----
@@ -93,7 +93,7 @@ def stick_slip(block: SpringBlock, speed_mm_s: ArrayLike) -> StickSlipCycle:
               t_{sl} = 2\sqrt{\frac{m}{k}}\left[\pi - \arctan\frac{(\mu_s-\mu_d)w}{v\sqrt{mk}}\right],
               \quad \Lambda_{sl} = v\,t_{sl}
 
-    t_st, u0 and Δf are those of slow pulling; only the slip lasts longer, up to twice as long.
+    t_st, u0 and Δf are those of slow pulling; only the slip lasts longer, up to twice as long at high speeds.
     """
     speed = _speeds(speed_mm_s)
     angle = np.pi - np.arctan(block.critical_speed_mm_s / speed)
@@ -101,10 +101,10 @@ def stick_slip(block: SpringBlock, speed_mm_s: ArrayLike) -> StickSlipCycle:
 
 
 def slow_stick_slip(block: SpringBlock, speed_mm_s: ArrayLike) -> StickSlipCycle:
-    r"""The cycle in the limit of slow pulling, as printed in the publication: t_sl = π √(m/k).
+    r"""Cycle in the limit of slow pulling, as printed in the publication: t_sl = π √(m/k).
 
-    Its slip is 6 % short at v = 0.1 v_c, 33 % at v_c and 47 % at 5 v_c; `slow_speed_limit_mm_s` gives the
-    speed up to which it does. Arguments and errors as in `stick_slip`.
+    Its slip time is too short by 6 % at v = 0.1 v_c, 33 % at v_c and 47 % at 5 v_c; `slow_speed_limit_mm_s`
+    gives the speed up to which it is accurate. Arguments and errors are those of `stick_slip`.
     """
     speed = _speeds(speed_mm_s)
     slip = np.full(speed.shape, math.pi * math.sqrt(block.mass_kg / block.stiffness_N_per_m))
@@ -112,6 +112,7 @@ def slow_stick_slip(block: SpringBlock, speed_mm_s: ArrayLike) -> StickSlipCycle
 
 
 def _speeds(speed_mm_s: ArrayLike) -> Floats:
+    """Return the speeds as an array; raise InputError if one is not positive."""
     speed = np.asarray(speed_mm_s, float)
     if not (np.isfinite(speed) & (speed > 0)).all():
         raise InputError("`speed_mm_s`", "positive speeds", f"{speed_mm_s!r}")
@@ -119,33 +120,35 @@ def _speeds(speed_mm_s: ArrayLike) -> Floats:
 
 
 def _cycle(block: SpringBlock, speed: Floats, slip_time_s: Floats) -> StickSlipCycle:
+    """Cycle with this slip time; the other fields are those of slow pulling."""
     k, w = block.stiffness_N_per_mm, block.load_N
     drop = 2 * (block.mu_static - block.mu_dynamic) * w
-    same = np.ones_like(speed)
+    ones = np.ones_like(speed)
     return StickSlipCycle(
         stick_time_s=drop / (k * speed),
         slip_time_s=slip_time_s,
         slip_length_mm=speed * slip_time_s,
-        lowest_elongation_mm=(2 * block.mu_dynamic - block.mu_static) * w / k * same,
-        highest_elongation_mm=block.mu_static * w / k * same,
-        force_drop_N=drop * same,
+        lowest_elongation_mm=(2 * block.mu_dynamic - block.mu_static) * w / k * ones,
+        highest_elongation_mm=block.mu_static * w / k * ones,
+        force_drop_N=drop * ones,
     )
 
 
 def slow_speed_limit_mm_s(block: SpringBlock, *, tolerance: float = 0.05) -> float:
-    r"""Speed above which the slow limit's slip time is short by more than a tolerance.
+    r"""Speed above which the slip time of the slow limit is too short by more than the tolerance.
+
+    The tolerance is a fraction of the exact slip time.
 
     Raises
     ------
     InputError
-        For a tolerance, a share of the exact slip time, that is not between 0 and 0.5 (where the limit is
-        short at every speed by less).
+        If the tolerance is not between 0 and 0.5; the relative error is below 0.5 at every speed.
 
     Notes
     -----
     .. math:: \frac{v}{v_c} = \tan\left(\frac{\pi}{2}\,\frac{p}{1 - p}\right)
 
-    with p the tolerance: 0.083 v_c for 5 %.
+    with the tolerance p; the result is 0.083 v_c for 5 %.
     """
     if not 0 < tolerance < 0.5:
         raise InputError("`tolerance`", "a share between 0 and 0.5", f"{tolerance!r}")
@@ -155,14 +158,14 @@ def slow_speed_limit_mm_s(block: SpringBlock, *, tolerance: float = 0.05) -> flo
 def integrate_motion(
     block: SpringBlock, speed_mm_s: float, *, cycles: int = 3, samples_per_phase: int = 100
 ) -> xr.Dataset:
-    """The motion from a relaxed spring, from the equation of motion alone.
+    """Integrate the equation of motion, starting from a relaxed spring.
 
     Parameters
     ----------
     cycles
-        Slips to be followed.
+        Number of slips.
     samples_per_phase
-        Samples of each stick and each slip.
+        Number of samples of each stick and each slip.
 
     Returns
     -------
@@ -173,13 +176,13 @@ def integrate_motion(
     Raises
     ------
     InputError
-        For a speed that is not positive, or counts below one slip and two samples.
+        If the speed is not positive, or there is less than one slip or two samples.
 
     Notes
     -----
-    Sticks end where k u reaches μ_s w and slips where the block comes to rest, both found as events of the
-    integration (eighth-order Runge-Kutta, relative tolerance 1e-11). It knows none of the closed forms of
-    `stick_slip`, which it confirms to 1e-9 for v/v_c from 0.01 to 5.
+    Sticks end where k u reaches μ_s w, and slips end where the block comes to rest; both are found as events
+    of the integration (eighth-order Runge-Kutta, relative tolerance 1e-11). The integration is independent of
+    the closed forms of `stick_slip` and confirms them to 1e-9 for v/v_c from 0.01 to 5.
     """
     speed = float(_speeds(speed_mm_s)) / 1000
     if cycles < 1 or samples_per_phase < 2:
@@ -216,7 +219,7 @@ def integrate_motion(
 def _phase(
     block: SpringBlock, speed: float, time: float, state: Floats, *, sliding: bool, samples: int
 ) -> tuple[Floats, Floats]:
-    """(times, (u, u̇)) of one stick or one slip, the end included; SI units."""
+    """Times, (samples,), and (u, u̇), (2, samples), of one stick or one slip, including its end; SI units."""
     m, k = block.mass_kg, block.stiffness_N_per_m
     kinetic, static = block.mu_dynamic * block.load_N, block.mu_static * block.load_N
 
@@ -227,7 +230,7 @@ def _phase(
         return float(y[1] - speed) if sliding else float(k * y[0] - static)
 
     ends.terminal, ends.direction = True, 1.0  # type: ignore[attr-defined]
-    # A slip lasts at most a whole period of the free oscillation; a stick until the drive has gone this far.
+    # A slip lasts at most a period of the free oscillation, a stick until the spring reaches the threshold.
     longest = 2.1 * math.pi * math.sqrt(m / k) if sliding else 1.1 * (static / k - state[0]) / speed
     found = scipy.integrate.solve_ivp(
         motion,
@@ -250,7 +253,7 @@ def _phase(
     return times, states
 
 
-# --- rate and state -----------------------------------------------------------------------------------------
+# --- rate-and-state friction --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -263,14 +266,14 @@ class RateState:
     Parameters
     ----------
     a, b
-        Direct effect of the speed and effect of the age; steady sliding can be unstable where b > a.
+        Direct effect of the speed, and effect of the age; steady sliding can be unstable if b > a.
     critical_length_um
-        D_c, over which contacts are renewed.
+        Sliding distance D_c over which contacts are renewed.
 
     Raises
     ------
     InputError
-        For numbers that are not positive and finite, or b ≤ a, where steady sliding is always stable.
+        If a number is not positive and finite, or b ≤ a, where steady sliding is always stable.
     """
 
     a: float
@@ -286,11 +289,11 @@ class RateState:
 def critical_stiffness_N_per_mm(
     friction: RateState, *, load_N: float, speed_mm_s: float, mass_kg: float = 0.0
 ) -> float:
-    r"""Stiffness of the spring below which steady sliding at a speed turns into stick-slip.
+    r"""Stiffness of the spring below which steady sliding at this speed is unstable and stick-slip begins.
 
     .. math:: k_c = \frac{(b - a) N}{D_c} \left[1 + \frac{m V^2}{a N D_c}\right]
 
-    The linear stability of steady sliding (Rice and Ruina 1983).
+    It follows from the linear stability of steady sliding (Rice and Ruina 1983).
     """
     length = 1e-6 * friction.critical_length_um
     inertia = mass_kg * (1e-3 * speed_mm_s) ** 2 / (friction.a * load_N * length)
@@ -298,7 +301,7 @@ def critical_stiffness_N_per_mm(
 
 
 def onset_period_s(friction: RateState, *, speed_mm_s: float) -> float:
-    r"""Period of the oscillation with which steady sliding turns unstable, whatever the mass.
+    r"""Period of the oscillation at the onset of instability of steady sliding, for any mass.
 
     .. math:: 2 \pi \frac{D_c}{V} \sqrt{\frac{a}{b - a}}
     """

@@ -1,4 +1,4 @@
-"""Which sheets are stiff, and the size of the stiff inner shell of each side in each stick phase."""
+"""Classification of sheets as stiff or mobile, and the size of the stiff shell of each side."""
 
 from vision.shells.shells import (
     ShellSettings,

@@ -1,4 +1,4 @@
-"""Which sheets are stiff, and the size of the stiff inner shell of each side in each stick phase."""
+"""Classification of sheets as stiff or mobile, and the size of the stiff shell in each stick phase."""
 
 from __future__ import annotations
 
@@ -18,39 +18,41 @@ from vision.numeric import Bools, Floats, Floats32, Ints
 
 @dataclass(frozen=True, kw_only=True)
 class ShellSettings:
-    """Everything in the statistics of shells that can be tuned; measured on the scenes of
+    """Tunable constants of the statistics of shells, measured on the scenes of
     `tests/shells/test_shells.py`."""
 
     sheet_scatters: tuple[float, ...] = (0.03, 0.08, 0.15, 0.25)
-    """Relative scatter of the sheets about a smooth profile, of which the likeliest is taken. One value of
-    0.08 in its place widens the intervals by 7 %, 0.25 by 18 %."""
+    """Possible relative scatters of the sheets about a smooth profile, of which the likeliest is used. The
+    single value 0.08 widens the intervals by 7 %, 0.25 by 18 %."""
     profile_error: float = 0.2
-    """By how much of their distance from the threshold real profiles differ from those tried. Smaller →
-    intervals too narrow for shapes not tried (72 % hold the truth at 0); larger → they widen."""
+    """Difference of real profiles from the model profiles, as a fraction of their distance from the
+    threshold. Smaller → intervals too narrow for other shapes (at 0, 72 % contain the truth); larger → wider
+    intervals."""
     profile_error_growth: float = 0.5
-    """By how much more they differ, per threshold of distance. 0 lets sheets far from the threshold decide,
-    and costs 1 % of the intervals."""
+    """Relative growth of that difference per threshold of distance. At 0 sheets far from the threshold have
+    too much weight, and 1 % fewer of the intervals contain the truth."""
     outlier_sigma: float = 4.0
     """Standard deviations from all profiles beyond which a sheet is counted by its own measurement. Smaller →
-    single sheets count where noise is large; larger → one odd sheet moves the shell
+    single sheets count where noise is large; larger → one outlier changes the shell
     (`test_single_sheets_do_not_decide`)."""
     misread_share: float = 0.2
-    """Share of such sheets that are taken to be misread. 0 makes intervals too narrow where sheets are
-    misread: 80 % hold the truth in place of 97 %."""
+    """Share of such sheets that are assumed to be measured wrongly. At 0 intervals are too narrow where
+    sheets are measured wrongly: 80 % contain the truth instead of 97 %."""
     draws: int = 256
-    """Random profiles per event. More → smoother intervals, slower."""
+    """Number of random profiles per event. More → smoother intervals, slower."""
     significance: float = 1e-3
-    """Probability of chance below which a fall of the ratio with n, or a rise, is accepted."""
+    """Probability of chance below which a decrease of the ratio with n, or an increase, is significant."""
     fit_sigma: float = 2.0
     """Standard errors by which M_eff of the fit must lie outside a shell's interval to contradict it. At 1
-    chance decides where Λ̂ is known badly; at 3 a d0 wrong by 3.6 mm passes (`fixtures/late` read with 13)."""
+    contradictions arise by chance where Λ̂ is uncertain; at 3 a d0 wrong by 3.6 mm passes (`fixtures/late`
+    with 13)."""
     contradicted_share: float = 0.5
     """Share of stick phases and sides that must contradict the fit for a warning. Intervals miss the truth in
-    a tenth: at 0.2 chance warns in short recordings; at 1 one phase that agrees keeps it quiet."""
+    a tenth of them: 0.2 gives false warnings in short recordings; at 1 a single agreement suppresses it."""
 
 
 def classify_sheets(motion: xr.Dataset, *, threshold: float = 0.1, certainty: float = 0.9) -> xr.Dataset:
-    """Probability that each sheet is stiff, taken on its own.
+    """Classify each sheet as stiff or mobile from its own ratio alone.
 
     Parameters
     ----------
@@ -59,18 +61,18 @@ def classify_sheets(motion: xr.Dataset, *, threshold: float = 0.1, certainty: fl
     threshold
         σ_x/Λ_st below which a sheet is stiff.
     certainty
-        Probability from which on a sheet is called stiff or mobile.
+        Smallest probability at which a sheet is called stiff or mobile.
 
     Returns
     -------
-    `motion` with two more variables (event, sheet): p_stiff, the probability that the true ratio lies below
-    the threshold given `ratio_signed` and its normal error (NaN where there is no ratio), and shell: "stiff",
+    `motion` with two more variables (event, sheet): p_stiff, the probability that the true ratio is below the
+    threshold, given `ratio_signed` and its normal error (NaN where there is no ratio); and shell: "stiff",
     "mobile" or "undetermined".
 
     Raises
     ------
     InputError
-        For a threshold that is not above 0 or a certainty not between 0.5 and 1.
+        If the threshold is not above 0 or the certainty not between 0.5 and 1.
     """
     MOTION.check(motion)
     _check(threshold, certainty)
@@ -78,32 +80,32 @@ def classify_sheets(motion: xr.Dataset, *, threshold: float = 0.1, certainty: fl
     p = scipy.special.ndtr((threshold - value) / error) - scipy.special.ndtr((-threshold - value) / error)
     shell = np.select([p >= certainty, p <= 1 - certainty], ["stiff", "mobile"], default="undetermined")
     about = {"units": "1", "long_name": f"probability that the true ratio is below {threshold:g}"}
-    judged = motion.assign(
+    classified = motion.assign(
         p_stiff=(("event", "sheet"), p, about),
         shell=(("event", "sheet"), shell, {"long_name": f"at a certainty of {certainty:g}"}),
     )
-    judged = judged.assign_attrs(ShellMetadata(threshold=threshold, certainty=certainty).attrs())
-    return record(judged, "classify_sheets", threshold=threshold, certainty=certainty)
+    classified = classified.assign_attrs(ShellMetadata(threshold=threshold, certainty=certainty).attrs())
+    return record(classified, "classify_sheets", threshold=threshold, certainty=certainty)
 
 
 def deformation_table(motion: xr.Dataset, *, threshold: float = 0.1, certainty: float = 0.9) -> pd.DataFrame:
-    """The table of `deformation.csv`: one row per event and sheet, event after event.
+    """Return the table of `deformation.csv`: one row per event and sheet, in this order.
 
-    Parameters are those of `classify_sheets`.
+    The parameters are those of `classify_sheets`.
     """
-    judged = classify_sheets(motion, threshold=threshold, certainty=certainty)
-    events, sheets = judged.sizes["event"], judged.sizes["sheet"]
+    classified = classify_sheets(motion, threshold=threshold, certainty=certainty)
+    events, sheets = classified.sizes["event"], classified.sizes["sheet"]
     columns = {
-        "event": np.repeat(judged["event"].to_numpy(), sheets),
-        "index": np.tile(judged["sheet"].to_numpy(), events),
-        "side": np.tile(judged["side"].to_numpy(), events),
-        "n": np.tile(judged["n"].to_numpy(), events),
+        "event": np.repeat(classified["event"].to_numpy(), sheets),
+        "index": np.tile(classified["sheet"].to_numpy(), events),
+        "side": np.tile(classified["side"].to_numpy(), events),
+        "n": np.tile(classified["n"].to_numpy(), events),
     }
     lengths = ["sigma_x_um", "sigma_x_corrected_um", "sweep_um"]
-    columns |= {name: judged[name].to_numpy().ravel() for name in lengths}
-    columns["stick_length_um"] = np.repeat(judged["stick_length_um"].to_numpy(), sheets)
+    columns |= {name: classified[name].to_numpy().ravel() for name in lengths}
+    columns["stick_length_um"] = np.repeat(classified["stick_length_um"].to_numpy(), sheets)
     rest = ["ratio", "ratio_err", "p_stiff", "shell", "frames", "flag"]
-    return pd.DataFrame(columns | {name: judged[name].to_numpy().ravel() for name in rest})
+    return pd.DataFrame(columns | {name: classified[name].to_numpy().ravel() for name in rest})
 
 
 def classify_shells(
@@ -114,14 +116,14 @@ def classify_shells(
     effective_sheets: Callable[[Floats], Floats] | None = None,
     settings: ShellSettings = ShellSettings(),
 ) -> pd.DataFrame:
-    """Size of the stiff inner shell of each side in each stick phase, one row per event and side.
+    """Estimate the size of the stiff inner shell of each side in each stick phase.
 
-    The ratio should not fall with n. Some thousand rising profiles, from power laws to steps, are each
-    weighted by how well they fit all sheets of that side, and true ratios are drawn about them, near each
-    sheet's own measurement as far as its error is small; the number below the threshold is counted in each
-    draw. The size is the median, the interval holds `certainty` of the draws. Sheets far off every profile
-    are counted by their own measurement. Errors of the stick length and of the camera's movement are shared
-    by all sheets of an event.
+    The ratio is expected not to decrease with n. Some thousand increasing profiles, from power laws to steps,
+    are weighted by how well they fit all sheets of a side. True ratios are drawn about them, the nearer to
+    the measurement of a sheet the smaller its error, and those below the threshold are counted in each draw.
+    The size is the median; the interval contains the share `certainty` of the draws. Sheets far from every
+    profile are counted by their own measurement. The errors of the stick length and of the camera movement
+    are common to all sheets of an event.
 
     Parameters
     ----------
@@ -130,29 +132,29 @@ def classify_shells(
     threshold
         σ_x/Λ_st below which a sheet is stiff.
     certainty
-        Probability that the interval holds the true size.
+        Probability that the interval contains the true size.
     effective_sheets
-        The force's M_eff at d in mm, for example `ModelFits.effective_sheets`.
+        M_eff according to the force as a function of d in mm, for example `ModelFits.effective_sheets`.
     settings
         See `ShellSettings`.
 
     Returns
     -------
-    A table with the columns
+    A table with one row per event and side, and the columns
 
     - event, d_v_mm, side;
     - stiff_sheets, stiff_low, stiff_high: missing (<NA>) with fewer than three ratios on that side; unknown
       sheets inside a shell count as part of it;
     - M_eff_model: NaN without a model;
-    - stiff_breakpoint, which needs no threshold: the n at which a flat inner part with a rising straight line
-      after it fits best; NaN where the rise is not significant or fewer than five ratios are known;
-    - monotone: False where the ratio falls with n by more than chance (isotonic regression);
+    - stiff_breakpoint: the n at which a constant inner part followed by an increasing line fits best, which
+      needs no threshold; NaN if the increase is not significant or fewer than five ratios are known;
+    - monotone: False if the ratio decreases significantly with n (isotonic regression);
     - sheets_known: number of sheets with a ratio.
 
     Raises
     ------
     InputError
-        For a threshold that is not above 0 or a certainty not between 0.5 and 1.
+        If the threshold is not above 0 or the certainty not between 0.5 and 1.
 
     Notes
     -----
@@ -169,7 +171,7 @@ def classify_shells(
 
 
 def with_model(shells: pd.DataFrame, effective_sheets: Callable[[Floats], Floats]) -> pd.DataFrame:
-    """The same table with M_eff_model filled in: the force's M_eff per side at d_v, mm."""
+    """Return the table with M_eff_model: M_eff per side according to the force at d_v, mm."""
     d_mm = shells["d_v_mm"].to_numpy(float)
     return shells.assign(M_eff_model=np.asarray(effective_sheets(d_mm), float))
 
@@ -177,6 +179,7 @@ def with_model(shells: pd.DataFrame, effective_sheets: Callable[[Floats], Floats
 def _side_table(
     side: Side, motion: xr.Dataset, threshold: float, certainty: float, settings: ShellSettings
 ) -> pd.DataFrame:
+    """The rows of one side in the table of `classify_shells`."""
     known = side.known.sum(axis=1)
     names = ("stiff_sheets", "stiff_low", "stiff_high")
     sizes = shell_sizes(side, threshold=threshold, certainty=certainty, settings=settings)
@@ -197,7 +200,7 @@ def _side_table(
 
 
 def _check(threshold: float, certainty: float) -> None:
-    """Raises InputError for a threshold or certainty that cannot be meant."""
+    """Raise InputError if the threshold or the certainty is out of range."""
     if not (np.isfinite(threshold) and threshold > 0):
         raise InputError("`threshold`", "a number above 0", f"{threshold:g}", "0.1 is the publication's")
     if not 0.5 < certainty < 1:
@@ -211,51 +214,51 @@ LEAST_ERROR = 1e-9  # of a ratio
 
 @dataclass(frozen=True)
 class Side:
-    """One side of the assembly from the centre outwards, NaN where unknown."""
+    """Ratios of the N sheets of one side, from the centre outwards; NaN where unknown."""
 
     side: int  # -1 or +1
     n: Floats  # (N,)
-    value: Floats  # the ratio, negative where movement outwards is not significant, (event, N)
+    value: Floats  # ratio; negative where outward movement is not significant, (event, N)
     error: Floats  # (event, N)
-    length_err: Floats  # relative error of the stick length, which all sheets share, (event,)
-    shared_err: Floats  # error of the ratio that all sheets share, of the camera's movement, (event,)
+    length_err: Floats  # relative error of the stick length, common to all sheets, (event,)
+    shared_err: Floats  # error of the ratio from camera movement, common to all sheets, (event,)
 
     @classmethod
     def of(cls, motion: xr.Dataset, side: int) -> Side:
-        """The sheets of one side, -1 or +1, of a Dataset of `horizontal_deformation`."""
+        """The sheets of one side, -1 or +1, of a Dataset from `horizontal_deformation`."""
         number = motion["n"].to_numpy()
-        place = np.flatnonzero(motion["side"].to_numpy() == side)
-        place = place[np.argsort(number[place])]
+        index = np.flatnonzero(motion["side"].to_numpy() == side)
+        index = index[np.argsort(number[index])]
         signed, ratio, error = (
-            motion[name].to_numpy()[:, place] for name in ("ratio_signed", "ratio", "ratio_err")
+            motion[name].to_numpy()[:, index] for name in ("ratio_signed", "ratio", "ratio_err")
         )
-        value = np.where(motion["flag"].to_numpy()[:, place] == "outward", ratio, signed)
+        value = np.where(motion["flag"].to_numpy()[:, index] == "outward", ratio, signed)
         shared = np.zeros(len(value))
         if "drift_err_um" in motion:
             drift_err = motion["drift_err_um"] / motion["stick_length_um"] / np.sqrt(12)
             shared = np.nan_to_num(drift_err.to_numpy())
         error, length_err = np.maximum(error, LEAST_ERROR), _length_err(motion)
-        return cls(int(side), number[place].astype(float), value, error, length_err, shared)
+        return cls(int(side), number[index].astype(float), value, error, length_err, shared)
 
     @property
     def known(self) -> Bools:
-        """Where there is a ratio with an error, (event, N)."""
+        """Whether there is a ratio with an error, (event, N)."""
         return np.isfinite(self.value) & np.isfinite(self.error)
 
     def without(self, sheets: Bools) -> Side:
-        """The same with these sheets (event, N) unknown."""
+        """The same side with these sheets (event, N) unknown."""
         return replace(self, value=np.where(sheets, np.nan, self.value))
 
 
 def isotonic(side: Side, significance: float) -> tuple[Floats, Bools]:
-    """The ratio as a rising function of n at every sheet, (event, N), and whether the data allow one,
-    (event,).
+    """Fit the ratio by an increasing function of n, (event, N); also return its acceptance, (event,).
 
-    Steps of the isotonic regression (weights 1/error²) joined by straight lines between their middles; NaN
-    without any known sheet. A rising function is rejected where χ² is less probable than `significance`.
+    The steps of the isotonic regression (weights 1/error²) are joined by straight lines between their
+    middles; NaN without known sheets. An increasing function is rejected if χ² is less probable than
+    `significance`.
     """
-    rising = np.full(side.value.shape, np.nan)
-    misfit = np.zeros(len(rising))
+    increasing = np.full(side.value.shape, np.nan)
+    misfit = np.zeros(len(increasing))
     for event, known in enumerate(side.known):
         if not known.any():
             continue
@@ -263,15 +266,16 @@ def isotonic(side: Side, significance: float) -> tuple[Floats, Bools]:
         fit = scipy.optimize.isotonic_regression(value, weights=weight)
         first = fit.blocks[:-1]
         middle = np.add.reduceat(n, first) / np.diff(fit.blocks)
-        rising[event] = np.interp(side.n, middle, fit.x[first])
+        increasing[event] = np.interp(side.n, middle, fit.x[first])
         misfit[event] = np.sum(weight * (value - fit.x) ** 2)
-    return rising, misfit <= scipy.special.chdtri(np.maximum(side.known.sum(axis=1), 1), significance)
+    limit = scipy.special.chdtri(np.maximum(side.known.sum(axis=1), 1), significance)
+    return increasing, misfit <= limit
 
 
 def breakpoint_n(side: Side, significance: float) -> Floats:
-    """Where a flat inner part and a straight rise meet best, in n, (event,): all knees tried at once.
+    """Best breakpoint between a constant inner part and an increasing line, in n, (event,).
 
-    NaN where the rise is not significant, or with fewer than five known sheets.
+    NaN if the increase is not significant, or with fewer than five known sheets.
     """
     knee = np.arange(side.n[0], side.n[-1] - 1, 0.5)
     if knee.size == 0:
@@ -286,23 +290,23 @@ def breakpoint_n(side: Side, significance: float) -> Floats:
         along = (weight * value) @ ramp.T
         slope = along / (weight @ (ramp**2).T - total * middle**2)
     gain = np.nan_to_num(np.where(slope > 0, slope * along, 0.0))
-    sure = gain.max(axis=1) > scipy.special.chdtri(2, significance)
+    significant = gain.max(axis=1) > scipy.special.chdtri(2, significance)
     enough = side.known.sum(axis=1) >= 5
-    return np.asarray(np.where(sure & enough, knee[gain.argmax(axis=1)], np.nan))
+    return np.asarray(np.where(significant & enough, knee[gain.argmax(axis=1)], np.nan))
 
 
 def _length_err(motion: xr.Dataset) -> Floats:
     """Relative error of the stick length, (event,): the part of ratio_err beyond the error of σ_x.
 
-    Read from the sheet with the largest ratio, where it shows best.
+    It is taken from the sheet with the largest ratio, where it is largest.
     """
     ratio = np.nan_to_num(motion["ratio"].to_numpy())
-    own = motion["sigma_x_err_um"].to_numpy() / motion["stick_length_um"].to_numpy()[:, None]
-    beyond = np.sqrt(np.maximum(motion["ratio_err"].to_numpy() ** 2 - own**2, 0))
-    most = ratio.argmax(axis=1, keepdims=True)
-    ratio, beyond = (np.take_along_axis(part, most, axis=1)[:, 0] for part in (ratio, beyond))
-    share = np.divide(beyond, ratio, out=np.zeros_like(ratio), where=ratio > 0)
-    return np.asarray(np.nan_to_num(share))
+    sigma_err = motion["sigma_x_err_um"].to_numpy() / motion["stick_length_um"].to_numpy()[:, None]
+    length_part = np.sqrt(np.maximum(motion["ratio_err"].to_numpy() ** 2 - sigma_err**2, 0))
+    sheet = ratio.argmax(axis=1, keepdims=True)
+    ratio, length_part = (np.take_along_axis(part, sheet, axis=1)[:, 0] for part in (ratio, length_part))
+    relative = np.divide(length_part, ratio, out=np.zeros_like(ratio), where=ratio > 0)
+    return np.asarray(np.nan_to_num(relative))
 
 
 # --- sizes --------------------------------------------------------------------------------------------------
@@ -311,31 +315,31 @@ def _length_err(motion: xr.Dataset) -> Floats:
 def shell_sizes(
     side: Side, *, threshold: float, certainty: float, settings: ShellSettings = ShellSettings()
 ) -> tuple[Ints, Ints, Ints]:
-    r"""Stiff sheets of one side, (event,): the median, and the ends of the shortest interval at `certainty`.
+    r"""Number of stiff sheets of one side, (event,): median and ends of the shortest interval.
 
     Profile :math:`j` has the weight :math:`\exp(-\tfrac12 \sum_n (r_n - p_j(n))^2 / s_n^2)`, where
-    :math:`s_n` is the error of the ratio :math:`r_n` with the scatter of sheets about a profile. Profiles are
-    drawn by their weights, true ratios are drawn about them given the measurements, and those below the
-    threshold are counted. Stick lengths and the camera's movement are varied by their errors, for all sheets
-    at once.
+    :math:`s_n` combines the error of the ratio :math:`r_n` and the scatter of sheets about a profile.
+    Profiles are drawn by their weights, true ratios are drawn about them given the measurements, and those
+    below the threshold are counted. Stick lengths and camera movement are varied by their errors, for all
+    sheets together.
 
     Outliers from every profile are counted by their own measurement, except in the share of draws in which
-    they are taken to be misread. So are all sheets of an event where the ratio falls with n beyond chance
-    even without the outliers.
+    they are assumed to be measured wrongly. If the ratio decreases significantly with n even without the
+    outliers, all sheets of the event are counted by their own measurement.
     """
     profiles = _Profiles.crossing(tuple(side.n), threshold)
     sheets = _Ratios.of(side, threshold, settings)
     sheets = replace(sheets, alone=_outliers(sheets, profiles.thinned()))
     relative = _likeliest_scatter(sheets, profiles.thinned())
-    falls = ~isotonic(side.without(sheets.alone), settings.significance)[1]
-    single = replace(sheets, alone=sheets.alone | (falls[:, None] & side.known))
-    found = []
-    for block in _blocks(len(falls)):
-        share, _ = _weigh(profiles, sheets.at(block), relative)
-        ratio = _draw_ratios(profiles, share, single.at(block), relative, outliers=sheets.alone[block])
-        count = _count(ratio, threshold, side.length_err[block], side.shared_err[block])
-        found.append(_summary(count, certainty))
-    size, low, high = np.concatenate(found, axis=1)
+    decreases = ~isotonic(side.without(sheets.alone), settings.significance)[1]
+    counted = replace(sheets, alone=sheets.alone | (decreases[:, None] & side.known))
+    sizes = []
+    for block in _blocks(len(decreases)):
+        share, _ = _profile_weights(profiles, sheets.at(block), relative)
+        ratio = _draw_ratios(profiles, share, counted.at(block), relative, outliers=sheets.alone[block])
+        count = _count_below(ratio, threshold, side.length_err[block], side.shared_err[block])
+        sizes.append(_median_and_interval(count, certainty))
+    size, low, high = np.concatenate(sizes, axis=1)
     return size, low, high
 
 
@@ -344,58 +348,56 @@ def shell_sizes(
 
 @dataclass(frozen=True)
 class _Profiles:
-    """Curves that never fall with n, ratio (curve, sheet), ordered by how many sheets are below threshold.
+    """Profiles: ratios that never decrease with n, sorted by the number of sheets below the threshold.
 
-    half_square: half the ratio's square.  Single precision, as likelihoods of thousands of curves need speed.
+    In single precision, because likelihoods of thousands of profiles take time.
     """
 
-    ratio: Floats32
-    half_square: Floats32
+    ratio: Floats32  # (profile, sheet)
+    half_square: Floats32  # half the square of the ratio, (profile, sheet)
 
     @classmethod
     @lru_cache(maxsize=4)  # for the next sticks of the same sheets; 4 MB each
     def crossing(cls, sheets: tuple[float, ...], threshold: float) -> _Profiles:
-        """Curves at the sheets' numbers n, from the centre outwards, that cross the threshold t at a place b.
+        """Profiles at the sheets' numbers n, from the centre outwards, that cross the threshold t at n = b.
 
-        t (c + (C - c) h/(1 + h)) with h ∝ max(1 + (n - b)/a, 0)^q: nothing moves up to b - a, then a power
-        law, levelling off towards a ceiling C. Power laws through the centre (a = b, c = 0), flat cores with
-        a straight rise (q = 1), steps (small a, low ceiling) and sigmoids are among them or near. All b,
-        from inside the innermost to beyond the outermost sheet, are equally frequent, half a sheet apart
-        where sheets are not very many.
+        They are t (c + (C - c) h/(1 + h)) with h ∝ max(1 + (n - b)/a, 0)^q: constant up to b - a, then a
+        power law that saturates at a ceiling C. They include, nearly or exactly, power laws through the
+        centre (a = b, c = 0), constant cores with a linear increase (q = 1), steps (small a, low ceiling) and
+        sigmoids. All b from inside the innermost to beyond the outermost sheet are equally frequent; the step
+        is half a sheet unless there are very many sheets.
         """
         n = np.array(sheets)
-        apart = max(0.5, (n[-1] - n[0]) / 120)
-        place = np.arange(n[0] - 3, n[-1] + 6, apart) + apart / 2
-        foot, bend = np.geomspace(0.6, 30, 7), (0.6, 1.4, 4.0)
+        step = max(0.5, (n[-1] - n[0]) / 120)
+        crossing = np.arange(n[0] - 3, n[-1] + 6, step) + step / 2
+        onset, exponent = np.geomspace(0.6, 30, 7), (0.6, 1.4, 4.0)
         floor, ceiling = (0.0, 0.3, 0.7), (1.5, 2.5, 5.0, 1e4)
-        every = np.meshgrid(place, foot, bend, floor, ceiling, indexing="ij")
-        b, a, q, c, top = (part.reshape(-1, 1) for part in every)
+        grid = np.meshgrid(crossing, onset, exponent, floor, ceiling, indexing="ij")
+        b, a, q, c, top = (part.reshape(-1, 1) for part in grid)
         rise = (1 - c) / (top - 1) * np.maximum(1 + (n - b) / a, 0) ** q
         ratio = threshold * np.minimum(c + (top - c) * rise / (1 + rise), 30)
         ratio = ratio[np.argsort((ratio < threshold).sum(axis=1), kind="stable")]
         return cls(ratio.astype(np.float32), (ratio**2 / 2).astype(np.float32))
 
     def thinned(self) -> _Profiles:
-        """A fifth of the curves, of all kinds as 5 divides none of their numbers, for a coarse answer."""
+        """Every fifth profile, for a coarse answer; all shapes remain, as 5 divides no grid dimension."""
         return _Profiles(self.ratio[::5].copy(), self.half_square[::5].copy())
 
 
 @dataclass(frozen=True)
 class _Ratios:
-    """What is known of the sheets of some events, (event, N): value 0 and variance inf where nothing is.
+    """Measured ratios of the sheets in some events, (event, N)."""
 
-    usual: ratio from which the scatter is reckoned.  alone: sheets that do not follow the profile.
-    """
-
-    value: Floats
-    variance: Floats
-    usual: Floats
-    alone: Bools
+    value: Floats  # 0 where unknown
+    variance: Floats  # inf where unknown
+    smooth: Floats  # ratio by the isotonic regression, for which the scatter is calculated
+    alone: Bools  # sheets that do not follow the profile
     threshold: float
     settings: ShellSettings
 
     @classmethod
     def of(cls, side: Side, threshold: float, settings: ShellSettings) -> _Ratios:
+        """The ratios of one side; all sheets follow the profile."""
         known = side.known
         return cls(
             np.where(known, side.value, 0.0),
@@ -407,68 +409,69 @@ class _Ratios:
         )
 
     def at(self, events: slice | Ints) -> _Ratios:
-        """Some of the events."""
-        names = ("value", "variance", "usual", "alone")
+        """The ratios in these events."""
+        names = ("value", "variance", "smooth", "alone")
         return replace(self, **{name: getattr(self, name)[events] for name in names})
 
     def scatter(self, ratio: Floats, relative: float) -> Floats:
-        """Variance of true ratios about profiles of this ratio, and of real profiles about those tried."""
-        away = np.abs(ratio / self.threshold - 1)
-        growth = 1 + self.settings.profile_error_growth * away
-        unlike = self.settings.profile_error * away * growth * self.threshold
-        return np.asarray((relative * ratio) ** 2 + unlike**2)
+        """Variance of true ratios about profiles of this ratio, plus that of real about model profiles."""
+        distance = np.abs(ratio / self.threshold - 1)
+        growth = 1 + self.settings.profile_error_growth * distance
+        model_err = self.settings.profile_error * distance * growth * self.threshold
+        return np.asarray((relative * ratio) ** 2 + model_err**2)
 
     def about_profile(self, relative: float) -> Floats:
-        """Variance of the measurements about the profile; inf for those that do not follow it."""
-        return np.where(self.alone, np.inf, self.variance + self.scatter(self.usual, relative))
+        """Variance of the measurements about the profile; inf for sheets that do not follow it."""
+        return np.where(self.alone, np.inf, self.variance + self.scatter(self.smooth, relative))
 
 
 def _blocks(events: int) -> Iterator[slice]:
-    """32 events at a time, which keeps the tables of likelihoods small."""
+    """Slices of 32 events, which limit the size of the tables of likelihoods."""
     return (slice(first, first + 32) for first in range(0, events, 32))
 
 
-def _weigh(profiles: _Profiles, sheets: _Ratios, relative: float) -> tuple[Floats32, Floats]:
-    """Share of each profile in each event, (event, curve), summing to 1, and the log evidence, (event,)."""
+def _profile_weights(profiles: _Profiles, sheets: _Ratios, relative: float) -> tuple[Floats32, Floats]:
+    """Weight of each profile in each event, (event, profile), with sum 1, and the log evidence, (event,)."""
     weight = 1 / sheets.about_profile(relative)
-    likely = (weight * sheets.value).astype(np.float32) @ profiles.ratio.T
-    likely -= weight.astype(np.float32) @ profiles.half_square.T
-    most = likely.max(axis=1, keepdims=True)
-    share = np.exp(likely - most)
+    log_likelihood = (weight * sheets.value).astype(np.float32) @ profiles.ratio.T
+    log_likelihood -= weight.astype(np.float32) @ profiles.half_square.T
+    largest = log_likelihood.max(axis=1, keepdims=True)
+    share = np.exp(log_likelihood - largest)
     total = share.sum(axis=1, keepdims=True)
-    own = np.log(np.where(weight > 0, weight, 1.0)) - weight * sheets.value**2
-    return share / total, (most + np.log(total))[:, 0] + own.sum(axis=1) / 2
+    constant = np.log(np.where(weight > 0, weight, 1.0)) - weight * sheets.value**2
+    return share / total, (largest + np.log(total))[:, 0] + constant.sum(axis=1) / 2
 
 
 def _outliers(sheets: _Ratios, profiles: _Profiles) -> Bools:
-    """Sheets far from what the others say, (event, N), found one after the other, the farthest first."""
+    """Sheets far from the profiles of the others, (event, N), found one by one, the farthest first."""
     alone = sheets.alone.copy()
     events = np.arange(len(alone))
     for _ in range(4):
         rest = replace(sheets, alone=alone)
-        off = np.concatenate([_off(profiles, rest.at(events[block])) for block in _blocks(events.size)])
-        far = off.max(axis=1) > sheets.settings.outlier_sigma
-        events, worst = events[far], off.argmax(axis=1)[far]
-        alone[events, worst] = True
+        blocks = [_deviation(profiles, rest.at(events[block])) for block in _blocks(events.size)]
+        deviation = np.concatenate(blocks)
+        far = deviation.max(axis=1) > sheets.settings.outlier_sigma
+        events, farthest = events[far], deviation.argmax(axis=1)[far]
+        alone[events, farthest] = True
         if events.size == 0:
             break
     return alone
 
 
-def _off(profiles: _Profiles, sheets: _Ratios) -> Floats:
-    """Standard deviations by which each measurement is off the profile, 0 where none is compared."""
+def _deviation(profiles: _Profiles, sheets: _Ratios) -> Floats:
+    """Distance of each measurement from the profile in standard deviations; 0 where not compared."""
     largest = sheets.settings.sheet_scatters[-1]
-    share, _ = _weigh(profiles, sheets, largest)
+    share, _ = _profile_weights(profiles, sheets, largest)
     mean = share @ profiles.ratio
     spread = np.maximum(2 * share @ profiles.half_square - mean**2, 0)
     return np.asarray(np.abs(sheets.value - mean) / np.sqrt(sheets.about_profile(largest) + spread))
 
 
 def _likeliest_scatter(sheets: _Ratios, profiles: _Profiles) -> float:
-    """The relative scatter of sheets about their profile under which all measurements are likeliest."""
+    """Relative scatter of sheets about their profile with the largest evidence, from about 40 events."""
     some = sheets.at(slice(None, None, max(1, len(sheets.value) // 40)))
     scatters = sheets.settings.sheet_scatters
-    evidence = [_weigh(profiles, some, relative)[1].sum() for relative in scatters]
+    evidence = [_profile_weights(profiles, some, relative)[1].sum() for relative in scatters]
     return scatters[int(np.argmax(evidence))]
 
 
@@ -478,49 +481,51 @@ def _likeliest_scatter(sheets: _Ratios, profiles: _Profiles) -> float:
 def _draw_ratios(
     profiles: _Profiles, share: Floats32, sheets: _Ratios, relative: float, *, outliers: Bools
 ) -> Floats:
-    """True ratios that the data allow, (event, draw, N): profiles by their share, and sheets about them.
+    """Draw true ratios given the data, (event, draw, N): profiles by their share, and sheets about them.
 
-    The random numbers are always the same, so that a table comes out the same twice.
+    The random numbers are the same in each call, so that results are reproducible.
     """
     draws = sheets.settings.draws
     rng = np.random.default_rng(0)
-    curve = profiles.ratio[_drawn(share, draws)].astype(float)
-    scatter = sheets.scatter(curve, relative)
-    # Between the profile and the measurement, either of which may say nothing (variance inf).
-    certain = np.where(sheets.alone[:, None], 0.0, 1 / scatter) + 1 / sheets.variance[:, None]
-    own = 1 / sheets.variance[:, None] / certain
-    ratio = curve + own * (sheets.value[:, None] - curve)
-    ratio += rng.standard_normal((draws, curve.shape[2])) / np.sqrt(certain)
+    profile = profiles.ratio[_draw_profiles(share, draws)].astype(float)
+    scatter = sheets.scatter(profile, relative)
+    # The mean of profile and measurement weighted by inverse variances; either may have no weight.
+    precision = np.where(sheets.alone[:, None], 0.0, 1 / scatter) + 1 / sheets.variance[:, None]
+    own_weight = 1 / sheets.variance[:, None] / precision
+    ratio = profile + own_weight * (sheets.value[:, None] - profile)
+    ratio += rng.standard_normal((draws, profile.shape[2])) / np.sqrt(precision)
     misread = np.arange(draws) * sheets.settings.misread_share % 1 < sheets.settings.misread_share - 1e-9
-    return np.asarray(np.where(outliers[:, None] & misread[:, None], curve, ratio))
+    return np.asarray(np.where(outliers[:, None] & misread[:, None], profile, ratio))
 
 
-def _drawn(share: Floats32, draws: int) -> Ints:
-    """Curves drawn evenly by their share, (event, draw)."""
-    events, curves = share.shape
-    row = 2 * np.arange(events)[:, None]  # one search for all events: each has a stretch of its own
-    reached = np.cumsum(share, axis=1, dtype=float)
-    wanted = (np.arange(draws) + 0.5) / draws * reached[:, -1:]
-    place = np.searchsorted((reached + row).ravel(), (wanted + row).ravel()) % curves
-    return np.asarray(place.reshape(events, draws))
+def _draw_profiles(share: Floats32, draws: int) -> Ints:
+    """Indices of profiles drawn in proportion to their share, at regular quantiles, (event, draw)."""
+    events, count = share.shape
+    row = 2 * np.arange(events)[:, None]  # separates the events, so that one search serves all
+    cumulative = np.cumsum(share, axis=1, dtype=float)
+    quantile = (np.arange(draws) + 0.5) / draws * cumulative[:, -1:]
+    index = np.searchsorted((cumulative + row).ravel(), (quantile + row).ravel()) % count
+    return np.asarray(index.reshape(events, draws))
 
 
-def _count(ratio: Floats, threshold: float, length_err: Floats, shared_err: Floats) -> Ints:
-    """Ratios below the threshold in each draw, (event, draw); stick lengths and what the camera's movement
-    adds to all sheets differ from draw to draw."""
+def _count_below(ratio: Floats, threshold: float, length_err: Floats, shared_err: Floats) -> Ints:
+    """Number of ratios below the threshold in each draw, (event, draw).
+
+    The errors of the stick length and of the camera movement, common to all sheets, are drawn as well.
+    """
     length, shift = np.random.default_rng(1).standard_normal((2, ratio.shape[1]))
     limit = threshold * (1 + length_err[:, None] * length) + shared_err[:, None] * shift
     return np.asarray((np.abs(ratio) < limit[..., None]).sum(axis=2))
 
 
-def _summary(sizes: Ints, certainty: float) -> Ints:
-    """Median, and the ends of the shortest interval that holds `certainty` of the draws, (3, event)."""
+def _median_and_interval(sizes: Ints, certainty: float) -> Ints:
+    """Median, and ends of the shortest interval with the share `certainty` of the draws, (3, event)."""
     draws = sizes.shape[1]
     ordered = np.sort(sizes, axis=1)
-    holding = int(np.ceil(certainty * draws))
-    first = np.arange(draws - holding + 1)
-    length = ordered[:, holding - 1 :] - ordered[:, first]
-    # Of equally short ones, the most central.
+    inside = int(np.ceil(certainty * draws))
+    first = np.arange(draws - inside + 1)
+    length = ordered[:, inside - 1 :] - ordered[:, first]
+    # Of equally short intervals, the most central one.
     best = (length + np.abs(first - first.mean()) / draws).argmin(axis=1)
     event = np.arange(len(ordered))
-    return np.stack([ordered[:, draws // 2], ordered[event, best], ordered[event, best + holding - 1]])
+    return np.stack([ordered[:, draws // 2], ordered[event, best], ordered[event, best + inside - 1]])
