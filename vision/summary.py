@@ -143,8 +143,8 @@ def _spacing_warning(tracks: xr.Dataset) -> list[str]:
             ]
     if places := TrackMetadata.of(tracks).wide_spacings:
         return [
-            f"sheets may be missing at x = {', '.join(places)}, which makes n of sheets further out too small:"
-            " look there (dirt, too faint?), or give the number of sheets (`sheets`)"
+            f"sheets may be missing at x = {', '.join(places)}, which makes n of sheets further out too"
+            " small: look there (dirt, too faint?), or give the number of sheets (`sheets`)"
         ]
     return []
 

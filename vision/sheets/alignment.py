@@ -242,10 +242,10 @@ def _further(missing: Floats, expected: ExpectedSheets) -> Floats:
     return np.maximum(missing - expected.settings.covered_cost, 0.0)
 
 
-def _together(saved: Floats, count: int) -> Floats:
+def _together(saved: Floats, count: int | Ints) -> Floats:
     """Of what `count` sheets would save each, that which they save side by side: one costs what it costs
     alone."""
-    return saved * max(count - 1, 0) / max(count, 1)
+    return saved * np.maximum(count - 1, 0) / np.maximum(count, 1)
 
 
 def _flicker(candidates: Candidates, expected: ExpectedSheets) -> Floats:
@@ -268,26 +268,25 @@ def _pass(
     first); first_pair, cost of beginning with each; further, saved where sheets are missing side by side."""
     best = np.full_like(pair, np.inf)
     origin = np.full(pair.shape, -1, np.int8)
-    missed = np.pad(np.cumsum(further, axis=1), ((0, 0), (1, 0)))
-    sheet_x = expected.x_px
+    missed = np.pad(np.cumsum(further, axis=1), ((0, 0), (1, 0))).T
+    sheet_x = expected.x_px.T
+    over, along = np.array(steps).T
     for n, (low, high) in enumerate(_band(pair)):
-        row = np.array(first_pair[n, :, low:high])
-        step = np.full(row.shape, -1, np.int8)
-        for code, (a, b) in enumerate(steps):
+        totals = np.full((len(steps), len(x), high - low), np.inf)
+        for b in range(1, along.max() + 1):
             first = max(low, b)  # the pair before has a candidate, too
-            if a > n or first >= high:
+            codes = np.flatnonzero((along == b) & (over <= n))
+            if not codes.size or first >= high:
                 continue
-            change = x[:, first:high] - x[:, first - b : high - b]
-            change -= (sheet_x[:, n] - sheet_x[:, n - a])[:, None]
-            total = _spacing_cost(change, expected, a)
-            total += best[n - a][:, first - b : high - b]
-            if a > 2:
-                total -= _together((missed[:, n] - missed[:, n - a + 1])[:, None], a - 1)
-            better = total < row[:, first - low :]
-            np.copyto(row[:, first - low :], total, where=better)
-            np.copyto(step[:, first - low :], np.int8(code), where=better)
-        best[n, :, low:high] = row + pair[n, :, low:high]
-        origin[n, :, low:high] = step
+            a = over[codes]
+            change = x[:, first:high] - x[:, first - b : high - b] - (sheet_x[n] - sheet_x[n - a])[..., None]
+            total = _spacing_cost(change, expected, a[:, None, None])
+            total += best[n - a, :, first - b : high - b]
+            total -= _together(missed[n] - missed[n - a + 1], a[:, None] - 1)[..., None]
+            totals[codes, :, first - low :] = total
+        begun, cheapest = first_pair[n, :, low:high], totals.min(axis=0)
+        best[n, :, low:high] = np.minimum(begun, cheapest) + pair[n, :, low:high]
+        origin[n, :, low:high] = np.where(cheapest < begun, totals.argmin(axis=0), -1)
     return best, origin
 
 
@@ -301,13 +300,13 @@ def _band(pair: Floats) -> Iterator[tuple[int, int]]:
         yield first, max(first + 1, min(count, n + high + 1))
 
 
-def _spacing_cost(change_px: Floats, expected: ExpectedSheets, spacings: int) -> Floats:
+def _spacing_cost(change_px: Floats, expected: ExpectedSheets, spacings: Ints) -> Floats:
     """Huber's function of the change of a spacing (knee at 1.5 spreads), capped up to a tear, beyond which it
     grows again: sheets may part, but no part of the comb goes to other sheets' places. NaN costs the cap.
     """
     costs = expected.settings
     size = np.abs(change_px)
-    size /= costs.spacing_spread * expected.pitch_px * float(np.sqrt(spacings))
+    size /= costs.spacing_spread * expected.pitch_px * np.sqrt(spacings)
     near = np.minimum(size, 1.5)
     cost = np.fmin(near * (size - 0.5 * near), costs.spacing_limit)
     cost += 1.5 * np.fmax(size - costs.tear_fraction / costs.spacing_spread, 0.0)
