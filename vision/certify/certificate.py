@@ -24,7 +24,7 @@ from vision.run import RunFolder, read_strip, read_table
 from vision.run.export import film_of
 from vision.run.reading import read_json, tracks_of
 from vision.sheets import TrackingSettings, track_sheets
-from vision.sheets.quality import BetweenSlips, left_out, spatial_scatter
+from vision.sheets.quality import BetweenSlips, spatial_scatter, suppressed_motion
 from vision.sheets.tracks import BETWEEN_FRAMES
 
 Progress = Callable[[int, int | None], None]
@@ -239,7 +239,7 @@ def certify(
         scatter = float(np.nan_to_num(nan_median(spatial_scatter(between, between_frames=True))))
         noise = 1.57 * scatter**2 / x_px.shape[1]
         moved = max(0.0, 1 - noise / max(float(np.var(like.common_px)), 1e-12))
-        more = left_out(between) * np.sqrt(moved) * like.common_px
+        more = suppressed_motion(between) * np.sqrt(moved) * like.common_px
         like = replace(like, motion_px=like.motion_px + more[:, None])
         drawn, shown = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
         like = replace(like, encoder=encoder.fitted(drawn, shown, like.strip.values))

@@ -21,7 +21,7 @@ from vision.review.recordings import Diagram
 from vision.review.tracks_file import StoredTracks
 from vision.run.tables import attrs_of_netcdf
 from vision.sheets.corrections import OF_SHEETS, Correction, check_there, follow_ridge, not_taken
-from vision.sheets.neighbours import said_by_neighbours
+from vision.sheets.neighbours import predicted_by_neighbours
 from vision.sheets.numbering import number_sheets
 from vision.sheets.recovery import DOUBTS
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
@@ -85,7 +85,7 @@ class Positions:
     def expected_px(self, rows: Ints) -> Floats:
         """Where the sheets around say that each sheet must be, in these rows."""
         usual = np.arange(0, len(self.x_px), max(1, len(self.x_px) // 300))  # how neighbours move together
-        said = said_by_neighbours(self.x_px[np.concatenate([usual, rows])].astype(np.float64))
+        said = predicted_by_neighbours(self.x_px[np.concatenate([usual, rows])].astype(np.float64))
         return said[len(usual) :]
 
     @property

@@ -227,6 +227,21 @@ class TrackingSettings:
     """Mean cost of a feature, nats, up to which a frame's pattern is the learned one (0.5 where all is
     normal)."""
 
+    pattern_frames: int = 5
+    """Frames before and after a jump whose median brightnesses and widths are compared. More average noise,
+    fewer find jumps in quick succession (test_identity_doubt.py's jumps by a pitch)."""
+
+    pattern_sheets: int = 8
+    """Sheets that this comparison needs: the patterns of fewer are alike by chance."""
+
+    pattern_change: float = 3.0
+    """Times its usual change by which the pattern must change for a jump. Larger misses jumps of nearly equal
+    sheets, smaller takes noise for one."""
+
+    pattern_ratio: float = 3.0
+    """Times by which it must fit another numbering better. Larger misses jumps, smaller takes moving light
+    for one (test_identity_doubt.py)."""
+
     merged_widths: float = 0.8
     """Two sheets nearer to each other than this, in ridge widths, are one ridge: the resolution of two
     Gaussians."""
@@ -267,6 +282,15 @@ class TrackingSettings:
     cut_ratio: float = 6.0
     """Times what is usual in the film that either must be. Larger misses cuts in restless films, smaller
     finds them in slips; test_quality.py cuts films and lets others slip."""
+
+    still_sigmas: float = 3.0
+    """Times the noise that the largest twentieth of a sheet's displacements against the comb must exceed for
+    it to move. Noise alone reaches 2.5 in one frame of a hundred; larger calls slow pulls stationary, smaller
+    takes a pattern for a comb (test_a_pattern_that_stands_still_is_not_taken_for_a_comb_in_silence)."""
+
+    still_share: float = 0.1
+    """Share of the sheets that must move; fewer, and the comb is called stationary. Larger doubts films in
+    which few sheets slip, smaller lets a single noisy ridge vouch for a pattern."""
 
     blur_sigmas: float = 4.0
     """Times its own scatter by which a ridge is wider or lower than usual when it is blurred. Larger misses
