@@ -13,9 +13,10 @@ import xarray as xr
 from vision.data import StickMetadata, StripMetadata, TrackMetadata
 from vision.figures.labels import both_errors, candidates_text, drift_text, offset_text
 from vision.models.equations import effective_sheets
-from vision.numeric import Pixels, nan_median, nan_quantile
+from vision.numeric import Pixels, nan_median
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
+from vision.sheets.quality import comb_is_stationary
 from vision.sheets.recovery import stretches
 from vision.sheets.tracks import LOSSY
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
@@ -94,7 +95,7 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
         lines.append(line)
     if tracks.sizes["frame"] >= 10 and not (tracks["x_noise_px"].values > 0).any():
         lines.append("no frame differs from the one before: neither motion nor noise can be measured")
-    elif tracks.sizes["frame"] >= 20 and _stationary(tracks):
+    elif tracks.sizes["frame"] >= 20 and comb_is_stationary(tracks):
         lines.append(
             "the sheets do not move against each other by more than the noise: if they should, the comb may"
             " be a pattern in the background (`rows`, `columns`), or the pull is in other `frames`"
@@ -147,19 +148,6 @@ def _spacing_warning(tracks: xr.Dataset) -> list[str]:
             " small: look there (dirt, too faint?), or give the number of sheets (`sheets`)"
         ]
     return []
-
-
-def _stationary(tracks: xr.Dataset) -> bool:
-    """Tell whether fewer than one in ten sheets move relative to the median sheet.
-
-    A sheet moves if its displacement exceeds three times its noise in at least 5 % of the frames, where
-    Gaussian noise exceeds 2.5 standard deviations in 1 %.
-    """
-    x = tracks["x_px"].values
-    moved = x - nan_median(x)
-    moved = np.abs(moved - nan_median(moved, axis=1)[:, None])
-    noise = np.fmax(tracks["x_noise_px"].values, nan_median(tracks["x_err_px"].values))
-    return bool((nan_quantile(moved, 0.95) > 3.0 * noise).mean() < 0.1) and x.shape[1] >= 3
 
 
 def _frames_with_few_sheets(tracks: xr.Dataset) -> str:

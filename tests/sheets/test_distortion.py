@@ -80,7 +80,7 @@ def test_a_lamp_that_moves_is_in_the_error(monkeypatch):
         return np.sqrt(np.mean(((off - np.median(off, axis=0)) / tracks.x_err_px.values) ** 2))
 
     assert off_in_errors() < 1.3
-    monkeypatch.setattr("vision.sheets.tracks.shift_by_lamp", lambda *what: 0.0)
+    monkeypatch.setattr("vision.sheets.tracks.shift_by_moving_light", lambda *what: 0.0)
     assert off_in_errors() > 2
 
 

@@ -24,7 +24,7 @@ from vision.run import RunFolder, read_strip, read_table
 from vision.run.export import film_of
 from vision.run.reading import read_json, tracks_of
 from vision.sheets import TrackingSettings, track_sheets
-from vision.sheets.quality import BetweenSlips, left_out, spatial_scatter
+from vision.sheets.quality import BetweenSlips, spatial_scatter, suppressed_motion
 from vision.sheets.tracks import BETWEEN_FRAMES
 
 Progress = Callable[[int, int | None], None]
@@ -295,7 +295,7 @@ def _with_encoder(like: Likeness, encoder: Encoder, x_px: Floats) -> Likeness:
     scatter = float(np.nan_to_num(nan_median(spatial_scatter(between, between_frames=True))))
     noise = 1.57 * scatter**2 / x_px.shape[1]
     share = max(0.0, 1 - noise / max(float(np.var(like.common_px)), 1e-12))  # of the variance that is motion
-    added = left_out(between) * np.sqrt(share) * like.common_px
+    added = suppressed_motion(between) * np.sqrt(share) * like.common_px
     like = replace(like, motion_px=like.motion_px + added[:, None])
     drawn, shown = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
     return replace(like, encoder=encoder.fitted(drawn, shown, like.strip.values))

@@ -25,7 +25,7 @@ from vision.certify.settings import CertifySettings
 from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings, mad_sigma, nan_median
-from vision.sheets.neighbours import said_by_neighbours
+from vision.sheets.neighbours import predicted_by_neighbours
 from vision.sheets.subpixel import position_noise
 from vision.sheets.tracks import BETWEEN_FRAMES
 
@@ -474,7 +474,7 @@ def own_time(x_px: Floats, slips: Ints, settings: CertifySettings) -> Floats:
 def _filled(x_px: Floats, raw_px: Floats) -> Floats:
     """Fill gaps by the displacement of neighbours, and frames without any sheet by linear interpolation."""
     rest = nan_median(raw_px)
-    filled = np.where(np.isfinite(x_px), x_px, said_by_neighbours(x_px))
+    filled = np.where(np.isfinite(x_px), x_px, predicted_by_neighbours(x_px))
     moved, sheet = filled - rest, np.arange(x_px.shape[1])
     known = np.isfinite(moved)
     for t in np.flatnonzero(~known.all(axis=1) & known.any(axis=1)):

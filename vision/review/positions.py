@@ -21,7 +21,7 @@ from vision.review.recordings import Diagram
 from vision.review.tracks_file import StoredTracks
 from vision.run.tables import attrs_of_netcdf
 from vision.sheets.corrections import OF_SHEETS, Correction, check_there, follow_ridge, not_taken
-from vision.sheets.neighbours import said_by_neighbours
+from vision.sheets.neighbours import predicted_by_neighbours
 from vision.sheets.numbering import number_sheets
 from vision.sheets.recovery import DOUBTS
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
@@ -86,7 +86,7 @@ class Positions:
         """Return the position of each sheet predicted from its neighbours, in these rows."""
         # further rows, spread over the run, show how neighbours move together
         spread = np.arange(0, len(self.x_px), max(1, len(self.x_px) // 300))
-        predicted = said_by_neighbours(self.x_px[np.concatenate([spread, rows])].astype(np.float64))
+        predicted = predicted_by_neighbours(self.x_px[np.concatenate([spread, rows])].astype(np.float64))
         return predicted[len(spread) :]
 
     @property

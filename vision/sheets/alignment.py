@@ -1,11 +1,10 @@
-"""Which candidate is which sheet: order-preserving alignment of many candidate lists with the comb.
+"""Order-preserving alignment of candidate lists with the comb: which candidate is which sheet.
 
-A dynamic programme finds, for each list, the cheapest pairing of candidates with sheets in which the order
-never changes, sheets may be missing, and candidates may be false detections. Costs are negative
-log-likelihoods in nats, so that a difference of 3 means odds of 20. What decides, in the order of weight:
-that all sheets and all candidates are accounted for; spacings that change little between neighbours (a
-displacement smooth in n); the brightness of each sheet; and, weakly, staying in place, since a whole comb may
-jump by pitches.
+A dynamic programme finds, for each list, the cheapest pairing of candidates with sheets. The order never
+changes, sheets may be missing, and candidates may be false detections. Costs are negative log-likelihoods in
+nats, so that a difference of 3 means odds of 20. The terms, in the order of weight, are: sheets and
+candidates that stay unpaired; changes of spacings (displacements are smooth in n); changes of each sheet's
+brightness; and, weakly, displacements, since a whole comb may jump by pitches.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from numpy.typing import NDArray
 from vision.numeric import Floats, Ints
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
-BAND = 8  # missing sheets or false detections on one side of a pair that are considered
-MOST_CROSSING = 3  # sheets that cross an edge of the picture in one displacement
+BAND = 8  # largest number of missing sheets or false detections on one side of a pair
+MOST_CROSSING = 3  # largest number of sheets that cross an edge of the picture in one displacement
 
 
 @dataclass(frozen=True)
 class ExpectedSheets:
-    """The comb that candidates are aligned with.
+    """The comb with which candidates are aligned.
 
     Parameters
     ----------
@@ -55,7 +54,7 @@ class ExpectedSheets:
     settings: TrackingSettings = DEFAULT
 
     def mirrored(self) -> ExpectedSheets:
-        """The comb with left and right exchanged."""
+        """Return the comb with left and right exchanged."""
         low, high = self.view_px
         return replace(
             self,
@@ -84,11 +83,11 @@ class Candidates:
     log_width: Floats
 
     def take(self, rows: Ints) -> Candidates:
-        """Some of the lists."""
+        """Return some of the lists."""
         return Candidates(self.x_px[rows], self.log_contrast[rows], self.log_width[rows])
 
     def first(self, count: int) -> Candidates:
-        """The first places of every list."""
+        """Return the first entries of every list."""
         return Candidates(self.x_px[:, :count], self.log_contrast[:, :count], self.log_width[:, :count])
 
 
@@ -110,13 +109,13 @@ class Pairing:
 
 
 def values_of(match: Ints, values: NDArray[np.floating]) -> Floats:
-    """Of values (lists, K) those of the candidates paired with each sheet, NaN where missing, (lists, N)."""
+    """Return the values (lists, K) of the candidate of each sheet, NaN where missing, (lists, N)."""
     paired = np.take_along_axis(values.astype(np.float64), np.maximum(match, 0), axis=1)
     return np.where(match >= 0, paired, np.nan)
 
 
 def align(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
-    r"""Cheapest order-preserving pairing of each candidate list with the sheets, and how certain it is.
+    r"""Find the cheapest order-preserving pairing of each candidate list with the sheets, and its margins.
 
     Parameters
     ----------
@@ -131,17 +130,17 @@ def align(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
 
     Notes
     -----
-    With the cost :math:`p_{nk}` of pairing sheet n with candidate k (less the cost of leaving both alone),
+    With the cost :math:`p_{nk}` of pairing sheet n with candidate k (less the cost of leaving both unpaired),
     the cheapest alignment that ends with this pair costs
 
     .. math:: C_{nk} = p_{nk} + \min\Big(f_{nk},\ \min_{a,b}\ C_{n-a,\,k-b}
               + s(\Delta x_k - \Delta \hat x_n;\ a) - g_{n-a,\,n}\Big),
 
-    where s is the cost of a changed spacing, f that of beginning here, and g what is saved where sheets side
-    by side are missing: one of them costs what it costs alone, the others `covered_cost` (Gotoh 1982), as
-    what covers one sheet covers those beside it. Margins come from the forward and
-    the backward pass together. Source: Needleman & Wunsch 1970, with the spacing to the previous pair as the
-    cost of a step.
+    where s is the cost of a changed spacing, f the cost of an alignment that begins here, and g the discount
+    for adjacent missing sheets. One of these costs as much as a single missing sheet, the others
+    `covered_cost` (Gotoh 1982), since an object that covers one sheet also covers those beside it. Margins
+    follow from the forward and the backward pass together. Source: Needleman & Wunsch 1970, with the spacing
+    to the previous pair as the cost of a step.
     """
     count = np.isfinite(candidates.x_px).sum(axis=1)
     order = np.argsort(count, kind="stable")  # lists of like length share a narrow band
@@ -159,10 +158,11 @@ def align(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
 
 
 def _align_batch(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
+    """Align lists of similar length."""
     longest = max(1, int(np.isfinite(candidates.x_px).sum(axis=1).max(initial=1)))
     candidates = candidates.first(longest)
     pair, missing, false_detection = _pair_costs(candidates, expected)
-    further = _further(missing, expected)
+    further = _adjacent_discount(missing, expected)
     left = _outside(candidates.x_px, expected, missing, false_detection)
     mirrored_x = -candidates.x_px[:, ::-1]
     right = _outside(mirrored_x, expected.mirrored(), missing[:, ::-1], false_detection[:, ::-1])
@@ -182,11 +182,11 @@ def _align_batch(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
 
 
 def steps_between(missing: int) -> list[tuple[int, int]]:
-    """Steps (sheets, candidates) from one pair to the next: to a neighbour, over missing sheets, over false
-    detections, over some of both.
+    """Return the steps (sheets, candidates) from one pair to the next.
 
-    Longer ones where so many sheets are missing that something may cover them side by side: a comb seen on
-    both sides of that would otherwise be read as two. Their numbers fit into int8.
+    They lead to the neighbour, over missing sheets, over false detections, or over some of both. Longer steps
+    are added where so many sheets are missing that an object may cover adjacent ones; without them, the comb
+    on both sides of the object would be taken for two combs. The number of steps fits into int8.
     """
     short = [(a, 1) for a in range(1, 9)] + [(1, b) for b in range(2, 5)]
     both = [(a, b) for a in (2, 3) for b in (2, 3)]
@@ -194,14 +194,13 @@ def steps_between(missing: int) -> list[tuple[int, int]]:
 
 
 def _pair_costs(candidates: Candidates, expected: ExpectedSheets) -> tuple[Floats, Floats, Floats]:
-    """Cost of pairing, less that of leaving sheet and candidate alone, (N, lists, K), inf where there is no
-    candidate; and these two, (lists, N) and (lists, K)."""
+    """Return the cost of each pair less that of leaving both unpaired, (N, lists, K), inf without candidate;
+    the cost of a missing sheet, (lists, N); and that of a false detection, (lists, K)."""
     sheets, pitch, costs = expected.x_px.shape[1], expected.pitch_px, expected.settings
     brightness = candidates.log_contrast - _flicker(candidates, expected)[:, None]
     off = brightness[None] - expected.log_contrast[:, None, None]
-    cost = np.minimum(
-        off**2 / (2 * costs.brightness_spread**2), 4.0
-    )  # a sheet may change its looks at this cost
+    # limited: a sheet may change its brightness at this cost
+    cost = np.minimum(off**2 / (2 * costs.brightness_spread**2), 4.0)
     moved = np.abs(candidates.x_px[None] - expected.x_px.T[:, :, None]) / (0.5 * pitch)
     cost += costs.stay_cost / sheets * (np.minimum(moved**2, 1.0) + np.maximum(moved / 4 - 0.5, 0.0))
     relative = np.exp(brightness - np.median(expected.log_contrast)) / 0.5
@@ -214,19 +213,19 @@ def _pair_costs(candidates: Candidates, expected: ExpectedSheets) -> tuple[Float
 
 
 def _outside(x: Floats, expected: ExpectedSheets, missing: Floats, false_detection: Floats) -> Floats:
-    """Cost saved by an alignment that begins with each pair, (N, lists, K), zero or less.
+    """Return the discount for an alignment that begins with each pair, (N, lists, K), zero or less.
 
-    Sheets further to the left that are then expected outside the picture are missing at little cost, and
-    where there may be more sheets beyond the first, candidates to the left of that are sheets not known yet.
+    Sheets further to the left that are then expected outside the picture are missing at little cost. If there
+    may be more sheets beyond the first, candidates to its left are sheets not yet known.
     """
     sheet_x, low, crossing = expected.x_px, expected.view_px[0], expected.settings.crossing_cost
     saved = np.maximum(missing - crossing, 0)[:, :MOST_CROSSING]
     saved = np.pad(np.cumsum(saved, axis=1), ((0, 0), (1, 0)))
     rows, most = np.arange(len(x))[:, None], saved.shape[1] - 1
     out = np.zeros((sheet_x.shape[1], *x.shape))
-    covered = np.pad(np.cumsum(_further(missing, expected), axis=1), ((0, 0), (1, 0)))
+    covered = np.pad(np.cumsum(_adjacent_discount(missing, expected), axis=1), ((0, 0), (1, 0)))
     for n in range(sheet_x.shape[1]):
-        out[n] = -_together(covered[:, n, None], n)
+        out[n] = -_but_one(covered[:, n, None], n)
         if n < 2 * BAND:
             moved = np.nan_to_num(x) - sheet_x[:, n, None]
             gone = (sheet_x[:, None, : min(n, most)] + moved[:, :, None] < low).sum(axis=2)
@@ -237,22 +236,21 @@ def _outside(x: Floats, expected: ExpectedSheets, missing: Floats, false_detecti
     return out
 
 
-def _further(missing: Floats, expected: ExpectedSheets) -> Floats:
-    """Cost saved for each sheet that is missing beside another one, (lists, N)."""
+def _adjacent_discount(missing: Floats, expected: ExpectedSheets) -> Floats:
+    """Return the discount for each sheet that is missing beside another missing one, (lists, N)."""
     return np.maximum(missing - expected.settings.covered_cost, 0.0)
 
 
-def _together(saved: Floats, count: int | Ints) -> Floats:
-    """Of what `count` sheets would save each, that which they save side by side: one costs what it costs
-    alone."""
-    return saved * np.maximum(count - 1, 0) / np.maximum(count, 1)
+def _but_one(discount: Floats, count: int | Ints) -> Floats:
+    """Return the total discount of `count` adjacent missing sheets without that of one, on average."""
+    return discount * np.maximum(count - 1, 0) / np.maximum(count, 1)
 
 
 def _flicker(candidates: Candidates, expected: ExpectedSheets) -> Floats:
-    """How much brighter, in logarithm, each list is than the comb, (lists,)."""
+    """Return the log brightness of each list relative to the comb, (lists,)."""
     count = np.isfinite(candidates.log_contrast).sum(axis=1)
-    place = np.maximum(0, (0.6 * (count - 1)).astype(np.int64))
-    upper = np.take_along_axis(np.sort(candidates.log_contrast, axis=1), place[:, None], axis=1)[:, 0]
+    rank = np.maximum(0, (0.6 * (count - 1)).astype(np.int64))
+    upper = np.take_along_axis(np.sort(candidates.log_contrast, axis=1), rank[:, None], axis=1)[:, 0]
     return np.asarray(np.nan_to_num(upper - np.quantile(expected.log_contrast, 0.6)), np.float64)
 
 
@@ -264,8 +262,11 @@ def _pass(
     further: Floats,
     steps: list[tuple[int, int]],
 ) -> tuple[Floats, NDArray[np.int8]]:
-    """Cost of the best alignment ending with each pair, (N, lists, K), and the step it came by (−1: its
-    first); first_pair, cost of beginning with each; further, saved where sheets are missing side by side."""
+    """Return the cost of the best alignment that ends with each pair, (N, lists, K), and the number of its
+    last step, −1 for a first pair.
+
+    first_pair: cost of beginning with each pair. further: discount for adjacent missing sheets, (lists, N).
+    """
     best = np.full_like(pair, np.inf)
     origin = np.full(pair.shape, -1, np.int8)
     missed = np.pad(np.cumsum(further, axis=1), ((0, 0), (1, 0))).T
@@ -282,7 +283,7 @@ def _pass(
             change = x[:, first:high] - x[:, first - b : high - b] - (sheet_x[n] - sheet_x[n - a])[..., None]
             total = _spacing_cost(change, expected, a[:, None, None])
             total += best[n - a, :, first - b : high - b]
-            total -= _together(missed[n] - missed[n - a + 1], a[:, None] - 1)[..., None]
+            total -= _but_one(missed[n] - missed[n - a + 1], a[:, None] - 1)[..., None]
             totals[codes, :, first - low :] = total
         begun, cheapest = first_pair[n, :, low:high], totals.min(axis=0)
         best[n, :, low:high] = np.minimum(begun, cheapest) + pair[n, :, low:high]
@@ -291,7 +292,7 @@ def _pass(
 
 
 def _band(pair: Floats) -> Iterator[tuple[int, int]]:
-    """Range of candidates for each sheet: as many lie to its left as sheets do, give or take BAND."""
+    """Yield the range of candidates for each sheet: its own index, give or take BAND."""
     sheets, _, count = pair.shape
     least = int(np.isfinite(pair[0]).sum(axis=1).min())
     low, high = min(0, least - sheets) - BAND, max(count - least, count - sheets) + BAND
@@ -301,8 +302,9 @@ def _band(pair: Floats) -> Iterator[tuple[int, int]]:
 
 
 def _spacing_cost(change_px: Floats, expected: ExpectedSheets, spacings: Ints) -> Floats:
-    """Huber's function of the change of a spacing (knee at 1.5 spreads), capped up to a tear, beyond which it
-    grows again: sheets may part, but no part of the comb goes to other sheets' places. NaN costs the cap.
+    """Return Huber's function of the change of a spacing (knee at 1.5 spreads), capped; NaN costs the cap.
+
+    Beyond a tear it grows again: sheets may part, but no part of the comb moves to other sheets' positions.
     """
     costs = expected.settings
     size = np.abs(change_px)
@@ -314,7 +316,7 @@ def _spacing_cost(change_px: Floats, expected: ExpectedSheets, spacings: Ints) -
 
 
 def _trace(forward: Floats, origin: NDArray[np.int8], steps: list[tuple[int, int]]) -> Ints:
-    """Candidate of each sheet in the best alignment of each list, −1 where missing, (lists, N)."""
+    """Return the candidate of each sheet in the best alignment of each list, −1 where missing, (lists, N)."""
     sheets, lists, count = forward.shape
     match = np.full((lists, sheets), -1, np.int64)
     flat = np.moveaxis(forward, 1, 0).reshape(lists, -1)
@@ -331,8 +333,8 @@ def _trace(forward: Floats, origin: NDArray[np.int8], steps: list[tuple[int, int
 
 
 def _margins(through: Floats, match: Ints) -> Floats:
-    """Cost of the best alignment that pairs the sheet, or its candidate, otherwise, less that of the best of
-    all."""
+    """Return the cost of the best alignment that pairs the sheet or its candidate otherwise, less the lowest
+    cost of all alignments, (lists, N)."""
     sheets, lists, _ = through.shape
     list_, sheet = np.nonzero(match >= 0)
     candidate = match[list_, sheet]

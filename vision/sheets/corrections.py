@@ -1,10 +1,11 @@
-"""Decisions by hand: their file, and what they change.
+"""Manual corrections: their file format, and their effect on the detections.
 
-A TOML file settles what `vision.sheets.recovery.doubtful_stretches` lists, and says which ridges are sheets:
+A TOML file settles the doubts that `vision.sheets.recovery.doubtful_stretches` lists, and states which ridges
+are sheets:
 
 .. code-block:: toml
 
-    [[accept]]            # the doubted ridge is this sheet
+    [[accept]]            # the doubtful ridge is this sheet
     sheet = 0
     frames = "226:355"    # half-open, as in the film; "226:" goes to the end
 
@@ -38,10 +39,11 @@ A TOML file settles what `vision.sheets.recovery.doubtful_stretches` lists, and 
     offset_s = 36.0024
     drift_ppm = -181.4
 
-`sheet` is the index from the left, as in tracks.csv. Every entry may hold ``date``. Entries with a date are
-applied in its order, each to what those before it left: an index is the one seen at that date. Entries
-without go first, their indices those of the tracking. Of several axes, strips or clocks the last
-counts. ``[run]`` names the film that the decisions are about; entries under ``[[undone]]`` do nothing.
+`sheet` is the index from the left, as in tracks.csv. Every entry may have a ``date``. Entries with a date are
+applied in order of date, each to the result of the earlier ones: an index is the one seen at that date.
+Entries without a date are applied first, with the indices of the tracking. Of several axes, strips or clocks
+the last is used. ``[run]`` names the film that the decisions belong to; entries under ``[[undone]]`` have no
+effect.
 """
 
 from __future__ import annotations
@@ -74,9 +76,9 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     "strip": ("rows",),
     "clock": ("offset_s",),
 }
-"""Kinds of corrections, and what an entry of each must hold."""
+"""Kinds of corrections, and the keys that an entry of each kind must have."""
 OPTIONAL: Mapping[str, tuple[str, ...]] = {"clock": ("drift_ppm",)}
-"""What else an entry may hold, beside its date."""
+"""Further keys that an entry may have, besides its date."""
 OF_STRETCHES = ("accept", "leave_out", "swap", "assign")
 OF_SHEETS = (*OF_STRETCHES, "add", "delete")
 """Kinds that change which ridge is which sheet; the others change one number of the run."""
@@ -84,26 +86,26 @@ OF_SHEETS = (*OF_STRETCHES, "add", "delete")
 
 @dataclass(frozen=True, kw_only=True)
 class Correction:
-    """One decision.
+    """One manual decision.
 
     Parameters
     ----------
     kind
         One of `KEYS`.
     sheets
-        One index from the left, two for "swap", none where it is about no sheet.
+        Index from the left; two for "swap", none for kinds that concern no sheet.
     first, stop
-        Frames, half-open, as numbered in the film; stop None is the end. Of "add" the frame of x_px alone.
+        Frames, half-open, as numbered in the film; stop None is the end. For "add" the frame of x_px alone.
     x_px
-        Column of the ridge in the first frame, for "assign" and "add"; of the axis.
+        Column of the ridge in the first frame, for "assign" and "add"; column of the axis.
     rows
-        Of the strip, half-open.
+        Rows of the strip, half-open.
     offset_s, drift_ppm
-        Of the clock.
+        Offset and drift of the clock.
     date
-        When it was made, ISO 8601; "" if not stated.
+        Time of the decision, ISO 8601; "" if not stated.
     name
-        What a message calls it.
+        Name of the entry in messages.
     """
 
     kind: str
@@ -118,12 +120,12 @@ class Correction:
     name: str = "the correction"
 
     def text(self) -> str:
-        """In words, for the report and the list of decisions."""
+        """Return the decision in words, for the report and the list of decisions."""
         who = " and ".join(f"sheet {k}" for k in self.sheets)
         when = f"frames {self.first}:{'' if self.stop is None else self.stop}"
         match self.kind:
             case "accept":
-                return f"doubted ridge accepted as {who}, {when}"
+                return f"doubtful ridge accepted as {who}, {when}"
             case "leave_out":
                 return f"{who} left out, {when}"
             case "swap":
@@ -145,11 +147,11 @@ class Correction:
 
     @property
     def what(self) -> tuple[str, dict[str, Any]]:
-        """What it says, whenever and wherever it was said."""
+        """Content of the decision, without its date and name."""
         return self.kind, replace(self, date="").entry()
 
     def entry(self) -> dict[str, Any]:
-        """As written in a file, without its kind."""
+        """Return the entry as written in a file, without its kind."""
         stop = "" if self.stop is None else self.stop
         values: dict[str, Any] = {
             "sheet": self.sheets[0] if self.sheets else None,
@@ -167,16 +169,16 @@ class Correction:
 
 @dataclass(frozen=True, kw_only=True)
 class Decisions:
-    """What a file of corrections holds.
+    """Content of a file of corrections.
 
     Parameters
     ----------
     corrections
-        In the order in which they count.
+        Decisions in the order of application.
     undone
-        Taken back, the last one last; they do nothing.
+        Decisions that were undone, the last one last; they have no effect.
     film
-        SHA-256 or fingerprint of the film that they are about; "" if not stated.
+        SHA-256 or fingerprint of the film that they belong to; "" if not stated.
     """
 
     corrections: tuple[Correction, ...] = ()
@@ -185,16 +187,19 @@ class Decisions:
 
 
 def last_of(corrections: Sequence[Correction], kind: str) -> Correction | None:
-    """The one of this kind that counts: the last; None without any."""
+    """Return the last correction of this kind, which is the one in effect; None without any."""
     return next((one for one in reversed(ordered(corrections)) if one.kind == kind), None)
 
 
 def ordered(corrections: Sequence[Correction]) -> tuple[Correction, ...]:
-    """In the order of application: by date; without one first, those that change indices last among them."""
-    places = ("delete", "add")
+    """Return the corrections in the order of application.
+
+    Those without a date come first, and among these the kinds that change indices last; then by date.
+    """
+    change_indices = ("delete", "add")
 
     def key(one: Correction) -> tuple[str, int, int]:
-        late = places.index(one.kind) + 1 if not one.date and one.kind in places else 0
+        late = change_indices.index(one.kind) + 1 if not one.date and one.kind in change_indices else 0
         return one.date, late, -one.sheets[0] if late and one.sheets else 0
 
     return tuple(sorted(corrections, key=key))
@@ -204,7 +209,7 @@ def ordered(corrections: Sequence[Correction]) -> tuple[Correction, ...]:
 
 
 def read_corrections(path: str | Path) -> tuple[Correction, ...]:
-    """Decisions from a TOML file, in the order in which they count.
+    """Read decisions from a TOML file, in the order of application.
 
     Raises
     ------
@@ -215,13 +220,13 @@ def read_corrections(path: str | Path) -> tuple[Correction, ...]:
 
 
 def read_decisions(path: str | Path) -> Decisions:
-    """All of a TOML file of decisions; see the module for what it holds.
+    """Read a whole TOML file of decisions; the module describes its format.
 
     Raises
     ------
     InputError
-        For a file that cannot be read, an unknown kind or key, or a value of the wrong kind; it names the
-        entry.
+        For a file that cannot be read, an unknown kind or key, or a value of the wrong type. The message
+        names the entry.
     """
     try:
         table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
@@ -255,8 +260,8 @@ def _undone(path: str | Path, number: int, entry: Any) -> Correction:
 
 
 def corrections_text(decisions: Decisions) -> str:
-    """The file of these decisions, as `read_decisions` takes it; one entry a paragraph, so that two files
-    merge line by line."""
+    """Return the text of a file that `read_decisions` reads, with one paragraph per entry, so that files can
+    be merged line by line."""
     parts = [
         "# Decisions by hand. `track VIDEO --corrections FILE` honours them; `track review` adds to them.\n"
     ]
@@ -273,12 +278,12 @@ def _paragraph(head: str, values: Mapping[str, Any]) -> str:
 
 
 def correction_of(kind: str, entry: Any, name: str = "the correction") -> Correction:
-    """One decision from what an entry holds.
+    """Return the decision that an entry of a file states.
 
     Raises
     ------
     InputError
-        For a key that is missing or unknown, or a value of the wrong kind; it names the entry.
+        For a key that is missing or unknown, or a value of the wrong type. The message names the entry.
     """
     allowed = {*KEYS[kind], *OPTIONAL.get(kind, ()), "date"}
     if not isinstance(entry, dict) or not set(KEYS[kind]) <= set(entry) <= allowed:
@@ -331,8 +336,8 @@ def _number(value: Any, name: str, wanted: str) -> float:
 
 
 def _date(value: Any, name: str) -> str:
-    """As text that sorts by time: in UTC where it says its offset."""
-    if isinstance(value, day):  # a datetime is one too
+    """Return a date as text that sorts by time, in UTC if it states its offset."""
+    if isinstance(value, day):  # also a datetime
         value = value.isoformat()
     try:
         moment = datetime.fromisoformat(value) if value else None
@@ -343,7 +348,7 @@ def _date(value: Any, name: str) -> str:
     return moment.astimezone(UTC).isoformat(timespec="milliseconds")
 
 
-# --- applied ------------------------------------------------------------------------------------------------
+# --- application --------------------------------------------------------------------------------------------
 
 _TABLES = ("start_px", "contrast", "fwhm_px", "flag", "why", "withheld_px")
 
@@ -358,28 +363,28 @@ def apply_corrections(
     origin_px: float = 0.0,
     settings: TrackingSettings = DEFAULT,
 ) -> Detections:
-    """The detections as corrected by hand.
+    """Return the detections with the manual corrections applied.
 
     Parameters
     ----------
     detections
-        As found; not changed.
+        Detections as found; not changed.
     ridges, comb
         Candidates of every frame, and their pitch.
     corrections
-        Decisions, applied in their order.
+        Decisions; they are applied in the order of `ordered`.
     frames
-        Number of every row in the film, (frame,).
+        Frame numbers in the film, (frame,).
     origin_px
         Column of the profile's first pixel in the picture.
     settings
-        `faint_reach`: how near a ridge must be to be the one that is meant.
+        `faint_reach`: largest distance of a ridge from the column given for it.
 
     Raises
     ------
     InputError
-        For a sheet or frames that are not there, two entries about one sheet in one frame, nothing to
-        accept, or a ridge that is not there or another sheet's; it names the entry.
+        For a sheet or frames that do not exist, two entries about one sheet in one frame, no doubtful ridge
+        to accept, or a ridge that does not exist or is another sheet's. The message names the entry.
     """
     wanted = ordered([one for one in corrections if one.kind in OF_SHEETS])
     _check_unique(wanted)
@@ -407,7 +412,7 @@ def _apply_to_stretch(
     origin_px: float,
     settings: TrackingSettings,
 ) -> None:
-    """Change the arrays in place."""
+    """Apply a correction of one stretch of frames to the arrays, in place."""
     sheet = correction.sheets[0]
     if correction.kind == "swap":
         for values in arrays.values():
@@ -439,7 +444,10 @@ def _added(
     origin_px: float,
     settings: TrackingSettings,
 ) -> dict[str, Any]:
-    """One more column, where the ridge stands among the sheets; "missing" where it is lost or another's."""
+    """Return the arrays with one more sheet at its position among the others.
+
+    It is "missing" in frames in which its ridge is lost or is another sheet's.
+    """
     others = arrays["start_px"]
     frames = len(others)
     x = np.full(frames, np.nan)
@@ -450,17 +458,17 @@ def _added(
         raise not_taken(correction, correction.first, int(shared[row].argmax()))
     x[shared.any(axis=1)] = np.nan
     usual = np.where(np.isfinite(others[row]), others[row], nan_median(others, axis=0))
-    place = int((usual < x[row]).sum())
+    sheet = int((usual < x[row]).sum())
     empty = {"flag": "missing", "why": ""}
     wider = {
-        name: np.insert(values, place, empty.get(name, np.nan), axis=1) for name, values in arrays.items()
+        name: np.insert(values, sheet, empty.get(name, np.nan), axis=1) for name, values in arrays.items()
     }
-    _put(wider, np.arange(frames), place, x, ridges, "missing")
+    _put(wider, np.arange(frames), sheet, x, ridges, "missing")
     return wider
 
 
 def _check_unique(corrections: Sequence[Correction]) -> None:
-    """Refuse two decisions without a date about one sheet in one frame."""
+    """Refuse two decisions about one sheet in one frame if neither has a date."""
     for i, one in enumerate(corrections):
         for other in corrections[:i]:
             shared = set(one.sheets) & set(other.sheets)
@@ -471,9 +479,12 @@ def _check_unique(corrections: Sequence[Correction]) -> None:
 
 
 def check_there(correction: Correction, rows: Ints, frames: Ints, sheets: int) -> None:
-    """Refuse a sheet or frames that are not there: `rows` are the correction's among `frames`.
+    """Refuse a sheet or frames that do not exist; `rows` are those of the correction among `frames`.
 
-    Raises: InputError.
+    Raises
+    ------
+    InputError
+        For such a correction.
     """
     if max(correction.sheets, default=0) >= sheets:
         raise InputError(correction.name, f"a sheet from 0 to {sheets - 1}", str(max(correction.sheets)))
@@ -484,7 +495,7 @@ def check_there(correction: Correction, rows: Ints, frames: Ints, sheets: int) -
 
 
 def _put(arrays: dict[str, Any], rows: Ints, sheet: int, x: Floats, ridges: Ridges, otherwise: str) -> None:
-    """Sheet at x in these rows; flagged `otherwise` where x is NaN."""
+    """Set the sheet's detection to x in these rows, and its flag to `otherwise` where x is NaN."""
     known = np.isfinite(x)
     best, _ = nearest(ridges.x_px[rows], x)
     arrays["start_px"][rows, sheet] = x
@@ -505,15 +516,17 @@ def follow_ridge(
     origin_px: float = 0.0,
     settings: TrackingSettings = DEFAULT,
 ) -> Floats:
-    """The ridge nearest to a column in the first row, then in each row the one nearest to where the other
-    sheets' motion takes it.
+    """Follow a ridge from row to row, with the motion of the other sheets.
+
+    In the first row it is the ridge nearest to a given column, then the one nearest to where that motion
+    moves it.
 
     Parameters
     ----------
     correction
-        Its x_px is the column, as in the picture.
+        Its x_px is the column in the picture.
     rows
-        Of the next two, in the order in which the ridge is followed.
+        Rows of `others` and `ridges`, in the order in which the ridge is followed.
     others
         Whole pixels of the other sheets, (frame, sheet).
     ridges, comb, origin_px, settings
@@ -521,49 +534,49 @@ def follow_ridge(
 
     Returns
     -------
-    Whole pixels, one per row; NaN where none is near.
+    Whole pixels, one per row; NaN where no ridge is near.
 
     Raises
     ------
     InputError
-        Where none is near the column in the first row.
+        If no ridge is near the column in the first row.
     """
     moved = np.nan_to_num(nan_median(np.diff(others[rows], axis=0), axis=1))
     reach = settings.faint_reach * comb.pitch_px
     travelled = np.concatenate([[0.0], np.cumsum(moved)])
-    still = ridges.x_px[rows] - travelled[:, None]  # as seen by one who moves with the other sheets
+    relative = ridges.x_px[rows] - travelled[:, None]  # relative to the other sheets
     x = np.full(len(rows), np.nan)
     at = float(correction.x_px or 0.0) - origin_px
     begin = 0
     while begin < len(rows):
-        block = still[begin : begin + 256]  # the result does not depend on this number
+        block = relative[begin : begin + 256]  # the result does not depend on this number
         guess, distance = nearest(block, np.full(len(block), at))
         near = distance <= reach
         if begin == 0 and not near[0]:
             seen = ridges.x_px[rows[0]][np.isfinite(ridges.x_px[rows[0]])] + origin_px
-            found = ", ".join(f"{place:.0f}" for place in seen) or "none"
+            found = ", ".join(f"{x_px:.0f}" for x_px in seen) or "none"
             raise InputError(correction.name, f"a ridge near x_px = {correction.x_px:g}", found)
         before = _last_before(np.where(near, block[np.arange(len(block)), guess], np.nan), at)
-        best, distance = nearest(block, before)  # from where it was last, row by row
+        best, distance = nearest(block, before)  # from its position in the row before
         close = distance <= reach
         wrong = np.flatnonzero((best != guess) | (close != near))
-        done = slice(0, int(wrong[0]) + 1 if len(wrong) else len(block))  # up to there `before` is right
-        taken = np.flatnonzero(close[done])
-        x[begin + taken] = ridges.x_px[rows[begin + taken], best[taken]]
-        if len(taken):
-            at = float(block[taken[-1], best[taken[-1]]])
+        done = slice(0, int(wrong[0]) + 1 if len(wrong) else len(block))  # `before` is right up to there
+        followed = np.flatnonzero(close[done])
+        x[begin + followed] = ridges.x_px[rows[begin + followed], best[followed]]
+        if len(followed):
+            at = float(block[followed[-1], best[followed[-1]]])
         begin += done.stop
     return x
 
 
 def _last_before(values: Floats, first: float) -> Floats:
-    """The last known value before each; `first` before the first."""
+    """Return the last known value before each entry; `first` if there is none."""
     earlier = np.concatenate([[first], values[:-1]])
     number = np.maximum.accumulate(np.where(np.isfinite(earlier), np.arange(len(earlier)), 0))
     return np.asarray(earlier[number], np.float64)
 
 
 def not_taken(correction: Correction, frame: int, sheet: int) -> InputError:
-    """The refusal of a ridge that is another sheet's."""
+    """Return the error for a ridge that is another sheet's."""
     found, advice = f"sheet {sheet}'s in frame {frame}", "swap the two, or leave the other one out"
     return InputError(correction.name, "a ridge that is no other sheet's", found, advice)

@@ -1,7 +1,7 @@
-"""What pulls a ridge aside: specks, highlights, the edge of a hand, light that falls off over it.
+"""Errors of ridges distorted by specks, highlights, the edge of a hand or uneven light.
 
-`distortion` tells by how much, from the ridge's shape and height; `shift_by_lamp` what light that moves over
-the whole comb does; `not_one_ridge` which sheets are none.
+`distortion` estimates the error from the shape and height of each ridge, and `shift_by_moving_light` the
+error due to light that moves over the whole comb. `not_one_ridge` finds sheets that are not a single ridge.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from vision.sheets.subpixel import Starts, gather
 def not_one_ridge(
     bright: Floats32, x_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
 ) -> Bools:
-    """Which sheets (N,) are no single ridge: their mean picture is not that of the comb's ridges.
+    """Return which sheets are not a single ridge, (N,): their mean profile differs from the comb's.
 
-    Sheets far thinner than most, side by side, are one hump to the search for ridges, and the position lies
-    between them. Always False for fewer than five sheets.
+    Several sheets side by side, far thinner than most, appear as one hump to the search for ridges, and the
+    position lies between them. Always False for fewer than five sheets.
 
     Parameters
     ----------
@@ -35,23 +35,23 @@ def not_one_ridge(
     comb
         Width and pitch of the ridges.
     settings
-        `least_likeness`: correlation of a sheet's mean picture, over six tenths of a width to either side of
-        its positions, with that of all sheets.
+        `least_likeness`: correlation of a sheet's mean profile, over 0.6 ridge widths on either side of its
+        positions, with that of all sheets.
     """
     if x_px.shape[1] < 5:
         return np.zeros(x_px.shape[1], bool)
     half = max(3, round(min(0.6 * comb.fwhm_px, 0.5 * comb.pitch_px)))
-    _, level, shape = _pictures(bright, x_px, half)
-    own = nan_median(level)
+    _, normalised, shape = _sampled_profiles(bright, x_px, half)
+    own = nan_median(normalised)
     own -= own.mean(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         likeness = (shape - shape.mean()) @ own / np.linalg.norm(own, axis=0) / np.std(shape)
     return np.asarray(likeness / np.sqrt(len(shape)) < settings.least_likeness, bool)
 
 
-def _pictures(bright: Floats32, x_px: Floats, half: int) -> tuple[Floats, Floats, Floats]:
-    """Pixels around positions in some frames (frame, u, N), the same with mean 0 and deviation 1, and the
-    median of these over all sheets and frames (u,)."""
+def _sampled_profiles(bright: Floats32, x_px: Floats, half: int) -> tuple[Floats, Floats, Floats]:
+    """Return the pixels at offsets u from the positions in some frames, (frame, u, N), the same with mean 0
+    and standard deviation 1, and the median of the latter over all sheets and frames, (u,)."""
     sample = np.unique(np.linspace(0, len(bright) - 1, 200).astype(int))
     around = _around(bright[sample], x_px[sample], half)
     level = around - around.mean(axis=1, keepdims=True)
@@ -67,7 +67,7 @@ def distortion(
     comb: RidgeComb,
     settings: TrackingSettings = DEFAULT,
 ) -> Floats:
-    r"""What dirt, a highlight or an edge may shift each position by, px, (frame, N); 0 where nothing shows.
+    r"""Return how far dirt, a highlight or an edge may shift each position, px, (frame, N); 0 without a sign.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def distortion(
     x_px, err_px
         Positions and their errors from noise (frame, N), NaN where missing.
     blurred
-        Ridges drawn over themselves (frame, N), which are lopsided anyway: 0.
+        Ridges blurred by motion (frame, N), which are lopsided for that reason: 0.
     comb
         Width and pitch of the ridges.
     settings
@@ -84,92 +84,101 @@ def distortion(
 
     Notes
     -----
-    To the pixels around each position the comb's mean shape :math:`S` is fitted with level, height and shift,
+    The comb's mean shape :math:`S` is fitted to the pixels around each position with level a, height b and
+    shift s; r is the residual:
 
     .. math:: I(x + u) = a + b\,(S(u) - s\,S'(u)) + r(u) .
 
-    The position may be off by the change of s where a slope is fitted as well (light that varies over the
-    window), and by the residual in terms of the shape's own slope,
-    :math:`\langle r^2 \rangle^{1/2} / (b\,\langle S'^2 \rangle^{1/2})` (anything narrower, which shifts the
-    ridge by about as much as it shows elsewhere). Of the residual only the odd part counts: widths differ,
-    and move nothing. Each is split into the sheet's own mean, which is compared with the other sheets', and
-    what differs from it in a frame; what all sheets of a frame have in common (blur, exposure) is left out.
-    Where ridges overlap, narrow ones between broad ones have a slope under them: a sheet's mean residual
-    counts where its slope is far beyond the others', or what is left without the slope. Where ridges are
-    lopsided by themselves it says nothing. Where s usually changes by far more than noise makes it, something
-    moves over the whole comb (its own reflection), and what is usual is an error, too. What no shape tells,
-    light that falls off over a ridge, is seen in the heights.
+    Two quantities indicate an error. The first is the change of s if a slope of the background is fitted as
+    well; it shows light that varies over the window. The second is the residual over the shape's slope,
+    :math:`\langle r^2 \rangle^{1/2} / (b\,\langle S'^2 \rangle^{1/2})`; it shows narrower disturbances, which
+    shift the ridge by about as much. Only the odd part of the residual counts, since differences of width
+    move nothing. Each quantity has a part that lasts, the sheet's mean, which is compared with that of
+    the other sheets, and a part that varies from frame to frame, less what all sheets of a frame share (blur,
+    exposure).
+
+    Four cases need care. Where ridges overlap, narrow ridges between broad ones have a sloping background: a
+    mean residual then counts only if the sheet's slope is far beyond the others', or if the residual remains
+    once the slope is fitted. Where all ridges are lopsided, mean residuals are not used. Where s usually
+    changes by far more than noise explains, something moves over the whole comb (such as its own reflection),
+    and the usual change is an error, too. Light that falls off over a ridge does not change its shape; it
+    shows in the heights (`_shift_by_light`).
     """
     if comb.fwhm_px < settings.distortion_least_px:
         return np.zeros_like(x_px)
     half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
-    around, _, shape = _pictures(bright, x_px, half)
+    around, _, shape = _sampled_profiles(bright, x_px, half)
     if not np.isfinite(shape).all():
         return np.zeros_like(x_px)
-    to_fit = _to_shape_fit(shape)
-    own = nan_median(_shape_fit(around, to_fit).residual)  # each sheet's own, (u, N)
-    straight = nan_median(_residual_with_slope(around, shape))
-    height, slant, unlike = np.empty((3, *x_px.shape))
+    fit_matrix = _fit_matrix(shape)
+    mean_residual = nan_median(_fit_shape(around, fit_matrix).residual)  # of each sheet, (u // 2, N)
+    mean_with_slope = nan_median(_residual_with_slope(around, shape))
+    height, change, varying = np.empty((3, *x_px.shape))
 
     def fit(rows: slice) -> None:
-        height[rows], slant[rows], residual = _shape_fit(_around(bright[rows], x_px[rows], half), to_fit)
-        residual -= own
+        height[rows], change[rows], residual = _fit_shape(_around(bright[rows], x_px[rows], half), fit_matrix)
+        residual -= mean_residual
         residual -= nan_median(residual, axis=2)[..., None]
-        unlike[rows] = _odd_rms(residual)
+        varying[rows] = _odd_rms(residual)
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(fit, (slice(i, i + FRAMES_PER_BLOCK) for i in range(0, len(bright), FRAMES_PER_BLOCK))))
     floor, times = settings.distortion_floor, settings.distortion_residual
-    shifted, sloping = _shift_by_slope(slant, err_px, _slant_noise(shape), settings)
+    shift, lasting_slope = _shift_by_slope(change, err_px, _change_noise(shape), settings)
     height[blurred] = np.nan
-    shifted = np.fmax(shifted, _shift_by_light(x_px, height, comb, settings))
-    rough = _beyond(unlike, np.fmax(times * nan_median(unlike), floor))
-    rough += _lasting_residual(own, straight, sloping > 0, comb, settings)
-    size = np.hypot(shifted, settings.distortion_error * rough)
-    return np.where(np.isfinite(slant) & ~blurred, size, 0.0)  # unknown too near the picture's edge
+    shift = np.fmax(shift, _shift_by_light(x_px, height, comb, settings))
+    residual = _if_above(varying, np.fmax(times * nan_median(varying), floor))
+    residual += _lasting_residual(mean_residual, mean_with_slope, lasting_slope > 0, comb, settings)
+    size = np.hypot(shift, settings.distortion_error * residual)
+    return np.where(np.isfinite(change) & ~blurred, size, 0.0)  # unknown too near the picture's edge
 
 
 def _shift_by_slope(
-    slant: Floats, err_px: Floats, noise: float, settings: TrackingSettings
+    change: Floats, err_px: Floats, noise: float, settings: TrackingSettings
 ) -> tuple[Floats, Floats]:
-    """Where a slope under the ridge changes the shift by more than usual, px, (frame, N), and the part of it
-    that lasts, against the other sheets', (N,).  noise: of `slant`, over that of the position."""
+    """Return unusual shifts due to a sloping background, px, (frame, N), and their lasting part, (N,).
+
+    change: of the shift if a slope is fitted, px, (frame, N). noise: its noise over that of the position.
+    """
     floor, sigmas = settings.distortion_floor, settings.distortion_sigmas
-    usual = nan_median(slant)
-    off = np.abs(slant - usual)
+    usual = nan_median(change)
+    off = np.abs(change - usual)
     usual_off = float(nan_median((off / err_px).ravel())) / NORMAL_MEDIAN
     everywhere = usual_off > settings.distortion_everywhere * noise
     within = (0.0 if everywhere else usual_off) * err_px
     apart = np.abs(usual - nan_median(usual))
     between = nan_median(apart) / NORMAL_MEDIAN
-    lasting = _beyond(apart, np.fmax(sigmas * between, floor))
-    shifted = _beyond(off, np.fmax(sigmas * within, floor)) + lasting
-    return (np.fmax(shifted, usual_off * err_px) if everywhere else shifted), lasting
+    lasting = _if_above(apart, np.fmax(sigmas * between, floor))
+    shift = _if_above(off, np.fmax(sigmas * within, floor)) + lasting
+    return (np.fmax(shift, usual_off * err_px) if everywhere else shift), lasting
 
 
 def _lasting_residual(
-    own: Floats, straight: Floats, sloping: Bools, comb: RidgeComb, settings: TrackingSettings
+    mean: Floats, mean_with_slope: Floats, sloping: Bools, comb: RidgeComb, settings: TrackingSettings
 ) -> Floats:
-    """Sheets' mean residuals (u // 2, N) that are unlike the others', (N,), else 0.
+    """Return the mean residuals of sheets that differ from the others, px, (N,); 0 for the others.
 
-    straight: those where a slope is fitted, too. sloping: sheets whose slope is far beyond the others' (N,).
+    mean, mean_with_slope: mean residuals without and with a slope fitted, (u // 2, N). sloping: sheets whose
+    slope is far beyond that of the others, (N,).
     """
-    odd, bent = (np.sqrt(2) * _odd_rms(part - nan_median(part, axis=1)[:, None]) for part in (own, straight))
+    odd, odd_with_slope = (
+        np.sqrt(2) * _odd_rms(part - nan_median(part, axis=1)[:, None]) for part in (mean, mean_with_slope)
+    )
     if not nan_median(odd) < settings.lopsided:
         return np.zeros_like(odd)
     overlap = comb.fwhm_px > settings.overlapping * comb.pitch_px
-    judged = bent if overlap else odd
-    unlike = judged > np.fmax(settings.distortion_residual * nan_median(judged), settings.distortion_floor)
-    return np.asarray(odd * (unlike | (sloping & overlap)), np.float64)
+    size = odd_with_slope if overlap else odd
+    unusual = size > np.fmax(settings.distortion_residual * nan_median(size), settings.distortion_floor)
+    return np.asarray(odd * (unusual | (sloping & overlap)), np.float64)
 
 
-def _beyond(size: Floats, least: Floats) -> Floats:
-    """Sizes above what is usual, else 0."""
+def _if_above(size: Floats, least: Floats) -> Floats:
+    """Return sizes that exceed `least`, and 0 for the others."""
     return np.where(size > least, size, 0.0)
 
 
 def _around(bright: Floats32, x_px: Floats, half: int) -> Floats:
-    """Grey levels at whole pixels from each position, (frame, u, N), by the cubic through four pixels."""
+    """Return grey levels at whole pixels from each position, (frame, u, N), by cubics through four pixels."""
     frames, sheets = x_px.shape
     left = np.floor(np.nan_to_num(x_px, nan=-10.0 * half)).astype(np.int64)
     starts = Starts(np.repeat(np.arange(frames), sheets), left.ravel())
@@ -190,30 +199,29 @@ def _around(bright: Floats32, x_px: Floats, half: int) -> Floats:
 
 
 def _bases(shape: Floats) -> tuple[Floats, Floats]:
-    """Level, shape and its slope, (u, 3); the same and a slope of the light, (u, 4)."""
-    upright = np.stack([np.ones_like(shape), shape, np.gradient(shape)], axis=1)
-    return upright, np.column_stack([upright, np.arange(len(shape)) - len(shape) // 2])
+    """Return the basis of the fit: level, shape and its slope, (u, 3); with a sloping background, (u, 4)."""
+    level_background = np.stack([np.ones_like(shape), shape, np.gradient(shape)], axis=1)
+    return level_background, np.column_stack([level_background, np.arange(len(shape)) - len(shape) // 2])
 
 
-def _slant_noise(shape: Floats) -> float:
-    """Scatter that white noise gives the change of the shift where a slope is fitted too, over that of the
-    shift itself."""
-    shift, sloping = (np.linalg.pinv(basis)[2] for basis in _bases(shape))
-    return float(np.linalg.norm(sloping - shift) / np.linalg.norm(shift))
+def _change_noise(shape: Floats) -> float:
+    """Return the noise of `_ShapeFit.change` over the noise of the shift itself."""
+    shift, with_slope = (np.linalg.pinv(basis)[2] for basis in _bases(shape))
+    return float(np.linalg.norm(with_slope - shift) / np.linalg.norm(shift))
 
 
 class _ShapeFit(NamedTuple):
-    """Of pixels (frame, u, N).
+    """Fit of the mean shape to pixels (frame, u, N).
 
     Parameters
     ----------
     height
-        Grey levels (frame, N).
+        Height of the ridge, grey levels (frame, N).
     change
-        Of the shift, px, where a slope is fitted too, (frame, N).
+        Change of the shift if a slope is fitted as well, px, (frame, N).
     residual
-        What the shape does not explain, its odd part, in terms of the shape's slope: the left half
-        (frame, u // 2, N), of which the right one is the negative.
+        Odd part of the residual over the shape's slope, px: the left half, (frame, u // 2, N). The right half
+        is its negative.
     """
 
     height: Floats
@@ -221,24 +229,27 @@ class _ShapeFit(NamedTuple):
     residual: Floats
 
 
-def _to_shape_fit(shape: Floats) -> Floats:
-    """What takes pixels to all of the fit, which is linear in them: height and shift, both with a slope, and
-    the odd residual."""
-    upright, sloping = _bases(shape)
-    first, second = np.linalg.pinv(upright), np.linalg.pinv(sloping)
-    return np.concatenate([first[1:3], second[1:3], _odd_residual(upright, first)])
+def _fit_matrix(shape: Floats) -> Floats:
+    """Return the matrix that takes pixels to the fit, which is linear in them.
+
+    Its rows give height and shift without a slope, both with a slope, and the odd residual.
+    """
+    level_background, sloping = _bases(shape)
+    first, second = np.linalg.pinv(level_background), np.linalg.pinv(sloping)
+    return np.concatenate([first[1:3], second[1:3], _odd_residual(level_background, first)])
 
 
-def _shape_fit(pixels: Floats, to_fit: Floats) -> _ShapeFit:
-    """By the matrix of `_to_shape_fit`."""
-    found = to_fit @ pixels
-    height, shift, other_height, other_shift = (found[:, k] for k in range(4))
+def _fit_shape(pixels: Floats, fit_matrix: Floats) -> _ShapeFit:
+    """Apply the matrix from `_fit_matrix` to pixels."""
+    found = fit_matrix @ pixels
+    height, shift, height_with_slope, shift_with_slope = (found[:, k] for k in range(4))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return _ShapeFit(height, other_shift / other_height - shift / height, found[:, 4:] / height[:, None])
+        change = shift_with_slope / height_with_slope - shift / height
+        return _ShapeFit(height, change, found[:, 4:] / height[:, None])
 
 
 def _residual_with_slope(pixels: Floats, shape: Floats) -> Floats:
-    """The same residual where a slope is fitted too."""
+    """Return the residual as in `_ShapeFit`, but with a slope fitted as well."""
     basis = _bases(shape)[1]
     fit = np.linalg.pinv(basis)
     found = np.concatenate([fit[1:2], _odd_residual(basis, fit)]) @ pixels
@@ -247,27 +258,27 @@ def _residual_with_slope(pixels: Floats, shape: Floats) -> Floats:
 
 
 def _odd_residual(basis: Floats, fit: NDArray[np.floating]) -> Floats:
-    """What takes pixels to the left half of the odd part of their residual, over the shape's slope."""
+    """Return the matrix from pixels to the left half of their residual's odd part, over the shape's slope."""
     residual = np.eye(len(basis)) - basis @ fit
     odd = (residual - residual[::-1])[: len(basis) // 2]
     return np.asarray(odd / np.sqrt(2 * (basis[:, 2] ** 2).mean()), np.float64)
 
 
 def _odd_rms(left_half: Floats) -> Floats:
-    """Root mean square over u of what is odd in u, from its left half (…, u // 2, N)."""
+    """Return the root mean square over u of an odd function of u, from its left half (…, u // 2, N)."""
     return np.asarray(np.sqrt((left_half**2).sum(axis=-2) / (left_half.shape[-2] + 0.5)), np.float64)
 
 
 def _shift_by_light(
     x_px: Floats, height: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
 ) -> Floats:
-    r"""By how much light L that falls off over a ridge shifts it against its usual place, px, (frame, N); 0
-    where that is no more than usual.
+    r"""Return the shift of each ridge due to light L that falls off over it, px, (frame, N); 0 where usual.
 
-    A Gaussian times such light is a Gaussian again, and no shape tells that it is shifted by
-    :math:`\sigma_r^2 L'/L`. The heights tell: L along a sheet's own way, as far as both halves of the film
-    agree (what stands still: dirt); and what three sheets side by side have in common in a frame (what moves:
-    the edge of a shadow), taken twice, as an edge is steeper in its middle than from sheet to sheet.
+    A Gaussian in such light remains a Gaussian, shifted by :math:`\sigma_r^2 L'/L`, so that only heights
+    reveal the shift. Stationary changes of light (dirt) show as a slope of L along the path of a sheet that
+    is the same in both halves of the film. Moving ones (the edge of a shadow) show as a slope that three
+    adjacent sheets share in a frame; it is doubled, as an edge is steeper in its middle than from sheet to
+    sheet.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         light = np.log(np.where(height > 0, height, np.nan))
@@ -286,19 +297,19 @@ def _shift_by_light(
     along = np.minimum(*(np.abs(slope - nan_median(slope)) for slope in halves))
     limits = settings.distortion_sigmas, settings.distortion_floor
     variance = (comb.fwhm_px / FWHM) ** 2
-    still = _unusual(variance * along, *limits)
+    stationary = _unusual(variance * along, *limits)
     moving = _unusual(variance * across, *limits)
-    return np.fmax(still, np.where(left * right > 0, moving, 0.0))
+    return np.fmax(stationary, np.where(left * right > 0, moving, 0.0))
 
 
-def shift_by_lamp(
+def shift_by_moving_light(
     x_px: Floats, contrast: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
 ) -> Floats:
-    r"""By how much light whose slope over the comb changes shifts all ridges of a frame, px, (frame, 1).
+    r"""Return the shift of all ridges due to light whose slope over the comb changes, px, (frame, 1).
 
-    Light L that slopes shifts a Gaussian by :math:`\sigma_r^2 L'/L`, seen in the heights of sheets half a
-    comb apart against what is usual; twice, as the light between the ridges slopes, too. 0 for fewer than
-    four sheets.
+    A slope of the light L shifts a Gaussian by :math:`\sigma_r^2 L'/L`. The slope is measured from the
+    heights of sheets half a comb apart, relative to their usual heights. The shift is doubled, as the light
+    between the ridges slopes, too. 0 for fewer than four sheets.
     """
     half = x_px.shape[1] // 2
     if half < 2:
@@ -308,26 +319,27 @@ def shift_by_lamp(
     slope -= nan_median(slope)
     common = nan_median(slope, axis=1)
     scatter = nan_median(np.abs(slope - common[:, None]), axis=1) / NORMAL_MEDIAN
-    error = 1.25 * scatter / np.sqrt(slope.shape[1])  # what covers or clips some sheets is no slope over all
+    # objects that cover some sheets make no common slope
+    error = 1.25 * scatter / np.sqrt(slope.shape[1])
     seen = np.abs(common) > settings.distortion_sigmas * error
     return np.where(seen, 2 * (comb.fwhm_px / FWHM) ** 2 * np.abs(common), 0.0)[:, None]
 
 
 def _unusual(size: Floats, times: float, floor: float) -> Floats:
-    """Sizes above a floor and so many times their median, else 0."""
-    return _beyond(size, np.fmax(times * nan_median(size.ravel()), floor))
+    """Return sizes that exceed the floor and `times` their median, and 0 for the others."""
+    return _if_above(size, np.fmax(times * nan_median(size.ravel()), floor))
 
 
 def _slope_along(x_px: Floats, values: Floats, step_px: float, settings: TrackingSettings) -> Floats:
-    """Slope of values against each sheet's own position, at its position in every frame, (frame, N).
+    """Return the slope of values against each sheet's position, at its position in every frame, (frame, N).
 
-    From the median of the known values within one step to those of the next steps on both sides, or on one;
-    0 where their scatter explains it, NaN where there are none of either.
+    Values are averaged (median) over steps in position. The slope is the mean of the slopes to the next steps
+    on both sides, or that to one of them. A slope within its noise is 0; NaN where both steps are empty.
     """
     known = np.isfinite(x_px) & np.isfinite(values)
-    place = np.floor(np.nan_to_num(x_px - nan_quantile(x_px, 0.0)) / step_px).astype(np.int64)
-    columns = int(place.max(initial=0)) + 2
-    cell = 1 + place + columns * np.arange(x_px.shape[1])
+    step = np.floor(np.nan_to_num(x_px - nan_quantile(x_px, 0.0)) / step_px).astype(np.int64)
+    columns = int(step.max(initial=0)) + 2
+    cell = 1 + step + columns * np.arange(x_px.shape[1])
     count = np.bincount(cell[known], minlength=1 + columns * x_px.shape[1])
     ordered = np.append(values[known][np.lexsort((values[known], cell[known]))], np.nan)
     middle = np.where(count > 0, ordered[np.cumsum(count) - count + count // 2], np.nan)

@@ -1,7 +1,7 @@
 """Identities: every sheet keeps its index through every slip, or its position is flagged as doubtful.
 
-Frames are first joined to segments in which candidates can be followed without doubt; then all segments are
-aligned with one reference comb. No frame depends on the one before, so a mistake cannot spread.
+Frames are first joined to segments in which candidates can be followed without doubt. Then all segments are
+aligned with one reference comb. No segment depends on the one before, so a mistake cannot spread.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ class Identities:
     match
         Candidate of each sheet in each frame, −1 where missing, (frame, N).
     margin
-        Nats by which this identity beats the next best, (frame, N), NaN where missing.
+        Log-likelihood, nats, by which this identity exceeds the next best, (frame, N), NaN where missing.
     rest_px
-        Where each sheet was around that time, (frame, N).
+        Rest position of each sheet around the time of the frame, (frame, N).
     reference
-        The comb.
+        The reference comb.
     """
 
     match: Ints
@@ -52,34 +52,34 @@ def identify_sheets(
 ) -> Identities:
     """Pair the candidates of all frames with the sheets.
 
-    Frames are joined to segments in which nothing can be mistaken; one comb is found that most of the
-    recording agrees on; then all segments are aligned with that comb at once, and again with each sheet
-    expected where it was found around that time.
+    Frames are joined to segments in which candidates cannot be confused, and a reference comb is found that
+    most of the recording agrees on. All segments are aligned with that comb, and aligned again with each
+    sheet expected where it was found around that time.
 
     Parameters
     ----------
     ridges, comb
-        Candidates of every frame; what the ridges look like.
+        Candidates of every frame; width, pitch and contrast of the ridges.
     width_px
         Width of the profile.
     sheets
-        Their number where known.
+        Number of sheets, if known.
     source
-        What a message calls the recording.
+        Name of the recording in messages.
     settings
         Costs and thresholds.
 
     Raises
     ------
     InputError
-        Where there are no ridges, or fewer than `sheets`.
+        If there are no ridges, or fewer than `sheets`.
     """
     segments = split_segments(ridges, comb, width_px=width_px, settings=settings)
-    carried = carried_px(ridges, comb, settings)
+    displacement = comb_displacement(ridges, comb, settings)
     reference = build_reference(
         segments.candidates,
         segments.length,
-        carried[segments.middle],
+        displacement[segments.middle],
         comb,
         width_px=width_px,
         sheets=sheets,
@@ -87,23 +87,23 @@ def identify_sheets(
         settings=settings,
     )
 
-    def aligned(reference: ReferenceComb, rest: Floats) -> Pairing:
+    def align_all(reference: ReferenceComb, rest: Floats) -> Pairing:
         middle = rest[segments.middle]
         counted = sheets is not None
         expected = reference.expected(middle, comb, width_px, counted=counted, settings=settings)
         return align(segments.candidates, expected)
 
-    rest = reference.x_px + carried[:, None]
-    match = segments.in_frames(aligned(reference, rest).match, ridges.count)
+    rest = reference.x_px + displacement[:, None]
+    match = segments.in_frames(align_all(reference, rest).match, ridges.count)
     if sheets is None:
         x = values_of(match, ridges.x_px)
-        moved = x - _rest_positions(x, reference, comb, settings)
+        moved = x - _rest_over_time(x, reference, comb, settings)
         real = ~static_ridges(moved, reference.x_px, settings=settings)
         real &= ~faint_ends(reference, moved, settings=settings)
         reference, match = reference.only(np.flatnonzero(real)), match[:, real]
     for _ in range(2):  # with each sheet expected where it was found around that time
-        rest = _rest_positions(values_of(match, ridges.x_px), reference, comb, settings)
-        pairing = aligned(reference, rest)
+        rest = _rest_over_time(values_of(match, ridges.x_px), reference, comb, settings)
+        pairing = align_all(reference, rest)
         before, match = match, segments.in_frames(pairing.match, ridges.count)
         if np.array_equal(before, match):
             break
@@ -111,35 +111,39 @@ def identify_sheets(
     return Identities(match, margin, rest, reference)
 
 
-def carried_px(ridges: Ridges, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Floats:
-    """How far the whole comb has been carried since the first frame, px, (frame,).
+def comb_displacement(ridges: Ridges, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Floats:
+    """Return the displacement of the whole comb since the first frame, px, (frame,).
 
-    The sum of the mean steps from each ridge to the nearest one of the next frame, of those within a pixel of
-    their median (positions are whole pixels); where most steps are too large to be told, none.
+    It is the sum of mean steps from each ridge to the nearest ridge of the next frame. Only steps within a
+    pixel of their median enter (positions are whole pixels). Where most steps are too large to identify the
+    same ridge, the step is 0.
     """
     x = ridges.x_px.astype(np.float64)
     frames = len(x)
-    apart = 4.0 * (np.nanmax(x, initial=0.0) + comb.pitch_px)  # all frames in one row, far from each other
-    placed = x + apart * np.arange(frames)[:, None]
-    row = placed[np.isfinite(placed)]
+    apart = 4.0 * (np.nanmax(x, initial=0.0) + comb.pitch_px)
+    in_one_row = x + apart * np.arange(frames)[:, None]  # the ridges of each frame far from the next frame's
+    row = in_one_row[np.isfinite(in_one_row)]
     if not len(row):
         return np.zeros(frames)
-    sought = placed[:-1] + apart
-    after = np.searchsorted(row, np.nan_to_num(sought))
-    near = np.stack([row[np.clip(after - 1, 0, len(row) - 1)], row[np.clip(after, 0, len(row) - 1)]]) - sought
+    same = in_one_row[:-1] + apart  # positions in the next frame if nothing moves
+    after = np.searchsorted(row, np.nan_to_num(same))
+    near = np.stack([row[np.clip(after - 1, 0, len(row) - 1)], row[np.clip(after, 0, len(row) - 1)]]) - same
     step = np.where(np.abs(near[0]) < np.abs(near[1]), near[0], near[1])
-    told = np.abs(step) < settings.step_fraction * comb.pitch_px
-    most = told.sum(axis=1) > 0.5 * ridges.count[:-1]
-    told &= np.abs(step - nan_median(np.where(told, step, np.nan), axis=1)[:, None]) <= 1.0
-    moved = np.where(told, step, 0.0).sum(axis=1) / np.maximum(told.sum(axis=1), 1)
-    return np.concatenate([[0.0], np.cumsum(np.where(most, moved, 0.0))])
+    small = np.abs(step) < settings.step_fraction * comb.pitch_px
+    followed = small.sum(axis=1) > 0.5 * ridges.count[:-1]
+    small &= np.abs(step - nan_median(np.where(small, step, np.nan), axis=1)[:, None]) <= 1.0
+    moved = np.where(small, step, 0.0).sum(axis=1) / np.maximum(small.sum(axis=1), 1)
+    return np.concatenate([[0.0], np.cumsum(np.where(followed, moved, 0.0))])
 
 
-def _rest_positions(
+def _rest_over_time(
     x_px: Floats, reference: ReferenceComb, comb: RidgeComb, settings: TrackingSettings
 ) -> Floats:
-    """Median position of each sheet over about thirty frames, on every frame; gaps filled from neighbours
-    and time. Frames in which neighbours went far apart, which no slip does, have no part in it."""
+    """Return the median position of each sheet over about thirty frames, at every frame, (frame, N).
+
+    Gaps are filled from neighbouring sheets, then from other times. Frames in which neighbours moved far
+    apart, which no slip does, are left out.
+    """
     frames = len(x_px)
     blocks = max(1, round(frames / settings.frames_per_rest))
     edges = np.linspace(0, frames, blocks + 1).astype(int)
@@ -156,8 +160,11 @@ def _rest_positions(
 
 
 def fill_rows(values: Floats, at: Floats) -> Floats:
-    """NaN of values (rows, columns) replaced by linear interpolation along each row, ends held; rows of NaN
-    stay NaN. `at`: ascending abscissa of the columns."""
+    """Replace NaN in values (rows, columns) by linear interpolation along each row.
+
+    Beyond the first and last known value these are repeated; rows of NaN stay NaN. `at` is the ascending
+    abscissa of the columns.
+    """
     known = np.isfinite(values)
     number = np.arange(values.shape[1])
     left = np.maximum.accumulate(np.where(known, number, -1), axis=1)
@@ -178,17 +185,17 @@ def fill_rows(values: Floats, at: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Segments:
-    """Runs of frames in which candidates do not move far between frames, and come and go at the picture's
-    edges only.
+    """Runs of frames in which candidates move little between frames, and come and go only at the picture's
+    edges.
 
     Parameters
     ----------
     start, length
         First frame and number of frames, (segments,).
     place
-        Where in the segment's list each frame's own list begins, (frame,).
+        Index in the segment's list of candidates at which the list of each frame begins, (frame,).
     candidates
-        Mean position of each (as if seen in the middle frame), log contrast and log width, (segments, K).
+        Mean position (moved to the middle frame), log contrast and log width of each, (segments, K).
     """
 
     start: Ints
@@ -198,19 +205,21 @@ class Segments:
 
     @property
     def middle(self) -> Ints:
-        """Middle frame of every segment."""
+        """Middle frame of each segment."""
         return self.start + self.length // 2
 
     def of_frames(self) -> Ints:
-        """Segment of every frame (frame,)."""
+        """Return the segment of each frame, (frame,)."""
         return np.repeat(np.arange(len(self.start)), self.length)
 
     def in_frames(self, match: Ints, count: Ints) -> Ints:
-        """Candidate of each sheet in each frame (frame, N), from that in each segment (segments, N), with
-        `count` candidates in each frame; −1 where none."""
-        own = match[self.of_frames()]
-        number = own - self.place[:, None]
-        return np.where((own >= 0) & (number >= 0) & (number < count[:, None]), number, -1)
+        """Return the candidate of each sheet in each frame, −1 where none, (frame, N).
+
+        match: candidate of each sheet in each segment, (segments, N). count: candidates in each frame.
+        """
+        in_segment = match[self.of_frames()]
+        number = in_segment - self.place[:, None]
+        return np.where((in_segment >= 0) & (number >= 0) & (number < count[:, None]), number, -1)
 
 
 def split_segments(
@@ -222,13 +231,13 @@ def split_segments(
 ) -> Segments:
     """Cut the recording where a candidate comes, goes or jumps, except where sheets cross the picture's edge.
 
-    Inside a segment every candidate of one frame is one of the next, or crosses the edge there, and every
-    step is small against the spacing to the nearer neighbour (or the pitch, if smaller). A comb that jumps
-    by a whole pitch so that one sheet leaves the picture as another enters looks still; but its brightnesses
-    change, and so the recording is cut there.
+    Within a segment every candidate of a frame is also in the next, or crosses the edge there, and every step
+    is small against the spacing to the nearer neighbour (or the pitch, if smaller). A comb that jumps by a
+    whole pitch, so that one sheet leaves the picture as another enters, seems not to move; but its
+    brightnesses change, and so the recording is cut there.
     """
     joints = _joints(ridges, comb, width_px, settings)
-    start = np.r_[0, 1 + np.flatnonzero(~joints.holds)].astype(np.int64)
+    start = np.r_[0, 1 + np.flatnonzero(~joints.continues)].astype(np.int64)
     length = np.diff(np.r_[start, len(ridges.x_px)])
     of_frame = np.repeat(np.arange(len(start)), length)
     place = np.r_[0, -np.cumsum(joints.came)]
@@ -240,34 +249,34 @@ def split_segments(
 
 
 class _Joints(NamedTuple):
-    """How each frame follows on the one before, (frame − 1,): whether it does; how many candidates came in on
-    the left; how far those in both moved in the mean, px."""
+    """How each frame continues the one before, (frame − 1,): whether it does, how many candidates entered on
+    the left, and the mean step of the candidates in both, px."""
 
-    holds: Bools
+    continues: Bools
     came: Ints
     moved_px: Floats
 
 
 def _joints(ridges: Ridges, comb: RidgeComb, width_px: int, settings: TrackingSettings) -> _Joints:
-    """Frames of equal count first; where these do not follow on each other, with sheets crossing the edge."""
+    """Compare consecutive frames, first with no sheet crossing the edge, then with one or two."""
     frames = len(ridges.x_px)
     pairs = _pairs(ridges, np.arange(frames - 1), 0, comb, width_px, settings)
     usual = float(np.median(pairs.change)) if frames > 1 else 0.0
     most = max(settings.least_change, 5.0 * usual)
-    holds, moved = pairs.holds & (pairs.change <= most), pairs.moved_px
+    continues, moved = pairs.continues & (pairs.change <= most), pairs.moved_px
     came = np.zeros(frames - 1, np.int64)
     for number in (1, -1, 2, -2):
-        rows = np.flatnonzero(~holds)
+        rows = np.flatnonzero(~continues)
         pairs = _pairs(ridges, rows, number, comb, width_px, settings)
-        good = pairs.holds & (pairs.change <= most)
-        holds[rows[good]], came[rows[good]], moved[rows[good]] = True, number, pairs.moved_px[good]
-    return _Joints(holds, came, np.where(holds, moved, 0.0))
+        good = pairs.continues & (pairs.change <= most)
+        continues[rows[good]], came[rows[good]], moved[rows[good]] = True, number, pairs.moved_px[good]
+    return _Joints(continues, came, np.where(continues, moved, 0.0))
 
 
 class _FramePairs(NamedTuple):
-    """Whether a frame follows on another; mean step, px; change of the brightnesses, natural logarithm."""
+    """Whether a frame continues another; mean step, px; rms change of log brightness."""
 
-    holds: Bools
+    continues: Bools
     moved_px: Floats
     change: Floats
 
@@ -275,36 +284,37 @@ class _FramePairs(NamedTuple):
 def _pairs(
     ridges: Ridges, rows: Ints, came: int, comb: RidgeComb, width_px: int, settings: TrackingSettings
 ) -> _FramePairs:
-    """Frames `rows` against those after them, if `came` new candidates came in on the left (left, if
-    negative)."""
+    """Compare frames `rows` with the next ones, assuming that `came` candidates entered on the left (or left
+    there, if negative)."""
     before, after = ridges.x_px[rows], shifted(ridges.x_px[rows + 1], came)
     paired = np.isfinite(before) & np.isfinite(after)
     step = np.where(paired, after - before, 0.0)
     spacing = np.fmin(np.fmin(_spacing(before), _spacing(after)), comb.pitch_px)
-    still = (np.abs(step) < settings.step_fraction * spacing) | ~paired
+    small = (np.abs(step) < settings.step_fraction * spacing) | ~paired
     edge = comb.fwhm_px + settings.step_fraction * comb.pitch_px
-    single = [np.where(paired, np.nan, x) for x in (before, after)] + [ridges.x_px[rows + 1, : max(came, 0)]]
+    entered = ridges.x_px[rows + 1, : max(came, 0)]
+    single = [np.where(paired, np.nan, before), np.where(paired, np.nan, after), entered]
     crossing = [np.isnan(x) | (x < edge) | (x > width_px - 1 - edge) for x in single]
     count = paired.sum(axis=1)
-    alone = ridges.count[rows] + ridges.count[rows + 1] - 2 * count
-    holds = still.all(axis=1) & np.hstack(crossing).all(axis=1) & (alone <= count)
+    unpaired = ridges.count[rows] + ridges.count[rows + 1] - 2 * count
+    continues = small.all(axis=1) & np.hstack(crossing).all(axis=1) & (unpaired <= count)
     bright_before, bright_after = np.log(ridges.contrast[rows]), np.log(ridges.contrast[rows + 1])
     change = np.where(paired, shifted(bright_after, came) - bright_before, 0.0)
     total = np.maximum(count, 1)
-    return _FramePairs(holds, step.sum(axis=1) / total, np.sqrt((change**2).sum(axis=1) / total))
+    return _FramePairs(continues, step.sum(axis=1) / total, np.sqrt((change**2).sum(axis=1) / total))
 
 
 def _spacing(x: Floats32) -> Floats32:
-    """Distance to the nearer neighbour, inf where there is none."""
+    """Return the distance to the nearer neighbour, inf where there is none."""
     gap = np.nan_to_num(np.diff(x, axis=1), nan=np.inf)
     end = np.full((len(x), 1), np.inf, x.dtype)
     return np.minimum(np.hstack([end, gap]), np.hstack([gap, end]))
 
 
 def _means(features: Floats, of_frame: Ints, place: Ints) -> Floats:
-    """Means of features (kinds, frame, K) over the frames of each segment, (kinds, segments, places), NaN
-    where there is nothing."""
-    known = np.isfinite(features[0])  # a candidate has all of them
+    """Return means of features (kinds, frame, K) over the frames of each segment, (kinds, segments, places),
+    NaN where there is no candidate."""
+    known = np.isfinite(features[0])  # a candidate has all features
     frame, k = np.nonzero(known)
     column = place[frame] + k
     shape = (int(of_frame[-1]) + 1, int(column.max(initial=0)) + 1)

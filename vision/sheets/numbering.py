@@ -1,4 +1,4 @@
-"""The symmetry axis, and each sheet's side and number counted from it."""
+"""The symmetry axis, and the side and number of each sheet, counted from it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Numbering:
     n
         From the centre outwards, from 1, (N,).
     low_px, high_px
-        Between what the motion allows the axis to lie; NaN where it tells nothing.
+        Limits that the motion sets to the axis; NaN where it sets none.
     """
 
     axis_px: float
@@ -44,13 +44,13 @@ class Numbering:
 def number_sheets(
     x_px: Floats, *, axis_px: float | None = None, settings: TrackingSettings = DEFAULT
 ) -> Numbering:
-    r"""Side and n of every sheet.
+    r"""Find the symmetry axis, and number the sheets of each side from it.
 
-    Both sides move inwards in a stick and outwards in a slip; the axis is where the motion changes sign. The
-    stiff centre hardly moves, so several places are equally good, and more where the camera shakes: the axis
-    is in the middle of the comb if that is among them, or without significant motion, else in the middle of
-    these places. With one side in view all sheets move alike, and the axis lies beyond the end that moves
-    least. A sheet on the axis itself (odd number) counts as the first on the right.
+    Both sides move inwards in a stick phase and outwards in a slip; the axis is where the motion changes
+    sign. The stiff centre hardly moves, so that several positions are equally good, and more if the camera
+    vibrates. The axis is in the middle of the comb if that is one of them, or if there is no significant
+    motion, else in the middle of these positions. With one side in view all sheets move alike, and the axis
+    lies beyond the end that moves least. A sheet on the axis (odd number) is the first on the right.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def number_sheets(
     axis_px
         The axis, if known.
     settings
-        What counts as significant motion.
+        `axis_sigmas`, `axis_slack`, `knock_ratio`, `vibration_sigmas`, `decided_sheets`.
 
     Returns
     -------
@@ -73,21 +73,21 @@ def number_sheets(
 
     .. math:: \sum_{n > k} s_n - \sum_{n \le k} s_n .
     """
-    place = nan_median(x_px, axis=0)
-    sheets = len(place)
-    split, how, between = _split_by_motion(x_px, settings)
+    position = nan_median(x_px, axis=0)
+    sheets = len(position)
+    split, how, limits = _split_by_motion(x_px, settings)
     low = high = np.nan
-    if between is not None:
-        edge = np.r_[_axis(place, 0), 0.5 * (place[1:] + place[:-1]), _axis(place, sheets)]
-        low, high = np.interp(between, np.arange(len(edge)), edge)
+    if limits is not None:
+        edge = np.r_[_axis(position, 0), 0.5 * (position[1:] + position[:-1]), _axis(position, sheets)]
+        low, high = np.interp(limits, np.arange(len(edge)), edge)
     if axis_px is not None:
-        split = int(np.searchsorted(place, axis_px))
-        return Numbering(float(axis_px), "given", *_counted(split, sheets), float(low), float(high))
-    return Numbering(_axis(place, split), how, *_counted(split, sheets), float(low), float(high))
+        split = int(np.searchsorted(position, axis_px))
+        return Numbering(float(axis_px), "given", *_side_and_n(split, sheets), float(low), float(high))
+    return Numbering(_axis(position, split), how, *_side_and_n(split, sheets), float(low), float(high))
 
 
-def _counted(split: int, sheets: int) -> tuple[Ints, Ints]:
-    """Side and n, with so many sheets left of the axis."""
+def _side_and_n(split: int, sheets: int) -> tuple[Ints, Ints]:
+    """Return side and n if `split` sheets are left of the axis."""
     index = np.arange(sheets)
     right = index >= split
     n = np.where(right, index - split + 1, split - index)
@@ -97,11 +97,11 @@ def _counted(split: int, sheets: int) -> tuple[Ints, Ints]:
 def _split_by_motion(
     x_px: Floats, settings: TrackingSettings
 ) -> tuple[int, AxisHow, tuple[float, float] | None]:
-    """Number of sheets left of the axis, and between which numbers the motion allows it."""
+    """Return the number of sheets left of the axis, how it was found, and the limits set by the motion."""
     sheets = x_px.shape[1]
     opening, error, vibration = _opening(x_px, settings)
     moves = (np.abs(opening[[0, -1]]) > settings.axis_sigmas * error[[0, -1]]).any()
-    rigid = np.abs(opening).max() > 3.0  # px per px: what moves more than the ends do moves as a whole
+    rigid = np.abs(opening).max() > 3.0  # px per px: a comb that moves more than its ends do moves as a whole
     if sheets < 3 or not moves or rigid:
         return sheets // 2, "geometry", None
     opening = running_median(opening, 3)  # one sheet between two that agree was covered in a slip
@@ -120,7 +120,7 @@ def _split_by_motion(
 
 
 def _splits(opening: Floats, error: Floats, settings: TrackingSettings) -> Ints:
-    """Splits that set the motion of one side against the other's as well as the best one does."""
+    """Return the splits that separate opposite motions as well as the best split does."""
     total = np.r_[0, np.cumsum(opening)]
     contrast = total[-1] - 2 * total  # right of the split less left of it
     slack = settings.axis_slack * np.abs(opening).sum() + np.sqrt((error**2).sum())
@@ -132,11 +132,11 @@ def _middle(splits: Ints) -> float:
 
 
 def _opening(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, float]:
-    """How far each sheet steps when the comb's ends step apart by one pixel, its standard error, and the
-    error that vibration adds to all sheets together.
+    """Return the step of each sheet per pixel of opening, its standard error, and the common error that
+    vibration causes. The opening is the step of the comb's ends away from each other.
 
-    A camera that shakes or drifts does not change the distance between the ends. A knock against it, or a
-    cut, moves all sheets by more than the ends move apart: such steps say nothing.
+    A camera that vibrates or drifts does not change the distance between the ends. After a knock or a cut all
+    sheets move together by more than the ends move apart; such steps are not used.
     """
     step = np.diff(x_px, axis=0)
     known = np.isfinite(step)
@@ -154,17 +154,17 @@ def _opening(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, 
     return (apart @ step) / power, noise / np.sqrt(power), vibration / float(np.sqrt(power))
 
 
-def _axis(place: Floats, split: int) -> float:
-    """Middle between the innermost sheets, from the three innermost pairs; half a spacing beyond the end if
-    one-sided."""
-    sheets = len(place)
-    spacing = float(np.median(np.diff(place))) if sheets > 1 else 0.0
+def _axis(position: Floats, split: int) -> float:
+    """Return the middle of the three innermost pairs of sheets, or half a spacing beyond the end if all
+    sheets are on one side."""
+    sheets = len(position)
+    spacing = float(np.median(np.diff(position))) if sheets > 1 else 0.0
     if split == 0:
-        return float(place[0] - spacing / 2)
+        return float(position[0] - spacing / 2)
     if split == sheets:
-        return float(place[-1] + spacing / 2)
+        return float(position[-1] + spacing / 2)
     pairs = min(3, split, sheets - split)
-    inner = np.r_[place[split - pairs : split], place[split : split + pairs]]
+    inner = np.r_[position[split - pairs : split], position[split : split + pairs]]
     if sheets % 2 and split == sheets // 2:
-        return float(place[split] - 0.01 * spacing)  # the middle sheet stands on the axis
+        return float(position[split] - 0.01 * spacing)  # the middle sheet is on the axis
     return float(inner.mean())

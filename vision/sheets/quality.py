@@ -1,9 +1,10 @@
-"""What the recording does to positions beyond the noise of its pixels: repeated frames, blur, codecs.
+"""Effects of the recording on positions, beyond pixel noise: repeated frames, motion blur, cuts and codecs.
 
-`repeated_frames` finds frames that the codec or the recorder repeated; `motion_blur` ridges that moved while
-the shutter was open; `scene_changes` where the picture changes for good; `spatial_scatter` errors that
-persist from frame to frame; `shared_error` those that neighbours have in common, and `left_out` how much of
-the common motion a codec drops.
+`repeated_frames` finds frames that the codec or the recorder repeated. `motion_blur` finds ridges that moved
+while the shutter was open. `scene_changes` finds where the picture changes for good. `comb_is_stationary`
+tells a comb from a fixed pattern. `spatial_scatter` measures errors that persist from frame to frame,
+`shared_error` those that neighbours share, and `suppressed_motion` the part of the common motion that a codec
+drops.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Strings, nan_median, nan_quantile
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, profile_noise
@@ -19,15 +21,15 @@ from vision.sheets.settings import DEFAULT, TrackingSettings
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
-SCENE_FRAMES = 5  # before and after a change of scene that are compared
+SCENE_FRAMES = 5  # compared before and after a change of scene
 LAGS = {True: (16, 12, 8, 6, 4, 3, 2, 1), False: (4, 3, 2, 1)}
-"""Frames apart at which neighbours are compared, where the codec carries content from frame to frame and
-where not: what a codec holds still shows over more frames, but so do motions that sheets have of their own,
-and sticks must be longer than twice as many."""
+"""Lags, in frames, of second differences in time, for codecs that predict frames from others (True) and for
+all others. Content that a codec keeps unchanged shows at longer lags; but so does the individual motion of
+sheets, and stick phases must be longer than two lags."""
 
 
 def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> Bools:
-    """Frames whose strip is that of the frame before, (frame,).
+    """Return which frames repeat the strip of the frame before, (frame,).
 
     Parameters
     ----------
@@ -38,11 +40,10 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
 
     Notes
     -----
-    By the root mean square change from the frame before. Noise alone makes a frame differ from the one before
-    by √2 of its standard deviation, within a few per cent; a frame that changes by much less than any other
-    of the quietest tenth, and by less than noise, repeats the one before. Without such a gap nothing is
-    repeated: where the camera or the sheets vibrate, frames near a turning point change by less than most,
-    too.
+    The measure is the root mean square change from the frame before. Noise alone makes frames differ by √2 of
+    its standard deviation, within a few per cent. A frame is repeated if its change is less than noise and is
+    separated by a clear gap from the changes of the other quiet frames (the quietest tenth). Without such a
+    gap no frame is repeated: under vibration, frames near a turning point also change by less than most.
     """
     change = np.empty(max(0, len(profile) - 1))
     for start in range(0, len(change), FRAMES_PER_BLOCK):
@@ -50,7 +51,7 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
         change[start : start + len(step)] = np.sqrt(np.square(step).mean(axis=1, dtype=np.float64))
     moving = change[np.isfinite(change) & (change > 0)]
     frozen = np.zeros(len(profile), bool)
-    # a drawing without noise, or a still: nothing says that a frame should have changed
+    # in a film without noise, or of a still scene, nothing shows that a frame should have changed
     if moving.size >= max(LEAST_FRAMES, settings.least_changing * len(change)):
         quiet = np.sort(change[change <= np.quantile(moving, 0.1)])
         gaps = np.flatnonzero(quiet[:-1] < settings.frozen_fraction * quiet[1:])
@@ -62,14 +63,14 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
 
 
 class Blur(NamedTuple):
-    """Both (frame, N).
+    """Motion blur of each ridge, both (frame, N).
 
     Parameters
     ----------
     blurred
-        Ridges that moved while the shutter was open.
+        Whether the ridge moved while the shutter was open.
     err_px
-        What this may shift them by, 0 elsewhere.
+        How far this may shift it; 0 where there is no sign of blur.
     """
 
     blurred: Bools
@@ -79,7 +80,7 @@ class Blur(NamedTuple):
 def motion_blur(
     x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
 ) -> Blur:
-    r"""Ridges smeared by their motion within one exposure.
+    r"""Find ridges that are smeared by their motion during one exposure.
 
     Parameters
     ----------
@@ -92,12 +93,12 @@ def motion_blur(
 
     Notes
     -----
-    A ridge that jumps by D while the shutter is open, after a fraction p of it, is drawn twice, p and 1 − p
-    high. The fit follows the higher part and is off by up to :math:`\min(p, 1-p)\,D`, the loss of height
-    times the jump between the frames on both sides; by less where both parts merge into one wider ridge.
-    Where the jump is about a pitch the second part lies on a neighbour's first and nothing is lower: there
-    sheets of the same frame that moved otherwise tell p. Blurred are ridges that moved by more than a
-    fraction of their width and are wider or lower than usual by more than their scatter.
+    A ridge that jumps by D after a fraction p of the exposure appears twice, with heights p and 1 − p. The
+    fit follows the higher image. Its error is up to :math:`\min(p, 1-p)\,D`: the loss of height times the
+    jump between the frames on both sides. It is smaller where both images merge into one wider ridge. After a
+    jump of about one pitch the second image falls on the first image of a neighbour, and no ridge loses
+    height; p then follows from sheets of the same frame that moved by other amounts. A ridge is blurred if it
+    moved by more than a fraction of its width and is wider or lower than usual by more than its scatter.
     """
     moved = np.zeros_like(x_px)
     moved[1:-1] = np.nan_to_num(np.abs(x_px[2:] - x_px[:-2]))
@@ -110,40 +111,62 @@ def motion_blur(
     sampled = 0.7 / comb.fwhm_px**2  # height that a ridge between two pixels loses
     excess = np.maximum(_excess(lower, sampled), _excess(wider, sampled))
     blurred = fast & (excess > settings.blur_sigmas)
-    # too little to be flagged, not too little to matter
-    suspect = fast & (excess > 0.5 * settings.blur_sigmas)
+    suspect = fast & (excess > 0.5 * settings.blur_sigmas)  # not flagged, but with a larger error
     loss = np.clip(1 - np.exp(-np.nan_to_num(lower - nan_median(lower))), 0.0, 0.5)
     apart = moved / comb.fwhm_px
     pitches = np.maximum(np.rint(moved / comb.pitch_px), 1.0)
-    over = fast & (np.abs(moved - pitches * comb.pitch_px) < settings.blur_overlap * comb.fwhm_px)
-    telling = fast & ~over & (apart > 0.5)
-    told = nan_quantile(np.where(telling, loss, np.nan), 0.75, axis=1)[:, None]
-    most = nan_quantile(np.where(telling, excess, np.nan), 0.75, axis=1)[:, None]
-    loss = np.where(over, np.fmax(loss, told), loss)
-    blurred |= over & (most > settings.blur_sigmas)
-    suspect |= over & (most > 0.5 * settings.blur_sigmas)
-    share = np.minimum(0.8, apart)  # two parts nearer than a width merge, and the fit takes the middle
+    overlapping = fast & (np.abs(moved - pitches * comb.pitch_px) < settings.blur_overlap * comb.fwhm_px)
+    informative = fast & ~overlapping & (apart > 0.5)
+    frame_loss = nan_quantile(np.where(informative, loss, np.nan), 0.75, axis=1)[:, None]
+    frame_excess = nan_quantile(np.where(informative, excess, np.nan), 0.75, axis=1)[:, None]
+    loss = np.where(overlapping, np.fmax(loss, frame_loss), loss)
+    blurred |= overlapping & (frame_excess > settings.blur_sigmas)
+    suspect |= overlapping & (frame_excess > 0.5 * settings.blur_sigmas)
+    share = np.minimum(0.8, apart)  # images nearer than a width merge, and the fit finds their middle
     return Blur(blurred, np.where(suspect, settings.blur_error * loss * moved * share, 0.0))
 
 
 def _excess(values: Floats, least: float) -> Floats:
-    """How far values (frame, N) exceed each sheet's median, in its standard deviations."""
+    """Return how far values (frame, N) exceed each sheet's median plus `least`, in standard deviations."""
     off = values - nan_median(values)
     spread = nan_median(np.abs(off)) / NORMAL_MEDIAN
     return np.nan_to_num(np.maximum(off - least, 0.0) / np.maximum(spread, 0.004))
 
 
 def beside_missing(flag: Strings) -> Bools:
-    """Positions (frame, N) next to a sheet that is missing in that frame. What covers a sheet cuts into the
-    next one, whose ridge then jumps and changes its shape as if it were blurred, and may be off by half of
-    its width."""
+    """Return which positions are next to a sheet that is missing in that frame, (frame, N).
+
+    An object that covers a sheet also cuts the next ridge, which then jumps and changes its shape as if it
+    were blurred, and may be off by half of its width.
+    """
     missing = np.pad(flag == "missing", ((0, 0), (1, 1)))
     return np.asarray(missing[:, :-2] | missing[:, 2:], bool)
 
 
+def comb_is_stationary(tracks: xr.Dataset, settings: TrackingSettings = DEFAULT) -> bool:
+    """Return whether hardly any sheet moves relative to the comb; False for fewer than three sheets.
+
+    Parameters
+    ----------
+    tracks
+        From `vision.track_sheets`.
+    settings
+        `still_sigmas`, `still_share`.
+    """
+    x = tracks["x_px"].values
+    moved = x - nan_median(x)
+    moved = np.abs(moved - nan_median(moved, axis=1)[:, None])
+    noise = np.fmax(tracks["x_noise_px"].values, nan_median(tracks["x_err_px"].values))
+    moving = nan_quantile(moved, 0.95) > settings.still_sigmas * noise
+    return bool(moving.mean() < settings.still_share) and x.shape[1] >= 3
+
+
 class BetweenSlips:
-    """Positions (frame, N), NaN where missing or repeated, and between which frames lies a slip: there sheets
-    move by more than usual, and neighbours alike; where a codec draws anew they do not."""
+    """Positions (frame, N), NaN where missing or repeated, divided at the slips.
+
+    In a slip sheets move by more than usual, and neighbours move alike. Where a codec redraws a frame,
+    neighbours do not move alike.
+    """
 
     def __init__(self, x_px: Floats) -> None:
         self.frames = len(x_px)
@@ -160,9 +183,11 @@ class BetweenSlips:
         self.slips = np.cumsum(np.r_[0, slip])
 
     def second(self, lags: Sequence[int], values: Floats | None = None) -> Floats:
-        """Second differences in time of values (frame, …), of the positions by default, without a slip
-        between the three frames, over the first of these lags that leaves enough; scaled to keep the
-        deviation of independent values. (…, N)."""
+        """Return second differences in time that contain no slip, (…, N).
+
+        They are of values (frame, …), by default the positions, at the first of these lags that leaves enough
+        frames, and are scaled to keep the standard deviation of independent values.
+        """
         x = self.x_px if values is None else values
         for lag in lags:
             calm = self.slips[2 * lag :] == self.slips[: -2 * lag]
@@ -172,13 +197,13 @@ class BetweenSlips:
 
 
 def spatial_scatter(positions: BetweenSlips, *, between_frames: bool) -> Floats:
-    """Scatter of each sheet's position against its neighbours', px, (N,).
+    """Return the scatter of each sheet's position against its neighbours, px, (N,).
 
-    From fourth differences along n, which a motion smooth in n hardly has, of second differences in time over
-    up to 4 frames without a slip, or 16 where a codec carries content between frames: sheets that creep or
-    jump by amounts of their own do not enter. Unlike the scatter from frame to frame it sees errors that a
-    codec carries from one frame into the next. NaN with fewer than five sheets, and where slips leave too few
-    frames between them.
+    It is the deviation of fourth differences along n, in which a motion smooth in n hardly shows, of second
+    differences in time, in which the creep and the jumps of single sheets do not show. The lag in time is up
+    to 4 frames, or up to 16 where a codec predicts frames from others. Unlike the scatter from frame to frame
+    it includes errors that a codec carries from one frame to the next. NaN for fewer than five sheets, and
+    where slips leave too few frames between them.
     """
     sheets, second = positions.x_px.shape[1], positions.second(LAGS[between_frames])
     if sheets < len(FOURTH) or not len(second):
@@ -187,16 +212,16 @@ def spatial_scatter(positions: BetweenSlips, *, between_frames: bool) -> Floats:
 
 
 class SceneChange(NamedTuple):
-    """The frame from which on the sheets stand or look otherwise for good.
+    """A permanent change of the sheets' positions or brightnesses.
 
     Parameters
     ----------
     frame
-        The first frame of the new scene.
+        First frame of the new scene.
     moved_px
-        By how much all sheets are displaced together.
+        Displacement that all sheets share.
     brightness
-        Change of the logarithm of their brightness, rms over the sheets, common changes left out.
+        Change of the logarithm of brightness, rms over the sheets, without the common change.
     """
 
     frame: int
@@ -207,7 +232,7 @@ class SceneChange(NamedTuple):
 def scene_changes(
     x_px: Floats, contrast: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
 ) -> list[SceneChange]:
-    """Where the film was cut, or the camera or the light was moved: sheets before and after may be others.
+    """Find where the film was cut, or the camera or the light was moved: identities may change there.
 
     Parameters
     ----------
@@ -225,50 +250,56 @@ def scene_changes(
     Notes
     -----
     Means over five frames before and after are compared. In a slip the sides of the comb move against each
-    other and every sheet keeps its looks. It is another scene where all sheets are displaced by more than the
-    comb's ends are against each other, or their brightnesses change, once and by several times what is usual,
-    and most of that is left some frames later: a camera that was knocked swings back.
+    other, and every sheet keeps its brightness. The scene changes where all sheets are displaced by more than
+    they are displaced against each other, or where their relative brightnesses change. Such a change must be
+    several times the usual one, happen once, and persist: a camera that was knocked swings back.
     """
     frames, sheets = x_px.shape
     if frames < 4 * SCENE_FRAMES or sheets < 3:
         return []
     bright = np.log(contrast)
     bright -= nan_median(bright, axis=1)[:, None]
-    moved, looks = (_after_less_before(values) for values in (x_px, bright))
+    moved, brightened = (_after_less_before(values) for values in (x_px, bright))
     together = nan_median(moved, axis=1)
     apart = np.abs(moved - together[:, None])
     rigid = np.abs(together) > 2.0 * np.nan_to_num(nan_median(apart, axis=1), nan=np.inf)
-    size = np.where(rigid, np.abs(np.nan_to_num(together)) / comb.pitch_px / settings.cut_pitches, 0.0)
-    known = np.isfinite(looks)
-    change = np.sqrt((np.where(known, looks, 0.0) ** 2).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
+    displaced = np.where(rigid, np.abs(np.nan_to_num(together)) / comb.pitch_px / settings.cut_pitches, 0.0)
+    known = np.isfinite(brightened)
+    change = np.sqrt((np.where(known, brightened, 0.0) ** 2).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
     change[known.sum(axis=1) < max(3, sheets / 2)] = 0.0
-    found = []
-    sorts = ((size, 1.0, x_px, together), (change, settings.cut_brightness, bright, change))
-    for values, limit, measured, by in sorts:
-        least = max(limit, settings.cut_ratio * float(np.median(values)))
-        at = int(np.argmax(values))
-        others = np.abs(np.arange(len(values)) - at) > 2 * SCENE_FRAMES
-        once = values[at] >= least and (values[others] < values[at] / 2).all()
-        if once and _lasts(measured, at + SCENE_FRAMES, by[at]):
-            found.append(at)
-    if len(found) == 2 and abs(found[0] - found[1]) <= SCENE_FRAMES:
-        found = found[:1]
+    events = []
+    at = _single_peak(displaced, 1.0, settings)
+    if at is not None and _persists(x_px, at + SCENE_FRAMES, together[at]):
+        events.append(at)
+    at = _single_peak(change, settings.cut_brightness, settings)
+    if at is not None and _persists(bright, at + SCENE_FRAMES, change[at]):
+        events.append(at)
+    if len(events) == 2 and abs(events[0] - events[1]) <= SCENE_FRAMES:
+        events = events[:1]  # one cut, seen in both
     return [
         SceneChange(at + SCENE_FRAMES, float(np.nan_to_num(together[at])), float(change[at]))
-        for at in sorted(found)
+        for at in sorted(events)
     ]
 
 
-def _lasts(values: Floats, frame: int, change: float) -> bool:
-    """Whether half of a change of values (frame, N) is left three times SCENE_FRAMES after a frame."""
+def _single_peak(values: Floats, limit: float, settings: TrackingSettings) -> int | None:
+    """Return the position of a peak far above the usual values and twice as high as all others, if any."""
+    least = max(limit, settings.cut_ratio * float(np.median(values)))
+    at = int(np.argmax(values))
+    others = np.abs(np.arange(len(values)) - at) > 2 * SCENE_FRAMES
+    return at if values[at] >= least and (values[others] < values[at] / 2).all() else None
+
+
+def _persists(values: Floats, frame: int, change: float) -> bool:
+    """Return whether half of a change of values (frame, N) remains three times SCENE_FRAMES after a frame."""
     later = values[frame + 3 * SCENE_FRAMES :][:SCENE_FRAMES]
-    left = nan_median(later) - nan_median(values[:frame][-4 * SCENE_FRAMES :])
-    left = left[np.isfinite(left)]
-    return not len(left) or bool(np.sqrt((left**2).mean()) >= abs(change) / 2)
+    remaining = nan_median(later) - nan_median(values[:frame][-4 * SCENE_FRAMES :])
+    remaining = remaining[np.isfinite(remaining)]
+    return not len(remaining) or bool(np.sqrt((remaining**2).mean()) >= abs(change) / 2)
 
 
 def _after_less_before(values: Floats) -> Floats:
-    """Mean of SCENE_FRAMES frames less that of as many before them, (frame − 2 SCENE_FRAMES + 1, N)."""
+    """Return means over SCENE_FRAMES frames less those before, (frame − 2 SCENE_FRAMES + 1, N)."""
     known = np.isfinite(values)
     with np.errstate(divide="ignore", invalid="ignore"):
         means = _sums(np.where(known, values, 0.0)) / _sums(known.astype(np.float64))
@@ -276,51 +307,53 @@ def _after_less_before(values: Floats) -> Floats:
 
 
 def _sums(values: Floats) -> Floats:
-    """Sums over SCENE_FRAMES frames."""
+    """Return running sums over SCENE_FRAMES frames."""
     total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     return np.asarray(total[SCENE_FRAMES:] - total[:-SCENE_FRAMES], np.float64)
 
 
 def shared_error(positions: BetweenSlips, *, between_frames: bool) -> float:
-    r"""Error that neighbouring sheets share on compressed film, px.
+    r"""Return the error that neighbouring sheets share in compressed video, px.
 
     Parameters
     ----------
     positions
-        Of the sheets in all frames.
+        Positions of the sheets in all frames.
     between_frames
-        Whether the codec carries content from frame to frame; else only the first part below counts.
+        Whether the codec predicts frames from others; otherwise only the first part below counts.
 
     Returns
     -------
     float
-        To be added in quadrature to `spatial_scatter`, which does not see it; 0 for fewer than eight sheets
-        or frames.
+        To be added in quadrature to `spatial_scatter`, which does not include it. 0 for fewer than eight
+        sheets or sixteen frames.
 
     Notes
     -----
     Blocks of the codec are wider than a sheet's spacing, and predicted frames move them by quarter pixels.
 
-    1. Sheets in one block err together. Second differences of positions in time, without what all sheets do,
-       scatter by :math:`a` over all sheets and by :math:`b` between neighbours (`spatial_scatter`):
-       :math:`c = (a^2 - b^2)^{1/2}`.
-    2. All sheets err together, too, which cannot be told from the camera's shaking: by c again, or, where the
-       shaking seen from frame to frame, s, is large against b, by :math:`b\,s/(s + 2b)`, whichever is more.
-       Both were measured on H.264, HEVC, MPEG-2, MPEG-4 and VP9 (reports/degraded.md).
+    1. Sheets in one block share an error. Second differences of positions in time, without the motion that
+       all sheets share, scatter by :math:`a` over all sheets and by :math:`b` between neighbours
+       (`spatial_scatter`): :math:`c = (a^2 - b^2)^{1/2}`.
+    2. All sheets share an error that cannot be distinguished from vibration of the camera. It is the larger
+       of c and :math:`b\,s/(s + 2b)`, where s is the vibration seen from frame to frame. Both were measured
+       on H.264, HEVC, MPEG-2, MPEG-4 and VP9 (reports/degraded.md).
     """
     found = _shared(positions, between_frames=between_frames)
     return float(np.hypot(found.blocks, found.all_sheets))
 
 
-def left_out(positions: BetweenSlips) -> float:
-    """What a codec left out of the motion that all sheets share, over what is left of it, see
-    `shared_error`: the error that all sheets share."""
+def suppressed_motion(positions: BetweenSlips) -> float:
+    """Return the common motion that a codec suppressed, relative to the common motion that it kept.
+
+    The suppressed motion is the error that all sheets share; see `shared_error`.
+    """
     found = _shared(positions, between_frames=True)
     return found.all_sheets / max(found.shaking, 1e-9)
 
 
 class _Shared(NamedTuple):
-    """What blocks of sheets err together, what all sheets do, and what these move from frame to frame, px."""
+    """Errors shared within blocks and by all sheets, and the common motion from frame to frame, px."""
 
     blocks: float
     all_sheets: float
@@ -340,15 +373,18 @@ def _shared(positions: BetweenSlips, *, between_frames: bool) -> _Shared:
 
 
 def _fourth(x_px: Floats) -> Floats:
-    """Fourth differences along n, (frame, N − 4), scaled to keep the deviation of independent values."""
+    """Return fourth differences along n, (frame, N − 4), scaled as `BetweenSlips.second` is."""
     last = x_px.shape[1] - len(FOURTH) + 1
     parts = [x_px[:, k : k + last] * weight for k, weight in enumerate(FOURTH)]
     return np.asarray(np.sum(parts, axis=0) / np.sqrt((FOURTH**2).sum()), np.float64)
 
 
 def _deviation(values: Floats) -> Floats:
-    """Standard deviation about zero along the first axis, from sizes cut at their 0.9 quantile, which leaves
-    0.9118 of a normal variable's; NaN where nothing is known. A median is zero where codecs repeat blocks."""
+    """Return a robust standard deviation about zero along the first axis, NaN where nothing is known.
+
+    Absolute values are limited to their 0.9 quantile, which reduces a normal variable's deviation to 0.9118.
+    A median absolute deviation would be zero where codecs repeat blocks.
+    """
     size = np.abs(values)
     with np.errstate(divide="ignore", invalid="ignore"):
         cut = np.nan_to_num(np.minimum(size, nan_quantile(size, 0.9)) ** 2)
@@ -356,5 +392,5 @@ def _deviation(values: Floats) -> Floats:
 
 
 def _deviation_of_all(values: Floats) -> float:
-    """The same of all values; 0 where nothing is known."""
+    """Return the same for all values together; 0 where nothing is known."""
     return float(np.nan_to_num(_deviation(values.ravel()))) if values.size else 0.0

@@ -1,7 +1,7 @@
-"""Where each sheet is detected in each frame, and why it is not where it is not.
+"""Detections: one ridge per sheet and frame, or the reason why there is none.
 
-`assign_detections` takes what `identify_sheets` paired, withdraws what is doubtful, and looks again, more
-closely, where a sheet is missing.
+`assign_detections` takes the pairs from `identify_sheets`, withholds those that are doubtful, and searches
+again with a lower threshold where a sheet is missing.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from vision.sheets.neighbours import (
     hops,
     last_seen,
     neighbour_residual,
-    pattern_moved,
-    places_in_comb,
+    pattern_shift,
+    rest_positions,
     torn,
 )
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 LIKE_ITSELF = 0.7
-"""Logarithm of contrast within which a ridge may be the sheet that was expected there: a factor of two."""
+"""Change of log contrast up to which a ridge may be the sheet that is expected there: a factor of two."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,13 @@ class Detections:
     start_px
         Whole pixel of the ridge, NaN where flag is not "ok".
     contrast, fwhm_px
-        Its prominence, grey levels, and width.
+        Prominence of the ridge, grey levels, and its width.
     flag
         "ok", "missing", "merged", "edge" or "doubtful".
     why
-        Why a doubtful identity is doubted: one of `DOUBTS`, "" elsewhere.
+        Reason for a doubtful identity, a key of `DOUBTS`; "" elsewhere.
     withheld_px
-        Whole pixel of the doubtful ridge, NaN elsewhere.
+        Whole pixel of a doubtful ridge, NaN elsewhere.
     """
 
     start_px: Floats
@@ -66,18 +66,18 @@ def assign_detections(
     *,
     settings: TrackingSettings = DEFAULT,
 ) -> Detections:
-    """One ridge for each sheet in each frame, or the reason why there is none.
+    """Return one ridge for each sheet in each frame, or the reason why there is none.
 
-    Where a missing sheet must be follows from its neighbours' displacement in the same frame. A ridge there
-    that was too faint for the first search is taken if it reaches a fraction of the sheet's usual contrast.
-    Positions whose identity is not certain (for one of `DOUBTS`) are flagged "doubtful" and not given.
+    The expected position of a missing sheet follows from the displacement of its neighbours in the same
+    frame. A ridge there that was too faint for the first search is accepted if it reaches a fraction of the
+    sheet's usual contrast. Positions of uncertain identity (`DOUBTS`) are flagged "doubtful" and withheld.
 
     Parameters
     ----------
     profile
         Grey levels (frame, x).
     ridges, identities
-        Candidates of every frame, and which of them is which sheet.
+        Candidates of every frame, and which candidate is which sheet.
     comb
         Width, pitch and contrast of the ridges.
     settings
@@ -86,20 +86,20 @@ def assign_detections(
     candidates = np.stack([ridges.x_px, ridges.contrast, ridges.fwhm_px])
     paired = np.stack([values_of(identities.match, values) for values in candidates])
     why = _doubts(paired[0], paired[1], identities, comb, profile.shape[1], settings)
-    why = _settled(why, paired, comb, settings)
-    why[_pattern_away(np.where(why == "", paired, np.nan))] = "pattern"
-    paired, why = _other_ridges(candidates, paired, why, comb, settings)
+    why = _settle_by_pattern(why, paired, comb, settings)
+    why[_shifted_pattern(np.where(why == "", paired, np.nan), settings)] = "pattern"
+    paired, why = _reassign_hops(candidates, paired, why, comb, settings)
     doubtful = why != ""
     withheld = np.where(doubtful, paired[0], np.nan)
     found = np.where(doubtful, np.nan, paired)
     expected = _expected(found[0], identities.rest_px)
     rows, sheet, faint = _faint_ridges(profile, found, expected, doubtful, comb, settings)
-    if len(rows):  # a second look may find no more than a ridge that happens to be near
+    if len(rows):  # some of these may be ridges that are near by chance
         found[:, rows, sheet] = faint
         found[:, hops(neighbour_residual(found[0]), comb, settings) & np.isnan(paired[0])] = np.nan
     flag = np.where(np.isfinite(found[0]), "ok", "missing").astype("<U8")
     flag[_merged(found, expected, comb, settings)] = "merged"
-    flag[_swallowed(found[0], doubtful, comb, settings)] = "merged"
+    flag[_hidden(found[0], doubtful, comb, settings)] = "merged"
     half = comb.fwhm_px / 2
     outside = (expected < half) | (expected > profile.shape[1] - 1 - half)
     flag[(flag != "ok") & outside] = "edge"
@@ -112,13 +112,13 @@ def assign_detections(
 
 DOUBTS = {
     "margin": "another numbering fits nearly as well",
-    "tear": "displaced unlike the largest group of sheets",
-    "jump": "after a jump by whole pitches",
-    "looks": "pitches away from the usual place, and the sheets look unlike themselves",
+    "tear": "displaced differently from the largest group of sheets",
+    "jump": "after a jump of the comb by whole pitches",
+    "looks": "displaced by whole pitches, and the sheets' brightnesses differ from their usual ones",
     "pattern": "brightnesses and widths fit another numbering: the comb may have jumped by whole pitches",
-    "hop": "away from where the neighbours say, on another ridge",
+    "hop": "on another ridge, away from the position that the neighbours predict",
 }
-"""What `Detections.why` means."""
+"""Meaning of each `Detections.why`."""
 
 
 def _doubts(
@@ -129,49 +129,63 @@ def _doubts(
     width_px: int,
     settings: TrackingSettings,
 ) -> Strings:
-    """Why the identity of each paired ridge (frame, N) is doubtful, as far as frame and margin tell."""
+    """Return why the identity of each paired ridge is doubtful (margin, jump, tear) or "", (frame, N)."""
     why = np.full(x.shape, "", "<U9")
     jump, unlike = _after_jumps(x, contrast, identities, comb, width_px, settings)
     why[jump] = "jump"
     why[jump & unlike[:, None]] = "looks"
     why[~(identities.margin >= settings.doubt) & (why != "looks")] = "margin"
-    why[torn(x - places_in_comb(x), comb, settings)] = "tear"
+    why[torn(x - rest_positions(x), comb, settings)] = "tear"
     why[np.isnan(x)] = ""
     return why
 
 
-def _pattern_away(sure: Floats) -> Bools:
-    """Where the sheets' looks belong to another numbering than in most frames (frame, N). `sure`: positions,
-    contrasts and widths (3, frame, N), NaN where there is doubt; frames full of it are passed over."""
-    seen = np.isfinite(sure[0])
+def _shifted_pattern(certain: Floats, settings: TrackingSettings) -> Bools:
+    """Return where brightnesses and widths fit another numbering than in most frames, (frame, N).
+
+    certain: positions, contrasts and widths (3, frame, N), NaN where doubtful. Frames in which at most half
+    of the sheets are certain are ignored.
+    """
+    seen = np.isfinite(certain[0])
     rows = np.flatnonzero(seen.mean(axis=1) > 0.5)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        moved = pattern_moved(*np.log(sure[1:, rows]))
-    values, counts = np.unique(moved, return_counts=True)
-    away = np.zeros_like(seen)
-    away[rows] = seen[rows] & (moved != values[np.argmax(counts)] if len(rows) else moved)[:, None]
-    return np.asarray(away, bool)
+    away = np.zeros(seen.shape, bool)
+    if len(rows):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            log_contrast, log_width = np.log(certain[1:, rows])
+        shift = pattern_shift(log_contrast, log_width, settings)
+        away[rows] = seen[rows] & (shift != _commonest(shift))[:, None]
+    return away
 
 
-def _settled(why: Strings, paired: Floats, comb: RidgeComb, settings: TrackingSettings) -> Strings:
-    """The doubts without those that the pattern settles: it fits this numbering and no other one."""
-    open_ = (why == "jump") | (why == "margin")
-    if not open_.any():
+def _commonest(values: Ints) -> int:
+    """Return the value that occurs most often, the smallest of several."""
+    found, counts = np.unique(values, return_counts=True)
+    return int(found[np.argmax(counts)])
+
+
+def _settle_by_pattern(why: Strings, paired: Floats, comb: RidgeComb, settings: TrackingSettings) -> Strings:
+    """Return the doubts that remain once the pattern has confirmed all identities that it can."""
+    unsettled = (why == "jump") | (why == "margin")
+    if not unsettled.any():
         return why
     x, contrast, fwhm = paired
     with np.errstate(divide="ignore", invalid="ignore"):
-        looks = np.log(contrast), np.log(fwhm)
+        log_contrast, log_width = np.log(contrast), np.log(fwhm)
     known = np.where(why == "tear", np.nan, x)
-    sure = anchored(known, *looks, np.isfinite(known) & (why == ""), comb, settings)
-    return np.where(sure & open_, "", why)
+    trusted = np.isfinite(known) & (why == "")
+    confirmed = anchored(known, log_contrast, log_width, trusted, comb, settings)
+    return np.where(confirmed & unsettled, "", why)
 
 
-def _other_ridges(
+def _reassign_hops(
     candidates: Floats32, paired: Floats, why: Strings, comb: RidgeComb, settings: TrackingSettings
 ) -> tuple[Floats, Strings]:
-    """Sheets that hopped to another ridge: the ridge in the right place where no other sheet has it, else a
-    doubt. Positions, contrasts and widths of candidates (3, frame, K) and of sheets (3, frame, N)."""
-    for _ in range(4):  # each names the sheet that leaves its neighbours most, the next looks without it
+    """Give each sheet that hopped to another ridge the ridge at its predicted position, or doubt it.
+
+    A ridge that another sheet has is not given. candidates and paired hold positions, contrasts and widths,
+    (3, frame, K) and (3, frame, N).
+    """
+    for _ in range(4):  # each pass finds the largest residual among neighbours and sets that sheet aside
         x = np.where(why == "", paired[0], np.nan)
         residual = neighbour_residual(x)
         off = hops(residual, comb, settings)
@@ -180,14 +194,14 @@ def _other_ridges(
         frame, sheet = np.nonzero(off)
         best, distance = nearest(candidates[0, frame], (x - residual)[off])
         there, height = candidates[:2, frame, best].astype(np.float64)
-        take = (distance <= settings.faint_reach * comb.pitch_px) & (there != x[off])
+        accept = (distance <= settings.faint_reach * comb.pitch_px) & (there != x[off])
         usual = nan_median(np.log(np.where(why == "", paired[1], np.nan)))[sheet]
-        take &= np.abs(np.log(height) - usual) < LIKE_ITSELF
-        take &= ~(np.where(off, np.nan, paired[0])[frame] == there[:, None]).any(axis=1)
-        take &= _unshared(frame, there, take)
+        accept &= np.abs(np.log(height) - usual) < LIKE_ITSELF
+        accept &= ~(np.where(off, np.nan, paired[0])[frame] == there[:, None]).any(axis=1)
+        accept &= _unshared(frame, there, accept)
         why, paired = why.copy(), paired.copy()
-        why[frame[~take], sheet[~take]] = "hop"
-        paired[:, frame[take], sheet[take]] = candidates[:, frame[take], best[take]]
+        why[frame[~accept], sheet[~accept]] = "hop"
+        paired[:, frame[accept], sheet[accept]] = candidates[:, frame[accept], best[accept]]
     return paired, why
 
 
@@ -199,54 +213,52 @@ def _after_jumps(
     width_px: int,
     settings: TrackingSettings,
 ) -> tuple[Bools, Bools]:
-    """Frames in which the comb stands whole pitches from where it mostly does, without proof (frame, N), and
-    those in which it looks so unlike itself that its pattern is no proof either (frame,).
+    """Return where the comb is whole pitches away from its usual position without proof, (frame, N), and in
+    which frames its brightnesses differ so much that its pattern proves nothing either, (frame,).
 
-    Such a jump must be proved by a margin that the cost of staying in place cannot bring by itself; with
-    neither end in view, where only brightness tells a jump from none, nor those of sheets crossing the edges.
-    A comb that jumped still looks like itself. Where it does not, the costs count sheets that changed for
-    sheets that were exchanged, and the margin is worth less by as much as the brightness fits worse than
-    usual: the overdispersion of a quasi-likelihood (McCullagh & Nelder 1989, chapter 9).
+    A jump is proved by a margin that exceeds the cost of staying in place. With neither end in view, where
+    only brightness shows a jump, the margin must also exceed the costs of sheets that cross the edges. After
+    a real jump every sheet keeps its brightness. Where the brightnesses fit worse than usual, the costs
+    mistake changed sheets for exchanged ones, and the margin required grows by the ratio of the misfits: the
+    overdispersion of a quasi-likelihood (McCullagh & Nelder 1989, chapter 9).
     """
     seen = np.flatnonzero(np.isfinite(x).any(axis=1))
     step = np.nan_to_num(nan_median(np.diff(x[seen], axis=0), axis=1)) / comb.pitch_px
     jump = np.where(np.abs(step) > settings.tear_fraction, np.rint(step), 0).astype(np.int64)
-    place = np.zeros(len(x), np.int64)
-    place[seen[1:]] = np.cumsum(jump)
-    values, counts = np.unique(place[seen], return_counts=True)
-    away = place != (values[np.argmax(counts)] if len(values) else 0)
+    pitches = np.zeros(len(x), np.int64)
+    pitches[seen[1:]] = np.cumsum(jump)
+    away = pitches != (_commonest(pitches[seen]) if len(seen) else 0)
     if not away.any():
         return np.zeros(x.shape, bool), away
     reach = settings.edge_pitches * comb.pitch_px
     rest = identities.rest_px
-    filled = (rest[:, 0] < reach) & (rest[:, -1] > width_px - 1 - reach)
-    least = settings.stay_cost + 1.0 + np.where(filled, 2 * settings.crossing_cost, 0.0)
+    no_end_in_view = (rest[:, 0] < reach) & (rest[:, -1] > width_px - 1 - reach)
+    least = settings.stay_cost + 1.0 + np.where(no_end_in_view, 2 * settings.crossing_cost, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         off = np.log(contrast) - identities.reference.log_contrast
     off -= nan_median(off, axis=1)[:, None]  # flicker
     misfit = np.minimum(np.nan_to_num(off) ** 2, LIKE_ITSELF**2).sum(axis=1)
     misfit /= np.maximum(np.isfinite(off).sum(axis=1), 1)
     usual = float(nan_median(misfit[seen][~away[seen]]))
-    # a stay away is one event: all its frames together are believed or not
-    stay = np.r_[0, np.cumsum(away[1:] != away[:-1])]
     worse = np.maximum(misfit / max(usual, settings.least_misfit**2), 1.0)
-    whole = nan_median(identities.margin, axis=1)  # of the comb; single sheets may be less certain
-    known = np.isfinite(whole)
-    frames = np.maximum(np.bincount(stay, known), 1)
-    worse, whole = (
-        (np.bincount(stay, np.nan_to_num(values)) / frames)[stay]
-        for values in (np.where(known, worse, 0.0), whole)
-    )
-    doubt = np.asarray((away & (whole < least * worse))[:, None] & np.isfinite(x), bool)
-    return doubt, np.asarray(worse > settings.unlike_itself, bool)
+    margin = nan_median(identities.margin, axis=1)  # of the whole comb; single sheets may be less certain
+    known = np.isfinite(margin)
+    run = np.r_[0, np.cumsum(away[1:] != away[:-1])]  # all frames of one run are accepted or doubted together
+    frames = np.maximum(np.bincount(run, known), 1)
+    run_worse = np.bincount(run, np.where(known, worse, 0.0)) / frames
+    run_margin = np.bincount(run, np.nan_to_num(margin)) / frames
+    unproved = away & (run_margin[run] < least * run_worse[run])
+    return unproved[:, None] & np.isfinite(x), np.asarray(run_worse[run] > settings.unlike_itself, bool)
 
 
-# --- a second look ------------------------------------------------------------------------------------------
+# --- the second search --------------------------------------------------------------------------------------
 
 
 def _expected(start: Floats, rest: Floats) -> Floats:
-    """Where each sheet must be in frames in which one is missing: its rest position moved as its neighbours
-    are. NaN with fewer than half of the sheets detected, and in all other frames."""
+    """Return rest positions plus the displacement of the neighbours, in frames in which a sheet is missing.
+
+    NaN in all other frames, and where fewer than half of the sheets are detected.
+    """
     expected = np.full(start.shape, np.nan)
     rows = np.isnan(start).any(axis=1) & (np.isfinite(start).mean(axis=1) >= 0.5)
     expected[rows] = rest[rows] + fill_rows(start[rows] - rest[rows], nan_median(rest))
@@ -261,8 +273,8 @@ def _faint_ridges(
     comb: RidgeComb,
     settings: TrackingSettings,
 ) -> tuple[Ints, Ints, Floats]:
-    """Faint ridges where missing sheets must be: frame, sheet, and their x, contrast and width (3, ridges).
-    `found` holds the same of what is known (3, frame, N)."""
+    """Return faint ridges at the expected positions of missing sheets: frame, sheet, and position, contrast
+    and width (3, ridges). `found` holds these for the sheets already detected, (3, frame, N)."""
     wanted = np.isnan(found[0]) & np.isfinite(expected) & ~doubtful
     rows = np.flatnonzero(wanted.any(axis=1))
     if not len(rows):
@@ -280,26 +292,30 @@ def _faint_ridges(
 
 
 def _unshared(frame: Ints, x: Floats, keep: Bools) -> Bools:
-    """False for kept entries whose (frame, x) another kept entry has too: no ridge is given to two sheets."""
+    """Return False for kept entries that share (frame, x) with another kept entry: no ridge is given to two
+    sheets."""
     _, which, counts = np.unique(
         np.stack([frame[keep], x[keep]]), axis=1, return_inverse=True, return_counts=True
     )
-    alone = np.ones(len(frame), bool)
-    alone[keep] = counts[which.ravel()] == 1
-    return alone
+    unshared = np.ones(len(frame), bool)
+    unshared[keep] = counts[which.ravel()] == 1
+    return unshared
 
 
 def _merged(found: Floats, expected: Floats, comb: RidgeComb, settings: TrackingSettings) -> Bools:
-    """Missing sheets and the detected neighbours that they have become one ridge with: where they must be
-    within a ridge's width of each other, or where the neighbour is as high or as wide as more than one sheet.
-    `found` holds positions, contrasts and widths (3, frame, N)."""
+    """Return which missing sheets form one ridge with a detected neighbour, and these neighbours, (frame, N).
+
+    Their expected positions are within a ridge's width of each other, or the neighbour is as high or as wide
+    as two sheets. `found` holds positions, contrasts and widths (3, frame, N).
+    """
     start = found[0]
     missing = np.isnan(start)
     if not missing.any():
         return np.zeros_like(missing)
     apart = np.abs(np.diff(np.where(missing, expected, start), axis=1))
     beside = np.pad(missing, ((0, 0), (1, 1)))
-    alone = np.where(beside[:, :-2] | beside[:, 2:], np.nan, found[1:])  # it may be missing in most frames
+    # the usual size is that without a missing neighbour, which may be missing in most frames
+    alone = np.where(beside[:, :-2] | beside[:, 2:], np.nan, found[1:])
     usual = nan_median(alone, axis=1)
     size = found[1:] / np.where(np.isfinite(usual), usual, nan_median(found[1:], axis=1))[:, None]
     size /= nan_median(size, axis=2)[..., None]  # exposure, focus
@@ -308,28 +324,30 @@ def _merged(found: Floats, expected: Floats, comb: RidgeComb, settings: Tracking
     return _both(pair & (missing[:, 1:] ^ missing[:, :-1]))
 
 
-def _swallowed(start: Floats, doubtful: Bools, comb: RidgeComb, settings: TrackingSettings) -> Bools:
-    """Missing sheets, and the detected neighbours that they came near to before they went or after they came
-    back: one lies behind the other, no higher than either, and nothing tells which of both is seen."""
+def _hidden(start: Floats, doubtful: Bools, comb: RidgeComb, settings: TrackingSettings) -> Bools:
+    """Return which missing sheets were near a detected neighbour just before or after, and these neighbours.
+
+    One lies behind the other, so that the ridge is no higher than usual, and it is unknown which is seen.
+    """
     gap = np.diff(start, axis=1)
     around = np.fmin(last_seen(gap.T).T, last_seen(gap[::-1].T).T[::-1])
     near = min(settings.touching_widths * comb.fwhm_px, settings.touching_pitches * comb.pitch_px)
     seen = np.isfinite(start)
-    missing = ~seen & ~doubtful  # a doubtful ridge is one of its own
+    missing = ~seen & ~doubtful  # a doubtful sheet does have a ridge
     return _both((around < near) & (missing[:, 1:] & seen[:, :-1] | seen[:, 1:] & missing[:, :-1]))
 
 
 def _both(pair: Bools) -> Bools:
-    """Both sheets of each pair of neighbours (frame, N − 1), (frame, N)."""
+    """Return both sheets, (frame, N), of each pair of neighbours, (frame, N − 1)."""
     none = np.zeros((len(pair), 1), bool)
     return np.asarray(np.hstack([pair, none]) | np.hstack([none, pair]), bool)
 
 
-# --- what is in doubt, as a table ---------------------------------------------------------------------------
+# --- doubtful identities as a table -------------------------------------------------------------------------
 
 
 def doubtful_stretches(tracks: xr.Dataset) -> pd.DataFrame:
-    """Where an identity is in doubt: one row per sheet and unbroken stretch, the longest first.
+    """List the doubtful identities: one row per sheet and unbroken stretch of frames, the longest first.
 
     Parameters
     ----------
@@ -339,13 +357,13 @@ def doubtful_stretches(tracks: xr.Dataset) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        sheet, side, n; first_frame and last_frame, frames; why (in words); x_withheld_px, the doubted ridge,
-        and x_expected_px, where the sheets around say it must be, both in the first frame (NaN if unknown).
+        sheet, side, n; first_frame and last_frame, frames; why (in words); x_withheld_px, the doubtful ridge,
+        and x_expected_px, the position that the neighbours predict, both in the first frame (NaN if unknown).
     """
     sheet, first, stop = stretches(np.asarray(tracks["flag"].values == "doubtful"))
     number = tracks["frame"].values
 
-    def there(name: str) -> Any:
+    def at_first(name: str) -> Any:
         return tracks[name].values[first, sheet] if name in tracks else np.full(len(sheet), np.nan)
 
     table = pd.DataFrame(
@@ -356,16 +374,16 @@ def doubtful_stretches(tracks: xr.Dataset) -> pd.DataFrame:
             "first_frame": number[first],
             "last_frame": number[stop - 1],
             "frames": stop - first,
-            "why": [DOUBTS.get(str(why), "identity not certain") for why in there("why")],
-            "x_withheld_px": there("x_withheld_px"),
-            "x_expected_px": there("x_expected_px"),
+            "why": [DOUBTS.get(str(why), "identity not certain") for why in at_first("why")],
+            "x_withheld_px": at_first("x_withheld_px"),
+            "x_expected_px": at_first("x_expected_px"),
         }
     )
     return table.sort_values("frames", ascending=False, kind="stable", ignore_index=True)
 
 
 def stretches(marked: Bools) -> tuple[Ints, Ints, Ints]:
-    """Unbroken stretches of True in each column of (frame, sheet): sheet, first row, row after the last."""
+    """Return the unbroken stretches of True in each column of (frame, sheet): sheet, first row, end row."""
     edge = np.diff(np.pad(marked.astype(np.int8), ((1, 1), (0, 0))), axis=0)
     sheet, first = np.nonzero((edge == 1).T)
     _, stop = np.nonzero((edge == -1).T)

@@ -1,8 +1,8 @@
-"""Which of all candidates are sheets: the reference comb that most of the recording agrees on.
+"""The reference comb: which candidates are sheets, as most of the recording agrees.
 
-`build_reference` collects the ridges that persist and chooses those that together make a comb: dust, labels
-and marks are dropped. `static_ridges` finds marks that stand still while the sheets beside them move, and
-`wide_spacings` the places where a sheet may have been overlooked.
+`build_reference` collects the ridges that persist and chooses those that together form a comb, without dust,
+labels and marks. `static_ridges` finds marks that are stationary while the sheets beside them move, and
+`wide_spacings` finds gaps in which a sheet may have been overlooked.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, mad_sigma, nan_median, nearest
 from vision.sheets.alignment import Candidates, ExpectedSheets, align, values_of
-from vision.sheets.neighbours import places_in_comb
+from vision.sheets.neighbours import rest_positions
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import running_median
 
-LEAST_IN_VIEW = 0.13  # fraction of the frames: what was in view for less has not been seen often enough
+LEAST_IN_VIEW = 0.13  # fraction of the frames in which a sheet must be in view to be judged
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class ReferenceComb:
     found
         Fraction of the frames in which each is found.
     dropped
-        How many persistent ridges were taken out.
+        Number of persistent ridges that are not part of the comb.
     beyond
-        How many of these continue the comb, where the number of sheets was given.
+        Number of these that continue the comb, if the number of sheets was given.
     """
 
     x_px: Floats
@@ -53,7 +53,7 @@ class ReferenceComb:
         return len(self.x_px)
 
     def only(self, kept: Ints) -> ReferenceComb:
-        """The comb of these entries."""
+        """Return the comb of these entries."""
         fewer = self.dropped + self.sheets - len(kept)
         return ReferenceComb(
             self.x_px[kept], self.log_contrast[kept], self.log_width[kept], self.found[kept], dropped=fewer
@@ -68,8 +68,10 @@ class ReferenceComb:
         counted: bool = False,
         settings: TrackingSettings = DEFAULT,
     ) -> ExpectedSheets:
-        """This comb with its sheets expected at x_px (lists, N); unless all are counted, there may be more
-        beyond an end that comes near to the picture's."""
+        """Return this comb with its sheets expected at x_px (lists, N).
+
+        Unless the number of sheets was `counted`, more sheets may lie beyond an end near the picture's edge.
+        """
         unseen = -np.log(np.clip(1 - self.found, 1e-3, 1))
         missing = np.clip(unseen, 1.0, settings.missing_cost)
         half = comb.fwhm_px / 2
@@ -83,7 +85,7 @@ class ReferenceComb:
 def build_reference(
     candidates: Candidates,
     frames: Ints,
-    carried_px: Floats,
+    displacement_px: Floats,
     comb: RidgeComb,
     *,
     width_px: int,
@@ -91,44 +93,45 @@ def build_reference(
     source: str,
     settings: TrackingSettings = DEFAULT,
 ) -> ReferenceComb:
-    """The comb that most frames agree on.
+    """Return the comb that most frames agree on.
 
-    All candidates of one long list are taken for sheets; lists from the whole recording are aligned with
-    them; candidates that many frames show and the comb lacks are added, and those that few show are
-    dropped. Of what is left those are chosen that together make the most even comb, the others are dust.
+    All candidates of one long list are first taken for sheets, and lists from the whole recording are aligned
+    with them. Candidates that many frames show and the comb lacks are added; sheets that few frames show are
+    removed. Of the result, the entries that together form the most even comb are the sheets.
 
     Parameters
     ----------
-    candidates, frames, carried_px
-        Lists of candidates, one for each undisturbed run of frames; how many frames each stands for, and how
-        far the whole comb had been carried by then (lists,).
+    candidates, frames, displacement_px
+        Lists of candidates, one for each segment of frames; number of frames of each, and displacement of the
+        whole comb at that time, (lists,).
     comb, width_px
-        What the ridges look like; width of the profile.
+        Width, pitch and contrast of the ridges; width of the profile.
     sheets
-        Their number where known: the best comb of exactly that many is chosen.
+        Number of sheets, if known: the best comb of exactly that many is chosen.
     source
-        What a message calls the recording.
+        Name of the recording in messages.
     settings
         Costs and thresholds.
 
     Raises
     ------
     InputError
-        For fewer ridges than `sheets`, specks far outside the comb aside; or no ridge that most frames show.
+        For fewer ridges than `sheets`, not counting specks far outside the comb, or if no ridge is in most
+        frames.
     """
     spread = np.linspace(0, len(frames) - 1, 192).astype(int)
     chosen = np.unique(np.r_[np.argsort(-frames, kind="stable")[:192], spread])  # the longest, and others
-    some, weight, carried = candidates.take(chosen), frames[chosen].astype(np.float64), carried_px[chosen]
-    reference = _seed(candidates, frames, carried_px, comb.pitch_px)
-    for _ in range(4):  # it usually settles after two
-        filled = _filled(reference, comb.pitch_px)
-        revised = _revise(filled, some, weight, carried, comb, width_px, settings)
+    some, weight, moved = candidates.take(chosen), frames[chosen].astype(np.float64), displacement_px[chosen]
+    reference = _seed(candidates, frames, displacement_px, comb.pitch_px)
+    for _ in range(4):  # two revisions usually suffice
+        filled = _fill_gaps(reference, comb.pitch_px)
+        revised = _revise(filled, some, weight, moved, comb, width_px, settings)
         if not revised.sheets:
             advice = "check `rows` and `rotate`; one picture may be a title among few frames"
             raise InputError(source, "ridges that most frames show", "none that lasts", advice)
-        settled = revised.sheets == reference.sheets
+        unchanged = revised.sheets == reference.sheets
         reference = revised
-        if settled:
+        if unchanged:
             break
     if sheets is not None and reference.sheets < sheets:
         gaps = ", ".join(f"{x:.0f} px" for x in wide_spacings(reference.x_px, settings=settings)[0])
@@ -143,7 +146,7 @@ def build_reference(
 
 
 def _beyond(everything: ReferenceComb, best: ReferenceComb, pitch_px: float) -> int:
-    """How many ridges continue a comb of a given number of sheets: like these, and at their spacing."""
+    """Return how many ridges outside the comb continue it: similar to its sheets, and at their spacing."""
     like = np.abs(everything.log_contrast - np.median(best.log_contrast)) < np.log(2.0)
     like &= np.abs(everything.log_width - np.median(best.log_width)) < np.log(1.5)
     x, count = everything.x_px[like & (everything.found >= 0.5)], 0
@@ -156,7 +159,7 @@ def _beyond(everything: ReferenceComb, best: ReferenceComb, pitch_px: float) -> 
 
 
 def _check_ends(x_px: Floats, sheets: int, source: str, settings: TrackingSettings) -> None:
-    """Refuse a number of ridges that is reached only with specks far outside a comb of nine or more."""
+    """Refuse a number of nine or more ridges that is reached only with specks far outside the comb."""
     if len(x_px) < 9:
         return
     spacing = np.diff(x_px)
@@ -170,8 +173,11 @@ def _check_ends(x_px: Floats, sheets: int, source: str, settings: TrackingSettin
         )
 
 
-def _seed(candidates: Candidates, frames: Ints, carried_px: Floats, pitch_px: float) -> ReferenceComb:
-    """The longest list of the commonest number of candidates (counted in frames), gaps counted as sheets."""
+def _seed(candidates: Candidates, frames: Ints, displacement_px: Floats, pitch_px: float) -> ReferenceComb:
+    """Return the list of the longest segment among those with the commonest number of candidates.
+
+    The number includes the sheets that fit into gaps; how common it is, is counted in frames.
+    """
     x = candidates.x_px
     count = np.isfinite(x).sum(axis=1)
     gap = np.diff(x, axis=1)
@@ -182,27 +188,27 @@ def _seed(candidates: Candidates, frames: Ints, carried_px: Floats, pitch_px: fl
     seed = of_count[np.argmax(frames[of_count])]
     real = np.isfinite(x[seed])
     return ReferenceComb(
-        x[seed][real] - carried_px[seed],
+        x[seed][real] - displacement_px[seed],
         candidates.log_contrast[seed][real],
         candidates.log_width[seed][real],
         np.ones(real.sum()),
     )
 
 
-def _filled(known: ReferenceComb, pitch_px: float) -> ReferenceComb:
-    """The comb with sheets wherever its spacings have room for them.
+def _fill_gaps(known: ReferenceComb, pitch_px: float) -> ReferenceComb:
+    """Return the comb with sheets added wherever a spacing is wide enough for them.
 
-    Something that covers sheets side by side in every frame leaves no list with all of them. What the other
-    lists do not show goes again; until then it may be missing at little cost.
+    If some sheets are covered in every frame, no list has all sheets. Added sheets that the other lists do
+    not show are removed in the revision; until then they may be missing at little cost.
     """
     x = known.x_px
     room = np.maximum(np.rint(np.diff(x) / pitch_px).astype(np.int64), 1)
     after = np.repeat(np.arange(len(room)), room - 1)
     step = np.concatenate([np.arange(1, size) for size in room]) if len(after) else np.zeros(0)
-    places = x[after] + step * (np.diff(x) / room)[after]
-    order = np.argsort(np.r_[x, places])
+    added = x[after] + step * (np.diff(x) / room)[after]
+    order = np.argsort(np.r_[x, added])
     columns = (
-        np.r_[x, places],
+        np.r_[x, added],
         np.r_[known.log_contrast, known.log_contrast[after]],
         np.r_[known.log_width, known.log_width[after]],
         np.r_[known.found, np.full(len(after), 0.5)],
@@ -214,13 +220,16 @@ def _revise(
     reference: ReferenceComb,
     candidates: Candidates,
     weight: Floats,
-    carried_px: Floats,
+    displacement_px: Floats,
     comb: RidgeComb,
     width_px: int,
     settings: TrackingSettings,
 ) -> ReferenceComb:
-    """Add what many lists show and the comb lacks, drop what few show; positions and contrasts anew."""
-    rest = reference.x_px + carried_px[:, None]
+    """Add ridges that many lists show, remove those that few show, and measure all again.
+
+    weight: number of frames of each list.
+    """
+    rest = reference.x_px + displacement_px[:, None]
     match = align(candidates, reference.expected(rest, comb, width_px, settings=settings)).match
     tables = (candidates.x_px, candidates.log_contrast, candidates.log_width)
     x, log_contrast, log_width = (values_of(match, values) for values in tables)
@@ -232,9 +241,9 @@ def _revise(
     more = _unmatched(reference, candidates, match, weight, comb.pitch_px)
     columns = [np.concatenate(pair) for pair in zip(known, more, strict=True)]
     everything = ReferenceComb(columns[0], columns[1], columns[2], columns[3]).only(np.argsort(columns[0]))
-    place = everything.x_px + (carried_px + np.nan_to_num(common))[:, None]
-    margin = 0.5 * comb.pitch_px  # beside the picture's edge a sheet is seen half of the time
-    in_view = weight @ ((place > margin) & (place < width_px - 1 - margin))
+    position = everything.x_px + (displacement_px + np.nan_to_num(common))[:, None]
+    margin = 0.5 * comb.pitch_px  # a sheet near the picture's edge is seen half of the time
+    in_view = weight @ ((position > margin) & (position < width_px - 1 - margin))
     share = everything.found * weight.sum() / np.maximum(in_view, LEAST_IN_VIEW * weight.sum())
     return replace(everything.only(np.flatnonzero(share >= settings.present_inside)), dropped=0)
 
@@ -242,8 +251,10 @@ def _revise(
 def _unmatched(
     reference: ReferenceComb, candidates: Candidates, match: Ints, weight: Floats, pitch_px: float
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Unpaired candidates that persist: rest position, log contrast, log width, fraction of the frames; one
-    per spacing between the sheets, and per pitch outside them, and revision."""
+    """Return unpaired candidates that persist: rest position, log contrast, log width, share of the frames.
+
+    A revision adds at most one per spacing between the sheets, and one per pitch outside them.
+    """
     x = candidates.x_px
     taken = np.zeros(x.shape, bool)
     rows, sheet = np.nonzero(match >= 0)
@@ -254,29 +265,29 @@ def _unmatched(
     outside = np.rint((reference.x_px[0] - rest) / pitch_px), np.rint((rest - reference.x_px[-1]) / pitch_px)
     interval -= np.maximum(outside[0] - 1, 0).astype(np.int64)
     interval += np.maximum(outside[1] - 1, 0).astype(np.int64)
-    places, which = np.unique(interval, return_inverse=True)
-    share = np.bincount(which, weights=weight[list_], minlength=len(places)) / weight.sum()
-    mine = [which == i for i in np.flatnonzero(share >= 0.3 * LEAST_IN_VIEW)]
-    position = np.array([np.median(rest[m]) for m in mine])
-    contrast, width = (
-        np.array([np.median(values[list_[m], column[m]]) for m in mine])
-        for values in (candidates.log_contrast, candidates.log_width)
-    )
-    found = np.array([weight[np.unique(list_[m])].sum() for m in mine]) / weight.sum()
-    return position, contrast, width, found
+    intervals, which = np.unique(interval, return_inverse=True)
+    share = np.bincount(which, weights=weight[list_], minlength=len(intervals)) / weight.sum()
+    groups = [which == i for i in np.flatnonzero(share >= 0.3 * LEAST_IN_VIEW)]
+    contrast, width = candidates.log_contrast[list_, column], candidates.log_width[list_, column]
+    found = np.array([weight[np.unique(list_[group])].sum() for group in groups]) / weight.sum()
+    return _medians(rest, groups), _medians(contrast, groups), _medians(width, groups), found
+
+
+def _medians(values: Floats, groups: list[Bools]) -> Floats:
+    return np.array([np.median(values[group]) for group in groups])
 
 
 def _at_rest(x: Floats, sheet_x: Floats, rest_px: Floats) -> Floats:
-    """Positions x less the displacement of the nearest sheet found, (points,)."""
+    """Return positions x less the displacement of the nearest sheet that is found, (points,)."""
     shift = (sheet_x - rest_px)[np.arange(len(x)), nearest(sheet_x, x)[0]]
     return np.asarray(x - np.nan_to_num(shift), np.float64)
 
 
-# --- which persistent ridges make a comb --------------------------------------------------------------------
+# --- which persistent ridges form a comb --------------------------------------------------------------------
 
 
 def _sheet_score(reference: ReferenceComb, settings: TrackingSettings) -> Floats:
-    """How likely each entry is a sheet, (entries,): by presence, contrast, and a width like the others'."""
+    """Return a score for each entry to be a sheet, (entries,), from its presence, contrast and width."""
     width, contrast = reference.log_width, reference.log_contrast
     odd = np.maximum(np.abs(width - np.median(width)) - 0.35, 0)
     faint = np.maximum(contrast - np.median(contrast), -2.5)
@@ -287,23 +298,23 @@ def _sheet_score(reference: ReferenceComb, settings: TrackingSettings) -> Floats
 def _choose_sheets(
     x_px: Floats, score: Floats, pitch_px: float, sheets: int | None, settings: TrackingSettings
 ) -> Ints:
-    """Numbers of the entries that together make the best comb, of exactly `sheets` where that is given.
+    """Return the indices of the entries that form the best comb, of exactly `sheets` entries if given.
 
-    Each entry counts for its score, each spacing against its departure from the local pitch; a dynamic
-    programme over the entries in order finds the best chain. A faint sheet in its place is kept, since
-    without it the spacing is double; dust between two sheets is not.
+    Each entry adds its score, and each spacing costs its departure from the local pitch. A dynamic programme
+    over the entries in order finds the best chain. A faint sheet at its position is retained, since without
+    it the spacing is double; dust between two sheets is not.
     """
     if sheets is None:
         local = _local_pitch(x_px, pitch_px, settings)
         uneven = _uneven_cost(x_px, local, settings) / _unevenness(x_px, local, settings)
         return _best_chain(score, uneven)
-    # the pitch was measured on that many ridges, so other entries have not spoilt it
+    # the pitch was measured on that many ridges, so no other entries affect it
     uneven = _uneven_cost(x_px, np.full(len(x_px), pitch_px), settings)
     return _best_chain_of(sheets, score, uneven)
 
 
 def _unevenness(x_px: Floats, local: Floats, settings: TrackingSettings) -> float:
-    """Scatter of the spacings relative to an even comb's, at least 1: the larger, the less spacings mean."""
+    """Return the scatter of the spacings over that of an even comb, at least 1; it reduces their weight."""
     if len(x_px) < 6:
         return 1.0
     off = np.abs(np.log(np.maximum(np.diff(x_px), 1e-3) / local[:-1]))
@@ -311,7 +322,7 @@ def _unevenness(x_px: Floats, local: Floats, settings: TrackingSettings) -> floa
 
 
 def _uneven_cost(x_px: Floats, local: Floats, settings: TrackingSettings) -> Floats:
-    """Cost of having entry j next after entry i, (i, j); inf where j is not to the right of i."""
+    """Return the cost of entry j following entry i, (i, j); inf where j is not to the right of i."""
     gap = x_px[None, :] - x_px[:, None]
     local = (local[None, :] + local[:, None]) / 2
     off = np.abs(np.log(np.where(gap > 0, gap, 1.0) / local))
@@ -319,8 +330,11 @@ def _uneven_cost(x_px: Floats, local: Floats, settings: TrackingSettings) -> Flo
 
 
 def _local_pitch(x_px: Floats, pitch_px: float, settings: TrackingSettings) -> Floats:
-    """Median spacing of the nine entries around each, within a quarter of the pitch unless it changes
-    gradually all along the comb, as seen at an angle: dust makes it change at once."""
+    """Return the median of the nine spacings around each entry.
+
+    It is limited to within a quarter of the pitch, because dust changes it abruptly, unless it changes
+    gradually along the comb, as it does in films at an angle.
+    """
     if len(x_px) < 6:
         return np.full(len(x_px), pitch_px)
     smooth = running_median(np.diff(x_px), 9)
@@ -328,11 +342,12 @@ def _local_pitch(x_px: Floats, pitch_px: float, settings: TrackingSettings) -> F
     near = np.clip(smooth, 0.75 * pitch_px, 1.25 * pitch_px)
     gradual = np.abs(np.diff(np.log(smooth))).max() < settings.even_spread
     typical = float(np.median(smooth))
-    seen_at_an_angle = gradual and typical == float(np.median(near))
-    return np.asarray(smooth if seen_at_an_angle else near, np.float64)
+    at_an_angle = gradual and typical == float(np.median(near))
+    return np.asarray(smooth if at_an_angle else near, np.float64)
 
 
 def _best_chain(score: Floats, cost: Floats) -> Ints:
+    """Return the chain of entries with the largest score less cost."""
     best, origin = np.array(score), np.full(len(score), -1)
     for i in range(1, len(score)):
         before = best[:i] - cost[:i, i]
@@ -346,6 +361,7 @@ def _best_chain(score: Floats, cost: Floats) -> Ints:
 
 
 def _best_chain_of(sheets: int, score: Floats, cost: Floats) -> Ints:
+    """Return the best chain of exactly `sheets` entries."""
     best, origin = score, []
     for _ in range(sheets - 1):
         total = best[:, None] - cost
@@ -361,13 +377,13 @@ def _best_chain_of(sheets: int, score: Floats, cost: Floats) -> Ints:
 
 
 def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettings = DEFAULT) -> Bools:
-    """Which entries (N,) stand still while the sheets beside them move: dust on lens or sensor, marks.
+    """Return which entries are stationary while the sheets beside them move, (N,): dust on the optics, marks.
 
-    A sheet moves at least as much as its neighbours on one of its sides: motion grows outwards. So each entry
-    is compared with the smaller of the motions to its left and to its right (each the mean of two
-    neighbours), as far as these go the same way, where that motion is large enough. The centre of the comb
-    hardly moves, so nothing is decided there; at its ends only where their spacing is not the comb's. A row
-    of marks beside the comb has still neighbours; it stands apart, at another spacing.
+    Motion grows outwards, so that a sheet moves at least as much as its neighbours on one side. Each entry is
+    therefore compared with the smaller of the motions to its left and right (each the mean of two
+    neighbours), if these have the same direction and are large enough. Nothing is decided at the centre of
+    the comb, which hardly moves, and at its ends only where their spacing is not the comb's. A row of marks
+    beside the comb, whose marks have stationary neighbours, is found by its position and spacing.
 
     Parameters
     ----------
@@ -389,38 +405,45 @@ def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettin
     own = np.where(both, np.nan_to_num(moved_px) ** 2, 0.0).sum(axis=0)
     frames = both.sum(axis=0)
     certain = (frames >= 50) & (power > frames * settings.moving_px**2)
-    still = certain & (own < settings.static_fraction**2 * power)
-    return np.asarray(still | _still_beside_the_comb(moved_px, rest_px, settings), bool)
+    stationary = certain & (own < settings.static_fraction**2 * power)
+    return np.asarray(stationary | _ruler_beside_comb(moved_px, rest_px, settings), bool)
 
 
-def _still_beside_the_comb(moved_px: Floats, rest_px: Floats, settings: TrackingSettings) -> Bools:
-    """Which entries (N,) belong to a row of marks beside the comb, a ruler: the smaller part on one side of a
-    wide spacing, with another spacing than the rest, that stands still while sheets near it move."""
-    gap, still = np.diff(rest_px), np.zeros(len(rest_px), bool)
-    for wide in np.flatnonzero(gap > settings.wide_pitches * np.median(gap)) if len(gap) else ():
+def _ruler_beside_comb(moved_px: Floats, rest_px: Floats, settings: TrackingSettings) -> Bools:
+    """Return which entries belong to a ruler, a stationary row of marks beside the comb, (N,).
+
+    These are the smaller part on one side of a wide spacing, if its pitch differs from the rest and it is
+    stationary while sheets near it move. `vision.video.strip_find` says how rulers elsewhere are avoided.
+    """
+    gap, ruler = np.diff(rest_px), np.zeros(len(rest_px), bool)
+    if not len(gap):
+        return ruler
+    for wide in np.flatnonzero(gap > settings.wide_pitches * np.median(gap)):
         left, right = np.split(np.arange(len(rest_px)), [wide + 1])
         row, rest, near = (left, right, right[:4]) if len(left) < len(right) else (right, left, left[-4:])
-        pitches = [np.median(np.diff(rest_px[part])) for part in (row, rest) if len(part) > 1]
-        if len(pitches) == 2 and abs(np.log(pitches[0] / pitches[1])) > settings.odd_spacing:
-            own, beside = (_mean_motion(moved_px[:, part]) for part in (row, near))
-            moving = beside > 0.5 * settings.moving_px  # the mean of four
-            still[row] |= moving and own < settings.static_fraction * beside
-    return still
+        if len(row) < 2 or len(rest) < 2:
+            continue
+        row_pitch, pitch = (np.median(np.diff(rest_px[part])) for part in (row, rest))
+        if abs(np.log(row_pitch / pitch)) > settings.odd_spacing:
+            row_motion, comb_motion = (_mean_motion(moved_px[:, part]) for part in (row, near))
+            moving = comb_motion > 0.5 * settings.moving_px  # the mean of four
+            ruler[row] |= moving and row_motion < settings.static_fraction * comb_motion
+    return ruler
 
 
 def _mean_motion(moved_px: Floats) -> float:
-    """Root mean square of the mean motion of some entries (frame, entries)."""
+    """Return the root mean square of the mean motion of some entries (frame, entries)."""
     known = np.isfinite(moved_px)
     mean = np.where(known, moved_px, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     return float(np.sqrt((mean**2).mean()))
 
 
 def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: TrackingSettings = DEFAULT) -> Bools:
-    """Which of the first and last entries are faint and show a second sign that they are no sheets, (N,).
+    """Return which of the first and last entries are faint and show a second sign of not being sheets, (N,).
 
-    The signs: found in few frames, a width unlike the others', or less motion than the entry beside it has,
-    although motion grows outwards. Specks on the lens leave such bumps of the background beside a comb. One
-    sign is not enough: faint sheets are sheets, and the end of a comb of which one side is in view is still.
+    The signs are presence in few frames, an unusual width, and less motion than the entry beside it, although
+    motion grows outwards. Specks on the lens leave such bumps of the background beside a comb. One sign is
+    not enough: sheets may be faint, and if one side of the comb is in view, one end is stationary.
 
     Parameters
     ----------
@@ -443,39 +466,39 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
 
 
 def marks(
-    x_px: Floats, err_px: Floats, pulled_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
+    x_px: Floats, err_px: Floats, distorted_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
 ) -> Bools:
-    """Which sheets (N,) are marks, or lie under one: what is measured there is not the sheet.
+    """Return which sheets are marks or lie under one, (N,): the measured position is not the sheet's.
 
-    They are a still row beside the comb (`static_ridges`). Or they usually are distorted, and show a second
-    sign: they move far less than the sheets on both sides, or not at all and stand out of the comb's even
-    spacing. One sign is not enough: dirt distorts sheets in their places, combs are uneven, and sheets of the
-    stiff centre hardly move.
+    A mark belongs to a ruler beside the comb, or it is usually distorted and shows a second sign. The sign is
+    that it moves far less than the sheets on both sides, or that it does not move and breaks the comb's even
+    spacing. One sign is not enough: dirt distorts sheets, combs are uneven, and sheets of the stiff centre
+    hardly move.
 
     Parameters
     ----------
-    x_px, err_px, pulled_px
-        Positions, their errors from noise, and what distorts them, (frame, N), NaN where missing.
+    x_px, err_px, distorted_px
+        Positions, their errors from noise and from distortion, (frame, N), NaN where missing.
     comb
         Width and pitch of the ridges.
     settings
         The fields `mark_…` and `odd_spacing`.
     """
-    place = places_in_comb(x_px)
+    rest = rest_positions(x_px)
     least = 5.0 * float(nan_median(err_px.ravel()))
-    quick = replace(settings, moving_px=least, static_fraction=settings.mark_motion)
-    unmoved = nan_median(np.abs(x_px - place)) < least
-    with np.errstate(divide="ignore", invalid="ignore"):  # sheets swapped by hand, or never seen
-        still = static_ridges(x_px - place, place, settings=quick)
-        beside = _still_beside_the_comb(x_px - place, place, replace(settings, moving_px=least))
-        uneven = np.abs(np.log(np.diff(place) / comb.pitch_px)) > settings.odd_spacing
-    astray = np.append(uneven, False) | np.insert(uneven, 0, False)
-    odd = nan_median(pulled_px) > settings.mark_pulled * comb.fwhm_px
-    return np.asarray(beside | odd & (still | (astray & unmoved)), bool)
+    sensitive = replace(settings, moving_px=least, static_fraction=settings.mark_motion)
+    unmoved = nan_median(np.abs(x_px - rest)) < least
+    with np.errstate(divide="ignore", invalid="ignore"):  # sheets swapped manually, or never seen
+        stationary = static_ridges(x_px - rest, rest, settings=sensitive)
+        ruler = _ruler_beside_comb(x_px - rest, rest, replace(settings, moving_px=least))
+        uneven = np.abs(np.log(np.diff(rest) / comb.pitch_px)) > settings.odd_spacing
+    misplaced = np.append(uneven, False) | np.insert(uneven, 0, False)
+    distorted = nan_median(distorted_px) > settings.mark_pulled * comb.fwhm_px
+    return np.asarray(ruler | distorted & (stationary | (misplaced & unmoved)), bool)
 
 
 def _beside(moved_px: Floats) -> Floats:
-    """Mean motion of the two entries before each in its row, NaN where neither is seen."""
+    """Return the mean motion of the two entries before each in its row, NaN where neither is seen."""
     padded = np.pad(moved_px, ((0, 0), (2, 0)), constant_values=np.nan)
     pair = np.stack([padded[:, :-2], padded[:, 1:-1]])
     count = np.isfinite(pair).sum(axis=0)
@@ -483,7 +506,7 @@ def _beside(moved_px: Floats) -> Floats:
 
 
 def wide_spacings(x_px: Floats, *, settings: TrackingSettings = DEFAULT) -> tuple[Floats, Floats]:
-    """Spacings in which a sheet seems to be missing.
+    """Find spacings in which a sheet seems to be missing.
 
     Parameters
     ----------
@@ -496,7 +519,7 @@ def wide_spacings(x_px: Floats, *, settings: TrackingSettings = DEFAULT) -> tupl
     -------
     middle_px, size
         Middles of these spacings, and their sizes in local pitches (the median of the nine spacings around).
-        None for fewer than nine sheets, since there is no comb to compare with.
+        Empty for fewer than nine sheets, for which there is no local pitch.
     """
     spacing = np.diff(x_px)
     if spacing.size < 8:

@@ -1,4 +1,4 @@
-"""What the ridges look like, and where in each frame something like a ridge stands.
+"""Appearance of the ridges, and candidate ridges in each frame.
 
 `describe_ridges` measures polarity, width, pitch and contrast once per recording; `find_ridges` then lists
 the candidates of every frame. Which candidate is which sheet is decided later, from all frames together.
@@ -22,12 +22,12 @@ from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import find_maxima, half_widths
 
 Polarity = Literal["bright", "dark"]
-FRAMES_PER_BLOCK = 128  # worked on at once: what is made of them fits into a core's cache
+FRAMES_PER_BLOCK = 128  # processed at once, so that intermediate arrays fit into a core's cache
 
 
 @dataclass(frozen=True)
 class RidgeComb:
-    """Facts about the ridges, measured once per recording.
+    """Appearance of the ridges, measured once per recording.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class RidgeComb:
     noise
         Standard deviation of the profile's noise, grey levels.
     count
-        Main ridges in a frame.
+        Number of main ridges in a frame.
     ends_px
         Distance from the outermost main ridge to the picture's edge, the smaller of the two sides.
     """
@@ -55,7 +55,7 @@ class RidgeComb:
 
     @classmethod
     def of(cls, found: TrackMetadata) -> RidgeComb:
-        """The comb as the tracking measured it; `ends_px` is not kept, and 0."""
+        """Return the comb as the tracking measured it; `ends_px` is not recorded, and is 0."""
         return cls(
             "dark" if found.ridges == "dark" else "bright",
             found.ridge_fwhm_px,
@@ -67,13 +67,13 @@ class RidgeComb:
         )
 
     def bright(self, profile: Floats32) -> Floats32:
-        """The profile with bright ridges."""
+        """Return the profile with bright ridges."""
         return profile if self.polarity == "bright" else -profile
 
 
 @dataclass(frozen=True)
 class Ridges:
-    """Candidates of every frame, left to right, padded with NaN to the largest count K; all (frame, K).
+    """Candidates of each frame, left to right, padded with NaN to the largest count K; all (frame, K).
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class Ridges:
     contrast
         Prominence, grey levels.
     fwhm_px
-        Width at half prominence; the widening by the smoothing is subtracted.
+        Width at half prominence, corrected for the smoothing.
     """
 
     x_px: Floats32
@@ -91,11 +91,11 @@ class Ridges:
 
     @cached_property
     def count(self) -> Ints:
-        """Candidates in each frame (frame,)."""
+        """Number of candidates in each frame, (frame,)."""
         return np.asarray(np.isfinite(self.x_px).sum(axis=1), np.int64)
 
 
-# --- what the ridges look like ------------------------------------------------------------------------------
+# --- appearance of the ridges -------------------------------------------------------------------------------
 
 
 def describe_ridges(
@@ -106,29 +106,29 @@ def describe_ridges(
     source: str = "the strip",
     settings: TrackingSettings = DEFAULT,
 ) -> RidgeComb:
-    """Polarity, width, pitch and contrast of the ridges.
+    """Measure polarity, width, pitch and contrast of the ridges.
 
-    Local extrema of lightly smoothed profiles are ranked by prominence; the strongest (`sheets` per frame
-    where that number is known) are the main ridges, and their medians describe the comb.
+    Local extrema of lightly smoothed profiles are ranked by prominence. The strongest (`sheets` per frame, if
+    that number is known) are the main ridges, and their medians describe the comb.
 
     Parameters
     ----------
     profile
         Grey levels (frame, x), at least one frame without NaN.
     polarity
-        "auto" takes the polarity with more ridges where both ends of the comb are in view, else that of the
+        "auto" chooses the polarity with more ridges if both ends of the comb are in view, else that of the
         narrower stripes.
     sheets
         Number of ridges in view, if known.
     source
-        What a message calls the recording.
+        Name of the recording in messages.
     settings
         Thresholds.
 
     Raises
     ------
     InputError
-        Where no structure rises above the noise.
+        If no structure rises above the noise.
     """
     sample = _sample(profile)
     noise = profile_noise(sample)
@@ -141,7 +141,7 @@ def describe_ridges(
 
 
 def no_ridges(profile: Floats32, source: str) -> InputError:
-    """The refusal of a strip without ridges; where its strongest wave is too short to be told, it says so."""
+    """Return the error for a strip without ridges, which names a periodic pattern too fine to be resolved."""
     sample = _sample(profile).astype(np.float64)
     power = (np.abs(np.fft.rfft(sample - sample.mean(axis=1, keepdims=True))) ** 2).mean(axis=0)
     waves = np.fft.rfftfreq(sample.shape[1])
@@ -154,10 +154,10 @@ def no_ridges(profile: Floats32, source: str) -> InputError:
 
 
 def profile_noise(profile: Floats32) -> float:
-    """Standard deviation of the pixel noise of profiles (frame, x), grey levels.
+    """Return the standard deviation of the pixel noise of profiles (frame, x), grey levels.
 
-    From sixth differences along x, in which a smooth ridge hardly shows: median absolute value over all
-    pixels. 0 for a noise-free profile; too small where compression has smoothed the noise.
+    It is the median absolute value of sixth differences along x, in which a smooth ridge hardly shows. 0 for
+    a profile without noise; too small if compression has smoothed the noise.
     """
     kernel = np.array([1, -6, 15, -20, 15, -6, 1], np.float64)[None, :]
     spread = cv2.filter2D(np.ascontiguousarray(profile, np.float32), cv2.CV_32F, kernel)[:, 3:-3]
@@ -165,8 +165,10 @@ def profile_noise(profile: Floats32) -> float:
 
 
 def _smoothed(profile: Floats32, sigma_px: float, wall_px: int = 0) -> Floats32:
-    """Profiles (frame, x) smoothed along x with a Gaussian, with room for walls on both sides; what is not
-    finite is taken as 0."""
+    """Smooth profiles (frame, x) along x with a Gaussian, leaving `wall_px` columns free on both sides.
+
+    Values that are not finite are replaced by 0.
+    """
     finite = np.isfinite(profile)
     clean = profile if finite.all() else np.where(finite, profile, np.float32(0))
     half = max(1, int(np.ceil(4 * sigma_px)))
@@ -178,16 +180,16 @@ def _smoothed(profile: Floats32, sigma_px: float, wall_px: int = 0) -> Floats32:
 
 
 def _noise_floor(noise: float, smoothing_px: float, settings: TrackingSettings) -> float:
-    """Prominence, grey levels, that white noise does not reach after Gaussian smoothing."""
-    left = noise / np.sqrt(2 * np.sqrt(np.pi) * max(smoothing_px, 0.3))
-    return max(1e-6, float(settings.noise_factor * left))
+    """Return the prominence, grey levels, that white noise does not reach after Gaussian smoothing."""
+    smoothed_noise = noise / np.sqrt(2 * np.sqrt(np.pi) * max(smoothing_px, 0.3))
+    return max(1e-6, float(settings.noise_factor * smoothed_noise))
 
 
 def _likelier(bright: RidgeComb, dark: RidgeComb, settings: TrackingSettings) -> RidgeComb:
-    """Of two readings of the same stripes the likelier one; ties are bright.
+    """Return the likelier of two polarities of the same stripes, bright in a tie.
 
-    Where both ends of the comb are in view, that with more ridges (between N ridges there are N − 1 gaps), as
-    long as dark ones are also narrower; else the one with the narrower ridges.
+    If both ends of the comb are in view, it is the one with more ridges (N ridges have N − 1 gaps), provided
+    that dark ridges are also narrower; else the one with the narrower ridges.
     """
     in_view = all(comb.ends_px > 1.3 * comb.pitch_px for comb in (bright, dark))
     if in_view and bright.count != dark.count:
@@ -196,7 +198,7 @@ def _likelier(bright: RidgeComb, dark: RidgeComb, settings: TrackingSettings) ->
 
 
 def _sample(profile: Floats32) -> Floats32:
-    """Frames spread over the recording, those with NaN left out."""
+    """Return frames spread over the recording, without those that contain NaN."""
     good = np.flatnonzero(np.isfinite(profile[:, :1]).all(axis=1))
     if not good.size:
         raise InputError("the strip", "at least one frame that shows something", "none")
@@ -207,10 +209,10 @@ def _sample(profile: Floats32) -> Floats32:
 def _measure(
     sample: Floats32, polarity: Polarity, noise: float, sheets: int | None, settings: TrackingSettings
 ) -> RidgeComb | None:
-    """Medians over the main ridges of this polarity; None where there are none.
+    """Return medians over the main ridges of this polarity, None without any.
 
-    A lit base under few ridges stands out more than they do on it. Where only one or two ridges stand out
-    from the whole picture, those that stand out from their surroundings are looked for, too.
+    A bright base below few ridges can have more prominence than the ridges on it. Where only one or two
+    ridges are prominent in the whole picture, ridges prominent in their surroundings are searched as well.
     """
     whole = _measure_within(sample, polarity, noise, sheets, settings, None)
     few = 3
@@ -230,7 +232,7 @@ def _measure_within(
     settings: TrackingSettings,
     reach_px: int | None,
 ) -> RidgeComb | None:
-    """What stands out from so many pixels on both sides (from the whole picture, if None)."""
+    """Return medians over ridges prominent within `reach_px` on both sides (None: in the whole picture)."""
     sigma = 1.0
     walled = _smoothed(sample if polarity == "bright" else -sample, sigma, wall_px=1)
     walled[:, [0, -1]] = walled[:, 1:-1].min()
@@ -257,10 +259,9 @@ def _measure_within(
 def _commonest_width(
     widths: Floats, strength: Floats, frame: Ints, sheets: int | None
 ) -> tuple[float, Bools]:
-    """Width of the kind of ridge with the largest total prominence, and which entries are of that kind.
+    """Return the width of the kind of ridge with the largest total prominence, and which ridges are of it.
 
-    Narrow ones win ties (the sum is divided by the root of the width): the gap between two ridges is not a
-    ridge.
+    The sum is divided by the root of the width to favour narrow ridges: the gap between two is not a ridge.
     """
     tried = np.geomspace(1.5, max(2.0, float(widths.max(initial=2.0))), 40)
     off = np.abs(np.log(np.maximum(widths, 0.1) / tried[:, None]))
@@ -272,31 +273,30 @@ def _commonest_width(
 
 
 def _strongest(strength: Floats, frame: Ints, most: int) -> Bools:
-    """Which entries are among the `most` strongest of their frame (entries are ordered by frame)."""
+    """Return which entries are among the `most` strongest of their frame (entries are ordered by frame)."""
     order = np.lexsort((-strength, frame))
     first = np.searchsorted(frame, frame)
-    kept = np.zeros(len(frame), bool)
-    kept[order] = np.arange(len(frame)) - first < most
-    return kept
+    strongest = np.zeros(len(frame), bool)
+    strongest[order] = np.arange(len(frame)) - first < most
+    return strongest
 
 
-# --- where they are -----------------------------------------------------------------------------------------
+# --- candidates in each frame -------------------------------------------------------------------------------
 
 
 def find_ridges(profile: Floats32, comb: RidgeComb, *, settings: TrackingSettings = DEFAULT) -> Ridges:
-    """Candidate ridges of every frame.
+    """Return the candidate ridges of every frame.
 
-    A candidate is a local maximum of the lightly smoothed profile (a minimum where ridges are dark) whose
-    prominence within its surroundings reaches a threshold; shoulders have no prominence, and what is much
-    narrower than a ridge is a hot pixel. Faint sheets pass.
+    A candidate is a local maximum of the lightly smoothed profile (a minimum for dark ridges) whose
+    prominence within its surroundings reaches a threshold that faint sheets reach, too. Shoulders have no
+    prominence; maxima much narrower than a ridge are hot pixels.
 
     Parameters
     ----------
     profile
-        Grey levels (frame, x); frames of NaN hold no ridge.
+        Grey levels (frame, x); frames of NaN have no candidates.
     comb
-        From `describe_ridges`. The threshold follows its noise and contrast; with `contrast` 0, its noise
-        alone.
+        From `describe_ridges`. Its noise and contrast set the threshold; with `contrast` 0, its noise alone.
     settings
         Thresholds.
 
@@ -315,7 +315,7 @@ def find_ridges(profile: Floats32, comb: RidgeComb, *, settings: TrackingSetting
 
 
 class _Peaks(NamedTuple):
-    """Candidates one after the other."""
+    """Candidates of several frames, in one list."""
 
     frame: Ints
     x: Ints
@@ -324,12 +324,12 @@ class _Peaks(NamedTuple):
 
 
 def _find_block(profile: Floats32, start: int, comb: RidgeComb, settings: TrackingSettings) -> _Peaks:
-    """Ridges of a block of frames, searched as one long line with walls between the frames."""
+    """Find the ridges of a block of frames, searched as one long line with walls between the frames."""
     smoothing_px = max(0.5, settings.smoothing_widths * comb.fwhm_px)
     threshold = max(_noise_floor(comb.noise, smoothing_px, settings), settings.faint_fraction * comb.contrast)
     reach_px = max(4, round(settings.surroundings_widths * comb.fwhm_px))
     walled = _smoothed(comb.bright(profile), smoothing_px, wall_px=1)
-    walled[:, [0, -1]] = walled[:, [1, -2]] + 1  # a wall is no ridge, nor is what slopes up to it
+    walled[:, [0, -1]] = walled[:, [1, -2]] + 1  # a wall is no ridge, nor is a slope up to it
     maxima = find_maxima(
         walled.ravel(),
         least_prominence=threshold,
@@ -349,16 +349,16 @@ def _find_block(profile: Floats32, start: int, comb: RidgeComb, settings: Tracki
 
 
 def _padded(parts: list[_Peaks], frames: int) -> Ridges:
-    """One row per frame."""
+    """Arrange the candidates in one row per frame."""
     frame, x, contrast, fwhm = (np.concatenate(column) for column in zip(*parts, strict=True))
     counts = np.bincount(frame, minlength=frames)
     rank = np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)
     width = max(1, int(counts.max(initial=0)))
-    place = frame * width + rank
+    cell = frame * width + rank
 
     def spread(values: NDArray[np.generic]) -> Floats32:
         table = np.full(frames * width, np.nan, np.float32)
-        table[place] = values
+        table[cell] = values
         return table.reshape(frames, width)
 
     return Ridges(spread(x), spread(contrast), spread(fwhm))

@@ -1,4 +1,4 @@
-"""Everything about tracking that can be tuned, in one place."""
+"""All tunable constants of the tracking."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from dataclasses import dataclass
 class TrackingSettings:
     """Thresholds and costs of `vision.track_sheets`.
 
-    Lengths are fractions of the ridges' width (FWHM) or of their pitch, so that they hold at every
-    magnification; costs are negative log-likelihoods in nats. Each setting names a scene or test that fails
-    where it is changed that far: scenes of tests/scenes/identity_cases.py by their names, and "cropped combs"
-    for those of tests/truth/test_identity_doubt.py, where neither end of the comb is in view.
+    Lengths are fractions of the ridges' width (FWHM) or pitch, so that they suit every magnification; costs
+    are negative log-likelihoods in nats. Where a sentence names a scene and a value, the scene fails at that
+    value. Scenes have their names in tests/scenes/identity_cases.py; "cropped combs" are those of
+    tests/truth/test_identity_doubt.py, in which neither end of the comb is in view.
     """
 
     # --- candidates (ridges.py) ---
@@ -30,9 +30,9 @@ class TrackingSettings:
     smaller leaves noise peaks; halving it changes flags in a fifth of the scenes."""
 
     surroundings_widths: float = 1.7
-    """Half-width of the surroundings from which a ridge must stand out, in ridge widths; a Gaussian has
-    ended there. Smaller cuts off ridges ("cropped combs" at 0.85), larger lets background gradients
-    count."""
+    """Half-width of the surroundings in which the prominence of a ridge is measured, in ridge widths, where a
+    Gaussian has ended. Smaller cuts off ridges ("cropped combs" at 0.85), larger includes gradients of the
+    background."""
 
     dark_width_ratio: float = 0.9
     """Ridges are dark where the dark stripes are narrower than the bright ones by this factor. Nearer to 1
@@ -50,19 +50,19 @@ class TrackingSettings:
     # --- fit window (subpixel.py) ---
 
     standard_window_px: int = 9
-    """The publication's window. Wider averages more noise but takes in the flanks, narrower the reverse."""
+    """The publication's window. Wider averages more noise but includes the flanks, narrower the reverse."""
 
     standard_widths_px: tuple[float, float] = (6.0, 14.0)
-    """Ridge widths that this window suits; outside them test_accuracy.py's 3 px and flat ridges lose up to
-    five times the accuracy."""
+    """Ridge widths that this window suits; with it, narrower and flat ridges lose up to five times the
+    accuracy (test_accuracy.py)."""
 
     window_per_width: float = 1.4
-    """Window for other ridges, in ridge widths. Larger takes in flanks and neighbours, smaller more noise;
-    test_accuracy.py holds ridges of 3 to 30 px to 30 mpx."""
+    """Window for other ridges, in ridge widths. Larger includes flanks and neighbours, smaller more noise;
+    test_accuracy.py requires 30 mpx for ridges of 3 to 30 px."""
 
     template_frames: int = 100
-    """Frames in which a sheet must be seen for its mean shape to be learned. Fewer learn noise: the shape's
-    own error is that of the profile over their root."""
+    """Frames in which a sheet must be seen for its mean shape to be learned. With fewer the shape is noisy:
+    its error is that of the profile over the root of their number."""
 
     template_motion_px: float = 0.2
     """Motion, rms, over which the mean shape is known between pixels."""
@@ -81,18 +81,18 @@ class TrackingSettings:
     alignment."""
 
     least_change: float = 0.2
-    """Change of the logarithms of brightness, rms over the sheets, at which a comb that looks still has
+    """Change of the logarithms of brightness, rms over the sheets, at which a comb that seems not to move has
     jumped by a pitch. Larger misses jumps ("cropped combs" at 0.4), smaller cuts at flicker."""
 
     # --- reference comb (reference.py) ---
 
     present_inside: float = 0.3
-    """Fraction of the frames in which a ridge between sheets must be found to be one. Larger loses faint
-    sheets ("dust on the sensor beside a faint sheet" at 0.6), smaller takes in specks that come and go."""
+    """Share of the frames in which a ridge must be found to be a sheet. Larger loses faint sheets ("dust on
+    the sensor beside a faint sheet" at 0.6), smaller accepts specks that come and go."""
 
     far_outside: float = 2.6
-    """Spacings by which a ridge lies outside the comb, above which it does not make up a number of sheets
-    that was given; test_reference.py puts a speck there."""
+    """Distance outside the comb, in spacings, above which a ridge does not count towards a given number of
+    sheets; test_reference.py puts a speck there."""
 
     uneven_cost: float = 3.0
     """Cost per unit of the logarithm of spacing over pitch. Smaller takes dust for sheets ("dust that comes
@@ -111,40 +111,40 @@ class TrackingSettings:
     smaller keeps labels and scratches (the fixture "hostile" at 1.5)."""
 
     moving_px: float = 0.7
-    """Motion, px rms, from which neighbours show that a ridge between them stands still. Larger keeps marks,
-    smaller takes noise for motion."""
+    """Motion of the neighbours, px rms, above which a ridge between them can be called stationary. Larger
+    keeps marks, smaller takes noise for motion."""
 
     static_fraction: float = 0.3
-    """A ridge that moves less than this fraction of its neighbours is a mark. Larger drops sheets of the
-    stiff centre, smaller keeps dust."""
+    """Fraction of its neighbours' motion below which a ridge is a mark. Larger drops sheets of the stiff
+    centre, smaller keeps dust."""
 
     faint_end: float = 0.35
-    """Contrast of the comb's first or last ridge, over the typical one's, below which one more sign shows
-    that it is none. Larger drops unequal sheets, smaller takes background beside a speck for a sheet
+    """Contrast of the comb's first or last ridge, over the typical contrast, below which one more sign shows
+    that it is no sheet. Larger drops unequal sheets, smaller takes background beside a speck for a sheet
     (test_degraded.py's dirt)."""
 
     slow_end: float = 0.6
-    """Fraction of its neighbour's motion below which such a ridge is none: motion grows outwards."""
+    """Fraction of its neighbour's motion below which such a ridge is no sheet: motion grows outwards."""
 
     odd_width: float = 1.4
-    """Factor by which its width differs from the others' for it to be none."""
+    """Factor by which the width of such a ridge differs from the others' if it is no sheet."""
 
     wide_pitches: float = 1.6
     """Spacing, in local pitches, in which a sheet may have been overlooked. Larger misses gaps, smaller
     raises false alarms on uneven combs; test_reference.py draws 40 combs with and without a gap."""
 
     mark_pulled: float = 0.06
-    """Ridge widths by which a sheet must usually be distorted to be taken for a mark. Larger lets marks that
-    look like sheets pass, smaller relies on the other sign alone."""
+    """Usual distortion, in ridge widths, above which a sheet may be a mark. Larger lets marks that look like
+    sheets pass, smaller relies on the other sign alone."""
 
     mark_motion: float = 0.7
-    """Fraction of its neighbours' motion below which such a sheet stands still, in films that move by
-    hundredths of a pixel, too."""
+    """Fraction of its neighbours' motion below which such a sheet is stationary, even where these move by
+    hundredths of a pixel."""
 
     odd_spacing: float = 0.25
-    """Logarithm of a spacing over the pitch from which on it is not the comb's: what shows no motion there
-    may be a mark or a ruler. Larger lets marks pass that took a sheet's place, smaller doubts dirty sheets of
-    uneven combs (test_reference.py)."""
+    """Logarithm of a spacing over the pitch above which it is not the comb's: a stationary ridge there may be
+    a mark or part of a ruler. Larger lets marks between sheets pass, smaller doubts dirty sheets of uneven
+    combs (test_reference.py)."""
 
     # --- alignment (alignment.py), nats ---
 
@@ -162,23 +162,23 @@ class TrackingSettings:
     combs" at 0.125)."""
 
     stay_cost: float = 4.0
-    """Cost for the whole comb to have moved by half a pitch; half as much for each further pitch. Larger
-    denies jumps ("cropped combs" at 8), smaller finds some where nothing moved."""
+    """Cost of a displacement of the whole comb by half a pitch; half as much for each further pitch. Larger
+    rejects jumps ("cropped combs" at 8), smaller finds jumps where nothing moved."""
 
     covered_cost: float = 3.0
-    """Cost of not finding a sheet beside another one that is not found: what covers sheets covers several.
-    Larger shifts combs that are half covered (test_degraded.py's hands), smaller lets sheets go."""
+    """Cost of a missing sheet beside another missing one: an object that covers sheets covers several. Larger
+    shifts combs that are half covered (test_degraded.py's hands), smaller loses sheets."""
 
     missing_cost: float = 6.0
     """Cost of not finding a sheet that is always seen. Smaller trades sheets for false detections ("cropped
     combs" at 3), larger takes dust in place of a sheet."""
 
     false_detection_cost: float = 7.0
-    """Cost of a candidate as bright as the sheets that is none. Smaller drops sheets, larger forces specks
-    into the comb ("cropped combs" at 3.5 and at 14)."""
+    """Cost of a false detection as bright as the sheets. Smaller drops sheets, larger forces specks into the
+    comb ("cropped combs" at 3.5 and at 14)."""
 
     crossing_cost: float = 2.0
-    """Cost of a sheet that leaves or enters the picture with the comb's displacement. Larger holds the comb
+    """Cost of a sheet that leaves or enters the picture with the comb's displacement. Larger keeps all sheets
     in the picture ("cropped combs" at 4), smaller makes drift too likely."""
 
     edge_pitches: float = 1.5
@@ -186,8 +186,8 @@ class TrackingSettings:
     ("cropped combs" at 0.75), larger opens those that end in view."""
 
     frames_per_rest: int = 32
-    """Frames over which a sheet's rest position is taken. More smooth out slips and ringing, fewer follow
-    drift."""
+    """Frames over which a sheet's rest position is the median. More smooth out slips and ringing, fewer
+    follow drift."""
 
     # --- detections (recovery.py) ---
 
@@ -196,55 +196,70 @@ class TrackingSettings:
     positions, smaller lets wrong ones pass."""
 
     faint_reach: float = 0.3
-    """Distance, in pitches, from where a missing sheet must be within which a faint ridge is that sheet."""
+    """Distance, in pitches, from its expected position within which a faint ridge is a missing sheet."""
 
     faint_contrast: float = 0.2
     """Fraction of the sheet's usual contrast that this ridge must have. Larger loses shaded sheets, smaller
-    finds noise; test_recovery.py fades a sheet to 0.25 and to nothing."""
+    accepts noise; test_recovery.py fades a sheet to 0.25 and to nothing."""
 
     tear_fraction: float = 0.6
     """Difference of two neighbours' displacements, in pitches, that no slip causes. Larger lets wrong
     identities pass, smaller flags avalanches."""
 
     least_misfit: float = 0.12
-    """Change of the logarithm of brightness, rms over the sheets, that says nothing against a jump by whole
-    pitches. Larger believes jumps of combs that look otherwise (test_identity_doubt.py's moving light at
-    0.3), smaller doubts jumps for noise."""
+    """Change of the logarithm of brightness, rms over the sheets, that is compatible with a jump by whole
+    pitches. Larger accepts jumps of combs that look different (test_identity_doubt.py's moving light at 0.3),
+    smaller doubts jumps because of noise."""
 
     unlike_itself: float = 2.0
-    """Times its usual mean square by which the brightness changed when the pattern does not settle a jump.
-    Larger lets a pattern that moved over the sheets settle it, smaller keeps doubts of blurred combs."""
+    """Factor over its usual value by which the mean square change of brightness must grow for the pattern not
+    to settle a jump. Larger lets a pattern that moved over the sheets settle it, smaller keeps doubts of
+    blurred combs."""
 
     leave_sigmas: float = 8.0
-    """Times its own scatter by which a sheet leaves what its neighbours say before another ridge is
-    looked for. Larger lets hops pass, smaller doubts sheets that move by themselves."""
+    """Distance from the position that its neighbours predict, over the sheet's own scatter, above which
+    another ridge is searched. Larger lets hops pass, smaller doubts sheets with individual motion."""
 
     anchor_nats: float = 9.0
     """Log-likelihood ratio by which the pattern must exclude other numberings for a doubt to end. Larger
     keeps doubts that the pattern has settled, smaller ends them on equal sheets ("cropped combs")."""
 
     anchor_fit: float = 1.5
-    """Mean cost of a feature, nats, up to which a frame's pattern is the learned one (0.5 where all is
-    normal)."""
+    """Mean cost of a feature, nats, up to which a frame's pattern is the learned one (usually 0.5)."""
+
+    pattern_frames: int = 5
+    """Frames before and after a jump whose median brightnesses and widths are compared. More average noise,
+    fewer find jumps in quick succession (test_identity_doubt.py's jumps by a pitch)."""
+
+    pattern_sheets: int = 8
+    """Sheets that this comparison needs: the patterns of fewer are alike by chance."""
+
+    pattern_change: float = 3.0
+    """Times its usual change by which the pattern must change for a jump. Larger misses jumps of nearly equal
+    sheets, smaller takes noise for one."""
+
+    pattern_ratio: float = 3.0
+    """Times by which it must fit another numbering better. Larger misses jumps, smaller takes moving light
+    for one (test_identity_doubt.py)."""
 
     merged_widths: float = 0.8
     """Two sheets nearer to each other than this, in ridge widths, are one ridge: the resolution of two
     Gaussians."""
 
     merged_height: float = 1.15
-    """Times its usual height from which a ridge beside a missing sheet is both of them. Larger passes sheets
-    that touch, smaller withholds ridges that merely brighten (test_sheets_that_touch_are_one_ridge)."""
+    """Height over its usual height above which a ridge beside a missing sheet is both sheets. Larger passes
+    sheets that touch, smaller withholds ridges that brighten (test_sheets_that_touch_are_one_ridge)."""
 
     merged_width: float = 1.25
     """The same for its width. Larger passes the middle of two sheets, smaller withholds blurred ones."""
 
     touching_widths: float = 1.9
-    """Ridge widths to which a sheet has come near to its neighbour when it goes missing there: one lies
-    behind the other. Larger withholds neighbours of sheets that faded, smaller gives one sheet as the other
+    """Distance between neighbours, in ridge widths, below which one that goes missing is behind the other.
+    Larger withholds neighbours of sheets that faded, smaller confuses the two sheets
     (test_a_sheet_behind_its_neighbour_is_not_given_as_the_other)."""
 
     touching_pitches: float = 0.75
-    """Pitches to which it has come near, too: in dense combs all sheets are as near as two widths."""
+    """The same in pitches, which limits it: in dense combs all sheets are within two widths."""
 
     # --- frames, blur and distortion (quality.py) ---
 
@@ -257,73 +272,83 @@ class TrackingSettings:
     """Fraction of the frames that must differ from the one before for the others to be repeated ones."""
 
     cut_pitches: float = 0.3
-    """Displacement of all sheets together, in pitches, from which a film may have been cut there. Larger
-    misses small knocks against the camera, smaller takes drift for a cut."""
+    """Displacement of all sheets together, in pitches, that indicates a cut. Larger misses small knocks
+    against the camera, smaller takes drift for a cut."""
 
     cut_brightness: float = 0.12
-    """Change of the logarithm of brightness, rms over the sheets, that says so. Larger misses cuts between
-    like scenes, smaller takes a change of light for one."""
+    """Change of the logarithm of brightness, rms over the sheets, that indicates a cut. Larger misses cuts
+    between similar scenes, smaller takes a change of light for one."""
 
     cut_ratio: float = 6.0
-    """Times what is usual in the film that either must be. Larger misses cuts in restless films, smaller
-    finds them in slips; test_quality.py cuts films and lets others slip."""
+    """Factor by which either must exceed its usual size in the film. Larger misses cuts in films with much
+    motion, smaller finds them in slips; test_quality.py has films with cuts and with slips."""
+
+    still_sigmas: float = 3.0
+    """Times the noise that the largest twentieth of a sheet's displacements against the comb must exceed for
+    it to move. Noise alone reaches 2.5 in one frame of a hundred; larger calls slow pulls stationary, smaller
+    takes a pattern for a comb (test_a_pattern_that_stands_still_is_not_taken_for_a_comb_in_silence)."""
+
+    still_share: float = 0.1
+    """Share of the sheets that must move; fewer, and the comb is called stationary. Larger doubts films in
+    which few sheets slip, smaller lets a single noisy ridge vouch for a pattern."""
 
     blur_sigmas: float = 4.0
-    """Times its own scatter by which a ridge is wider or lower than usual when it is blurred. Larger misses
-    blur, smaller flags sharp slips; from half of it on the error grows."""
+    """Excess of width or loss of height, over the ridge's own scatter, at which it is blurred. Larger misses
+    blur, smaller flags sharp slips; the error grows from half of this on."""
 
     blur_fraction: float = 0.2
     """Motion between frames, in ridge widths, from which a ridge can be blurred. Smaller flags noise."""
 
     blur_error: float = 0.8
-    """Error of a blurred position, in terms of lost height times motion; test_quality.py holds it to cover 62
-    to 74 of 100 truths."""
+    """Error of a blurred position over lost height times motion; in test_quality.py it must cover 62 to 74 of
+    100 true positions."""
 
     blur_overlap: float = 1.4
-    """Widths by which a motion may differ from whole pitches for a ridge to be drawn over another, so that
-    other sheets tell its blur. Smaller calls sheets in fast slips ok that are off by pixels;
-    test_quality.py."""
+    """Difference of a motion from whole pitches, in ridge widths, below which one image of a ridge overlaps
+    another ridge, so that its blur follows from other sheets. Smaller calls sheets in fast slips ok that are
+    off by pixels (test_quality.py)."""
 
     least_likeness: float = 0.4
-    """Correlation of a sheet's mean picture with that of all below which it is no single ridge. It is -0.5 to
-    0.4 where thin sheets side by side were taken for one, and 0.5 or more for ridges of all recordings tried.
-    Larger drops markers of odd shape, smaller takes two sheets for one (test_distortion.py)."""
+    """Correlation of a sheet's mean profile with that of all sheets below which it is no single ridge. It is
+    -0.5 to 0.4 where thin sheets side by side were taken for one, and 0.5 or more for ridges of all
+    recordings tried. Larger drops markers of unusual shape, smaller takes two sheets for one
+    (test_distortion.py)."""
 
     most_pulled: float = 0.5
-    """Ridge widths by which a sheet's positions may usually be distorted for it to be one ridge still: beyond
-    a Gaussian's standard deviation a second sheet or a mark is as much of it. Larger gives places between two
-    sheets as one's, smaller withholds sheets in a shadow (test_degraded.py)."""
+    """Usual distortion, in ridge widths, above which a sheet is no single ridge: beyond a Gaussian's standard
+    deviation, a second sheet or a mark contributes as much. Larger gives positions between two sheets,
+    smaller withholds sheets in a shadow (test_degraded.py)."""
 
     distortion_sigmas: float = 5.0
-    """Times its usual scatter by which a position must depend on a slope of the light for the ridge to be
-    distorted. Larger lets pulled ones pass as ok, smaller flags noise; test_distortion.py has a highlight
-    and a shadow beside a ridge."""
+    """Effect of a slope of the light on a position, over its usual scatter, above which the ridge is
+    distorted. Larger calls distorted ridges ok, smaller flags noise; test_distortion.py has a highlight and a
+    shadow beside a ridge."""
 
     distortion_everywhere: float = 2.0
-    """Times the change of a position with a slope of the light that noise predicts, above which all ridges
-    are distorted. It is 0.7 to 1.1 in films that are clean, soft or dirty, and 14 under a moving reflection
-    (test_distortion.py): larger overlooks that, smaller takes the texture of the paper for it."""
+    """Effect of a slope of the light on positions, over that predicted from noise, above which all ridges are
+    distorted. It is 0.7 to 1.1 in films that are clean, soft or dirty, and 14 under a moving reflection
+    (test_distortion.py). Larger overlooks a reflection, smaller takes the texture of the paper for one."""
 
     distortion_floor: float = 0.05
-    """Least such difference, px: where noise is small, less does not matter."""
+    """Least such effect, px; smaller ones do not matter, even where noise is small."""
 
     distortion_least_px: float = 5.0
-    """Width of ridges from which on their shape is looked at. Narrower ones change with their place among the
-    pixels, which smaller takes for dirt (test_accuracy.py's 3 px); larger looks at fewer recordings."""
+    """Ridge width above which shapes are compared. The shape of narrower ridges depends on their position
+    among the pixels, which smaller takes for dirt (test_accuracy.py's 3 px); larger checks fewer films."""
 
     distortion_residual: float = 3.0
-    """Times the usual by which a ridge's pixels must differ from the mean shape. Larger lets specks pass,
-    smaller flags noise; test_distortion.py, and test_degraded.py's dirt."""
+    """Factor over the usual residual of a ridge from the mean shape. Larger lets specks pass, smaller flags
+    noise; test_distortion.py, and test_degraded.py's dirt."""
 
     overlapping: float = 0.45
-    """Width over pitch from which a slope under a ridge is its neighbours', and no sign of something strange.
-    Larger calls narrow ridges between broad ones distorted (11 px wide, 20 px apart: x_err_px of 0.5 px for
-    0.02), smaller misses a comb's own reflection (test_distortion.py)."""
+    """Width over pitch above which a slope under a ridge is due to its neighbours, not to an object. Larger
+    calls narrow ridges between broad ones distorted (11 px wide, 20 px apart: x_err_px of 0.5 px for 0.02),
+    smaller misses a comb's own reflection (test_distortion.py)."""
 
     lopsided: float = 0.1
-    """Usual odd part of a sheet's mean residual, px, from which on ridges are lopsided by themselves. Larger
-    takes shoulders of the paper for dirt (0.6 in test_certify.py's shouldered ridges), smaller overlooks dirt
-    that stands still where shapes differ a little (0.02 to 0.04 on usual films)."""
+    """Usual odd part of a sheet's mean residual, px, above which the ridges themselves are lopsided. Larger
+    takes shoulders of the paper for dirt (0.6 in test_certify.py's shouldered ridges), smaller overlooks
+    stationary dirt where shapes differ slightly (0.02 to 0.04 on usual films)."""
 
     distortion_error: float = 1.5
     """Error of a distorted position over that residual: between 1 (specks anywhere) and 2 (all on the flank)
@@ -332,8 +357,8 @@ class TrackingSettings:
     # --- stated errors (tracks.py) ---
 
     most_correlated: float = 2.0
-    """Noise alike in some pixels side by side shifts a ridge by the root of their number more than the pixels
-    predict. Positions that scatter by more than this factor move: larger takes motion for noise."""
+    """Scatter of positions over that predicted from the pixels, above which it is motion. Noise that adjacent
+    pixels share increases the scatter by the root of their number. Larger takes motion for noise."""
 
     # --- symmetry axis (numbering.py) ---
 
@@ -341,16 +366,16 @@ class TrackingSettings:
     """Standard errors by which the comb's ends must move for the motion to decide the axis."""
 
     axis_slack: float = 0.02
-    """Fraction of all motion by which places of the axis may differ and still be equally good; larger widens
-    the choice in the stiff centre."""
+    """Fraction of all motion by which positions of the axis may differ and still be equally good; larger
+    widens the choice in the stiff centre."""
 
     knock_ratio: float = 2.0
-    """Times by which all sheets step further together than the comb's ends step apart when a step tells of
-    the camera, not of the axis. Larger lets one knock place the axis, smaller drops slips of shaken films."""
+    """Step of all sheets together, over the opening of the comb's ends, above which a step is the camera's.
+    Larger lets one knock place the axis, smaller drops slips of films with vibration."""
 
     vibration_sigmas: float = 2.0
-    """Times the common-mode vibration that is allowed for. Larger leaves the axis open, smaller lets a
-    shaking camera move it; test_numbering.py shakes lopsided and centred combs."""
+    """Common-mode vibration, in standard deviations, that the axis allows for. Larger leaves the axis open,
+    smaller lets vibration move it; test_numbering.py has vibrating lopsided and centred combs."""
 
     decided_sheets: int = 2
     """Sheets by which the axis may lie elsewhere for the motion still to have found it."""

@@ -1,9 +1,9 @@
-"""Ridge positions to a hundredth of a pixel, one function per fit, each with its error.
+"""Ridge positions to a hundredth of a pixel: one function per fit, each with its error.
 
-The fits take the profile (frame, x) and whole-pixel starting points, and return positions in px (pixel
-centres at integers) and the error that one grey level of white pixel noise would give them. Ridges are
-bright: pass the negative profile for dark ones. `fit_sheets` runs a fit on all sheets of all frames;
-`intensity_noise` and `position_noise` measure the noise that errors of positions come from.
+The fits take the profile (frame, x) and whole-pixel starting points. They return positions in px (pixel
+centres at integers) and the error that one grey level of white pixel noise would cause. Ridges are bright:
+pass the negative profile for dark ones. `fit_sheets` fits all sheets in all frames; `intensity_noise` and
+`position_noise` measure noise.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from vision.sheets.settings import DEFAULT, TrackingSettings
 FitName = Literal["sliding", "paper", "template"]
 FitChoice = Literal["auto", "sliding", "paper", "template"]
 
-LEAST_TRIPLES = 8  # groups of three consecutive frames from which noise is measured
+LEAST_TRIPLES = 8  # groups of three consecutive frames that a measurement of noise needs
 
 
 class FittedPositions(NamedTuple):
-    """One entry per starting point.
+    """Positions and errors, one per starting point.
 
     Parameters
     ----------
     x_px
-        Position, NaN where the fit has no answer.
+        Position, NaN where the fit fails.
     err_per_noise
         Standard error of the position, px, per grey level of white noise in the profile.
     """
@@ -43,7 +43,7 @@ class FittedPositions(NamedTuple):
 
 
 class Starts(NamedTuple):
-    """Where to fit: frame number (row of the profile) and whole pixel, both (points,)."""
+    """Starting points of a fit: frame number (row of the profile) and whole pixel, both (points,)."""
 
     frame: Ints
     x: Ints
@@ -55,9 +55,9 @@ class Starts(NamedTuple):
 def paper_vertex(
     profile: NDArray[np.floating], starts: Starts, *, window_px: int = 9, search_px: int = 3
 ) -> FittedPositions:
-    r"""Vertex of the least-squares parabola through `window_px` pixels centred on the brightest one.
+    r"""Return the vertex of the least-squares parabola through pixels centred on the brightest one.
 
-    The publication's method, exactly. It locks to whole pixels (50–190 mpx peak to peak), which
+    This is exactly the publication's method. It locks to whole pixels (50–190 mpx peak to peak), which
     `sliding_vertex` does not.
 
     Parameters
@@ -65,16 +65,16 @@ def paper_vertex(
     profile
         Grey levels (frame, x), bright ridges.
     starts
-        Where to look, (points,).
+        Starting points, (points,).
     window_px
         Odd width of the fit window.
     search_px
-        The brightest pixel is looked for this far to either side of the start.
+        Distance on either side of the start within which the brightest pixel is searched.
 
     Returns
     -------
     FittedPositions
-        NaN where the window leaves the frame, the brightest pixel lies at the end of the search, the parabola
+        NaN where the window leaves the frame, the brightest pixel is at the limit of the search, the parabola
         has no maximum, or its vertex lies outside the window.
 
     Notes
@@ -110,18 +110,18 @@ def paper_vertex(
 
 
 def sliding_vertex(profile: NDArray[np.floating], starts: Starts, *, window_px: int = 9) -> FittedPositions:
-    r"""Ridge positions where the slope of the least-squares parabola is zero.
+    r"""Return positions at which the slope of a sliding least-squares parabola is zero.
 
-    A parabola fitted to `window_px` pixels has, at its centre, a slope that is one fixed linear filter of
-    the profile. A ridge lies where that slope falls through zero as the window slides, so unlike the
-    vertex of a window pinned to the brightest pixel the result does not lock to whole pixels.
+    The slope at the centre of a parabola fitted to `window_px` pixels is a fixed linear filter of the
+    profile. A ridge lies where that slope falls through zero as the window slides. Unlike the vertex in a
+    window centred on the brightest pixel, this position does not lock to whole pixels.
 
     Parameters
     ----------
     profile
         Grey levels (frame, x), bright ridges.
     starts
-        Where to look, (points,).
+        Starting points, (points,).
     window_px
         Odd width of the fit window.
 
@@ -137,15 +137,15 @@ def sliding_vertex(profile: NDArray[np.floating], starts: Starts, *, window_px: 
 
     .. math:: b(x) = \frac{\sum_{j=-h}^{h} j\, I(x + j)}{\sum_{j=-h}^{h} j^2} ,
 
-    is interpolated between pixels by the cubic through its four neighbours; of several zeros the one nearest
-    the start counts. Its error is that of the slope over :math:`|b'(x)|`.
+    is interpolated between pixels by the cubic through its four neighbours. Of several zeros the one nearest
+    to the start is used. Its error is that of the slope over :math:`|b'(x)|`.
     Source: paper, appendix B; Savitzky & Golay 1964.
     """
     half, width = window_px // 2, profile.shape[1]
     slope = _slope(profile, window_px).ravel()
     left = np.flatnonzero((slope[:-1] >= 0) & (slope[1:] < 0))
     column = left % width
-    left = left[(column >= half) & (column <= width - 2 - half)]  # the parabola stands inside the frame
+    left = left[(column >= half) & (column <= width - 2 - half)]  # the parabola is inside the frame
     at, found = _nearest(left, slope, starts.frame * width + starts.x, half)
     four = slope[np.clip(at + np.arange(-1, 3)[:, None], 0, len(slope) - 1)].astype(np.float64)
     step, steepness = _cubic_zero(four)
@@ -158,19 +158,19 @@ def sliding_vertex(profile: NDArray[np.floating], starts: Starts, *, window_px: 
 def template_shift(
     profile: NDArray[np.floating], starts: Starts, shape: NDArray[np.integer], x_px: Floats, *, half_px: int
 ) -> FittedPositions:
-    """Positions by matching each ridge to its own mean shape.
+    """Return positions by matching each ridge to the mean shape of its sheet.
 
-    The pixels of all ridges of one sheet, each shifted by its first position, give the mean shape and its
-    derivative at any fraction of a pixel (a least-squares spline). One Gauss-Newton step then fits shift,
-    brightness and background together, twice over. The mean shift over all of a sheet's ridges is
-    subtracted, so a template never moves a sheet's mean position.
+    The pixels of all ridges of a sheet, each shifted by its initial position, give the mean shape and its
+    derivative at any fraction of a pixel (a least-squares spline). A Gauss-Newton step then fits shift,
+    brightness and background together; both are done twice. The mean shift over the ridges of a sheet is
+    subtracted, so that the template never moves a sheet's mean position.
 
     Parameters
     ----------
     profile
         Grey levels (frame, x), bright ridges.
     starts, shape, x_px
-        Of each ridge (points,): frame and whole pixel; which template it belongs to; its first position, from
+        For each ridge (points,): frame and whole pixel; number of its template; initial position from
         `sliding_vertex`.
     half_px
         Half-width of the template.
@@ -182,7 +182,7 @@ def template_shift(
 
     Notes
     -----
-    Least-squares matching. The scatter is 1.00–1.04 of the Cramér–Rao bound at FWHM 6–10 px.
+    This is least-squares matching. Its scatter is 1.00–1.04 of the Cramér–Rao bound at FWHM 6–10 px.
     """
     centre = np.rint(np.nan_to_num(x_px)).astype(np.int64)
     offsets = np.arange(-half_px, half_px + 1)
@@ -197,14 +197,14 @@ def template_shift(
 
 
 def gather(profile: NDArray[np.floating], starts: Starts, offsets: NDArray[np.integer]) -> Floats:
-    """Pixels at consecutive `offsets` from each start, (points, offsets), NaN outside the frame."""
+    """Return pixels at consecutive `offsets` from each start, (points, offsets), NaN outside the frame."""
     missing = max(0, len(offsets) - profile.shape[1])
     padded = np.pad(profile, ((0, 0), (0, missing)), constant_values=np.nan) if missing else profile
     last = padded.shape[1] - 1
     wanted = starts.x + offsets[0]
     first = np.clip(wanted, 0, last + 1 - len(offsets))
     pixels = sliding_window_view(padded, len(offsets), axis=1)[starts.frame, first].astype(np.float64)
-    cut = np.flatnonzero(first != wanted)  # a few, near the ends
+    cut = np.flatnonzero(first != wanted)  # the few windows near the ends
     columns = starts.x[cut, None] + offsets
     inside = np.clip(columns, 0, last)
     pixels[cut] = np.where(columns == inside, padded[starts.frame[cut, None], inside], np.nan)
@@ -217,7 +217,7 @@ def _quadratic_norm(offsets: NDArray[np.integer]) -> float:
 
 
 def _parabola(pixels: Floats, offsets: NDArray[np.integer]) -> tuple[Floats, Floats]:
-    """Slope and second-degree coefficient of the least-squares parabola through rows of pixels."""
+    """Return slope and second-degree coefficient of the least-squares parabola through rows of pixels."""
     linear = offsets / (offsets**2).sum()
     square = offsets.astype(np.float64) ** 2
     quadratic = (square - square.mean()) / _quadratic_norm(offsets)
@@ -226,7 +226,7 @@ def _parabola(pixels: Floats, offsets: NDArray[np.integer]) -> tuple[Floats, Flo
 
 
 def _slope(profile: NDArray[np.floating], window_px: int) -> Floats32:
-    """Slope of the sliding parabola at every pixel, grey levels per px."""
+    """Return the slope of the sliding parabola at every pixel, grey levels per px."""
     offsets = np.arange(-(window_px // 2), window_px // 2 + 1)
     kernel = (offsets / (offsets**2).sum())[None, :]
     clean = np.ascontiguousarray(profile, np.float32)
@@ -234,8 +234,10 @@ def _slope(profile: NDArray[np.floating], window_px: int) -> Floats32:
 
 
 def _nearest(left: Ints, slope: Floats32, start: Ints, reach: int) -> tuple[Ints, Bools]:
-    """Of the pixels just left of a zero, the one whose zero is nearest each start, and whether it is within
-    reach."""
+    """Return the pixel just left of the zero nearest to each start, and whether that zero is within reach.
+
+    left: pixels just left of a zero of the slope.
+    """
     if not len(left):
         return np.zeros_like(start), np.zeros(len(start), bool)
     zero = left + slope[left] / (slope[left].astype(np.float64) - slope[left + 1])
@@ -246,8 +248,10 @@ def _nearest(left: Ints, slope: Floats32, start: Ints, reach: int) -> tuple[Ints
 
 
 def _cubic_zero(four: Floats) -> tuple[Floats, Floats]:
-    """Zero in [0, 1] of the cubic through values at −1, 0, 1, 2 (4, points), and its derivative there; Newton
-    from the chord."""
+    """Return the zero in [0, 1] of the cubic through values at −1, 0, 1, 2 (4, points), and its slope there.
+
+    Newton's method, started at the zero of the chord.
+    """
     a, b, c, d = four
     cubic = np.stack([(-a + 3 * b - 3 * c + d) / 6, (a - 2 * b + c) / 2, c - b / 2 - a / 3 - d / 6, b])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -260,7 +264,7 @@ def _cubic_zero(four: Floats) -> tuple[Floats, Floats]:
 
 
 def _match(pixels: Floats, fraction: Floats, centre: Ints) -> tuple[Floats, Floats]:
-    """Positions of one sheet's ridges against their mean shape, and their error per grey level of noise."""
+    """Match one sheet's ridges to their mean shape: positions, and their error per grey level of noise."""
     step = np.zeros_like(fraction)
     err = np.full_like(fraction, np.nan)
     for _ in range(2):
@@ -268,10 +272,10 @@ def _match(pixels: Floats, fraction: Floats, centre: Ints) -> tuple[Floats, Floa
             mean, rise = _mean_shape(fraction + step, pixels)
         except np.linalg.LinAlgError:
             return fraction + centre, err
-        more, err = _gauss_newton(pixels, mean, rise)
-        if not np.isfinite(more).any():
+        update, err = _gauss_newton(pixels, mean, rise)
+        if not np.isfinite(update).any():
             return fraction + centre, err
-        step += more - np.nanmean(more)
+        step += update - np.nanmean(update)
     bad = ~(np.abs(step) <= 1.0)
     return np.where(bad, np.nan, fraction + step + centre), np.where(bad, np.nan, err)
 
@@ -281,22 +285,23 @@ _PIECES = np.array([[1, -3, 3, -1], [4, 0, -6, 3], [1, 3, 3, -3], [0, 0, 0, 1]])
 
 
 def _mean_shape(shift_px: Floats, pixels: Floats) -> tuple[Floats, Floats]:
-    """Value and slope of one sheet's mean shape at each pixel: a least-squares cubic spline through all.
+    """Return value and slope of one sheet's mean shape at each pixel, from a least-squares cubic spline.
 
-    shift_px: by how much each ridge is shifted, (ridges,). pixels: (ridges, pixels). Knots stand between the
-    pixels of a ridge that is not shifted. All pixels of a ridge lie at the same place between two knots, so
-    that sums over ridges are products of matrices. Beyond the knots the outermost cells go on.
+    shift_px: shift of each ridge, (ridges,). pixels: (ridges, pixels). Knots lie midway between the pixels of
+    a ridge that is not shifted. All pixels of a ridge have the same position between two knots, so that sums
+    over ridges are products of matrices. Beyond the knots the outermost cells are extrapolated.
     """
     cells = pixels.shape[1]
     normal, right = np.zeros((cells + 3, cells + 3)), np.zeros(cells + 3)
-    at = 0.5 - np.clip(shift_px, -cells, cells)  # of the first pixel among the knots
-    whole = np.floor(at)
-    kinds = np.unique(whole[np.isfinite(whole)])
-    groups = [(whole == first, np.arange(cells) + int(first)) for first in kinds]
-    place, four = at - whole, np.arange(4)
+    first_px = 0.5 - np.clip(shift_px, -cells, cells)  # position of the first pixel among the knots
+    whole = np.floor(first_px)
+    groups = [  # ridges with the same first cell, and the cells of their pixels
+        (whole == first, np.arange(cells) + int(first)) for first in np.unique(whole[np.isfinite(whole)])
+    ]
+    fraction, four = first_px - whole, np.arange(4)
     for mine, column in groups:
         cell = np.clip(column, 0, cells - 1)
-        powers = place[mine, None] ** four
+        powers = fraction[mine, None] ** four
         blocks = np.tile(powers.T @ powers, (cells, 1, 1))  # (cell, 4, 4)
         loads = pixels[mine].T @ powers
         for beyond in np.flatnonzero(cell != column):  # these pixels count at the outermost knot
@@ -305,36 +310,36 @@ def _mean_shape(shift_px: Floats, pixels: Floats) -> tuple[Floats, Floats]:
         row = cell[:, None] + four
         np.add.at(normal, (row[:, :, None], row[:, None, :]), _PIECES @ blocks @ _PIECES.T)
         np.add.at(right, row, loads @ _PIECES.T)
-    found = np.linalg.solve(normal, right)
-    cubic = found[np.arange(cells)[:, None] + four] @ _PIECES
+    spline = np.linalg.solve(normal, right)
+    cubic = spline[np.arange(cells)[:, None] + four] @ _PIECES
     mean, rise = np.full_like(pixels, np.nan), np.full_like(pixels, np.nan)
     for mine, column in groups:
         cell = np.clip(column, 0, cells - 1)
-        powers = place[mine, None] ** four
+        powers = fraction[mine, None] ** four
         mean[mine] = powers @ cubic[cell].T
         rise[mine] = powers[:, :3] @ (cubic[cell, 1:] * four[1:]).T
         for beyond in np.flatnonzero(cell != column):
-            powers = (place[mine, None] + column[beyond] - cell[beyond]) ** four
+            powers = (fraction[mine, None] + column[beyond] - cell[beyond]) ** four
             mean[mine, beyond] = powers @ cubic[cell[beyond]]
             rise[mine, beyond] = powers[:, :3] @ (cubic[cell[beyond], 1:] * four[1:])
     return mean, rise
 
 
 def _gauss_newton(pixels: Floats, mean: Floats, rise: Floats) -> tuple[Floats, Floats]:
-    """Shift that brings the mean shape onto the pixels, with brightness and level fitted alongside.
+    """Return the shift that brings the mean shape onto the pixels, and its error per grey level of noise.
 
-    Level and brightness are eliminated: of the normal equations for the shift and the brightness, both less
-    their means over the pixels, only the shift is solved for.
+    Level and brightness are fitted as well, but eliminated from the normal equations: the slope and the shape
+    are taken less their means over the pixels, and only the shift is solved for.
     """
     shift, shape = rise.mean(axis=1, keepdims=True) - rise, mean - mean.mean(axis=1, keepdims=True)
-    rest = pixels - mean
+    residual = pixels - mean
     shift_shift, shift_shape, shape_shape = (
         np.einsum("ij,ij->i", a, b) for a, b in ((shift, shift), (shift, shape), (shape, shape))
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         shared = shift_shape / shape_shape
         alone = shift_shift - shared * shift_shape
-        found = np.einsum("ij,ij->i", shift, rest) - shared * np.einsum("ij,ij->i", shape, rest)
+        found = np.einsum("ij,ij->i", shift, residual) - shared * np.einsum("ij,ij->i", shape, residual)
         return found / alone, np.sqrt(1 / alone)
 
 
@@ -347,21 +352,17 @@ def choose_window(
     *,
     settings: TrackingSettings = DEFAULT,
 ) -> int:
-    """Width of the fit window, px, odd.
+    """Return the width of the fit window, px, odd.
 
     Parameters
     ----------
     comb
         Width and pitch of the ridges.
     asked
-        A width, which is taken as it is; "auto" for one that follows the ridges' width; None for the
-        publication's where that suits the ridges' width, else as "auto".
+        A given width; "auto" for a width that follows that of the ridges; None for the publication's width if
+        it suits the ridges, else as for "auto".
     settings
-        Standard window, and window per ridge width.
-
-    Returns
-    -------
-    int
+        `standard_window_px`, `standard_widths_px`, `window_per_width`.
 
     Raises
     ------
@@ -387,7 +388,7 @@ def choose_window(
 def fit_sheets(
     bright: Floats32, start_px: Floats, *, fit: FitName, window_px: int, comb: RidgeComb
 ) -> tuple[Floats, Floats]:
-    """Positions and their error per grey level of noise, both (frame, N), NaN where start_px is.
+    """Return positions and their error per grey level of noise, both (frame, N), NaN where start_px is.
 
     Parameters
     ----------
@@ -396,7 +397,7 @@ def fit_sheets(
     start_px
         Whole pixels (frame, N), NaN for none.
     fit, window_px
-        Method and width of its window.
+        Name of the fit and width of its window.
     comb
         Width and pitch of the ridges.
     """
@@ -415,13 +416,13 @@ def fit_sheets(
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(run, [slice(i, i + FRAMES_PER_BLOCK) for i in range(0, len(bright), FRAMES_PER_BLOCK)]))
-    return _matched(bright, x, comb) if fit == "template" else (x, err)
+    return _match_all(bright, x, comb) if fit == "template" else (x, err)
 
 
 def learned_template(
     bright: Floats32, x_px: Floats, err: Floats, comb: RidgeComb, *, settings: TrackingSettings = DEFAULT
 ) -> tuple[Floats, Floats, Bools]:
-    """Positions against each sheet's mean shape where that is learned well, else those of the sliding window.
+    """Return template positions for sheets whose mean shape is learned well, and the given ones for others.
 
     Parameters
     ----------
@@ -437,13 +438,14 @@ def learned_template(
     Returns
     -------
     x_px, err, learned
-        Positions and errors (frame, N); whether each sheet's are the template's (N,).
+        Positions and errors (frame, N); whether those of a sheet are from the template, (N,).
 
     Notes
     -----
-    A mean shape is known between pixels only if its sheet moved over them, in enough frames. It is used for a
-    sheet if it answers wherever the window does, follows its motion with the same scale, and scatters less
-    from frame to frame; for none if it fails for most sheets, or the film is too long.
+    A mean shape is known between pixels only if its sheet moved over them in enough frames. The template is
+    used for a sheet if it has a position wherever the sliding window has, if both measure the same motion,
+    and if it scatters less from frame to frame. It is used for no sheet if it fails for most, or if the film
+    is too long.
     """
     none = np.zeros(x_px.shape[1], bool)
     seen = np.isfinite(x_px)
@@ -455,35 +457,35 @@ def learned_template(
     learned = enough & (spread >= settings.template_motion_px)
     if learned.mean() < 0.5:
         return x_px, err, none
-    there, own_err = _matched(bright, np.where(learned, x_px, np.nan), comb)
-    answers = (np.isfinite(there) | ~seen).mean(axis=0) > 0.99
-    both = np.isfinite(there) & seen
-    ours, theirs = np.where(both, moved, 0.0), np.where(both, there - nan_median(x_px), 0.0)
-    scale = (ours * theirs).sum(axis=0) / np.maximum((ours**2).sum(axis=0), 1e-12)
-    new = seen.any(axis=1)  # frames that repeat the one before are none
+    matched, matched_err = _match_all(bright, np.where(learned, x_px, np.nan), comb)
+    complete = (np.isfinite(matched) | ~seen).mean(axis=0) > 0.99
+    both = np.isfinite(matched) & seen
+    by_window, by_match = np.where(both, moved, 0.0), np.where(both, matched - nan_median(x_px), 0.0)
+    scale = (by_window * by_match).sum(axis=0) / np.maximum((by_window**2).sum(axis=0), 1e-12)
+    new = seen.any(axis=1)  # without repeated frames
     with np.errstate(invalid="ignore"):
-        better = position_noise(there[new]) <= position_noise(x_px[new])
-    learned &= answers & (np.abs(scale - 1) < settings.template_scale) & better
+        quieter = position_noise(matched[new]) <= position_noise(x_px[new])
+    learned &= complete & (np.abs(scale - 1) < settings.template_scale) & quieter
     if learned.mean() < 0.5:
         return x_px, err, none
-    take = learned & np.isfinite(there)
-    return np.where(take, there, x_px), np.where(take, own_err, err), learned
+    use = learned & np.isfinite(matched)
+    return np.where(use, matched, x_px), np.where(use, matched_err, err), learned
 
 
 def locking_error(
     x_px: Floats, bright: Floats32, start_px: Floats, window_px: int, comb: RidgeComb
 ) -> Floats:
-    """Distance of the paper fit's positions from where the sliding slope is zero, px, (frame, N).
+    """Return the distance of the paper fit's positions from those of the sliding window, px, (frame, N).
 
-    The paper's fit locks to whole pixels by more than the noise; this is that error, as the recording itself
-    shows it. 0 where it is unknown.
+    The paper fit locks to whole pixels by more than the noise; this measures that error in the recording
+    itself. 0 where it is unknown.
     """
     free, _ = fit_sheets(bright, start_px, fit="sliding", window_px=window_px, comb=comb)
     return np.nan_to_num(np.abs(x_px - free), nan=0.0)
 
 
-def _matched(bright: Floats32, x: Floats, comb: RidgeComb) -> tuple[Floats, Floats]:
-    """Positions against each sheet's own mean shape, from those of the sliding window."""
+def _match_all(bright: Floats32, x: Floats, comb: RidgeComb) -> tuple[Floats, Floats]:
+    """Match all sheets to their mean shapes, starting at positions x of the sliding window."""
     known = np.isfinite(x)
     frame, sheet = np.nonzero(known)
     half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
@@ -499,21 +501,21 @@ def _matched(bright: Floats32, x: Floats, comb: RidgeComb) -> tuple[Floats, Floa
 
 
 def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int, fallback: float) -> Floats:
-    """Standard deviation of the profile's noise around each sheet, grey levels, (N,).
+    """Return the standard deviation of the profile's noise around each sheet, grey levels, (N,).
 
-    From second differences in time of the pixels around a ridge, taken along with all sheets by whole pixels,
-    less what its motion and flicker (level, brightness, first and second derivative of the ridge) explain: so
-    the paper's texture and a shaking camera are no noise, and bright ridges may be noisier. The median over
-    groups of three frames ignores slips.
+    It is measured from second differences in time of the pixels around a ridge. The pixels follow the common
+    motion of all sheets by whole pixels, and changes that motion and flicker explain (level, brightness,
+    first and second derivative of the ridge) are subtracted. Hence neither the texture of the paper nor
+    vibration counts as noise. The median over groups of three frames ignores slips.
 
     Parameters
     ----------
     profile, x_px
         Grey levels (frame, x); positions (frame, N), NaN where missing.
     half_px
-        Half-width of the pixels taken, at least 5.
+        Half-width of the window, px; at least 5 are used.
     fallback
-        For sheets seen in fewer than eight groups of three frames.
+        Noise of sheets seen in fewer than eight groups of three frames.
     """
     half = max(half_px, 5)
     middle = _triples(x_px)
@@ -521,11 +523,13 @@ def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int
         return np.full(x_px.shape[1], fallback)
     centre = np.nan_to_num(np.rint(x_px[middle]), nan=-10 * half).astype(np.int64)
     offsets = np.arange(-half - 1, half + 2)
-    before, now, after = (
-        gather(profile, Starts(np.repeat(middle + step, x_px.shape[1]), (centre + carried).ravel()), offsets)
-        for step in (-1, 0, 1)
-        for carried in [_common_steps(x_px, middle, step)[:, None]]
-    )
+
+    def around(step: int) -> Floats:
+        """Pixels around the ridges, `step` frames after the middle frames."""
+        column = centre + _common_steps(x_px, middle, step)[:, None]
+        return gather(profile, Starts(np.repeat(middle + step, x_px.shape[1]), column.ravel()), offsets)
+
+    before, now, after = around(-1), around(0), around(1)
     variance = _residual_variance(before + after - 2 * now, (before + now + after) / 3)
     variance = variance.reshape(len(middle), -1) / 6
     known = np.isfinite(variance).sum(axis=0) >= LEAST_TRIPLES
@@ -534,17 +538,16 @@ def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int
 
 
 def _common_steps(x_px: Floats, middle: Ints, step: int) -> Ints:
-    """Whole pixels by which all sheets are carried from frames `middle` to those `step` further."""
-    carried = nan_median(x_px[middle + step] - x_px[middle], axis=1)
-    return np.asarray(np.rint(np.nan_to_num(carried)), np.int64)
+    """Return the common motion of all sheets from frames `middle` to those `step` later, whole pixels."""
+    moved = nan_median(x_px[middle + step] - x_px[middle], axis=1)
+    return np.asarray(np.rint(np.nan_to_num(moved)), np.int64)
 
 
 def position_noise(x_px: Floats) -> Floats:
-    """Standard deviation of the positions from frame to frame, px, as measured.
+    """Return the measured standard deviation of the positions from frame to frame, px.
 
-    From second differences in time, so that a steady creep does not count, less their median over the
-    sheets, so that vibration of the camera does not either (with five sheets or more); median absolute
-    value, so slips do not.
+    Second differences in time exclude steady creep. Subtracting their median over the sheets (with five
+    sheets or more) excludes vibration of the camera, and the median absolute value excludes slips.
 
     Parameters
     ----------
@@ -566,7 +569,7 @@ def position_noise(x_px: Floats) -> Floats:
 
 
 def _triples(x_px: Floats) -> Ints:
-    """Middle frames of triples in which most sheets are seen, spread over the recording."""
+    """Return the middle frames of triples in which most sheets are seen, spread over the recording."""
     seen = np.isfinite(x_px).mean(axis=1) > 0.5
     middle = 1 + np.flatnonzero(seen[2:] & seen[1:-1] & seen[:-2])
     if not len(middle):
@@ -575,8 +578,7 @@ def _triples(x_px: Floats) -> Ints:
 
 
 def _residual_variance(change: Floats, mean: Floats) -> Floats:
-    """Variance of what is left of `change` (points, pixels) when the mean ridge's own changes are fitted and
-    removed."""
+    """Return the variance of `change` (points, pixels) without the fitted changes of the mean ridge."""
     inner = mean[:, 1:-1]
     basis = np.stack(
         [
@@ -590,9 +592,9 @@ def _residual_variance(change: Floats, mean: Floats) -> Floats:
     known = np.isfinite(basis).all(axis=(1, 2)) & np.isfinite(change).all(axis=1)
     out = np.full(len(change), np.nan)
     q = np.linalg.qr(basis[known] + 1e-9)[0]
-    rest = change[known][:, 1:-1]
-    rest = rest - (q @ (np.swapaxes(q, 1, 2) @ rest[:, :, None]))[:, :, 0]
+    residual = change[known][:, 1:-1]
+    residual = residual - (q @ (np.swapaxes(q, 1, 2) @ residual[:, :, None]))[:, :, 0]
     dof = inner.shape[1] - basis.shape[2]
     # the median of a chi-squared variable with k degrees of freedom is about k (1 − 2/(9k))³
-    out[known] = (rest**2).sum(axis=1) / (dof * (1 - 2 / (9 * dof)) ** 3)
+    out[known] = (residual**2).sum(axis=1) / (dof * (1 - 2 / (9 * dof)) ** 3)
     return out

@@ -1,4 +1,4 @@
-"""I(x, t) becomes x(n, t): in the whole strip, and in parts of it one above the other."""
+"""Track all sheets: from I(x, t) to x(n, t), for the whole strip and for parts of it at several heights."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from vision.data import STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Strings, nan_median
 from vision.sheets.corrections import Correction, apply_corrections, last_of
-from vision.sheets.distortion import distortion, not_one_ridge, shift_by_lamp
+from vision.sheets.distortion import distortion, not_one_ridge, shift_by_moving_light
 from vision.sheets.identities import Identities, identify_sheets
-from vision.sheets.neighbours import said_by_neighbours
+from vision.sheets.neighbours import predicted_by_neighbours
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.quality import (
     BetweenSlips,
@@ -45,8 +45,10 @@ _MPEG = {"mpeg1video", "mpeg2video", "mpeg4", "h261", "h263", "h264", "hevc", "v
 _OTHERS = {"av1", "vp3", "vp6", "vp7", "vp8", "vp9", "theora", "flv1", "rv30", "rv40", "svq3", "cinepak"}
 _MICROSOFT = {"msmpeg4v1", "msmpeg4v2", "msmpeg4v3", "wmv1", "wmv2", "wmv3", "vc1", "msvideo1"}
 BETWEEN_FRAMES = frozenset(_MPEG | _OTHERS | _MICROSOFT)
-"""Codecs that carry a picture's content, and with it errors, from frame to frame."""
+"""Codecs that predict a frame from other frames, and so carry errors from frame to frame."""
 LOSSY = BETWEEN_FRAMES | {"mjpeg", "mjpegb", "amv", "jpeg2000", "dvvideo", "dnxhd", "prores", "cfhd"}
+WHOLE_LEVELS = 0.05  # grey: noise assumed where a profile, averaged over some rows, shows none
+LEAST_ERROR_PX = 1e-4
 
 
 def track_sheets(
@@ -60,29 +62,29 @@ def track_sheets(
     corrections: Sequence[Correction] = (),
     settings: TrackingSettings = DEFAULT,
 ) -> xr.Dataset:
-    """Positions of all sheets in all frames.
+    """Return the positions of all sheets in all frames.
 
     Parameters
     ----------
     strip
         I(x, t) from `vision.strip_profile`, (frame, x), grey levels, with coordinates x (px), time_s and
-        status (without it, rows with NaN are "blank"). Its codec (`vision.data.StripMetadata`) decides
-        whether errors are raised to the scatter.
+        status (without status, rows with NaN are "blank"). Its codec (`vision.data.StripMetadata`) decides
+        whether errors are raised to the measured scatter.
     ridges
         Polarity of the ridges.
     sheets
-        Number in view, found if None.
+        Number of sheets in view; None to find it.
     axis_px
-        Symmetry axis, found if None.
+        Symmetry axis; None to find it.
     fit
-        "sliding", "paper" (the publication's, exactly), "template", or "auto": the template for the sheets
-        for which it is learned well if these are most of them, else sliding.
+        "sliding", "paper" (exactly the publication's fit), "template", or "auto". "auto" uses the template
+        for the sheets for which it is learned well, provided that these are most sheets, else "sliding".
     window_px
-        Odd fit window; None is 9 where the ridges are 6–14 px wide, else, as with "auto", it follows their
-        width.
+        Odd width of the fit window. None means 9 px for ridges 6–14 px wide. For other ridges, and for
+        "auto", the window follows their width.
     corrections
-        Decisions by hand, from `vision.sheets.corrections.read_corrections`: those about identities, and of
-        the axis, which goes before `axis_px`.
+        Manual decisions from `vision.sheets.corrections.read_corrections`. Those about identities and about
+        the axis are applied; the latter takes precedence over `axis_px`.
     settings
         Thresholds and costs.
 
@@ -90,80 +92,61 @@ def track_sheets(
     -------
     xarray.Dataset
         x_px, x_err_px and flag (frame, sheet); side, n, x_mean_px, found, fwhm_px, snr, x_noise_px (sheet);
-        time_s (frame); see `vision.data.TRACKS`. x_px is NaN wherever flag is neither "ok" nor "blurred":
-        "missing" (no ridge there), "merged" (several sheets in one ridge), "edge" (outside the picture or too
-        near its edge), "doubtful" (identity not certain), "unfit" (the fit has no answer, or what hides
-        the next sheet cuts the ridge), or the frame's own "frozen", "blank", "corrupt", "lost". What was
-        found automatically is in `vision.data.TrackMetadata`.
+        time_s (frame); see `vision.data.TRACKS`. x_px is NaN unless flag is "ok" or "blurred". The other
+        flags are "missing" (no ridge there), "merged" (several sheets in one ridge), "edge" (outside the
+        picture or too near its edge), "doubtful" (identity not certain), "unfit" (the fit fails, or an
+        object that hides the next sheet cuts the ridge), and the state of the frame: "frozen", "blank",
+        "corrupt" or "lost". `vision.data.TrackMetadata` holds what was found automatically.
 
     Raises
     ------
     InputError
-        For a strip that lacks something, a constant picture, no ridges, fewer ridges than `sheets`, an
-        impossible window, or an axis far from the picture.
+        For a strip without a required variable, a constant picture, no ridges, fewer ridges than `sheets`,
+        an impossible window, or an axis far from the picture.
 
     Notes
     -----
-    x_err_px is the noise of the profile times the fit's error per grey level, enlarged where positions
-    scatter by more both in time and between sheets, where the ridge moves within the exposure
-    (`vision.sheets.quality.motion_blur`), where something pulls it aside
-    (`vision.sheets.distortion.distortion`) and where light moves over the whole comb; with ``fit="paper"``
-    also the locking to whole pixels. For lossy video it is the scatter between sheets, since compression
-    hides the noise and adds artefacts of its own. What is the same in all frames (uneven light, the choice of
-    rows) is no part of it.
+    x_err_px is the noise of the profile times the fit's error per grey level. It is larger where positions
+    scatter by more both in time and between sheets, where the ridge moves during the exposure
+    (`vision.sheets.quality.motion_blur`), where it is distorted (`vision.sheets.distortion.distortion`), and
+    where light moves over the whole comb. With ``fit="paper"`` it includes the locking to whole pixels. For
+    lossy video it is the scatter between sheets, since compression hides the noise and adds its own
+    artefacts. It does not include errors that are the same in all frames (uneven light, the choice of rows).
     """
     STRIP.check(strip)
     facts = StripMetadata.of(strip)
     profile = np.asarray(strip.values, np.float32)
     _check(profile, facts.source)
     origin_px = float(strip["x"].values[0])
-    decided = last_of(corrections, "axis")
-    axis_px = axis_px if decided is None else decided.x_px
+    axis_decision = last_of(corrections, "axis")
+    axis_px = axis_px if axis_decision is None else axis_decision.x_px
     _check_axis(axis_px, origin_px, float(strip["x"].values[-1]))
     comb = describe_ridges(profile, polarity=ridges, sheets=sheets, source=facts.source, settings=settings)
     window = choose_window(comb, window_px, settings=settings)
-    candidates = find_ridges(profile, comb, settings=settings)
-    if not candidates.count.any():
-        raise no_ridges(profile, facts.source)
-    identities = identify_sheets(
-        candidates, comb, width_px=profile.shape[1], sheets=sheets, source=facts.source, settings=settings
-    )
-    detections = assign_detections(profile, candidates, identities, comb, settings=settings)
-    detections = apply_corrections(
-        detections,
-        candidates,
-        corrections,
-        comb,
-        frames=strip["frame"].values,
-        origin_px=origin_px,
-        settings=settings,
-    )
+    identities, detections = _detect(strip, profile, comb, sheets, corrections, settings)
     frozen = repeated_frames(profile, settings)
-    x, err, noise, used = _positions(profile, detections.start_px, comb, fit, window, frozen, settings)
-    errors = _errors(x, err, noise, frozen, facts.codec, settings)
-    judged = _judged(comb.bright(profile), x, errors, detections, frozen, comb, settings)
-    x, detections = judged.x_px, replace(detections, flag=judged.flag)
+    fitted = _fit(profile, detections.start_px, comb, fit, window, frozen, settings)
+    errors = _errors(fitted, frozen, facts.codec, settings)
+    assessed = _assess_ridges(comb.bright(profile), fitted.x_px, errors, detections, frozen, comb, settings)
     axis = None if axis_px is None else axis_px - origin_px
-    numbering = number_sheets(x, axis_px=axis, settings=settings)
     found = _Tracked(
         comb=comb,
         identities=identities,
-        detections=detections,
-        numbering=numbering,
-        x_px=x,
-        err_px=judged.err_px,
-        noise=noise,
+        detections=replace(detections, flag=assessed.flag),
+        numbering=number_sheets(assessed.x_px, axis_px=axis, settings=settings),
+        x_px=assessed.x_px,
+        err_px=assessed.err_px,
+        noise=fitted.noise,
         errors=errors,
         frozen=frozen,
-        blurred=judged.blurred,
-        distorted=judged.distorted,
+        blurred=assessed.blurred,
+        distorted=assessed.distorted,
         origin_px=origin_px,
     )
-    metadata = found.metadata(used, window, settings, count_given=sheets is not None)
     number = strip["frame"].values
     changes = scene_changes(detections.start_px, detections.contrast, comb, settings)
     metadata = replace(
-        metadata,
+        found.metadata(fitted.fit, window, settings, count_given=sheets is not None),
         fit_asked=fit,
         corrections_applied=len(corrections),
         scene_changes=[change._asdict() | {"frame": int(number[change.frame])} for change in changes],
@@ -181,9 +164,36 @@ def track_sheets(
     )
 
 
-class _Judged(NamedTuple):
-    """Positions without those that are cut, flags, errors with what is more than noise, and what of it shows,
-    all (frame, N)."""
+def _detect(
+    strip: xr.DataArray,
+    profile: Floats32,
+    comb: RidgeComb,
+    sheets: int | None,
+    corrections: Sequence[Correction],
+    settings: TrackingSettings,
+) -> tuple[Identities, Detections]:
+    """Find candidates, assign them to sheets and apply the manual corrections."""
+    source = StripMetadata.of(strip).source
+    candidates = find_ridges(profile, comb, settings=settings)
+    if not candidates.count.any():
+        raise no_ridges(profile, source)
+    identities = identify_sheets(
+        candidates, comb, width_px=profile.shape[1], sheets=sheets, source=source, settings=settings
+    )
+    detections = apply_corrections(
+        assign_detections(profile, candidates, identities, comb, settings=settings),
+        candidates,
+        corrections,
+        comb,
+        frames=strip["frame"].values,
+        origin_px=float(strip["x"].values[0]),
+        settings=settings,
+    )
+    return identities, detections
+
+
+class _Assessed(NamedTuple):
+    """Positions, flags and errors once blur, distortion and cut ridges are known, all (frame, N)."""
 
     x_px: Floats
     flag: Strings
@@ -192,7 +202,7 @@ class _Judged(NamedTuple):
     distorted: Bools
 
 
-def _judged(
+def _assess_ridges(
     bright: Floats32,
     x_px: Floats,
     errors: _Errors,
@@ -200,24 +210,25 @@ def _judged(
     frozen: Bools,
     comb: RidgeComb,
     settings: TrackingSettings,
-) -> _Judged:
-    """What moved while the shutter was open, what is pulled aside, and what is no ridge of one sheet."""
+) -> _Assessed:
+    """Find ridges that are blurred, cut or distorted, and those that are not the ridge of one sheet."""
     changing = np.where(frozen[:, None], np.nan, x_px)
     blur = motion_blur(changing, detections.contrast, detections.fwhm_px, comb, settings)
     smeared = (blur.err_px > 0) | blur.blurred
     x_px = np.where(smeared & beside_missing(detections.flag), np.nan, x_px)
-    pulled = distortion(bright, x_px, errors.err_px, smeared, comb, settings)
-    lamp = shift_by_lamp(x_px, detections.contrast, comb, settings)
-    several = not_one_ridge(bright, x_px, comb, settings)
-    several |= nan_median(pulled) > settings.most_pulled * comb.fwhm_px
-    several |= marks(x_px, errors.err_px, pulled, comb, settings)
-    flag = np.where((detections.flag == "ok") & several, "merged", detections.flag)
-    err = np.sqrt(errors.err_px**2 + blur.err_px**2 + pulled**2 + lamp**2)
-    return _Judged(x_px, flag, err, blur.blurred, pulled > 0)
+    distorted_px = distortion(bright, x_px, errors.err_px, smeared, comb, settings)
+    moving_light_px = shift_by_moving_light(x_px, detections.contrast, comb, settings)
+    not_a_sheet = not_one_ridge(bright, x_px, comb, settings)
+    not_a_sheet |= nan_median(distorted_px) > settings.most_pulled * comb.fwhm_px
+    not_a_sheet |= marks(x_px, errors.err_px, distorted_px, comb, settings)
+    flag = np.where((detections.flag == "ok") & not_a_sheet, "merged", detections.flag)
+    err = np.sqrt(errors.err_px**2 + blur.err_px**2 + distorted_px**2 + moving_light_px**2)
+    return _Assessed(x_px, flag, err, blur.blurred, distorted_px > 0)
 
 
 class _Errors(NamedTuple):
-    """Errors of positions (frame, N), and by sheet (N,) what they come from, all px."""
+    """Stated errors of positions (frame, N), and for each sheet (N,) the noise measured from frame to frame,
+    the scatter against neighbours and the error predicted from the pixels; all px."""
 
     err_px: Floats
     noise_px: Floats
@@ -227,8 +238,10 @@ class _Errors(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class _Tracked:
-    """Everything the Dataset is made of; columns counted from the strip's first. Of frames (frame,): frozen;
-    of sheets (N,): noise, grey levels; of both: x_px, err_px, blurred, distorted."""
+    """Everything that the Dataset is made of, with positions relative to the strip's first column.
+
+    frozen is (frame,); noise is (N,), grey levels; x_px, err_px, blurred and distorted are (frame, N).
+    """
 
     comb: RidgeComb
     identities: Identities
@@ -246,11 +259,12 @@ class _Tracked:
     def metadata(
         self, fit: FitName, window_px: int, settings: TrackingSettings, *, count_given: bool
     ) -> TrackMetadata:
-        """What later stages need to know; columns counted as in the picture."""
+        """Return what later stages need to know, with columns as in the picture."""
         comb, numbering, reference = self.comb, self.numbering, self.identities.reference
-        counted = len(reference.x_px) == self.x_px.shape[1]  # else sheets were added or deleted by hand
-        places = reference.x_px if counted else np.sort(nan_median(self.x_px))  # they may be swapped
-        gaps = [] if count_given else zip(*wide_spacings(places, settings=settings), strict=True)
+        unedited = len(reference.x_px) == self.x_px.shape[1]  # no sheet was added or deleted manually
+        # manual corrections may also have swapped sheets: sort
+        positions = reference.x_px if unedited else np.sort(nan_median(self.x_px))
+        gaps = [] if count_given else zip(*wide_spacings(positions, settings=settings), strict=True)
         least_margin = np.nanmin(self.identities.margin, initial=np.inf)
         return TrackMetadata(
             fit=fit,
@@ -273,6 +287,7 @@ class _Tracked:
 
 
 def _check(profile: Floats32, source: str) -> None:
+    """Refuse a profile without usable frames, with too few columns, or without any contrast."""
     good = np.flatnonzero(np.isfinite(profile).all(axis=1))
     if not len(good):
         raise InputError(source, "at least one usable frame", "none", "look at the frames' status")
@@ -283,14 +298,25 @@ def _check(profile: Floats32, source: str) -> None:
 
 
 def _check_axis(axis_px: float | None, first_px: float, last_px: float) -> None:
-    """With one side in view the axis lies outside the picture, but no further than the picture is wide."""
-    wide = last_px - first_px
-    if axis_px is not None and not first_px - wide <= axis_px <= last_px + wide:
+    """Refuse an axis further outside the picture than the picture is wide; with one side in view it does lie
+    outside."""
+    width = last_px - first_px
+    if axis_px is not None and not first_px - width <= axis_px <= last_px + width:
         near = f"a column near the picture ({first_px:.0f} to {last_px:.0f} px)"
         raise InputError("`axis_px`", near, f"{axis_px:g}", "give it in px")
 
 
-def _positions(
+class _Fitted(NamedTuple):
+    """Positions and their errors from noise, px, (frame, N); noise of the profile at each sheet, grey levels,
+    (N,); the fit that was used."""
+
+    x_px: Floats
+    err_px: Floats
+    noise: Floats
+    fit: FitName
+
+
+def _fit(
     profile: Floats32,
     start_px: Floats,
     comb: RidgeComb,
@@ -298,12 +324,12 @@ def _positions(
     window_px: int,
     frozen: Bools,
     settings: TrackingSettings,
-) -> tuple[Floats, Floats, Floats, FitName]:
-    """Positions and their standard error (frame, N), the profile's noise at each sheet (N,), the fit used."""
+) -> _Fitted:
+    """Fit all ridges, and measure the noise of the profile around them."""
     bright = comb.bright(profile)
     used: FitName = "sliding" if fit == "auto" else fit
     x, per_grey = fit_sheets(bright, start_px, fit=used, window_px=window_px, comb=comb)
-    new = ~frozen if frozen.any() else slice(None)  # without a copy of all frames
+    new = ~frozen if frozen.any() else slice(None)  # a slice does not copy the frames
     noise = intensity_noise(profile[new], x[new], half_px=window_px // 2, fallback=comb.noise)
     if fit == "auto":
         usable = np.where(frozen[:, None], np.nan, x)
@@ -315,31 +341,29 @@ def _positions(
     err = per_grey * noise
     if fit == "paper":
         err = np.hypot(err, locking_error(x, bright, start_px, window_px, comb))
-    return x, err, noise, used
+    return _Fitted(x, err, noise, used)
 
 
-def _errors(
-    x: Floats, err: Floats, noise: Floats, frozen: Bools, codec: str, settings: TrackingSettings
-) -> _Errors:
-    """Predicted from the pixels, measured in time and between sheets, and what is stated.
+def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettings) -> _Errors:
+    """Return the stated errors, and what was predicted from the pixels and measured from the positions.
 
-    What the pixels predict holds where their noise is independent. Noise alike in neighbouring pixels (a soft
-    lens, clipped tops) shifts ridges by more, in time and between sheets: the smaller of both counts, over
-    all sheets, since motion of its own in time or in n is no error. Compression hides the noise of pixels and
-    shifts ridges for some frames: the scatter between sheets sees that, and `shared_error` what codecs do to
-    neighbours alike. Repeated frames, which would hide scatter, are left out. Never zero: a profile without
-    noise still holds whole grey levels.
+    The prediction from the pixels holds where their noise is independent. Correlated noise of neighbouring
+    pixels (a soft lens, clipped tops) shifts ridges by more, both in time and between sheets. The smaller of
+    these two scatters is used, as a median over all sheets, since real motion in time or along n is no error.
+    Compression hides the noise of pixels and shifts ridges for several frames: the scatter between sheets
+    shows this, and `shared_error` adds the errors that neighbours share. Repeated frames are left out, as
+    they would hide scatter. No error is zero: a profile without noise still has whole grey levels.
     """
-    new = np.where(frozen[:, None], np.nan, x)
+    new = np.where(frozen[:, None], np.nan, fitted.x_px)
     between_frames = codec in BETWEEN_FRAMES
     positions = BetweenSlips(new)
-    noise_px = position_noise(x[~frozen])
+    noise_px = position_noise(fitted.x_px[~frozen])
     scatter_px = spatial_scatter(positions, between_frames=between_frames)
+    err = fitted.err_px
     with np.errstate(divide="ignore", invalid="ignore"):
-        per_grey = err / noise
-    whole_levels = 0.05  # grey: noise of a profile drawn without any, averaged over some rows
-    err = np.where(np.isfinite(err) & (err > 0), err, whole_levels * np.nan_to_num(per_grey, nan=1.0))
-    err = np.maximum(err, 1e-4)
+        per_grey = err / fitted.noise
+    err = np.where(np.isfinite(err) & (err > 0), err, WHOLE_LEVELS * np.nan_to_num(per_grey, nan=1.0))
+    err = np.maximum(err, LEAST_ERROR_PX)
     predicted = nan_median(np.where(np.isfinite(new), err, np.nan))
     measured = np.where(np.isfinite(scatter_px), scatter_px, np.fmax(noise_px, predicted))
     known = np.isfinite(measured)
@@ -348,13 +372,14 @@ def _errors(
     if codec in LOSSY:
         measured = np.hypot(measured, shared_error(positions, between_frames=between_frames))
     else:
-        more = nan_median(np.minimum(noise_px, scatter_px) / predicted)
-        measured = predicted * (np.fmax(more, 1.0) if more < settings.most_correlated else 1.0)
+        excess = nan_median(np.minimum(noise_px, scatter_px) / predicted)
+        measured = predicted * (np.fmax(excess, 1.0) if excess < settings.most_correlated else 1.0)
     stated = err * np.nan_to_num(measured / predicted, nan=1.0)
-    return _Errors(np.maximum(stated, 1e-4), noise_px, scatter_px, predicted)
+    return _Errors(np.maximum(stated, LEAST_ERROR_PX), noise_px, scatter_px, predicted)
 
 
 def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> xr.Dataset:
+    """Assemble the Dataset that `track_sheets` returns."""
     flag = _flags(strip, found)
     ok = (flag == "ok") | (flag == "blurred")
     x = np.where(ok, found.x_px, np.nan) + found.origin_px
@@ -365,7 +390,7 @@ def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> x
         "flag": flag,
         "why": np.where(flag == "doubtful", found.detections.why, ""),
         "x_withheld_px": found.detections.withheld_px + found.origin_px,
-        "x_expected_px": said_by_neighbours(x),
+        "x_expected_px": predicted_by_neighbours(x),
         "x_mean_px": nan_median(x),
         "found": ok.mean(axis=0),
         "fwhm_px": nan_median(np.where(ok, found.detections.fwhm_px, np.nan)),
@@ -380,13 +405,13 @@ def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> x
     }
     variables = {name: (TRACKS[name].dims, data, TRACKS[name].attrs) for name, data in values.items()}
     coords = {name: variables.pop(name) for name in ("time_s", "side", "n")}
-    places = {"frame": strip["frame"].values, "sheet": np.arange(x.shape[1])}
+    index = {"frame": strip["frame"].values, "sheet": np.arange(x.shape[1])}
     of_film = {name: fact for name, fact in strip.attrs.items() if name not in ("long_name", "units")}
-    return xr.Dataset(variables, places | coords, of_film | metadata.attrs())
+    return xr.Dataset(variables, index | coords, of_film | metadata.attrs())
 
 
 def _flags(strip: xr.DataArray, found: _Tracked) -> Strings:
-    """Why there is no position, or "ok"; the frame's own state goes first."""
+    """Return "ok" or the reason why there is no position; the state of the frame takes precedence."""
     if "status" in strip.coords:
         status = np.asarray(strip["status"].values).astype("<U8")
     else:
@@ -404,32 +429,33 @@ def _flags(strip: xr.DataArray, found: _Tracked) -> Strings:
 def with_heights(
     tracks: xr.Dataset, parts: xr.DataArray, *, settings: TrackingSettings = DEFAULT
 ) -> xr.Dataset:
-    """Add positions at several heights to tracks; identities and flags stay those of the whole strip.
+    """Add positions at several heights to tracks, with the identities and flags of the whole strip.
 
     Parameters
     ----------
     tracks
-        From `vision.track_sheets`, of the whole strip.
+        Tracks of the whole strip, from `vision.track_sheets`.
     parts
-        Its parts, (z, frame, x), from `vision.video.strip_profiles`.
+        Profiles of its parts, (z, frame, x), from `vision.video.strip_profiles`.
     settings
         Thresholds.
 
     Returns
     -------
     xarray.Dataset
-        The tracks with x_z_px and x_z_err_px (frame, sheet, z) and the coordinate z (px from the top). NaN
-        where the strip has no position, and where a part's fit has no answer within half a window of it.
+        The tracks with x_z_px and x_z_err_px (frame, sheet, z) and the coordinate z (px from the top).
+        Positions are NaN where the strip has none, and where a part's fit fails within half a window of it.
 
     Raises
     ------
     InputError
-        Where tracks and parts are not of the same frames.
+        If tracks and parts have different frames.
 
     Notes
     -----
-    Each part is fitted as the strip was, from the strip's position on. A part's error is its own pixels'
-    noise times the fit's error per grey level, enlarged for each sheet as that of the strip is (compression).
+    Each part is fitted as the strip was, starting from the strip's position. The error in a part is the noise
+    of its pixels times the fit's error per grey level. For each sheet it is enlarged by the same factor as
+    the error in the strip (compression).
     """
     TRACKS.check(tracks, ("x_px", "x_err_px", "flag", "time_s"))
     STRIP_PARTS.check(parts)
@@ -443,7 +469,8 @@ def with_heights(
     err = np.empty_like(x)
     for k, part in enumerate(np.asarray(parts.values, np.float32)):
         frozen = repeated_frames(part, settings)
-        x[..., k], err[..., k], *_ = _positions(part, start, comb, fit, facts.window_px, frozen, settings)
+        fitted = _fit(part, start, comb, fit, facts.window_px, frozen, settings)
+        x[..., k], err[..., k] = fitted.x_px, fitted.err_px
     if "x_predicted_px" in tracks:
         stated = nan_median(tracks["x_err_px"].values) / tracks["x_predicted_px"].values
         err *= np.fmax(stated, 1.0)[:, None]
@@ -453,7 +480,7 @@ def with_heights(
 
 
 def pixel_size_from_pitch(tracks: xr.Dataset, pitch_um: float) -> float:
-    r"""µm per pixel, where the mean distance between neighbouring sheets is known.
+    r"""Return the µm per pixel that follow from a known mean distance between neighbouring sheets.
 
     Parameters
     ----------
@@ -469,9 +496,9 @@ def pixel_size_from_pitch(tracks: xr.Dataset, pitch_um: float) -> float:
 
     Notes
     -----
-    :math:`p / \langle \Delta x \rangle`, the mean over the spacings of the sheets' median positions, those
-    wider than 1.5 median spacings left out. The mean spacing, not the median, adds up to the comb's whole
-    width, in which errors of single positions cancel.
+    :math:`p / \langle \Delta x \rangle`, with the mean over the spacings of the sheets' median positions.
+    Spacings wider than 1.5 median spacings are left out. The mean is used, not the median: mean spacings add
+    up to the width of the comb, in which the errors of single positions cancel.
     """
     TRACKS.check(tracks)
     if not 0 < pitch_um < np.inf:
