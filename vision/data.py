@@ -424,8 +424,8 @@ class StickMetadata(Metadata):
     two_slopes
         Whether sticks were fitted with a knee.
     regime, fall_over_rise, line_share
-        "stick-slip", "oscillation" or "cycles"; median duration of falls over that of rises; share of the
-        variance near the frequency of the slips.
+        "stick-slip", "oscillation", "cycles" or "noise"; median duration of falls over that of rises; share
+        of the variance near the frequency of the slips.
     warnings
         Why this may not be stick-slip.
     first_slip_s, first_slip_N, last_slip_s

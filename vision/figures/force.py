@@ -33,7 +33,7 @@ SHOWN_STICKS = 5  # from first to last, and of the early and of the late part of
 MOST_SAMPLES = 30_000  # of force or opening on the clocks' axis
 CURVE_POINTS = 300
 SAME_SLIP = 0.25  # of the time from slip to slip: farther apart, two slips are not the same one
-SHOWN_FLAGS = frozenset({"ok", "slow", "negative", "oscillation", "cycles"})  # measured whole
+SHOWN_FLAGS = frozenset({"ok", "slow", "negative", "oscillation", "cycles", "noise"})  # measured whole
 
 
 def force_figure(

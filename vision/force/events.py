@@ -78,8 +78,8 @@ def find_stick_slip(
     where d is not known.
     ``flag`` is "ok" or, joined by "+", what is wrong within the stick (gap, nan, saturated, repeated,
     backwards, few (samples), falling, unloading), what the instrument cannot give (short, negative), or how
-    it was measured (slow); "oscillation" and "cycles" are those of the whole recording. Attributes as
-    `vision.data.StickMetadata`.
+    it was measured (slow); "oscillation", "cycles" and "noise" are those of the whole recording. Attributes
+    are described in `vision.data.StickMetadata`.
 
     Raises
     ------
@@ -237,7 +237,7 @@ def _analyse_slips(
     bent = _have_knees(signal, slips, given, settings) if two_slopes is None else two_slopes
     corners = _corners(signal, slips, bent, 0.0, settings)
     extremes = find_extremes(signal.clean, corners.middle, corners.valley - corners.peak)
-    regime = find_regime(signal.clean, extremes, settings)
+    regime = find_regime(signal.clean, slips, extremes, settings)
     found = _Lowpass()
     if not given and regime.name == "stick-slip":
         found = _lowpass(signal, slips, corners, bent, settings)
@@ -431,6 +431,12 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips
         lines.append(
             f"no stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises and are as "
             "straight, as in cycles of loading and unloading"
+        )
+    elif regime.name == "noise":
+        lines.append(
+            f"stick-slip does not show clearly: within the sticks the load jumps upward by "
+            f"{regime.upward_share:.2g} times what it drops, as noise does, so all events are flagged noise; "
+            "a larger `threshold_N` leaves out the smaller drops"
         )
     for column, values, what, unit in (
         ("stick_length_um", 1e3 * signal.travel, "lengths and K are not resolved: the displacement", "µm"),

@@ -1,4 +1,4 @@
-"""Is it stick-slip, or an oscillation, or cycles of loading and unloading?"""
+"""What a recording shows: stick-slip, an oscillation, cycles of loading and unloading, or noise."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from vision.force.lines import flat_ranges
 from vision.force.settings import ForceSettings
+from vision.force.slips import Slips, upward_share
 from vision.force.sticks import Extremes
 from vision.numeric import Bools, Floats
 
@@ -17,34 +18,36 @@ class Regime:
     """What kind of motion a recording shows."""
 
     # "stick-slip"; or rise and fall equally long, "oscillation": both rounded, a narrow line in the spectrum,
-    # "cycles": both straight
+    # "cycles": both straight; or jumps upward within the sticks like the drops, "noise"
     name: str
     fall_over_rise: float  # median duration of falls over that of rises
     line_share: float  # share of the load's variance within 20 % of the frequency of the slips
+    upward_share: float  # median jump upward within the sticks over the median drop
 
 
-def find_regime(y: Floats, extremes: Extremes, settings: ForceSettings) -> Regime:
-    """Stick-slip, or an oscillation, or loading and unloading.
+def find_regime(y: Floats, slips: Slips, extremes: Extremes, settings: ForceSettings) -> Regime:
+    """Return whether a load shows stick-slip, an oscillation, loading and unloading, or noise.
 
     Rises and falls of the load are each fitted by a straight line and by half a cosine. Slow slips of true
     stick-slip are rounded too, but their sticks are straight.
     """
     rise, fall = extremes.rise, extremes.fall[1:]
     known = (rise >= 4) & (fall >= 2)
+    upward = upward_share(y, slips.edge, settings)
+    name = "noise" if upward > settings.upward_share else "stick-slip"
     if known.sum() < 2:
-        return Regime("stick-slip", float("nan"), float("nan"))
+        return Regime(name, float("nan"), float("nan"), upward)
     ratio = float(np.median(fall[known] / rise[known]))
     share = _line_share(y, extremes)
     equal = settings.equal_share < ratio < 1 / settings.equal_share
     v, p, next_v = extremes.valley[:-1], extremes.peak[1:], extremes.valley[1:]
     rounded_rise = _roundness(y, v[known], p[known]) > 1
     rounded_fall = _roundness(y, p[known], next_v[known]) > 1
-    name = "stick-slip"
     if equal and rounded_rise and share > settings.line_share:
         name = "oscillation"
     elif equal and not rounded_rise and not rounded_fall:
         name = "cycles"
-    return Regime(name, ratio, share)
+    return Regime(name, ratio, share, upward)
 
 
 def _roundness(y: Floats, start: Floats, stop: Floats) -> float:

@@ -24,7 +24,7 @@ from vision.force.lines import (
     lagged_hinge,
 )
 from vision.force.settings import ForceSettings
-from vision.numeric import Bools, Floats, Ints
+from vision.numeric import Bools, Floats, Ints, nan_median
 from vision.signals import apart, find_maxima, running_mean, running_median
 
 # --- slips --------------------------------------------------------------------------------------------------
@@ -103,6 +103,25 @@ def _jumps_upward(y: Floats, edge: Ints, sigma: float, settings: ForceSettings, 
     both = np.union1d(edge, found)
     height = -_stick_drops(y, both, settings)[np.searchsorted(both, found)]
     return height[height >= least]
+
+
+def upward_share(y: Floats, edge: Ints, settings: ForceSettings) -> float:
+    """Return how far the load jumps upward within its sticks, over how far it drops at the slips.
+
+    Both are medians of the step filter at the width that finds the slips, less the rise of the sticks: the
+    largest upward step of each stick, and the downward step at each edge. Noise reaches about 1 because it
+    jumps upward as far and as fast as downward. NaN where the sticks are too short for the filter,
+    infinite where the load does not drop more than it rises.
+    """
+    half = _half_widths(_local_period(edge, y.size), settings)
+    slope = stick_lines(y, edge, settings).slope
+    step = _step_filter(y, half)
+    drop = step[edge] + half[edge] * 0.5 * (slope[:-1] + slope[1:])
+    row, index = flat_ranges(edge[:-1] + half[edge[:-1]], edge[1:] - half[edge[1:]])
+    upward = np.full(edge.size - 1, np.nan)
+    np.fmax.at(upward, row, -step[index] - slope[1:-1][row] * half[index])
+    usual = float(nan_median(drop))
+    return float(nan_median(upward)) / usual if usual > 0 else float("inf")
 
 
 def stick_lines(y: Floats, edge: Ints, settings: ForceSettings) -> Lines:
