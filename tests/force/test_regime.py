@@ -11,7 +11,7 @@ import xarray as xr
 from tests.scenes.sawtooth import recording
 from vision.errors import InputError
 from vision.force import ForceSettings, find_stick_slip
-from vision.force.sticks import find_extremes
+from vision.force.corners import find_extremes
 
 STICK_S, DROP_N, RATE_HZ = 0.03, 8.0, 10_000.0
 

@@ -11,29 +11,14 @@ import xarray as xr
 
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
 from vision.errors import InputError
+from vision.force.corners import Corners, Extremes, find_corners, find_extremes, is_slow
 from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
+from vision.force.lowpass import SlipTransients, deconvolve_lowpass, estimate_lowpass
 from vision.force.recording import is_compression
 from vision.force.regime import Regime, find_regime, is_unloading
 from vision.force.settings import ForceSettings
-from vision.force.slips import (
-    Slips,
-    SlipTransients,
-    deconvolve_lowpass,
-    estimate_lowpass,
-    find_slips,
-    size_gap,
-    stick_lines,
-    stick_middles,
-)
-from vision.force.sticks import (
-    Corners,
-    Extremes,
-    Signal,
-    find_corners,
-    find_extremes,
-    is_slow,
-    measure_sticks,
-)
+from vision.force.slips import Slips, find_slips, size_gap, stick_lines, stick_middles
+from vision.force.sticks import Signal, measure_sticks
 from vision.numeric import Bools, Floats, mad_sigma, nan_median
 
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vision.force.corners import Extremes
 from vision.force.lines import flat_ranges
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, upward_share
-from vision.force.sticks import Extremes
 from vision.numeric import Bools, Floats
 
 
