@@ -14,8 +14,8 @@ from vision.force.slips import stick_lines, stick_middles
 from vision.numeric import Bools, Floats, Ints, mad_sigma, nan_median
 from vision.signals import running_mean
 
-# A slip of a spring and block is half a cosine: its 90 % and 10 % crossings lie 0.59 of half its length from
-# the middle; those of a straight fall 0.8.
+# The 90 % and 10 % crossings lie at these shares of half the slip's length from its middle: 0.59 for half a
+# cosine, the slip of a spring-block, and 0.8 for a straight fall.
 _HALF_COSINE, _STRAIGHT = 0.59, 0.8
 
 # --- corners ------------------------------------------------------------------------------------------------
@@ -27,19 +27,19 @@ class Corners:
 
     peak: Floats
     valley: Floats
-    middle: Floats  # where the load is half-way down
-    drop: Floats  # height between the stick lines
-    error: Floats  # standard error of one corner's place
-    knee: Floats  # where the stick before and after changes slope: one more than slips, NaN where it does not
+    middle: Floats  # where the load has fallen half-way
+    drop: Floats  # difference of the stick lines before and after
+    error: Floats  # standard error of the position of a corner
+    knee: Floats  # position of the knee in each stick, one more than slips; NaN for none
     shape: Shape  # of the sticks without a knee
 
     def transients(self) -> SlipTransients:
-        """The stretches between slips and clear of them, in which a low-pass leaves its transients."""
-        # A low-pass delays the end of a slip, not its onset.
-        own = np.maximum(1.2 * (self.middle - self.peak), 1.0)
+        """Return the stretches between slips, clear of them, in which a low-pass leaves its transients."""
+        # A low-pass delays the end of a slip but not its onset, so the onset gives the slip's length.
+        half = np.maximum(1.2 * (self.middle - self.peak), 1.0)
         return SlipTransients(
-            start=np.ceil(self.middle + own).astype(np.int64)[:-1],
-            stop=np.floor(self.middle - own).astype(np.int64)[1:],
+            start=np.ceil(self.middle + half).astype(np.int64)[:-1],
+            stop=np.floor(self.middle - half).astype(np.int64)[1:],
             middle=self.middle[:-1],
             valley=self.valley[:-1],
             peak=self.peak[1:],
@@ -50,12 +50,12 @@ class Corners:
 def find_corners(
     signal: DeconvolvedLoad, *, two_slopes: bool, settings: ForceSettings = ForceSettings()
 ) -> Corners:
-    """Begin and end of the slips of a recording: one peak and one valley per slip, inside the recording.
+    """Return the begin (peak) and end (valley) of each slip, clipped to the recording.
 
-    Between the stick lines before (1) and after (0) a slip the load passes 90, 50 and 10 %; these times,
-    scaled as for half a cosine, give begin and end. Slips too short for the sampling count half as long as
-    they look. Each slip's own length is used where its drop is over 20 sigma, else the recording's median.
-    `two_slopes`: the stick lines may have a knee.
+    The load falls from the stick line before the slip, 100 %, to the one after it, 0 %. The times at 90, 50
+    and 10 %, scaled as for half a cosine, give begin and end. The individual length of a slip is used where
+    its drop exceeds 20 sigma, else the median of the recording. Slips too short to be resolved count as half
+    as long as they appear. With `two_slopes` the stick lines may have a knee.
     """
     base = _Baselines.of(signal, two_slopes, settings)
     high, middle, low = _crossings(signal.load, signal.edge, base)
@@ -67,16 +67,16 @@ def find_corners(
         if shape.begin or shape.end:
             base = _Baselines.of(signal, two_slopes, settings, shape)
             high, middle, low = _crossings(signal.load, signal.edge, base)
-    # What sampling and smoothing alone make of a sudden drop is no part of a slip's length: it crosses 90 %
-    # and 50 % 0.4 samples apart, and more where deconvolution leaves a sample part of the way down.
+    # Sampling and smoothing widen even a sudden drop: its 90 % and 50 % crossings are 0.4 samples apart, and
+    # more where deconvolution leaves a sample part of the way down. This blur is subtracted in squares.
     blur = np.hypot(0.4 * signal.width, 0.5 if signal.late else 0.0)
     onset, end = (np.sqrt(np.maximum(part**2 - blur**2, 0.0)) for part in (middle - high, low - middle))
     usual_onset, usual_end = (float(np.nan_to_num(nan_median(part))) for part in (onset, end))
     if usual_onset + usual_end < 1.0:
-        # Not resolved. Half of what is seen: the rest may be the sampling's or a low-pass too short to tell.
+        # Not resolved: half of it may come from the sampling, or from a low-pass too short to detect.
         usual_onset = usual_end = 0.25 * (usual_onset + usual_end)
         onset, end = np.full_like(onset, usual_onset), np.full_like(end, usual_end)
-    clear = base.drop > 20 * signal.sigma  # noise would scatter the length of smaller ones
+    clear = base.drop > 20 * signal.sigma  # noise scatters the lengths of smaller slips
     clear &= np.isfinite(onset) & np.isfinite(end)
     onset = _half_length(np.where(clear, onset, usual_onset), base.before_slope, base.drop)
     end = np.where(clear, np.minimum(end, usual_end * 2), usual_end)
@@ -95,28 +95,28 @@ def find_corners(
 
 
 def _half_length(distance: Floats, slope: Floats, drop: Floats) -> Floats:
-    """Half a slip's length from the distance of a crossing.
+    """Return half the length of a slip from the distance between its middle and a crossing.
 
-    The drop between the stick lines is the slip's own plus what the lines rise meanwhile, which is straight.
+    The drop between the stick lines contains the lines' own rise during the slip, which is straight.
     """
     half = distance / _HALF_COSINE
     for _ in range(2):
-        with np.errstate(over="ignore"):  # next to no drop: all of it is straight
+        with np.errstate(over="ignore"):  # a drop near 0 is all straight
             straight = np.clip(2 * slope * half / np.maximum(drop, np.finfo(float).tiny), 0, 1)
         half = distance / (_HALF_COSINE + (_STRAIGHT - _HALF_COSINE) * np.nan_to_num(straight))
     return half
 
 
 def _errors(signal: DeconvolvedLoad, drop: Floats, length: float, settings: ForceSettings) -> Floats:
-    """Standard error of a corner's place: noise over the slip's slope there, sampling, and unknown shape."""
-    unsure = np.hypot(settings.corner_error, settings.shape_error * length)
+    """Return the position error of each corner: noise over the slip's slope, sampling, and unknown shape."""
+    systematic = np.hypot(settings.corner_error, settings.shape_error * length)
     steepest = np.pi / 2 * np.maximum(drop, signal.sigma) / max(length, signal.width)
-    return np.hypot(signal.sigma / steepest, unsure)
+    return np.hypot(signal.sigma / steepest, systematic)
 
 
 @dataclass(frozen=True)
 class _Baselines:
-    """The stick line before and after each edge: value half a sample before it, slope, and the drop."""
+    """The stick lines before and after each edge: their slopes, and values half a sample before the edge."""
 
     before: Floats
     before_slope: Floats
@@ -127,17 +127,18 @@ class _Baselines:
 
     @property
     def drop(self) -> Floats:
+        """Difference of the lines before and after each edge."""
         return self.before - self.after
 
     @classmethod
     def of(
         cls, signal: DeconvolvedLoad, two_slopes: bool, settings: ForceSettings, shape: Shape | None = None
     ) -> _Baselines:
-        """Straight stick lines, or with a knee where that fits clearly better, or of one shape for all."""
+        """Fit straight lines, lines with a knee where they fit clearly better, or lines of a common shape."""
         y, edge = signal.load, signal.edge
         lines = stick_lines(y, edge, settings)
         here = np.asarray(edge - 0.5, dtype=float)
-        # Each stick between a slip at its begin and one at its end; the first and the last lack one of them.
+        # Edges at begin and end of each stick; the first stick has no begin, the last no end.
         begin, end = np.insert(here, 0, np.nan), np.append(here, np.nan)
         shape = shape or Shape(0.0, 0.0, 0.0)
         rise = np.nan_to_num(lines.slope * (end - begin))
@@ -155,15 +156,15 @@ class _Baselines:
 
 
 def _crossings(y: Floats, edge: Ints, base: _Baselines) -> tuple[Floats, Floats, Floats]:
-    """Where the signal falls through 90, 50 and 10 % of the way between the stick lines around each edge."""
+    """Return where the load falls through 90, 50 and 10 % of each drop between the stick lines."""
     reach = np.maximum((0.3 * np.diff(np.r_[0, edge, y.size])).astype(np.int64), 2)  # into either stick
     row, index = flat_ranges(np.maximum(edge - reach[:-1], 0), np.minimum(edge + reach[1:], y.size - 1))
-    # One line each side of the edge, at the distance of the drop there: lines of different slope never cross.
+    # Both stick lines end at the edge, so that lines of different slope do not cross.
     slope = np.where(index < edge[row], base.before_slope[row], base.after_slope[row])
     line = base.after[row] + slope * (index - edge[row] + 0.5)
     u = (y[index] - line) / base.drop[row]
     middle = _half_way(u, row, index, edge.size)
-    # A slip cut short by the next one may never pass half-way: its middle is then the steepest drop.
+    # A slip interrupted by the next one may never reach 50 %: its middle is then the steepest drop.
     middle = np.where(np.isfinite(middle), middle, edge - 0.5)
     high = _passage(u, row, index, 0.9, index[:-1] <= middle[row[:-1]], edge.size, 1)
     low = _passage(u, row, index, 0.1, index[1:] >= middle[row[:-1]], edge.size, -1)
@@ -171,31 +172,33 @@ def _crossings(y: Floats, edge: Ints, base: _Baselines) -> tuple[Floats, Floats,
 
 
 def _half_way(u: Floats, row: Ints, index: Ints, rows: int) -> Floats:
-    """The likeliest place of a step from 1 to 0: where the sum of u - 0.5 so far is largest; NaN at a
-    window's end.
+    """Return the likeliest position of a step from 1 to 0: where the running sum of u - 0.5 is largest.
 
-    A single crossing of 0.5 would be thrown off by the first outlier when the drop is a few times the noise.
+    NaN where that is the end of the window. At a few times the noise, the first crossing of 0.5 would
+    depend on single outliers.
     """
-    so_far = np.cumsum(u - 0.5)
+    running_sum = np.cumsum(u - 0.5)
     largest = np.full(rows, -np.inf)
-    np.maximum.at(largest, row, so_far)
-    best = np.flatnonzero((so_far == largest[row]) & np.r_[row[1:] == row[:-1], False])
+    np.maximum.at(largest, row, running_sum)
+    best = np.flatnonzero((running_sum == largest[row]) & np.r_[row[1:] == row[:-1], False])
     first = np.full(rows, u.size, dtype=np.int64)
     np.minimum.at(first, row[best], best)
     return _interpolated(u, index, 0.5, np.where(first < u.size, first, -1))
 
 
 def _passage(u: Floats, row: Ints, index: Ints, level: float, allowed: Bools, rows: int, sign: int) -> Floats:
-    """Index, interpolated, at which u falls through a level: for the last (sign 1) or first (-1) time of each
-    row where that is allowed; NaN if never."""
+    """Return the interpolated index at which u falls through a level; NaN for never.
+
+    Of the allowed samples of each row it is the last fall (sign 1) or the first one (sign -1).
+    """
     falling = np.flatnonzero((u[:-1] >= level) & (u[1:] < level) & (row[:-1] == row[1:]) & allowed)
-    place = np.full(rows, -np.inf)
-    np.maximum.at(place, row[falling], sign * falling)
-    return _interpolated(u, index, level, np.where(np.isfinite(place), sign * place, -1).astype(np.int64))
+    chosen = np.full(rows, -np.inf)
+    np.maximum.at(chosen, row[falling], sign * falling)
+    return _interpolated(u, index, level, np.where(np.isfinite(chosen), sign * chosen, -1).astype(np.int64))
 
 
 def _interpolated(u: Floats, index: Ints, level: float, at: Ints) -> Floats:
-    """Where u passes the level between the samples `at` and the next; NaN for -1."""
+    """Return the index at which u passes the level between samples `at` and `at` + 1; NaN where at is -1."""
     here = np.maximum(at, 0)
     part = (u[here] - level) / np.maximum(u[here] - u[np.minimum(here + 1, u.size - 1)], 1e-9)
     return np.where(at >= 0, index[here] + part, np.nan)
@@ -203,24 +206,24 @@ def _interpolated(u: Floats, index: Ints, level: float, at: Ints) -> Floats:
 
 @dataclass(frozen=True)
 class Shape:
-    """By how much curved sticks leave their lines at either end, as shares of what the lines rise.
+    """Deviation of curved sticks from their lines at either end, as a share of the lines' rise.
 
-    Each is what all sticks of a recording have in common; 0 where they are straight.
+    It is common to all sticks of a recording, and 0 where they are straight.
     """
 
     begin: float
     end: float
-    error: float  # what the polynomials may be wrong by, the same at both ends
+    error: float  # of the two deviations
 
     @classmethod
     def of(cls, y: Floats, edge: Ints, settings: ForceSettings) -> Shape:
-        """Polynomials of degree 2 to 4 through what the lines of all sticks between two slips leave."""
+        """Fit polynomials of degree 2 to 4 to the residuals of the lines of sticks between two slips."""
         start, stop = (at[1:-1] for at in stick_middles(edge, y.size, settings))
         straight = cls(0.0, 0.0, 0.0)
         length = np.diff(edge)
         rise = stick_lines(y, edge, settings).slope[1:-1] * length
         long = max(2 * settings.few_samples, 0.5 * np.quantile(length, 0.9)) if length.size else 0
-        some = np.flatnonzero((length > long) & (rise > 0))  # the shorter ones may be swings
+        some = np.flatnonzero((length > long) & (rise > 0))  # shorter ones may be oscillations
         if some.size < 8:
             return straight
         some = some[:: some.size // 400 + 1]  # enough for medians
@@ -231,7 +234,7 @@ class Shape:
         reach = float(np.median(length[some] / (stop - 1 - start)[some]))
         terms = middle[:, np.newaxis] * legvander(np.array([-reach, reach]), 4)[:, 2:].T
         begin, end = terms.sum(axis=0)
-        if not middle.any() or max(abs(begin), abs(end)) > 1.0:  # no stick leaves its line that far
+        if not middle.any() or max(abs(begin), abs(end)) > 1.0:  # no stick deviates that far
             return straight
         return cls(float(begin), float(end), float(np.sqrt((terms[:, 0] ** 2).sum())) / 4)
 
@@ -241,19 +244,19 @@ class Shape:
 
 @dataclass(frozen=True)
 class Extremes:
-    """Highest load before and lowest load after the middle of each slip, spikes aside."""
+    """Highest load before and lowest load after the middle of each slip, of a load without spikes."""
 
-    peak: Floats  # where, in samples
-    valley: Floats
-    high: Floats  # the load there, averaged over `width` samples
-    low: Floats
-    highest: Floats  # the single largest and smallest sample
-    lowest: Floats
-    width: Ints  # samples averaged for each slip: a 24th of it, so that a half cosine loses next to nothing
+    peak: Floats  # position of the highest load, in samples
+    valley: Floats  # position of the lowest load, in samples
+    high: Floats  # load at the peak, averaged over `width` samples
+    low: Floats  # load at the valley, averaged likewise
+    highest: Floats  # single largest sample
+    lowest: Floats  # single smallest sample
+    width: Ints  # samples averaged: a 24th of the slip, which lowers a half cosine by next to nothing
 
     @property
     def fall(self) -> Floats:
-        """Samples from each peak to the valley after it."""
+        """Samples from each peak to the next valley."""
         return self.valley - self.peak
 
     @property
@@ -263,19 +266,20 @@ class Extremes:
 
 
 def find_extremes(y: Floats, middle: Floats, length: Floats) -> Extremes:
-    """Recorded extremes around each slip of a load without spikes.
+    """Return the recorded extremes around each slip of a load without spikes.
 
-    The peak lies between the middle of the stick before and that of the slip, the valley between that and the
-    middle of the stick after.  middle, length: of each slip, in samples; what is averaged follows the length.
+    The peak lies between the middle of the previous stick and the middle of the slip, the valley between the
+    latter and the middle of the next stick. `middle` and `length` are those of each slip, in samples; the
+    length sets how many samples are averaged.
     """
     last = y.size - 1
     between = 0.5 * (middle[:-1] + middle[1:])
-    # Before the first and after the last slip: as far as half of the stick beside them.
+    # Before the first and after the last slip: half of the neighbouring stick.
     first = middle[0] - (between[0] - middle[0]) if between.size else 0.0
     final = middle[-1] + (middle[-1] - between[-1]) if between.size else last
     bounds = np.clip(np.r_[first, between, final], 0, last)
     here = np.clip(np.rint(middle), 0, last).astype(np.int64)
-    # Middles of slips that hardly differ may come in either order: each slip has its own sample at least.
+    # The middles of close slips may be in either order, so each range contains at least the slip's sample.
     start = np.minimum(np.floor(bounds[:-1]).astype(np.int64), here)
     stop = np.maximum(np.ceil(bounds[1:]).astype(np.int64), here)
     width = 2 * (np.nan_to_num(length) / 48).astype(np.int64) + 1
@@ -286,7 +290,7 @@ def find_extremes(y: Floats, middle: Floats, length: Floats) -> Extremes:
 
 
 def _octaves(width: Ints) -> Ints:
-    """Odd widths 1, 3, 5, 9, 17, …: a few filters serve all slips."""
+    """Round widths down to 1, 3, 5, 9, 17, …, so that a few filters serve all slips."""
     exponent = np.floor(np.log2(np.maximum(width - 1, 1))).astype(np.int64)
     return np.where(width > 1, 2**exponent + 1, 1)
 
@@ -294,27 +298,30 @@ def _octaves(width: Ints) -> Ints:
 def _largest(
     y: Floats, smooth: dict[int, Floats], width: Ints, start: Ints, stop: Ints, sign: int
 ) -> tuple[Floats, Floats, Floats]:
-    """(place, smoothed value, single largest sample) of the largest value in each range."""
+    """Return the position and value of the largest smoothed value of each range, and its largest sample."""
     row, index = flat_ranges(start, np.minimum(stop, y.size))
     single = np.full(start.size, -np.inf)
     np.maximum.at(single, row, y[index])
     values = np.empty(index.size)
     for w, signal in smooth.items():
-        mine = width[row] == w
-        values[mine] = sign * signal[index[mine]]
+        of_width = width[row] == w
+        values[of_width] = sign * signal[index[of_width]]
     best = np.full(start.size, -np.inf)
     np.maximum.at(best, row, values)
     hits = np.flatnonzero(values == best[row])
-    place = np.full(start.size, np.nan)
+    position = np.full(start.size, np.nan)
     # Of equal samples the one next to the slip: the last for peaks, the first for valleys.
     order = hits if sign > 0 else hits[::-1]
-    place[row[order]] = index[order]
-    return place, best, single
+    position[row[order]] = index[order]
+    return position, best, single
 
 
 def is_slow(fall: Floats, rise: Floats, settings: ForceSettings) -> Bools:
-    """Slips (lengths `fall`) that take a considerable part of the sticks beside them (`rise`, one fewer)."""
+    """Return which slips, of lengths `fall`, last a considerable part of a neighbouring stick.
+
+    `rise` is the length of each stick between two slips.
+    """
     if not rise.size:
         return np.zeros(fall.shape, dtype=bool)
-    beside = np.minimum(np.r_[rise[:1], rise], np.r_[rise, rise[-1:]])
-    return np.asarray(fall > settings.slow_slip * np.maximum(beside, 1e-9), np.bool_)
+    shorter = np.minimum(np.r_[rise[:1], rise], np.r_[rise, rise[-1:]])
+    return np.asarray(fall > settings.slow_slip * np.maximum(shorter, 1e-9), np.bool_)

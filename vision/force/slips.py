@@ -24,31 +24,40 @@ class Slips:
     edge: Ints  # index of the first sample after the steepest drop
     drop: Floats  # height between the stick lines on both sides there
     period: float  # median samples from slip to slip; NaN with fewer than two
-    threshold: float  # smallest drop kept
-    # "noise" (a multiple of it), "jumps" (above those upward), "gap" (between small and large drops) or
+    threshold: float  # smallest drop that counts as a slip
+    # "noise": a multiple of the noise; "jumps": above the upward jumps; "gap": between small and large drops;
     # "given"
     threshold_how: str
-    left_out: Floats  # drops beyond the white noise that are below the threshold
-    jumps: int = 0  # upward ones as large as the drops kept: about so many of these are no slips
+    left_out: Floats  # drops that exceed the white noise but not the threshold
+    jumps: int = 0  # upward jumps above the threshold; about as many of the drops are not slips
 
 
 def find_slips(
     y: Floats, sigma: float, *, threshold: float | None = None, settings: ForceSettings = ForceSettings()
 ) -> Slips:
-    """Slips of a sawtooth without spikes.
+    """Return the slips of a sawtooth without spikes; empty arrays where there are none.
 
-    y: load, finite.  sigma: standard deviation of its white noise, in the unit of y.  threshold: smallest
-    drop that is a slip; by default 4 sigma, or the middle of the widest gap in the logarithm of the drops
-    where one separates small from large ones.  Empty arrays where there are no slips.
+    A step filter of 0.15 local periods on either side proposes drops. Two neighbouring sticks
+    are joined where one line, straight or with a knee, fits both as well as two lines do, or where the load
+    falls between two drops. A remaining drop is a slip where the lines on both sides, extended to the drop,
+    differ by the threshold. Fitted lines average the noise, so 4 sigma here is stricter than 6 sigma between
+    single samples.
 
-    A step filter as wide as 0.15 periods, the period found stretch by stretch, proposes drops. Neighbouring
-    sticks are joined where one line, straight or with a knee, fits both as well as two, or where the load
-    falls between two drops. What remains is kept where the lines on both sides, extended to the drop, differ
-    by the threshold. Drops are measured between fitted lines, so 4 sigma here is stricter than 6 sigma
-    between single samples.
+    Noise that is not white, knocks and ringing jump upward as often as downward, but slips only fall. The
+    number of upward jumps within the sticks therefore estimates how many drops of each size are not slips,
+    and may raise the threshold.
 
-    Noise that is not white, knocks and ringing jump up as they jump down; slips do not. Jumps upward within
-    the sticks therefore tell how many drops of each size are none, and may raise the threshold.
+    Parameters
+    ----------
+    y
+        Load, finite.
+    sigma
+        Standard deviation of its white noise, in the unit of y.
+    threshold
+        Smallest drop that counts as a slip. By default 4 sigma, the size of the upward jumps, or the middle
+        of the widest gap in the logarithm of the drops where one separates small from large drops.
+    settings
+        See `ForceSettings`.
     """
     edge = _edges(y, _first_period(y, sigma, settings), sigma, settings)
     edge = _edges(y, _local_period(edge, y.size), sigma, settings)
@@ -56,7 +65,7 @@ def find_slips(
     least, how = (settings.threshold_sigmas * sigma, "noise") if threshold is None else (threshold, "given")
     keep, left_out, jump = drop >= least, np.empty(0), np.empty(0)
     if threshold is None and (jump := _jumps_upward(y, edge, sigma, settings, least)).size:
-        # The threshold that leaves most slips over, every jump upward but one counting against some.
+        # Choose the threshold with most slips, less `jump_cost` for each upward jump above it except one.
         steps = np.r_[least, np.nextafter(np.sort(jump), np.inf)]
         above = np.sum(drop >= steps[:, np.newaxis], axis=1)
         balance = above - settings.jump_cost * np.maximum(jump.size - 1 - np.arange(steps.size), 0)
@@ -72,17 +81,18 @@ def find_slips(
 
 
 def _jumps_upward(y: Floats, edge: Ints, sigma: float, settings: ForceSettings, least: float) -> Floats:
-    """Heights of the jumps upward between the edges: drops, of `least` or more, of each stick's mirror image.
+    """Return the heights, `least` or more, of the upward jumps between the edges.
 
-    A stick is mirrored about a parabola through it, which keeps its rise and turns what is on it.
+    They are the drops of the mirrored load: each stick is mirrored about the parabola fitted to it, which
+    keeps the rise of the stick and inverts the deviations from it.
     """
     bounds = np.r_[0, edge, y.size]
     whole = np.flatnonzero(np.diff(bounds) > 2 * settings.few_samples)
-    _, left, _ = fit_polynomials(y, bounds[whole], bounds[whole + 1], 2)
+    _, residual, _ = fit_polynomials(y, bounds[whole], bounds[whole + 1], 2)
     mirrored = y.copy()
-    mirrored[flat_ranges(bounds[whole], bounds[whole + 1])[1]] -= 2 * left
+    mirrored[flat_ranges(bounds[whole], bounds[whole + 1])[1]] -= 2 * residual
     period = _local_period(edge, y.size)
-    # Not the slips themselves; and what the load itself, between lines on both sides, shows to jump.
+    # The slips themselves are excluded. An upward jump must also show between the lines through the load.
     slips = np.concatenate([edge + away for away in range(-3, 4)])
     if not np.setdiff1d(_peaks(mirrored, _half_widths(period, settings), sigma, settings), slips).size:
         return np.empty(0)
@@ -112,12 +122,12 @@ def upward_share(y: Floats, edge: Ints, settings: ForceSettings) -> float:
 
 
 def stick_lines(y: Floats, edge: Ints, settings: ForceSettings) -> Lines:
-    """Lines through the central part of the stretches between edges: one more than there are edges."""
+    """Return lines through the central part of each stretch between edges: one more than edges."""
     return fit_lines(np.arange(y.size, dtype=float), y, *stick_middles(edge, y.size, settings))
 
 
 def stick_middles(edge: Ints, size: int, settings: ForceSettings) -> tuple[Ints, Ints]:
-    """[start, stop) of the central part (`line_part`) of each stretch between edges."""
+    """Return the half-open range of the central part (`line_part`) of each stretch between edges."""
     bounds = np.r_[0, edge, size]
     length = np.diff(bounds)
     margin = (0.5 * (1 - settings.line_part) * length).astype(np.int64)
@@ -126,7 +136,10 @@ def stick_middles(edge: Ints, size: int, settings: ForceSettings) -> tuple[Ints,
 
 
 def _step_filter(y: Floats, half: Ints) -> Floats:
-    """Mean of `half` samples before each index less the mean of as many from it on; NaN at the ends."""
+    """Return the mean of the `half` samples before each index minus that of the `half` samples from it on.
+
+    NaN at the ends.
+    """
     total = np.r_[0.0, np.cumsum(y - y.mean())]
     index = np.arange(y.size)
     low, high = index - half, index + half
@@ -137,9 +150,9 @@ def _step_filter(y: Floats, half: Ints) -> Floats:
 
 
 def _peaks(y: Floats, half: Ints, sigma: float, settings: ForceSettings) -> Ints:
-    """Where the step filter stands out by `candidate_sigmas` of its own standard deviation for white noise.
+    """Return the peaks of the step filter whose prominence exceeds `candidate_sigmas` for white noise.
 
-    Prominence, not height: the filter's level on a stick follows the stiffness and the filter's width.
+    Heights would not do: on a stick the filter's level depends on the stiffness and on its own width.
     """
     standard = np.nan_to_num(_step_filter(y, half) / (sigma * np.sqrt(2.0 / half)), nan=-np.inf)
     found = find_maxima(standard, least_prominence=settings.candidate_sigmas, reach=8 * int(half.max()))
@@ -147,29 +160,29 @@ def _peaks(y: Floats, half: Ints, sigma: float, settings: ForceSettings) -> Ints
 
 
 def _edges(y: Floats, period: Floats, sigma: float, settings: ForceSettings) -> Ints:
-    """Drops of a signal whose period, in samples, is known at every sample."""
+    """Return the edges of a signal whose period, in samples, is known at every sample."""
     edge = _join_weak(y, _peaks(y, _half_widths(period, settings), sigma, settings), sigma, settings)
     return _join_knees(y, _join_parts(y, edge, settings), sigma, settings)
 
 
 def _half_widths(period: Floats, settings: ForceSettings) -> Ints:
-    """Half the widths of the step filter for these periods."""
+    """Return half the width of the step filter for each period."""
     return np.asarray(np.clip(np.rint(settings.step_width * period), 2, None), np.int64)
 
 
 def _first_period(y: Floats, sigma: float, settings: ForceSettings) -> Floats:
-    """Samples from drop to drop at every sample, each stretch at the scale of filter that suits it."""
+    """Return the period, in samples, at every sample, from the filter width that suits each stretch best."""
     scales = np.unique(np.geomspace(2, max(y.size // 12, 3), 24).astype(np.int64))
     found = [_peaks(y, np.full(1, scale), sigma, settings) for scale in scales]
     whole = _best_scale(scales, found, 0, y.size) or (y.size / 3, 0)
-    stretches = int(np.clip(whole[1] // 20, 1, 64))  # of 20 events or more: fewer give no median
+    stretches = int(np.clip(whole[1] // 20, 1, 64))  # each of 20 events or more, for a median
     bounds = np.linspace(0, y.size, stretches + 1)
     periods = np.array([(_best_scale(scales, found, a, b) or whole)[0] for a, b in pairwise(bounds)])
     return _at_every_sample(0.5 * (bounds[:-1] + bounds[1:]), periods, y.size)
 
 
 def _local_period(edge: Ints, size: int) -> Floats:
-    """The same from drops already found: a running median of nine spacings."""
+    """Return the period at every sample from known edges: a running median of nine spacings."""
     if edge.size < 3:
         return np.full(size, max(size / 3, 1.0))
     spacing = running_median(np.diff(edge), 9)
@@ -177,24 +190,27 @@ def _local_period(edge: Ints, size: int) -> Floats:
 
 
 def _at_every_sample(index: NDArray[np.floating], period: Floats, size: int) -> Floats:
-    """Periods known at some samples, at every sample."""
+    """Interpolate periods that are known at some samples to every sample."""
     return np.exp(np.interp(np.arange(size), index, np.log(period)))
 
 
 def _best_scale(scales: Ints, found: list[Ints], start: float, stop: float) -> tuple[float, int] | None:
-    """(period, drops) at the scale that sees most drops and is at most a quarter of their spacing."""
+    """Return the period and the number of drops at the scale that shows most drops.
+
+    The scale must be at most a quarter of their spacing; None where no scale is.
+    """
     best: tuple[float, int] | None = None
     for scale, peaks in zip(scales, found, strict=True):
         inside = peaks[(peaks >= start) & (peaks < stop)]
         spacing = float(np.median(np.diff(inside))) if inside.size >= 3 else 0.0
-        # Of scales that see the same drops the widest has the least noise.
+        # Of scales that show equally many drops the widest has the least noise.
         if scale <= 0.25 * spacing and (best is None or inside.size >= best[1]):
             best = spacing, inside.size
     return best
 
 
 def _join_weak(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) -> Ints:
-    """Joins neighbouring sticks that one line fits as well as two, least certain edge first."""
+    """Join neighbouring sticks that one line fits as well as two, the least certain edge first."""
     while edge.size:
         lines = stick_lines(y, edge, settings)
         score = _split_gain(lines.take(slice(None, -1)), lines.take(slice(1, None))) / sigma**2
@@ -208,9 +224,9 @@ def _join_weak(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) -> 
 
 
 def _join_parts(y: Floats, edge: Ints, settings: ForceSettings) -> Ints:
-    """Joins the parts of one slip: between two of them the load falls, or is too short for a line.
+    """Join the parts of one slip: stretches in which the load falls, or that are too short for a line.
 
-    A part that is joined to a stick belongs to it: the line through both may fall, but the stick rises.
+    A stretch that is joined to a rising stick counts as rising, though the line through both may fall.
     """
     rises = stick_lines(y, edge, settings).slope > 0
     while edge.size > 1:
@@ -219,42 +235,44 @@ def _join_parts(y: Floats, edge: Ints, settings: ForceSettings) -> Ints:
             break
         drop = np.nan_to_num(_stick_drops(y, edge, settings), nan=-np.inf)
         gone = np.where(drop[falling] < drop[falling + 1], falling, falling + 1)
-        kept = np.setdiff1d(np.arange(edge.size), gone)
-        rises = np.logical_or.reduceat(rises, np.r_[0, kept + 1])
-        edge = edge[kept]
+        remaining = np.setdiff1d(np.arange(edge.size), gone)
+        rises = np.logical_or.reduceat(rises, np.r_[0, remaining + 1])
+        edge = edge[remaining]
     return edge
 
 
 def _join_knees(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) -> Ints:
-    """Joins what a line with a knee, without any drop, fits as well as the lines on both sides.
+    """Join neighbouring sticks that one continuous line with a knee fits as well as two lines.
 
-    The load never falls at a knee, but lines that meet a little before an edge lie apart at it. A stretch
-    that was joined is told by its knee from then on: one line would fit it so badly that a knee anywhere does
-    as well, and slip after slip would be joined to it.
+    The load never falls at a knee, but two lines that meet a little before an edge differ at the edge. From
+    then on a joined stretch is judged by the residuals about its knee. One straight line would fit it so
+    badly that a knee anywhere would improve the fit, and slip after slip would be joined to it.
     """
     x = np.arange(y.size, dtype=float)
     bounds = np.r_[0, edge, y.size]
-    told = fit_lines(x, y, bounds[:-1], bounds[1:]).squares
-    doubtful = np.arange(edge.size)
-    while doubtful.size:
+    squares = fit_lines(x, y, bounds[:-1], bounds[1:]).squares
+    candidates = np.arange(edge.size)
+    while candidates.size:
         bounds = np.r_[0, edge, y.size]
-        low, at, high = bounds[doubtful], edge[doubtful], bounds[doubtful + 2]
+        low, at, high = bounds[candidates], edge[candidates], bounds[candidates + 2]
         bent = _squares_with_knee(x, y, low, at, high)
-        knee = bent - (told[doubtful] + told[doubtful + 1]) < (settings.split_sigmas * sigma) ** 2
-        # One of two neighbours at a time: the other may be a slip once they are joined.
-        first = np.diff(doubtful[knee], prepend=-2) > 1
-        gone = doubtful[knee][first]
+        knee = bent - (squares[candidates] + squares[candidates + 1]) < (settings.split_sigmas * sigma) ** 2
+        # Remove one of two neighbouring edges at a time: the other may be a slip once the sticks are joined.
+        first = np.diff(candidates[knee], prepend=-2) > 1
+        gone = candidates[knee][first]
         beside = np.setdiff1d(np.r_[gone - 1, gone + 1], gone)
         beside = beside[(beside >= 0) & (beside < edge.size)]
-        doubtful = beside - np.searchsorted(gone, beside)
-        told[gone] = bent[knee][first]
-        told, edge = np.delete(told, gone + 1), np.delete(edge, gone)
+        candidates = beside - np.searchsorted(gone, beside)
+        squares[gone] = bent[knee][first]
+        squares, edge = np.delete(squares, gone + 1), np.delete(edge, gone)
     return edge
 
 
 def _squares_with_knee(x: Floats, y: Floats, low: Ints, edge: Ints, high: Ints) -> Floats:
-    """Sum of squares over [low, high) about a line with a knee where the lines on both sides of the edge
-    meet; infinite where they do not."""
+    """Return the squared residuals over [low, high) of a line whose knee is where both sides' lines meet.
+
+    Infinite where the lines before and after the edge do not meet within the range.
+    """
     before, after = fit_lines(x, y, low, edge), fit_lines(x, y, edge, high)
     here = np.asarray(edge - 0.5, dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -266,7 +284,7 @@ def _squares_with_knee(x: Floats, y: Floats, low: Ints, edge: Ints, high: Ints) 
 
 
 def _split_gain(a: Lines, b: Lines) -> Floats:
-    """By how much two lines instead of one lower the sum of squares over both stretches."""
+    """Return by how much two lines, in place of one, lower the squared residuals over both stretches."""
     weight = a.count * b.count / (a.count + b.count)
     apart_x, apart_y = b.mean_x - a.mean_x, b.mean_y - a.mean_y
     sxy = a.slope * a.sxx + b.slope * b.sxx
@@ -276,21 +294,23 @@ def _split_gain(a: Lines, b: Lines) -> Floats:
 
 
 def _stick_drops(y: Floats, edge: Ints, settings: ForceSettings) -> Floats:
-    """Height between the stick lines on both sides of each edge."""
+    """Return the difference of the stick lines before and after each edge, at the edge."""
     lines = stick_lines(y, edge, settings)
     here = np.asarray(edge - 0.5, dtype=float)
     return lines.take(slice(None, -1)).at(here) - lines.take(slice(1, None)).at(here)
 
 
 def size_gap(drop: Floats, ratio: float, most: float) -> float:
-    """The middle of the widest gap in log(drop) with at most that share of the drops below it; 0 where none
-    spans that ratio."""
+    """Return the middle of the widest gap in log(drop) that spans `ratio`; 0 where there is none.
+
+    At most the share `most` of the drops lies below it.
+    """
     ordered = np.sort(drop[drop > 0])
     if ordered.size < 8:
         return 0.0
     lower = np.log(ordered[: int(most * ordered.size) + 1])
     widest = int(np.argmax(np.diff(lower)))
-    # A single small drop below all others is no cluster of noise.
+    # A single small drop below all others is not a cluster of noise.
     if np.diff(lower)[widest] < np.log(ratio) or widest + 1 < 0.02 * ordered.size:
         return 0.0
     return float(np.exp(0.5 * (lower[widest] + lower[widest + 1])))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,17 +21,17 @@ class Signal:
     """The good samples of a force recording."""
 
     time: Floats  # s
-    travel: Floats  # of the sample's end, mm
+    travel: Floats  # separation, mm
     load: Floats  # as recorded, N
-    clean: Floats  # with spikes replaced by their neighbours, N
+    clean: Floats  # load with spikes replaced by their neighbours, N
     is_spike: Bools  # samples that are spikes
-    sigma: float  # noise of the load, N
-    damage: dict[str, Ints]  # for each kind of bad sample, how many of them came before each good one
-    alike: float = 1.0  # neighbouring samples whose noise counts as one: more than 1 where it is not white
+    sigma: float  # standard deviation of the load's white noise, N
+    damage: dict[str, Ints]  # by kind, the number of bad samples before each good one
+    alike: float = 1.0  # number of neighbouring samples whose noise is common: 1 for white noise
 
     @classmethod
     def of(cls, force: xr.Dataset, settings: ForceSettings) -> Signal:
-        """The good samples of a recording from `vision.force.read_force`."""
+        """Select the good samples of a recording from `vision.force.read_force`."""
         count = force.sizes["time_s"]
         flags = np.asarray(force["flag"].values, dtype=str) if "flag" in force else np.full(count, "ok")
         good = usable(flags)
@@ -46,28 +45,28 @@ class Signal:
 
     @cached_property
     def interval_s(self) -> float:
-        """From sample to sample, at the median."""
+        """Median sampling interval."""
         return float(np.median(np.diff(self.time)))
 
-    def interval_at(self, place: Floats) -> Floats:
-        """Time between the samples around these places: it may change within a recording."""
-        earlier = np.clip(np.floor(place).astype(np.int64), 0, self.time.size - 2)
+    def interval_at(self, position: Floats) -> Floats:
+        """Return the sampling interval at each position (samples), since it may change within a recording."""
+        earlier = np.clip(np.floor(position).astype(np.int64), 0, self.time.size - 2)
         return self.time[earlier + 1] - self.time[earlier]
 
     @cached_property
     def spikeless(self) -> Floats:
-        """Load with NaN for spikes, so that fits leave them out."""
+        """Load with NaN in place of spikes, so that fits leave them out."""
         return np.where(self.is_spike, np.nan, self.load)
 
 
 def _filled_in(load: Floats) -> Bools:
-    """Samples that repeat the one before, or lie on a straight line from one measured value to the next: of a
-    file written at a higher rate than the load cell's.
+    """Return which samples were filled in because the file is written at a higher rate than the load cell's.
 
-    Then nearly all runs of equal values, or of equal differences, are of one length; steps of a coarse load
-    are not. Where a line's ends lie between samples the first sample after each is kept.
+    They repeat the sample before, or lie on a straight line from one measured value to the next. Then nearly
+    all runs of equal values, or of equal differences, have the same length, unlike the steps of a coarse
+    load. Where the ends of a line lie between samples, the first sample after each counts as measured.
     """
-    steps = np.diff(np.unique(load[:20_000]))  # enough to show the last digit written
+    steps = np.diff(np.unique(load[:20_000]))  # enough to find the last digit written
     rounding = 3 * float(np.min(steps, where=steps > 1e-9 * np.ptp(load), initial=np.inf))
     repeats = np.diff(load, prepend=np.nan) == 0
     bends = np.r_[True, np.abs(np.diff(load, 2)) > rounding, True]
@@ -83,21 +82,21 @@ def _filled_in(load: Floats) -> Bools:
 
 @dataclass(frozen=True)
 class _Sticks:
-    """Valley, peak and knee (NaN: none) of each stick, in samples; lag: time constant of the low-pass."""
+    """Position of each stick, in samples."""
 
-    v: Floats
-    p: Floats
-    knee: Floats
-    lag: float
+    v: Floats  # valley, where the stick begins
+    p: Floats  # peak, where it ends
+    knee: Floats  # NaN for none
+    lag: float  # time constant of the low-pass that is corrected for; 0 for none
     settings: ForceSettings
 
     def central(self, part: float) -> tuple[Ints, Ints]:
-        """[start, stop) of the central part."""
+        """Return the half-open range of the central part of each stick."""
         margin = 0.5 * (1 - part) * (self.p - self.v)
         return _between(self.v + margin, self.p - margin)
 
     def one_slope(self, part: float) -> tuple[Ints, Ints]:
-        """The same after the knee; before it where it comes late."""
+        """Return the range of the central part after the knee, or before it where the knee is late."""
         length = self.p - self.v
         margin, clear = 0.5 * (1 - part) * length, 0.03 * length
         start, stop = self.v + margin, self.p - margin
@@ -106,11 +105,12 @@ class _Sticks:
         return _between(start, np.where(early, stop, np.fmin(stop, self.knee - clear)))
 
     def broken(self, x: Floats, y: Floats) -> BrokenLines:
-        """Lines with a knee through nearly all of each stick."""
+        """Fit a line with a knee to nearly all of each stick."""
         return fit_broken_lines(x, y, *self.central(self.settings.line_part), lag=self.lag)
 
 
 def _between(start: Floats, stop: Floats) -> tuple[Ints, Ints]:
+    """Return the half-open range of the samples from start to stop."""
     return np.ceil(start).astype(np.int64), np.floor(stop).astype(np.int64) + 1
 
 
@@ -123,11 +123,11 @@ def measure_sticks(
     compliance: float,
     settings: ForceSettings,
 ) -> pd.DataFrame:
-    """The columns of `vision.data.STICKS` that are measured on each stick by itself.
+    """Return the columns of `vision.data.STICKS` that are measured on each stick.
 
-    One row per stick, from the valley after slip j to the peak before slip j + 1.  corners, extremes: in
-    samples; valley[j] ends slip j, peak[j] begins it.  lag: time constant of the low-pass that is corrected
-    for, in samples, 0: as recorded.  compliance: of the machine, mm/N.
+    One row per stick, from the valley after slip j to the peak before slip j + 1. `corners` and `extremes`
+    are in samples: peak[j] begins slip j, valley[j] ends it. `lag` is the time constant of the low-pass that
+    is corrected for, in samples, 0 for none; `compliance` is that of the machine, mm/N.
     """
     index = np.arange(signal.time.size, dtype=float)
     slow = is_slow(corners.valley - corners.peak, corners.peak[1:] - corners.valley[:-1], settings)
@@ -138,31 +138,26 @@ def measure_sticks(
     sticks = _Sticks(v, p, corners.knee[1:-1], lag, settings)
     t_v, t_p, t_next = (np.interp(at, index, signal.time) for at in (v, p, v_next))
     ends = _ends(signal, sticks, t_v, t_p, corners.shape)
-    # by which a stick may rise beyond its last sample, and a wrong place of its corner moves the force there
-    rises = [np.abs(ends.slope) * signal.interval_at(at) for at in (v, p)]
-    f_v, f_p = ends.f_v, ends.f_p
+    rises = np.abs(ends.slope) * signal.interval_at(v), np.abs(ends.slope) * signal.interval_at(p)
     if lag:
-        load, there = _without_lowpass(signal, lag), (corners.middle, corners.valley - corners.peak)
-        held = _within_recorded(load, find_extremes(load.clean, *there), ends, rises, settings)
-        bent = np.isfinite(sticks.knee)
-        f_v, f_p = (np.where(bent, one, line) for one, line in zip(held, (f_v, f_p), strict=True))
+        f_v, f_p = _forces_without_lowpass(signal, corners, sticks, ends, rises)
     else:
         f_v, f_p = _within_recorded(signal, extremes, ends, rises, settings)
         f_v = np.where(recorded[:-1], extremes.low[:-1], f_v)
         f_p = np.where(recorded[1:], extremes.high[1:], f_p)
-    place = np.where(recorded, _flat_top_error(signal, corners, extremes), corners.error)
-    # The machine's stretch is subtracted at the corners: at every sample it would add the load's noise to d.
+    position_error = np.where(recorded, _flat_top_error(signal, corners, extremes), corners.error)
+    # The machine's stretch is subtracted at the corners only: at every sample it would add the load's noise.
     d_v = np.interp(v, index, signal.travel) - compliance * f_v
     d_p = np.interp(p, index, signal.travel) - compliance * f_p
     last = np.interp(v_next[-1:], index, signal.travel) - compliance * signal.clean[int(v_next[-1])]
-    relative = np.hypot(place[:-1], place[1:]) / (p - v)
-    # Either end of a stick is read off single samples of d, with their noise and steps.
-    unsteady = np.nan_to_num(fit_lines(signal.time, signal.travel, *_between(v, p)).spread)
-    # Near a slow slip's extreme the load is level: the place of the corner does not matter there.
-    f_v_err = np.hypot(ends.error_v, np.where(recorded[:-1], 0, rises[0] * place[:-1]))
-    f_p_err = np.hypot(ends.error_p, np.where(recorded[1:], 0, rises[1] * place[1:]))
-    # Ringing swings about the stick line; a stick may also bend too sharply to be followed. Noise aside, what
-    # was recorded beyond the line is part of the error.
+    relative = np.hypot(position_error[:-1], position_error[1:]) / (p - v)
+    # Each end of a stick is read from single samples of d, with their noise and steps.
+    travel_noise = np.nan_to_num(fit_lines(signal.time, signal.travel, *_between(v, p)).spread)
+    # At the extreme of a slow slip the load is level, so the position of the corner does not matter.
+    f_v_err = np.hypot(ends.error_v, np.where(recorded[:-1], 0, rises[0] * position_error[:-1]))
+    f_p_err = np.hypot(ends.error_p, np.where(recorded[1:], 0, rises[1] * position_error[1:]))
+    # Ringing oscillates about the stick line, and a stick may bend too sharply for it: what was recorded
+    # beyond the line, noise aside, is part of the error.
     noise = 4 * signal.sigma
     f_v_err = np.hypot(f_v_err, np.maximum(f_v - extremes.lowest[:-1] - noise, 0))
     f_p_err = np.hypot(f_p_err, np.maximum(extremes.highest[1:] - f_p - noise, 0))
@@ -184,7 +179,7 @@ def measure_sticks(
             "F_v_err_N": f_v_err,
             "F_p_err_N": f_p_err,
             "dF_err_N": np.hypot(f_v_err, f_p_err),
-            "stick_length_err_um": 1e3 * np.hypot((d_p - d_v) * relative, np.sqrt(2) * unsteady),
+            "stick_length_err_um": 1e3 * np.hypot((d_p - d_v) * relative, np.sqrt(2) * travel_noise),
             "slip_time_s": t_next - t_p,
             "samples": (p - v).astype(int),
         }
@@ -192,31 +187,41 @@ def measure_sticks(
     return table.assign(flag=_event_flags(signal, sticks, corners, ends.slope > 0, slow[:-1] | slow[1:]))
 
 
-def _without_lowpass(signal: Signal, lag: float) -> Signal:
-    """The load before a low-pass of `lag` samples, with the noise that this brings."""
-    gain = 1 / np.expm1(1 / lag)
+def _forces_without_lowpass(
+    signal: Signal, corners: Corners, sticks: _Sticks, ends: _Ends, rises: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Return F_v and F_p of a load corrected for a low-pass; those of sticks with a knee are limited."""
+    gain = 1 / np.expm1(1 / sticks.lag)
     load = signal.clean + gain * np.diff(signal.clean, prepend=signal.clean[:1])
-    return replace(signal, clean=load, sigma=signal.sigma * float(np.sqrt(1 + 2 * gain * (1 + gain))))
+    extremes = find_extremes(load, corners.middle, corners.valley - corners.peak)
+    f_v, f_p = _within_recorded(replace(signal, clean=load), extremes, ends, rises, sticks.settings)
+    bent = np.isfinite(sticks.knee)
+    return np.where(bent, f_v, ends.f_v), np.where(bent, f_p, ends.f_p)
 
 
 def _within_recorded(
-    signal: Signal, extremes: Extremes, ends: _Ends, rises: Sequence[Floats], settings: ForceSettings
+    signal: Signal,
+    extremes: Extremes,
+    ends: _Ends,
+    rises: tuple[Floats, Floats],
+    settings: ForceSettings,
 ) -> tuple[Floats, Floats]:
-    """Forces at the ends of the stick lines, held to what was recorded there.
+    """Return F_v and F_p of the stick lines, limited to what was recorded there.
 
-    A stick ends between two samples, and may be a sample's rise longer than what was recorded; since the load
-    cell is late, a small share of the drop is left at the valley. The whole recording's range is never left.
+    A stick ends between two samples, so either force may exceed the recorded one by `rises`, the rise from
+    sample to sample at valley and peak. At valleys a small share of the drop is added, since the load cell
+    is late. The range of the whole recording is never exceeded.
     """
     highest, lowest = extremes.highest[1:], extremes.lowest[:-1]
     rise_v, rise_p = rises
-    spare = rise_v + settings.between_samples * np.maximum(highest - lowest, 0)
-    f_v = np.fmax(ends.f_v, np.maximum(lowest - spare, signal.clean.min()))
+    margin = rise_v + settings.between_samples * np.maximum(highest - lowest, 0)
+    f_v = np.fmax(ends.f_v, np.maximum(lowest - margin, signal.clean.min()))
     f_p = np.fmin(ends.f_p, np.minimum(highest + rise_p, signal.clean.max()))
     return f_v, f_p
 
 
 def _flat_top_error(signal: Signal, corners: Corners, extremes: Extremes) -> Floats:
-    """Samples within which noise hides the extreme of half a cosine."""
+    """Return the position error, in samples, of the extremes of half cosines in the noise."""
     noise = signal.sigma / np.sqrt(extremes.width)
     relative = noise / np.maximum(extremes.high - extremes.low, noise)
     return np.asarray(np.fmax(extremes.fall * 2 / np.pi * np.sqrt(relative), corners.error))
@@ -224,17 +229,17 @@ def _flat_top_error(signal: Signal, corners: Corners, extremes: Extremes) -> Flo
 
 @dataclass(frozen=True)
 class _Ends:
-    """Forces at the two ends of each stick with the errors of their lines, and the sticks' slope in N/s."""
+    """Both ends of each stick line."""
 
-    f_v: Floats
+    f_v: Floats  # N
     f_p: Floats
-    error_v: Floats
+    error_v: Floats  # of the line alone, without that of the corner's position
     error_p: Floats
-    slope: Floats
+    slope: Floats  # N/s
 
 
 def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, shape: Shape) -> _Ends:
-    """Stick lines extended to the corners, each side of a knee its own, with the common curvature."""
+    """Extend the stick lines to the corners, with the common curvature or the line on that side of a knee."""
     central = sticks.central(sticks.settings.line_part)
     line = fit_lines(signal.time, signal.spikeless, *central, lag=sticks.lag)
     bent = np.isfinite(sticks.knee)
@@ -250,43 +255,45 @@ def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, shape: Shap
 
 
 def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: float) -> dict[str, Floats]:
-    """Slopes of load against d, corrected for the machine's compliance in series."""
+    """Return the columns of K: slopes of load against d, corrected for the machine's compliance in series."""
 
-    def sample(slope: Floats) -> Floats:
+    def of_sample(slope: Floats) -> Floats:
         with np.errstate(divide="ignore"):
             return np.where(slope * compliance < 1, slope / (1 - slope * compliance), np.nan)
 
     time, travel, load, wider = signal.time, signal.travel, signal.spikeless, np.sqrt(signal.alike)
 
-    def both(start: Ints, stop: Ints) -> tuple[Floats, Floats]:
-        """K and its error: against d itself, its noise and steps would make every slope too small."""
+    def with_error(start: Ints, stop: Ints) -> tuple[Floats, Floats]:
+        """Return K and its error from slopes against time, since noise of d would lower slopes against d."""
         rise = fit_lines(time, load, start, stop, lag=sticks.lag)
         pace = fit_lines(time, travel, start, stop, lag=sticks.lag)
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.where(pace.slope == 0, np.nan, rise.slope / pace.slope)
             error = np.hypot(wider * rise.slope_error, slope * pace.slope_error) / np.abs(pace.slope)
-            return sample(slope), error * (sample(slope) / slope) ** 2
+            return of_sample(slope), error * (of_sample(slope) / slope) ** 2
 
     part = sticks.settings.central_part
-    (k, error), (narrow, _), (wide, _) = (both(*sticks.central(share)) for share in (part, 0.3, 0.7))
+    (k, error), (narrow, _), (wide, _) = (with_error(*sticks.central(share)) for share in (part, 0.3, 0.7))
     columns = {"K_N_per_mm": k, "K_err_N_per_mm": error}
     columns |= {"K30_N_per_mm": narrow, "K70_N_per_mm": wide}
     names = ("K1_N_per_mm", "K2_N_per_mm", "K2_err_N_per_mm", "knee", "knee_gain")
     if not two_slopes or not np.isfinite(travel).any():
         return columns | dict.fromkeys(names, np.full(k.size, np.nan))
     broken = sticks.broken(travel, load)
-    after, after_error = both(*sticks.one_slope(part))
+    after, after_error = with_error(*sticks.one_slope(part))
     bent = np.isfinite(sticks.knee)
-    second = np.where(bent, after, sample(broken.second)), np.where(bent, after_error, error)
-    return columns | dict(zip(names, (sample(broken.first), *second, broken.knee, broken.gain), strict=True))
+    second = np.where(bent, after, of_sample(broken.second)), np.where(bent, after_error, error)
+    return columns | dict(
+        zip(names, (of_sample(broken.first), *second, broken.knee, broken.gain), strict=True)
+    )
 
 
 def _event_flags(signal: Signal, sticks: _Sticks, corners: Corners, rising: Bools, slow: Bools) -> list[str]:
-    """What is wrong within each stick, joined by "+"; "ok" where nothing is."""
+    """Return what is wrong within each stick, joined by "+", or "ok"."""
     v, p, last = sticks.v, sticks.p, signal.time.size - 1
-    # The slips at both ends count: what was lost in one hides how high or low the load was there.
+    # Both neighbouring slips count: bad samples in them hide how high or low the load was.
     begin, end = np.fmin(corners.peak[:-1], v), np.fmax(corners.valley[1:], p)
     first, final = (np.clip(at, 0, last).astype(int) for at in (np.floor(begin), np.ceil(end)))
-    marks = {kind: seen[final] > seen[first] for kind, seen in signal.damage.items()}
+    marks = {kind: count[final] > count[first] for kind, count in signal.damage.items()}
     marks |= {"few": p - v < sticks.settings.few_samples, "falling": ~rising, "slow": slow}
     return ["+".join(word for word, mark in marks.items() if mark[k]) or "ok" for k in range(v.size)]
