@@ -427,8 +427,8 @@ class StickMetadata(Metadata):
         Whether stick phases were fitted with a knee; share of a stick's rise by which its line is corrected
         at the valley for the curvature that all sticks share (negative: sticks begin steeply).
     regime, fall_over_rise, line_share
-        "stick-slip", "oscillation" or "cycles"; median duration of falls over that of rises; share of the
-        variance near the frequency of the slips.
+        "stick-slip", "oscillation", "cycles" or "noise"; median duration of falls over that of rises; share
+        of the variance near the frequency of the slips.
     warnings
         Reasons why this may not be stick-slip.
     first_slip_s, first_slip_N, last_slip_s

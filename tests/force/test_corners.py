@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vision.force.slips import deconvolve_lowpass, find_slips
-from vision.force.sticks import find_corners
+from vision.force.corners import find_corners
+from vision.force.lowpass import deconvolve_lowpass
+from vision.force.slips import find_slips
 
 
 @pytest.mark.parametrize("length", [4.0, 12.0])

@@ -9,7 +9,7 @@ import pytest
 
 from tests.scenes.machine_files import LAYOUTS, LOAD, PULL, TIME, rows, written
 from vision.errors import InputError
-from vision.force import ForceSettings, parse_columns, read_force
+from vision.force import ForceSettings, good_samples, parse_columns, read_force
 from vision.force.recording import find_spikes, noise_sigma
 
 
@@ -28,6 +28,30 @@ def test_bad_samples_are_flagged_and_kept(tmp_path: Path) -> None:
     expected[30:36] = "saturated"
     np.testing.assert_array_equal(flags, expected)
     assert "1 of 40 samples flagged backwards and left out" in force.attrs["warnings"]
+
+
+@pytest.mark.parametrize("heading", ["", "Time (s),Load (N),Extension (mm)\n"])
+@pytest.mark.parametrize("rows", [40, 90])
+def test_a_second_recording_in_the_file_is_named(rows: int, heading: str, tmp_path: Path) -> None:
+    """A failure means the end of a second, longer test goes on where the first one ends, without a word."""
+    tests = [
+        "".join(f"{0.1 * k:.1f},{5 + k % 7},{0.01 * k:.2f}\n" for k in range(count)) for count in (60, rows)
+    ]
+    file = tmp_path / "two.csv"
+    file.write_text("Time (s),Load (N),Extension (mm)\n" + heading.join(tests))
+    force = read_force(file, d0_mm=13)
+    line = 62 + bool(heading)
+    assert f"starts again at line {line}: the file seems to hold two" in force.attrs["warnings"][0]
+    assert good_samples(force).sizes["time_s"] == 60
+
+
+def test_single_wrong_times_are_no_second_recording(tmp_path: Path) -> None:
+    """A failure means a recording is cut off at the first damaged time."""
+    time = 0.1 * np.arange(200)
+    time[[50, 90]] = 0.0, 1e5
+    file = tmp_path / "one.csv"
+    file.write_text("Time (s),Load (N)\n" + "".join(f"{t:.1f},{k % 7}\n" for k, t in enumerate(time)))
+    assert not any("starts again" in line for line in read_force(file, speed_mm_min=1).attrs["warnings"])
 
 
 def test_a_load_cell_that_is_mostly_saturated_is_flagged(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -9,7 +11,7 @@ import xarray as xr
 from tests.scenes.sawtooth import recording
 from vision.errors import InputError
 from vision.force import ForceSettings, find_stick_slip
-from vision.force.sticks import find_extremes
+from vision.force.corners import find_extremes
 
 STICK_S, DROP_N, RATE_HZ = 0.03, 8.0, 10_000.0
 
@@ -52,6 +54,21 @@ def test_a_sinusoid_is_an_oscillation() -> None:
     assert any("oscillation" in line for line in events.attrs["warnings"])
     assert events["flag"].str.contains("oscillation").all()
     assert events["dF_N"].median() == pytest.approx(0.16, rel=0.06)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("white", [0.0, 0.02])
+def test_slow_noise_alone_gives_no_event_called_ok(white: float, seed: int) -> None:
+    """A failure means drops of pink (1/f) noise pass for slips: 5 to 9 a recording did."""
+    rng = np.random.default_rng(seed)
+    frequency = np.fft.rfftfreq(12_000)
+    frequency[0] = frequency[1]
+    pink = np.fft.irfft(np.fft.rfft(rng.normal(size=12_000)) / np.sqrt(frequency), 12_000)
+    time = np.arange(pink.size) / 100
+    load = 20 + 0.01 * time + 0.05 * pink / pink.std() + white * rng.standard_normal(time.size)
+    events = find_stick_slip(recording(time, load, 13 + time / 60, 1.0))
+    assert not (events["flag"] == "ok").any()
+    assert re.search(r"no stick-slip|stick-slip does not show clearly", events.attrs["warnings"][0])
 
 
 @pytest.mark.parametrize("known", [True, False])

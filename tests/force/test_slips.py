@@ -11,8 +11,9 @@ from tests.scenes.sawtooth import Test, plain, realistic, recording
 from vision.errors import InputError
 from vision.experiment import force_recording, preset, simulate_pull, with_settings
 from vision.force import find_stick_slip
-from vision.force.slips import deconvolve_lowpass, estimate_lowpass, find_slips
-from vision.force.sticks import find_corners
+from vision.force.corners import find_corners
+from vision.force.lowpass import deconvolve_lowpass, estimate_lowpass
+from vision.force.slips import find_slips
 from vision.models import fit_models
 from vision.numeric import Floats
 

@@ -33,7 +33,8 @@ SHOWN_STICKS = 5  # events from first to last, or of the early or late part of a
 MOST_SAMPLES = 30_000  # of force or motion in the figure of the clocks
 CURVE_POINTS = 300
 SAME_SLIP = 0.25  # largest distance of the same slip on both clocks, over the time between slips
-SHOWN_FLAGS = frozenset({"ok", "slow", "negative", "oscillation", "cycles"})  # of completely measured events
+# flags of completely measured events
+SHOWN_FLAGS = frozenset({"ok", "slow", "negative", "oscillation", "cycles", "noise"})
 
 
 def force_figure(

@@ -1,4 +1,4 @@
-"""Stick-slip events: one row per stick, from its valley to its peak; and how small a slip could be found."""
+"""Stick-slip events, one row per stick from its valley to its peak; and the smallest slip that is found."""
 
 from __future__ import annotations
 
@@ -11,29 +11,14 @@ import xarray as xr
 
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
 from vision.errors import InputError
+from vision.force.corners import Corners, Extremes, find_corners, find_extremes, is_slow
 from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
+from vision.force.lowpass import SlipTransients, deconvolve_lowpass, estimate_lowpass
 from vision.force.recording import is_compression
 from vision.force.regime import Regime, find_regime, is_unloading
 from vision.force.settings import ForceSettings
-from vision.force.slips import (
-    Slips,
-    SlipTransients,
-    deconvolve_lowpass,
-    estimate_lowpass,
-    find_slips,
-    size_gap,
-    stick_lines,
-    stick_middles,
-)
-from vision.force.sticks import (
-    Corners,
-    Extremes,
-    Signal,
-    find_corners,
-    find_extremes,
-    is_slow,
-    measure_sticks,
-)
+from vision.force.slips import Slips, find_slips, size_gap, stick_lines, stick_middles
+from vision.force.sticks import Signal, measure_sticks
 from vision.numeric import Bools, Floats, mad_sigma, nan_median
 
 
@@ -46,40 +31,39 @@ def find_stick_slip(
     lowpass_s: float | Literal["auto"] = 0.0,
     settings: ForceSettings = ForceSettings(),
 ) -> pd.DataFrame:
-    """Stick-slip events of a recording, one row per complete stick: valley (v), peak (p), next valley.
+    """Return the stick-slip events of a recording, one row per complete stick: valley (v) to peak (p).
 
-    The initial elastic loading has a peak but no valley, and what follows the last slip no peak: neither is a
-    row; the first slip is in the attributes.
+    The initial elastic loading has no valley and the stick after the last slip no peak, so neither has a row;
+    the first slip is in the attributes.
 
     Parameters
     ----------
     force
         As from `read_force`.
     threshold_N
-        Smallest drop that is a slip; found from the noise if absent (`find_slips`).
+        Smallest drop that counts as a slip; by default found from the noise (`find_slips`).
     machine_stiffness_N_per_mm
-        Corrects d for the machine's own stretch, d - F/K_machine; no correction if absent.
+        Corrects d for the stretch of the machine, d - F/K_machine; by default d is not corrected.
     two_slopes
-        Whether sticks are fitted with K1 up to a knee and K2 after it; by default decided from the sticks
-        themselves.
+        Whether sticks are fitted with K1 up to a knee and K2 after it; by default decided from the sticks.
     lowpass_s
-        Time constant of the load cell's low-pass to correct for. 0: everything as recorded. "auto": what the
-        transients after slips prove, else as recorded; a constant that was found is proposed either way
-        (``lowpass_proposed_s``).
+        Time constant of the load cell's low-pass to correct for; 0 for no correction. "auto" corrects for the
+        constant that the transients after slips prove, if any. Either way a constant that was found is
+        proposed (``lowpass_proposed_s``).
     settings
         See `ForceSettings`.
 
     Returns
     -------
     Table with the columns of ``events.csv`` in order, then further ones; all are described in
-    `vision.data.STICKS`. F_v and F_p are the stick line through the central 80 % extended to valley and peak,
-    bent as all sticks are and within what was recorded there; beside slow slips the recorded extremes. K is
-    the slope of the central half, K1 and K2 those before and after a knee. Lengths and stiffness are NaN
-    where d is not known.
+    `vision.data.STICKS`. F_v and F_p are the ends, at valley and peak, of a line through the central 80 % of
+    the stick, with the curvature common to all sticks and limited to what was recorded; beside slow slips
+    they are the recorded extremes. K is the slope of the central half, K1 and K2 those before and after a
+    knee. Lengths and stiffness are NaN where d is unknown.
     ``flag`` is "ok" or, joined by "+", what is wrong within the stick (gap, nan, saturated, repeated,
     backwards, few (samples), falling, unloading), what the instrument cannot give (short, negative), or how
-    it was measured (slow); "oscillation" and "cycles" are those of the whole recording. Attributes as
-    `vision.data.StickMetadata`.
+    it was measured (slow); "oscillation", "cycles" and "noise" are those of the whole recording. Attributes
+    are described in `vision.data.StickMetadata`.
 
     Raises
     ------
@@ -90,29 +74,15 @@ def find_stick_slip(
 
     Notes
     -----
-    Errors of forces and lengths hold the noise, the place of the corners, a quarter of what curved sticks
-    leave their lines by, what was recorded beyond them, and what an uncorrected low-pass, where one was
-    found, changes in each event. Source: paper, section on stick-slip features.
+    Errors of forces and lengths contain the noise, the position error of the corners, a quarter of the
+    deviation of curved sticks from their lines, what was recorded beyond the lines, and the effect of a
+    low-pass that was found but not corrected. Source: paper, section on stick-slip features.
     """
     FORCE.check(force)
     metadata = ForceMetadata.of(force)
     _check_times(force, metadata.source)
     signal = Signal.of(force, settings)
-    # Where a load below 0 falls suddenly it is a pull, with the load cell's zero set under load.
-    if is_compression(signal.load) and np.sum(np.diff(signal.clean) ** 3) > 0:
-        raise InputError(
-            metadata.source,
-            "a pull (positive load)",
-            f"a median load of {np.median(signal.load):.3g}",
-            "if tension counts negative on this machine give `columns` load=-NAME",
-        )
-    if signal.is_spike.mean() > settings.most_spikes:
-        raise InputError(
-            metadata.source,
-            f"at most {100 * settings.most_spikes:g} % of spikes",
-            f"{100 * signal.is_spike.mean():.0f} %: the load jumps from sample to sample",
-            "record more samples per second: ten or more in each stick",
-        )
+    _check_load(signal, metadata.source, settings)
     slips = find_slips(signal.clean, signal.sigma, threshold=threshold_N, settings=settings)
     if slips.edge.size < 2:
         raise InputError(
@@ -122,12 +92,12 @@ def find_stick_slip(
             "lower `threshold_N` if smaller drops are slips",
         )
     _check_lowpass(lowpass_s, slips.period * signal.interval_s, metadata.source)
-    shown = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
-    if threshold_N is None and (clear := _above_slow_drops(signal, slips, shown.corners, settings)):
+    analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
+    if threshold_N is None and (clear := _above_slow_drops(signal, slips, analysis.corners, settings)):
         signal, slips = clear
-        shown = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
-    corners, tau, found, regime = shown.corners, shown.samples, shown.found, shown.regime
-    unloading = is_unloading(signal.travel, shown.extremes)
+        analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
+    tau, found, regime = analysis.samples, analysis.found, analysis.regime
+    unloading = is_unloading(signal.travel, analysis.extremes)
     if unloading.all():
         raise InputError(
             metadata.source,
@@ -136,7 +106,9 @@ def find_stick_slip(
         )
     signal = replace(signal, alike=_alike(signal, slips, settings))
     compliance = 1 / (machine_stiffness_N_per_mm or np.inf)
-    events = measure_sticks(signal, corners, shown.extremes, tau, shown.bent, compliance, settings)
+    events = measure_sticks(
+        signal, analysis.corners, analysis.extremes, tau, analysis.bent, compliance, settings
+    )
     stick_length = float(nan_median(events["stick_length_um"].to_numpy(float)))
     if stick_length < 0:
         raise InputError(
@@ -146,12 +118,13 @@ def find_stick_slip(
             "if the displacement counts the other way give `columns` displacement=-NAME",
         )
     if found.samples and not tau:
-        events = _with_bias(events, signal, slips, shown.bent, compliance, found.samples, settings)
+        events = _with_bias(events, signal, slips, analysis.bent, compliance, found.samples, settings)
     response = tau or (found.samples if found.proven else 0.0)
     events = events.assign(
         flag=_all_flags(events, regime.name, unloading, response * signal.interval_s, signal, settings)
     )
-    first, last = np.interp(corners.peak[[0, -1]], np.arange(signal.time.size), signal.time)
+    first_peak = analysis.corners.peak[0]
+    first, last = np.interp(analysis.corners.peak[[0, -1]], np.arange(signal.time.size), signal.time)
     events.attrs |= StickMetadata(
         noise_N=signal.sigma,
         threshold_N=slips.threshold,
@@ -159,19 +132,19 @@ def find_stick_slip(
         period_samples=slips.period,
         spikes=int(signal.is_spike.sum()),
         lowpass_s=tau * signal.interval_s,
-        lowpass_how=shown.how,
+        lowpass_how=analysis.how,
         lowpass_proposed_s=found.samples * signal.interval_s if found.samples and not tau else float("nan"),
         lowpass_proven=found.proven,
         lowpass_dF_share=events.attrs.get("lowpass_dF_share", 0.0),
         lowpass_K_share=events.attrs.get("lowpass_K_share", 0.0),
-        two_slopes=bool(shown.bent),
-        bend_share=corners.shape.begin,
+        two_slopes=bool(analysis.bent),
+        bend_share=analysis.corners.shape.begin,
         regime=regime.name,
         fall_over_rise=regime.fall_over_rise,
         line_share=regime.line_share,
         warnings=_warnings(events, regime, signal, slips),
         first_slip_s=float(first),
-        first_slip_N=float(signal.clean[int(corners.peak[0])]),
+        first_slip_N=float(signal.clean[int(first_peak)]),
         last_slip_s=float(last),
         machine_stiffness_N_per_mm=machine_stiffness_N_per_mm or float("nan"),
         central_part=settings.central_part,
@@ -187,8 +160,27 @@ def find_stick_slip(
     )
 
 
+def _check_load(signal: Signal, source: str, settings: ForceSettings) -> None:
+    """Raise InputError for a load in compression, or with too many spikes."""
+    # A negative load that falls suddenly is a pull whose load cell was zeroed under load.
+    if is_compression(signal.load) and np.sum(np.diff(signal.clean) ** 3) > 0:
+        raise InputError(
+            source,
+            "a pull (positive load)",
+            f"a median load of {np.median(signal.load):.3g}",
+            "if tension counts negative on this machine give `columns` load=-NAME",
+        )
+    if signal.is_spike.mean() > settings.most_spikes:
+        raise InputError(
+            source,
+            f"at most {100 * settings.most_spikes:g} % of spikes",
+            f"{100 * signal.is_spike.mean():.0f} %: the load jumps from sample to sample",
+            "record more samples per second: ten or more in each stick",
+        )
+
+
 def _check_times(force: xr.Dataset, source: str) -> None:
-    """Raises InputError where many samples share one time and so would be left out."""
+    """Raise InputError where many samples share one time and so would be left out."""
     if "flag" not in force:
         return
     changes = np.diff(force["load_N"].to_numpy(), prepend=np.nan) != 0
@@ -203,14 +195,14 @@ def _check_times(force: xr.Dataset, source: str) -> None:
 
 
 def _check_lowpass(lowpass_s: float | str, period_s: float, source: str) -> None:
-    """Raises InputError for a time constant that is not below the time from slip to slip."""
+    """Raise InputError for a time constant that is not shorter than the time from slip to slip."""
     if isinstance(lowpass_s, str):
         if lowpass_s != "auto":
             raise InputError("`lowpass_s`", "seconds or auto", f"'{lowpass_s}'")
     elif not 0 <= lowpass_s < period_s:
         raise InputError(
             source,
-            f"a time constant from 0 to less than from slip to slip, {period_s:.3g} s",
+            f"a time constant from 0 to the time between slips, {period_s:.3g} s",
             f"{lowpass_s:g} s",
             "give `lowpass_s` in seconds, or auto to have it found",
         )
@@ -218,32 +210,31 @@ def _check_lowpass(lowpass_s: float | str, period_s: float, source: str) -> None
 
 @dataclass(frozen=True)
 class _SlipAnalysis:
-    """Corners and recorded extremes, the low-pass corrected for in samples (how: `StickMetadata`) and the one
-    found, the kind of motion, and whether sticks have knees."""
+    """What is known about a recording before its sticks are measured."""
 
     corners: Corners
     extremes: Extremes
     regime: Regime
-    bent: bool
-    found: _Lowpass
-    samples: float
-    how: str
+    bent: bool  # whether the sticks have knees
+    found: _Lowpass  # low-pass that the transients suggest
+    samples: float  # time constant that is corrected for; 0 for none
+    how: str  # as ``lowpass_how`` of `StickMetadata`
 
 
 def _analyse_slips(
     signal: Signal, slips: Slips, lowpass_s: float | str, two_slopes: bool | None, settings: ForceSettings
 ) -> _SlipAnalysis:
-    """What the recording shows, and what of the load cell's low-pass is to be corrected."""
+    """Find corners, extremes, knees and the regime, and decide which low-pass to correct for."""
     given = 0.0 if isinstance(lowpass_s, str) else lowpass_s / signal.interval_s
     bent = _have_knees(signal, slips, given, settings) if two_slopes is None else two_slopes
     corners = _corners(signal, slips, bent, 0.0, settings)
     extremes = find_extremes(signal.clean, corners.middle, corners.valley - corners.peak)
-    regime = find_regime(signal.clean, extremes, settings)
+    regime = find_regime(signal.clean, slips, extremes, settings)
     found = _Lowpass()
     if not given and regime.name == "stick-slip":
         found = _lowpass(signal, slips, corners, bent, settings)
         if found.samples and not bent and two_slopes is None:
-            # Transients of the low-pass may have hidden the knees.
+            # The transients of the low-pass may hide the knees.
             bent = _have_knees(signal, slips, found.samples, settings)
             if bent:
                 corners = _corners(signal, slips, bent, 0.0, settings)
@@ -259,10 +250,10 @@ def _analyse_slips(
 def _above_slow_drops(
     signal: Signal, slips: Slips, corners: Corners, settings: ForceSettings
 ) -> tuple[Signal, Slips] | None:
-    """Signal and slips without the swings of hum or other noise that is not white; None where there are none.
+    """Return signal and slips without the oscillations of hum or other noise that is not white, if any.
 
-    Most of these swings last as long down as up, and a gap in the sizes separates them from the slips. The
-    noise that counts is then what they leave about the sticks.
+    Most such drops are as slow as the rises beside them, and a gap in the sizes separates them from slips.
+    The noise of the returned signal is the scatter about the stick lines. None where no such drops are found.
     """
     gap = size_gap(slips.drop, settings.slow_gap, 1 - 3 / slips.drop.size)
     small = slips.drop < gap
@@ -276,10 +267,10 @@ def _above_slow_drops(
 
 
 def _alike(signal: Signal, slips: Slips, settings: ForceSettings) -> float:
-    """How many neighbouring samples have their noise in common: 1 unless the sticks prove it not white.
+    """Return the number of neighbouring samples whose noise is common: 1 unless it is proven not white.
 
-    Lines through the two halves of each stick miss each other by more than white noise explains. By how much
-    they do so in all sticks is the sticks' curvature.
+    Noise that is not white separates the lines through the two halves of each stick, at their middle, by more
+    than white noise does. Only the scatter of this distance counts: its median is the sticks' curvature.
     """
     start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
     some = np.flatnonzero(stop - start >= 2 * settings.few_samples)
@@ -288,21 +279,21 @@ def _alike(signal: Signal, slips: Slips, settings: ForceSettings) -> float:
     some = some[:: some.size // 400 + 1]  # enough for a median
     middle = (start + stop) // 2
     index = np.arange(signal.clean.size, dtype=float)
-    place = np.asarray(middle[some] - 0.5, np.float64)
+    centre = np.asarray(middle[some] - 0.5, np.float64)
     whole, first, second = (
         fit_lines(index, signal.clean, low[some], high[some])
         for low, high in ((start, stop), (start, middle), (middle, stop))
     )
-    expected = whole.spread * np.hypot(first.lever(place), second.lever(place))
-    missed = (first.at(place) - second.at(place)) / np.maximum(expected, np.finfo(float).tiny)
-    factor = float(mad_sigma(missed[np.isfinite(missed)])) ** 2
+    expected = whole.spread * np.hypot(first.lever(centre), second.lever(centre))
+    distance = (first.at(centre) - second.at(centre)) / np.maximum(expected, np.finfo(float).tiny)
+    factor = float(mad_sigma(distance[np.isfinite(distance)])) ** 2
     return factor if factor > 1 + settings.alike_sigmas / np.sqrt(some.size) else 1.0
 
 
 def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSettings) -> bool:
-    """Whether the recording's sticks begin steeper than they go on, at the median of all of them.
+    """Return whether the median stick is steeper before a knee than after it.
 
-    The speed has no say: sticks at 4.9975 and at 5.0000 mm/min are the same.
+    The pulling speed plays no part: sticks at 4.9975 and at 5.0000 mm/min are the same.
     """
     start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
     some = np.unique(np.linspace(0, start.size - 1, 60).astype(np.int64))
@@ -312,11 +303,11 @@ def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSetting
     if known.sum() < max(2, 0.5 * known.size):
         return False
     ratio = float(np.median(broken.first[known] / broken.second[known]))
-    # A stick that bends all along is followed better by a polynomial.
+    # A stick that bends gradually is fitted better by a polynomial.
     begin, end = start[some][known], stop[some][known]
-    _, left, row = fit_polynomials(signal.clean, begin, end)
+    _, residual, row = fit_polynomials(signal.clean, begin, end)
     smooth = fit_lines(index, signal.clean, begin, end).squares / np.maximum(
-        np.bincount(row, left**2), np.finfo(float).tiny
+        np.bincount(row, residual**2), np.finfo(float).tiny
     )
     if not lag and np.median(smooth) > np.median(broken.gain[known]):
         return False
@@ -324,27 +315,27 @@ def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSetting
 
 
 def _corners(signal: Signal, slips: Slips, two_slopes: bool, tau: float, settings: ForceSettings) -> Corners:
-    """Corners of the slips, corrected for a low-pass of tau samples."""
+    """Return the corners of the slips, corrected for a low-pass of tau samples."""
     corrected = deconvolve_lowpass(signal.clean, signal.sigma, slips, tau)
     return find_corners(corrected, two_slopes=two_slopes, settings=settings)
 
 
 @dataclass(frozen=True)
 class _Lowpass:
-    """Time constant in samples that the transients after slips suggest, 0 for none; is it proven?"""
+    """The low-pass that the transients after slips suggest."""
 
-    samples: float = 0.0
-    proven: bool = False
+    samples: float = 0.0  # time constant; 0 for none
+    proven: bool = False  # the same after large and small, early and late slips
 
 
 def _lowpass(
     signal: Signal, slips: Slips, plain: Corners, two_slopes: bool, settings: ForceSettings
 ) -> _Lowpass:
-    """The low-pass of the load cell: proven where large and small, early and late slips show the same."""
+    """Find the low-pass of the load cell from the transients after slips."""
     found = estimate_lowpass(signal.clean, plain.transients())
-    if found is None or found.gain <= 2.5:  # nothing to look into
+    if found is None or found.gain <= 2.5:  # no sign of a transient
         return _Lowpass()
-    # Corrected corners show the transients from their very begin: what is found a second time is believed.
+    # Corrected corners show the transients from their begin, so a low-pass must be found there again.
     for _ in range(3):
         transients = _corners(signal, slips, two_slopes, found.samples, settings).transients()
         again = estimate_lowpass(signal.clean, transients, found.samples)
@@ -357,9 +348,9 @@ def _lowpass(
 
 
 def _same_everywhere(signal: Signal, transients: SlipTransients, tau: float, settings: ForceSettings) -> bool:
-    """Whether slips of different size, and of different sticks, each show the time constant of all.
+    """Return whether large and small slips, and those after long and short sticks, show the same constant.
 
-    An amplifier's constant is one; relaxation of the sample itself changes with the slip.
+    An amplifier has one time constant; relaxation of the sample changes with the slip.
     """
     stick = transients.peak - transients.valley
     if not tau < 0.5 * float(np.median(stick)):
@@ -367,8 +358,8 @@ def _same_everywhere(signal: Signal, transients: SlipTransients, tau: float, set
     for quantity in (transients.drop, stick):
         large = quantity > np.median(quantity)
         for part in (large, ~large):
-            some = estimate_lowpass(signal.clean, transients.take(part), tau)
-            if some is None or abs(np.log(some.samples / tau)) > settings.lowpass_same:
+            found = estimate_lowpass(signal.clean, transients.take(part), tau)
+            if found is None or abs(np.log(found.samples / tau)) > settings.lowpass_same:
                 return False
     return True
 
@@ -382,13 +373,13 @@ def _with_bias(
     tau: float,
     settings: ForceSettings,
 ) -> pd.DataFrame:
-    """Errors that hold what a low-pass of tau samples, left as recorded, changes in each event."""
+    """Add to the errors of each event what correcting for a low-pass of tau samples would change."""
     corners = _corners(signal, slips, two_slopes, tau, settings)
     extremes = find_extremes(signal.clean, corners.middle, corners.valley - corners.peak)
     other = measure_sticks(signal, corners, extremes, tau, two_slopes, compliance, settings)
     pairs = [(f"{name}_N", f"{name}_err_N") for name in ("F_v", "F_p", "dF")]
     pairs += [("stick_length_um", "stick_length_err_um"), ("K_N_per_mm", "K_err_N_per_mm")]
-    # The bias is the same in each event: added, not in squares.
+    # The bias is the same in each event, so it is added linearly, not in squares.
     bias = {error: (other[value] - events[value]).abs().fillna(0.0) for value, error in pairs}
     biased = events.assign(**{error: events[error] + added for error, added in bias.items()})
     for name, value in (("dF", "dF_N"), ("K", "K_N_per_mm")):
@@ -406,7 +397,7 @@ def _all_flags(
     signal: Signal,
     settings: ForceSettings,
 ) -> list[str]:
-    """The flags with what contradicts stick-slip, or what the instrument cannot give, added."""
+    """Add flags for what contradicts stick-slip and for what the instrument cannot resolve."""
     duration = (events["t_p_s"] - events["t_v_s"]).to_numpy(float)
     marks = {
         "unloading": unloading[:-1] | unloading[1:],
@@ -414,13 +405,13 @@ def _all_flags(
         "negative": events["F_v_N"].to_numpy(float) < -3 * signal.sigma,
         regime: np.full(len(events), regime != "stick-slip"),
     }
-    own = [[] if flag == "ok" else [flag] for flag in events["flag"]]
+    present = [[] if flag == "ok" else [flag] for flag in events["flag"]]
     added = [[word for word, mark in marks.items() if mark[k]] for k in range(len(events))]
-    return ["+".join(old + new) or "ok" for old, new in zip(own, added, strict=True)]
+    return ["+".join(old + new) or "ok" for old, new in zip(present, added, strict=True)]
 
 
 def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips) -> list[str]:
-    """Why the whole recording may not be stick-slip."""
+    """Return why the recording, or a part of its events, may not be stick-slip."""
     lines = []
     if regime.name == "oscillation":
         low, high = np.percentile(signal.clean, [1, 99])
@@ -433,12 +424,18 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips
             f"no stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises and are as "
             "straight, as in cycles of loading and unloading"
         )
+    elif regime.name == "noise":
+        lines.append(
+            f"stick-slip does not show clearly: within the sticks the load jumps upward by "
+            f"{regime.upward_share:.2g} times what it drops, as noise does, so all events are flagged noise; "
+            "a larger `threshold_N` leaves out the smaller drops"
+        )
     for column, values, what, unit in (
         ("stick_length_um", 1e3 * signal.travel, "lengths and K are not resolved: the displacement", "µm"),
         ("dF_N", signal.load, "drops and K are not resolved: the load", "N"),
     ):
         step, stick = _resolution(values), float(nan_median(events[column].to_numpy(float)))
-        if step > 0.3 * stick:  # fewer than four steps in a stick
+        if step > 0.3 * stick:  # about three steps in a stick, or fewer
             lines.append(f"{what} has steps of {step:.3g} {unit}, sticks are {stick:.3g} {unit}")
     if slips.left_out.size:
         count, low, high = slips.left_out.size, slips.left_out.min(), slips.left_out.max()
@@ -450,8 +447,8 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips
         )
     if slips.jumps > max(1, 0.01 * len(events)):
         lines.append(
-            f"the load jumps upward, too, {slips.jumps} times by {slips.threshold:.3g} N or more: so many of "
-            "the events, or more, may be noise, knocks or ringing"
+            f"the load also jumps upward {slips.jumps} times by {slips.threshold:.3g} N or more: at least "
+            "as many of the events may be noise, knocks or ringing"
         )
     flags = events["flag"].str.split("+")
     for word, meaning in (
@@ -465,7 +462,7 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips
 
 
 def _resolution(values: Floats) -> float:
-    """Usual distance of neighbouring values; 0 where there are none or nearly all differ."""
+    """Return the median step between the values that occur; 0 where nearly all values differ."""
     different = np.unique(values[np.isfinite(values)])
     return float(np.median(np.diff(different))) if 2 < different.size < 0.2 * values.size else 0.0
 
@@ -482,7 +479,7 @@ def detection_limit(
     seed: int = 0,
     settings: ForceSettings = ForceSettings(),
 ) -> pd.DataFrame:
-    """The share of known small slips that are found when added to the recording's own sticks.
+    """Return the share of known small slips that are found when they are added to the recording's sticks.
 
     Parameters
     ----------
@@ -491,14 +488,14 @@ def detection_limit(
     levels_N
         Drops to try; by default 1 to 12 times the noise.
     injected, seed
-        Most sticks that get a slip, and the seed of their choice.
+        Largest number of sticks to which a slip is added, and the seed of their choice.
     settings
         As for `find_stick_slip`.
 
     Returns
     -------
-    Columns dF_N, dF_over_noise, recall, injected. ``attrs["limit_N"]`` is the smallest level from which on at
-    least 95 % are found, NaN if none.
+    Columns dF_N, dF_over_noise, recall, injected. ``attrs["limit_N"]`` is the smallest level at and above
+    which at least 95 % are found; NaN for none.
 
     Raises
     ------
@@ -507,9 +504,9 @@ def detection_limit(
 
     Notes
     -----
-    In the middle of a stick the load is lowered by a known step until the stick's own slip, so noise, spikes
-    and stiffness are the recording's; the threshold stays as it was. A slip counts as found if an event peaks
-    within a tenth of that stick. The stick is thereby cut in two, which makes the limit a little pessimistic.
+    The load is lowered by a known step from the middle of a stick to the slip after it, so noise, spikes and
+    stiffness remain those of the recording; so does the threshold. The slip is found if an event peaks within
+    a tenth of the stick from it. It divides the stick in two, which makes the limit slightly pessimistic.
     """
     STICKS.check(sticks)
     metadata = StickMetadata.of(sticks)
@@ -532,11 +529,11 @@ def detection_limit(
 def _recall(
     force: xr.Dataset, picked: pd.DataFrame, drop_N: float, threshold_N: float, settings: ForceSettings
 ) -> float:
-    """Share of the sticks in whose middle a slip of `drop_N` is found."""
+    """Return the share of the picked sticks in whose middle a slip of `drop_N` is found."""
     begin, end, slip = (picked[name].to_numpy() for name in ("t_v_s", "t_p_s", "slip_time_s"))
     middle = 0.5 * (begin + end)
     time = force["time_s"].to_numpy()
-    # Lowered from mid-stick to the middle of the stick's own slip, which is smaller by as much.
+    # Lowered from mid-stick to the middle of the next slip, which becomes smaller by as much.
     begun, over = (np.searchsorted(at, time, side="right") for at in (middle, end + 0.5 * slip))
     lowered = force.assign(load_N=force["load_N"] - drop_N * (begun - over))
     try:

@@ -8,7 +8,7 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -46,6 +46,7 @@ class Table:
     units: tuple[str, ...]  # "" where none is written
     numbers: Floats  # (rows, columns), NaN where a cell is empty or not a number
     facts: dict[str, str] = field(default_factory=dict)  # layout, encoding, separator, decimal
+    first_line: int = 0  # of the rows in the file, from 1; 0 where it has no lines
 
     def listing(self) -> str:
         """The columns for a message: 1 "Time" [s], 2 "Load" [N] …; the first value where there is no name."""
@@ -229,7 +230,7 @@ def _read_plain(path: Path) -> Table | None:
     if np.isnan(values[:, 1:]).all(axis=1).any() or len(values) < LEAST_ROWS:
         return None  # a remark, or the last line cut short
     names, units = _header(lines[:start], style, width)
-    return _drop_empty(Table(names, units, values, _facts(lines, style, encoding)))
+    return _drop_empty(Table(names, units, values, _facts(lines, style, encoding), start + 1))
 
 
 def _facts(lines: list[str], style: _Style, encoding: str) -> dict[str, str]:
@@ -357,7 +358,7 @@ def _read_blocks(path: Path, lines: list[str], style: _Style, facts: dict[str, s
         if tables and not any(names) and values.shape[1] == tables[-1].numbers.shape[1]:
             # A remark between two runs of numbers is not a header: the columns go on as before.
             names, units = tables[-1].names, tables[-1].units
-        tables.append(_drop_empty(Table(names, units, values, facts)))
+        tables.append(_drop_empty(Table(names, units, values, facts, start + 1)))
         header_from = stop
     return tables
 
@@ -475,7 +476,7 @@ def _drop_empty(table: Table) -> Table:
     """Without the nameless columns that hold nothing: the trace of a separator at the end of each line."""
     keep = [k for k, name in enumerate(table.names) if name or np.isfinite(table.numbers[:, k]).any()]
     names, units = (tuple(part[k] for k in keep) for part in (table.names, table.units))
-    return Table(names, units, table.numbers[:, keep], table.facts)
+    return replace(table, names=names, units=units, numbers=table.numbers[:, keep])
 
 
 def _suffixed_column(path: Path, lines: list[str], encoding: str) -> Table:

@@ -1,4 +1,4 @@
-"""Straight and broken lines through many stretches of a signal at once."""
+"""Least-squares lines, lines with a knee and polynomials through many stretches of a signal at once."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from vision.numeric import Floats, Ints
 
-LEAST_FOR_KNEE = 12  # samples of a stretch: fewer say nothing about two slopes
+LEAST_FOR_KNEE = 12  # samples of a stretch below which two slopes cannot be fitted
 
 
 def flat_ranges(start: Ints, stop: Ints) -> tuple[Ints, Ints]:
-    """(row, index): every integer of many half-open ranges, one range (row) after the other."""
+    """Return (row, index): for every integer of many half-open ranges its range's number, and itself."""
     count = np.maximum(stop - start, 0)
     row = np.repeat(np.arange(start.size), count)
     index = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(start, count)
@@ -38,20 +38,20 @@ class Lines:
     count: Floats  # samples used
 
     def at(self, x: Floats) -> Floats:
-        """The lines' values."""
+        """Return the value of each line at x."""
         return self.mean_y + self.slope * (x - self.mean_x)
 
     def error_at(self, x: Floats) -> Floats:
-        """Standard error of the lines' values, from the residuals."""
+        """Return the standard error of each line at x, from its residuals."""
         return self.spread * self.lever(x)
 
     def lever(self, x: Floats) -> Floats:
-        """The same for residuals of 1."""
+        """Return the standard error of each line at x for residuals of standard deviation 1."""
         return np.asarray(np.sqrt(1 / self.count + (x - self.mean_x) ** 2 / self.sxx), np.float64)
 
     @property
     def squares(self) -> Floats:
-        """Sums of squared residuals, without a lag."""
+        """Sum of squared residuals of each line; valid without a lag."""
         return np.asarray(self.spread**2 * np.maximum(self.count - 2, 1))
 
     @property
@@ -60,15 +60,15 @@ class Lines:
         return self.spread / np.sqrt(self.sxx)
 
     def take(self, rows: slice | Ints) -> Lines:
-        """Some of the lines."""
+        """Return the selected lines."""
         return Lines(*(getattr(self, part.name)[rows] for part in fields(self)))
 
 
 def fit_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: float = 0.0) -> Lines:
-    """Lines through (x, y), NaN left out, over many stretches: half-open ranges of samples, one per line.
+    """Fit one line to (x, y) over each half-open range of samples; NaN samples are left out.
 
-    lag: time constant, in samples, of a first-order low-pass that y went through. An exponential of free
-    height then takes up the transient, and the line is the one before the low-pass.
+    `lag` is the time constant, in samples, of a first-order low-pass that y went through. With a lag an
+    exponential of free height fits the transient, and the line is that of the signal before the low-pass.
     """
     row, index = _known_samples(x, y, start, stop)
     rows = _Rows(row, start.size, least=4 if lag else 3)
@@ -97,10 +97,10 @@ def fit_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: float = 0.0
 
 
 def _known_samples(x: Floats, y: Floats, start: Ints, stop: Ints) -> tuple[Ints, Ints]:
-    """`flat_ranges` of the samples whose x and y are known."""
+    """Return `flat_ranges` without the samples whose x or y is NaN."""
     row, index = flat_ranges(start, stop)
-    keep = np.isfinite(y[index]) & np.isfinite(x[index])
-    return row[keep], index[keep]
+    known = np.isfinite(y[index]) & np.isfinite(x[index])
+    return row[known], index[known]
 
 
 class _Rows:
@@ -119,14 +119,15 @@ class _Rows:
 
 
 def fit_polynomials(y: Floats, start: Ints, stop: Ints, degree: int = 4) -> tuple[Floats, Floats, Ints]:
-    """Least-squares polynomials through stretches of 10 samples or more.
+    """Fit a polynomial to each stretch of 10 samples or more.
 
-    Coefficients (rows, degree + 1) of the Legendre polynomials over each; residual and row of each sample.
+    Returns the coefficients (rows, degree + 1) of Legendre polynomials over each stretch, and the residual
+    and the row of each sample.
     """
     row, index = flat_ranges(start, stop)
     size = degree + 1
     terms = legvander(2 * (index - start[row]) / (stop - 1 - start)[row] - 1, degree).T
-    level = (np.bincount(row, y[index], start.size) / (stop - start))[row]  # sums of less lose fewer digits
+    level = (np.bincount(row, y[index], start.size) / (stop - start))[row]  # keeps the digits of the sums
     products = np.empty((start.size, size, size + 1))
     for k, one in enumerate(terms):
         products[:, k, size] = np.bincount(row, one * (y[index] - level), start.size)
@@ -138,32 +139,32 @@ def fit_polynomials(y: Floats, start: Ints, stop: Ints, degree: int = 4) -> tupl
 
 @dataclass(frozen=True)
 class BrokenLines:
-    """Continuous lines of two slopes, one per stretch."""
+    """Continuous lines with a knee, one per stretch."""
 
     first: Floats  # slope before the knee
-    second: Floats  # and after it
-    knee: Floats  # where the slope changes, as a fraction of the stretch
-    low: Floats  # where each stretch begins in x
-    span: Floats  # and its length
+    second: Floats  # slope after the knee
+    knee: Floats  # position of the knee, as a fraction of the stretch
+    low: Floats  # begin of each stretch in x
+    span: Floats  # length of each stretch in x
     level: Floats  # value at low
-    gain: Floats  # how many times smaller the squared residual is than a single line's
+    gain: Floats  # squared residual of a single line over that of the line with a knee
 
     @property
     def knee_x(self) -> Floats:
-        """Where the slope changes."""
+        """Position of the knee in x."""
         return self.low + self.knee * self.span
 
     def first_at(self, x: Floats) -> Floats:
-        """The first line's values, extended."""
+        """Return the value at x of the line before the knee, extended."""
         return self.level + self.first * (x - self.low)
 
     def second_at(self, x: Floats) -> Floats:
-        """The second line's values, extended."""
+        """Return the value at x of the line after the knee, extended."""
         return self.first_at(self.knee_x) + self.second * (x - self.knee_x)
 
 
 def fit_broken_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: float = 0.0) -> BrokenLines:
-    """The best of 15 knees between 15 and 85 % of each stretch; NaN with fewer than 12 samples.
+    """Fit a line with the best of 15 knees, from 15 to 85 % of each stretch; NaN with fewer than 12 samples.
 
     Parameters are those of `fit_lines`.
     """
@@ -174,7 +175,7 @@ def fit_broken_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: floa
     transient = np.exp(-(index - start[row]) / lag) if lag else np.zeros_like(u)
     hinges = _Hinges(u, y[index], row, transient, late)
     knees = np.linspace(0.15, 0.85, 15)
-    straight, _ = hinges.fit(2.0)  # a knee beyond the end is none
+    straight, _ = hinges.fit(2.0)  # a knee beyond the end: a single line
     fits = [hinges.fit(knee) for knee in knees]
     squares = np.array([square for square, _ in fits])
     best = np.argmin(squares, axis=0)
@@ -192,7 +193,7 @@ def fit_broken_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: floa
 
 
 def lagged_hinge(t: Floats, tau: Floats | float) -> Floats:
-    """max(0, t) after a first-order low-pass of time constant tau (in the unit of t)."""
+    """Return max(0, t) after a first-order low-pass of time constant tau, in the unit of t."""
     late = np.maximum(t, 0.0)
     if not np.any(tau):
         return late
@@ -201,7 +202,10 @@ def lagged_hinge(t: Floats, tau: Floats | float) -> Floats:
 
 
 def _extent(x: Floats, row: Ints, rows: int) -> tuple[Floats, Floats]:
-    """(lowest x, span) of each row; the span is NaN where 12 samples are not there or x does not vary."""
+    """Return the lowest x and the span of each row.
+
+    The span is NaN with fewer than 12 samples or where x does not vary.
+    """
     low, high = np.full(rows, np.inf), np.full(rows, -np.inf)
     np.minimum.at(low, row, x)
     np.maximum.at(high, row, x)
@@ -211,7 +215,7 @@ def _extent(x: Floats, row: Ints, rows: int) -> tuple[Floats, Floats]:
 
 
 def bend_squares(x: Floats, y: Floats, start: Ints, stop: Ints, knee_x: Floats) -> Floats:
-    """Squared residuals of a continuous line with a knee at knee_x in each stretch, which has 12 samples."""
+    """Return the squared residuals of a line with its knee at `knee_x`; 12 samples or more each."""
     row, index = flat_ranges(start, stop)
     low, span = _extent(x[index], row, start.size)
     u, zero = (x[index] - low[row]) / span[row], np.zeros(start.size)
@@ -220,17 +224,17 @@ def bend_squares(x: Floats, y: Floats, start: Ints, stop: Ints, knee_x: Floats) 
 
 @dataclass(frozen=True)
 class _Hinges:
-    """y = a + b u + c max(0, u - knee) + transient, u from 0 to 1 in each row; late: lag in u, (rows,)."""
+    """The model y = a + b u + c max(0, u - knee) + transient, fitted to each row."""
 
-    u: Floats
+    u: Floats  # from 0 to 1 in each row
     y: Floats
     row: Ints
     transient: Floats
-    late: Floats
+    late: Floats  # lag of each row, in u
 
     @cached_property
     def _shared(self) -> tuple[_Rows, Floats, Floats, Floats]:
-        """Sums over rows, and what all knees share: columns of the design, their products, those with y."""
+        """Row sums, and what all knees share: the design's columns, their products, and those with y."""
         rows, known = _Rows(self.row, self.late.size, least=0), np.isfinite(self.u)
         columns = np.where(known, [np.ones_like(self.u), self.u, np.zeros_like(self.u), self.transient], 0.0)
         products = np.zeros((self.late.size, 4, 4))
@@ -239,8 +243,8 @@ class _Hinges:
         return rows, columns, products, np.stack([rows.total(column * self.y) for column in columns], axis=1)
 
     def fit(self, knee: float | Floats) -> tuple[Floats, Floats]:
-        """(sum of squares left, (a, b, c, transient)) of every row."""
-        rows, columns, products, with_y = self._shared  # what belongs to the hinge is written anew each time
+        """Return the squared residuals and the coefficients (a, b, c, transient) of each row."""
+        rows, columns, products, with_y = self._shared  # the entries of the hinge are overwritten each time
         hinge = lagged_hinge(self.u - knee, self.late[self.row])
         columns[2] = np.where(np.isfinite(hinge), hinge, 0.0)
         for k in range(4):

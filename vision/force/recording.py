@@ -78,8 +78,8 @@ def read_force(
     if not path.is_file():
         raise InputError(path, "a force recording", "a folder" if path.is_dir() else "no such file")
     with np.errstate(invalid="ignore"):
-        found, facts = _joined(path, read_tables(path), columns)
-        force = _dataset(path, found, facts, speed_mm_min, d0_mm, settings)
+        found, facts, blocks = _joined(path, read_tables(path), columns)
+        force = _dataset(path, found, facts, blocks, speed_mm_min, d0_mm, settings)
         if d0_err_mm is not None:
             if not 0 <= d0_err_mm < np.inf:
                 raise InputError("`d0_err_mm`", "a number from 0", f"{d0_err_mm!r}")
@@ -106,11 +106,13 @@ def good_samples(force: xr.Dataset) -> xr.Dataset:
 
 def _joined(
     path: Path, tables: list[Table], named: Mapping[str, str] | None
-) -> tuple[dict[Role, Column], dict[str, str]]:
-    """The columns of the blocks that hold time and load, one block after the other, and the file's facts."""
+) -> tuple[dict[Role, Column], dict[str, str], list[Table]]:
+    """Return the columns of the blocks that hold time and load, one after the other, the file's facts, and
+    these blocks."""
     largest = max(tables, key=lambda table: table.numbers.size)
     wanted = find_columns(path, largest, named)
     used: list[dict[Role, Column]] = []
+    blocks: list[Table] = []
     for table in tables:
         try:
             columns = wanted if table is largest else find_columns(path, table, named)
@@ -118,6 +120,7 @@ def _joined(
             continue  # a smaller block of something else, such as a table of peaks
         if set(columns) == set(wanted):
             used.append(columns)
+            blocks.append(table)
     joined: dict[Role, Column] = {
         role: Column(
             first.name, first.unit, first.assumed, np.concatenate([columns[role].values for columns in used])
@@ -125,13 +128,14 @@ def _joined(
         for role, first in used[0].items()
     }
     facts = {"blocks": f"{len(used)} of {len(tables)}", "columns_seen": largest.listing()}
-    return joined, largest.facts | facts
+    return joined, largest.facts | facts, blocks
 
 
 def _dataset(
     path: Path,
     found: dict[Role, Column],
     facts: dict[str, str],
+    blocks: list[Table],
     speed_mm_min: float | None,
     d0_mm: float | None,
     settings: ForceSettings,
@@ -142,6 +146,8 @@ def _dataset(
     if time.size < 10:
         raise InputError(path, "at least 10 samples", f"{time.size}")
     flags = sample_flags(time, load, crosshead, settings=settings)
+    restart = _restart(time)
+    flags[restart:] = "backwards"  # a longer second recording would go on where the first one ends
     good = usable(flags)
     if not good.any():
         raise InputError(path, "rising times and finite loads", f"none among {time.size} rows")
@@ -171,11 +177,40 @@ def _dataset(
         d0_mm=float("nan") if d0_mm is None else d0_mm,
         columns="; ".join(f"{role} = {c.name} [{c.unit}]" for role, c in found.items()),
         notes=_notes(found, source, d0_mm),
-        warnings=_warnings(flags, load[good], source, speed_mm_min, measured)
+        warnings=_restart_warnings(restart, time.size, blocks)
+        + _warnings(flags, load[good], source, speed_mm_min, measured)
         + (_start_warnings(start, travel[good], d0_mm) if source == "displacement" else []),
         **facts,  # type: ignore[arg-type]
     )
     return force.assign_attrs(metadata.attrs())
+
+
+def _restart(time: Floats) -> int:
+    """Return the first row at which the time starts again, as in a second recording; without one, the number
+    of rows.
+
+    There the time falls by nine tenths of what has passed since the first row, and goes on from there. Rows
+    ten before and nine after it tell this from single wrong times.
+    """
+    row = np.flatnonzero(np.diff(time) < 0) + 1
+    row = row[(row >= 10) & (row + 9 < time.size)]
+    before, here, after = time[row - 10], time[row], time[row + 9]
+    again = (after > here) & (after < before) & (here - time[0] < 0.1 * (before - time[0]))
+    return int(row[again][0]) if again.any() else time.size
+
+
+def _restart_warnings(restart: int, rows: int, blocks: list[Table]) -> list[str]:
+    """Return that the file holds a second recording, and from which line on."""
+    if restart == rows:
+        return []
+    starts = np.cumsum([0, *(len(block.numbers) for block in blocks)])
+    k = int(np.searchsorted(starts, restart, side="right")) - 1
+    line = blocks[k].first_line
+    place = f"line {line + restart - starts[k]}" if line else f"row {restart + 1}"
+    return [
+        f"the time starts again at {place}: the file seems to hold two recordings or more, and only the "
+        "first is used; save each in a file of its own"
+    ]
 
 
 def _start_warnings(start: float, travel: Floats, d0_mm: float | None) -> list[str]:

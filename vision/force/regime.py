@@ -1,4 +1,4 @@
-"""Is it stick-slip, or an oscillation, or cycles of loading and unloading?"""
+"""What a recording shows: stick-slip, an oscillation, cycles of loading and unloading, or noise."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vision.force.corners import Extremes
 from vision.force.lines import flat_ranges
 from vision.force.settings import ForceSettings
-from vision.force.sticks import Extremes
+from vision.force.slips import Slips, upward_share
 from vision.numeric import Bools, Floats
 
 
@@ -16,53 +17,58 @@ from vision.numeric import Bools, Floats
 class Regime:
     """What kind of motion a recording shows."""
 
-    # "stick-slip"; or rise and fall equally long, "oscillation": both rounded, a narrow line in the spectrum,
-    # "cycles": both straight
+    # "stick-slip"; "oscillation": rises and falls equally long and rounded, one frequency; "cycles": both
+    # equally long and straight; "noise": upward jumps within the sticks as large as the drops
     name: str
     fall_over_rise: float  # median duration of falls over that of rises
     line_share: float  # share of the load's variance within 20 % of the frequency of the slips
+    upward_share: float  # median jump upward within the sticks over the median drop
 
 
-def find_regime(y: Floats, extremes: Extremes, settings: ForceSettings) -> Regime:
-    """Stick-slip, or an oscillation, or loading and unloading.
+def find_regime(y: Floats, slips: Slips, extremes: Extremes, settings: ForceSettings) -> Regime:
+    """Return whether a load shows stick-slip, an oscillation, loading and unloading, or noise.
 
-    Rises and falls of the load are each fitted by a straight line and by half a cosine. Slow slips of true
-    stick-slip are rounded too, but their sticks are straight.
+    A straight line and half a cosine are fitted to each rise and fall of the load. Slow slips of true
+    stick-slip are rounded like an oscillation, but their sticks are straight.
     """
     rise, fall = extremes.rise, extremes.fall[1:]
     known = (rise >= 4) & (fall >= 2)
+    upward = upward_share(y, slips.edge, settings)
+    name = "noise" if upward > settings.upward_share else "stick-slip"
     if known.sum() < 2:
-        return Regime("stick-slip", float("nan"), float("nan"))
+        return Regime(name, float("nan"), float("nan"), upward)
     ratio = float(np.median(fall[known] / rise[known]))
     share = _line_share(y, extremes)
     equal = settings.equal_share < ratio < 1 / settings.equal_share
     v, p, next_v = extremes.valley[:-1], extremes.peak[1:], extremes.valley[1:]
     rounded_rise = _roundness(y, v[known], p[known]) > 1
     rounded_fall = _roundness(y, p[known], next_v[known]) > 1
-    name = "stick-slip"
     if equal and rounded_rise and share > settings.line_share:
         name = "oscillation"
     elif equal and not rounded_rise and not rounded_fall:
         name = "cycles"
-    return Regime(name, ratio, share)
+    return Regime(name, ratio, share, upward)
 
 
 def _roundness(y: Floats, start: Floats, stop: Floats) -> float:
-    """Squares that straight lines leave over those that half cosines leave, all stretches together."""
+    """Return the squared residuals of straight lines over those of half cosines, over all stretches."""
     row, index = flat_ranges(start.astype(np.int64), stop.astype(np.int64) + 1)
     u = (index - start[row]) / (stop - start)[row]
-    left = []
+    residual = []
     for shape in (u, 0.5 * (1 - np.cos(np.pi * u))):
         count = np.bincount(row).astype(float)
         dx = shape - (np.bincount(row, shape) / count)[row]
         dy = y[index] - (np.bincount(row, y[index]) / count)[row]
         slope = np.bincount(row, dx * dy) / np.maximum(np.bincount(row, dx * dx), 1e-300)
-        left.append(float(np.sum((dy - slope[row] * dx) ** 2)))
-    return left[0] / max(left[1], 1e-300)
+        residual.append(float(np.sum((dy - slope[row] * dx) ** 2)))
+    return residual[0] / max(residual[1], 1e-300)
 
 
 def _line_share(y: Floats, extremes: Extremes) -> float:
-    """Share of the variance, from half the slips' frequency on, within 20 % of that frequency."""
+    """Return the share of the variance within 20 % of the frequency of the slips.
+
+    Frequencies below half of it are left out of the variance.
+    """
     low, high = int(extremes.peak[0]), int(extremes.peak[-1])
     if high - low < 8:
         return float("nan")
@@ -75,11 +81,11 @@ def _line_share(y: Floats, extremes: Extremes) -> float:
 
 
 def is_unloading(travel: Floats, extremes: Extremes) -> Bools:
-    """Falls during which the crosshead goes back by a fifth of what it went forward before, or more.
+    """Return the falls during which the crosshead goes back by a fifth, or more, of its last advance.
 
-    Where the separation at each sample, `travel`, is not known nothing is unloading.
+    `travel` is the separation at each sample; where it is NaN no fall counts as unloading.
     """
-    place = np.arange(travel.size)
-    at_peak, at_valley = (np.interp(at, place, travel) for at in (extremes.peak, extremes.valley))
+    index = np.arange(travel.size)
+    at_peak, at_valley = (np.interp(at, index, travel) for at in (extremes.peak, extremes.valley))
     forward = np.abs(at_peak - np.r_[travel[0], at_valley[:-1]])
     return np.asarray((at_peak - at_valley) > np.maximum(0.2 * forward, 1e-12))

@@ -115,6 +115,11 @@ class ForceSettings:
     """Time constants of the load cell's low-pass that a stick must last. A shorter one is flagged "short":
     what is seen of it is the instrument's response."""
 
+    upward_share: float = 0.4
+    """Largest jump upward within a stick over the drop of a slip, both at the median, from which a recording
+    shows noise, not stick-slip. Smaller flags slips recorded in two or three steps of a coarse load cell
+    (0.31), larger passes noise; shown by pink, brown and filtered noise (0.43 to 13)."""
+
     equal_share: float = 0.5
     """Duration of falls over that of rises (or its inverse) from which the two count as equally long. Slow
     slips of true stick-slip stay below it or have straight sticks; a sinusoid has 1."""

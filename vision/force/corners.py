@@ -1,0 +1,327 @@
+"""Where each slip begins and ends: corners between the stick lines, and the recorded extremes around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.legendre import legvander
+
+from vision.force.lines import fit_broken_lines, fit_polynomials, flat_ranges
+from vision.force.lowpass import DeconvolvedLoad, SlipTransients
+from vision.force.settings import ForceSettings
+from vision.force.slips import stick_lines, stick_middles
+from vision.numeric import Bools, Floats, Ints, mad_sigma, nan_median
+from vision.signals import running_mean
+
+# The 90 % and 10 % crossings lie at these shares of half the slip's length from its middle: 0.59 for half a
+# cosine, the slip of a spring-block, and 0.8 for a straight fall.
+_HALF_COSINE, _STRAIGHT = 0.59, 0.8
+
+# --- corners ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Begin (peak) and end (valley) of each slip, in samples, fractions included."""
+
+    peak: Floats
+    valley: Floats
+    middle: Floats  # where the load has fallen half-way
+    drop: Floats  # difference of the stick lines before and after
+    error: Floats  # standard error of the position of a corner
+    knee: Floats  # position of the knee in each stick, one more than slips; NaN for none
+    shape: Shape  # of the sticks without a knee
+
+    def transients(self) -> SlipTransients:
+        """Return the stretches between slips, clear of them, in which a low-pass leaves its transients."""
+        # A low-pass delays the end of a slip but not its onset, so the onset gives the slip's length.
+        half = np.maximum(1.2 * (self.middle - self.peak), 1.0)
+        return SlipTransients(
+            start=np.ceil(self.middle + half).astype(np.int64)[:-1],
+            stop=np.floor(self.middle - half).astype(np.int64)[1:],
+            middle=self.middle[:-1],
+            valley=self.valley[:-1],
+            peak=self.peak[1:],
+            drop=self.drop[:-1],
+        )
+
+
+def find_corners(
+    signal: DeconvolvedLoad, *, two_slopes: bool, settings: ForceSettings = ForceSettings()
+) -> Corners:
+    """Return the begin (peak) and end (valley) of each slip, clipped to the recording.
+
+    The load falls from the stick line before the slip, 100 %, to the one after it, 0 %. The times at 90, 50
+    and 10 %, scaled as for half a cosine, give begin and end. The individual length of a slip is used where
+    its drop exceeds 20 sigma, else the median of the recording. Slips too short to be resolved count as half
+    as long as they appear. With `two_slopes` the stick lines may have a knee.
+    """
+    base = _Baselines.of(signal, two_slopes, settings)
+    high, middle, low = _crossings(signal.load, signal.edge, base)
+    stick = np.diff(signal.edge)
+    if stick.size and 2 * nan_median(np.fmin(middle - high, low - middle)) < settings.shape_slip * np.median(
+        stick
+    ):
+        shape = Shape.of(signal.load, signal.edge, settings)
+        if shape.begin or shape.end:
+            base = _Baselines.of(signal, two_slopes, settings, shape)
+            high, middle, low = _crossings(signal.load, signal.edge, base)
+    # Sampling and smoothing widen even a sudden drop: its 90 % and 50 % crossings are 0.4 samples apart, and
+    # more where deconvolution leaves a sample part of the way down. This blur is subtracted in squares.
+    blur = np.hypot(0.4 * signal.width, 0.5 if signal.late else 0.0)
+    onset, end = (np.sqrt(np.maximum(part**2 - blur**2, 0.0)) for part in (middle - high, low - middle))
+    usual_onset, usual_end = (float(np.nan_to_num(nan_median(part))) for part in (onset, end))
+    if usual_onset + usual_end < 1.0:
+        # Not resolved: half of it may come from the sampling, or from a low-pass too short to detect.
+        usual_onset = usual_end = 0.25 * (usual_onset + usual_end)
+        onset, end = np.full_like(onset, usual_onset), np.full_like(end, usual_end)
+    clear = base.drop > 20 * signal.sigma  # noise scatters the lengths of smaller slips
+    clear &= np.isfinite(onset) & np.isfinite(end)
+    onset = _half_length(np.where(clear, onset, usual_onset), base.before_slope, base.drop)
+    end = np.where(clear, np.minimum(end, usual_end * 2), usual_end)
+    end = _half_length(end, base.after_slope, base.drop)
+    middle = middle - signal.late
+    last = signal.load.size - 1.0
+    return Corners(
+        peak=np.clip(middle - onset, 0, last),
+        valley=np.clip(middle + end, 0, last),
+        middle=middle,
+        drop=base.drop,
+        knee=base.knee - signal.late,
+        shape=base.shape,
+        error=_errors(signal, base.drop, (usual_onset + usual_end) / _HALF_COSINE, settings),
+    )
+
+
+def _half_length(distance: Floats, slope: Floats, drop: Floats) -> Floats:
+    """Return half the length of a slip from the distance between its middle and a crossing.
+
+    The drop between the stick lines contains the lines' own rise during the slip, which is straight.
+    """
+    half = distance / _HALF_COSINE
+    for _ in range(2):
+        with np.errstate(over="ignore"):  # a drop near 0 is all straight
+            straight = np.clip(2 * slope * half / np.maximum(drop, np.finfo(float).tiny), 0, 1)
+        half = distance / (_HALF_COSINE + (_STRAIGHT - _HALF_COSINE) * np.nan_to_num(straight))
+    return half
+
+
+def _errors(signal: DeconvolvedLoad, drop: Floats, length: float, settings: ForceSettings) -> Floats:
+    """Return the position error of each corner: noise over the slip's slope, sampling, and unknown shape."""
+    systematic = np.hypot(settings.corner_error, settings.shape_error * length)
+    steepest = np.pi / 2 * np.maximum(drop, signal.sigma) / max(length, signal.width)
+    return np.hypot(signal.sigma / steepest, systematic)
+
+
+@dataclass(frozen=True)
+class _Baselines:
+    """The stick lines before and after each edge: their slopes, and values half a sample before the edge."""
+
+    before: Floats
+    before_slope: Floats
+    after: Floats
+    after_slope: Floats
+    knee: Floats
+    shape: Shape
+
+    @property
+    def drop(self) -> Floats:
+        """Difference of the lines before and after each edge."""
+        return self.before - self.after
+
+    @classmethod
+    def of(
+        cls, signal: DeconvolvedLoad, two_slopes: bool, settings: ForceSettings, shape: Shape | None = None
+    ) -> _Baselines:
+        """Fit straight lines, lines with a knee where they fit clearly better, or lines of a common shape."""
+        y, edge = signal.load, signal.edge
+        lines = stick_lines(y, edge, settings)
+        here = np.asarray(edge - 0.5, dtype=float)
+        # Edges at begin and end of each stick; the first stick has no begin, the last no end.
+        begin, end = np.insert(here, 0, np.nan), np.append(here, np.nan)
+        shape = shape or Shape(0.0, 0.0, 0.0)
+        rise = np.nan_to_num(lines.slope * (end - begin))
+        at_begin, at_end = lines.at(begin) + shape.begin * rise, lines.at(end) + shape.end * rise
+        early, late = lines.slope, lines.slope
+        knee = np.full(edge.size + 1, np.nan)
+        if two_slopes:
+            middles = stick_middles(edge, y.size, settings)
+            broken = fit_broken_lines(np.arange(y.size, dtype=float), y, *middles)
+            bent = (broken.gain > settings.knee_gain) & (broken.first > 0) & (broken.second > 0)
+            knee = np.where(bent, broken.knee_x, np.nan)
+            at_begin, early = np.where(bent, [broken.first_at(begin), broken.first], [at_begin, early])
+            at_end, late = np.where(bent, [broken.second_at(end), broken.second], [at_end, late])
+        return cls(at_end[:-1], late[:-1], at_begin[1:], early[1:], knee, shape)
+
+
+def _crossings(y: Floats, edge: Ints, base: _Baselines) -> tuple[Floats, Floats, Floats]:
+    """Return where the load falls through 90, 50 and 10 % of each drop between the stick lines."""
+    reach = np.maximum((0.3 * np.diff(np.r_[0, edge, y.size])).astype(np.int64), 2)  # into either stick
+    row, index = flat_ranges(np.maximum(edge - reach[:-1], 0), np.minimum(edge + reach[1:], y.size - 1))
+    # Both stick lines end at the edge, so that lines of different slope do not cross.
+    slope = np.where(index < edge[row], base.before_slope[row], base.after_slope[row])
+    line = base.after[row] + slope * (index - edge[row] + 0.5)
+    u = (y[index] - line) / base.drop[row]
+    middle = _half_way(u, row, index, edge.size)
+    # A slip interrupted by the next one may never reach 50 %: its middle is then the steepest drop.
+    middle = np.where(np.isfinite(middle), middle, edge - 0.5)
+    high = _passage(u, row, index, 0.9, index[:-1] <= middle[row[:-1]], edge.size, 1)
+    low = _passage(u, row, index, 0.1, index[1:] >= middle[row[:-1]], edge.size, -1)
+    return high, middle, low
+
+
+def _half_way(u: Floats, row: Ints, index: Ints, rows: int) -> Floats:
+    """Return the likeliest position of a step from 1 to 0: where the running sum of u - 0.5 is largest.
+
+    NaN where that is the end of the window. At a few times the noise, the first crossing of 0.5 would
+    depend on single outliers.
+    """
+    running_sum = np.cumsum(u - 0.5)
+    largest = np.full(rows, -np.inf)
+    np.maximum.at(largest, row, running_sum)
+    best = np.flatnonzero((running_sum == largest[row]) & np.r_[row[1:] == row[:-1], False])
+    first = np.full(rows, u.size, dtype=np.int64)
+    np.minimum.at(first, row[best], best)
+    return _interpolated(u, index, 0.5, np.where(first < u.size, first, -1))
+
+
+def _passage(u: Floats, row: Ints, index: Ints, level: float, allowed: Bools, rows: int, sign: int) -> Floats:
+    """Return the interpolated index at which u falls through a level; NaN for never.
+
+    Of the allowed samples of each row it is the last fall (sign 1) or the first one (sign -1).
+    """
+    falling = np.flatnonzero((u[:-1] >= level) & (u[1:] < level) & (row[:-1] == row[1:]) & allowed)
+    chosen = np.full(rows, -np.inf)
+    np.maximum.at(chosen, row[falling], sign * falling)
+    return _interpolated(u, index, level, np.where(np.isfinite(chosen), sign * chosen, -1).astype(np.int64))
+
+
+def _interpolated(u: Floats, index: Ints, level: float, at: Ints) -> Floats:
+    """Return the index at which u passes the level between samples `at` and `at` + 1; NaN where at is -1."""
+    here = np.maximum(at, 0)
+    part = (u[here] - level) / np.maximum(u[here] - u[np.minimum(here + 1, u.size - 1)], 1e-9)
+    return np.where(at >= 0, index[here] + part, np.nan)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Deviation of curved sticks from their lines at either end, as a share of the lines' rise.
+
+    It is common to all sticks of a recording, and 0 where they are straight.
+    """
+
+    begin: float
+    end: float
+    error: float  # of the two deviations
+
+    @classmethod
+    def of(cls, y: Floats, edge: Ints, settings: ForceSettings) -> Shape:
+        """Fit polynomials of degree 2 to 4 to the residuals of the lines of sticks between two slips."""
+        start, stop = (at[1:-1] for at in stick_middles(edge, y.size, settings))
+        straight = cls(0.0, 0.0, 0.0)
+        length = np.diff(edge)
+        rise = stick_lines(y, edge, settings).slope[1:-1] * length
+        long = max(2 * settings.few_samples, 0.5 * np.quantile(length, 0.9)) if length.size else 0
+        some = np.flatnonzero((length > long) & (rise > 0))  # shorter ones may be oscillations
+        if some.size < 8:
+            return straight
+        some = some[:: some.size // 400 + 1]  # enough for medians
+        share = fit_polynomials(y, start[some], stop[some])[0][:, 2:] / rise[some, np.newaxis]
+        middle = np.median(share, axis=0)
+        standard = 1.25 * mad_sigma(share, axis=0) / np.sqrt(some.size)
+        middle[np.abs(middle) < settings.shape_sigmas * standard] = 0.0
+        reach = float(np.median(length[some] / (stop - 1 - start)[some]))
+        terms = middle[:, np.newaxis] * legvander(np.array([-reach, reach]), 4)[:, 2:].T
+        begin, end = terms.sum(axis=0)
+        if not middle.any() or max(abs(begin), abs(end)) > 1.0:  # no stick deviates that far
+            return straight
+        return cls(float(begin), float(end), float(np.sqrt((terms[:, 0] ** 2).sum())) / 4)
+
+
+# --- recorded extremes --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Extremes:
+    """Highest load before and lowest load after the middle of each slip, of a load without spikes."""
+
+    peak: Floats  # position of the highest load, in samples
+    valley: Floats  # position of the lowest load, in samples
+    high: Floats  # load at the peak, averaged over `width` samples
+    low: Floats  # load at the valley, averaged likewise
+    highest: Floats  # single largest sample
+    lowest: Floats  # single smallest sample
+    width: Ints  # samples averaged: a 24th of the slip, which lowers a half cosine by next to nothing
+
+    @property
+    def fall(self) -> Floats:
+        """Samples from each peak to the next valley."""
+        return self.valley - self.peak
+
+    @property
+    def rise(self) -> Floats:
+        """Samples from each valley to the next peak; one fewer than slips."""
+        return self.peak[1:] - self.valley[:-1]
+
+
+def find_extremes(y: Floats, middle: Floats, length: Floats) -> Extremes:
+    """Return the recorded extremes around each slip of a load without spikes.
+
+    The peak lies between the middle of the previous stick and the middle of the slip, the valley between the
+    latter and the middle of the next stick. `middle` and `length` are those of each slip, in samples; the
+    length sets how many samples are averaged.
+    """
+    last = y.size - 1
+    between = 0.5 * (middle[:-1] + middle[1:])
+    # Before the first and after the last slip: half of the neighbouring stick.
+    first = middle[0] - (between[0] - middle[0]) if between.size else 0.0
+    final = middle[-1] + (middle[-1] - between[-1]) if between.size else last
+    bounds = np.clip(np.r_[first, between, final], 0, last)
+    here = np.clip(np.rint(middle), 0, last).astype(np.int64)
+    # The middles of close slips may be in either order, so each range contains at least the slip's sample.
+    start = np.minimum(np.floor(bounds[:-1]).astype(np.int64), here)
+    stop = np.maximum(np.ceil(bounds[1:]).astype(np.int64), here)
+    width = 2 * (np.nan_to_num(length) / 48).astype(np.int64) + 1
+    smooth = {int(w): running_mean(y, int(w)) for w in np.unique(_octaves(width))}
+    peak, high, highest = _largest(y, smooth, _octaves(width), start, here + 1, 1)
+    valley, low, lowest = _largest(-y, smooth, _octaves(width), here, stop + 1, -1)
+    return Extremes(peak, valley, high, -low, highest, -lowest, width)
+
+
+def _octaves(width: Ints) -> Ints:
+    """Round widths down to 1, 3, 5, 9, 17, …, so that a few filters serve all slips."""
+    exponent = np.floor(np.log2(np.maximum(width - 1, 1))).astype(np.int64)
+    return np.where(width > 1, 2**exponent + 1, 1)
+
+
+def _largest(
+    y: Floats, smooth: dict[int, Floats], width: Ints, start: Ints, stop: Ints, sign: int
+) -> tuple[Floats, Floats, Floats]:
+    """Return the position and value of the largest smoothed value of each range, and its largest sample."""
+    row, index = flat_ranges(start, np.minimum(stop, y.size))
+    single = np.full(start.size, -np.inf)
+    np.maximum.at(single, row, y[index])
+    values = np.empty(index.size)
+    for w, signal in smooth.items():
+        of_width = width[row] == w
+        values[of_width] = sign * signal[index[of_width]]
+    best = np.full(start.size, -np.inf)
+    np.maximum.at(best, row, values)
+    hits = np.flatnonzero(values == best[row])
+    position = np.full(start.size, np.nan)
+    # Of equal samples the one next to the slip: the last for peaks, the first for valleys.
+    order = hits if sign > 0 else hits[::-1]
+    position[row[order]] = index[order]
+    return position, best, single
+
+
+def is_slow(fall: Floats, rise: Floats, settings: ForceSettings) -> Bools:
+    """Return which slips, of lengths `fall`, last a considerable part of a neighbouring stick.
+
+    `rise` is the length of each stick between two slips.
+    """
+    if not rise.size:
+        return np.zeros(fall.shape, dtype=bool)
+    shorter = np.minimum(np.r_[rise[:1], rise], np.r_[rise, rise[-1:]])
+    return np.asarray(fall > settings.slow_slip * np.maximum(shorter, 1e-9), np.bool_)

@@ -1,0 +1,254 @@
+"""The low-pass of the load cell: its time constant, from transients after slips, and its deconvolution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import scipy
+
+from vision.force.lines import lagged_hinge
+from vision.force.settings import ForceSettings
+from vision.force.slips import Slips
+from vision.numeric import Bools, Floats, Ints
+from vision.signals import running_mean
+
+
+@dataclass(frozen=True)
+class SlipTransients:
+    """The stretch after each slip, in which a low-pass leaves a transient; all in samples."""
+
+    start: Ints  # of half-open ranges clear of slips
+    stop: Ints
+    middle: Floats  # of the slip as recorded
+    valley: Floats  # end of the slip
+    peak: Floats  # where the next slip begins
+    drop: Floats  # the slip's height
+
+    def take(self, rows: Bools) -> SlipTransients:
+        """Return the selected transients."""
+        return SlipTransients(*(getattr(self, part.name)[rows] for part in fields(self)))
+
+
+@dataclass(frozen=True)
+class LowpassEstimate:
+    """A time constant and the evidence for it."""
+
+    samples: float  # the time constant
+    gain: (
+        float  # decrease of the squared residuals over that which one more parameter a stick gives by chance
+    )
+    # Transients extrapolated to the middle of their slips, over the drops: the median, and the interquartile
+    # range over the median. A low-pass leaves transients of equal height, half of the drop or more.
+    height: float
+    scatter: float
+
+    def confirms(self, before: LowpassEstimate, settings: ForceSettings) -> bool:
+        """Return whether this estimate, from corners corrected for the one before, agrees with it."""
+        steady = abs(np.log(self.samples / before.samples)) < 0.25
+        enough = self.gain > settings.lowpass_accepted and 0.25 < self.height < 5.0
+        return enough and self.scatter < 0.6 and steady
+
+
+def estimate_lowpass(y: Floats, transients: SlipTransients, corrected: float = 0.0) -> LowpassEstimate | None:
+    """Estimate the time constant of a first-order low-pass by least squares.
+
+    After each slip the load, without spikes, is modelled as the rise of the sample (a parabola, with a knee
+    for fast pulls) plus an exponential transient. The time constant is common to all sticks, the height of
+    the transient is free in each. None with fewer than three sticks of eight samples or more.
+
+    `corrected` is the time constant, in samples, for whose delay the corners in `transients` are already
+    corrected.
+    """
+    blocks = _Blocks.of(y, transients, corrected)
+    if blocks is None:
+        return None
+    without = min(blocks.over_knees(0.0))
+    tau, knee = blocks.best()
+    squares, transient = blocks.fit(tau, knee)
+    # The residuals are differences of sums and so no smaller than their rounding error.
+    rounding = np.finfo(float).eps * float(np.sum(blocks.load**2))
+    freedom = max(int(blocks.known.sum()) - 5 * blocks.drop.size, 1)
+    chance = blocks.drop.size * max(squares, rounding, np.finfo(float).tiny) / freedom
+    with np.errstate(over="ignore"):
+        height = transient * np.exp(np.minimum(-blocks.middle / tau, 50.0)) / blocks.drop
+    # Only the larger drops: noise hides the transients of small ones.
+    low, median, high = np.percentile(height[blocks.drop >= np.median(blocks.drop)], [25, 50, 75])
+    return LowpassEstimate(
+        samples=tau * blocks.size,
+        gain=(without - squares) / chance,
+        height=float(median),
+        scatter=float((high - low) / median) if median > 0 else float("inf"),
+    )
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Selected sticks as rows of block means, which keep lines linear and exponentials exponential."""
+
+    load: Floats  # (stick, block), relative to the stick's first sample; 0 where unknown
+    known: Bools  # (stick, block)
+    middle: Floats  # this and the next two as in `SlipTransients`, in blocks from the first
+    valley: Floats
+    peak: Floats
+    drop: Floats
+    size: int  # samples a block
+    corrected: float  # as for `estimate_lowpass`
+    knees = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0)  # positions tried, as shares of the stick; 1 is no knee
+
+    @classmethod
+    def of(cls, y: Floats, transients: SlipTransients, corrected: float) -> _Blocks | None:
+        """Select at most 100 sticks of about 120 blocks, which give the time constant to a few per cent."""
+        count = transients.stop - transients.start
+        inside = (transients.start >= 0) & (transients.stop <= y.size)  # NaN positions become negative
+        usable = np.flatnonzero((count >= 8) & (transients.drop > 0) & inside)
+        if usable.size < 3:
+            return None
+        chosen_rows = usable[np.unique(np.linspace(0, usable.size - 1, 100).astype(np.int64))]
+        start, count = transients.start[chosen_rows], count[chosen_rows]
+        size = max(int(np.median(count)) // 120, 1)
+        blocks = np.minimum(count // size, 8 * 120)  # the transient ends before a long stick does
+        index = start[:, None] + np.arange(size * int(blocks.max()))
+        load = y[np.minimum(index, y.size - 1)] - y[start][:, None]
+        load = load.reshape(chosen_rows.size, -1, size).mean(axis=2)
+        known = np.arange(load.shape[1]) < blocks[:, None]
+        first = start + 0.5 * (size - 1)
+        places = (transients.middle, transients.valley, transients.peak)
+        middle, valley, peak = ((at[chosen_rows] - first) / size for at in places)
+        load = np.where(known, load, 0.0)
+        return cls(load, known, middle, valley, peak, transients.drop[chosen_rows], size, corrected)
+
+    def best(self) -> tuple[float, float]:
+        """Return the least-squares time constant and knee: the best of a grid, then a simplex search."""
+        shortest = 0.15  # blocks; a shorter one leaves no transient
+        high = max(0.6 * float(np.median(self.peak)), 2 * shortest)
+        grid = np.geomspace(shortest, high, 15)
+        left = np.array([self.over_knees(tau) for tau in grid])
+        first, knee = np.unravel_index(int(left.argmin()), left.shape)
+        start = np.array([np.log(grid[first]), min(self.knees[knee], 0.9)])
+        steps = np.array([start, (start[0] + 0.2, start[1]), (start[0], start[1] - 0.05)])
+
+        def squares(pair: Floats) -> float:
+            return self.fit(float(np.exp(pair[0])), float(pair[1]))[0]
+
+        found = scipy.optimize.minimize(
+            squares,
+            start,
+            method="Nelder-Mead",
+            bounds=[(float(np.log(shortest)), float(np.log(high))), (self.knees[0], 0.9)],
+            options={"initial_simplex": steps, "xatol": 1e-3, "fatol": 1e-3},
+        )
+        return float(np.exp(found.x[0])), float(found.x[1])
+
+    def fit(self, tau: float, knee: float) -> tuple[float, Floats]:
+        """Return the squared residuals of all rows and the heights of the transients.
+
+        tau in blocks, 0 for no transient; knee as a share of the stick.
+        """
+        parabola, hinge, transient = self._columns(tau)
+        columns = [*parabola, *([hinge(knee)] if knee < 1 else []), *transient]
+        directions, length = _orthonormal(columns)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return self._residual(directions), _dot(directions[-1], self.load) / length
+
+    def over_knees(self, tau: float) -> list[float]:
+        """Return the squared residuals for each of the knees; the terms they share are fitted once."""
+        parabola, hinge, transient = self._columns(tau)
+        shared, _ = _orthonormal([*parabola, *transient])
+        residual = self._residual(shared)
+        return [
+            residual - (self._along(_orthonormal([hinge(knee)], shared)[0][-1]) if knee < 1 else 0.0)
+            for knee in self.knees
+        ]
+
+    def _residual(self, directions: Sequence[Floats]) -> float:
+        """Return the squared residuals about a fit of orthonormal columns."""
+        return float(np.sum(self.load**2)) - sum(self._along(one) for one in directions)
+
+    def _along(self, direction: Floats) -> float:
+        """Return the squares that one orthonormal column explains."""
+        return float(np.sum(_dot(direction, self.load) ** 2))
+
+    def _columns(self, tau: float) -> tuple[list[Floats], Callable[[float], Floats], list[Floats]]:
+        """Return the columns of the fit, 0 in unknown blocks: parabola, hinge for a given knee, transient."""
+        t = np.arange(float(self.load.shape[1]))
+        # The low-pass delays the end of the slip by its time constant.
+        begin = self.valley - (tau - self.corrected / self.size)
+        rise = self.peak - begin
+        u = (t - begin[:, None]) / rise[:, None]
+
+        def hinge(knee: float) -> Floats:
+            return lagged_hinge(t - (begin + knee * rise)[:, None], tau) * self.known
+
+        transient = [np.exp(-t / tau) * self.known] if tau else []
+        one = self.known.astype(np.float64)
+        return [one, u * one, u**2 * one], hinge, transient
+
+
+def _orthonormal(columns: Sequence[Floats], before: Sequence[Floats] = ()) -> tuple[list[Floats], Floats]:
+    """Orthonormalise columns within each row, after the columns `before`.
+
+    Returns all orthonormal columns, and the norm of the last one before normalisation. Modified Gram-Schmidt
+    treats all rows at once; LAPACK's QR of each small matrix takes three times as long.
+    """
+    directions, length = list(before), np.zeros(0)
+    for column in columns:
+        rest = column
+        for direction in directions:
+            rest = rest - _dot(direction, rest)[:, None] * direction
+        length = np.sqrt(_dot(rest, rest))
+        independent = length > 1e-9 * np.sqrt(_dot(column, column))  # less is rounding
+        directions.append(rest * np.divide(1, length, out=np.zeros_like(length), where=independent)[:, None])
+    return directions, length
+
+
+def _dot(one: Floats, other: Floats) -> Floats:
+    """Return the scalar product of each row."""
+    return np.asarray(np.einsum("sw,sw->s", one, other), np.float64)
+
+
+@dataclass(frozen=True)
+class DeconvolvedLoad:
+    """A load corrected for the low-pass of the load cell."""
+
+    load: Floats  # running mean over `width` samples, since deconvolution amplifies the noise
+    edge: Ints  # the first sample after the steepest drop of each slip
+    late: float  # samples by which `load` lags behind the time
+    width: int  # samples averaged
+    sigma: float  # noise of `load`
+
+
+def deconvolve_lowpass(y: Floats, sigma: float, slips: Slips, tau: float) -> DeconvolvedLoad:
+    r"""Return the load before a first-order low-pass of `tau` samples, and the edges of the slips in it.
+
+    .. math:: z_k = y_k + c\,(y_k - y_{k-1}), \qquad c = 1 / (e^{1/\tau} - 1)
+
+    has no transient after a step, and on a rise it lags by :math:`\tau - c` samples. The running mean is just
+    wide enough for the median drop to be 40 times the noise, and a tenth of a period at most. y is the load
+    without spikes, sigma its noise.
+    """
+    if not tau:
+        return DeconvolvedLoad(y, slips.edge, 0.0, 1, sigma)
+    gain = 1 / np.expm1(1 / tau)
+    widths = 1 + 2 * np.arange(int(slips.period / 20) + 1)  # up to a tenth of a period
+    # The mean of differences is the difference of the ends, so its noise falls with the width, not its root.
+    noise = sigma * np.sqrt((1 + 2 * gain * (1 + gain) / widths) / widths)
+    noisy = int(np.sum(noise > np.median(slips.drop) / 40))
+    chosen = min(noisy, widths.size - 1)
+    width = int(widths[chosen])
+    load = running_mean(y + gain * np.diff(y, prepend=y[:1]), width)
+    edge = _steepest(load, slips.edge, 2 * tau, width)
+    return DeconvolvedLoad(load, edge, tau - gain, width, float(noise[chosen]))
+
+
+def _steepest(y: Floats, edge: Ints, back: float, width: int) -> Ints:
+    """Return the middle of the largest drop over 2 `width` samples shortly before each edge.
+
+    At most `back` samples, or 0.4 of the stick, before it.
+    """
+    earlier = np.minimum(0.4 * np.diff(edge, prepend=0), back)
+    away = np.arange(-int(earlier.max()), 2)
+    place = np.clip(edge[:, None] + away, width, y.size - 1 - width)
+    drop = np.where(away >= -earlier[:, None], y[place - width] - y[place - 1 + width], -np.inf)
+    return np.asarray(place[np.arange(edge.size), drop.argmax(axis=1)])
