@@ -32,7 +32,7 @@ def test_a_script_of_the_gallery_draws_its_picture(script, tmp_path, monkeypatch
 
     monkeypatch.chdir(tmp_path)
     # Pictures and pages of the runs behind an example, none of which it shows.
-    monkeypatch.setattr(writing, "_shown", lambda *arguments, **options: None)
+    monkeypatch.setattr(writing, "_write_figures_and_page", lambda *arguments, **options: None)
     monkeypatch.setattr(sys, "argv", [str(script), str(tmp_path)])
     runpy.run_path(str(script), run_name="__main__")
     picture = imread(tmp_path / f"{script.stem}.png")
