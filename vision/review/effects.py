@@ -208,7 +208,7 @@ class Effects:
         return self._measured(self.run.positions, near)
 
     def _near(self, event: int, clock: Clock | None = None) -> Near:
-        """Return a stick phase with its neighbours.  Raises: InputError without events or unambiguous clock."""
+        """Return a stick phase with its neighbours.  Raises: InputError if events or clock are missing."""
         clock, events = clock or self.run.clock, self.run.stored.events
         if clock is None or events is None:
             raise InputError("the run", "a force recording and its clock", "none", "give `force` to track")
