@@ -1,4 +1,4 @@
-"""One run with planted mistakes for the whole session, and copies of it to decide about."""
+"""One run with planted mistakes for all tests of the review, and copies of it to decide about."""
 
 import shutil
 
@@ -11,7 +11,7 @@ from vision.review import saving
 from vision.review.session import Session
 
 
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(scope="package", autouse=True)
 def undrawn_runs():
     """A review reads no picture of a run: none is drawn, here or in the processes that save one."""
     with undrawn(), pytest.MonkeyPatch.context() as patch:
@@ -20,25 +20,25 @@ def undrawn_runs():
         yield
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def planted(tmp_path_factory):
     """Not to be changed: see `run`."""
     return write_planted(tmp_path_factory.mktemp("planted") / "run")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def doubted(tmp_path_factory):
     """Not to be changed either."""
     return doubted_run(tmp_path_factory.mktemp("doubted"))
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def unplanted(tmp_path_factory):
     """The run without mistakes; not to be changed."""
     return write_planted(tmp_path_factory.mktemp("unplanted") / "run", ())
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def watched(planted, tmp_path_factory):
     """An open review for tests that must not change it, which is looked at when all of them are done."""
     copy = shutil.copytree(planted, tmp_path_factory.mktemp("watched") / "run")

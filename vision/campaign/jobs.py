@@ -99,11 +99,10 @@ def run_snakemake(
     cores: int | None,
     watch: Callable[[], None] | None = None,
 ) -> int:
-    """Run Snakemake on a written plan and return its exit status.
+    """Run Snakemake on a written plan, with the profile in a folder, and return its exit status.
 
-    `profile` is the folder of a Snakemake profile; `cores`, the number of jobs at a time, takes precedence
-    over the profile's. `watch` is called about every second. A KeyboardInterrupt is raised after the jobs
-    have ended.
+    `cores`, the number of jobs at a time, takes precedence over the profile's. `watch` is called about every
+    second. A KeyboardInterrupt is raised after the jobs have ended.
     """
     command = [sys.executable, "-P", "-m", "snakemake"]
     command += ["--snakefile", str(SNAKEFILE), "--profile", str(profile)]
@@ -247,10 +246,7 @@ def run_job(
 
 
 def _in_child(work: Callable[[], None]) -> int:
-    """Run `work` in a forked process, or in this one if there is no fork.
-
-    Return the exit code, negative for a signal.
-    """
+    """Run `work` in a forked process (without fork, in this one); return its exit code, < 0 for a signal."""
     if "fork" not in multiprocessing.get_all_start_methods():
         work()
         return 0

@@ -82,8 +82,7 @@ def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame
 
     Returns
     -------
-    TestSet
-        The tests, and one line for each run, cell or column that cannot be used.
+    The tests, and one line for each run, cell or column that cannot be used.
 
     Raises
     ------

@@ -222,8 +222,7 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
     The change point is the split that best divides log|r| into two levels; the logarithm keeps single large
     events from mimicking a change. It is claimed if fewer than 1 % of random orders of r divide as well, the
     scatter rises by half or more, and two levels describe it better (BIC) than a smooth rise, such as that of
-    constant noise relative to a falling ΔF. Its error is the spread over 200 bootstrap draws within the two
-    parts.
+    constant noise over a falling ΔF. Its error is the spread over 200 bootstrap draws within the two parts.
     """
     d, drop = test.column("d_v_mm"), test.column("dF_N")
     nan = float("nan")

@@ -48,9 +48,8 @@ def random_stream(seed: int, part: str, *numbers: int) -> np.random.Generator:
 class Pull:
     """Motion of the machine and response of the sample.
 
-    The arrays have one entry per stick phase, the initial loading first. It starts at (start_s, d_start_mm,
-    low_N) and ends with a slip at (end_s, d_end_mm, high_N). The unfinished stick phase at the end is
-    included.
+    The arrays have one entry per stick phase, from the initial loading to the unfinished one at the end. It
+    starts at (start_s, d_start_mm, low_N) and ends with a slip at (end_s, d_end_mm, high_N).
     """
 
     settings: Mechanics

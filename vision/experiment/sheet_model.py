@@ -136,8 +136,7 @@ def equation_normal_N(pull: SheetPull, d_mm: float) -> Floats:
 def threshold_loads_N(pull: SheetPull, d_mm: float) -> Floats:
     """Return the loads of the sheets of one side, (M,), if all are at their thresholds under Eq. 2.
 
-    Twice their sum is the traction: 0.934 of Eq. 1 at d = 13 mm and 0.944 at 18 mm. With positions n − ½ it
-    equals Eq. 1 to 5e-6.
+    Twice their sum over Eq. 1 is 0.934 at d = 13 mm and 0.944 at 18 mm; with positions n − ½ it is 1 to 5e-6.
     """
     return _threshold(pull, equation_normal_N(pull, d_mm))
 

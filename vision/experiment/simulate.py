@@ -276,11 +276,8 @@ def check_container(container: str, camera: Camera) -> None:
 
 
 def _encoded(codec: str, path: Path, frames: Frames, camera: Camera, times: FrameTimes) -> None:
-    """Write a film with FFmpeg.
-
-    Motion JPEG has the best quality, H.264 limited range as in cameras, FFV1 (lossless) the smallest pixel
-    format that holds the bits.
-    """
+    """Write a film with FFmpeg: Motion JPEG of the best quality, H.264 with a camera's limited range, or FFV1
+    (lossless) with the smallest pixel format that holds the bits."""
     deep = {8: "gray", 10: "gray10le", 12: "gray12le"}.get(camera.bits, "gray16le")
     layout = {"mjpeg": "yuvj420p", "libx264": "yuv420p"}.get(codec, deep)
     options = {"libx264": {"crf": "12", "preset": "fast"}, "ffv1": {"level": "3", "slices": "4"}}

@@ -101,10 +101,7 @@ class Effects:
         return min(int(np.searchsorted(numbers, shown)), len(numbers) - 1)
 
     def _rows_for(self, decision: Correction, at: int) -> tuple[Near | None, slice]:
-        """Return the stick phase at a row, and the rows of a preview.
-
-        The rows include the neighbourhood of the row, the stick phase, and the start of an assigned ridge.
-        """
+        """Return the stick phase at a row, and the rows around it from where an assigned ridge starts."""
         numbers, event = self.run.positions.frame, self._event_at(at)
         near = None if event is None else self._near(event)
         start, stop, _ = _rows_around(at).indices(len(numbers))
@@ -211,10 +208,7 @@ class Effects:
         return self._measured(self.run.positions, near)
 
     def _near(self, event: int, clock: Clock | None = None) -> Near:
-        """Return a stick phase with its neighbours.
-
-        Raises: InputError if there are no events, or no unambiguous clock.
-        """
+        """Return a stick phase with its neighbours.  Raises: InputError if events or clock are missing."""
         clock, events = clock or self.run.clock, self.run.stored.events
         if clock is None or events is None:
             raise InputError("the run", "a force recording and its clock", "none", "give `force` to track")

@@ -343,9 +343,8 @@ def _followed(
 ) -> tuple[Floats, Ints]:
     """Follow a ridge through these rows.
 
-    Return its whole pixels, NaN where it is lost, and the sheet that has this ridge already, -1 if none. The
-    rows are read in blocks, each of which starts where the ridge was last seen. `back` follows it backwards
-    in time; `without` is a sheet whose positions are ignored.
+    Return its whole pixels, NaN where it is lost, and the sheet that has this ridge already, -1 if none. A
+    block of rows starts where the ridge was last seen. `without`: sheet to ignore. `back`: backwards in time.
     """
     comb, origin = positions.comb, float(diagram.first_column)
     start, other = np.full(len(positions.frame), np.nan), np.full(len(positions.frame), -1)

@@ -239,8 +239,7 @@ class TileSettings:
     """How the space-time diagram is divided into tiles."""
 
     columns: int = 512
-    """Columns of a tile. Wider tiles need fewer requests, but panning waits longer for each; 512 x 256 takes
-    3 ms."""
+    """Columns of a tile. Wider tiles need fewer requests, but panning waits longer; 512 x 256 takes 3 ms."""
 
     rows: int = 256
     """Rows of a tile, with the same trade-off."""

@@ -278,8 +278,7 @@ class Trial:
     def keep(self) -> None:
         """Replace the run by the new one, whose corrections.toml contains the decision.
 
-        Raises: InputError if there is no finished trial or the folder cannot be written; the run is not
-        changed then.
+        Raises: InputError if no trial is finished or the folder cannot be written; nothing changes then.
         """
         run = self.run
         with run.lock:

@@ -419,9 +419,7 @@ class Session:
         return np.asarray(self.positions.frame[known[np.minimum(row, known.size - 1)]], np.int64)
 
     def curves(self, first: int, stop: int, points: int, what: str = "x") -> Floats32:
-        """Return frame numbers and one value per sheet, (rows, 1 + sheets).
-
-        If there are more frames than points, the rows are the extremes of intervals.
+        """Return frame numbers and one value per sheet, (rows, 1 + sheets); extremes if frames exceed points.
 
         what: "x", "err" or "withheld" (px), or "flag" (index in `FLAGS`, the worst of each interval).
         Raises: InputError for another name.
