@@ -22,7 +22,7 @@ class ClockSettings:
     """The same for a frame that shows part of a step. Larger → slips during an exposure are timed less well;
     smaller → noise counts as parts of steps, and at 1.5 the errors are two to four times those stated."""
     bad_frame_return: float = 0.6
-    """Fraction of a step that the next movement must reverse for the step to be a bad frame. Larger → bad
+    """Fraction of a step that a neighbouring movement must reverse for it to be a bad frame. Larger → bad
     frames count as slips (at 1.2 in `test_inward_steps_and_bad_single_frames_are_no_slips` only they do)."""
     least_sheets: float = 0.2
     """Fraction of the sheets that a frame must show to be used. Larger → slips in poor frames are timed less
