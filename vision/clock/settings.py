@@ -41,7 +41,7 @@ class ClockSettings:
     """Largest difference of the two clocks' rates that is searched. Larger → slower, and more alignments by
     chance; smaller → poor camera clocks are not found. `test_drift_is_found` needs 3000."""
     drift_prior_ppm: float = 1500.0
-    """Standard deviation of the prior on the drift. Larger → few slips bend the clock; smaller → true drifts
+    """Standard deviation of the prior on the drift. Larger → few slips set the drift; smaller → true drifts
     are pulled towards 0. A factor of 2 either way changes one of a hundred hard alignments."""
     candidates: int = 100
     """Number of offsets that are refined. Larger → slower; smaller → the right one may be left out."""
