@@ -22,7 +22,7 @@ class ClockSettings:
     """The same for a frame that shows part of a step. Larger → slips during an exposure are timed less well;
     smaller → noise counts as parts of steps, and at 1.5 the errors are two to four times those stated."""
     bad_frame_return: float = 0.6
-    """Fraction of a step that the next movement must reverse for the step to be a bad frame. Larger → bad
+    """Fraction of a step that a neighbouring movement must reverse for it to be a bad frame. Larger → bad
     frames count as slips (at 1.2 in `test_inward_steps_and_bad_single_frames_are_no_slips` only they do)."""
     least_sheets: float = 0.2
     """Fraction of the sheets that a frame must show to be used. Larger → slips in poor frames are timed less
@@ -41,7 +41,7 @@ class ClockSettings:
     """Largest difference of the two clocks' rates that is searched. Larger → slower, and more alignments by
     chance; smaller → poor camera clocks are not found. `test_drift_is_found` needs 3000."""
     drift_prior_ppm: float = 1500.0
-    """Standard deviation of the prior on the drift. Larger → few slips bend the clock; smaller → true drifts
+    """Standard deviation of the prior on the drift. Larger → few slips set the drift; smaller → true drifts
     are pulled towards 0. A factor of 2 either way changes one of a hundred hard alignments."""
     candidates: int = 100
     """Number of offsets that are refined. Larger → slower; smaller → the right one may be left out."""

@@ -105,9 +105,7 @@ class BothSides:
 
     left: Ints
     right: Ints
-    slow_px: (
-        Floats  # half the movement to the right per stick, from the sticks' mean positions, (stick, sheet)
-    )
+    slow_px: Floats  # half the movement to the right by the mean positions in all sticks, (stick, sheet)
     least_pairs: int
     movement = "vibration and drift taken off"
 
