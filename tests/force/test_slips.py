@@ -182,7 +182,7 @@ def test_the_stiffness_of_fast_pulls_is_that_after_the_knee(lowpass_s: float) ->
 def test_a_time_constant_longer_than_a_stick_is_refused(lowpass_s: float) -> None:
     """A failure means that milliseconds given for seconds silently spoil all corners."""
     with pytest.raises(
-        InputError, match=r"slip to slip, 0\.[23]\d* s; found .* s; give `lowpass_s` in seconds"
+        InputError, match=r"between slips, 0\.[23]\d* s; found .* s; give `lowpass_s` in seconds"
     ):
         find_stick_slip(plain(sticks=20).force, lowpass_s=lowpass_s)
 
