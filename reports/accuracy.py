@@ -19,12 +19,12 @@ FITS = ("sliding", "template", "paper")
 
 
 def drifting(frames: int) -> np.ndarray:
-    """Positions (frame, 9) of an even comb that crosses three pixels."""
+    """Return the positions (frame, 9) of an even comb that moves by three pixels."""
     return 120 + PITCH_PX * np.arange(9) + np.linspace(0, 3, frames)[:, None]
 
 
 def row(fwhm_px: float) -> str:
-    """Bound, RMS error with its ratio to the bound, and locking of each fit, as a line of the table."""
+    """Return bound, RMS error over the bound, and locking of each fit, as a line of the table."""
     truth = drifting(FRAMES)
     light = ridges(truth, width=420, fwhm_px=fwhm_px)
     cells = [f"{fwhm_px:.0f}", f"{1e3 * bound_px(fwhm_px, SNR):.1f}"]

@@ -1,4 +1,4 @@
-"""What a campaign costs beside the analysis, and what it asks of the file server.
+"""Overhead of a campaign over the analysis, and the load on the file server.
 
 Run from the checkout: python -m reports.campaign [FILMS]
 Writes reports/campaign.md. With FILMS in place of 200 it is quicker (the number is stated).
@@ -52,7 +52,7 @@ rule film:
 
 @dataclass(frozen=True)
 class Cost:
-    """Of a process and all it started."""
+    """Costs of a process and its children."""
 
     cpu_s: float
     wall_s: float
@@ -61,7 +61,7 @@ class Cost:
 
 
 def cost(command: list[str], folder: Path, evict: Path | None = None) -> Cost:
-    """Run a command; `evict` is a file that is not to come from memory."""
+    """Run a command; the file `evict` is removed from the cache first."""
     if evict is not None:
         with evict.open("rb") as file:
             os.fsync(file.fileno())
@@ -78,7 +78,7 @@ def cost(command: list[str], folder: Path, evict: Path | None = None) -> Cost:
 
 
 def short_films(folder: Path, count: int) -> list[str]:
-    """What a campaign of short films costs beside single calls."""
+    """Measure the overhead of a campaign of short films over single calls."""
     names = [f"t{k}.tif" for k in range(count)]
     for k, name in enumerate(names):
         write_video(folder / name, frames_of(positions(60), seed=k))
@@ -112,7 +112,7 @@ def short_films(folder: Path, count: int) -> list[str]:
 
 
 def scheduler(folder: Path) -> list[str]:
-    """What Snakemake itself costs for a job."""
+    """Measure the overhead of Snakemake for a job."""
     (folder / "Snakefile").write_text(EMPTY)
     spent = {}
     for jobs in (10, 210):
@@ -130,7 +130,7 @@ def scheduler(folder: Path) -> list[str]:
 
 
 def file_server(folder: Path) -> tuple[list[str], dict[str, float]]:
-    """What one core reads for each kind of film, and how that grows."""
+    """Measure what one core reads of each kind of film, and how that scales."""
     rows, rates = [], {}
     for container in CONTAINERS:
         where = folder / container
@@ -177,7 +177,7 @@ def file_server(folder: Path) -> tuple[list[str], dict[str, float]]:
 
 
 def _part(video: Path, stop: int) -> list[str]:
-    """Tracks the first frames of a film."""
+    """Track the first frames of a film."""
     return [*TRACK, str(video), "--frames", f"0:{stop}", "--out", "run", "--overwrite"]
 
 
@@ -186,7 +186,7 @@ def _short(number: float) -> str:
 
 
 def needs(rates: dict[str, float]) -> list[str]:
-    """What the file server must deliver, and where the limit lies."""
+    """Return what the file server must deliver, and its limit."""
     table = [
         "| film | " + " | ".join(f"{cores} cores" for cores in CORES) + " | "
         + " | ".join(f"cores that {name} feeds" for name in LINES) + " |",

@@ -31,10 +31,12 @@ SETTINGS = CertifySettings(films=1, largest_jump=1.0)
 def ratio(
     strip: xr.DataArray, truth_px: Floats, fit: FitName = "sliding", film: Path | None = None
 ) -> tuple[float, float, bool]:
-    """Actual RMS error of displacements, px, the predicted one over it, and if that is said to be unsure."""
+    """Return the RMS error of displacements, px, the predicted one over it, and whether it is uncertain."""
     tracks = track_sheets(strip, fit=fit)
     error = np.where(tracks["flag"].values == "ok", tracks["x_px"].values, np.nan) - truth_px
-    error[np.abs(error) > 0.5 * np.median(np.diff(truth_px[0]))] = np.nan  # wrong ones are in degraded.md
+    error[np.abs(error) > 0.5 * np.median(np.diff(truth_px[0]))] = (
+        np.nan
+    )  # wrong identities are counted in degraded.md
     actual = float(np.sqrt(np.nanmean((error - np.nanmean(error, axis=0)) ** 2)))
     facts = StripMetadata.of(strip)
     rows, columns = (facts.strip_z0, facts.strip_z1), (0, strip.sizes["x"])
@@ -44,7 +46,7 @@ def ratio(
 
 
 def drawn_rows() -> list[str]:
-    """Noise and width of the ridges, by each fit."""
+    """Return a line of the table for each width and noise of the ridges, with every fit."""
     rows = []
     for width in WIDTHS_PX:
         for well in FULL_WELLS:
@@ -59,7 +61,7 @@ def drawn_rows() -> list[str]:
 
 
 def filmed_rows() -> list[str]:
-    """Codecs, and what happens to recordings."""
+    """Return a line of the table for each codec and each degradation."""
     rows = []
     cases = [(name, clean, name) for name in CODECS]
     cases += [(name, DEGRADATIONS[name], "FFV1") for name in DEGRADATIONS if name != "none"]

@@ -1,4 +1,4 @@
-"""Whether stated errors of the fits hold the truth: 200 simulated tests at the level of their event tables.
+"""Whether stated errors of the fits cover the truth, in 200 simulated event tables.
 
 Run from the checkout: python -m reports.coverage
 Writes reports/coverage.md.
@@ -17,7 +17,7 @@ NAMES = {"mu": "μ", "t0_N": "𝒯0", "amplitude": "A", "scale_mm": "Λ̂", "mod
 
 
 def shares(found: np.ndarray) -> str:
-    """Share of each parameter's truths within its 68 % interval, as cells."""
+    """Return the share of truths within the 68 % interval of each parameter, as cells."""
     return " | ".join(f"{100 * share:.0f} %" for share in np.mean(np.abs(found) < 1, axis=0))
 
 

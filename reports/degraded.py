@@ -1,4 +1,4 @@
-"""What recordings that are not perfect do to the positions: rendered truth through real codecs and mishaps.
+"""Errors of positions in imperfect recordings: rendered films with known truth through codecs and mishaps.
 
 Run from the checkout: python -m reports.degraded
 Writes reports/degraded.md.
@@ -27,7 +27,7 @@ from tests.scenes.degraded import (
 )
 from vision.errors import InputError
 
-SEEDS = (1, 2, 3, 11, 12, 13)  # the rules were made with the first three
+SEEDS = (1, 2, 3, 11, 12, 13)  # the settings were chosen with the first three
 COLUMNS = (
     "sheets",
     "found",
@@ -42,7 +42,7 @@ COLUMNS = (
 
 
 def outcome(film: Film, codec: str) -> Outcome | str:
-    """How the film was measured, or the message with which it was refused."""
+    """Measure the film; return the outcome, or the message with which the film was refused."""
     with tempfile.TemporaryDirectory() as folder:
         try:
             return measured(film, Path(folder), codec)
@@ -51,7 +51,7 @@ def outcome(film: Film, codec: str) -> Outcome | str:
 
 
 def row(name: str, outcomes: Sequence[Outcome | str]) -> str:
-    """Counts added up, shares and errors averaged over the seeds."""
+    """Return a line of the table: sums of counts, and means of shares and errors over the seeds."""
     done = [one for one in outcomes if isinstance(one, Outcome)]
     if not done:
         return f"| {name} | refused: {outcomes[0]} |" + " |" * (len(COLUMNS) - 1)

@@ -1,4 +1,4 @@
-"""A million positions that are called ok, on degraded films of fresh seeds: how many are wrong.
+"""How many of a million positions that are called ok are wrong, in degraded films of unused seeds.
 
 Run from the checkout: python -m reports.identities
 Writes reports/identities.md.
@@ -19,7 +19,7 @@ FIRST_SEED = 1001
 
 
 def main() -> None:
-    """Every degradation through every codec, each film of another seed, until enough positions are judged."""
+    """Track every degradation through every codec, each with a new seed, until there are enough positions."""
     films: dict[str, int] = defaultdict(int)
     called_ok: dict[str, int] = defaultdict(int)
     wrong: dict[str, int] = defaultdict(int)
@@ -28,7 +28,7 @@ def main() -> None:
     while sum(called_ok.values()) < POSITIONS:
         for codec, (name, make) in itertools.product(CODECS, DEGRADATIONS.items()):
             seed = next(seeds)
-            clean.cache_clear()  # no film is asked for twice
+            clean.cache_clear()  # no film is needed twice
             with tempfile.TemporaryDirectory() as folder:
                 try:
                     found = measured(make(seed), Path(folder), codec)

@@ -55,13 +55,13 @@ print(json.dumps([strip.sizes["frame"], strip.nbytes, before, peak()]))
 
 
 def pictures() -> Pixels:
-    """A few frames of a moving comb."""
+    """Return a few frames of a moving comb."""
     profile = frames_of(positions(frames=GOP, sheets=50), width_px=COLUMNS, rows=1)
     return np.ascontiguousarray(np.repeat(profile, ROWS, axis=1))
 
 
 def raw_avi(path: Path, frames: int, shown: Pixels, *, repeated: bool = False) -> None:
-    """Sparse: the first frames are there, of the others only the heads of their chunks, if not repeated."""
+    """Write a sparse file: the first frames, and only the chunk headers of the others unless repeated."""
     rows, columns = shown.shape[1:]
     head = avi_header(width=columns, height=rows, bits=8, fourcc=b"Y800", frames=frames)
     size = rows * columns
@@ -77,7 +77,7 @@ def raw_avi(path: Path, frames: int, shown: Pixels, *, repeated: bool = False) -
 
 
 def mraw(path: Path, frames: int, shown: Pixels, bits: int) -> None:
-    """Sparse: the first frames are there."""
+    """Write a sparse file that contains the first frames."""
     rows, columns = shown.shape[1:]
     fields = {"Total Frame": frames, "Image Width": columns, "Image Height": rows, "Color Bit": bits}
     text = "".join(f"{name} : {value}\n" for name, value in fields.items())
@@ -88,7 +88,7 @@ def mraw(path: Path, frames: int, shown: Pixels, bits: int) -> None:
 
 
 def cine(path: Path, frames: int, shown: Pixels) -> None:
-    """Sparse: the first frames are there, of the others only their heads."""
+    """Write a sparse file: the first frames, and only the headers of the others."""
     rows, columns = shown.shape[1:]
     setup = bytearray(2000)
     struct.pack_into("<H", setup, 142, len(setup))
@@ -107,21 +107,21 @@ def cine(path: Path, frames: int, shown: Pixels) -> None:
 
 
 def stack(path: Path, frames: int, shown: Pixels) -> None:
-    """Sparse: one page that stands for all."""
+    """Write a sparse file with one page that represents all."""
     pages = tifffile.memmap(path, shape=(frames, *shown.shape[1:]), dtype=np.uint8, bigtiff=True)
     pages[: len(shown)] = shown
     del pages
 
 
 def compressed_stack(path: Path, frames: int, shown: Pixels) -> None:
-    """One compressed page for every frame."""
+    """Write one compressed page for every frame."""
     with tifffile.TiffWriter(path, bigtiff=True) as out:
         for n in range(frames):
             out.write(shown[n % len(shown)], compression="zlib", photometric="minisblack", metadata=None)
 
 
 def images(path: Path, frames: int, shown: Pixels) -> None:
-    """A folder of PNG, of which most are the same file under another name."""
+    """Write a folder of PNG files, most of which are links to the same file."""
     path.mkdir()
     for n in range(frames):
         file = path / f"a_{n:06d}.png"
@@ -132,7 +132,7 @@ def images(path: Path, frames: int, shown: Pixels) -> None:
 
 
 def encoded(path: Path, frames: int, shown: Pixels, codec: str, pixel_format: str) -> None:
-    """A few frames are encoded, their packets written again and again."""
+    """Encode a few frames and write their packets repeatedly."""
     options = {"g": str(GOP), "preset": "veryfast"} if codec == "libx264" else {}
     with av.open(str(path), "w") as out:
         stream = out.add_stream(codec, rate=100, options=options)
@@ -164,11 +164,11 @@ FORMATS: dict[str, tuple[str, Callable[[Path, int, Pixels], None], int]] = {
     "H.264 in MKV": ("a.mkv", lambda *given: encoded(*given, "libx264", "yuv420p"), 8),
     "FFV1 in MKV": ("a.mkv", lambda *given: encoded(*given, "ffv1", "gray"), 8),
 }
-"""File, writer, and by how much fewer frames than of raw film are read: decoding takes its time."""
+"""File, writer, and the factor by which fewer frames than of raw film are read, since decoding is slow."""
 
 
 def read(path: Path) -> tuple[int, int, int, int]:
-    """Frames, bytes of I(x, t), and the process's peak before and after reading, bytes."""
+    """Return frames, bytes of I(x, t), and the peak memory before and after reading, bytes."""
     task = json.dumps([str(path), *STRIP])
     done = subprocess.run(
         [sys.executable, "-c", PEAK + CHILD, task], capture_output=True, text=True, check=True
@@ -178,7 +178,7 @@ def read(path: Path) -> tuple[int, int, int, int]:
 
 
 def formats(folder: Path, most: int) -> list[str]:
-    """A row per format and number of frames."""
+    """Return a row per format and number of frames."""
     shown, rows = pictures(), []
     for name, (file, write, fewer) in FORMATS.items():
         peaks = []
@@ -195,7 +195,7 @@ def formats(folder: Path, most: int) -> list[str]:
 
 
 def whole(folder: Path) -> list[str]:
-    """Peak of `track FILM --no-report`, imports and all."""
+    """Return the peak memory of `track FILM --no-report`, imports included."""
     rows = []
     for frames in WHOLE:
         moving = frames_of(positions(frames=60, sheets=24), width_px=600, rows=24)

@@ -1,4 +1,4 @@
-"""What `reports/speed.py` measures against, each in a process of its own.
+"""The programs that `reports/speed.py` compares with, each run in a separate process.
 
 Run: python reports/rivals.py NAME FILM COLUMNS ROWS. The last line printed is the seconds of the work itself,
 without imports.
@@ -21,13 +21,13 @@ BLOCK = 64  # frames averaged at once
 
 
 def strip_of(rows: int) -> slice:
-    """The strip's rows in a frame of so many."""
+    """Return the strip in a frame of so many rows."""
     first = max(0, (rows - STRIP_ROWS) // 2)
     return slice(first, min(rows, first + STRIP_ROWS))
 
 
 def loop(film: Path, columns: int, rows: int) -> None:
-    """What a laboratory writes itself: frame by frame, local maxima and parabolas through nine pixels."""
+    """Fit parabolas through nine pixels at local maxima frame by frame, as laboratories program it."""
     capture, offsets, found, number = cv2.VideoCapture(str(film)), np.arange(-4, 5), [], 0
     while (read := capture.read())[0]:
         profile = cv2.cvtColor(read[1], cv2.COLOR_BGR2GRAY)[strip_of(rows)].mean(axis=0)
@@ -39,14 +39,14 @@ def loop(film: Path, columns: int, rows: int) -> None:
 
 
 def opencv(film: Path, columns: int, rows: int) -> None:
-    """OpenCV's frames and the mean of the strip, nothing else."""
+    """Decode by OpenCV and average the strip, nothing else."""
     capture = cv2.VideoCapture(str(film))
     while (read := capture.read())[0]:
         cv2.cvtColor(read[1], cv2.COLOR_BGR2GRAY)[strip_of(rows)].mean(axis=0)
 
 
 def mean(film: Path, columns: int, rows: int) -> None:
-    """The strip's share of a raw film, memory-mapped and averaged; headers count as pixels."""
+    """Average the strip of a memory-mapped raw film; headers count as pixels."""
     data = np.memmap(film, np.uint8, "r")
     frames = data[: data.size // (rows * columns) * rows * columns].reshape(-1, rows, columns)
     for start in range(0, len(frames), BLOCK):
@@ -54,7 +54,7 @@ def mean(film: Path, columns: int, rows: int) -> None:
 
 
 def decode(film: Path, columns: int, rows: int) -> None:
-    """FFmpeg's decoder on all cores; no pixel is looked at."""
+    """Decode by FFmpeg on all cores without using the pixels."""
     with av.open(str(film)) as container:
         container.streams.video[0].thread_type = "AUTO"
         for _ in container.decode(video=0):

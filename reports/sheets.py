@@ -1,4 +1,4 @@
-"""Whether imaging's shell follows the force's M_eff where sheets decide by themselves: the preset `sheets`.
+"""Whether the shell from imaging follows M_eff from the force, with sheets that slip individually (`sheets`).
 
 Run from the checkout: python -m reports.sheets
 Writes reports/sheets.md.
@@ -21,7 +21,7 @@ from vision.models import ModelFits, equations
 from vision.pipeline import Settings
 
 WINDOWS = ((18.0, 15.0, 60.0), (60.0, 12.0, 60.0), (130.0, 6.0, 120.0), (210.0, 4.0, 160.0))
-"""Force clock at the film's start, its length (s), frames/s."""
+"""Start of each film on the force clock (s), its length (s), frames/s."""
 MU, A = 0.89, 0.34
 SHEET_N_PER_MM = 300.0
 PUBLISHED_SCALE_MM = 19.09
@@ -85,7 +85,7 @@ Made by `python -m reports.sheets`.
 
 
 def coupling(name: str, change: dict[str, object], unequal: tuple[float, ...]) -> str:
-    """Force over Eq. 1 and how many sheets slip in the largest events, as a line of a table."""
+    """Return the force over Eq. 1 and the sheets that slip in the largest events, as a line of a table."""
     pull = SheetPull(d_end_mm=13.3, positions="middles", threshold_factor=unequal, **change)  # type: ignore[arg-type]
     result = pull_sheets(pull)
     late = result["d_mm"].values > 13.1
@@ -95,7 +95,7 @@ def coupling(name: str, change: dict[str, object], unequal: tuple[float, ...]) -
 
 
 def window(start_s: float, length_s: float, fps: float, folder: Path) -> tuple[str, ModelFits]:
-    """One film through the whole pipeline, against its truth and the force, as a line of a table."""
+    """Analyse one film and compare it with its truth and the force, as a line of a table."""
     changes = {"clocks.offset_s": start_s, "camera.duration_s": length_s, "camera.fps": fps}
     test = simulate(with_settings(preset("sheets"), changes), folder / f"from {start_s:g} s")
     # Equal slips leave the clocks ambiguous: they are given, as by a trigger.

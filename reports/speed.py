@@ -1,4 +1,4 @@
-"""Speed of the whole command, beside the loop it replaces and what the machine can do at best.
+"""Speed of the whole command, compared with the loop it replaces and with the limits of the machine.
 
 Run from the checkout on a quiet machine: python -m reports.speed [--runs 5] [--folder /tmp/films]
 Takes ten minutes and 20 GB of disk. Writes reports/speed.md and reports/speed.png.
@@ -42,7 +42,7 @@ FIXED = "import numpy, scipy, pandas, xarray"
 
 @dataclass(frozen=True)
 class Film:
-    """A film to measure with; raw unless its container says otherwise."""
+    """A film to measure with; raw unless its container differs."""
 
     frames: int
     columns: int = 1920
@@ -52,13 +52,13 @@ class Film:
 
     @property
     def name(self) -> str:
-        """Of its folder."""
+        """Name of its folder."""
         return f"{self.container}_{self.frames}_{self.columns}x{self.rows}_{self.sheets}"
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Of one process: seconds on the clock and of computing, and what it printed."""
+    """Wall-clock and computing seconds of one process, and its output."""
 
     wall_s: float
     cpu_s: float
@@ -66,7 +66,7 @@ class Cost:
 
 
 def made(film: Film, folder: Path) -> Path:
-    """The film's file, rendered once."""
+    """Return the file of the film, which is rendered once."""
     target = folder / film.name
     found = next(iter(target.glob("video.*")), None) if target.is_dir() else None
     if found is not None:
@@ -113,13 +113,13 @@ def process(arguments: Sequence[str]) -> Cost:
 
 
 def _surroundings() -> dict[str, str]:
-    """Of this checkout; its modules are compiled once, as an installed program's are."""
+    """Return the environment for this checkout; modules are compiled once, as after an installation."""
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     return kept | {"PYTHONPATH": str(HERE.parent)}
 
 
 def in_turn(commands: Mapping[str, Sequence[str]], runs: int) -> dict[str, list[Cost]]:
-    """Every command once to warm up, then all of them one after the other, so often."""
+    """Run every command once to warm up, then all of them in turn, `runs` times."""
     for command in commands.values():
         process(command)
     costs: dict[str, list[Cost]] = {name: [] for name in commands}
@@ -130,7 +130,7 @@ def in_turn(commands: Mapping[str, Sequence[str]], runs: int) -> dict[str, list[
 
 
 def ours(film: Film, path: Path, *options: str) -> list[str]:
-    """`track FILM` with the strip that the others take too."""
+    """Return the command `track FILM`, with the strip that the other programs use."""
     rows = strip_of(film.rows)
     out = str(path.parent / "run")
     return [
@@ -140,23 +140,23 @@ def ours(film: Film, path: Path, *options: str) -> list[str]:
 
 
 def rival(name: str, film: Film, path: Path) -> list[str]:
-    """One of `reports/rivals.py`."""
+    """Return the command of a program of `reports/rivals.py`."""
     return [*PYTHON, str(HERE / "rivals.py"), name, str(path), str(film.columns), str(film.rows)]
 
 
 def stages(path: Path) -> dict[str, float]:
-    """Seconds of each stage of the run that was just made."""
+    """Return the seconds of each stage of the last run."""
     record = json.loads((path.parent / "run" / "run.json").read_text(encoding="utf-8"))
     return {str(name): float(seconds) for name, seconds in record["seconds"].items()}
 
 
 def middle(costs: Sequence[Cost]) -> float:
-    """Median of the seconds on the clock."""
+    """Return the median wall-clock time, s."""
     return statistics.median(cost.wall_s for cost in costs)
 
 
 def row(name: str, costs: Sequence[Cost], unit_s: float | None = None) -> str:
-    """A line of a table: seconds, computing, memory, and the ratio to something."""
+    """Return a line of a table: seconds, computing time, memory, and the ratio to a reference."""
     walls = sorted(cost.wall_s for cost in costs)
     ratio = "" if unit_s is None else f"{middle(costs) / unit_s:.2f}"
     return (
@@ -170,7 +170,7 @@ HEAD = ["| what | s, median | s, range | CPU s | ratio |", "|---|---|---|---|---
 
 
 def starting(runs: int) -> list[str]:
-    """Help, imports, and what the libraries alone take."""
+    """Measure the help, the imports, and the libraries alone."""
     costs = in_turn(
         {
             "`python -c pass`": [*PYTHON, "-c", "pass"],
@@ -185,7 +185,7 @@ def starting(runs: int) -> list[str]:
 
 
 def raw_films(folder: Path, runs: int) -> list[str]:
-    """A short and a long raw film: whole runs, the loop, the bare mean; from both the cost of a frame."""
+    """Measure a short and a long raw film by each program, and from both the cost of a frame."""
     short, long = Film(1200, rows=1200), Film(4800, rows=1200)
     lines = ["## A raw film of 1920 × 1200 pixels, strip of 84 rows", ""]
     seconds: dict[str, list[float]] = {}
@@ -217,7 +217,7 @@ def raw_films(folder: Path, runs: int) -> list[str]:
 
 
 def codecs(folder: Path, runs: int) -> list[str]:
-    """Reading compressed film: the stage "reading" of `track` against OpenCV and the decoder alone."""
+    """Compare the stage "reading" of `track` on compressed films with OpenCV and the decoder alone."""
     lines = [
         "## Compressed film, 200 frames of 1920 × 1200",
         "",
@@ -253,7 +253,7 @@ SHOWN = ("reading", "tracking", "tables", "pictures and report")
 
 
 def scaling(folder: Path) -> list[str]:
-    """Seconds of each stage against the size of the film, as tables and one figure."""
+    """Measure each stage against the size of the film, as tables and one figure."""
     lines = ["## Cost against the film's size", "", "Raw film; seconds of each stage, one run each.", ""]
     page = Page(figsize=(9.6, 2.9), layout="constrained")
     for ax, (what, films) in zip(page.subplots(1, 4, sharey=True), SERIES.items(), strict=True):
@@ -282,7 +282,7 @@ def scaling(folder: Path) -> list[str]:
 
 
 def machine() -> list[str]:
-    """Where and with what it was measured."""
+    """Return the machine and the versions used."""
     names = ("numpy", "scipy", "pandas", "xarray", "matplotlib", "opencv-python-headless", "av")
     found = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in names)
     load = ", ".join(f"{value:.2f}" for value in os.getloadavg())
@@ -304,7 +304,7 @@ Short films: loading the libraries and drawing, which neither disk nor cores sho
 
 
 def main() -> None:
-    """Measure all of it and write the report."""
+    """Measure everything and write the report."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--folder", type=Path, help="where films are kept for the next time")

@@ -1,4 +1,4 @@
-"""Files of testing machines as tables: text in any layout, and MATLAB; names and units of their columns."""
+"""Tables of numbers, with names and units of their columns, from text in any layout and MATLAB files."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ Dimension = Literal["time", "force", "length", "ratio"]
 
 
 class _Most:
-    """Limits of what is read: what lies beyond is no force recording."""
+    """Limits of what is read; a file beyond them is not a force recording."""
 
     bytes = 8 << 30  # of a table of plain numbers, about 300 million rows
-    mixed_bytes = 1 << 30  # of any other text, which takes ten times its size in memory
+    mixed_bytes = 1 << 30  # of other text, which takes ten times its size in memory
     columns = 1000
     matrix_columns = 20  # of a matrix in a .mat file; wider ones are images or tables of something else
-    letters = 200  # of a cell of the header, or of a number with its unit
+    letters = 200  # characters of a header cell, or of a number with its unit
 
 
 _WANTED, _WANTED_MAT = "a force recording", "a MATLAB .mat file"
@@ -40,16 +40,16 @@ LEAST_ROWS = 3
 
 @dataclass(frozen=True)
 class Table:
-    """One block of numbers of a file with its header, before anything is known about its meaning."""
+    """One block of numbers of a file with its header, before its columns are interpreted."""
 
     names: tuple[str, ...]  # one per column
     units: tuple[str, ...]  # "" where none is written
     numbers: Floats  # (rows, columns), NaN where a cell is empty or not a number
     facts: dict[str, str] = field(default_factory=dict)  # layout, encoding, separator, decimal
-    first_line: int = 0  # of the rows in the file, from 1; 0 where it has no lines
+    first_line: int = 0  # line of the first row in the file, counted from 1; 0 where unknown
 
     def listing(self) -> str:
-        """The columns for a message: 1 "Time" [s], 2 "Load" [N] …; the first value where there is no name."""
+        """Return the columns for a message: 1 "Time" [s], 2 "Load" [N] …; without a name the first value."""
         shown = []
         for k, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
             first = self.numbers[0, k] if len(self.numbers) else float("nan")
@@ -59,7 +59,7 @@ class Table:
 
 
 def read_tables(path: Path) -> list[Table]:
-    """Every block of numbers of a recording, in file order.
+    """Read every block of numbers of a recording, in file order.
 
     Parameters
     ----------
@@ -70,10 +70,10 @@ def read_tables(path: Path) -> list[Table]:
 
     Returns
     -------
-    One table per block; of a .mat file one table of the vectors that share the commonest length. There fields
-    of a struct appear as "struct.field" and columns of a matrix as "matrix 1", "matrix 2" …; units are ""
-    unless a name ends in one ("load_N"). Clock times become seconds, with the unit `TIME_OF_DAY`; thousands
-    marks are left out; marks of overflow become NaN.
+    One table per block. A .mat file gives one table of the vectors that share the commonest length; fields of
+    a struct are named "struct.field" and columns of a matrix "matrix 1", "matrix 2" …, and units are ""
+    unless a name ends in one ("load_N"). Clock times become seconds, with the unit `TIME_OF_DAY`. Thousands
+    separators are removed, and overflow marks become NaN.
 
     Raises
     ------
@@ -92,16 +92,16 @@ def read_tables(path: Path) -> list[Table]:
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit as written: what it measures and how many s, N or mm it is."""
+    """A unit as written, its dimension, and its size in s, N or mm."""
 
     text: str
     dimension: Dimension
     factor: float
 
 
-TIME_OF_DAY = "time of day"  # in place of the unit of a column of clock times, which are read as seconds
+TIME_OF_DAY = "time of day"  # unit of a column of clock times, which are read as seconds
 
-# Written forms, case kept: mN and MN differ.
+# Written forms, in which case matters: mN and MN differ.
 _FACTORS: dict[Dimension, dict[str, float]] = {
     "time": {
         **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "seg", TIME_OF_DAY), 1.0),
@@ -133,14 +133,14 @@ _GREEK_MU = str.maketrans({"\u03bc": "µ"})
 
 
 def without_brackets(text: str) -> str:
-    """The unit without the brackets and spaces around it: "(kN)" and " [kN] " are both "kN"."""
+    """Return a unit without brackets and spaces around it: "kN" for "(kN)" and " [kN] "."""
     return text.strip().strip("()[]{}<>").strip().removesuffix(".")
 
 
 def unit_of(text: str) -> Unit | None:
-    """The unit a text stands for; None where it is not a unit of time, force or length.
+    """Return the unit that a text denotes; None where it is not a unit of time, force or length.
 
-    Case decides between mN and MN and is otherwise ignored.
+    Case distinguishes mN from MN and is otherwise ignored.
     """
     key = without_brackets(text).translate(_GREEK_MU)
     return _EXACT.get(key) or _LOWER.get(key.lower())
@@ -151,9 +151,9 @@ _TRAILING = re.compile(r"^(?P<name>.*\S)(?:\s*[,/]\s*|_|\s+in\s+)(?P<unit>[^\s,/
 
 
 def split_name(header: str) -> tuple[str, str]:
-    """("Load", "kN") from "Load (kN)", "Load [kN]", "Load, kN", "Load / kN", "Load in kN" or "load_kN".
+    """Return ("Load", "kN") for "Load (kN)", "Load [kN]", "Load, kN", "Load / kN", "Load in kN" or "Load_kN".
 
-    A unit in brackets is split off whatever it is; the other forms only where the ending is a known unit.
+    Any text in brackets is split off as the unit; the other forms are split only at a known unit.
     """
     bracketed = _BRACKETED.match(header)
     if bracketed:
@@ -181,7 +181,7 @@ _SUFFIXED = re.compile(r"^\s*(?P<number>[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?)\s*(?P<u
 
 
 def _read_text(path: Path) -> list[Table]:
-    """Every block of numbers of a text recording."""
+    """Read every block of numbers of a text recording."""
     plain = _read_plain(path)
     if plain is not None:
         return [plain]
@@ -202,10 +202,10 @@ def _read_text(path: Path) -> list[Table]:
 
 
 def _read_plain(path: Path) -> Table | None:
-    """The commonest recording, a header and numbers from there to the end, read by pandas from the disk.
+    """Read the commonest recording, a header followed by numbers only, by pandas directly from the disk.
 
-    None for any other, which takes ten times as long and as much memory to read: several blocks, remarks,
-    cells of text.
+    None for any other file: several blocks, remarks, cells of text. Those take ten times as long and as much
+    memory to read.
     """
     with path.open("rb") as file:
         head = file.read(1 << 17)  # the header and the first rows
@@ -223,7 +223,7 @@ def _read_plain(path: Path) -> Table | None:
     width = _width([line for line in lines[start:] if line.strip()], style, path)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)  # a later row that is longer
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # a later row is longer
             values = _parsed(str(path.absolute()), style, width, skiprows=start, dtype=np.float64).to_numpy()
     except (ValueError, pd.errors.ParserWarning):
         return None
@@ -234,7 +234,7 @@ def _read_plain(path: Path) -> Table | None:
 
 
 def _facts(lines: list[str], style: _Style, encoding: str) -> dict[str, str]:
-    """How the file was read."""
+    """Return how the file was read."""
     return {
         "layout": _layout(lines),
         "encoding": encoding,
@@ -244,7 +244,7 @@ def _facts(lines: list[str], style: _Style, encoding: str) -> dict[str, str]:
 
 
 def _decode(path: Path, data: bytes) -> tuple[str, str]:
-    """(text, encoding) of a file's bytes."""
+    """Return the text and the encoding of a file's bytes."""
     if not data.strip():
         raise InputError(path, "a force recording", "an empty file")
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -265,7 +265,7 @@ def _decode(path: Path, data: bytes) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class _Style:
-    """A separator and a decimal mark, and the patterns of a cell and of a whole line of numbers."""
+    """A separator and a decimal mark, with the patterns of a number and of a line of numbers."""
 
     separator: str
     decimal: str
@@ -277,19 +277,18 @@ class _Style:
         return rf"[-+]?+(?:[0-9]++(?:{mark}[0-9]*+)?+|{mark}[0-9]++)(?:[eE][-+]?+[0-9]++)?+"
 
     def patterns(self) -> tuple[re.Pattern[str], re.Pattern[str]]:
-        """(one number, a whole line of numbers).
+        """Return the patterns of one number and of a whole line of numbers.
 
-        Nothing is ever tried twice (`*+` gives nothing back): a line of padded cells would else take longer
-        than the test.
+        Quantifiers are possessive (`*+`): with backtracking a line of padded cells could take hours.
         """
         words = "|".join(re.escape(word) for word in sorted(_NOT_A_NUMBER, key=len, reverse=True) if word)
-        marks = r"\*++|#[A-Za-z0/]++[!?]"  # of a number too long for its column, of a spreadsheet's error
+        marks = r"\*++|#[A-Za-z0/]++[!?]"  # number too long for its column, error of a spreadsheet
         clock = rf"{_DATE}(?:[ T]{_CLOCK})?|{_CLOCK}"
         value = rf"(?>{clock}|{words}|{marks}|{self.number})"
         if self.separator == _WHITESPACE:
             line = rf"\s*+{value}(?:\s++{value})+\s*+"
         else:
-            # Where comma is both separator and decimal mark only quotes tell them apart.
+            # Where the comma is both separator and decimal mark only quotes distinguish them.
             cell = (
                 rf'[ ]*+"[ ]*+{value}?+[ ]*+"[ ]*+'
                 if self.separator == self.decimal
@@ -299,14 +298,14 @@ class _Style:
         return re.compile(self.number), re.compile(line, re.IGNORECASE)
 
     def cells(self, line: str) -> list[str]:
-        """The cells of a line; where spaces separate, a single one may be part of a name."""
+        """Return the cells of a line; among separating spaces a single one may be part of a name."""
         if self.separator != _WHITESPACE:
             return [cell.strip() for cell in next(csv.reader([line], delimiter=self.separator), [])]
         return re.split(r"\s{2,}|\t", line.strip()) if re.search(r"\S\s{2,}\S|\t", line) else line.split()
 
 
 def _data_lines(lines: list[str], style: _Style) -> Bools:
-    """Which lines hold numbers: all cells, or at least two of them and half of the cells."""
+    """Return which lines contain numbers: in all cells, or in at least two and half of the cells."""
     number, whole = style.patterns()
 
     def is_data(line: str) -> bool:
@@ -332,7 +331,7 @@ def _find_style(lines: list[str]) -> _Style | None:
 
 
 def _layout(lines: list[str]) -> str:
-    """The program that wrote a file, by its marks; "table" for none of those known."""
+    """Return the program that wrote a file, recognised by its header; "table" for an unknown one."""
     head = "\n".join(lines[:40]).lower()
     known = {
         "labview measurement": "LabVIEW",
@@ -348,7 +347,7 @@ def _layout(lines: list[str]) -> str:
 
 
 def _read_blocks(path: Path, lines: list[str], style: _Style, facts: dict[str, str]) -> list[Table]:
-    """Each run of data lines as a table, with the header above it."""
+    """Return each run of data lines as a table, with the header above it."""
     tables: list[Table] = []
     header_from = 0
     for start, stop in _runs(lines, style):
@@ -356,7 +355,7 @@ def _read_blocks(path: Path, lines: list[str], style: _Style, facts: dict[str, s
         names, units = _header(lines[header_from:start], style, values.shape[1])
         units = tuple(TIME_OF_DAY if clock else unit for unit, clock in zip(units, clocks, strict=True))
         if tables and not any(names) and values.shape[1] == tables[-1].numbers.shape[1]:
-            # A remark between two runs of numbers is not a header: the columns go on as before.
+            # A remark between two runs of numbers is not a header: the columns stay the same.
             names, units = tables[-1].names, tables[-1].units
         tables.append(_drop_empty(Table(names, units, values, facts, start + 1)))
         header_from = stop
@@ -364,7 +363,7 @@ def _read_blocks(path: Path, lines: list[str], style: _Style, facts: dict[str, s
 
 
 def _runs(lines: list[str], style: _Style) -> list[tuple[int, int]]:
-    """[start, stop) of each run of at least 3 data lines; blank lines do not end a run."""
+    """Return the half-open range of each run of at least 3 data lines; blank lines do not end a run."""
     data = _data_lines(lines, style)
     breaks = np.array([bool(line.strip()) for line in lines]) & ~data
     run = np.cumsum(breaks)
@@ -379,7 +378,7 @@ def _runs(lines: list[str], style: _Style) -> list[tuple[int, int]]:
 
 
 def _width(lines: list[str], style: _Style, path: Path) -> int:
-    """Columns of the longest line.  Raises: InputError for more than a recording has."""
+    """Return the number of columns of the longest line; raise InputError for too many."""
     if style.separator == _WHITESPACE:
         width = max((len(line.split()) for line in lines), default=0)
     else:
@@ -390,7 +389,7 @@ def _width(lines: list[str], style: _Style, path: Path) -> int:
 
 
 def _parsed(source: str | io.StringIO, style: _Style, width: int, **more: Any) -> pd.DataFrame:
-    """Numbers by pandas' C parser, from a file or from text."""
+    """Parse numbers by the C parser of pandas, from a file or from text."""
     frame: pd.DataFrame = pd.read_csv(
         source,
         sep=style.separator,
@@ -407,7 +406,7 @@ def _parsed(source: str | io.StringIO, style: _Style, width: int, **more: Any) -
 
 
 def _numbers(path: Path, lines: list[str], style: _Style) -> tuple[Floats, list[bool]]:
-    """Lines of numbers as an array, NaN where a cell is not a number; and which columns are clock times."""
+    """Return lines of numbers as an array, NaN for other cells, and which columns are clock times."""
     width, text = _width(lines, style, path), io.StringIO("\n".join(lines))
     frame = _parsed(text, style, width, skip_blank_lines=False, low_memory=False)
     columns = [_as_floats(frame[column], style.decimal) for column in frame.columns]
@@ -415,7 +414,7 @@ def _numbers(path: Path, lines: list[str], style: _Style) -> tuple[Floats, list[
 
 
 def _as_floats(series: pd.Series[Any], decimal: str) -> tuple[Floats, bool]:
-    """The values of a column, and whether they are times of the day."""
+    """Return the values of a column, and whether they are times of the day."""
     if pd.api.types.is_numeric_dtype(series):
         return series.to_numpy(dtype=float), False
     text = series.astype(str).str.strip()
@@ -429,10 +428,9 @@ def _as_floats(series: pd.Series[Any], decimal: str) -> tuple[Floats, bool]:
 
 
 def _clock_seconds(parts: pd.DataFrame) -> Floats:
-    """Seconds from the hour, minute, second and A or P of times of the day, going on after midnight.
+    """Return seconds from the hour, minute, second and A or P of times of the day, continued past midnight.
 
-    The date is not looked at, so that its many forms do not matter: what goes back by half a day or more is
-    the next day.
+    A decrease by half a day or more is the next day. The date, which has many forms, is ignored.
     """
     hour, minute, second = (pd.to_numeric(parts[k].str.replace(",", ".")).to_numpy(float) for k in range(3))
     half = parts[3].str.lower()
@@ -445,7 +443,7 @@ def _clock_seconds(parts: pd.DataFrame) -> Floats:
 
 
 def _header(lines: list[str], style: _Style, width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units from the text above a block, "" where there is none."""
+    """Return names and units from the text above a block, "" for none."""
     rows = [style.cells(line.lstrip("#% ")) for line in lines if line.strip()]
     blank = ("",) * width
     if not rows or len([cell for cell in rows[-1] if cell]) < min(2, width):
@@ -461,26 +459,26 @@ def _header(lines: list[str], style: _Style, width: int) -> tuple[tuple[str, ...
 
 
 def _is_unit_row(cells: list[str]) -> bool:
-    """A row under the names: short cells, at least two and half of them a known unit or bracketed."""
+    """Return whether short cells are a row of units: at least two, and half of them, known or bracketed."""
     filled = [cell for cell in cells if cell]
     known = [cell for cell in filled if unit_of(cell) or (cell[0] in "([" and cell[-1] in ")]")]
     return len(known) >= min(2, len(filled)) and 2 * len(known) >= len(filled) and max(map(len, filled)) <= 12
 
 
 def _fit(cells: list[str], width: int) -> tuple[str, ...]:
-    """Exactly `width` cells: cut off, or filled up with ""."""
+    """Return exactly `width` cells: cut off, or padded with ""."""
     return tuple([*(cell.strip()[: _Most.letters] for cell in cells[:width]), *[""] * width][:width])
 
 
 def _drop_empty(table: Table) -> Table:
-    """Without the nameless columns that hold nothing: the trace of a separator at the end of each line."""
+    """Remove empty columns without a name, which come from a separator at the end of each line."""
     keep = [k for k, name in enumerate(table.names) if name or np.isfinite(table.numbers[:, k]).any()]
     names, units = (tuple(part[k] for k in keep) for part in (table.names, table.units))
     return replace(table, names=names, units=units, numbers=table.numbers[:, keep])
 
 
 def _suffixed_column(path: Path, lines: list[str], encoding: str) -> Table:
-    """One column whose every line carries its unit, as in "0.00 N1", or no unit at all."""
+    """Read a single column, of which every line contains the unit, as in "0.00 N1", or none does."""
     short = [line for line in lines if len(line) <= _Most.letters]
     found = [match for line in short if (match := _SUFFIXED.match(line))]
     plain = [line for line in short if re.fullmatch(_Style(";", ".").number, line.strip())]
@@ -502,7 +500,7 @@ def _suffixed_column(path: Path, lines: list[str], encoding: str) -> Table:
 
 
 def _read_mat(path: Path) -> list[Table]:
-    """The vectors of a .mat file that share the commonest length, as one table."""
+    """Return the vectors of a .mat file that share the commonest length, as one table."""
     version, variables = _load_mat(path)
     vectors = dict(_vectors(variables))
     if not vectors:
@@ -517,9 +515,9 @@ def _read_mat(path: Path) -> list[Table]:
 
 
 def _load_mat(path: Path) -> tuple[str, Mapping[str, Any]]:
-    """(version, variables by name) of a .mat file; fields of groups as "group.field".
+    """Return the version of a .mat file and its variables by name; fields of groups as "group.field".
 
-    Both parsers can crash or run for ever on a damaged file, so that a process of its own tries it first.
+    Both parsers can crash or never return on a damaged file, so a separate process reads it first.
     """
     with reading(path, _WANTED_MAT, "save it again"):
         if not h5py.is_hdf5(path):
@@ -530,7 +528,7 @@ def _load_mat(path: Path) -> tuple[str, Mapping[str, Any]]:
 
         def keep(name: str, item: object) -> None:
             if isinstance(item, h5py.Dataset) and not name.startswith("#"):
-                # MATLAB stores columns first: a matrix comes out of HDF5 transposed.
+                # MATLAB stores column by column, so that HDF5 returns the transposed matrix.
                 found[name.replace("/", ".")] = np.squeeze(np.asarray(item).T)
 
         with h5py.File(path) as file:
@@ -539,7 +537,7 @@ def _load_mat(path: Path) -> tuple[str, Mapping[str, Any]]:
 
 
 def _vectors(variables: Mapping[str, Any], level: int = 0) -> Iterator[tuple[str, Floats]]:
-    """Numeric vectors, and columns of matrices, by name."""
+    """Yield numeric vectors, and columns of matrices, with their names."""
     for name, value in variables.items():
         array = np.asarray(value)
         if name.startswith("__"):

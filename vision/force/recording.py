@@ -1,6 +1,7 @@
-"""A testing machine's file becomes load and separation against time, with quality flags.
+"""Load and separation against time, with quality flags, from the file of a testing machine.
 
-Which column is time, load or displacement is found by name in four languages and by unit, or the user says.
+The columns of time, load and displacement are found by their names in four languages and by their units, or
+are given by the user.
 """
 
 from __future__ import annotations
@@ -38,21 +39,21 @@ def read_force(
     columns: Mapping[str, str] | None = None,
     settings: ForceSettings = ForceSettings(),
 ) -> xr.Dataset:
-    """Load and separation of a traction test, as recorded: nothing is smoothed, sorted or left out.
+    """Read load and separation of a traction test as recorded: nothing is smoothed, sorted or left out.
 
     Parameters
     ----------
     path
         Recording of a testing machine in any layout (text, CSV, .TRA, .mat).
     speed_mm_min
-        V, pulling speed; used where no displacement is recorded, else compared with the displacement.
+        V, pulling speed. It replaces a displacement that is not recorded, and is else compared with it.
     d0_mm
-        Separation when the recording begins: the crosshead's change since then is added. 0 where the column
-        is the separation itself. Without it `d_mm` counts from the crosshead's zero, which a note says.
+        Separation when the recording begins; the crosshead's change since then is added. Give 0 where the
+        column is the separation itself. By default `d_mm` counts from the zero of the crosshead, with a note.
     d0_err_mm
-        Its error, for the systematic errors of the fits.
+        Error of `d0_mm`, for the systematic errors of the fits.
     columns
-        ``{"time": …, "load": …, "displacement": …, "video_time": …}`` as `parse_columns` returns, for columns
+        ``{"time": …, "load": …, "displacement": …, "video_time": …}``, as from `parse_columns`, for columns
         that are not found by their names.
     settings
         See `ForceSettings`.
@@ -60,9 +61,10 @@ def read_force(
     Returns
     -------
     Dataset with dimension ``time_s``: ``load_N`` (tension positive), ``d_mm``, ``flag`` and, where recorded,
-    ``crosshead_mm`` and ``video_time_s``; attributes as `vision.data.ForceMetadata`. Rows with a bad time
-    stay, so ``time_s`` may hold NaN or run backwards: use `good_samples`. ``d_mm`` is NaN where neither a
-    displacement nor a speed is known. A load that is a force over a weight keeps its name and has units "1".
+    ``crosshead_mm`` and ``video_time_s``; attributes are described in `vision.data.ForceMetadata`. Rows with
+    a bad time remain, so ``time_s`` may contain NaN or decrease: use `good_samples`. ``d_mm`` is NaN where
+    neither a displacement nor a speed is known. A load that is a force over a weight has units "1". Rows from
+    the begin of a second recording in the file are flagged "backwards", and a warning names it.
 
     Raises
     ------
@@ -97,9 +99,9 @@ def read_force(
 
 
 def good_samples(force: xr.Dataset) -> xr.Dataset:
-    """The samples that can be measured on: finite, times strictly rising, load cell not saturated.
+    """Return the samples that are fit for measuring: finite, at rising times, and not saturated.
 
-    Of a recording without flags all are good.
+    Without flags these are all samples.
     """
     return force.isel(time_s=np.flatnonzero(usable(force["flag"].values))) if "flag" in force else force
 
@@ -117,7 +119,7 @@ def _joined(
         try:
             columns = wanted if table is largest else find_columns(path, table, named)
         except InputError:
-            continue  # a smaller block of something else, such as a table of peaks
+            continue  # a smaller block of other data, such as a table of peaks
         if set(columns) == set(wanted):
             used.append(columns)
             blocks.append(table)
@@ -140,7 +142,7 @@ def _dataset(
     d0_mm: float | None,
     settings: ForceSettings,
 ) -> xr.Dataset:
-    """The dataset of `read_force` from the columns found."""
+    """Return the dataset of `read_force` for the columns found."""
     time, load = found["time"].values, found["load"].values
     crosshead = found["displacement"].values if "displacement" in found else None
     if time.size < 10:
@@ -214,8 +216,8 @@ def _restart_warnings(restart: int, rows: int, blocks: list[Table]) -> list[str]
 
 
 def _start_warnings(start: float, travel: Floats, d0_mm: float | None) -> list[str]:
-    """A crosshead that does not start near 0, which may be the separation itself."""
-    if not d0_mm or abs(start) <= 0.05 * max(float(np.ptp(travel)), 1e-9):  # a zero is set by hand
+    """Return a warning for a crosshead that does not start near 0, as it may be the separation itself."""
+    if not d0_mm or abs(start) <= 0.05 * max(float(np.ptp(travel)), 1e-9):  # zeros are set manually
         return []
     return [
         f"the crosshead starts at {start:.4g} mm: `d0_mm` {d0_mm:g} is added to its change since then; "
@@ -224,7 +226,7 @@ def _start_warnings(start: float, travel: Floats, d0_mm: float | None) -> list[s
 
 
 def _speed(time: Floats, travel: Floats) -> float:
-    """mm/min: the median speed over stretches of a twentieth of the recording, so that holds do not count."""
+    """Return the median speed, mm/min, of twenty stretches of the recording, so that holds do not count."""
     knots = np.unique(np.linspace(0, time.size - 1, 21).astype(int))
     steps = np.diff(time[knots])
     if not steps.size or not np.all(steps > 0):
@@ -233,7 +235,7 @@ def _speed(time: Floats, travel: Floats) -> float:
 
 
 def _notes(found: dict[Role, Column], source: str, d0_mm: float | None) -> list[str]:
-    """What was assumed."""
+    """Return what was assumed."""
     notes = [f'"{c.name}" has no unit: {role} taken in {c.unit}' for role, c in found.items() if c.assumed]
     if found["load"].unit == "1":
         notes.append("load is a force over a weight (unit 1): every _N below is in units of that weight")
@@ -247,7 +249,7 @@ def _notes(found: dict[Role, Column], source: str, d0_mm: float | None) -> list[
 def _warnings(
     flags: Strings, load: Floats, source: str, speed_mm_min: float | None, measured: float
 ) -> list[str]:
-    """What may spoil the results."""
+    """Return what may spoil the results."""
     warnings = []
     if source == "none":
         warnings.append("no displacement recorded and no `speed_mm_min`: d, lengths and stiffness are empty")
@@ -269,7 +271,7 @@ def _warnings(
 
 
 def is_compression(load: Floats) -> bool:
-    """True where the load is mostly negative and reaches further below zero than above."""
+    """Return whether the load is mostly negative and reaches further below zero than above."""
     low, high = np.percentile(load[np.isfinite(load)], (1, 99))
     return bool(-low > high and np.nanmedian(load) < 0)
 
@@ -296,7 +298,7 @@ _WORDS: dict[Role, frozenset[str]] = {
     ),
 }
 _VIDEO = _set("video camera kamera camara")
-# Columns that carry such a word are not measurements of the sample.
+# A column whose name contains one of these words is not a measurement of the sample.
 _NEVER = _set(
     "sollwert soll setpoint command consigne consigna target demand rate speed vitesse geschwindigkeit"
     " velocidad stress strain error max maximum peak pic min minimum count cycle"
@@ -307,23 +309,23 @@ _OVER_WEIGHT = frozenset({"fnorm"})
 
 @dataclass(frozen=True)
 class Column:
-    """A column with its role's unit."""
+    """A column of the file, in the base unit of its role."""
 
     name: str  # as in the file
     unit: str  # as written or given, "1" for a force over a weight
-    assumed: bool  # true where no unit is written and the base unit (s, N or mm) is taken
+    assumed: bool  # whether no unit is written, so that the base unit (s, N or mm) is assumed
     values: Floats = field(repr=False)  # in s, N or mm
 
 
 def parse_columns(text: str) -> dict[str, str]:
-    """The roles in a text such as ``time=Time,load=Load:kN,displacement=3``.
+    """Parse the roles in a text such as ``time=Time,load=Load:kN,displacement=3``.
 
     Parameters
     ----------
     text
-        ``role=column`` pairs. A column is a name, or a number counted from 1; ``:unit`` states the unit, a
-        leading ``-`` turns the sign, and ``time=2000Hz`` stands for a recording that has a sampling rate and
-        no times.
+        ``role=column`` pairs. A column is a name, or a number counted from 1. ``:unit`` states the unit, a
+        leading ``-`` inverts the sign, and ``time=2000Hz`` gives the sampling rate of a recording without
+        times.
 
     Returns
     -------
@@ -345,10 +347,10 @@ def parse_columns(text: str) -> dict[str, str]:
 
 
 def find_columns(path: Path, table: Table, named: Mapping[str, str] | None = None) -> dict[Role, Column]:
-    """The columns of a table by role; "displacement" and "video_time" only where there is one.
+    """Return the columns of a table by role; "displacement" and "video_time" only where present.
 
-    Raises InputError where time or load is missing, where two columns would do equally, or where a written
-    unit is not known: the message lists the columns and shows how to name them.
+    Raises InputError where time or load is missing, where two columns fit equally well, or where a written
+    unit is not known. The message lists the columns and shows how to name them.
     """
     named = named or {}
     unknown = set(named) - set(ROLES)
@@ -369,7 +371,7 @@ def find_columns(path: Path, table: Table, named: Mapping[str, str] | None = Non
 
 
 def _named(path: Path, table: Table, role: Role, text: str) -> Column:
-    """The column that the user names for a role."""
+    """Return the column that the user names for a role."""
     rate = re.fullmatch(r"([\d.]+)\s*Hz", text) if role == "time" else None
     if rate:
         return Column(text, "Hz", assumed=False, values=np.arange(len(table.numbers)) / float(rate[1]))
@@ -379,7 +381,7 @@ def _named(path: Path, table: Table, role: Role, text: str) -> Column:
 
 
 def _locate(path: Path, table: Table, text: str) -> tuple[int, int, str]:
-    """(column, sign, unit or "") of a user's NAME, NUMBER, NAME:unit or -NAME."""
+    """Return index, sign and unit ("" for none) of a column given as NAME, NUMBER, NAME:unit or -NAME."""
     name, _, unit_text = text.rpartition(":") if ":" in text and text not in table.names else (text, "", "")
     for candidate, sign in ((name, 1), (name.removeprefix("-"), -1)):
         asked = candidate.strip().casefold()
@@ -394,7 +396,7 @@ def _locate(path: Path, table: Table, text: str) -> tuple[int, int, str]:
 
 
 def _guessed(path: Path, table: Table, role: Role) -> Column | None:
-    """The column whose name, or else whose unit alone, fits a role best."""
+    """Return the column whose name, or else whose unit alone, fits a role best; None where none fits."""
     every = range(len(table.names))
     candidates = [k for k in every if _fits(table, role, k)]
     if not candidates and role != "video_time":
@@ -410,13 +412,13 @@ def _guessed(path: Path, table: Table, role: Role) -> Column | None:
 
 
 def _words(name: str) -> list[str]:
-    """Lower-case words of a name without accents; "TestTime" and "video_time" are two words each."""
+    """Return the lower-case words of a name without accents: two each for "TestTime" and "video_time"."""
     plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
     return re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain).lower())
 
 
 def _fits(table: Table, role: Role, k: int) -> bool:
-    """Whether a column has a name of this role, and not a unit of something else."""
+    """Return whether a column has a name of this role, and no unit of another."""
     words = set(_words(table.names[k]))
     unit = unit_of(table.units[k])
     if words & _NEVER or (unit and unit.dimension not in (_DIMENSION[role], "ratio")):
@@ -429,20 +431,24 @@ def _fits(table: Table, role: Role, k: int) -> bool:
 
 
 def _fits_by_unit(table: Table, role: Role, k: int) -> bool:
+    """Return whether a column has a unit of this role."""
     unit = unit_of(table.units[k])
     return bool(unit and unit.dimension == _DIMENSION[role] and not set(_words(table.names[k])) & _NEVER)
 
 
 def _rank(table: Table, role: Role, k: int) -> tuple[bool, bool, int]:
-    """Smaller is better: with a unit, no absolute machine position or time of the day (which may be coarse),
-    and for time the shortest name."""
+    """Return a rank by which the best column of a role is the smallest.
+
+    Columns with a unit are preferred, then those that are neither an absolute position of the machine nor a
+    time of the day, which may be coarse, then the shortest names for time.
+    """
     words = _words(table.names[k])
     absolute = bool(set(words) & _ABSOLUTE) or table.units[k] == TIME_OF_DAY
     return unit_of(table.units[k]) is None, absolute, len(words) if role == "time" else 0
 
 
 def _column(path: Path, table: Table, role: Role, k: int, given: str) -> Column:
-    """Column k in the base unit of its role; `given` unit, if any, instead of the written one."""
+    """Return column k in the base unit of its role; a `given` unit replaces the written one."""
     written = given or table.units[k]
     name = table.names[k] or f"column {k + 1}"
     if not written and set(_words(name)) & _OVER_WEIGHT:
@@ -462,11 +468,11 @@ def _column(path: Path, table: Table, role: Role, k: int, given: str) -> Column:
 def sample_flags(
     time_s: Floats, load: Floats, displacement: Floats | None, *, settings: ForceSettings = ForceSettings()
 ) -> Strings:
-    """One word per sample: the first of these that applies, else "ok".
+    """Return one flag per sample: the first of these that applies, else "ok".
 
-    "nan": time, load or displacement is not a number. "backwards": time is earlier than a time already seen.
-    "repeated": time is the same. "saturated": one of a run of equal samples at the largest absolute load.
-    "gap": the time before this sample spans several sampling intervals (the sample itself is good).
+    "nan": time, load or displacement is not a number. "backwards": the time is earlier than a previous one.
+    "repeated": the time equals the latest one. "saturated": the sample is in a run of equal samples at the
+    largest absolute load. "gap": several sampling intervals lie before the sample, which itself is good.
     """
     flags = np.full(time_s.shape, "ok", dtype="<U9")
     bad = ~(np.abs(time_s) < _MOST) | ~(np.abs(load) < _MOST)  # damaged digits; NaN and infinity too
@@ -485,9 +491,10 @@ def sample_flags(
 
 
 def _saturated(load: Floats, least: int) -> Bools:
-    """Runs of at least so many samples at exactly the largest |load|; none in a load that never changes.
+    """Return the samples in runs, of `least` or more, at the largest |load|; none if the load never changes.
 
-    A load in coarse steps stays at each of them for a while: longer than twice that, for nine runs in ten.
+    A load in coarse steps has runs at every step, so these runs must also be twice as long as nine tenths of
+    the others.
     """
     finite = np.abs(load[np.isfinite(load)])
     if not finite.size or np.ptp(finite) == 0:
@@ -500,7 +507,7 @@ def _saturated(load: Floats, least: int) -> Bools:
 
 
 def usable(flags: Strings) -> Bools:
-    """Samples that can be measured on: good ones and those after a gap."""
+    """Return which samples are fit for measuring: good ones and those after a gap."""
     return np.isin(flags, ("ok", "gap"))
 
 
@@ -508,10 +515,10 @@ def usable(flags: Strings) -> Bools:
 
 
 def noise_sigma(y: Floats) -> float:
-    """Standard deviation of white noise on a signal of slow rises and sudden drops, of three samples or more.
+    """Estimate the standard deviation of white noise on slow rises with sudden drops, from three samples on.
 
-    The median absolute second difference sees neither the rises nor the few drops; the noise is never below
-    what the quantum q of the recording causes, nor zero:
+    The median absolute second difference depends neither on the rises nor on the few drops. The result is at
+    least the noise that the quantum q of the recording causes, and never zero:
 
     .. math:: \\sigma = \\max(\\mathrm{MAD}(\\Delta^2 y) / (0.674\\,\\sqrt 6),\\; q / \\sqrt{12})
     """
@@ -527,15 +534,15 @@ def noise_sigma(y: Floats) -> float:
 def find_spikes(
     y: Floats, sigma: float, *, settings: ForceSettings = ForceSettings()
 ) -> tuple[Bools, Floats]:
-    """Which samples are spikes, of one to five samples, and the signal with what is around in their place.
+    """Return which samples belong to spikes, and the signal with their neighbours' level in place of spikes.
 
-    A spike of one or two samples is `spike_sigmas` of the noise from the median of the five around. Slips and
-    corners of a sawtooth stay, because that median follows them. A longer one jumps away and back.
+    A spike of one or two samples differs by `spike_sigmas` from the median of the five samples around it,
+    which follows the slips and corners of a sawtooth. A spike of three to five samples jumps away and back.
     """
     middle = running_median(y, 5)
     off = np.abs(y - middle) - settings.spike_sigmas * sigma
-    # The corner of a steep sawtooth also lies off the median, by at most two rises between samples: the usual
-    # ones, or those around it where the recording was sampled more slowly.
+    # The corner of a steep sawtooth also differs from the median, by at most two rises between samples: those
+    # of the whole recording, or those nearby where a part was sampled more slowly.
     rise = np.abs(np.diff(middle, append=middle[-1:]))
     suspect = np.flatnonzero(off > 2.0 * np.median(rise))
     around, is_spike = sliding_window_view(np.pad(rise, 50, "edge"), 101), np.zeros(y.size, np.bool_)

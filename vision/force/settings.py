@@ -10,7 +10,7 @@ from typing import Any
 class ForceSettings:
     """Tunable numbers of `read_force` and `find_stick_slip`; the defaults suit recordings of 10 to 10 000 Hz.
 
-    Sigmas count the standard deviation of the load's white noise unless stated otherwise.
+    A sigma is the standard deviation of the load's white noise unless stated otherwise.
     """
 
     gap_intervals: float = 5.0
@@ -26,16 +26,16 @@ class ForceSettings:
     larger lets spikes make slips; shown by sawteeth with 1 % of spikes added."""
 
     pulse_sigmas: float = 10.0
-    """A jump of this size that is taken back within five samples is a spike, too. Smaller takes away noise,
-    larger makes two slips of a pulse; shown by sawteeth with pulses of 3 and 5 samples."""
+    """A jump of this size that is reversed within five samples is also a spike. Smaller removes noise, larger
+    makes two slips of a pulse; shown by sawteeth with pulses of 3 and 5 samples."""
 
     most_spikes: float = 0.05
     """Share of spikes from which a recording is refused as sampled too slowly. Smaller refuses real impulses
     (1 % of the samples); larger takes beats of the sampling for slips (5 Hz at 20 Hz: 50 % of spikes)."""
 
     step_width: float = 0.15
-    """Half the width of the step filter, in periods. Wider averages more noise away, narrower follows
-    irregular slips; shown by recall at drops of six sigmas."""
+    """Half the width of the step filter, in periods. Wider averages more noise, narrower follows irregular
+    slips; shown by recall at drops of six sigmas."""
 
     candidate_sigmas: float = 5.5
     """Prominence, in standard deviations of the step filter's output, that makes a drop a candidate. Smaller
@@ -54,12 +54,12 @@ class ForceSettings:
     Smaller may cut off true small slips, larger leaves clusters of false ones."""
 
     jump_cost: float = 3.0
-    """Drops that one jump upward of the same size outweighs when the threshold is chosen. Smaller keeps more
-    small slips and more false ones; shown by pink noise, which must give no event, and by knocks."""
+    """Number of drops that one upward jump of the same size offsets when the threshold is chosen. Smaller
+    retains more small slips and more false ones; shown by pink noise and by knocks."""
 
     slow_gap: float = 2.0
-    """The same where most drops below the gap last nearly as long as the rises beside them: swings of hum or
-    of smoothed noise. Smaller cuts off slow slips that are small, larger takes hum for slips; shown by slow
+    """Ratio, as for `threshold_gap`, where most drops below the gap last nearly as long as the rises beside
+    them: hum or smoothed noise. Smaller cuts off small slow slips, larger takes hum for slips; shown by slow
     slips of lognormal sizes, and by hum of a tenth of the drop."""
 
     line_part: float = 0.8
@@ -67,13 +67,13 @@ class ForceSettings:
     from it. Larger comes closer to the rounded ends, smaller extrapolates further."""
 
     shape_sigmas: float = 4.0
-    """Standard errors by which the curvature that all sticks share must differ from 0 to be followed to their
-    ends. Smaller bends straight sticks, larger reads the ends of curved ones off lines; shown by straight and
-    by parabolic sticks at signal to noise of 10 to 40."""
+    """Standard errors by which the curvature common to all sticks must differ from 0 to extend their lines.
+    Smaller bends straight sticks, larger reads the ends of curved sticks from straight lines; shown by
+    straight and by parabolic sticks at signal to noise of 10 to 40."""
 
     shape_slip: float = 0.1
-    """Longest usual slip, over the stick, beside which that curvature is followed. Longer ones reach into the
-    stretches between the slips, and would be taken for the sticks' own ends."""
+    """Largest median length of slips, over that of sticks, with which this curvature is used. Longer slips
+    reach into the stretches between them and would count as the ends of the sticks."""
 
     knee_ratio: float = 1.2
     """Slope before over slope after the knee, at the median of the sticks, from which a recording's sticks
@@ -89,11 +89,12 @@ class ForceSettings:
     of Λ_st covers the truth."""
 
     shape_error: float = 0.04
-    """Part of a slip's length by which its corners may be off, its shape being assumed; shown like
+    """Part of a slip's length by which its corners may be off because its shape is assumed; shown like
     `corner_error`."""
 
     lowpass_accepted: float = 5.0
-    """Gain in squares, over chance, that a low-pass must reach when corners are corrected for it. Lower finds
+    """Decrease of the squared residuals, over chance, that a low-pass must reach when corners are corrected
+    for it. Lower finds
     low-passes in noise, higher leaves the drops of fast pulls too small; shown by sawteeth with and without
     one."""
 
@@ -103,17 +104,17 @@ class ForceSettings:
     recordings of paper on paper, which must give none."""
 
     slow_slip: float = 0.2
-    """Length of a slip over that of the stick beside it from which it is slow: measured at recorded extremes
-    and flagged. Extrapolated stick lines read half cosines 0.4 % too large at 0.33 and 20 % at 1."""
+    """Length of a slip over that of a neighbouring stick from which it is slow: measured at the recorded
+    extremes and flagged. Extrapolated stick lines read half cosines 0.4 % too large at 0.33 and 20 % at 1."""
 
     between_samples: float = 0.03
-    """Share of the drop by which a stick's line may end below the lowest sample: what fast slips leave
+    """Share of the drop by which a stick's line may begin below the lowest sample, since a fast slip may end
     between two samples. Smaller reads drops at 200 Hz 2 % too small, larger believes the line where the load
     cell was too slow to follow."""
 
     short_stick: float = 3.0
-    """Time constants of the load cell's low-pass that a stick must last. A shorter one is flagged "short":
-    what is seen of it is the instrument's response."""
+    """Shortest stick, in time constants of the load cell's low-pass. A shorter one is flagged "short", since
+    mainly the response of the instrument was recorded."""
 
     upward_share: float = 0.4
     """Largest jump upward within a stick over the drop of a slip, both at the median, from which a recording
@@ -129,19 +130,19 @@ class ForceSettings:
     is an oscillation. A sinusoid whose amplitude wanders keeps more than 0.7."""
 
     central_part: float = 0.5
-    """Central part of the stick over which K is measured. Larger lowers the error of K and takes in the
+    """Central part of the stick over which K is measured. Larger lowers the error of K but includes the
     curvature of the ends; the columns K30 and K70 show how much it matters."""
 
     alike_sigmas: float = 6.0
-    """By how much, in units of 1 over the root of the number of sticks, the two halves of the sticks must
-    differ beyond white noise before errors are widened. Smaller widens those of white noise by chance, larger
-    leaves those of slow noise too small; shown by both."""
+    """Excess variance of the distance between the two halves of the sticks, in units of 1 over the root of
+    the number of sticks, beyond which errors are widened. Smaller widens those of white noise by chance,
+    larger leaves those of slow noise too small; shown by both."""
 
     few_samples: int = 10
     """Sticks of fewer samples are flagged "few", and the model fits leave them out."""
 
     def changed(self) -> dict[str, Any]:
-        """What differs from the defaults, for the record of operations."""
+        """Return what differs from the defaults, for the record of operations."""
         return {
             part.name: value for part in fields(self) if (value := getattr(self, part.name)) != part.default
         }
