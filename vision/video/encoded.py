@@ -30,7 +30,7 @@ from vision.video.reader import (
 )
 from vision.video.threads import in_threads
 
-# What cameras, microscopes and their programs write; no playlists, no lists of other files, no networks.
+# Formats that cameras, microscopes and their programs write: no playlists, lists of files or networks.
 _FORMATS = (
     "avi,mov,matroska,webm,asf,flv,mpeg,mpegts,mpegvideo,h264,hevc,m4v,mjpeg,mjpeg_2000,mxf,nut,ogg,cine,ivf,dv,"
     "wtv,yuv4mpegpipe,gif,apng,av1,obu,vc1,rm,swf,gxf,nsv,mpjpeg,r3d,bink,smjpeg"
@@ -292,7 +292,7 @@ def _facts(
     """Return the facts of a file; it cannot hold more frames than bytes."""
     rate = stream.average_rate
     kinds = container.format.name.split(",")
-    # MP4 holds the time of every frame in a table, where phones write the camera's own: uneven ones
+    # MP4 has a table with the time of every frame, in which phones write the camera's own: uneven ones
     stamped = "matroska" in kinds or ("mov" in kinds and _is_uneven(stream))
     duration_s = None if container.duration is None else container.duration / av.time_base
     depth_bits, saturation_level, grey = _grey_scale(first)
@@ -335,7 +335,7 @@ def _decoded(
     threads.
     """
     waiting: list[int] = []
-    # AVI knows only the times of decoding, which mislead where the order of display is another one
+    # AVI has only times of decoding, which are wrong if the order of display differs
     reorders = stream.codec_context.codec.properties & 8  # AV_CODEC_PROP_REORDER
     timed = container.format.name != "avi" or not reorders
     for packet in _video_packets(container, stream):

@@ -111,7 +111,7 @@ class ProfileStore:
         self._folder = folder
         self._spill_bytes = spill_bytes
         self._used = 0
-        most = max(1, 2 * spill_bytes // (4 * columns))  # a damaged header may announce any number
+        most = max(1, 2 * spill_bytes // (4 * columns))  # a damaged header may state any number
         self._rows = self._allocate(max(1, min(expected or 1024, most)))
 
     def append(self, rows: Floats32) -> None:
@@ -243,11 +243,11 @@ def count_frames(
     for state, reason in reasons.items():
         which = np.flatnonzero(status == state)
         if which.size:
-            warnings.append(f"{name}: {which.size} frame(s) {reason}, the first at place {which[0]}")
+            warnings.append(f"{name}: {which.size} frame(s) {reason}, the first at index {which[0]}")
     measured = video.clock.kind == "file" or (video.clock.kind == "given" and _uneven(times_s))
     between, first = lost_between(times_s, settings=settings) if measured else (0, 0)
     if between:
-        where = f"where its times leap, the first after place {first}"
+        where = f"where its times leap, the first after index {first}"
         warnings.append(f"{name}: {between} frame(s) lost {where}")
     beyond = 0
     if video.duration_s is not None:

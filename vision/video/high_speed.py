@@ -129,7 +129,7 @@ def _read_cine_header(path: Path) -> _CineHeader:
         with path.open("rb") as file:
             *_, count, bitmap_at, setup_at, images_at = main.unpack(file.read(main.size))
             file.seek(0)
-            data = file.read(min(images_at + 8 * count, size))  # all before the first frame
+            data = file.read(min(images_at + 8 * count, size))  # everything before the first frame
         _, width, height, _, bits, compression = struct.unpack_from("<IiiHHI", data, bitmap_at)
         real = struct.unpack_from("<I", data, setup_at + 896)[0]  # RealBPP in the SETUP block
         whole = min(count, (len(data) - images_at) // 8)
@@ -320,7 +320,8 @@ class Packed12Reader:
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
         """Yield frames in order, unpacked block by block."""
         end = self.count if stop is None else min(stop, self.count)
-        size = frames_per_block(rows.stop - rows.start, self.facts.shape[1], 6)  # 12 bits, and as 16, twice
+        # 6 bytes per pixel at most: 12 bits packed, and 16 bits twice
+        size = frames_per_block(rows.stop - rows.start, self.facts.shape[1], 6)
         for first in range(start, end, size):
             last = min(first + size, end)
             yield Block(self._unpacked(first, last, rows)[:, :, columns], first, repeated("ok", last - first))

@@ -134,7 +134,7 @@ def gather_blocks(
         pixels = np.zeros((size, *shape), dtype)
         status: list[Status] = []
         times: list[float] = []
-        for out, frame in zip(pixels, source, strict=False):  # whole frames are not kept
+        for out, frame in zip(pixels, source, strict=False):  # so that whole frames are not kept
             if frame.pixels is not None:
                 out[:] = frame.pixels[rows, columns]
             status.append(frame.status)

@@ -77,7 +77,7 @@ class VideoSettings:
     """Difference between outer and inner rows, px, above which ridges are bowed. Smaller leaves out rows of
     straight ridges, larger retains bias that exceeds the noise."""
 
-    # the rows of the strip against each other (strip_rows)
+    # comparison of the strip's rows (strip_rows)
     least_bands: int = 8
     """Number of bands needed to compare rows. Fewer give no middle half to compare with."""
     least_strength: float = 0.2
@@ -130,7 +130,7 @@ class VideoSettings:
     """Steps between the last frame and the end that the file states above which frames are missing. Complete
     files differ by up to two (test_cut_matroska_is_reported)."""
 
-    # disks and networks that fail
+    # failing disks and networks
     answer_s: float = 60.0
     """Seconds without any reading or computation after which a recording is given up. Shorter gives up disks
     that have to start, longer waits for a lost connection (test_threads.py)."""
@@ -140,7 +140,7 @@ class VideoSettings:
     """Seconds of reading after which the frames read are kept for `--resume`. Smaller writes files for films
     that are quickly read again, larger loses more if the process is killed (tests/run/test_reading.py)."""
 
-    # recordings that are followed while they are written; all in tests/video/test_follow.py
+    # recordings that are followed while they are written (tests/video/test_follow.py)
     follow_poll_s: float = 0.5
     """Interval between two checks of the file. Shorter shows new frames sooner and asks the disk more
     often."""

@@ -75,7 +75,7 @@ def _reader_of_pages(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) 
         raise InputError(path, wanted, found, "convert the stack")
     channels = first.samplesperpixel
     dtype = first.dtype.newbyteorder(tif.byteorder)
-    if not 1 <= channels <= 64:  # tifffile takes memory for all of them
+    if not 1 <= channels <= 64:  # tifffile allocates memory for all of them
         raise InputError(path, "1 to 64 values per pixel", str(channels), "export it as grey")
     check_pixels(path, first.imagelength, first.imagewidth)
     if first.nbytes <= 0:
@@ -131,7 +131,7 @@ def _pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
         raise InputError(path, "one dimension of frames", " ".join(many), "export one channel, one plane")
     if len(tif.series) == 1:
         return series.pages
-    if len(series.pages) == 1:  # written page by page, each its own series
+    if len(series.pages) == 1:  # each page was written as a series
         return _single_pages(tif, path)
     if len(tif.series[1].pages) == len(series.pages):
         raise InputError(path, "one series of images", str(len(tif.series)), "export one of them")
@@ -212,7 +212,7 @@ def _codec_of_image(file: Path) -> str:
     try:
         with tifffile.TiffFile(file) as tif:
             return _codec_of_page(tif.pages.first)
-    except (tifffile.TiffFileError, OSError, ValueError, IndexError, KeyError):  # a damaged first image
+    except (tifffile.TiffFileError, OSError, ValueError, IndexError, KeyError):  # the first image is damaged
         return "tiff"
 
 
@@ -371,9 +371,9 @@ def _frame_numbers(numbers: Ints, path: Path) -> tuple[Ints, tuple[str, ...]]:
     """Return frame numbers from 0 for file numbers, which may count in steps or not at all."""
     steps, counts = np.unique(np.diff(numbers), return_counts=True)
     usual = int(steps[np.argmax(counts)])
-    if usual > 1 and numbers.size >= 10 and not (steps % usual).any():  # too few files prove no step
+    if usual > 1 and numbers.size >= 10 and not (steps % usual).any():  # few files do not prove a step
         return (numbers - numbers[0]) // usual, (f"{path.name}: file numbers count in steps of {usual}",)
-    if numbers[-1] - numbers[0] > 10 * numbers.size:  # nine frames in ten are not lost: clock times, say
+    if numbers[-1] - numbers[0] > 10 * numbers.size:  # nine in ten frames lost is unlikely: clock times, say
         text = f"{path.name}: file numbers are no frame count; only their order is used"
         return np.arange(numbers.size), (text,)
     return numbers - numbers[0], ()

@@ -271,7 +271,7 @@ def _without_text(slopes: _Slopes, first: int, last: int, settings: VideoSetting
     power = np.quantile(ridges[_shows_ridges(slopes, starts, settings)], settings.segment_cap)
     segments = (unusual - np.median(unusual, axis=0) > settings.label_power * power).sum(axis=1)
     text = (segments >= 2) & (segments <= starts.size / 2)
-    text[1:] |= text[:-1]  # text ends within a band
+    text[1:] |= text[:-1]  # text may end within the next band
     text[:-1] |= text[1:]
     ends = np.concatenate([[-1], np.flatnonzero(text), [last - first]])
     longest = int(np.argmax(np.diff(ends)))

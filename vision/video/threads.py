@@ -53,7 +53,7 @@ def begun(
         entry = _awaited(ready, path, answer_s)
         if isinstance(entry, Exception):
             raise entry
-        assert entry is not None  # the end comes after the one result
+        assert entry is not None  # the end follows the only result
         return entry[0]
 
     return result

@@ -108,7 +108,7 @@ class MappedReader:
         height, width = self.facts.shape
         top, stop = (height - rows.stop, height - rows.start) if self.bottom_up else (rows.start, rows.stop)
         pixel = self.dtype.itemsize * self.channels
-        length = (stop - top - 1) * self.row_bytes + width * pixel  # a file may end with the last pixel
+        length = (stop - top - 1) * self.row_bytes + width * pixel  # the file may end with the last pixel
         raw = np.empty((last - first, (stop - top) * self.row_bytes), np.uint8)
         with self.path.open("rb", buffering=0) as file:
             for place, frame in zip(self.offsets[first:last].tolist(), raw, strict=True):
@@ -288,14 +288,14 @@ class _Header:
 
 
 def _walk(file: BinaryIO, size: int, path: Path) -> tuple[_Header, list[tuple[int, int]], bool]:
-    """Chunk by chunk to the end of the file: header, frames (place, length), whether the last is cut."""
+    """Read all chunks, and return header, frames (position, length) and whether the last frame is cut."""
     header, at = _Header(), 0
     frames: list[tuple[int, int]] = []
     while at + 8 <= size:
         file.seek(at)
         head = file.read(12)
         name, length = struct.unpack_from("<4sI", head)
-        if name in (b"RIFF", b"LIST") and head[8:12] not in (b"INFO", b"odml"):  # what they hold comes next
+        if name in (b"RIFF", b"LIST") and head[8:12] not in (b"INFO", b"odml"):  # its contents come next
             at += 12
             continue
         if name[2:] in (b"db", b"dc") and name[:2] == b"%02d" % header.video:
@@ -305,7 +305,7 @@ def _walk(file: BinaryIO, size: int, path: Path) -> tuple[_Header, list[tuple[in
         elif name[2:] == b"pc":
             advice = "export the video as grey"
             raise InputError(path, "one palette for all frames", "a palette change", advice)
-        elif not name.isascii() or name == bytes(4):  # space a camera reserved and never filled
+        elif not name.isascii() or name == bytes(4):  # space that a camera reserved and never filled
             break
         elif name in (b"strh", b"strf", b"LIST"):
             file.seek(at + 8)

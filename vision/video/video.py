@@ -338,7 +338,7 @@ def pixels_file(path: Path) -> Path:
         return path
     try:
         return photron_files(path)[0]
-    except InputError:  # the other file is not there, which opening it says
+    except InputError:  # opening the recording reports that the other file is missing
         return path
 
 
