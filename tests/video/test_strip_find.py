@@ -9,7 +9,7 @@ import tifffile
 from tests.scenes.films import comb
 from vision.errors import InputError
 from vision.video import VideoSettings, find_strip, measure_strip, open_video, strip_profile
-from vision.video.strip_find import lean_px, ridge_width_px
+from vision.video.strip_find import ridge_width_px, tilt_px
 
 DATA = Path(__file__).parents[2] / "../shared/data"
 HEIGHT, WIDTH, CLAMP, LABEL = 240, 960, slice(0, 20), slice(205, 230)
@@ -135,7 +135,7 @@ def test_lean_of_known_shear(lean):
     """Failure: tilt has the wrong sign or size, or slips to the next pitch."""
     x, band = np.arange(500), np.arange(20)[:, None]
     bands = np.cos(2 * np.pi * (x - lean * (band - 9.5)) / 12.5)[None]
-    assert abs(lean_px(bands) - lean) < 0.005
+    assert abs(tilt_px(bands) - lean) < 0.005
 
 
 @pytest.mark.parametrize("fwhm", [6, 10, 14, 30])

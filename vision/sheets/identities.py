@@ -121,7 +121,7 @@ def comb_displacement(ridges: Ridges, comb: RidgeComb, settings: TrackingSetting
     x = ridges.x_px.astype(np.float64)
     frames = len(x)
     apart = 4.0 * (np.nanmax(x, initial=0.0) + comb.pitch_px)
-    in_one_row = x + apart * np.arange(frames)[:, None]  # the ridges of each frame far from the next frame's
+    in_one_row = x + apart * np.arange(frames)[:, None]  # frames lie far apart in the row
     row = in_one_row[np.isfinite(in_one_row)]
     if not len(row):
         return np.zeros(frames)

@@ -145,7 +145,7 @@ def hops(residual: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
     size = np.abs(residual)
     least = settings.leave_sigmas * nan_median(size) / NORMAL_MEDIAN
     found = np.asarray(size > np.fmax(least, comb.fwhm_px), bool)
-    rows = np.flatnonzero(found.any(axis=1))  # in most films none
+    rows = np.flatnonzero(found.any(axis=1))  # most films have none
     some = size[rows]
     padded = np.pad(some, ((0, 0), (PAIRS, PAIRS)), constant_values=np.nan)
     around = [padded[:, i : i + size.shape[1]] for i in range(2 * PAIRS + 1)]

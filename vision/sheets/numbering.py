@@ -104,7 +104,7 @@ def _split_by_motion(
     rigid = np.abs(opening).max() > 3.0  # px per px: a comb that moves more than its ends do moves as a whole
     if sheets < 3 or not moves or rigid:
         return sheets // 2, "geometry", None
-    opening = running_median(opening, 3)  # one sheet between two that agree was covered in a slip
+    opening = running_median(opening, 3)  # removes a single sheet that was covered in a slip
     good = _splits(opening, error, settings)
     shift = settings.vibration_sigmas * vibration
     first, last = (_middle(_splits(opening + sign * shift, error, settings)) for sign in (1, -1))
@@ -144,7 +144,7 @@ def _opening(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, 
     ends = known[:, 0] & known[:, -1]
     apart = np.where(ends, step[:, -1] - step[:, 0], 0.0)
     noise = np.nan_to_num(position_noise(x_px), nan=1.0) * np.sqrt(2)
-    apart = np.where(np.abs(apart) > 5 * noise[[0, -1]].max(), apart, 0.0)  # slips only: noise is no motion
+    apart = np.where(np.abs(apart) > 5 * noise[[0, -1]].max(), apart, 0.0)  # only slips, not noise
     common = nan_median(np.where(known, step, np.nan), axis=1)
     apart = np.where(np.abs(np.nan_to_num(common)) < settings.knock_ratio * np.abs(apart), apart, 0.0)
     power = float((apart**2).sum())

@@ -177,7 +177,8 @@ class BetweenSlips:
         step = np.diff(self.x_px, axis=0)
         apart = nan_quantile(np.abs(_fourth(step)), 0.75, axis=1)
         slip = np.zeros(len(step), bool)
-        for moved in (step, step - nan_median(step, axis=1)[:, None]):  # a camera that shakes hides no slip
+        # vibration hides slips in the steps, but not in those without the common motion
+        for moved in (step, step - nan_median(step, axis=1)[:, None]):
             size = nan_quantile(np.abs(moved), 0.75, axis=1)
             slip |= (size > 3 * nan_median(size[size > 0])) & (size > 3 * apart)
         self.slips = np.cumsum(np.r_[0, slip])

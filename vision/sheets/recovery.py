@@ -152,7 +152,7 @@ def _shifted_pattern(certain: Floats, settings: TrackingSettings) -> Bools:
     if len(rows):
         with np.errstate(divide="ignore", invalid="ignore"):
             log_contrast, log_width = np.log(certain[1:, rows])
-        shift = pattern_shift(log_contrast, log_width, settings)
+            shift = pattern_shift(log_contrast, log_width, settings)
         away[rows] = seen[rows] & (shift != _commonest(shift))[:, None]
     return away
 

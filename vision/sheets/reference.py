@@ -120,7 +120,8 @@ def build_reference(
         frames.
     """
     spread = np.linspace(0, len(frames) - 1, 192).astype(int)
-    chosen = np.unique(np.r_[np.argsort(-frames, kind="stable")[:192], spread])  # the longest, and others
+    longest = np.argsort(-frames, kind="stable")[:192]
+    chosen = np.unique(np.r_[longest, spread])
     some, weight, moved = candidates.take(chosen), frames[chosen].astype(np.float64), displacement_px[chosen]
     reference = _seed(candidates, frames, displacement_px, comb.pitch_px)
     for _ in range(4):  # two revisions usually suffice
@@ -426,7 +427,7 @@ def _ruler_beside_comb(moved_px: Floats, rest_px: Floats, settings: TrackingSett
         row_pitch, pitch = (np.median(np.diff(rest_px[part])) for part in (row, rest))
         if abs(np.log(row_pitch / pitch)) > settings.odd_spacing:
             row_motion, comb_motion = (_mean_motion(moved_px[:, part]) for part in (row, near))
-            moving = comb_motion > 0.5 * settings.moving_px  # the mean of four
+            moving = comb_motion > 0.5 * settings.moving_px  # half, since it is the mean of four
             ruler[row] |= moving and row_motion < settings.static_fraction * comb_motion
     return ruler
 

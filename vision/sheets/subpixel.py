@@ -525,7 +525,7 @@ def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int
     offsets = np.arange(-half - 1, half + 2)
 
     def around(step: int) -> Floats:
-        """Pixels around the ridges, `step` frames after the middle frames."""
+        """Return the pixels around the ridges, `step` frames after the middle frames."""
         column = centre + _common_steps(x_px, middle, step)[:, None]
         return gather(profile, Starts(np.repeat(middle + step, x_px.shape[1]), column.ravel()), offsets)
 

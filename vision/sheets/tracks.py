@@ -293,7 +293,7 @@ def _check(profile: Floats32, source: str) -> None:
         raise InputError(source, "at least one usable frame", "none", "look at the frames' status")
     if profile.shape[1] < 8:
         raise InputError(source, "at least 8 columns", f"{profile.shape[1]}", "check `columns` and `rotate`")
-    if all(np.ptp(profile[frame]) == 0 for frame in good):  # the first frame of most films is not
+    if all(np.ptp(profile[frame]) == 0 for frame in good):  # most films have contrast in the first frame
         raise InputError(source, "a picture with ridges", "a constant one", "check `rows` and `columns`")
 
 
@@ -367,7 +367,7 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
     predicted = nan_median(np.where(np.isfinite(new), err, np.nan))
     measured = np.where(np.isfinite(scatter_px), scatter_px, np.fmax(noise_px, predicted))
     known = np.isfinite(measured)
-    if between_frames and known.any():  # one quantiser for all sheets
+    if between_frames and known.any():  # all sheets share one quantiser
         measured = np.full_like(measured, np.sqrt(np.mean(measured[known] ** 2)))
     if codec in LOSSY:
         measured = np.hypot(measured, shared_error(positions, between_frames=between_frames))

@@ -1,4 +1,4 @@
-"""A file becomes frames becomes I(x, t)."""
+"""Read a film and reduce it to I(x, t)."""
 
 from vision.video.frames import Follow, FramesRead, FrameStore, await_video
 from vision.video.reader import Block, Facts, Reader

@@ -1,4 +1,4 @@
-"""Compressed video: whatever FFmpeg decodes; motion JPEG has its grey plane alone decoded on all cores."""
+"""Compressed video: all that FFmpeg decodes; of motion JPEG only the grey plane, on all cores."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from vision.video.reader import (
 )
 from vision.video.threads import in_threads
 
-# What cameras, microscopes and their programs write; no playlists, no lists of other files, no networks.
+# Formats that cameras, microscopes and their programs write: no playlists, lists of files or networks.
 _FORMATS = (
     "avi,mov,matroska,webm,asf,flv,mpeg,mpegts,mpegvideo,h264,hevc,m4v,mjpeg,mjpeg_2000,mxf,nut,ogg,cine,ivf,dv,"
     "wtv,yuv4mpegpipe,gif,apng,av1,obu,vc1,rm,swf,gxf,nsv,mpjpeg,r3d,bink,smjpeg"
@@ -40,13 +40,13 @@ _FORMATS = (
 class EncodedReader:
     """One video stream of a container, decoded frame by frame by FFmpeg.
 
-    A packet that cannot be decoded gives a frame "corrupt"; a number the container skips gives a frame
-    "lost".
+    A packet that cannot be decoded gives a "corrupt" frame; a number that the container skips gives a "lost"
+    frame.
 
     Raises
     ------
     InputError
-        Where nothing in the file can be decoded, or a frame has another size than the first.
+        If nothing in the file can be decoded, or a frame has another size than the first.
     """
 
     def __init__(self, path: Path) -> None:
@@ -61,12 +61,12 @@ class EncodedReader:
             self._fixed_rate = stream.average_rate if container.format.name == "avi" else None
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
-        """Frames in file order; those before `start` are decoded and dropped: codecs need them."""
+        """Yield frames in file order; those before `start` are decoded, too, as codecs need them."""
         frames = itertools.islice(self._frames(stop), start, None)
         yield from gather_blocks(frames, start=start, rows=rows, columns=columns, dtype=self._dtype)
 
     def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
-        """The key frame at or before each number; each key frame once, and no other frame is decoded."""
+        """Yield the key frame at or before each number, each only once, without decoding other frames."""
         entered: set[int] = set()
         with open_container(self._path) as container:
             stream = _video_stream(container, self._path)
@@ -83,9 +83,9 @@ class EncodedReader:
                 yield from (self._checked(grey_plane(frame)) for frame in frames[:1])
 
     def from_key_frame(self, time_s: float) -> Iterator[tuple[float, Pixels]]:
-        """Readable frames with their times by the container, from the key frame at or before `time_s` on.
+        """Yield readable frames with the container's times, from the key frame at or before `time_s` on.
 
-        Ends at once where the file cannot be entered there, or has no times in the order of display.
+        Yield none if the file has no entry there, or no times in the order of display.
         """
         with open_container(self._path) as container:
             stream = _video_stream(container, self._path)
@@ -99,7 +99,7 @@ class EncodedReader:
                     yield float((pts - first) * (stream.time_base or 1)), self._checked(grey_plane(frame))
 
     def _frames(self, stop: int | None) -> Iterator[Frame]:
-        """Every frame number once, in order, up to `stop`."""
+        """Yield every frame number once, in order, up to `stop`."""
         number = 0
         with open_container(self._path) as container:
             stream = _video_stream(container, self._path)
@@ -122,9 +122,9 @@ class EncodedReader:
         return float(pts * stream.time_base)
 
     def _skipped(self, pts: int | None, number: int, stream: av.VideoStream) -> int:
-        """Frame numbers a fixed-rate container leaves out before this one (cameras drop frames that way).
+        """Return how many frames a fixed-rate container skips before this one (cameras drop frames that way).
 
-        A number behind the end by the header, or by a file of nothing but dropped frames of 8 bytes, is none.
+        0 for a number beyond the header's end, or beyond a file filled with dropped frames of 8 bytes.
         """
         if self._fixed_rate is None or pts is None or stream.time_base is None:
             return 0
@@ -140,11 +140,11 @@ class EncodedReader:
 
 
 class MjpegReader(EncodedReader):
-    """The same facts and frames as `EncodedReader`, twice as fast.
+    """Reads the same facts and frames as `EncodedReader`, twice as fast.
 
-    libjpeg-turbo decodes the Y plane alone. It rounds differently from FFmpeg in one pixel of a hundred, by
-    one grey level; `open_encoded` checks that nothing more than this differs. A damaged JPEG gives a frame
-    "corrupt".
+    libjpeg-turbo decodes only the Y plane. It rounds differently from FFmpeg in one pixel of a hundred, by
+    one grey level; `open_encoded` checks that there is no larger difference. A damaged JPEG gives a "corrupt"
+    frame.
     """
 
     def __init__(self, path: Path) -> None:
@@ -152,14 +152,14 @@ class MjpegReader(EncodedReader):
         self.facts = replace(self.facts, decoder="libjpeg-turbo")
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
-        """Frames in file order; those before `start` are not decoded."""
+        """Yield frames in file order; those before `start` are not decoded."""
         with open_container(self._path) as container:
             jpegs = itertools.islice(self._jpegs(container), start, stop)
             frames = in_threads(self._decode, jpegs)
             yield from gather_blocks(frames, start=start, rows=rows, columns=columns, dtype=np.uint8)
 
     def _jpegs(self, container: av.container.InputContainer) -> Iterator[tuple[bytes, float | None]]:
-        """(JPEG, its own time) for every frame number; no bytes for a frame the camera dropped."""
+        """Yield (JPEG, its own time) for every frame number; no bytes for a frame that the camera dropped."""
         stream, number = _video_stream(container, self._path), 0
         for packet in _video_packets(container, stream):
             if packet is None:
@@ -181,9 +181,9 @@ class MjpegReader(EncodedReader):
 
 
 def open_encoded(path: Path) -> EncodedReader:
-    """`MjpegReader` where it decodes the first frame as FFmpeg does but for rounding, else `EncodedReader`.
+    """Return an `MjpegReader` if its first frame is FFmpeg's up to rounding, else an `EncodedReader`.
 
-    Other codecs, interlaced or lossless JPEG and JPEG in RGB stay with FFmpeg.
+    Other codecs, interlaced or lossless JPEG and JPEG in RGB are decoded by FFmpeg.
     """
     reader = EncodedReader(path)
     if reader.facts.codec != "mjpeg" or reader.facts.depth_bits != 8:
@@ -199,7 +199,7 @@ def open_encoded(path: Path) -> EncodedReader:
 
 
 def _y_plane(jpeg: bytes) -> Pixels | None:
-    """Grey (rows, columns) of one JPEG; None where it is damaged."""
+    """Return grey (rows, columns) of one JPEG; None if it is damaged."""
     try:
         return np.asarray(simplejpeg.decode_jpeg(jpeg, colorspace="GRAY"))[..., 0]
     except ValueError:
@@ -207,14 +207,14 @@ def _y_plane(jpeg: bytes) -> Pixels | None:
 
 
 def open_container(path: Path) -> av.container.InputContainer:
-    """A container of the formats and by the protocol that are allowed.
+    """Open a container, restricted to the formats and the protocol that are allowed.
 
-    Raises: InputError where the file is none.
+    Raises InputError for any other file.
     """
     check_regular(path, "a video")
     try:
         container = av.open(
-            f"file:{path}",  # a colon in a name, as of a time, would be taken for a protocol's
+            f"file:{path}",  # else a colon in a name, as in a time, would be read as a protocol
             options={
                 "protocol_whitelist": "file",
                 "format_whitelist": _FORMATS,
@@ -232,14 +232,14 @@ def open_container(path: Path) -> av.container.InputContainer:
             found = f"a file that is none ({type(error).__name__})"
             advice = "give a recording PyAV, tifffile or OpenCV can read"
         raise InputError(path, "a video", found, advice) from None
-    if container.format.name in ("tty", "image2", "txt"):  # these swallow any text or picture
+    if container.format.name in ("tty", "image2", "txt"):  # these accept any text or picture
         container.close()
         raise InputError(path, "a video", "a text file")
     return container
 
 
 def _video_stream(container: av.container.InputContainer, path: Path) -> av.VideoStream:
-    """The video stream, to be decoded on all cores; InputError for none or an unknown codec."""
+    """Return the video stream, set to decode on all cores; InputError for none or an unknown codec."""
     if not container.streams.video:
         raise InputError(path, "a video stream", "none (sound or data only)")
     stream = container.streams.video[0]
@@ -253,7 +253,7 @@ def _video_stream(container: av.container.InputContainer, path: Path) -> av.Vide
 
 
 def _first_frame(container: av.container.InputContainer, stream: av.VideoStream, path: Path) -> av.VideoFrame:
-    """The first frame that decodes; InputError where none does."""
+    """Return the first frame that can be decoded; InputError if there is none."""
     for _, frame in _decoded(container, stream):
         if frame is not None:
             return frame
@@ -262,7 +262,7 @@ def _first_frame(container: av.container.InputContainer, stream: av.VideoStream,
 
 
 def _ends_early(path: Path) -> bool:
-    """Whether the file ends before its Matroska segment does by the size that stands at the segment's head.
+    """Return whether the file is shorter than the size that its Matroska segment states.
 
     Recorders that do not close their file leave that size unknown, all ones.
     """
@@ -279,7 +279,7 @@ def _ends_early(path: Path) -> bool:
 
 
 def _vint(data: bytes, at: int) -> tuple[int | None, int]:
-    """A Matroska length and the place behind it; None for one that is unknown, or not there."""
+    """Return a Matroska length, None if unknown or absent, and the position after it."""
     size = 9 - data[at].bit_length() if at < len(data) and data[at] else 0
     value = int.from_bytes(data[at : at + size], "big") & ((1 << 7 * size) - 1)
     known = size and at + size <= len(data) and value != (1 << 7 * size) - 1
@@ -289,10 +289,10 @@ def _vint(data: bytes, at: int) -> tuple[int | None, int]:
 def _facts(
     container: av.container.InputContainer, stream: av.VideoStream, first: av.VideoFrame, size: int
 ) -> Facts:
-    """Facts of a file of so many bytes: it cannot hold more frames than bytes."""
+    """Return the facts of a file; it cannot hold more frames than bytes."""
     rate = stream.average_rate
     kinds = container.format.name.split(",")
-    # MP4 holds the time of every frame in a table, where phones write the camera's own: uneven ones
+    # MP4 has a table with the time of every frame, in which phones write the camera's own: uneven ones
     stamped = "matroska" in kinds or ("mov" in kinds and _is_uneven(stream))
     duration_s = None if container.duration is None else container.duration / av.time_base
     depth_bits, saturation_level, grey = _grey_scale(first)
@@ -316,8 +316,8 @@ def _facts(
 
 
 def _is_uneven(stream: av.VideoStream) -> bool:
-    """Whether the intervals between a container's frames differ by a tenth of the usual one, beyond rounding:
-    its times are then no mere playback rate."""
+    """Return whether intervals between frames differ by a tenth of the usual one, beyond rounding: the
+    container's times are then not merely a playback rate."""
     ticks = np.array([entry.timestamp for entry in stream.index_entries], np.int64)
     interval = np.diff(np.sort(ticks)).astype(np.float64)
     if interval.size < 2:
@@ -329,13 +329,13 @@ def _is_uneven(stream: av.VideoStream) -> bool:
 def _decoded(
     container: av.container.InputContainer, stream: av.VideoStream
 ) -> Iterator[tuple[int | None, av.VideoFrame | None]]:
-    """(pts, frame) in display order; the frame is None where a packet's frame never left the decoder.
+    """Yield (pts, frame) in display order; the frame is None if the decoder never returned it.
 
-    Packets that were fed but overtaken by a later frame failed to decode: that holds for every codec and
-    thread count.
+    A packet failed to decode if a later frame was returned before its own, for every codec and number of
+    threads.
     """
     waiting: list[int] = []
-    # AVI knows only the times of decoding, which mislead where the order of display is another one
+    # AVI has only times of decoding, which are wrong if the order of display differs
     reorders = stream.codec_context.codec.properties & 8  # AV_CODEC_PROP_REORDER
     timed = container.format.name != "avi" or not reorders
     for packet in _video_packets(container, stream):
@@ -353,7 +353,7 @@ def _decoded(
 def _video_packets(
     container: av.container.InputContainer, stream: av.VideoStream
 ) -> Iterator[av.Packet[av.VideoStream] | None]:
-    """Packets up to where the file ends or breaks off, then None, which flushes the decoder."""
+    """Yield packets until the file ends or breaks off, then None, which flushes the decoder."""
     with contextlib.suppress(av.error.FFmpegError, OSError):
         yield from (packet for packet in container.demux(stream) if packet.size)
     yield None
@@ -369,7 +369,7 @@ def _frames_of(packet: av.Packet[av.VideoStream] | None, stream: av.VideoStream)
 def _enter(
     container: av.container.InputContainer, stream: av.VideoStream, time_s: float, origin: int
 ) -> bool:
-    """Go to the key frame at or before `time_s` after `origin`; False where there is no way in."""
+    """Seek the key frame at or before `time_s` after `origin`; return False if there is no entry."""
     try:
         container.seek(int(time_s / (stream.time_base or 1)) + origin, stream=stream)
     except (av.error.FFmpegError, OSError):
@@ -378,7 +378,7 @@ def _enter(
 
 
 def grey_plane(frame: av.VideoFrame) -> Pixels:
-    """Grey (rows, columns) of a decoded frame: a view where its format keeps luma apart, else `luma`."""
+    """Return grey (rows, columns) of a decoded frame: a view if its format separates luma, else `luma`."""
     kind = frame.format
     bits = kind.components[0].bits
     if kind.is_rgb or kind.has_palette:
@@ -392,7 +392,7 @@ def grey_plane(frame: av.VideoFrame) -> Pixels:
 
 
 def _grey_scale(frame: av.VideoFrame) -> tuple[int, float, str]:
-    """Significant bits, value of white, and in words what a grey value of this frame is."""
+    """Return significant bits, value of white, and the meaning of a grey value in words."""
     kind = frame.format
     bits = kind.components[0].bits
     if kind.is_rgb or kind.has_palette:

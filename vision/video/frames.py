@@ -1,7 +1,4 @@
-"""Frames as they are read: I(x, t), in memory or in a temporary file; blank frames, and frames lost.
-
-Also a recording that a camera still writes: opened again and read on until it is closed.
-"""
+"""Frames as they are read: storage of I(x, t), blank and lost frames, and recordings that still grow."""
 
 from __future__ import annotations
 
@@ -30,7 +27,7 @@ STATUS_TYPE = "<U7"  # ok, blank, corrupt, lost
 
 @dataclass(frozen=True)
 class FramesRead:
-    """Consecutive frames: intensity (frame, x), grey levels; status and time of each, s."""
+    """Consecutive frames: intensity (frame, x), grey levels; status and time, s, of each frame."""
 
     intensity: Floats32
     status: Strings
@@ -52,7 +49,7 @@ class FrameStore:
         self._rows = ProfileStore(columns, expected=expected, spill_bytes=spill_bytes, folder=folder)
         self._marks = np.zeros(1024, [("status", STATUS_TYPE), ("time_s", np.float64)])
         self.count = 0
-        """Frames so far."""
+        """Number of frames read so far."""
 
     def append(self, frames: FramesRead) -> None:
         """Add frames at the end."""
@@ -67,39 +64,39 @@ class FrameStore:
         self.count = needed
 
     def part(self, start: int, stop: int) -> FramesRead:
-        """Frames `start` to before `stop`, not copied."""
+        """Return frames `start` to before `stop`, not copied."""
         marks = self._marks[start:stop]
         return FramesRead(self._rows.rows()[start:stop], marks["status"], marks["time_s"])
 
     def copy(self, start: int, stop: int) -> FramesRead:
-        """The same, as a copy."""
+        """Return the same as a copy."""
         part = self.part(start, stop)
         return FramesRead(part.intensity.copy(), part.status.copy(), part.times_s.copy())
 
     def all(self) -> FramesRead:
-        """All frames; the intensity is not copied."""
+        """Return all frames; the intensity is not copied."""
         marks = self._marks[: self.count]
         return FramesRead(self._rows.rows(), marks["status"].copy(), marks["time_s"].copy())
 
 
 class ProfileStore:
-    """I(x, t) as it grows: rows of float32, in memory or in a temporary file.
+    """Growing storage of I(x, t): rows of float32, in memory or in a temporary file.
 
     Parameters
     ----------
     columns
-        Values in a row.
+        Number of values in a row.
     expected
-        A guess at the number of rows; more or fewer are fine.
+        Expected number of rows; the actual number may differ.
     spill_bytes
-        Above this size the rows live in a temporary file.
+        Size above which the rows are stored in a temporary file.
     folder
-        Where that file lies; that of the system's temporary files if not given.
+        Folder of that file; by default that of the system's temporary files.
 
     Raises
     ------
     InputError
-        Where the disk is full.
+        If the disk is full.
     """
 
     def __init__(
@@ -114,7 +111,7 @@ class ProfileStore:
         self._folder = folder
         self._spill_bytes = spill_bytes
         self._used = 0
-        most = max(1, 2 * spill_bytes // (4 * columns))  # a damaged header may announce any number
+        most = max(1, 2 * spill_bytes // (4 * columns))  # a damaged header may state any number
         self._rows = self._allocate(max(1, min(expected or 1024, most)))
 
     def append(self, rows: Floats32) -> None:
@@ -128,7 +125,7 @@ class ProfileStore:
         self._used = needed
 
     def rows(self) -> Floats32:
-        """All rows so far, (n, columns), not copied."""
+        """Return all rows so far, (n, columns), not copied."""
         return self._rows[: self._used]
 
     def _allocate(self, capacity: int) -> Floats32:
@@ -136,7 +133,7 @@ class ProfileStore:
         if size <= self._spill_bytes:
             return np.empty((capacity, self._columns), np.float32)
         with tempfile.TemporaryFile(prefix="sheetvision-", dir=self._folder) as file:  # the mapping keeps it
-            try:  # the whole length at once: a mapping that finds the disk full kills the process
+            try:  # reserve the whole length: writing to a mapping on a full disk kills the process
                 if hasattr(os, "posix_fallocate"):
                     os.posix_fallocate(file.fileno(), 0, size)
                 else:
@@ -161,20 +158,20 @@ def is_blank(
     saturation_level: float | None = None,
     settings: VideoSettings = DEFAULTS,
 ) -> Bools:
-    """Which readable frames show nothing of what the others show.
+    """Return which readable frames do not show the scene.
 
     A frame is blank if its profile is constant or saturated throughout, if its contrast (standard deviation
     along x) is below `settings.blank_contrast` of the recording's median contrast, or if the frame is
     brighter than usual and its contrast, relative to its level, is below `settings.bright_contrast` of the
-    median. Dim frames keep their relative contrast and a tenth of the absolute one suffices; motion blur
-    leaves the light's gradient and the edges.
+    median. Dim frames keep their relative contrast, and motion blur preserves the gradient of the light and
+    the edges of the comb.
 
     Parameters
     ----------
     profiles
         Intensity (frame, x), grey levels.
     readable
-        (frame).
+        Whether each frame was decoded, (frame).
     saturation_level
         Grey level of a saturated pixel; None for float.
     settings
@@ -182,11 +179,11 @@ def is_blank(
 
     Returns
     -------
-    (frame), False where not readable. Where more than half of a recording is blank, only constant and
-    saturated frames are found.
+    (frame), False where not readable. If more than half of a recording is blank, only constant and saturated
+    frames are found.
     """
     level, contrast, darkest = np.empty((3, len(profiles)))
-    for start in range(0, len(profiles), 256):  # in parts that the processor's cache holds
+    for start in range(0, len(profiles), 256):  # parts that fit into the processor's cache
         span = slice(start, start + 256)
         values = profiles[span].astype(np.float64)
         level[span], contrast[span] = values.mean(axis=1), values.std(axis=1)
@@ -204,14 +201,14 @@ def is_blank(
     return np.asarray(blank & readable, bool)
 
 
-# --- frames that are not there ------------------------------------------------------------------------------
+# --- lost frames --------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class FrameCounts:
-    """Frames `expected` and `read`; `blank` ones are among the read, `corrupt` ones among the others.
+    """Numbers of frames expected and read; blank frames are among those read, corrupt ones are not.
 
-    warnings: one line for each kind of frame that is not there.
+    warnings: one line for each kind of unusable frame.
     """
 
     expected: int
@@ -224,16 +221,16 @@ class FrameCounts:
 def count_frames(
     video: Video, status: Strings, times_s: Floats, *, settings: VideoSettings = DEFAULTS
 ) -> FrameCounts:
-    """Frames declared and delivered: by number, by the file's stated duration, and by gaps in its times.
+    """Count the frames expected and read, from their number, the file's duration and gaps in its times.
 
-    Frames lost between time stamps, or before the end the file states, have no row, yet are counted.
+    Frames lost between time stamps, or before the end that the file states, have no row but are counted.
 
     Parameters
     ----------
     video
         The recording.
     status, times_s
-        Of every frame that was delivered (frame); s.
+        Status and time, s, of each frame in the file (frame).
     settings
         See `VideoSettings`.
     """
@@ -246,11 +243,11 @@ def count_frames(
     for state, reason in reasons.items():
         which = np.flatnonzero(status == state)
         if which.size:
-            warnings.append(f"{name}: {which.size} frame(s) {reason}, the first at place {which[0]}")
+            warnings.append(f"{name}: {which.size} frame(s) {reason}, the first at index {which[0]}")
     measured = video.clock.kind == "file" or (video.clock.kind == "given" and _uneven(times_s))
     between, first = lost_between(times_s, settings=settings) if measured else (0, 0)
     if between:
-        where = f"where its times leap, the first after place {first}"
+        where = f"where its times leap, the first after index {first}"
         warnings.append(f"{name}: {between} frame(s) lost {where}")
     beyond = 0
     if video.duration_s is not None:
@@ -273,16 +270,16 @@ def count_frames(
 
 
 def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> tuple[int, int]:
-    """Frames lost between time stamps, and the place of the frame before the first of them.
+    """Return the number of frames lost between time stamps, and the index of the frame before the first gap.
 
-    A step over `settings.gap_steps` usual ones counts if the frames after it stay late against the usual
-    rate: a frame that only came late is followed by short steps. Where the rate itself changes the slower
-    part counts as if frames were lost; where more than a fifth is lost too few are counted.
+    A step of more than `settings.gap_steps` usual steps is a gap if the frames after it remain late against
+    the usual rate: a frame that is merely late is followed by short steps. If the rate changes, the slower
+    part counts as lost frames; if more than a fifth is lost, too few are counted.
 
     Parameters
     ----------
     times_s
-        s (frame), NaN where unknown.
+        Times, s (frame), NaN where unknown.
     settings
         See `VideoSettings`.
 
@@ -295,7 +292,7 @@ def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> tupl
     usual_s = usual_step_s(known)
     if not usual_s > 0:
         return 0, 0
-    steps = np.diff(known) / usual_s - (np.diff(places) - 1)  # frames without a time took theirs
+    steps = np.diff(known) / usual_s - (np.diff(places) - 1)  # frames without a time took one step each
     late = np.cumsum(np.concatenate([[0.0], steps - 1]))
     gaps = np.flatnonzero(steps > settings.gap_steps)
     gaps = gaps[_lasting_delay(late, gaps) > settings.late_steps]
@@ -304,10 +301,10 @@ def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> tupl
 
 
 def usual_step_s(times_s: Floats) -> float:
-    """Time from one frame to the next, s, where nothing is lost; NaN for fewer than three times.
+    """Return the time from one frame to the next without losses, s; NaN for fewer than three times.
 
-    From the tenth percentile of the time that 20 frames take: rounded times have few distinct steps, and in
-    most of the shorter runs of frames nothing is lost.
+    It is the tenth percentile of the time that 20 frames take: rounded times have few distinct steps, and the
+    shorter runs of 20 frames contain no lost frame.
     """
     if times_s.size < 3:
         return math.nan
@@ -316,7 +313,7 @@ def usual_step_s(times_s: Floats) -> float:
 
 
 def _lasting_delay(late: Floats, gaps: Ints) -> Floats:
-    """Median lateness of the nine frames after each gap less that of the nine before it, in usual steps."""
+    """Return the median delay of the nine frames after each gap less that of the nine before, usual steps."""
     reach = np.arange(9)
     before = np.where(reach <= gaps[:, np.newaxis], late[np.maximum(gaps[:, np.newaxis] - reach, 0)], np.nan)
     after = gaps[:, np.newaxis] + 1 + reach
@@ -325,7 +322,7 @@ def _lasting_delay(late: Floats, gaps: Ints) -> Floats:
 
 
 def _uneven(times_s: Floats) -> bool:
-    """Whether times were measured rather than counted from a rate."""
+    """Return whether times were measured, not computed from a rate."""
     steps = np.diff(times_s[np.isfinite(times_s)])
     return bool(steps.size and np.ptp(steps) > 1e-6 * abs(float(steps.max())))
 
@@ -340,14 +337,14 @@ class Follow:
     Parameters
     ----------
     stop
-        Set from outside to end with what has been read.
+        Set by the caller to end with what has been read.
     closed
-        Set when the recording is closed and read to its end.
+        Set when the recording is closed and has been read to its end.
     seen
-        Called after every block with a function that gives I(x, t) of the last so many frames, and with the
-        frames in the file that are not read yet (None where their number is not known).
+        Called after each block with a function that returns I(x, t) of a number of the last frames, and with
+        the number of frames in the file that are not read yet (None if unknown).
     waiting
-        Called once with the reason where the recording cannot be read for now, as an MP4 that is not closed.
+        Called once with the reason if the recording cannot be read yet, such as an MP4 that is not closed.
     """
 
     stop: threading.Event = field(default_factory=threading.Event)
@@ -359,54 +356,54 @@ class Follow:
 def await_video(
     path: str | os.PathLike[str], opened: Callable[[], Video], follow: Follow, settings: VideoSettings
 ) -> Video:
-    """The recording, as soon as it holds enough frames to find the strip in, or stands still.
+    """Wait until a recording has enough frames to find the strip, or no longer grows, and open it.
 
     Parameters
     ----------
     path
-        Of the recording, which need not be there yet.
+        Path of the recording, which need not exist yet.
     opened
-        Opens it.
+        Function that opens it.
     follow, settings
         See `Follow` and `VideoSettings`.
 
     Raises
     ------
     InputError
-        Where it cannot be opened and nothing has been written to it for `settings.follow_give_up_s`.
+        If it cannot be opened and nothing has been written to it for `settings.follow_give_up_s`.
     """
     film = Path(path)
     pixels = answered(lambda: pixels_file(film), film, settings.answer_s)
     watch = _Watch(pixels, settings.answer_s)
-    tell_at = time.monotonic() + settings.follow_tell_s
+    report_at = time.monotonic() + settings.follow_tell_s
     while True:
-        still_s = watch.still_s()
+        unchanged_s = watch.unchanged_s()
         try:
             video = opened()
         except InputError as error:
-            if max(still_s, watch.age_s()) >= settings.follow_give_up_s or follow.stop.is_set():
+            if max(unchanged_s, watch.age_s()) >= settings.follow_give_up_s or follow.stop.is_set():
                 raise
-            if follow.waiting is not None and time.monotonic() >= tell_at:
+            if follow.waiting is not None and time.monotonic() >= report_at:
                 follow.waiting(str(error))
-                tell_at = math.inf
+                report_at = math.inf
         else:
             few = video.estimated is not None and video.estimated < settings.follow_first
-            if not few or still_s >= settings.follow_still_s or follow.stop.is_set():
+            if not few or unchanged_s >= settings.follow_still_s or follow.stop.is_set():
                 return video
         follow.stop.wait(settings.follow_poll_s)
 
 
 def growth(video: Video, follow: Follow, settings: VideoSettings) -> Iterator[tuple[Video, bool]]:
-    """The recording, opened anew each time it has grown, and whether it is closed: then it is the last one.
+    """Yield the recording each time it has grown, and whether it is closed, which is True for the last one.
 
-    It is closed when its size and time have stood still for `settings.follow_still_s` and it can be opened.
-    A pause lasts as long as the reading before it, so that formats which must be decoded from their start
-    are not decoded all the time.
+    It is closed when its size and time have not changed for `settings.follow_still_s` and it can be opened.
+    Each pause is as long as the reading before it, so that formats that must be decoded from their start are
+    not decoded all the time.
 
     Raises
     ------
     InputError
-        Where it was removed or replaced, or stands still and cannot be opened.
+        If it was removed or replaced, or no longer grows and cannot be opened.
     """
     watch = _Watch(video.watched, settings.answer_s)
     while not follow.stop.is_set():
@@ -415,23 +412,24 @@ def growth(video: Video, follow: Follow, settings: VideoSettings) -> Iterator[tu
         pause_until = 2 * time.monotonic() - began
         seen = watch.stamp
         while not follow.stop.wait(settings.follow_poll_s):
-            still_s = watch.still_s()
-            if still_s < settings.follow_still_s and (watch.stamp == seen or time.monotonic() < pause_until):
+            unchanged_s = watch.unchanged_s()
+            closed = unchanged_s >= settings.follow_still_s
+            if not closed and (watch.stamp == seen or time.monotonic() < pause_until):
                 continue
             try:
-                video = _again(video)
+                video = _reopened(video)
             except InputError:
-                if still_s >= settings.follow_give_up_s:
+                if unchanged_s >= settings.follow_give_up_s:
                     raise
                 continue
-            if still_s >= settings.follow_still_s:
+            if closed:
                 yield video, True
                 return
             break
 
 
-def _again(video: Video) -> Video:
-    """The same recording as it is now.  Raises: InputError."""
+def _reopened(video: Video) -> Video:
+    """Open the recording again, as it is now; refuse one that was removed or replaced."""
     change = answered(lambda: video.stamp.change(video.watched), video.path, video.answer_s)
     if change in ("was removed", "was replaced"):
         raise InputError(video.path, "a recording that only grows while it is followed", f"one that {change}")
@@ -446,15 +444,15 @@ def _again(video: Video) -> Video:
 
 
 class _Watch:
-    """How long a file or folder has stood still, by this process's own clock."""
+    """Watches how long a file or folder has not changed, by the clock of this process."""
 
     def __init__(self, path: Path, answer_s: float) -> None:
         self._path, self._answer_s = path, answer_s
         self.stamp = self._now()
         self._since = time.monotonic()
 
-    def still_s(self) -> float:
-        """Seconds since a change was last seen; takes a new stamp."""
+    def unchanged_s(self) -> float:
+        """Take a new stamp, and return the seconds since a change was last seen."""
         now = self._now()
         if now != self.stamp:
             self.stamp, self._since = now, time.monotonic()
@@ -464,12 +462,12 @@ class _Watch:
         return answered(lambda: Stamp.of(self._path), self._path, self._answer_s)
 
     def age_s(self) -> float:
-        """Seconds since it was written to, by its own time; 0 for one that is not there."""
+        """Return the seconds since the file's own time of change; 0 if it does not exist."""
         return 0.0 if self.stamp.facts is None else time.time() - self.stamp.facts[1] / 1e9
 
 
 def held_back(blocks: Iterator[Block], margin: int) -> Iterator[Block]:
-    """The same frames without the last `margin`, which may not be written whole yet."""
+    """Yield all frames but the last `margin`, which may not be completely written yet."""
     waiting: list[Block] = []
     count = 0
     for block in blocks:
@@ -488,6 +486,6 @@ def held_back(blocks: Iterator[Block], margin: int) -> Iterator[Block]:
 
 
 def part_of(block: Block, start: int, stop: int) -> Block:
-    """Frames `start` to before `stop` of a block, counted from its first."""
+    """Return frames `start` to before `stop` of a block, counted from its first."""
     times_s = None if block.times_s is None else block.times_s[start:stop]
     return Block(block.pixels[start:stop], block.start + start, block.status[start:stop], times_s)

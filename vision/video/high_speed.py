@@ -1,4 +1,4 @@
-"""High-speed cameras' own files: Phantom .cine, and Photron .mraw with its .cih or .cihx beside it."""
+"""File formats of high-speed cameras: Phantom .cine, and Photron .mraw with its .cih or .cihx."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from vision.video.uncompressed import MappedReader, read_fully, repeated
 
 
 def is_cine(head: bytes) -> bool:
-    """Whether a file that begins with these bytes is a cine."""
+    """Return whether a file that begins with these bytes is a cine."""
     return head[:4] == b"CI\x2c\x00"
 
 
 def open_cine(path: Path) -> Reader:
-    """A reader with the file's own times (seconds from its first frame).
+    """Return a reader with the file's own times (seconds from its first frame).
 
-    Packed frames (10 bits) come as stored: the camera compands them, so they are not linear in light.
+    Packed frames (10 bits) are returned as stored: the camera compands them, so they are not linear in light.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def open_cine(path: Path) -> Reader:
 
 @dataclass(frozen=True)
 class PackedCineReader:
-    """A `Reader` of packed cine frames: decoded by FFmpeg, which widens to 16 bits; narrowed back here."""
+    """A `Reader` of packed cine frames: FFmpeg widens them to 16 bits, which is undone here."""
 
     reader: Reader
     facts: Facts
@@ -100,18 +100,18 @@ class PackedCineReader:
         return self.reader.facts.depth_bits - self.facts.depth_bits
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
-        """Blocks of the decoder, in the camera's own grey levels."""
+        """Yield the decoder's blocks, in the camera's own grey levels."""
         for block in self.reader.read(start, stop, rows, columns):
             yield replace(block, pixels=np.right_shift(block.pixels, self._shift))
 
     def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
-        """Whole frames near these numbers, in the camera's own grey levels."""
+        """Yield whole frames near these numbers, in the camera's own grey levels."""
         yield from (np.right_shift(pixels, self._shift) for pixels in self.reader.sample(numbers))
 
 
 @dataclass(frozen=True)
 class _CineHeader:
-    """What the file's first blocks say; offsets are those of frames that begin inside the file."""
+    """Content of the file's first blocks; offsets are those of frames that begin inside the file."""
 
     width: int
     height: int
@@ -129,7 +129,7 @@ def _read_cine_header(path: Path) -> _CineHeader:
         with path.open("rb") as file:
             *_, count, bitmap_at, setup_at, images_at = main.unpack(file.read(main.size))
             file.seek(0)
-            data = file.read(min(images_at + 8 * count, size))  # all before the first frame
+            data = file.read(min(images_at + 8 * count, size))  # everything before the first frame
         _, width, height, _, bits, compression = struct.unpack_from("<IiiHHI", data, bitmap_at)
         real = struct.unpack_from("<I", data, setup_at + 896)[0]  # RealBPP in the SETUP block
         whole = min(count, (len(data) - images_at) // 8)
@@ -150,9 +150,9 @@ def _read_cine_header(path: Path) -> _CineHeader:
 
 
 def _cine_times(data: bytes, setup_at: int, images_at: int, count: int) -> Floats | None:
-    """Seconds of each frame after the first, from the tagged blocks behind SETUP; None without any.
+    """Return the seconds of each frame after the first, from the tagged blocks after SETUP; None without.
 
-    A step a hundred times as long as the recording, as written for a frame that is none, becomes a usual one.
+    A step a hundred times as long as the recording, as written for an invalid frame, becomes a usual one.
     """
     at = setup_at + struct.unpack_from("<H", data, setup_at + 142)[0]
     while at + 8 <= images_at:
@@ -188,17 +188,17 @@ _IN_XML = {
 
 
 def is_photron(path: Path) -> bool:
-    """Whether this is one of the two files of a Photron recording, by its name: neither has a signature."""
+    """Return whether this is a file of a Photron recording, by its name: neither file has a signature."""
     return path.suffix.lower() in (PIXELS, *HEADERS)
 
 
 def photron_files(path: Path) -> tuple[Path, Path]:
-    """(.mraw, .cih or .cihx) of the recording to which this file belongs.
+    """Return both files (.mraw, .cih or .cihx) of the recording to which this file belongs.
 
     Raises
     ------
     InputError
-        Where the other file is not beside it.
+        If the other file is not beside it.
     """
     wanted = HEADERS if path.suffix.lower() == PIXELS else (PIXELS,)
     beside = sorted(path.parent.glob("*"))
@@ -212,18 +212,18 @@ def photron_files(path: Path) -> tuple[Path, Path]:
 
 
 def open_photron(path: Path) -> Reader:
-    """A reader with the camera's own clock: frame number over the header's frame rate.
+    """Return a reader with the camera's own clock: frame number over the header's frame rate.
 
     Parameters
     ----------
     path
-        The .mraw or its .cih; the other one lies beside it.
+        The .mraw or its .cih; the other one must be beside it.
 
     Raises
     ------
     InputError
-        Where one of the two is missing, the header lacks a number or contradicts the file's size, pixels are
-        colour or of another depth, and for no whole frame.
+        If one of the two is missing, the header lacks a number or contradicts the file's size, pixels are
+        colour or of another depth, or there is no whole frame.
 
     Notes
     -----
@@ -288,7 +288,7 @@ def open_photron(path: Path) -> Reader:
 
 
 def _check_size(pixels: Path, text: Path, shape: tuple[int, int], bits: int, frames: int, size: int) -> None:
-    """A size that fits the header's frames at another depth only means that the depth is wrong."""
+    """Refuse a file whose size fits the header's frames only at another depth: the depth is wrong."""
     area, picture = shape[0] * shape[1], shape_text(shape)
     fits = [depth for depth in _DEPTHS if frames * (area * depth // 8) == size]
     if fits and bits not in fits:
@@ -308,9 +308,9 @@ class Packed12Reader:
     Parameters
     ----------
     path, facts
-        The .mraw, and what its header says.
+        The .mraw, and the facts from its header.
     count
-        Whole frames in the file.
+        Number of whole frames in the file.
     """
 
     path: Path
@@ -318,15 +318,16 @@ class Packed12Reader:
     count: int
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
-        """Frames in order, unpacked block by block."""
+        """Yield frames in order, unpacked block by block."""
         end = self.count if stop is None else min(stop, self.count)
-        size = frames_per_block(rows.stop - rows.start, self.facts.shape[1], 6)  # 12 bits, and as 16, twice
+        # 6 bytes per pixel at most: 12 bits packed, and 16 bits twice
+        size = frames_per_block(rows.stop - rows.start, self.facts.shape[1], 6)
         for first in range(start, end, size):
             last = min(first + size, end)
             yield Block(self._unpacked(first, last, rows)[:, :, columns], first, repeated("ok", last - first))
 
     def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
-        """Exactly these frames, whole; those the file does not hold are left out."""
+        """Yield exactly these frames, whole, without those that the file does not contain."""
         for n in numbers:
             if n < self.count:
                 yield self._unpacked(n, n + 1, slice(0, self.facts.shape[0]))[0]
@@ -349,7 +350,7 @@ class Packed12Reader:
 
 
 def _fields(text: Path) -> Mapping[str, str]:
-    """Names and values, of lines `name : value` or of the XML in a .cihx; the first of a name counts."""
+    """Return names and first values, from lines `name : value` or from the XML in a .cihx."""
     with text.open("rb") as file:  # real cameras' headers are 10 to 30 kB
         content = file.read(1 << 20).decode("utf-8", errors="replace")
     if "<cih" not in content:
@@ -372,7 +373,7 @@ def _whole(text: Path, fields: Mapping[str, str], name: str, most: int) -> int:
 
 
 def _number(value: str | None) -> float | None:
-    """A positive number, None for anything else."""
+    """Return a positive number, None for anything else."""
     try:
         number = float(value or "")
     except ValueError:

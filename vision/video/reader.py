@@ -1,4 +1,4 @@
-"""What the code for one file format supplies: `Facts` from the headers, then blocks of grey frames."""
+"""Interface of the readers of file formats: `Facts` from the headers, then blocks of grey frames."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ AS_STORED = "values as stored"
 
 @dataclass(frozen=True, kw_only=True)
 class Facts:
-    """What the headers of a file say, in the file's own orientation.
+    """Facts from the headers of a file, in the file's own orientation.
 
     Parameters
     ----------
@@ -29,25 +29,25 @@ class Facts:
     depth_bits, saturation_level
         Significant bits per pixel, 32 for float; value of a saturated pixel, None for float.
     declared_frames
-        Frames the file says it holds; None where it does not say.
+        Number of frames that the file states; None without.
     estimated_frames
-        Their number from duration and rate, where none is declared.
+        Number of frames from duration and rate, if none is declared.
     duration_s
-        How long the file says it lasts, if frames carry times.
+        Duration that the file states, if frames carry times.
     playback_fps
         The container's rate, which need not be the camera's.
     camera_fps
-        The rate at which the camera recorded, by its own header, where frames carry no times.
+        The rate at which the camera recorded according to its header, if frames carry no times.
     times_s
-        The recording's own time of each frame (frame), where the headers hold them.
+        The recording's own time of each frame (frame), if the headers contain them.
     times_in_blocks
-        Whether those times come with the blocks instead.
+        Whether these times come with the blocks instead.
     turned_deg
-        Degrees clockwise by which the file asks to be turned for display, as phones write it.
+        Degrees clockwise by which the file is to be turned for display, as phones state.
     container, codec, pixel_format, decoder, grey
-        How the pixels are stored, what decodes them, and what a grey value is.
+        How pixels are stored, which program decodes them, and what a grey value means.
     warnings
-        What may spoil the results.
+        Conditions that may spoil the results.
     """
 
     shape: tuple[int, int]
@@ -77,13 +77,13 @@ class Block:
     ----------
     pixels
         (k, rows, columns), grey, in the file's own unsigned type or float32; read only. Pixels of a frame
-        that is not "ok" mean nothing.
+        that is not "ok" have no meaning.
     start
         Number of the first frame, counted from 0 at the start of the file.
     status
         One entry per frame.
     times_s
-        The recording's own time of each frame, s, where it is known only as frames are read.
+        The recording's own time of each frame, s, if it is known only as frames are read.
     """
 
     pixels: Pixels
@@ -93,25 +93,25 @@ class Block:
 
 
 class Reader(Protocol):
-    """The code for one file format. Pixels come in the file's own orientation."""
+    """Reader of one file format, with pixels in the file's own orientation."""
 
     @property
     def facts(self) -> Facts:
-        """Known as soon as the file is open."""
+        """Facts, known as soon as the file is open."""
         ...
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
-        """Frames `start` to `stop` in order, each number exactly once, cut to rows and columns."""
+        """Yield frames `start` to `stop` in order, each number exactly once, cut to rows and columns."""
         ...
 
     def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
-        """Whole readable frames at or near these numbers; fewer where the file cannot be entered there."""
+        """Yield whole readable frames at or near these numbers, fewer if the file has no entry there."""
         ...
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One whole decoded frame. pixels: None where there are none. time_s: its own time, if it has one."""
+    """One whole decoded frame. pixels: None if not readable. time_s: its own time, if it has one."""
 
     pixels: Pixels | None
     status: Status = "ok"
@@ -119,14 +119,14 @@ class Frame:
 
 
 def frames_per_block(rows: int, columns: int, itemsize: int) -> int:
-    """Frames of this cut in a block: up to 16 MiB, which hides Python's cost per block in little memory."""
+    """Return the number of frames per block: up to 16 MiB, so that Python's cost per block is negligible."""
     return max(1, min(256, (16 << 20) // max(1, rows * columns * itemsize)))
 
 
 def gather_blocks(
     frames: Iterable[Frame], *, start: int, rows: slice, columns: slice, dtype: DTypeLike
 ) -> Iterator[Block]:
-    """Blocks of single frames, numbered from `start`, cut to `rows` and `columns`."""
+    """Collect single frames into blocks, numbered from `start` and cut to `rows` and `columns`."""
     shape = (rows.stop - rows.start, columns.stop - columns.start)
     size = frames_per_block(*shape, np.dtype(dtype).itemsize)
     source = iter(frames)
@@ -134,7 +134,7 @@ def gather_blocks(
         pixels = np.zeros((size, *shape), dtype)
         status: list[Status] = []
         times: list[float] = []
-        for out, frame in zip(pixels, source, strict=False):  # whole frames are not kept
+        for out, frame in zip(pixels, source, strict=False):  # so that whole frames are not kept
             if frame.pixels is not None:
                 out[:] = frame.pixels[rows, columns]
             status.append(frame.status)
@@ -156,11 +156,11 @@ class ImagesReader:
     facts
         See `Facts`.
     dtype
-        Of the decoded pixels.
+        Type of the decoded pixels.
     count
         Frame numbers in the file.
     decode
-        Frames of the given numbers, in that order.
+        Function that yields the frames of given numbers, in that order.
     """
 
     facts: Facts
@@ -169,31 +169,31 @@ class ImagesReader:
     decode: Callable[[Sequence[int]], Iterator[Frame]]
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
-        """Frames in order, decoded in threads."""
+        """Yield frames in order, decoded in threads."""
         numbers = range(start, self.count if stop is None else min(stop, self.count))
         frames = self.decode(numbers)
         yield from gather_blocks(frames, start=start, rows=rows, columns=columns, dtype=self.dtype)
 
     def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
-        """Exactly these frames, whole; lost and corrupt ones are left out."""
+        """Yield exactly these frames, whole, without lost and corrupt ones."""
         for frame in self.decode([n for n in numbers if n < self.count]):
             if frame.pixels is not None:
                 yield frame.pixels
 
 
 def luma(rgb: Pixels) -> Pixels:
-    """Grey (rows, columns) of RGB or RGBA (rows, columns, 3 or 4) in uint8, uint16 or float32: BT.601 luma.
+    """Return BT.601 luma (rows, columns) of RGB or RGBA (rows, columns, 3 or 4): uint8, uint16 or float32.
 
-    Integers are rounded, so equal channels come out unchanged.
+    Integers are rounded, so that equal channels give the same value.
     """
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(rgb[..., :3]), cv2.COLOR_RGB2GRAY))
 
 
 def full_scale(bits: int) -> float:
-    """The largest value of an unsigned integer of that many bits."""
+    """Return the largest value of an unsigned integer of that many bits."""
     return float((1 << bits) - 1)
 
 
 def shape_text(shape: Sequence[int]) -> str:
-    """(rows, columns) as messages write it: columns x rows."""
+    """Return (rows, columns) as text for messages: columns x rows."""
     return f"{shape[1]} x {shape[0]}"

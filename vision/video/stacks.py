@@ -1,4 +1,4 @@
-"""Frames as pages or files: TIFF, BigTIFF, ImageJ and OME stacks; a folder or a glob of numbered images."""
+"""Frames in pages or files: TIFF, BigTIFF, ImageJ and OME stacks; folders and globs of numbered images."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ Page = tifffile.TiffPage | tifffile.TiffFrame | None
 
 
 def is_tiff(head: bytes) -> bool:
-    """Whether a file that begins with these bytes is a TIFF or BigTIFF."""
+    """Return whether a file that begins with these bytes is a TIFF or BigTIFF."""
     return head[:4] in (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 
 
 def open_stack(path: Path) -> Reader:
-    """A reader of one page per frame; pages that are not compressed are mapped, others decoded in threads.
+    """Return a reader of one page per frame; compressed pages are decoded in threads.
 
     A stack has one dimension besides rows, columns and colour. An ImageJ stack cut short, which reads as
     one page, gives every whole frame the file holds. Grey values are as stored, also under a look-up table
@@ -75,7 +75,7 @@ def _reader_of_pages(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) 
         raise InputError(path, wanted, found, "convert the stack")
     channels = first.samplesperpixel
     dtype = first.dtype.newbyteorder(tif.byteorder)
-    if not 1 <= channels <= 64:  # tifffile takes memory for all of them
+    if not 1 <= channels <= 64:  # tifffile allocates memory for all of them
         raise InputError(path, "1 to 64 values per pixel", str(channels), "export it as grey")
     check_pixels(path, first.imagelength, first.imagewidth)
     if first.nbytes <= 0:
@@ -103,25 +103,25 @@ def _decode_pages(path: Path, numbers: Sequence[int]) -> Iterator[Frame]:
 
 
 def _decode_page(page: Page) -> Frame:
-    """The page as a frame, "corrupt" where it cannot be decoded."""
+    """Return the page as a frame, "corrupt" if it cannot be decoded."""
     if page is None:
         return Frame(None, "lost")
     try:
         pixels = page.asarray(maxworkers=1)
-    except Exception:  # tifffile and its codecs raise whatever they like for damaged data
+    except Exception:  # tifffile and its codecs raise any exception for damaged data
         return Frame(None, "corrupt")
     return Frame(_grey_page(pixels))
 
 
 def _grey_page(pixels: Pixels) -> Pixels:
-    """Grey (rows, columns) of a page's array: as it is, or luma of colour in its last or first dimension."""
+    """Return grey (rows, columns) of a page, or luma of colour in its last or first dimension."""
     if pixels.ndim == 2:
         return pixels
     return luma(pixels if pixels.shape[-1] in (3, 4) else np.moveaxis(pixels, 0, -1))
 
 
 def _pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
-    """The frames' pages; InputError unless they are one run of images of one size."""
+    """Return the frames' pages; InputError unless they are one run of images of one size."""
     if not tif.series:
         raise InputError(path, "a TIFF with an image", "none", "export it again")
     series = tif.series[0]
@@ -131,7 +131,7 @@ def _pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
         raise InputError(path, "one dimension of frames", " ".join(many), "export one channel, one plane")
     if len(tif.series) == 1:
         return series.pages
-    if len(series.pages) == 1:  # written page by page, each its own series
+    if len(series.pages) == 1:  # each page was written as a series
         return _single_pages(tif, path)
     if len(tif.series[1].pages) == len(series.pages):
         raise InputError(path, "one series of images", str(len(tif.series)), "export one of them")
@@ -139,7 +139,7 @@ def _pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
 
 
 def _single_pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
-    """All pages but thumbnails; InputError for images of several sizes."""
+    """Return all pages but thumbnails; InputError for images of several sizes."""
     pages = [page for page in tif.pages if not getattr(page, "is_reduced", False)]  # a TiffFrame never is
     first = pages[0].shape
     odd = next((page.shape for page in pages if page.shape != first), None)
@@ -150,7 +150,7 @@ def _single_pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
 
 
 def _offsets(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) -> Ints | None:
-    """Place of every whole frame; None where pages are compressed, tiled, packed or scattered."""
+    """Return the position of each whole frame; None if pages are compressed, tiled, packed or scattered."""
     first = tif.pages.first
     if not first.is_memmappable and not (first.is_contiguous and first.compression == 1):
         return None
@@ -167,14 +167,14 @@ def _offsets(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) -> Ints 
 
 
 def _contiguous_runs(page: tifffile.TiffPage | tifffile.TiffFrame) -> list[int]:
-    """Where the page's contiguous pieces start: one number for a page stored in one run."""
+    """Return where the page's contiguous pieces start: one number for a page stored in one run."""
     starts, lengths = page.dataoffsets, page.databytecounts
     pieces = zip(starts[1:], starts, lengths, strict=False)
     return [starts[0], *(start for start, before, length in pieces if start != before + length)]
 
 
 def _stack_facts(tif: tifffile.TiffFile, held: int, indexed: int, path: Path, *, decoder: str) -> Facts:
-    """Facts of a stack of which `held` pages are whole and `indexed` are promised by its index."""
+    """Return the facts of a stack with `held` whole pages and `indexed` pages in its index."""
     first = tif.pages.first
     is_float = first.dtype is not None and first.dtype.kind == "f"
     bits = 32 if is_float else int(first.bitspersample)
@@ -197,7 +197,7 @@ def _stack_facts(tif: tifffile.TiffFile, held: int, indexed: int, path: Path, *,
 
 
 def _codec_of_page(page: tifffile.TiffPage) -> str:
-    """TIFF's name of the compression; "mjpeg" for every JPEG, as in films: it is as lossy there."""
+    """Return TIFF's name of the compression; "mjpeg" for every JPEG, which is lossy as in films."""
     if not hasattr(page.compression, "name"):
         return "uncompressed"
     name = page.compression.name.lower()
@@ -205,19 +205,19 @@ def _codec_of_page(page: tifffile.TiffPage) -> str:
 
 
 def _codec_of_image(file: Path) -> str:
-    """The suffix of an image file; of a TIFF, its compression."""
+    """Return the suffix of an image file, or the compression of a TIFF."""
     suffix = file.suffix.lower().lstrip(".")
     if suffix not in ("tif", "tiff"):
         return "mjpeg" if suffix in _JPEG else suffix
     try:
         with tifffile.TiffFile(file) as tif:
             return _codec_of_page(tif.pages.first)
-    except (tifffile.TiffFileError, OSError, ValueError, IndexError, KeyError):  # a damaged first image
+    except (tifffile.TiffFileError, OSError, ValueError, IndexError, KeyError):  # the first image is damaged
         return "tiff"
 
 
 def _declared_frames(tif: tifffile.TiffFile) -> int:
-    """Frames by the metadata of ImageJ, OME or tifffile; 0 where they do not say."""
+    """Return the number of frames in the metadata of ImageJ, OME or tifffile; 0 without."""
     if tif.is_imagej:
         return int((tif.imagej_metadata or {}).get("images", 1))
     if tif.is_ome:
@@ -231,15 +231,15 @@ def _declared_frames(tif: tifffile.TiffFile) -> int:
 
 
 def _possible(declared: int, path: Path) -> int:
-    """The number of frames by the metadata; 0 where a file of ten times this size could not hold them.
+    """Return the number of frames in the metadata; 0 if a file of ten times this size could not hold them.
 
-    A file that was cut short tells how much is missing; a damaged number tells nothing.
+    In a file that was cut short, that number shows how much is missing; an impossible number is damaged.
     """
     return declared if 0 <= declared <= 10 * path.stat().st_size else 0
 
 
 def _is_cut_short(tif: tifffile.TiffFile) -> bool:
-    """Whether the last page that can be reached names a following one."""
+    """Return whether the last page that can be reached names a following one."""
     last, form, file = tif.pages[-1], tif.tiff, tif.filehandle
     file.seek(last.offset)
     tags = int(struct.unpack(form.tagnoformat, file.read(form.tagnosize))[0])
@@ -249,7 +249,7 @@ def _is_cut_short(tif: tifffile.TiffFile) -> bool:
 
 
 def _own_times(tif: tifffile.TiffFile, frames: int) -> Floats | None:
-    """Seconds of each frame from ImageJ's `finterval` or OME's `TimeIncrement`; None without a usable one."""
+    """Return the times of frames from ImageJ's `finterval` or OME's `TimeIncrement`, s; None without."""
     step, unit = 0.0, "s"
     if tif.is_imagej:
         metadata = tif.imagej_metadata or {}
@@ -264,16 +264,16 @@ def _own_times(tif: tifffile.TiffFile, frames: int) -> Floats | None:
 
 
 def _first_pixels(tif: tifffile.TiffFile) -> str:
-    """The opening tag of OME's first Pixels element."""
+    """Return the opening tag of OME's first Pixels element."""
     found = re.search(r"<(?:\w+:)?Pixels\b[^>]*>", tif.ome_metadata or "")
     return found.group() if found else ""
 
 
 def open_sequence(path: Path) -> ImagesReader:
-    """The images of a folder, of a glob pattern, or a single one; gaps in their numbers are lost frames.
+    """Open the images of a folder, of a glob, or a single one; gaps in their numbers are lost frames.
 
     Files are ordered by the last number in their names, as cameras count (`…_175055809_0008.tiff` is number
-    8). A file that cannot be decoded is a frame "corrupt".
+    8). A file that cannot be decoded gives a "corrupt" frame.
 
     Raises
     ------
@@ -311,7 +311,7 @@ def open_sequence(path: Path) -> ImagesReader:
 
 
 def _decode_image(file: Path | None, shape: tuple[int, int], dtype: np.dtype[np.generic]) -> Frame:
-    """One file as a frame; InputError where it has another size or depth."""
+    """Return one file as a frame; InputError if it has another size or depth."""
     if file is None:
         return Frame(None, "lost")
     pixels = _image(file)
@@ -327,7 +327,7 @@ def _decode_image(file: Path | None, shape: tuple[int, int], dtype: np.dtype[np.
 
 
 def _image_files(path: Path) -> list[Path]:
-    """Image files of one kind; InputError for none or for several kinds."""
+    """Return the image files; InputError for none or for several kinds."""
     if path.is_dir():
         everything = list(path.iterdir())
     elif path.exists():
@@ -346,7 +346,7 @@ def _image_files(path: Path) -> list[Path]:
 
 
 def _numbered(files: list[Path], path: Path) -> tuple[tuple[Path | None, ...], tuple[str, ...]]:
-    """The files by frame number, None for numbers left out, and warnings."""
+    """Return the files by frame number, None for missing numbers, and warnings."""
     if len(files) == 1:
         return (files[0],), ()
     by_number: dict[int, Path] = {}
@@ -368,24 +368,24 @@ def _numbered(files: list[Path], path: Path) -> tuple[tuple[Path | None, ...], t
 
 
 def _frame_numbers(numbers: Ints, path: Path) -> tuple[Ints, tuple[str, ...]]:
-    """Frame numbers from 0 out of file numbers, which may count in steps or be no count at all."""
+    """Return frame numbers from 0 for file numbers, which may count in steps or not at all."""
     steps, counts = np.unique(np.diff(numbers), return_counts=True)
     usual = int(steps[np.argmax(counts)])
-    if usual > 1 and numbers.size >= 10 and not (steps % usual).any():  # too few files prove no step
+    if usual > 1 and numbers.size >= 10 and not (steps % usual).any():  # few files do not prove a step
         return (numbers - numbers[0]) // usual, (f"{path.name}: file numbers count in steps of {usual}",)
-    if numbers[-1] - numbers[0] > 10 * numbers.size:  # nine frames in ten are not lost: clock times, say
+    if numbers[-1] - numbers[0] > 10 * numbers.size:  # nine in ten frames lost is unlikely: clock times, say
         text = f"{path.name}: file numbers are no frame count; only their order is used"
         return np.arange(numbers.size), (text,)
     return numbers - numbers[0], ()
 
 
 def _image(file: Path) -> Pixels | None:
-    """Grey pixels of an image file at its full depth; None where it cannot be decoded."""
+    """Return grey pixels of an image file at its full depth; None if it cannot be decoded."""
     try:
         pixels = _tiff_image(file) if file.suffix.lower() in (".tif", ".tiff") else _other_image(file)
     except _SeveralPagesError:
         raise
-    except Exception:  # decoders raise whatever they like for damaged data
+    except Exception:  # decoders raise any exception for damaged data
         return None
     usable = (
         pixels is not None and pixels.ndim == 2 and pixels.dtype.kind in "uf" and pixels.dtype.itemsize <= 4
@@ -394,11 +394,11 @@ def _image(file: Path) -> Pixels | None:
 
 
 class _SeveralPagesError(InputError):
-    """A stack among single images."""
+    """Error for a stack among single images."""
 
 
 def _tiff_image(file: Path) -> Pixels:
-    """The one page of a TIFF.  Raises: whatever the decoder does."""
+    """Return the only page of a TIFF, or raise any exception of the decoder."""
     check_tiff(file)
     with tifffile.TiffFile(file) as tif:
         held = max(len(tif.pages), _declared_frames(tif))
@@ -414,7 +414,7 @@ def _tiff_image(file: Path) -> Pixels:
 
 
 def _other_image(file: Path) -> Pixels | None:
-    """A PNG, JPEG or BMP, or what OpenCV reads under such a name; None where it is none."""
+    """Return a PNG, JPEG or BMP, or any picture that OpenCV reads under such a name; else None."""
     formats = ("PNG", "JPEG", "BMP", "DIB", "MPO", "TIFF")
     with Pillow.open(file, formats=formats) as header:  # reads the header alone
         check_pixels(file, header.height, header.width)
@@ -432,7 +432,7 @@ _ADVICE = "copy or export it again"
 
 @dataclass(frozen=True)
 class _Form:
-    """How a classic or a big TIFF lays out numbers: of tags, one tag, an offset; bytes a tag holds itself."""
+    """Layout of a classic or a big TIFF: number of tags, one tag, an offset; bytes of values within a tag."""
 
     order: str
     count: struct.Struct
@@ -442,7 +442,7 @@ class _Form:
 
 
 def _form(head: bytes) -> tuple[_Form, int]:
-    """The layout, and where the first offset stands."""
+    """Return the layout, and the position of the first offset."""
     order = "<" if head[:2] == b"II" else ">"
     big = struct.unpack_from(f"{order}H", head, 2)[0] == 43
     count, tag, offset = (
@@ -454,14 +454,14 @@ def _form(head: bytes) -> tuple[_Form, int]:
 def check_tiff(path: Path, *, frames: bool = True) -> None:
     """Refuse a TIFF whose index would lead a reader in circles, or whose pages are no pictures.
 
-    A chain that leaves the file is fine: such a file was cut short.
+    A chain that leaves the file is accepted: such a file was cut short.
 
     Parameters
     ----------
     path
         The file.
     frames
-        Whether its pages are frames, which have a largest size; space-time diagrams have none.
+        Whether its pages are frames, which have a largest size, unlike space-time diagrams.
 
     Raises
     ------
@@ -487,7 +487,7 @@ def check_tiff(path: Path, *, frames: bool = True) -> None:
             spent += pointed
             if frames and shape is not None:
                 check_pixels(path, *shape)
-            if spent > size + (1 << 26):  # pages may share values; following all would take for ever
+            if spent > size + (1 << 26):  # pages may share values; reading all would never end
                 raise InputError(path, "a TIFF stack", "tags that point to more than the file holds", _ADVICE)
             place = _unpacked(form.offset, file)
 
@@ -495,9 +495,9 @@ def check_tiff(path: Path, *, frames: bool = True) -> None:
 def _page_facts(
     file: BinaryIO, form: _Form, path: Path, *, number: int
 ) -> tuple[int, tuple[int, int] | None]:
-    """Bytes the tags of the page at the file's place point to, and its rows and values per row.
+    """Return the bytes to which the tags of the page at the file's position point, its rows and row length.
 
-    The place is then behind the tags.
+    The position is then after the tags.
     """
     tags = _unpacked(form.count, file)
     if tags > 1000:  # microscopes write up to 60; damaged pages of more take long
@@ -523,6 +523,6 @@ def _page_facts(
 
 
 def _unpacked(form: struct.Struct, file: BinaryIO) -> int:
-    """The next number; 0 where the file ends."""
+    """Return the next number; 0 at the end of the file."""
     data = file.read(form.size)
     return int(form.unpack(data)[0]) if len(data) == form.size else 0

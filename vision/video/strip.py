@@ -1,4 +1,4 @@
-"""I(x, t), the mean of the strip's rows in every frame, from one pass over the recording."""
+"""I(x, t): the mean of the strip's rows in each frame, from one pass over the recording."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ Progress = Callable[[int, int | None], None]
 
 
 class ReadingLog(Protocol):
-    """Keeps what is read of a long film, and gives back what an interrupted run had kept of it.
+    """Keeps the frames read from a long film, and returns those that an interrupted run kept.
 
-    `begin` is called once, before anything is read; `add` after every block; folder is where I(x, t) may
-    spill.
+    `begin` is called once, before anything is read, and `add` after every block. I(x, t) may spill into
+    `folder`.
     """
 
     folder: Path
 
     def begin(self, video: Video, rows: slice, columns: slice) -> Iterator[FramesRead]:
-        """Frames from the first on that need not be read again."""
+        """Yield the first frames of the film that need not be read again."""
         ...
 
     def add(self, frames: FrameStore) -> None:
-        """Keep what is new."""
+        """Keep the frames that are new."""
         ...
 
 
@@ -65,36 +65,36 @@ def strip_profile(
     log: ReadingLog | None = None,
     follow: Follow | None = None,
 ) -> xr.DataArray:
-    r"""I(x, t): the mean over the strip's rows, for every frame of the recording.
+    r"""Return I(x, t), the mean over the strip's rows, for every frame of the recording.
 
     Parameters
     ----------
     video
-        As `open_video` gives it. It is read in one sequential pass.
+        From `open_video`. It is read in one sequential pass.
     rows, columns
         Half-open, px, after rotation. Without `rows` the strip is found (`find_strip`); without `columns` all
-        are taken.
+        are used.
     progress
         Called with (frames done, total frames or None) after every block.
     settings
         See `VideoSettings`.
     log
-        Keeps what is read, and has what an interrupted run read before.
+        Keeps the frames read, and supplies those of an interrupted run.
     follow
-        Read on as the recording grows, until it is closed. The strip is found in its first frames.
+        Continue as the recording grows, until it is closed. The strip is found in its first frames.
 
     Returns
     -------
     xarray.DataArray
         "intensity" (frame, x), float32 grey levels, as `vision.data.STRIP` declares it. Coordinates are frame
-        (number in the file), x (column), time_s, NaN where unknown, and status: "ok", "blank" (nothing to
-        see), "corrupt" (could not be decoded) or "lost" (recorded nowhere). Rows of frames that are not "ok"
-        are NaN. Frame counts, clock, strip and warnings are in the attributes (`vision.data.StripMetadata`).
+        (number in the file), x (column), time_s, NaN where unknown, and status: "ok", "blank" (no picture),
+        "corrupt" (could not be decoded) or "lost" (not in the file). Rows of frames that are not "ok" are
+        NaN. Frame counts, clock, strip and warnings are in the attributes (`vision.data.StripMetadata`).
 
     Raises
     ------
     InputError
-        For rows or columns outside the frame, when no frame can be used, or when the disk is full.
+        For rows or columns outside the frame, if no frame can be used, or if the disk is full.
 
     Notes
     -----
@@ -119,7 +119,7 @@ def strip_profile(
         if follow is not None and follow.seen is not None:
             recent = partial(_recent, plan, video, store)
             follow.seen(recent, None if video.estimated is None else video.estimated - store.count)
-    if follow is not None:  # more is known of the strip by now than its first frames tell
+    if follow is not None:  # more frames of the strip are known by now
         now = measure_strip(video, plan.strip.rows, columns=plan.columns, settings=settings)
         plan = replace(plan, strip=replace(now, how=plan.strip.how))
         if not follow.closed.is_set():
@@ -138,25 +138,25 @@ def strip_profiles(
     progress: Progress | None = None,
     settings: VideoSettings = DEFAULTS,
 ) -> tuple[xr.DataArray, xr.DataArray]:
-    r"""I(x, t) of the strip, and I(x, z, t) of parts of it one above the other, from one pass over the film.
+    r"""Return I(x, t) of the strip, and I(x, z, t) of parts of it at several heights, from one pass.
 
     Parameters
     ----------
     video, rows, columns, progress, settings
         As for `strip_profile`.
     strips
-        Number of parts, 2 or more, of equal height to a row.
+        Number of parts, 2 or more; their heights differ by at most one row.
 
     Returns
     -------
     xarray.DataArray, xarray.DataArray
-        The strip as `strip_profile` gives it, and its parts, "intensity" (z, frame, x), as
+        The strip as `strip_profile` returns it, and its parts, "intensity" (z, frame, x), as
         `vision.data.STRIP_PARTS` declares them; z is the middle of a part's rows, px.
 
     Raises
     ------
     InputError
-        As `strip_profile`, and for parts of less than two rows.
+        As `strip_profile`, and for parts of fewer than two rows.
     """
     plan = _Plan.of(video, rows, columns, settings)
     first, height, width = plan.strip.rows.start, plan.strip.rows.stop - plan.strip.rows.start, plan.width
@@ -188,7 +188,7 @@ def strip_profiles(
 
 @dataclass(frozen=True)
 class _Plan:
-    """What is read of every frame, and how much of that was asked for."""
+    """The rows and columns that are read of every frame, and those that were asked for."""
 
     strip: Strip
     columns: slice
@@ -197,7 +197,7 @@ class _Plan:
 
     @classmethod
     def of(cls, video: Video, rows: slice | None, columns: slice | None, settings: VideoSettings) -> _Plan:
-        """With the strip that is found where no rows are given.  Raises: InputError."""
+        """Return the plan for the given rows, or for the strip that is found if rows is None."""
         x = cut(columns, video.shape[1], what=f"{video.path}: `columns`")
         spans = {"rows": rows, "columns": columns}
         asked = {name: span and [span.start, span.stop] for name, span in spans.items()}
@@ -208,12 +208,12 @@ class _Plan:
         return int(self.columns.stop - self.columns.start)
 
     def assembled(self, video: Video, read: FramesRead, first: int = 0) -> xr.DataArray:
-        """I(x, t) of frames from `first`, counted from where reading began.
+        """Return I(x, t) of the frames read; `first` is the number of frames read before them.
 
         Raises
         ------
         InputError
-            When no frame can be used.
+            If no frame can be used.
         """
         intensity, status, settings = read.intensity, read.status, self.settings
         readable, saturated = status == "ok", video.saturation_level
@@ -238,14 +238,14 @@ class _Plan:
 
 
 def reference_frame(video: Video) -> Pixels:
-    """The first readable frame that is not constant, whole, after rotation.
+    """Return the first readable frame that is not constant, whole, after rotation.
 
     Raises
     ------
     InputError
-        Where there is none.
+        If there is none.
     """
-    # The very first shows something in most films: those behind it are not decoded.
+    # first try only the first frame, which suffices in most films, so that no others are decoded
     for part in (replace(video, stop=video.first + 1), video):
         for pixels in part.frames():
             if pixels.min() < pixels.max():
@@ -254,7 +254,7 @@ def reference_frame(video: Video) -> Pixels:
 
 
 def _recent(plan: _Plan, video: Video, store: FrameStore, count: int) -> xr.DataArray:
-    """I(x, t) of the last `count` frames in the store."""
+    """Return I(x, t) of the last `count` frames in the store."""
     first = max(0, store.count - count)
     return plan.assembled(video, store.copy(first, store.count), first)
 
@@ -262,9 +262,9 @@ def _recent(plan: _Plan, video: Video, store: FrameStore, count: int) -> xr.Data
 def _blocks(
     video: Video, plan: _Plan, store: FrameStore, follow: Follow | None
 ) -> Iterator[tuple[Video, Block]]:
-    """Blocks behind the frames in the store, with the recording they are from.
+    """Yield the blocks after the frames in the store, with the recording from which they are read.
 
-    A growing recording is opened again and again; its last frames wait until it is closed.
+    A growing recording is opened repeatedly; its last frames are read when it is closed.
     """
     rows, columns, settings = plan.strip.rows, plan.columns, plan.settings
     if follow is None:
@@ -275,7 +275,7 @@ def _blocks(
         return
     wanted = math.inf if video.stop is None else video.stop - video.first
     for now, whole in growth(video, follow, settings):
-        again = min(store.count, 1)  # the last frame is read once more, and must be the same
+        again = min(store.count, 1)  # the last frame is read again, and must be the same
         margin = 0 if whole else settings.follow_margin
         stop = None if now.stop is None else now.stop + margin
         rest = replace(now, first=video.first + store.count - again, stop=stop)
@@ -291,18 +291,18 @@ def _blocks(
 
 
 def _readable(blocks: Iterator[Block]) -> Iterator[Block]:
-    """The blocks before one that cannot be read yet, as of an MP4 that has grown by half a part meanwhile."""
+    """Yield the blocks before one that cannot be read yet, as in an MP4 with an incomplete last part."""
     with contextlib.suppress(InputError):
         yield from blocks
 
 
 def _continued(video: Video, blocks: Iterator[Block], known: FramesRead) -> Iterator[Block]:
-    """The blocks without the frames that are known already.
+    """Yield the blocks without the frames that are already known.
 
     Raises
     ------
     InputError
-        Where those are others now.
+        If those frames have changed.
     """
     count = known.status.size
     for block in blocks:
@@ -318,17 +318,17 @@ def _continued(video: Video, blocks: Iterator[Block], known: FramesRead) -> Iter
 
 
 def _reduced(video: Video, block: Block) -> FramesRead:
-    """Row means, status and times of one block."""
+    """Return the row means, status and times of one block."""
     means, status = row_means(block.pixels), np.array(block.status, STATUS_TYPE)
-    odd = ~np.isfinite(means).all(axis=1)
-    means[odd] = np.nan  # infinities would spread into sums over frames
-    status[(status == "ok") & odd] = "corrupt"
+    not_finite = ~np.isfinite(means).all(axis=1)
+    means[not_finite] = np.nan  # infinities would spread into sums over frames
+    status[(status == "ok") & not_finite] = "corrupt"
     numbers = np.arange(block.start, block.start + status.size, dtype=np.int64)
     return FramesRead(means, status, video.times(numbers) if block.times_s is None else block.times_s)
 
 
 def row_means(pixels: Pixels) -> Floats32:
-    """Mean over the rows of each frame, (k, rows, columns) to (k, columns).
+    """Return the mean over the rows of each frame, (k, rows, columns) to (k, columns).
 
     Integers are summed exactly, in the narrowest type that cannot overflow, which is three times as fast
     for 8 bits.
@@ -342,7 +342,7 @@ def row_means(pixels: Pixels) -> Floats32:
 
 
 def _nothing_to_see(video: Video, status: Strings) -> InputError:
-    """Why no frame can be used."""
+    """Return the error that says why no frame can be used."""
     if not status.size:
         return InputError(video.path, "frames within `frames`", "the file ends before them")
     names, counts = np.unique(status, return_counts=True)

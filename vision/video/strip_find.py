@@ -1,4 +1,10 @@
-"""The rows to average: where ridges are straightest and clearest, and how far they lean."""
+"""Choice of the rows to average: where ridges are straightest and clearest, and how far they are tilted.
+
+A ruler in the picture can be mistaken for a comb of sheets. No single stage can exclude it, so three do:
+above or below the comb it is avoided here, by the choice of rows (`_prefer_moving`). Beside the comb it is in
+the same rows, and only tracks show that it has another pitch and does not move (`_ruler_beside_comb`,
+`vision.sheets.reference`). Marks or ridges one above the other suit no rows: `_warn_if_level`.
+"""
 
 from __future__ import annotations
 
@@ -19,22 +25,22 @@ from vision.video.video import Video, cut
 
 @dataclass(frozen=True)
 class Strip:
-    """The rows to average, and what their ridges look like.
+    """The rows to average, and properties of their ridges.
 
     Parameters
     ----------
     rows
         Half-open, after rotation.
     how
-        "given", "found" or "all rows" (nothing stood out).
+        "given", "found" or "all rows" (no ridges were found).
     tilt_deg
-        Lean of the ridges in degrees, positive where x grows downwards; NaN where no ridges can be seen.
+        Tilt of the ridges in degrees, positive if x grows downwards; NaN if no ridges are visible.
     clarity
-        Correlation of odd and even rows' mean slopes, 0 (noise) to 1.
+        Correlation of the mean slopes of odd and even rows, 0 (noise) to 1.
     warnings
-        What may spoil the results.
+        Conditions that may spoil the results.
     errors
-        How much positions depend on which of the rows are averaged.
+        How much positions depend on the choice of rows.
     """
 
     rows: slice
@@ -49,9 +55,9 @@ class Strip:
 class _Slopes:
     """Slopes along x of bands of rows in some frames.
 
-    mean: (frame, band, x). difference: half the difference of odd and even rows, the same shape, noise alone.
+    mean: mean of odd and even rows, (frame, band, x). difference: half their difference, which is noise.
     band_rows: rows in a band. along_z, along_x: mean square steps of the grey level over 2 px, of every
-    second row. picture: the mean of the frames, every second row and column.
+    second row. picture: mean of the frames, every second row and column.
     """
 
     mean: Floats32
@@ -62,7 +68,7 @@ class _Slopes:
     picture: Floats32
 
     def part(self, first: int, last: int) -> _Slopes:
-        """Those of some bands."""
+        """Return the slopes of some bands."""
         bands = np.s_[:, first:last]
         return replace(self, mean=self.mean[bands], difference=self.difference[bands])
 
@@ -70,19 +76,19 @@ class _Slopes:
 def choose_strip(
     video: Video, rows: slice | None, *, columns: slice | None = None, settings: VideoSettings = DEFAULTS
 ) -> Strip:
-    """The strip of these rows, or the one that `find_strip` finds where there are none."""
+    """Return the strip of the given rows, or the one that `find_strip` finds if rows is None."""
     if rows is None:
         return find_strip(video, columns=columns, settings=settings)
     return measure_strip(video, rows, columns=columns, settings=settings)
 
 
 def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSettings = DEFAULTS) -> Strip:
-    r"""Rows whose mean profile has the steepest ridges for the most rows.
+    r"""Find the strip: as many rows as possible whose mean profile has steep ridges.
 
     Parameters
     ----------
     video
-        As `open_video` gives it; `settings.sample_frames` of its frames are looked at.
+        From `open_video`; `settings.sample_frames` of its frames are examined.
     columns
         Half-open, px, after rotation; all by default.
     settings
@@ -91,7 +97,7 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
     Returns
     -------
     Strip
-        The whole height, with how = "all rows", where no rows agree on any ridges.
+        The whole height, with how = "all rows", if no rows agree on any ridges.
 
     Raises
     ------
@@ -101,22 +107,22 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
     Notes
     -----
     Slopes along x are averaged over the odd rows (:math:`o_b`) and the even rows (:math:`e_b`) of each band
-    :math:`b`. For every run of :math:`h` bands the power of the mean slope, free of white noise, is taken in
-    each segment :math:`s` along x,
+    :math:`b`. For every run of :math:`h` bands the power of the mean slope, without white noise, is computed
+    in each segment :math:`s` along x,
 
     .. math::
         P_s = \frac{1}{h^2} \sum_{t,\, x \in s} \left[ \left(\sum_b \frac{o_b + e_b}{2}\right)^2
               - \sum_b \left(\frac{o_b - e_b}{2}\right)^2 \right]
 
-    and the run with the largest :math:`\sqrt h \, \langle \min(P_s, P_{65\%}) \rangle_s` is taken. It is
-    largest where ridges are clear, straight and upright: leaning or bowed ridges blur the mean, clamps and
-    black rows dilute it. No segment counts for more than segments with ridges usually do, so labels and marks
-    gain nothing by their strong edges. Brightness, pitch and polarity do not matter.
+    and the run with the largest :math:`\sqrt h \, \langle \min(P_s, P_{65\%}) \rangle_s` is chosen. It is
+    largest where ridges are clear, straight and upright: tilted or bowed ridges blur the mean, clamps and
+    black rows dilute it. The contribution of a segment is limited to that of usual segments with ridges, so
+    that labels and marks gain nothing by their strong edges. Brightness, pitch and polarity do not matter.
 
-    Of that run those bands are kept whose mean gives positions with the smallest error
-    (`best_rows`): rows that see the ridges elsewhere, bowed, shaded or at the frame's edge, are
-    left out where the bias they bring is larger than the noise they save. So are rows with a label, such as
-    the time of day that cameras write into the picture.
+    Of that run the bands are retained whose mean gives positions with the smallest error (`best_rows`). Rows
+    in which the ridges are displaced (bowed, shaded, at the frame's edge) are left out if their bias is
+    larger than the noise that they save. Rows with text, such as the time of day that cameras write into the
+    picture, are left out as well.
     """
     height, width = video.shape
     x = cut(columns, width, what=f"{video.path}: `columns`")
@@ -126,25 +132,30 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
     slopes = _measure_slopes(video, slice(0, height), x, band_rows, settings)
     best = _best_run(slopes, settings)
     if best is not None:
-        best = _rather_moving(slopes, best, settings)
+        best = _prefer_moving(slopes, best, settings)
     if best is None:
         whole = slice(0, height)
-        return _told_level(Strip(whole, "all rows"), slopes, whole, video, settings)
-    lean = lean_px(slopes.mean[:, best[0] : best[1]])
-    first, last = _beside_labels(slopes, *_agreeing(slopes, *best, lean, settings), settings)
+        return _warn_if_level(Strip(whole, "all rows"), slopes, whole, video, settings)
+    tilt = tilt_px(slopes.mean[:, best[0] : best[1]])
+    first, last = _without_text(slopes, *_agreeing(slopes, *best, tilt, settings), settings)
     bottom = height if last == slopes.mean.shape[1] else last * band_rows
     rows = slice(first * band_rows, bottom)
     bands = slopes.mean[:, first:last]
-    if strip_errors(row_shifts(bands, lean, settings), settings).bow_px > settings.edge_bow_px:
-        rows = _off_edges(rows, height, settings)
+    if strip_errors(row_shifts(bands, tilt, settings), settings).bow_px > settings.edge_bow_px:
+        rows = _without_edges(rows, height, settings)
     first, last = -(-rows.start // band_rows), max(rows.stop // band_rows, first + 1)
-    strip = _described(slopes, min(first, last - 1), last, Strip(rows, "found"), settings, lean=lean)
-    return _told_level(strip, slopes, slice(best[0] * band_rows, best[1] * band_rows), video, settings)
+    strip = _described(slopes, min(first, last - 1), last, Strip(rows, "found"), settings, tilt=tilt)
+    return _warn_if_level(strip, slopes, slice(best[0] * band_rows, best[1] * band_rows), video, settings)
 
 
-def _told_level(strip: Strip, slopes: _Slopes, rows: slice, video: Video, settings: VideoSettings) -> Strip:
-    """The strip, with a warning where these rows change along z rather than along x, from pixel to pixel and
-    as a whole: the texture of wide sheets and dead rows make no level ridges."""
+def _warn_if_level(
+    strip: Strip, slopes: _Slopes, rows: slice, video: Video, settings: VideoSettings
+) -> Strip:
+    """Add a warning if grey levels in these rows change along z rather than along x.
+
+    They must do so both from pixel to pixel and over the whole height: the texture of wide sheets does only
+    the former, dead rows only the latter.
+    """
     rows = slice(rows.start // 2, rows.stop // 2)
     along_z, along_x = float(slopes.along_z[rows].mean()), float(slopes.along_x[rows].mean())
     level, upright = (np.ptp(np.quantile(slopes.picture.mean(axis=axis), (0.1, 0.9))) for axis in (1, 0))
@@ -158,8 +169,8 @@ def _told_level(strip: Strip, slopes: _Slopes, rows: slice, video: Video, settin
     return replace(strip, warnings=(*strip.warnings, warning))
 
 
-def _off_edges(rows: slice, height: int, settings: VideoSettings) -> slice:
-    """Rows without those next to the frame's upper and lower edge; all of a low frame."""
+def _without_edges(rows: slice, height: int, settings: VideoSettings) -> slice:
+    """Return the rows without those near the frame's upper and lower edge, but all rows of a low frame."""
     if height < settings.edge_height:
         return rows
     margin = round(settings.edge_share * height)
@@ -170,7 +181,7 @@ def _off_edges(rows: slice, height: int, settings: VideoSettings) -> slice:
 def measure_strip(
     video: Video, rows: slice, *, columns: slice | None = None, settings: VideoSettings = DEFAULTS
 ) -> Strip:
-    """The given rows with their tilt and clarity, both NaN for fewer than four rows.
+    """Return the strip of the given rows with its tilt and clarity, both NaN for fewer than four rows.
 
     Raises
     ------
@@ -194,18 +205,18 @@ def _described(
     strip: Strip,
     settings: VideoSettings,
     *,
-    lean: float | None = None,
+    tilt: float | None = None,
 ) -> Strip:
-    """The strip with tilt, clarity, and warnings where ridges lean too far or positions depend on the rows.
+    """Return the strip with tilt, clarity, and warnings of strongly tilted ridges and unequal rows.
 
-    lean: shift from band to band, px, where more rows than the strip's tell it.
+    tilt: shift from band to band, px, if it is known from more rows than those of the strip.
     """
     bands = slopes.mean[:, first:last]
     clarity = _clarity(slopes, first, last)
     if clarity < settings.min_clarity:
         return Strip(strip.rows, strip.how, clarity=clarity)
     height = strip.rows.stop - strip.rows.start
-    per_band = lean_px(bands) if lean is None else lean
+    per_band = tilt_px(bands) if tilt is None else tilt
     per_row = per_band / slopes.band_rows
     smear, ridge = abs(per_row) * height, ridge_width_px(bands.mean(axis=1))
     tilt_deg = float(np.degrees(np.arctan(per_row)))
@@ -227,50 +238,52 @@ def _described(
 
 
 def _agreeing(
-    slopes: _Slopes, first: int, last: int, lean: float, settings: VideoSettings
+    slopes: _Slopes, first: int, last: int, tilt: float, settings: VideoSettings
 ) -> tuple[int, int]:
-    """The part of a run of bands in which the ridges stand at the same place, as far as that is worth it."""
+    """Return the part of a run of bands in which ridges agree in position, if that reduces the error."""
     bands = slopes.mean[:, first:last]
     width_px = ridge_width_px(bands.mean(axis=1))
     if not width_px > 0:
         return first, last
     ridges = max(1.0, 2 * settings.segment_px / (2.5 * width_px))
     begin, end = 0, last - first
-    for _ in range(2):  # rows that stand apart spoil the lean, too: once more with that of the rest
-        shifts = row_shifts(bands, lean, settings)
+    for _ in range(2):  # displaced rows also spoil the tilt: repeat with that of the other rows
+        shifts = row_shifts(bands, tilt, settings)
         if shifts is None:
             break
         begin, end = best_rows(shifts, ridges, settings)
         if (begin, end) == (0, last - first):
             break
-        lean = lean_px(bands[:, begin:end])
+        tilt = tilt_px(bands[:, begin:end])
     return first + begin, first + end
 
 
-def _beside_labels(slopes: _Slopes, first: int, last: int, settings: VideoSettings) -> tuple[int, int]:
-    """The longest part of a run of bands in which nothing is written over the picture; all of it where that
-    is short. What is written is far steeper than ridges, in a few bands and in several segments along x."""
+def _without_text(slopes: _Slopes, first: int, last: int, settings: VideoSettings) -> tuple[int, int]:
+    """Return the longest part of a run of bands without text over the picture, or the run if that is short.
+
+    Text is far steeper than ridges, in a few bands and in several segments along x.
+    """
     bands = slopes.mean[:, first:last]
     starts = _segment_starts(bands.shape[-1], settings)
     usual = np.median(bands, axis=1, keepdims=True)
     ridges = np.median(np.add.reduceat(usual[:, 0] ** 2, starts, axis=-1), axis=0)
-    strange = np.median(np.add.reduceat((bands - usual) ** 2, starts, axis=-1), axis=0)
+    unusual = np.median(np.add.reduceat((bands - usual) ** 2, starts, axis=-1), axis=0)
     power = np.quantile(ridges[_shows_ridges(slopes, starts, settings)], settings.segment_cap)
-    segments = (strange - np.median(strange, axis=0) > settings.label_power * power).sum(axis=1)
-    written = (segments >= 2) & (segments <= starts.size / 2)
-    written[1:] |= written[:-1]  # letters end within a band
-    written[:-1] |= written[1:]
-    ends = np.concatenate([[-1], np.flatnonzero(written), [last - first]])
+    segments = (unusual - np.median(unusual, axis=0) > settings.label_power * power).sum(axis=1)
+    text = (segments >= 2) & (segments <= starts.size / 2)
+    text[1:] |= text[:-1]  # text may end within the next band
+    text[:-1] |= text[1:]
+    ends = np.concatenate([[-1], np.flatnonzero(text), [last - first]])
     longest = int(np.argmax(np.diff(ends)))
     begin, end = int(ends[longest]) + 1, int(ends[longest + 1])
-    kept = end - begin >= settings.label_least_rows * (last - first)
-    return (first + begin, first + end) if kept else (first, last)
+    enough = end - begin >= settings.label_least_rows * (last - first)
+    return (first + begin, first + end) if enough else (first, last)
 
 
 def _measure_slopes(
     video: Video, rows: slice, columns: slice, band_rows: int, settings: VideoSettings
 ) -> _Slopes:
-    """Slopes of the bands in sampled frames; in the first frames of a file that cannot be sampled."""
+    """Measure the slopes of the bands in sampled frames, or in the first ones if a file cannot be sampled."""
     count = settings.sample_frames
     frames = list(video.sample(count)) or list(itertools.islice(video.frames(), count))
     if not frames:
@@ -287,29 +300,31 @@ def _measure_slopes(
 
 
 def _steps(pixels: Floats32) -> Floats:
-    """Mean square steps from pixel to pixel of every second row and column along z and along x, (2, row):
-    over 2 px, since interlaced rows of both fields stand apart where sheets move."""
+    """Return mean square steps along z and along x between pixels of every second row and column, (2, row).
+
+    Steps over 2 px avoid the comb effect of interlaced fields, whose rows differ where sheets move.
+    """
     along_z, along_x = np.diff(pixels, axis=0, append=pixels[-1:]), np.diff(pixels, axis=1)
     return np.stack([np.einsum("zx,zx->z", steps, steps) / steps.shape[1] for steps in (along_z, along_x)])
 
 
 def _odd_even(frame: Pixels, band_rows: int) -> Floats32:
-    """Means of each band's odd and even rows, (2, band, x); rows that fill no band are left out."""
+    """Return means of each band's odd and even rows, (2, band, x), without rows that do not fill a band."""
     bands = frame.shape[0] // band_rows
     pixels = _known(frame[: bands * band_rows]).reshape(bands, band_rows, -1)
     return np.stack([pixels[:, 0::2].mean(axis=1), pixels[:, 1::2].mean(axis=1)])
 
 
 def _known(frame: Pixels) -> Floats32:
-    """Grey levels in single precision, 0 where there is none."""
+    """Return grey levels in single precision, 0 where unknown."""
     pixels = np.asarray(frame, np.float32)
-    if frame.dtype.kind == "f":  # NaN would hide all other pixels; single precision cannot square 1e20
+    if frame.dtype.kind == "f":  # NaN would spoil the means; single precision cannot square 1e20
         pixels = np.where(np.abs(pixels) < 1e15, pixels, np.float32(0))
     return pixels
 
 
 def _slope(bands: Floats32, sigma_px: float) -> Floats32:
-    """Derivative along x of means (2, band, x), Gaussian-smoothed; the outermost pixels are repeated."""
+    """Return the Gaussian-smoothed derivative along x of means (2, band, x), with edge pixels repeated."""
     reach = int(4 * sigma_px + 0.5)
     offsets = np.arange(1, reach + 1, dtype=np.float64)
     gaussian = np.exp(-(offsets**2) / (2 * sigma_px**2))
@@ -317,7 +332,7 @@ def _slope(bands: Floats32, sigma_px: float) -> Floats32:
     width = bands.shape[-1]
     padded = np.pad(bands.astype(np.float64), ((0, 0), (0, 0), (reach, reach)), mode="edge")
     slope, step = np.zeros(bands.shape), np.empty(bands.shape)
-    for k in range(reach, 0, -1):  # differences, so that what is constant has no slope at all
+    for k in range(reach, 0, -1):  # differences, so that a constant has exactly no slope
         right, left = padded[..., reach + k : reach + k + width], padded[..., reach - k : reach - k + width]
         np.subtract(right, left, out=step)
         step *= weights[k - 1]
@@ -326,7 +341,7 @@ def _slope(bands: Floats32, sigma_px: float) -> Floats32:
 
 
 def _best_run(slopes: _Slopes, settings: VideoSettings) -> tuple[int, int] | None:
-    """Half-open run of bands with the highest score; None where none is above zero."""
+    """Return the half-open run of bands with the highest score; None if no score is above zero."""
     bands, width = slopes.mean.shape[1:]
     starts = _segment_starts(width, settings)
     sums = np.concatenate([np.zeros_like(slopes.mean[:, :1]), np.cumsum(slopes.mean, axis=1)], axis=1)
@@ -336,7 +351,7 @@ def _best_run(slopes: _Slopes, settings: VideoSettings) -> tuple[int, int] | Non
     best, score = None, 0.0
     if not with_ridges.any():
         return None
-    for first in range(bands):  # over starting bands, not frames; every end at once
+    for first in range(bands):  # all ends at once
         count = np.arange(1, bands - first + 1)[:, np.newaxis]
         total = ((sums[:, first + 1 :] - sums[:, first : first + 1]) ** 2).sum(axis=0)
         power = np.add.reduceat(total, starts, axis=-1) - (noise_sums[first + 1 :] - noise_sums[first])
@@ -350,9 +365,11 @@ def _best_run(slopes: _Slopes, settings: VideoSettings) -> tuple[int, int] | Non
     return best
 
 
-def _rather_moving(slopes: _Slopes, best: tuple[int, int], settings: VideoSettings) -> tuple[int, int]:
-    """The best run above or below this one if it moves and this one stands still, as a ruler does; else this
-    one. What moves in few segments (the time of day) is no comb."""
+def _prefer_moving(slopes: _Slopes, best: tuple[int, int], settings: VideoSettings) -> tuple[int, int]:
+    """Return the best run above or below this one if it moves and this one is stationary, like a ruler.
+
+    A run with ridges in far fewer segments along x, such as text that changes, is no comb.
+    """
     bands = slopes.mean.shape[1]
     starts = _segment_starts(slopes.mean.shape[-1], settings)
     own, wide = _change(slopes, *best), _shows_ridges(slopes.part(*best), starts, settings).sum()
@@ -368,7 +385,7 @@ def _rather_moving(slopes: _Slopes, best: tuple[int, int], settings: VideoSettin
 
 
 def _change(slopes: _Slopes, first: int, last: int) -> float:
-    """Power of what differs between the frames beyond noise, over that of the slope; brightness aside."""
+    """Return the power of changes between frames over that of the slope, without noise and brightness."""
     mean, noise = (part[:, first:last].mean(axis=1) for part in (slopes.mean, slopes.difference))
     size = np.linalg.norm(mean, axis=1, keepdims=True)
     mean, noise = (part / np.maximum(size, 1e-9) for part in (mean, noise))
@@ -380,44 +397,44 @@ def _segment_starts(width: int, settings: VideoSettings) -> Ints:
 
 
 def _shows_ridges(slopes: _Slopes, starts: Ints, settings: VideoSettings) -> Bools:
-    """Which segments show ridges in many rows."""
+    """Return which segments show ridges in many rows."""
     power = np.add.reduceat((slopes.mean**2 - slopes.difference**2).sum(axis=0), starts, axis=-1)
     usual = np.quantile(power, settings.ridge_rows, axis=0)
     return np.asarray(usual >= settings.ridge_share * np.sort(usual)[-min(3, usual.size)], bool)
 
 
 def _clarity(slopes: _Slopes, first: int, last: int) -> float:
-    """Correlation of the odd and even rows' mean slopes; 0 where there is no slope at all."""
+    """Return the correlation of the mean slopes of odd and even rows; 0 without any slope."""
     signal = float((slopes.mean[:, first:last].mean(axis=1) ** 2).sum())
     noise = float((slopes.difference[:, first:last].mean(axis=1) ** 2).sum())
     return max(0.0, (signal - noise) / (signal + noise)) if signal > 0 else 0.0
 
 
-def lean_px(bands: NDArray[np.floating]) -> float:
-    """Shift along x from one band to the next, px, positive to the right downwards.
+def tilt_px(bands: NDArray[np.floating]) -> float:
+    """Return the shift of the ridges along x from one band to the next, px, positive to the right downwards.
 
-    The median over segments along x, so that a label or ridges bowed apart do not count as a lean. In each,
-    bands (frame, band, x) are shifted in proportion to their place until their sum is strongest. Of several
-    maxima, a pitch apart, the one nearest to upright is taken. Leans beyond 12 px over the stack are not
-    found. 0 for a single band.
+    It is the median over segments along x, so that labels and ridges bowed apart do not count as tilt. In
+    each segment, bands (frame, band, x) are shifted in proportion to their height until their sum is
+    strongest. Of several maxima, a pitch apart, the smallest tilt is used. Tilts beyond 12 px from the first
+    band to the last are not found. 0 for a single band.
     """
     count, width = bands.shape[1:]
     if count < 2:
         return 0.0
     parts = np.array_split(bands, max(1, width // 256), axis=-1)  # each wider than the widest pitch
-    return float(np.median([_lean_of_stack(part) for part in parts]) / (count - 1))
+    return float(np.median([_tilt_of_segment(part) for part in parts]) / (count - 1))
 
 
-def _lean_of_stack(bands: NDArray[np.floating]) -> float:
-    """Lean from the first band to the last: the best trial, refined by a parabola through its neighbours."""
-    frequency, place = np.fft.rfftfreq(bands.shape[-1]), np.linspace(-0.5, 0.5, bands.shape[1])
+def _tilt_of_segment(bands: NDArray[np.floating]) -> float:
+    """Return the shift from the first band to the last: the best trial, refined by a parabola."""
+    frequency, height = np.fft.rfftfreq(bands.shape[-1]), np.linspace(-0.5, 0.5, bands.shape[1])
     step = 0.5
     trials = np.arange(-12, 12 + step / 2, step)
-    turn = 2j * np.pi * np.outer(place, frequency)
+    turn = 2j * np.pi * np.outer(height, frequency)
     moved = np.fft.rfft(bands - bands.mean(axis=-1, keepdims=True), axis=-1) * np.exp(trials[0] * turn)
     one_step = np.exp(step * turn)
     power = np.empty(trials.size)
-    for trial in range(trials.size):  # each moves the bands back by one step more
+    for trial in range(trials.size):  # each moves the bands back by one more step
         power[trial] = (np.abs(moved.sum(axis=1)) ** 2).sum()
         moved *= one_step
     inner = power[1:-1]
@@ -430,11 +447,11 @@ def _lean_of_stack(bands: NDArray[np.floating]) -> float:
 
 
 def ridge_width_px(slopes: NDArray[np.floating]) -> float:
-    """Full width of a typical ridge at half height, px, from slopes along x (frame, x); NaN for none.
+    """Return the full width of a typical ridge at half height, px, from slopes along x (frame, x).
 
-    A ridge's slope changes sign at its top: the slope's autocorrelation has its first minimum where one
-    flank meets the other, for a Gaussian at sqrt(6)/2.355 = 1.04 of the width; the smoothing of the slopes
-    is included.
+    The slope of a ridge changes sign at its top, so that its autocorrelation has the first minimum where one
+    flank meets the other, for a Gaussian at sqrt(6)/2.355 = 1.04 of the width. The width includes the
+    smoothing of the slopes. NaN if there is no minimum.
     """
     power = np.abs(np.fft.rfft(slopes, n=2 * slopes.shape[-1], axis=-1)) ** 2
     correlation = np.fft.irfft(power.sum(axis=0))[: slopes.shape[-1] // 2]

@@ -1,4 +1,4 @@
-"""Whether the rows of a strip agree on where the ridges are: bows, shadows and edges do not."""
+"""Agreement of the rows of a strip on the positions of the ridges, which bows, shadows and edges spoil."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from vision.video.settings import VideoSettings
 
 @dataclass(frozen=True)
 class RowShifts:
-    """Where each band of rows sees the ridges, against the bands in the middle.
+    """Displacement of the ridges in each band of rows against the bands in the middle.
 
     Parameters
     ----------
     shift_px
-        Displacement along x beyond the common lean and the segment's own lean (band, segment).
+        Displacement along x without the common tilt and the tilt of the segment (band, segment).
     strength
-        Of the ridges in each band, 1 in the middle (band,).
+        Strength of the ridges in each band, 1 in the middle (band,).
     noise_px
         Standard deviation of one band's displacement in one segment and frame, at strength 1.
     frames
@@ -36,7 +36,7 @@ class RowShifts:
 
 
 class StripErrors(NamedTuple):
-    """What positions depend on the choice of rows, px, beyond lean and noise; 0 where nothing shows.
+    """Dependence of positions on the choice of rows, px, without tilt and noise; 0 if not significant.
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ class StripErrors(NamedTuple):
     bow_px
         The same from the outer and the inner half.
     error_px
-        RMS displacement of the mean if a tenth of the rows were left out at both ends: what a choice of rows
-        that is as good would change. It does not vary with time, so it counts among the systematic errors.
+        RMS displacement of the mean if a tenth of the rows were left out at both ends, which is an equally
+        good choice. It does not vary with time, so it is a systematic error.
     """
 
     halves_px: float
@@ -57,15 +57,15 @@ class StripErrors(NamedTuple):
 NO_ERRORS = StripErrors(0.0, 0.0, 0.0)
 
 
-def row_shifts(bands: NDArray[np.floating], lean: float, settings: VideoSettings) -> RowShifts | None:
-    r"""Displacement of the ridges in each band of rows against the mean of the middle half.
+def row_shifts(bands: NDArray[np.floating], tilt: float, settings: VideoSettings) -> RowShifts | None:
+    r"""Measure the displacement of the ridges in each band of rows against the mean of the middle half.
 
     Parameters
     ----------
     bands
         Slopes along x (frame, band, x).
-    lean
-        Shift along x from one band to the next, px, which is taken off.
+    tilt
+        Shift along x from one band to the next, px, which is subtracted.
     settings
         See `VideoSettings`.
 
@@ -86,9 +86,9 @@ def row_shifts(bands: NDArray[np.floating], lean: float, settings: VideoSettings
     frames, count, width = bands.shape
     if count < settings.least_bands:
         return None
-    place = np.arange(count) - (count - 1) / 2
+    height = np.arange(count) - (count - 1) / 2
     spectrum = np.fft.rfft(bands, axis=-1)
-    back = np.exp(2j * np.pi * np.outer(lean * place, np.fft.rfftfreq(width)))
+    back = np.exp(2j * np.pi * np.outer(tilt * height, np.fft.rfftfreq(width)))
     upright = np.fft.irfft(spectrum * back, n=width, axis=-1)
     middle = slice(count // 4, count - count // 4)
     mean = upright[:, middle].mean(axis=1)
@@ -111,11 +111,11 @@ def row_shifts(bands: NDArray[np.floating], lean: float, settings: VideoSettings
 
 
 def _upright(shift: Floats, middle: slice) -> Floats:
-    """Displacements (band, segment) less each segment's straight line through the bands in the middle."""
-    place = np.arange(len(shift)) - (len(shift) - 1) / 2
-    inner = place[middle]
+    """Subtract from displacements (band, segment) each segment's straight line through the middle bands."""
+    height = np.arange(len(shift)) - (len(shift) - 1) / 2
+    inner = height[middle]
     slope = (inner @ shift[middle]) / (inner @ inner)
-    return np.asarray(shift - shift[middle].mean(axis=0) - place[:, None] * slope, np.float64)
+    return np.asarray(shift - shift[middle].mean(axis=0) - height[:, None] * slope, np.float64)
 
 
 def _segments(width: int, settings: VideoSettings) -> Ints:
@@ -128,17 +128,17 @@ def _sums(values: NDArray[np.floating], starts: Ints) -> Floats:
 
 
 def best_rows(shifts: RowShifts, ridges_in_segment: float, settings: VideoSettings) -> tuple[int, int]:
-    r"""Half-open run of bands whose mean gives positions with the smallest error, noise and bias together.
+    r"""Return the half-open run of bands whose mean has the smallest error, noise and bias together.
 
-    Ridges that are bowed as a whole are no reason to leave rows out: their mean position is well defined.
-    What departs from a smooth bow is: the rows of a shadow, a clamp, a damaged edge.
+    Rows of ridges with a smooth bow are retained: their mean position is well defined. Rows that depart from
+    a smooth bow (a shadow, a clamp, a damaged edge) may be left out.
 
     Parameters
     ----------
     shifts
         From `row_shifts`.
     ridges_in_segment
-        About how many ridges share a segment: one ridge is that much noisier.
+        Approximate number of ridges in a segment: the variance of a single ridge is larger by this factor.
     settings
         See `VideoSettings`.
 
@@ -151,8 +151,8 @@ def best_rows(shifts: RowShifts, ridges_in_segment: float, settings: VideoSettin
         E^2 = \frac{k\, n\, \sigma^2}{(\sum_b a_b)^2}
             + \left\langle \left(\frac{\sum_b a_b d_{bs}}{\sum_b a_b}\right)^2 \right\rangle_s
 
-    less what the noise of d itself adds to the second term. The whole run is kept unless another one's
-    :math:`E` is clearly smaller, and its bias larger than `settings.least_bias_px` and than the noise.
+    less what the noise of d adds to the second term. The whole run is retained unless another run has a
+    clearly smaller :math:`E`, and the whole run's bias exceeds `settings.least_bias_px` and the noise.
     """
     a, d = shifts.strength, _beside_parabola(shifts)
     count = len(a)
@@ -175,22 +175,22 @@ def best_rows(shifts: RowShifts, ridges_in_segment: float, settings: VideoSettin
 
 
 def _beside_parabola(shifts: RowShifts) -> Floats:
-    """Displacements (band, segment) from each segment's parabola, fitted without what lies far from it."""
-    place = np.linspace(-1, 1, len(shifts.strength))
-    basis = np.stack([np.ones_like(place), place, place**2], axis=1)
-    apart = np.empty_like(shifts.shift_px)
+    """Return displacements (band, segment) from each segment's parabola, fitted without outliers."""
+    height = np.linspace(-1, 1, len(shifts.strength))
+    basis = np.stack([np.ones_like(height), height, height**2], axis=1)
+    residual = np.empty_like(shifts.shift_px)
     for segment, d in enumerate(shifts.shift_px.T):
-        weight = (np.abs(place) <= 0.6).astype(np.float64)  # the ends pull hardest, and are oftenest odd
+        weight = (np.abs(height) <= 0.6).astype(np.float64)  # the ends have most leverage and most outliers
         for _ in range(10):
             fit = np.linalg.lstsq(basis * weight[:, None], d * weight, rcond=None)[0]
-            apart[:, segment] = off = d - basis @ fit
+            residual[:, segment] = off = d - basis @ fit
             usual = max(float(np.median(np.abs(off))) / NORMAL_MEDIAN, 1e-9)
             weight = np.clip(1 - (off / (4 * usual)) ** 2, 0.0, None)  # Tukey's biweight
-    return apart
+    return residual
 
 
 def strip_errors(shifts: RowShifts | None, settings: VideoSettings) -> StripErrors:
-    """How much positions depend on which half of the rows is averaged; zeros where it is within the noise."""
+    """Return how much positions depend on the choice of rows; 0 where this is within the noise."""
     if shifts is None:
         return NO_ERRORS
     count = len(shifts.strength)
@@ -204,8 +204,10 @@ def strip_errors(shifts: RowShifts | None, settings: VideoSettings) -> StripErro
 
 
 def _beyond_noise(shifts: RowShifts, part: NDArray[np.bool_], settings: VideoSettings) -> float:
-    """RMS over the segments of the difference between two parts of the bands, less the noise; the tenth of
-    the segments that differ most, a label or a mark, left out."""
+    """Return the RMS difference over the segments between two parts of the bands, without noise.
+
+    The tenth of the segments that differ most (a label, a mark) is left out.
+    """
     weights = np.where(part, shifts.strength, 0.0), np.where(part, 0.0, shifts.strength)
     if min(weight.sum() for weight in weights) <= 0:
         return 0.0

@@ -1,8 +1,8 @@
-"""Threads that read and decode, none of which is waited for where a disk does not answer.
+"""Threads that read and decode, and that are abandoned if a disk does not answer.
 
-A read of a disk or a network that does not answer never returns, and nothing can end it. So whatever touches
-a recording does it in a thread that may be left behind: these do not keep the process from ending, as those
-of `concurrent.futures` do.
+A read from a disk or a network that does not answer never returns and cannot be cancelled. All access to a
+recording is therefore made in threads that can be abandoned: unlike those of `concurrent.futures` they do not
+keep the process from ending.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ LEAVE_S = 0.5  # longest wait for a thread that is no longer needed: Ctrl-C ends
 
 
 def answered(work: Callable[[], Result], path: Path, answer_s: float = DEFAULTS.answer_s) -> Result:
-    """What `work` returns, which reads a recording.
+    """Return the result of `work`, which reads a recording.
 
     Raises
     ------
     InputError
-        As for `prefetch`; and what `work` raises.
+        As `prefetch`, and as `work` itself.
     """
     return begun(work, path, answer_s)()
 
@@ -44,7 +44,7 @@ def answered(work: Callable[[], Result], path: Path, answer_s: float = DEFAULTS.
 def begun(
     work: Callable[[], Result], path: Path, answer_s: float = DEFAULTS.answer_s
 ) -> Callable[[], Result]:
-    """`answered`, but begun at once: what is returned waits for the result."""
+    """Start `work` at once, and return a function that waits for its result as `answered` does."""
     ready: Made[Result] = queue.Queue()
     task = (work() for _ in range(1))
     threading.Thread(target=_make_ahead, args=(task, ready, threading.Event()), daemon=True).start()
@@ -53,7 +53,7 @@ def begun(
         entry = _awaited(ready, path, answer_s)
         if isinstance(entry, Exception):
             raise entry
-        assert entry is not None  # the end comes after the one result
+        assert entry is not None  # the end follows the only result
         return entry[0]
 
     return result
@@ -62,25 +62,25 @@ def begun(
 def prefetch(
     items: Iterator[Item], path: Path, answer_s: float = DEFAULTS.answer_s
 ) -> Generator[Item, None, None]:
-    """The same items in the same order, up to two of them made ahead in one thread.
+    """Yield the same items in the same order, up to two of them made ahead in one thread.
 
     Decoders release the interpreter lock, so decoding and reducing share two cores. An exception raised by
-    `items` is raised here, at its place in the order. Abandoning the iterator stops the thread, or leaves it
-    behind where it is busy or blocked.
+    `items` is raised here, in its turn. Abandoning the iterator stops the thread, or abandons it if
+    it is busy or blocked.
 
     Parameters
     ----------
     items
         Blocks or frames of a recording.
     path
-        Of the recording, for the message.
+        Path of the recording, for the message.
     answer_s
         See `VideoSettings.answer_s`.
 
     Raises
     ------
     InputError
-        Where nothing comes and nothing is computed for `answer_s`.
+        If there is no item and no computation for `answer_s`.
     """
     ready: Made[Item] = queue.Queue(maxsize=2)
     abandoned = threading.Event()
@@ -97,7 +97,7 @@ def prefetch(
 
 
 def _make_ahead(items: Iterator[Item], ready: Made[Item], abandoned: threading.Event) -> None:
-    """Put every item into the queue, each in a tuple; last None, or the exception that ended them."""
+    """Put each item into the queue in a tuple, and finally None or the exception that ended them."""
 
     def hand_over(entry: tuple[Item] | Exception | None) -> None:
         while not abandoned.is_set():
@@ -111,7 +111,7 @@ def _make_ahead(items: Iterator[Item], ready: Made[Item], abandoned: threading.E
             if abandoned.is_set():
                 break
         hand_over(None)
-    except Exception as error:  # whatever it is, the thread that reads is where it is handled
+    except Exception as error:  # any exception is handled in the consuming thread
         hand_over(error)
     finally:
         close = getattr(items, "close", None)
@@ -120,7 +120,7 @@ def _make_ahead(items: Iterator[Item], ready: Made[Item], abandoned: threading.E
 
 
 def _awaited(ready: Made[Item], path: Path, answer_s: float) -> tuple[Item] | Exception | None:
-    """The next entry; InputError where none comes, and this process computes nothing meanwhile."""
+    """Return the next entry; InputError if there is none while this process computes nothing."""
     while True:
         computed_s = time.process_time()
         with contextlib.suppress(queue.Empty):
@@ -132,16 +132,16 @@ def _awaited(ready: Made[Item], path: Path, answer_s: float) -> tuple[Item] | Ex
 
 
 def usable_cores() -> int:
-    """Cores that this process may use: on a cluster those of its job, not all of the machine."""
+    """Return the number of cores that this process may use, on a cluster those of its job."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def in_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """`work` of each item in order, on all cores.
+    """Yield the result of `work` for each item in order, on all cores.
 
-    `HELD` items are drawn, then worked on, then the next are drawn: both may read the same file.
+    `HELD` items are drawn and worked on before the next are drawn, since both may read the same file.
     """
     todo: Todo[Result, Item] = queue.SimpleQueue()
     workers = [threading.Thread(target=_serve, args=(work, todo), daemon=True) for _ in range(usable_cores())]
@@ -165,11 +165,11 @@ def in_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterato
 
 
 def _serve(work: Callable[[Item], Result], todo: Todo[Result, Item]) -> None:
-    """Do what is put into the queue, up to None."""
+    """Do the work in the queue, until None."""
     while (task := todo.get()) is not None:
         future, item = task
         if future.set_running_or_notify_cancel():
             try:
                 future.set_result(work(item))
-            except Exception as error:  # raised where the result is asked for
+            except Exception as error:  # raised where the result is requested
                 future.set_exception(error)

@@ -44,24 +44,24 @@ _GREY_BITS = {
 
 @dataclass(frozen=True, kw_only=True)
 class MappedReader:
-    """A `Reader` of frames that lie uncompressed in a file; only the wanted rows are read.
+    """A `Reader` of frames stored uncompressed in a file; only the wanted rows are read.
 
-    They are read rather than mapped: a mapped file that becomes shorter kills the process.
+    The file is not mapped into memory: a mapped file that becomes shorter kills the process.
 
     Parameters
     ----------
     path, facts
-        The file, and what its headers say.
+        The file, and the facts from its headers.
     offsets
-        Byte at which every frame's first stored row begins, -1 for a frame the camera lost.
+        Byte at which the first stored row of each frame begins, -1 for a frame that the camera lost.
     row_bytes
         From one stored row to the next.
     dtype, channels
         Type of one channel; 1, or 3 or 4 for colour.
     blue_first, bottom_up
-        Colour is BGR; the lowest row is stored first.
+        Whether colour is BGR; whether the lowest row is stored first.
     grey_levels
-        Value of every stored 8-bit index (a palette); None where values are what they mean.
+        Grey value of each stored 8-bit index of a palette; None without a palette.
     """
 
     path: Path
@@ -75,7 +75,7 @@ class MappedReader:
     grey_levels: NDArray[np.uint8] | None = None
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
-        """Runs of equally spaced frames, each block one strided view of the file."""
+        """Yield runs of equally spaced frames, each block as one strided view."""
         end = self.offsets.size if stop is None else min(stop, self.offsets.size)
         shape = (rows.stop - rows.start, columns.stop - columns.start)
         size = frames_per_block(*shape, self.dtype.itemsize * self.channels)
@@ -84,7 +84,7 @@ class MappedReader:
                 yield self._block(at, min(at + size, last), rows, columns)
 
     def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
-        """Exactly these frames, whole; those the file does not hold are left out."""
+        """Yield exactly these frames, whole, without those that the file does not contain."""
         height, width = self.facts.shape
         for n in numbers:
             if n < self.offsets.size and self.offsets[n] >= 0:
@@ -98,17 +98,17 @@ class MappedReader:
         return Block(self._grey(self._stored(first, last, rows)[:, :, columns]), first, repeated("ok", count))
 
     def _stored(self, first: int, last: int, rows: slice) -> Pixels:
-        """Frames first..last cut to rows, (k, rows, columns) or with channels last, top row first.
+        """Return frames first..last cut to rows, (k, rows, columns) or with channels last, top row first.
 
         Raises
         ------
         InputError
-            Where the file has become shorter.
+            If the file has become shorter.
         """
         height, width = self.facts.shape
         top, stop = (height - rows.stop, height - rows.start) if self.bottom_up else (rows.start, rows.stop)
         pixel = self.dtype.itemsize * self.channels
-        length = (stop - top - 1) * self.row_bytes + width * pixel  # a file may end with the last pixel
+        length = (stop - top - 1) * self.row_bytes + width * pixel  # the file may end with the last pixel
         raw = np.empty((last - first, (stop - top) * self.row_bytes), np.uint8)
         with self.path.open("rb", buffering=0) as file:
             for place, frame in zip(self.offsets[first:last].tolist(), raw, strict=True):
@@ -144,16 +144,16 @@ def read_fully(file: BinaryIO, buffer: memoryview, path: Path) -> None:
     Parameters
     ----------
     file
-        An unbuffered file at its place.
+        An unbuffered file, at the position to read from.
     buffer
-        Bytes to be filled.
+        Buffer to be filled.
     path
-        For the message.
+        Path for the message.
 
     Raises
     ------
     InputError
-        Where the file ends before.
+        If the file ends before.
     """
     done = 0
     while done < len(buffer):
@@ -167,12 +167,12 @@ def read_fully(file: BinaryIO, buffer: memoryview, path: Path) -> None:
 
 
 def repeated(status: Status, count: int) -> tuple[Status, ...]:
-    """The same status for so many frames."""
+    """Return the same status for `count` frames."""
     return (status,) * count
 
 
 def _even_runs(offsets: Ints, start: int, stop: int) -> Iterator[tuple[int, int]]:
-    """Half-open ranges within which frames are equally spaced and forward, or all lost."""
+    """Yield half-open ranges in which frames are equally spaced and ascending, or all lost."""
     while start < stop:
         steps = np.diff(offsets[start:stop])
         lost = offsets[start] < 0
@@ -186,7 +186,7 @@ def _even_runs(offsets: Ints, start: int, stop: int) -> Iterator[tuple[int, int]
 
 @dataclass(frozen=True, kw_only=True)
 class AviLayout:
-    """What an AVI file says of its first video stream, and where the frames lie, from its chunks alone.
+    """Header of an AVI file's first video stream and positions of its frames, from its chunks alone.
 
     Parameters
     ----------
@@ -197,9 +197,9 @@ class AviLayout:
     palette
         (entries, 4): blue, green, red, 0.
     declared_frames, fps
-        By the header; None where it does not say.
+        Values of the header; None if it does not state them.
     offsets, sizes
-        Place and length of every whole frame; length 0 is a frame the camera dropped.
+        Position and length of each whole frame; length 0 is a frame that the camera dropped.
     cut_short
         Whether the file ends inside a frame.
 
@@ -222,19 +222,19 @@ class AviLayout:
 
     @property
     def is_uncompressed(self) -> bool:
-        """Whether `open_raw_avi` reads or refuses the frames; other codecs are for a decoder."""
+        """Whether frames are uncompressed, so that `open_raw_avi` reads or refuses them without a decoder."""
         return self.fourcc in _PLAIN or self.fourcc in _GREY_BITS
 
 
 def is_avi(head: bytes) -> bool:
-    """Whether a file that begins with these 12 bytes is an AVI."""
+    """Return whether a file that begins with these 12 bytes is an AVI."""
     return head[:4] == b"RIFF" and head[8:12] == b"AVI "
 
 
 def read_avi_layout(path: Path) -> AviLayout:
     """Walk through the chunks, OpenDML segments included; index and list sizes are not trusted.
 
-    Files without index, with a broken one, over 1 GiB or cut short so give every whole frame they hold.
+    Every whole frame is found in files without an index, with a broken one, over 1 GiB or cut short.
 
     Raises
     ------
@@ -288,14 +288,14 @@ class _Header:
 
 
 def _walk(file: BinaryIO, size: int, path: Path) -> tuple[_Header, list[tuple[int, int]], bool]:
-    """Chunk by chunk to the end of the file: header, frames (place, length), whether the last is cut."""
+    """Read all chunks, and return header, frames (position, length) and whether the last frame is cut."""
     header, at = _Header(), 0
     frames: list[tuple[int, int]] = []
     while at + 8 <= size:
         file.seek(at)
         head = file.read(12)
         name, length = struct.unpack_from("<4sI", head)
-        if name in (b"RIFF", b"LIST") and head[8:12] not in (b"INFO", b"odml"):  # what they hold comes next
+        if name in (b"RIFF", b"LIST") and head[8:12] not in (b"INFO", b"odml"):  # its contents come next
             at += 12
             continue
         if name[2:] in (b"db", b"dc") and name[:2] == b"%02d" % header.video:
@@ -305,7 +305,7 @@ def _walk(file: BinaryIO, size: int, path: Path) -> tuple[_Header, list[tuple[in
         elif name[2:] == b"pc":
             advice = "export the video as grey"
             raise InputError(path, "one palette for all frames", "a palette change", advice)
-        elif not name.isascii() or name == bytes(4):  # space a camera reserved and never filled
+        elif not name.isascii() or name == bytes(4):  # space that a camera reserved and never filled
             break
         elif name in (b"strh", b"strf", b"LIST"):
             file.seek(at + 8)
@@ -315,7 +315,7 @@ def _walk(file: BinaryIO, size: int, path: Path) -> tuple[_Header, list[tuple[in
 
 
 def open_raw_avi(path: Path, layout: AviLayout) -> MappedReader:
-    """A reader of uncompressed frames.
+    """Return a reader of uncompressed frames.
 
     Plain bitmaps are bottom-up unless their height is negative, fourcc greys are top-down; rows may be
     padded to 4 bytes. Palette colours and BGR become grey by `LUMA_RULE`. More than 8 bits are 10 to 16
@@ -374,7 +374,7 @@ def open_raw_avi(path: Path, layout: AviLayout) -> MappedReader:
 
 
 def _pixel_format(path: Path, layout: AviLayout) -> tuple[int, int, str]:
-    """Significant bits and number of channels of a pixel, and its name."""
+    """Return significant bits, number of channels and name of the pixel format."""
     if layout.fourcc in _GREY_BITS:
         bits = _GREY_BITS[layout.fourcc]
         return bits, 1, f"grey {bits} bit"
@@ -386,7 +386,7 @@ def _pixel_format(path: Path, layout: AviLayout) -> tuple[int, int, str]:
 
 
 def _grey_levels(layout: AviLayout) -> NDArray[np.uint8] | None:
-    """Grey of each palette entry; None where the palette is the plain grey ramp or absent."""
+    """Return the grey value of each palette entry; None for the plain grey ramp or no palette."""
     if not layout.palette.size:
         return None
     levels = np.zeros(256, np.uint8)

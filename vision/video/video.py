@@ -1,4 +1,4 @@
-"""open_video() and Video: a file turned, cut to a range of frames, on the chosen clock."""
+"""open_video() and Video: a film with its rotation, range of frames and clock."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _TIME_NAME = re.compile(r"time|stamp|zeit|temps", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class FrameClock:
-    """Where frame times come from.
+    """Source of the frame times.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class FrameClock:
         "file" (time stamps or rate of the recording itself), "given" (`fps` or `timestamps`) or "playback" (a
         container's rate, which need not be the camera's).
     fps
-        Frames per second; None where not known.
+        Frames per second; None if unknown.
     """
 
     kind: Literal["file", "given", "playback"]
@@ -47,26 +47,26 @@ class FrameClock:
 
 @dataclass(repr=False, frozen=True, kw_only=True)
 class Video:
-    """A recording, opened by `open_video`: facts at once, pixels in one sequential pass.
+    """A recording, opened by `open_video`: facts are known at once, pixels are read in one sequential pass.
 
-    Nothing here loads the whole file.
+    The whole file is never loaded.
 
     Parameters
     ----------
     path, reader
         The file, and the code for its format.
     rotate
-        Degrees clockwise by which frames are turned beyond what the file asks for, a multiple of 90.
+        Degrees clockwise, a multiple of 90, by which frames are turned after the file's own rotation.
     first, stop
-        Frame numbers kept, half-open; stop None is the end.
+        Range of frame numbers, half-open; stop None is the end.
     given_fps, given_times_s
-        The camera's clock as the user states it, which outranks the file's.
+        The camera's clock as given by the user, which takes precedence over the file's.
     warnings
-        What is wrong with the file as far as its headers tell.
+        Defects of the file that its headers show.
     stamp
         The file's size and time when it was opened.
     pixels
-        The file that holds the pixels, where it is another than `path`.
+        The file that holds the pixels, if it is not `path`.
     answer_s
         See `VideoSettings.answer_s`.
     """
@@ -103,7 +103,7 @@ class Video:
 
     @property
     def facts(self) -> Facts:
-        """What the file's headers say, before rotation and cuts."""
+        """Facts from the file's headers, before rotation and cuts."""
         return self.reader.facts
 
     @property
@@ -119,7 +119,7 @@ class Video:
 
     @property
     def turned_deg(self) -> int:
-        """Degrees clockwise by which stored pictures are turned: as the file asks for, then `rotate`."""
+        """Degrees clockwise by which stored pictures are turned: the file's own rotation, then `rotate`."""
         return (self.facts.turned_deg + self.rotate) % 360
 
     @property
@@ -134,7 +134,7 @@ class Video:
 
     @property
     def expected(self) -> int | None:
-        """Frames from `first` to before `stop` by the file's headers; None where they do not say."""
+        """Number of frames in the range according to the file's headers; None if they do not state it."""
         return self._kept(self.facts.declared_frames)
 
     @property
@@ -149,7 +149,7 @@ class Video:
 
     @property
     def duration_s(self) -> float | None:
-        """How long the file says it lasts by its own clock; None if it does not, or for a part of it."""
+        """Duration that the file states by its own clock; None without, or for a part of the file."""
         return self.facts.duration_s if self.stop is None and self.clock.kind == "file" else None
 
     @property
@@ -166,7 +166,7 @@ class Video:
         return FrameClock("file" if self.facts.times_in_blocks else "playback", self.facts.playback_fps)
 
     def times(self, frames: Ints) -> Floats:
-        """Seconds of each frame number; NaN where unknown."""
+        """Return the time of each frame number, s; NaN where unknown."""
         table = self.given_times_s
         if table is None and self.given_fps is None:
             table = self.facts.times_s
@@ -179,7 +179,7 @@ class Video:
         return out
 
     def blocks(self, rows: slice | None = None, columns: slice | None = None) -> Iterator[Block]:
-        """One sequential pass, cut after rotation.
+        """Read all frames in one sequential pass, cut after rotation.
 
         Raises
         ------
@@ -196,7 +196,7 @@ class Video:
             yield Block(self._turned(block.pixels), block.start, block.status, times_s)
 
     def _next(self, blocks: Iterator[Block]) -> Block | None:
-        """The next block; InputError for whatever a decoder raises, or a file that is another one now."""
+        """Return the next block; InputError for any error of a decoder, or if the file was replaced."""
         with reading(self.path, "a recording that can be read to its end"):
             block = next(blocks, None)
         watched = self.watched
@@ -217,7 +217,7 @@ class Video:
         return (f"{self.path.name}: the recording {change} while it was read: run again when it is complete",)
 
     def frames(self) -> Iterator[Pixels]:
-        """Every readable frame, whole."""
+        """Yield every readable frame, whole."""
         blocks = self.blocks()
         while (block := answered(lambda: next(blocks, None), self.path, self.answer_s)) is not None:
             for pixels, status in zip(block.pixels, block.status, strict=True):
@@ -225,7 +225,7 @@ class Video:
                     yield pixels
 
     def sample(self, count: int) -> Iterator[Pixels]:
-        """Up to `count` readable whole frames over the recording; its first ones if its length is unknown."""
+        """Yield up to `count` frames spread over the recording, or the first if its length is unknown."""
         last = self.facts.declared_frames or self.facts.estimated_frames or self.first + count
         last = last if self.stop is None else min(last, self.stop)
         spread = np.linspace(self.first, max(last - 1, self.first), count)
@@ -252,22 +252,22 @@ def open_video(
     timestamps: str | os.PathLike[str] | None = None,
     answer_s: float = DEFAULTS.answer_s,
 ) -> Video:
-    """A recording, ready to be read in one pass.
+    """Open a recording, to be read in one pass.
 
     Parameters
     ----------
     path
         A video file, a TIFF, a cine, a Photron .mraw or .cih, a folder or a glob of numbered images.
     rotate
-        Degrees clockwise by which each frame is turned: 0, 90, 180 or 270. A film that says how it is to be
-        turned for display, as phones' do, is turned so before.
+        Degrees clockwise by which each frame is turned: 0, 90, 180 or 270. A film that states how it is to be
+        turned for display, as phones' films do, is first turned in that way.
     frames
-        Half-open range of frame numbers kept; frames keep their numbers and times.
+        Half-open range of frame numbers; frames keep their numbers and times.
     fps
         The camera's rate, Hz.
     timestamps
         A text file with the time of every frame (`read_timestamps`). With neither `fps` nor `timestamps` the
-        file's own time stamps count where it has them, else its playback rate.
+        file's own time stamps are used if it has them, else its playback rate.
     answer_s
         Longest wait, s, for a disk or network that does not answer (`VideoSettings.answer_s`).
 
@@ -279,7 +279,7 @@ def open_video(
     Raises
     ------
     InputError
-        Where the file cannot be read or an argument does not fit it.
+        If the file cannot be read or an argument does not suit it.
     """
     where = Path(path)
     if rotate not in (0, 90, 180, 270):
@@ -320,7 +320,7 @@ def open_video(
 
 
 def _opened(path: Path) -> tuple[Reader, Stamp, Path]:
-    """The reader, and the file that holds the pixels as it was before it was opened."""
+    """Return the reader, the stamp of the file with the pixels before it was opened, and that file."""
     pixels = pixels_file(path)
     stamp = Stamp.of(pixels)
     with reading(path, "a recording"):
@@ -328,22 +328,22 @@ def _opened(path: Path) -> tuple[Reader, Stamp, Path]:
 
 
 def video_files(path: Path) -> tuple[Path, ...]:
-    """Every file that a recording consists of: one, or a Photron recording's pixels and their description."""
+    """Return the files of a recording: one, or the pixels and the header of a Photron recording."""
     return photron_files(path) if path.is_file() and is_photron(path) else (path,)
 
 
 def pixels_file(path: Path) -> Path:
-    """The file of a recording that holds its pixels, and grows while a camera writes."""
+    """Return the file of a recording that holds its pixels, which grows while a camera writes."""
     if not (path.is_file() and is_photron(path)):
         return path
     try:
         return photron_files(path)[0]
-    except InputError:  # the other file is not there, which opening it says
+    except InputError:  # opening the recording reports that the other file is missing
         return path
 
 
 def _open_reader(path: Path) -> Reader:
-    """The reader for this kind of file, recognised by its first bytes."""
+    """Return the reader for this kind of file, recognised by its first bytes."""
     if path.is_dir() or (not path.exists() and glob.has_magic(str(path))):
         return open_sequence(path)
     wanted = "a video, a TIFF, a folder or glob of images"
@@ -366,13 +366,13 @@ def _open_reader(path: Path) -> Reader:
         return open_cine(path)
     if path.suffix.lower() in IMAGES:
         return open_sequence(path)
-    from vision.video.encoded import open_encoded  # loads FFmpeg, 30 ms that raw film goes without
+    from vision.video.encoded import open_encoded  # loads FFmpeg, 30 ms that raw films do not need
 
     return open_encoded(path)
 
 
 def _frame_range(frames: slice | None, declared: int | None, path: Path) -> tuple[int, int | None]:
-    """`frames` as first and stop; InputError where it is no range or holds none of the frames."""
+    """Return `frames` as first and stop; InputError if it is no range or contains no frame."""
     if frames is None:
         return 0, None
     first = 0 if frames.start is None else int(frames.start)
@@ -385,7 +385,7 @@ def _frame_range(frames: slice | None, declared: int | None, path: Path) -> tupl
 
 
 def cut(wanted: slice | None, size: int, *, what: str) -> slice:
-    """`wanted` checked against `size` pixels: InputError unless 0 <= start < stop <= size."""
+    """Check `wanted` against `size` pixels: InputError unless 0 <= start < stop <= size."""
     if wanted is None:
         return slice(0, size)
     start = 0 if wanted.start is None else int(wanted.start)
@@ -397,7 +397,7 @@ def cut(wanted: slice | None, size: int, *, what: str) -> slice:
 
 
 def _before_rotation(rows: slice, columns: slice, shape: tuple[int, int], rotate: int) -> tuple[slice, slice]:
-    """The file's rows and columns that become `rows` and `columns` after turning clockwise."""
+    """Return the file's rows and columns that become `rows` and `columns` after rotation."""
     height, width = shape
     if rotate == 90:
         return _mirror(columns, height), rows
@@ -413,7 +413,7 @@ def _mirror(span: slice, size: int) -> slice:
 
 
 def _median_rate(times_s: Floats) -> float | None:
-    """Frames per second from the median interval; None for fewer than two times or a still clock."""
+    """Return frames per second from the median interval; None for fewer than two times or equal times."""
     if times_s.size < 2:
         return None
     step = float(np.nanmedian(np.diff(times_s)))
@@ -421,17 +421,16 @@ def _median_rate(times_s: Floats) -> float | None:
 
 
 def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
-    """The camera's own times of all frames, s, from a text or CSV file, and what is odd about them.
+    """Read the camera's times of all frames, s, from a text or CSV file, and warnings about them.
 
     One time per line, or columns divided by comma, semicolon, tab or space; a header names the column
-    ("time", "timestamp") and its unit: `time_ms`, `Timestamp (us)`, `t [ns]`. Lines starting with # are
-    header too. Without a header the last column is taken when there are two (number, time), and the unit is
-    s.
+    ("time", "timestamp") and its unit: `time_ms`, `Timestamp (us)`, `t [ns]`. Lines starting with # belong
+    to the header. Without a header the last of two columns (number, time) is used, and the unit is s.
 
     Raises
     ------
     InputError
-        For a missing or empty file, or text where a number is due.
+        For a missing or empty file, or text in place of a number.
     """
     wanted = "a readable file of time stamps"
     if check_regular(path, wanted).st_size > 1 << 28:  # ten million frames
@@ -469,7 +468,7 @@ def _cells(line: str) -> list[str]:
 
 
 def _numbers(line: str) -> list[float]:
-    """The line's numbers; none where a cell is no number. Beside ; or tab decimal commas are understood."""
+    """Return the numbers of a line, none if a cell is no number; with ; or tab, decimal commas are read."""
     cells = [cell for cell in _cells(line) if cell]
     if re.search(r"[;\t]", line):
         cells = [cell.replace(",", ".") for cell in cells]
@@ -480,7 +479,7 @@ def _numbers(line: str) -> list[float]:
 
 
 def _time_column(header: str, width: int) -> tuple[int, float]:
-    """Which column holds times, and its unit in s."""
+    """Return the column that holds times, and its unit in s."""
     names = [name for name in _cells(header.lstrip("# ")) if name] if width > 1 else [header.lstrip("# ")]
     place = next((n for n, name in enumerate(names) if _TIME_NAME.search(name)), width - 1)
     place = place if place < width else width - 1
