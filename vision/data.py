@@ -79,10 +79,8 @@ class Schema:
 
         Parameters
         ----------
-        data
-            The input of a stage.
-        needs
-            Variables that this stage requires; by default those that every stage needs.
+        data, needs
+            Input of a stage, and the variables that it requires; by default those that every stage needs.
 
         Raises
         ------
@@ -424,8 +422,8 @@ class StickMetadata(Metadata):
     lowpass_dF_share, lowpass_K_share
         Median relative change of ΔF and K that this correction would cause.
     two_slopes, bend_share
-        Whether stick phases were fitted with a knee; share of a stick's rise by which its line is corrected
-        at the valley for the curvature that all sticks share (negative: sticks begin steeply).
+        Whether stick phases were fitted with a knee; correction of the lines at the valley for the curvature
+        common to all sticks, over their rise (negative: sticks begin steeply).
     regime, fall_over_rise, line_share
         "stick-slip", "oscillation", "cycles" or "noise"; median duration of falls over that of rises; share
         of the variance near the frequency of the slips.
