@@ -17,7 +17,7 @@ from vision import pipeline
 from vision.command.main import run
 from vision.errors import InputError
 from vision.pipeline import Settings
-from vision.run import folder, writing
+from vision.run import provenance, writing
 from vision.sheets.corrections import correction_of
 
 DEEP = Path(__file__).parents[1] / "fixtures" / "deep"
@@ -108,7 +108,7 @@ def test_an_unforeseen_error_in_the_report_costs_no_table(monkeypatch, tmp_path,
 @pytest.mark.usefixtures("no_picture")
 def test_a_large_film_has_its_report_too(monkeypatch, tmp_path):
     """A failure means that films too large for a whole checksum end without their page."""
-    monkeypatch.setattr(folder, "PARTS", 2)
+    monkeypatch.setattr(provenance, "PARTS", 2)
     film = Path(__file__).parents[1] / "fixtures" / "paper" / "video.avi"
     out = tmp_path / "run"
     assert run([str(film), "--quiet", "--out", str(out)]) == 0
