@@ -549,12 +549,10 @@ def _clock(tracks: xr.Dataset, force: xr.Dataset, sticks: pd.DataFrame, chosen: 
 def _motion(tracks: xr.Dataset, sticks: pd.DataFrame, clock: Clock, chosen: Settings) -> xr.Dataset:
     unmatched = min(clock.unmatched_video, clock.unmatched_force)
     if clock.status == "given" and clock.matched == 0 and unmatched >= 3:  # of fewer slips, all may be missed
-        raise InputError(
-            "the clocks",
-            "slips that coincide in video and force",
-            f"none of {clock.unmatched_video} and {clock.unmatched_force} with the given {clock.how} clock",
-            "check `offset_s`, or whether the two files belong together",
-        )
+        given = "the given offset" if clock.how == "given" else "the column of video times"
+        found = f"none of {clock.unmatched_video} and {clock.unmatched_force} with {given}"
+        advice = "check it, or whether the two files belong together"
+        raise InputError("the clocks", "slips that coincide in video and force", found, advice)
     return horizontal_deformation(
         tracks,
         sticks,

@@ -25,7 +25,16 @@ from vision.command.settings import merged, settings_of
 from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.pipeline import Analysis, Settings, analyse, track_strip
-from vision.run import Checkpoint, Checksums, Origin, Parameter, check_target, describe_input, write_run
+from vision.run import (
+    FAILURES,
+    Checkpoint,
+    Checksums,
+    Origin,
+    Parameter,
+    check_target,
+    describe_input,
+    write_run,
+)
 from vision.sheets.corrections import read_decisions
 from vision.summary import findings, flag_counts, noise_figures
 from vision.video import Follow, open_video, video_files
@@ -191,8 +200,8 @@ def finish(
 ) -> int:
     """Print the summary and the warnings (to standard error), and return the exit status.
 
-    0: done.  1: a warning that matters.  2: the force recording could not be used (what was measured is
-    kept).  3: an unexpected error ended a stage (likewise).  `about` precedes each warning.
+    0: done.  1: a warning that matters.  2: a stage after the tracking could not use its input (what was
+    measured is kept).  3: an unexpected error ended a stage (likewise).  `about` precedes each warning.
     """
     for line in analysis.warnings:
         complain(f"warning: {about}{line.removeprefix(about)}")
@@ -206,8 +215,8 @@ def finish(
     for name in refused:
         if name not in analysis.failures:
             complain(f"{about}{analysis.reasons[name]} (what was measured before is kept in {target})")
-    if (target / "failures.txt").exists():
-        details = target / "failures.txt"
+    details = target / FAILURES
+    if details.exists():
         complain(f"{about}unexpected error; the rest is kept; please report it with {details}")
         return 3
     return 2 if refused else 1 if analysis.warnings else 0
@@ -290,7 +299,7 @@ def _row(video: Path, status: int, found: Analysis | None, why: str, seconds: fl
     if found is None or found.tracks is None:
         return (video.name, str(status), "", "", "", "", "", f"{seconds:.1f}", why)
     strip, flags = StripMetadata.of(found.tracks), flag_counts(found.tracks)
-    share = flags.get("ok", 0) / max(1, sum(flags.values()))
+    share = (flags.get("ok", 0) + flags.get("blurred", 0)) / max(1, sum(flags.values()))
     count = len(found.warnings)
     return (
         video.name,
@@ -363,7 +372,7 @@ def _state(strip: xr.DataArray, behind: int | None, settings: Settings) -> str:
     except InputError as error:
         return f"{where}{late}; {error}"
     flags = flag_counts(tracks)
-    lost = sum(count for name, count in flags.items() if name != "ok")
+    lost = sum(count for name, count in flags.items() if name not in ("ok", "blurred"))
     noise_px = noise_figures(tracks, None)["measured_px"]
     share = 100 * lost / max(1, sum(flags.values()))
     return (

@@ -175,7 +175,7 @@ def _check_load(signal: Signal, source: str, settings: ForceSettings) -> None:
             source,
             f"at most {100 * settings.most_spikes:g} % of spikes",
             f"{100 * signal.is_spike.mean():.0f} %: the load jumps from sample to sample",
-            "record more samples per second: ten or more in each stick",
+            "record more samples per second: 30 or more in each stick",
         )
 
 
@@ -232,14 +232,14 @@ def _analyse_slips(
     regime = find_regime(signal.clean, slips, extremes, settings)
     found = _Lowpass()
     if not given and regime.name == "stick-slip":
-        found = _lowpass(signal, slips, corners, bent, settings)
+        found = _find_lowpass(signal, slips, corners, bent, settings)
         if found.samples and not bent and two_slopes is None:
             # The transients of the low-pass may hide the knees.
             bent = _have_knees(signal, slips, found.samples, settings)
             if bent:
                 corners = _corners(signal, slips, bent, 0.0, settings)
-                found = _lowpass(signal, slips, corners, bent, settings)
-    tau, how = given, "given" if given else "recorded" if lowpass_s == 0 else "none"
+                found = _find_lowpass(signal, slips, corners, bent, settings)
+    tau, how = (given, "given") if given else (0.0, "recorded" if lowpass_s == 0 else "none")
     if lowpass_s == "auto" and found.samples:
         tau, how = (found.samples, "found") if found.proven else (0.0, "doubtful")
     if tau:
@@ -325,10 +325,10 @@ class _Lowpass:
     """The low-pass that the transients after slips suggest."""
 
     samples: float = 0.0  # time constant; 0 for none
-    proven: bool = False  # the same after large and small, early and late slips
+    proven: bool = False  # the same after large and small slips and after long and short sticks
 
 
-def _lowpass(
+def _find_lowpass(
     signal: Signal, slips: Slips, plain: Corners, two_slopes: bool, settings: ForceSettings
 ) -> _Lowpass:
     """Find the low-pass of the load cell from the transients after slips."""

@@ -99,9 +99,9 @@ class ForceSettings:
     one."""
 
     lowpass_same: float = 0.2
-    """Relative difference within which the time constants from large and small, early and late, slips must
-    agree for a low-pass to be proven. Larger believes transients that follow the slips themselves; shown by
-    recordings of paper on paper, which must give none."""
+    """Relative difference within which the time constants from large and small slips, and from those after
+    long and short sticks, must agree for a low-pass to be proven. Larger believes transients that follow the
+    slips themselves; shown by recordings of paper on paper, which must give none."""
 
     slow_slip: float = 0.2
     """Length of a slip over that of a neighbouring stick from which it is slow: measured at the recorded

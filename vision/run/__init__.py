@@ -13,9 +13,10 @@ from vision.run.reading import (
     read_table,
     slip_times_s,
 )
-from vision.run.writing import write_run
+from vision.run.writing import FAILURES, write_run
 
 __all__ = [
+    "FAILURES",
     "Checkpoint",
     "Checksums",
     "Origin",

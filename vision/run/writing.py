@@ -88,7 +88,7 @@ def write_run(
         _write_decisions(analysis, folder, content, decisions)
         for name, data in (beside or {}).items():
             (folder / name).write_bytes(data)
-        seconds["fingerprints"] = time.perf_counter() - started - seconds["tables"]
+        seconds["run facts"] = time.perf_counter() - started - seconds["tables"]
         drawn = time.perf_counter()
         failures = dict(analysis.failures)
         _write_figures_and_page(analysis, folder, content, failures, origin, report=report)

@@ -93,10 +93,10 @@ def track_sheets(
     xarray.Dataset
         x_px, x_err_px and flag (frame, sheet); side, n, x_mean_px, found, fwhm_px, snr, x_noise_px (sheet);
         time_s (frame); see `vision.data.TRACKS`. x_px is NaN unless flag is "ok" or "blurred". The other
-        flags are "missing" (no ridge there), "merged" (several sheets in one ridge), "edge" (outside the
-        picture or too near its edge), "doubtful" (identity not certain), "unfit" (the fit fails, or an
-        object that hides the next sheet cuts the ridge), and the state of the frame: "frozen", "blank",
-        "corrupt" or "lost". `vision.data.TrackMetadata` holds what was found automatically.
+        flags are "missing" (no ridge there), "merged" (several sheets, or a sheet and a mark, in one ridge),
+        "edge" (outside the picture or too near its edge), "doubtful" (identity not certain), "unfit" (the fit
+        fails, or an object that hides the next sheet cuts the ridge), and the state of the frame: "frozen",
+        "blank", "corrupt" or "lost". `vision.data.TrackMetadata` holds what was found automatically.
 
     Raises
     ------
