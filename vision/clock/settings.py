@@ -55,8 +55,9 @@ class ClockSettings:
     """Assumed probability that one instrument detects a slip of the other. Larger → missed slips cost more
     and damaged trains are called ambiguous; smaller → the lead over a shift by one slip shrinks."""
     largest_pair_gain: float = 3.2
-    """Largest log-likelihood gain of one pair of slips from its times alone. Larger → the ends of
-    even trains decide; at half of it almost no alignment is accepted. `test_a_wrong_alignment_is_never_believed`."""
+    """Largest log-likelihood gain of one pair of slips from its times alone. Larger → the ends of even
+    trains decide; at half of it almost no alignment is accepted.
+    `test_a_wrong_alignment_is_never_believed`."""
 
     # Sizes of the slips
     size_trend_slips: int = 15
