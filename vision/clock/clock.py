@@ -255,7 +255,7 @@ def _from_slips(
             f" at {_frame_rate(strip, 1 + drift)}; check `fps`"
         )
     return replace(
-        _given_clock(clocks, fits, "events"),
+        _clock_of(clocks, fits, "events"),
         margin=found.margin,
         status="ambiguous" if found.ambiguity else "ok",
         error_ms=1e3 * float(np.hypot(error, drops.attrs["lag_s"])),
@@ -295,8 +295,8 @@ def _frame_rate(strip: StripMetadata, rate: float) -> str:
     return f"{strip.fps / rate:.5g} frames/s in place of {strip.fps:.5g}"
 
 
-def _given_clock(clocks: CandidateClocks, fits: ClockFits, how: How) -> Clock:
-    """First of the clocks as a given one, with its numbers of slips and its residual."""
+def _clock_of(clocks: CandidateClocks, fits: ClockFits, how: How) -> Clock:
+    """Clock from the first of the candidates, with its numbers of slips and its residual."""
     return Clock(
         offset_s=float(clocks.offset_s[0]),
         drift_ppm=1e6 * float(clocks.drift[0]),
@@ -330,7 +330,7 @@ def _given(
         )
     trains = _slip_trains(seen, drops, settings)
     clocks = CandidateClocks(np.array([line[0]]), np.array([1e-6 * line[1]]), np.zeros(1))
-    given = _given_clock(clocks, fit_clocks(trains, clocks, settings), how)
+    given = _clock_of(clocks, fit_clocks(trains, clocks, settings), how)
     return replace(given, warnings=_contradiction(given, align(trains, settings)))
 
 

@@ -325,7 +325,7 @@ def weighted_mean(parts: Sequence[Estimate]) -> Estimate:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Peaks:
+class _PeakLoads:
     """Peak forces of one test with the standard deviation of each."""
 
     d_mm: Floats
@@ -340,12 +340,12 @@ class _Peaks:
         return (difference - t0) / self.scatter_N, t0
 
 
-def _peaks(test: TractionTest, fit: TestFit) -> _Peaks:
+def _peaks(test: TractionTest, fit: TestFit) -> _PeakLoads:
     d, force = test.column("d_p_mm")[fit.used], test.column("F_p_N")[fit.used]
     model = equations.traction(d, mu=fit.mu.value, sample=test.sample) + fit.values["T0_N"].value
     floor = 1e-3 * float(np.abs(force).max()) or 1.0
     scatter = fit.peak_scatter * np.maximum(np.abs(model), floor)
-    return _Peaks(d_mm=d, force_N=force, scatter_N=scatter, sample=test.sample)
+    return _PeakLoads(d_mm=d, force_N=force, scatter_N=scatter, sample=test.sample)
 
 
 def fit_joint(

@@ -45,7 +45,7 @@ def common_mode_noise_factor(residual: Floats, settings: DeformationSettings) ->
 def _spread_and_weight(residual: Floats) -> tuple[Floats, Floats]:
     """Median residual of each sheet, px, and its inverse square, (sheet,); the weight is 0 where unknown."""
     spread = nan_median(np.abs(residual))
-    typical = nan_median(spread[None], axis=1)[0]
+    typical = nan_median(spread)
     spread = np.maximum(spread, 0.1 * typical if typical > 0 else 1e-6)
     return spread, np.where(np.isfinite(spread), spread**-2, 0.0)
 
@@ -59,7 +59,7 @@ def camera_pushes(x_px: Floats, frames: StickFrames, settings: DeformationSettin
     step_px, step_s = np.diff(x_px, axis=0), np.diff(frames.since_s)
     same = np.diff(frames.row) == 0
     common_px = np.where(same, nan_median(step_px, axis=1), np.nan)
-    common_px = common_px - nan_median((common_px / step_s)[:, None])[0] * step_s
+    common_px = common_px - nan_median(common_px / step_s) * step_s
     scatter_px = nan_median(np.abs(step_px - nan_median(step_px, axis=1)[:, None]), axis=1)
     pushed = np.r_[False, _is_jump(common_px, settings) & (np.abs(common_px) > 3 * scatter_px)]
     pushed &= frames.sums(pushed)[frames.row] <= 2
@@ -359,7 +359,7 @@ def _random_walk_step(position_px: Floats) -> float:
 def _is_jump(common_px: Floats, settings: DeformationSettings) -> Bools:
     """Whether each common movement is so large that the camera must have been pushed, (n,)."""
     size = np.abs(common_px)
-    return np.asarray(size > settings.jump_spreads * nan_median(size[:, None])[0])
+    return np.asarray(size > settings.jump_spreads * nan_median(size))
 
 
 def _weighted_mean(near: Floats, value: Floats) -> Floats:

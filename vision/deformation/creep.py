@@ -449,7 +449,7 @@ def _typical_variance(creep: Creep) -> Floats:
     """Median noise variance of each sheet over the sticks, px², (sheet,); the overall median if unknown."""
     median = 2 * scipy.special.gammaincinv(np.maximum(creep.dof, 1) / 2, 0.5)  # median of chi-square
     each = nan_median(np.where(creep.dof > 0, creep.square / median, np.nan))
-    overall = float(nan_median(each[None], axis=1)[0])
+    overall = float(nan_median(each))
     return np.maximum(np.where(np.isfinite(each), each, np.nan_to_num(overall)), _LEAST_VARIANCE_PX2)
 
 
@@ -466,7 +466,7 @@ def _variance(square: Floats, dof: Ints, predicted_px: Floats, settings: Deforma
     scaled by the ratio of the two over all sheets."""
     measured, weight = square.sum(axis=0), dof.sum(axis=0)
     predicted = predicted_px**2
-    middle = float(nan_median(predicted[None], axis=1)[0])
+    middle = float(nan_median(predicted))
     shape = np.where(np.isfinite(predicted), predicted, middle if middle > 0 else 1.0)
     prior = shape * measured.sum() / max(float((weight * shape).sum()), 1e-300)
     both = (measured + settings.predicted_dof * prior) / (weight + settings.predicted_dof)

@@ -428,7 +428,7 @@ def _length_err_um(events: pd.DataFrame) -> Floats:
     if len(length) < LEAST_STEADY:
         return stated
     speed = length / (events["t_p_s"] - events["t_v_s"]).to_numpy(float)
-    uneven = nan_median(np.abs(speed / nan_median(speed[:, None])[0] - 1)[:, None])[0] / NORMAL_MEDIAN
+    uneven = nan_median(np.abs(speed / nan_median(speed) - 1)) / NORMAL_MEDIAN
     return np.asarray(np.fmin(stated, uneven * length), float)
 
 

@@ -107,6 +107,17 @@ class ForceSettings:
     """Length of a slip over that of a neighbouring stick from which it is slow: measured at the recorded
     extremes and flagged. Extrapolated stick lines read half cosines 0.4 % too large at 0.33 and 20 % at 1."""
 
+    extreme_sigmas: float = 4.0
+    """Noise by which the smallest or largest of many samples may differ from the load itself. Larger leaves
+    F_v of steep sticks too high, smaller takes single samples of noise for valleys; shown by preset
+    ``sheets`` (test_sheet_film) and by straight sticks in noise (test_events)."""
+
+    ringing_share: float = 0.2
+    """Height of the load cell's second swing after a slip over that of its first from which it rings, so that
+    the stick line, not the recorded valley, is F_v. Larger takes F_v from the swing of a damped load cell,
+    smaller from the line where sticks begin steeply; shown by ringing sticks (test_events) and by preset
+    ``sheets`` (test_sheet_film)."""
+
     between_samples: float = 0.03
     """Share of the drop by which a stick's line may begin below the lowest sample, since a fast slip may end
     between two samples. Smaller reads drops at 200 Hz 2 % too small, larger believes the line where the load

@@ -158,7 +158,7 @@ def measure_sticks(
     f_p_err = np.hypot(ends.error_p, np.where(recorded[1:], 0, rises[1] * position_error[1:]))
     # Ringing oscillates about the stick line, and a stick may bend too sharply for it: what was recorded
     # beyond the line, noise aside, is part of the error.
-    noise = 4 * signal.sigma
+    noise = settings.extreme_sigmas * signal.sigma
     f_v_err = np.hypot(f_v_err, np.maximum(f_v - extremes.lowest[:-1] - noise, 0))
     f_p_err = np.hypot(f_p_err, np.maximum(extremes.highest[1:] - f_p - noise, 0))
     table = pd.DataFrame(
@@ -222,7 +222,7 @@ def _within_recorded(
     margin = rise_v + settings.between_samples * np.maximum(highest - lowest, 0)
     f_v = np.fmax(ends.f_v, np.maximum(lowest - margin, signal.clean.min()))
     f_p = np.fmin(ends.f_p, np.minimum(highest + rise_p, signal.clean.max()))
-    noise = 4 * signal.sigma  # by which the smallest of many samples may lie below the load itself
+    noise = settings.extreme_sigmas * signal.sigma
     if not _rings(signal, ends, sticks):
         f_v = np.fmin(f_v, lowest + noise)
     return f_v, f_p
@@ -233,8 +233,8 @@ def _rings(signal: Signal, ends: _Ends, sticks: _Sticks) -> bool:
 
     Ringing shows in the median over all sticks of the load minus the line from valley to peak, as a function
     of the time since the valley: its maximum in the first quarter of the sticks exceeds its level in the
-    second quarter by a fifth of the first swing or more. The load of a stick that begins steeply only rises
-    to that level.
+    second quarter by `ringing_share` of the first swing or more. The load of a stick that begins steeply only
+    rises to that level.
     """
     length = sticks.p - sticks.v
     quarter = int(np.median(length) / 4)
@@ -249,7 +249,7 @@ def _rings(signal: Signal, ends: _Ends, sticks: _Sticks) -> bool:
     level = np.median(course[quarter:])
     swing = int(np.argmin(course[:quarter]))
     above = np.max(course[swing:quarter]) - level
-    return bool(above > 0.2 * (level - course[swing]))
+    return bool(above > sticks.settings.ringing_share * (level - course[swing]))
 
 
 def _flat_top_error(signal: Signal, corners: Corners, extremes: Extremes) -> Floats:
