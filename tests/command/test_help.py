@@ -67,6 +67,18 @@ def test_examples_have_no_option_that_does_not_exist(example, tmp_path, monkeypa
     assert re.search(r"No such file|found none", capsys.readouterr().err)
 
 
+def test_help_groups_the_options_by_what_they_are_about(capsys):
+    """A failure means that sixty options stand in one list."""
+    assert run(["--help"]) == 0
+    shown = capsys.readouterr().out
+    titles = [
+        shown.index(f"─ {name} ─")
+        for name in ("Video", "Video with force", "Force recording", "Sample", "Run folder")
+    ]
+    assert titles == sorted(titles)
+    assert titles[0] < shown.index("│ --scale") < titles[1] < shown.index("│ --offset") < titles[2]
+
+
 def test_help_loads_nothing_heavy():
     """A failure means that `track --help` takes seconds."""
     code = (

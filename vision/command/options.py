@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from cyclopts import Group
 from cyclopts import Parameter as Option
 
 
@@ -25,7 +26,7 @@ Flag = Annotated[bool, Option(negative="", show_default=False)]
 Report = Annotated[bool, Option(show_default=False)]  # also --no-report
 
 
-@Option(name="*")
+@Option(name="*", group=Group.create_ordered("Video"))
 @dataclass(frozen=True, kw_only=True)
 class VideoOptions:
     """How a video is read and its sheets are found."""
@@ -64,7 +65,22 @@ class VideoOptions:
     """Degrees by which each frame is first turned clockwise, for sheets that move along y."""
 
 
-@Option(name="*")
+@Option(name="*", group=Group.create_ordered("Video with force"))
+@dataclass(frozen=True, kw_only=True)
+class TestOptions:
+    """Options that relate the video to the force recording."""
+
+    force: Path | None = None
+    """Force recording of the testing machine; adds events, clocks, σ_x/Λ_st and shells."""
+    offset: float | None = None
+    """Time on the force clock at video time 0, s, if known (0 with a common hardware trigger)."""
+    threshold: float | None = None
+    """σ_x/Λ_st below which a sheet is stiff; 0.1 if not given."""
+    common_mode: Literal["on", "off"] | None = None
+    """Whether motion common to all sheets (the camera's) is subtracted; on if not given."""
+
+
+@Option(name="*", group=Group.create_ordered("Force recording"))
 @dataclass(frozen=True, kw_only=True)
 class ForceOptions:
     """How a force recording is read and its stick-slip events are found."""
@@ -89,7 +105,7 @@ class ForceOptions:
     """Known effective modulus Y_eff in GPa, which is then not fitted."""
 
 
-@Option(name="*")
+@Option(name="*", group=Group.create_ordered("Sample"))
 @dataclass(frozen=True, kw_only=True)
 class SampleOptions:
     """The sample; the publication's if not given."""
@@ -106,22 +122,7 @@ class SampleOptions:
     """Friction force T* due to adhesion, N; with its error as 0.003±0.001."""
 
 
-@Option(name="*")
-@dataclass(frozen=True, kw_only=True)
-class TestOptions:
-    """Options that relate the video to the force recording."""
-
-    force: Path | None = None
-    """Force recording of the testing machine; adds events, clocks, σ_x/Λ_st and shells."""
-    offset: float | None = None
-    """Time on the force clock at video time 0, s, if known (0 with a common hardware trigger)."""
-    threshold: float | None = None
-    """σ_x/Λ_st below which a sheet is stiff; 0.1 if not given."""
-    common_mode: Literal["on", "off"] | None = None
-    """Whether motion common to all sheets (the camera's) is subtracted; on if not given."""
-
-
-@Option(name="*")
+@Option(name="*", group=Group.create_ordered("Run folder"))
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
     """Where the results go."""
