@@ -1,0 +1,59 @@
+"""The examples of docs/results.md run as they stand on the page."""
+
+import re
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+
+from vision.command.main import run
+
+PROJECT = Path(__file__).parents[2]
+LATE = PROJECT / "fixtures" / "late"
+PAGE = (PROJECT / "docs" / "results.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with the film, the recording and the run that the page names."""
+    place = tmp_path_factory.mktemp("results")
+    (place / "test.avi").symlink_to(LATE / "video.avi")
+    (place / "test.txt").symlink_to(LATE / "force.txt")
+    options = ("--timestamps", str(LATE / "timestamps.txt"), "--d0", "16.6", "--pixel-size", "10", "--quiet")
+    run(
+        [
+            str(place / "test.avi"),
+            *options,
+            "--force",
+            str(place / "test.txt"),
+            "--out",
+            str(place / "test_tracks"),
+        ]
+    )
+    return place
+
+
+def test_the_examples_give_what_they_promise(folder, monkeypatch):
+    """A failure means that a line which readers copy fails, or finds nothing."""
+    monkeypatch.chdir(folder)
+    matplotlib.use("agg")
+    tables, cells, stages = {}, {}, {}
+    for block in BLOCKS[:3]:
+        exec(block, tables)
+    assert len(tables["outermost"]) == len(tables["x_um"]) == 240
+    assert tables["moved_err_px"] > tables["first"].x_err_px > 0
+    assert np.isfinite(tables["ratio"]["median"]).sum() >= 40
+    exec(BLOCKS[3], cells)
+    assert cells["outermost"].dims == ("frame",)
+    assert np.isfinite(cells["outermost"].values).all()
+    assert bool(cells["measured"].all())
+    exec(BLOCKS[4], stages)
+    assert stages["left"].get_xlabel()
+    assert len(stages["right"].lines) > 0
+
+
+def test_every_python_example_is_run():
+    """A failure means that an example was added which no test runs."""
+    assert len(BLOCKS) == 5
