@@ -3,6 +3,8 @@
 import os
 import shutil
 import struct
+import subprocess
+import sys
 
 import cv2
 import numpy as np
@@ -62,6 +64,19 @@ def test_a_matroska_cut_near_its_start_is_reported(tmp_path):
     whole = write_encoded(tmp_path / "a.mkv", comb(40, 12, 300), codec="ffv1", pix_fmt="gray", source="gray")
     assert open_video(whole).warnings == ()
     assert any("cut short" in line for line in open_video(cut(whole, 0.3)).warnings)
+
+
+def test_a_png_that_announces_gigabytes_takes_none(tmp_path):
+    """A failure means that one bit of a damaged picture takes all memory."""
+    for n, frame in enumerate(comb(3)):
+        cv2.imwrite(str(tmp_path / f"{n}.png"), frame)
+    data = bytearray((tmp_path / "1.png").read_bytes())
+    data[33:37] = struct.pack(">I", 0xCDFA9D93)  # the length of the chunk of pixels
+    (tmp_path / "1.png").write_bytes(data)
+    said = "import sys, resource; from vision.video import open_video; v = open_video(sys.argv[1])\n"
+    said += "print(*(s for b in v.blocks() for s in b.status), resource.getrusage(0).ru_maxrss >> 20)"
+    done = subprocess.run([sys.executable, "-c", said, tmp_path], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["ok", "corrupt", "ok", "0"]  # GiB at most
 
 
 def test_stacks_among_images_are_refused(tmp_path):

@@ -16,6 +16,7 @@ from vision.errors import InputError
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.reader import (
     AS_STORED,
+    LUMA_RULE,
     Block,
     Facts,
     Reader,
@@ -51,6 +52,10 @@ def open_cine(path: Path) -> Reader:
     if not header.offsets.size:
         advice = "the recording was cut short; copy it again"
         raise InputError(path, "at least one whole frame", "none", advice)
+    mosaic = (
+        f"{path.name}: a Bayer pattern of colour filters lies on the pixels, so that neighbouring columns "
+        "differ in brightness: export it as grey, or with interpolated colour",
+    )
     facts = Facts(
         shape=(abs(header.height), header.width),
         depth_bits=header.real_bits,
@@ -60,10 +65,11 @@ def open_cine(path: Path) -> Reader:
         codec="uncompressed",
         pixel_format=f"{header.real_bits} bit",
         decoder="none",
-        grey=AS_STORED,
+        grey=LUMA_RULE if header.stored_bits in (24, 48) else AS_STORED,
         times_s=header.times_s,
+        warnings=mosaic * header.mosaic,
     )
-    if header.compression != 0 or header.stored_bits not in (8, 16, 24):
+    if header.compression != 0 or header.stored_bits not in (8, 16, 24, 48):
         grey = f"{header.real_bits} bit as stored, companded by the camera, not linear in light"
         facts = replace(facts, codec="packed", decoder="FFmpeg", grey=grey)
         from vision.video.encoded import EncodedReader
@@ -81,8 +87,8 @@ def open_cine(path: Path) -> Reader:
         facts=facts,
         offsets=inside[inside + abs(header.height) * row_bytes <= path.stat().st_size],
         row_bytes=row_bytes,
-        dtype=np.dtype("<u2" if header.stored_bits == 16 else "u1"),
-        channels=3 if header.stored_bits == 24 else 1,
+        dtype=np.dtype("<u2" if header.stored_bits in (16, 48) else "u1"),
+        channels=3 if header.stored_bits in (24, 48) else 1,
         blue_first=True,
         bottom_up=header.height > 0,
     )
@@ -111,12 +117,16 @@ class PackedCineReader:
 
 @dataclass(frozen=True)
 class _CineHeader:
-    """Content of the file's first blocks; offsets are those of frames that begin inside the file."""
+    """Content of the file's first blocks; offsets are those of frames that begin inside the file.
+
+    mosaic: whether pixels of a colour camera are stored without interpolation.
+    """
 
     width: int
     height: int
     stored_bits: int
     compression: int
+    mosaic: bool
     real_bits: int
     declared_frames: int
     offsets: Ints
@@ -127,7 +137,7 @@ def _read_cine_header(path: Path) -> _CineHeader:
     size, main = path.stat().st_size, struct.Struct("<2sHHHiIiIIII8x")
     try:
         with path.open("rb") as file:
-            *_, count, bitmap_at, setup_at, images_at = main.unpack(file.read(main.size))
+            _, _, layout, *_, count, bitmap_at, setup_at, images_at = main.unpack(file.read(main.size))
             file.seek(0)
             data = file.read(min(images_at + 8 * count, size))  # everything before the first frame
         _, width, height, _, bits, compression = struct.unpack_from("<IiiHHI", data, bitmap_at)
@@ -142,6 +152,7 @@ def _read_cine_header(path: Path) -> _CineHeader:
         height=height,
         stored_bits=bits,
         compression=compression,
+        mosaic=layout == 2,
         real_bits=real if 0 < real <= 16 else min(bits if compression == 0 else 10, 16),
         declared_frames=count,
         offsets=offsets[offsets < size],

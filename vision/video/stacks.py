@@ -17,6 +17,7 @@ from typing import BinaryIO
 import cv2
 import numpy as np
 import tifffile
+from numpy.typing import NDArray
 from PIL import Image as Pillow
 
 from vision.errors import InputError
@@ -80,7 +81,16 @@ def _reader_of_pages(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) 
     check_pixels(path, first.imagelength, first.imagewidth)
     if first.nbytes <= 0:
         raise InputError(path, "pages with pixels", "none", "export it again")
-    offsets = _offsets(tif, pages, path) if first.planarconfig == 1 or channels == 1 else None
+    is_colour = channels > 1 and not _leads_with_grey(first)
+    if first.photometric == tifffile.PHOTOMETRIC.SEPARATED:
+        raise InputError(
+            path, "grey or RGB pixels", "those of a printing process (CMYK)", "export it as grey"
+        )
+    if is_colour and first.dtype not in (np.uint8, np.uint16, np.float32):
+        raise InputError(path, "colours of 8 or 16 bits, or float32", str(first.dtype), "convert the stack")
+    offsets = None
+    if channels == 1 or (is_colour and first.planarconfig == 1):
+        offsets = _offsets(tif, pages, path)
     if offsets is None:
         facts = _stack_facts(tif, len(pages), len(pages), path, decoder="tifffile")
         return ImagesReader(facts, dtype.newbyteorder("="), len(pages), partial(_decode_pages, path))
@@ -110,14 +120,27 @@ def _decode_page(page: Page) -> Frame:
         pixels = page.asarray(maxworkers=1)
     except Exception:  # tifffile and its codecs raise any exception for damaged data
         return Frame(None, "corrupt")
-    return Frame(_grey_page(pixels))
+    return Frame(_grey_page(page, pixels))
 
 
-def _grey_page(pixels: Pixels) -> Pixels:
-    """Return grey (rows, columns) of a page, or luma of colour in its last or first dimension."""
-    if pixels.ndim == 2:
+def _grey_page(page: tifffile.TiffPage | tifffile.TiffFrame, pixels: Pixels) -> Pixels:
+    """Return grey (rows, columns) of a decoded page: its only or first value per pixel, or luma of colour."""
+    first = page.keyframe
+    if first is None or first.samplesperpixel == 1:
         return pixels
-    return luma(pixels if pixels.shape[-1] in (3, 4) else np.moveaxis(pixels, 0, -1))
+    pixels = np.moveaxis(pixels, 0, -1) if first.planarconfig == 2 else pixels
+    return pixels[..., 0] if _leads_with_grey(first) else luma(pixels)
+
+
+def _leads_with_grey(page: tifffile.TiffPage) -> bool:
+    """Return whether the first of several values per pixel is grey: of grey with alpha, of Lab, of YCbCr.
+
+    tifffile converts YCbCr to RGB in JPEG alone.
+    """
+    kinds = tifffile.PHOTOMETRIC
+    lab = (kinds.CIELAB, kinds.ICCLAB, kinds.ITULAB)
+    stored_ycbcr = page.photometric == kinds.YCBCR and _codec_of_page(page) != "mjpeg"
+    return page.samplesperpixel == 2 or page.photometric in lab or stored_ycbcr
 
 
 def _pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
@@ -152,7 +175,7 @@ def _single_pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
 def _offsets(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) -> Ints | None:
     """Return the position of each whole frame; None if pages are compressed, tiled, packed or scattered."""
     first = tif.pages.first
-    if not first.is_memmappable and not (first.is_contiguous and first.compression == 1):
+    if not (first.is_contiguous and first.compression == first.fillorder == 1):
         return None
     frame_bytes, end = first.nbytes, path.stat().st_size
     declared = _declared_frames(tif)
@@ -190,7 +213,7 @@ def _stack_facts(tif: tifffile.TiffFile, held: int, indexed: int, path: Path, *,
         codec=_codec_of_page(first),
         pixel_format=f"{first.samplesperpixel} x {first.dtype}",
         decoder=decoder,
-        grey=LUMA_RULE if first.samplesperpixel > 1 else AS_STORED,
+        grey=LUMA_RULE if first.samplesperpixel > 1 and not _leads_with_grey(first) else AS_STORED,
         times_s=_own_times(tif, declared),
         warnings=(f"{path.name}: the file was cut short; more pages were to follow",) * _is_cut_short(tif),
     )
@@ -300,6 +323,7 @@ def open_sequence(path: Path) -> ImagesReader:
         pixel_format=str(first.dtype),
         decoder="tifffile" if suffix in (".tif", ".tiff") else "OpenCV",
         grey=f"{AS_STORED}; colour by {LUMA_RULE}",
+        turned_deg=_turned_deg(next(file for file in files if file is not None)),
         warnings=warnings,
     )
 
@@ -308,6 +332,20 @@ def open_sequence(path: Path) -> ImagesReader:
         return in_threads(one, (files[n] for n in numbers))
 
     return ImagesReader(facts, first.dtype, len(files), decode)
+
+
+def _turned_deg(file: Path) -> int:
+    """Return the degrees clockwise by which a photograph states (in EXIF) that it is to be turned.
+
+    That of a TIFF is ignored, as ImageJ and tifffile do.
+    """
+    if file.suffix.lower() in (".tif", ".tiff"):
+        return 0
+    try:
+        with Pillow.open(file) as header:
+            return {3: 180, 6: 90, 8: 270}.get(header.getexif().get(274, 1), 0)
+    except Exception:  # Pillow raises any exception for damaged data
+        return 0
 
 
 def _decode_image(file: Path | None, shape: tuple[int, int], dtype: np.dtype[np.generic]) -> Frame:
@@ -409,7 +447,7 @@ def _tiff_image(file: Path) -> Pixels:
                 file, "one page per image of a folder", found, "give the stacks one by one"
             )
         check_pixels(file, tif.pages.first.imagelength, tif.pages.first.imagewidth)
-        grey = _grey_page(tif.pages.first.asarray(maxworkers=1))
+        grey = _grey_page(tif.pages.first, tif.pages.first.asarray(maxworkers=1))
     return grey.astype(grey.dtype.newbyteorder("="), copy=False)
 
 
@@ -419,10 +457,21 @@ def _other_image(file: Path) -> Pixels | None:
     with Pillow.open(file, formats=formats) as header:  # reads the header alone
         check_pixels(file, header.height, header.width)
     data = np.fromfile(file, np.uint8)
-    pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    if data.size == 0 or _ends_in_chunk(data):
+        return None
+    pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     if pixels is None:
         return None
     return np.asarray(pixels) if pixels.ndim == 2 else luma(np.asarray(pixels)[..., 2::-1])
+
+
+def _ends_in_chunk(data: NDArray[np.uint8]) -> bool:
+    """Return whether a PNG ends inside a chunk, for which libpng would allocate whatever it states."""
+    at, name = 8, b"" if data[:4].tobytes() == b"\x89PNG" else b"IEND"
+    while name != b"IEND" and at + 8 <= data.size:
+        name = data[at + 4 : at + 8].tobytes()
+        at += 12 + int.from_bytes(data[at : at + 4].tobytes(), "big")
+    return at > data.size
 
 
 # --- the chain of a TIFF's pages, before a library follows it -----------------------------------------------

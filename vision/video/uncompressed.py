@@ -28,6 +28,7 @@ from vision.video.reader import (
 )
 
 _PLAIN = {bytes(4), b"DIB ", b"RGB ", b"RAW "}
+_MASKED = b"\3\0\0\0"  # masks of red, green and blue follow the header
 _GREY_BITS = {
     b"Y800": 8,
     b"GREY": 8,
@@ -223,7 +224,12 @@ class AviLayout:
     @property
     def is_uncompressed(self) -> bool:
         """Whether frames are uncompressed, so that `open_raw_avi` reads or refuses them without a decoder."""
-        return self.fourcc in _PLAIN or self.fourcc in _GREY_BITS
+        return self.is_plain or self.fourcc in _GREY_BITS
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether frames are bitmaps without a name of their format, or with the masks of 32-bit colour."""
+        return self.fourcc in _PLAIN or (self.fourcc == _MASKED and self.bits == 32)
 
 
 def is_avi(head: bytes) -> bool:
@@ -345,7 +351,7 @@ def open_raw_avi(path: Path, layout: AviLayout) -> MappedReader:
     if (held < row_bytes * (layout.height - 1) + packed).any():
         found = f"one of {int(held.min())}"
         raise InputError(path, f"frames of {frame_bytes} bytes", found, "a damaged recording")
-    plain, whole = layout.fourcc in _PLAIN, layout.offsets.size
+    plain, whole = layout.is_plain, layout.offsets.size
     cut_short = (f"{path.name}: the file ends inside frame {whole}, which is left out",) * layout.cut_short
     facts = Facts(
         shape=(layout.height, layout.width),
