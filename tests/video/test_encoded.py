@@ -322,6 +322,29 @@ def test_a_variable_frame_rate_gives_every_frame_its_own_time(tmp_path):
     assert even.clock.kind == "playback"
 
 
+@pytest.mark.parametrize("name", ["phone.mp4", "phone.mkv"])
+@pytest.mark.parametrize("gone", [(), (10, 31, 32, 50, 150, 215)])
+def test_a_camera_that_changes_its_rate_loses_nothing(tmp_path, name, gone):
+    """Failure: a phone that films slower in dim light is said to lose frames, or hides those it did lose."""
+    intervals = np.repeat([1 / 30, 1 / 24, 1 / 55, 1 / 13], [40, 40, 120, 40])
+    count, times_s = intervals.size, np.cumsum(intervals)
+    kept = np.delete(np.arange(count), gone)
+    path = phone_film(tmp_path / name, comb(count=count, rows=64, columns=96, top=200)[kept], times_s[kept])
+    strip = strip_profile(open_video(path), slice(0, 64))
+    assert strip.attrs["clock_kind"] == "file"
+    assert (strip.frames_read, strip.frames_lost) == (len(kept), len(gone))
+    assert len(strip.warnings) == (1 if gone else 0)
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv"])
+def test_evenly_lost_frames_are_told(tmp_path, name):
+    """Failure: every second frame is lost where a disk is too slow, and nobody is told."""
+    kept = np.r_[:40, 40:120:2]
+    path = phone_film(tmp_path / name, comb(count=120, rows=64, columns=96, top=200)[kept], kept / 60)
+    strip = strip_profile(open_video(path), slice(0, 64))
+    assert "from index 40 on, frames come at half or a third" in strip.warnings[-1]
+
+
 @pytest.mark.parametrize("turned_deg", [0, 90, 180, 270])
 def test_a_film_is_seen_as_players_show_it(tmp_path, turned_deg):
     """Failure: a film of a phone held upright lies on its side, although every player shows it upright."""

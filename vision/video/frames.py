@@ -23,6 +23,7 @@ from vision.video.threads import answered
 from vision.video.video import Video, open_video, pixels_file
 
 STATUS_TYPE = "<U7"  # ok, blank, corrupt, lost
+_NEAR = 9  # frames before and after a step between times that are compared with it
 
 
 @dataclass(frozen=True)
@@ -249,6 +250,11 @@ def count_frames(
     if between:
         where = f"where its times leap, the first after index {first}"
         warnings.append(f"{name}: {between} frame(s) lost {where}")
+    if measured and (thinned := thinned_from(times_s, settings=settings)) is not None:
+        what = "frames come at half or a third of the usual rate"
+        warnings.append(
+            f"{name}: from index {thinned} on, {what}: the camera was slower, or frames are lost evenly"
+        )
     beyond = 0
     if video.duration_s is not None:
         known = times_s[np.isfinite(times_s)]
@@ -273,8 +279,9 @@ def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> tupl
     """Return the number of frames lost between time stamps, and the index of the frame before the first gap.
 
     A step of more than `settings.gap_steps` usual steps is a gap if the frames after it remain late against
-    the usual rate: a frame that is merely late is followed by short steps. If the rate changes, the slower
-    part counts as lost frames; if more than a fifth is lost, too few are counted.
+    the usual rate: a frame that is merely late is followed by short steps. If the camera changes its rate,
+    the usual step is that of the frames around (`_local_step_s`). If more than a fifth is lost, too few are
+    counted.
 
     Parameters
     ----------
@@ -289,15 +296,46 @@ def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> tupl
     """
     places = np.flatnonzero(np.isfinite(times_s))
     known = times_s[places]
-    usual_s = usual_step_s(known)
-    if not usual_s > 0:
-        return 0, 0
-    steps = np.diff(known) / usual_s - (np.diff(places) - 1)  # frames without a time took one step each
-    late = np.cumsum(np.concatenate([[0.0], steps - 1]))
+    local_s = _local_step_s(known, places, settings)
+    steps = np.diff(known) / local_s - (np.diff(places) - 1)  # frames without a time took one step each
     gaps = np.flatnonzero(steps > settings.gap_steps)
-    gaps = gaps[_lasting_delay(late, gaps) > settings.late_steps]
+    gaps = gaps[_lasting_delay(known, places, local_s, gaps) > settings.late_steps]
     lost = int(np.round(steps[gaps] - 1).sum())
     return (lost, int(places[gaps[0]])) if lost else (0, 0)
+
+
+def _local_step_s(known: Floats, places: Ints, settings: VideoSettings) -> Floats:
+    """Return the usual time from one frame to the next, s, at each step between known times.
+
+    It is that of the whole recording, or a longer one that eight of the nine steps before or after agree on:
+    a camera that changes its rate does so for many frames. NaN for fewer than three times.
+    """
+    usual_s = usual_step_s(known)
+    step_s = np.diff(known) / np.diff(places)
+    if not usual_s > 0 or not (step_s > settings.same_rate * usual_s).any():
+        return np.full(step_s.shape, usual_s if usual_s > 0 else np.nan)
+    padded = np.pad(step_s, _NEAR, constant_values=np.nan)
+    runs = np.lib.stride_tricks.sliding_window_view(padded, _NEAR)
+    middle = np.sort(runs, axis=1)[:, _NEAR // 2]  # NaN comes last
+    ratio = runs / middle[:, np.newaxis]
+    alike = (ratio < settings.same_rate) & (ratio > 1 / settings.same_rate)
+    steady = np.where(alike.sum(axis=1) >= _NEAR - 1, middle, usual_s)
+    before, after = steady[: step_s.size], steady[_NEAR + 1 :]
+    return np.maximum(usual_s, np.maximum(before, after))
+
+
+def thinned_from(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> int | None:
+    """Return the first frame from which on frames come at half or a third of the usual rate; None for none.
+
+    The camera has changed its rate, or its frames are lost evenly; times do not tell which.
+    """
+    places = np.flatnonzero(np.isfinite(times_s))
+    known = times_s[places]
+    step_s = np.minimum(_local_step_s(known, places, settings), np.diff(known) / np.diff(places))
+    ratio = step_s / usual_step_s(known)
+    whole = np.clip(np.round(ratio), 2, 3)
+    thinned = np.flatnonzero(np.abs(ratio / whole - 1) < settings.whole_ratio)
+    return int(places[thinned[0]]) if thinned.size else None
 
 
 def usual_step_s(times_s: Floats) -> float:
@@ -312,13 +350,17 @@ def usual_step_s(times_s: Floats) -> float:
     return float(np.quantile(times_s[lag:] - times_s[:-lag], 0.1)) / lag
 
 
-def _lasting_delay(late: Floats, gaps: Ints) -> Floats:
+def _lasting_delay(known: Floats, places: Ints, local_s: Floats, gaps: Ints) -> Floats:
     """Return the median delay of the nine frames after each gap less that of the nine before, usual steps."""
-    reach = np.arange(9)
-    before = np.where(reach <= gaps[:, np.newaxis], late[np.maximum(gaps[:, np.newaxis] - reach, 0)], np.nan)
-    after = gaps[:, np.newaxis] + 1 + reach
-    behind = np.where(after < late.size, late[np.minimum(after, late.size - 1)], np.nan)
-    return np.asarray(np.nanmedian(behind, axis=1) - np.nanmedian(before, axis=1), np.float64)
+
+    def delay(frames: Ints) -> Floats:
+        inside = np.clip(frames, 0, known.size - 1)
+        here = gaps[:, np.newaxis]
+        late = (known[inside] - known[here]) / local_s[here] - (places[inside] - places[here])
+        return np.asarray(np.nanmedian(np.where(inside == frames, late, np.nan), axis=1), np.float64)
+
+    reach = np.arange(_NEAR)
+    return delay(gaps[:, np.newaxis] + 1 + reach) - delay(gaps[:, np.newaxis] - reach)
 
 
 def _uneven(times_s: Floats) -> bool:
