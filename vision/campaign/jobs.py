@@ -34,6 +34,7 @@ from vision.errors import InputError
 from vision.files import shortened
 from vision.pipeline import Analysis
 from vision.run.folder import lock_open_file
+from vision.video.threads import answered
 
 # --- Snakemake, a process -----------------------------------------------------------------------------------
 
@@ -355,11 +356,15 @@ def _source(
         yield copies[film.film]
         return
     path = Path(film.film)
-    if not stage or not path.is_file():
+    if not stage or not answered(path.is_file, path, tuning.answer_s):
         yield path
         return
-    files = [file for file in inputs_of(film.film, {}) if file.is_file()]
-    room, needed = shutil.disk_usage(tempfile.gettempdir()).free, sum(file.stat().st_size for file in files)
+
+    def sizes() -> dict[Path, int]:
+        return {file: file.stat().st_size for file in inputs_of(film.film, {}) if file.is_file()}
+
+    files = answered(sizes, path, tuning.answer_s)
+    room, needed = shutil.disk_usage(tempfile.gettempdir()).free, sum(files.values())
     if needed > 0.95 * room:
         wanted, found = f"room for {needed / 1e9:.1f} GB of {path.name}", f"{room / 1e9:.1f} GB free"
         raise InputError(tempfile.gettempdir(), wanted, found, "set TMPDIR")
