@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from tests.scenes.films import comb, write_avi, write_encoded
+from tests.scenes.films import comb, states, write_avi, write_encoded
 from vision.errors import InputError
 from vision.files import MOST_PIXELS
 from vision.video import open_video, read_timestamps, strip_profile
@@ -96,6 +96,17 @@ def test_pages_that_go_in_circles_are_refused(tmp_path):
     file.write_bytes(data)
     with pytest.raises(InputError, match="page 4 is an earlier one"):
         open_video(file)
+
+
+@pytest.mark.parametrize(("count", "found"), [(2, ["ok", "corrupt"]), (4, ["ok", "lost", "ok", "ok"])])
+def test_a_page_whose_description_is_damaged_counts(tmp_path, count, found):
+    """A failure means that later frames move up by one, or that a stack with one such page cannot be read."""
+    file = pages(tmp_path / "a.tif", comb(count, 12, 60), compression="packbits", metadata=None)
+    with tifffile.TiffFile(file, mode="r+b") as tif:
+        tif.pages[1].tags["BitsPerSample"].overwrite(0)
+    video = open_video(file)
+    assert states(video) == found
+    assert all(pixels.shape == (12, 60) for pixels in video.sample(4))
 
 
 def test_frames_far_too_large_are_refused_before_memory_is_taken(tmp_path, monkeypatch):

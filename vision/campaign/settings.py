@@ -46,8 +46,8 @@ class CampaignSettings:
     the file server is busy (test_a_copy_that_stalls_is_one_line_and_no_hang)."""
 
     answer_s: float = DEFAULTS.answer_s
-    """Longest wait, s, for a disk that does not answer while films are planned, watched or copied. Shorter gives
-    up disks that have to start, longer waits for a lost connection (test_disks.py)."""
+    """Longest wait, s, for a disk that does not answer while films are planned, watched or copied. Shorter
+    gives up disks that have to start, longer waits for a lost connection (test_disks.py)."""
 
     # the page and the watched folder
     page_seconds: float = 3.0

@@ -114,19 +114,20 @@ def _decode_pages(path: Path, numbers: Sequence[int]) -> Iterator[Frame]:
 
 def _decode_page(page: Page) -> Frame:
     """Return the page as a frame, "corrupt" if it cannot be decoded."""
-    if page is None:
+    if page is None or page.keyframe is None:
         return Frame(None, "lost")
+    first = page.keyframe
     try:
-        pixels = page.asarray(maxworkers=1)
+        grey = _grey_page(first, page.asarray(maxworkers=1))
     except Exception:  # tifffile and its codecs raise any exception for damaged data
         return Frame(None, "corrupt")
-    return Frame(_grey_page(page, pixels))
+    whole = grey.shape == (first.imagelength, first.imagewidth)  # a page without data is decoded to nothing
+    return Frame(grey) if whole else Frame(None, "corrupt")
 
 
-def _grey_page(page: tifffile.TiffPage | tifffile.TiffFrame, pixels: Pixels) -> Pixels:
+def _grey_page(first: tifffile.TiffPage, pixels: Pixels) -> Pixels:
     """Return grey (rows, columns) of a decoded page: its only or first value per pixel, or luma of colour."""
-    first = page.keyframe
-    if first is None or first.samplesperpixel == 1:
+    if first.samplesperpixel == 1:
         return pixels
     pixels = np.moveaxis(pixels, 0, -1) if first.planarconfig == 2 else pixels
     return pixels[..., 0] if _leads_with_grey(first) else luma(pixels)
@@ -158,7 +159,9 @@ def _pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
         return _single_pages(tif, path)
     if len(tif.series[1].pages) == len(series.pages):
         raise InputError(path, "one series of images", str(len(tif.series)), "export one of them")
-    return series.pages
+    # a page of another kind between the frames is a damaged one, not the thumbnail or label of a microscope
+    frames: dict[int, Page] = {page.index: page for page in series.pages if page is not None}
+    return [frames.get(number) for number in range(min(frames), max(frames) + 1)]
 
 
 def _single_pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
