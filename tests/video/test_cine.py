@@ -4,7 +4,7 @@ import pytest
 from tests.scenes.films import comb, states, whole, write_cine
 from vision.errors import InputError
 from vision.video import open_video, strip_profile
-from vision.video.uncompressed import MappedReader
+from vision.video.reader import MappedReader
 
 
 @pytest.mark.parametrize(("dtype", "bits"), [(np.uint8, 8), (np.uint16, 12), (np.uint16, 14)])

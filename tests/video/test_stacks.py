@@ -10,7 +10,7 @@ from tests.scenes.films import comb, states, whole
 from vision.errors import InputError
 from vision.sheets.tracks import LOSSY
 from vision.video import open_video, strip_profile
-from vision.video.uncompressed import MappedReader
+from vision.video.reader import MappedReader
 
 PYLON = "Basler_acA1300-200um__21927848__20200309_175055809_{:04d}.{}"
 

@@ -20,7 +20,7 @@ from vision.comparison.runs import ALIKE, COLUMNS, LIMITS
 from vision.errors import InputError
 from vision.files import Stamp, check_regular, shortened
 from vision.video import open_video, video_files
-from vision.video.high_speed import PIXELS
+from vision.video.raw import PIXELS
 from vision.video.threads import answered
 
 # --- the table ----------------------------------------------------------------------------------------------

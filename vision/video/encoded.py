@@ -180,6 +180,18 @@ class MjpegReader(EncodedReader):
         return Frame(self._checked(pixels), "ok", time_s)
 
 
+class PackedCineReader(EncodedReader):
+    """Reads the packed frames of a cine, which FFmpeg widens to 16 bits, in the camera's own grey levels."""
+
+    def __init__(self, path: Path, facts: Facts) -> None:
+        super().__init__(path)
+        self._shift = self.facts.depth_bits - facts.depth_bits
+        self.facts = facts
+
+    def _checked(self, pixels: Pixels) -> Pixels:
+        return np.right_shift(super()._checked(pixels), self._shift)
+
+
 def open_encoded(path: Path) -> EncodedReader:
     """Return an `MjpegReader` if its first frame is FFmpeg's up to rounding, else an `EncodedReader`.
 

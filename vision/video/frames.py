@@ -8,7 +8,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,51 +33,6 @@ class FramesRead:
     intensity: Floats32
     status: Strings
     times_s: Floats
-
-
-class FrameStore:
-    """All frames read so far, in order.
-
-    Parameters
-    ----------
-    columns, expected, spill_bytes, folder
-        See `ProfileStore`.
-    """
-
-    def __init__(
-        self, columns: int, *, expected: int | None, spill_bytes: int, folder: Path | None = None
-    ) -> None:
-        self._rows = ProfileStore(columns, expected=expected, spill_bytes=spill_bytes, folder=folder)
-        self._marks = np.zeros(1024, [("status", STATUS_TYPE), ("time_s", np.float64)])
-        self.count = 0
-        """Number of frames read so far."""
-
-    def append(self, frames: FramesRead) -> None:
-        """Add frames at the end."""
-        needed = self.count + frames.status.size
-        if needed > self._marks.size:
-            self._marks = np.concatenate(
-                [self._marks, np.zeros(max(needed, self._marks.size), self._marks.dtype)]
-            )
-        new = self._marks[self.count : needed]
-        new["status"], new["time_s"] = frames.status, frames.times_s
-        self._rows.append(frames.intensity)
-        self.count = needed
-
-    def part(self, start: int, stop: int) -> FramesRead:
-        """Return frames `start` to before `stop`, not copied."""
-        marks = self._marks[start:stop]
-        return FramesRead(self._rows.rows()[start:stop], marks["status"], marks["time_s"])
-
-    def copy(self, start: int, stop: int) -> FramesRead:
-        """Return the same as a copy."""
-        part = self.part(start, stop)
-        return FramesRead(part.intensity.copy(), part.status.copy(), part.times_s.copy())
-
-    def all(self) -> FramesRead:
-        """Return all frames; the intensity is not copied."""
-        marks = self._marks[: self.count]
-        return FramesRead(self._rows.rows(), marks["status"].copy(), marks["time_s"].copy())
 
 
 class ProfileStore:
@@ -111,23 +66,24 @@ class ProfileStore:
         self._columns = columns
         self._folder = folder
         self._spill_bytes = spill_bytes
-        self._used = 0
+        self.count = 0
+        """Number of rows so far."""
         most = max(1, 2 * spill_bytes // (4 * columns))  # a damaged header may state any number
         self._rows = self._allocate(max(1, min(expected or 1024, most)))
 
     def append(self, rows: Floats32) -> None:
         """Add `rows` (k, columns) at the end."""
-        needed = self._used + rows.shape[0]
+        needed = self.count + rows.shape[0]
         if needed > self._rows.shape[0]:
             old = self.rows()
             self._rows = self._allocate(max(needed, 2 * self._rows.shape[0]))
-            self._rows[: self._used] = old
-        self._rows[self._used : needed] = rows
-        self._used = needed
+            self._rows[: self.count] = old
+        self._rows[self.count : needed] = rows
+        self.count = needed
 
     def rows(self) -> Floats32:
         """Return all rows so far, (n, columns), not copied."""
-        return self._rows[: self._used]
+        return self._rows[: self.count]
 
     def _allocate(self, capacity: int) -> Floats32:
         size = capacity * self._columns * 4
@@ -147,6 +103,36 @@ class ProfileStore:
                 )
                 raise InputError(self._folder or tempfile.gettempdir(), wanted, found, advice) from error
             return np.memmap(file, np.float32, "r+", shape=(capacity, self._columns))
+
+
+class FrameStore(ProfileStore):
+    """All frames read so far, in order: `ProfileStore` with the status and time of each frame."""
+
+    def __init__(
+        self, columns: int, *, expected: int | None, spill_bytes: int, folder: Path | None = None
+    ) -> None:
+        super().__init__(columns, expected=expected, spill_bytes=spill_bytes, folder=folder)
+        self._marks = np.zeros(1024, [("status", STATUS_TYPE), ("time_s", np.float64)])
+
+    def add(self, frames: FramesRead) -> None:
+        """Add frames at the end."""
+        needed = self.count + frames.status.size
+        if needed > self._marks.size:
+            more = np.zeros(max(needed, self._marks.size), self._marks.dtype)
+            self._marks = np.concatenate([self._marks, more])
+        new = self._marks[self.count : needed]
+        new["status"], new["time_s"] = frames.status, frames.times_s
+        self.append(frames.intensity)
+
+    def part(self, start: int, stop: int) -> FramesRead:
+        """Return frames `start` to before `stop`; the intensity is not copied."""
+        marks = self._marks[start:stop].copy()
+        return FramesRead(self.rows()[start:stop], marks["status"], marks["time_s"])
+
+    def copy(self, start: int, stop: int) -> FramesRead:
+        """Return the same as a copy."""
+        part = self.part(start, stop)
+        return replace(part, intensity=part.intensity.copy())
 
 
 # --- blank frames -------------------------------------------------------------------------------------------

@@ -29,13 +29,13 @@ from vision.video.reader import (
     Facts,
     Frame,
     ImagesReader,
+    MappedReader,
     Reader,
     full_scale,
     luma,
     shape_text,
 )
 from vision.video.threads import in_threads
-from vision.video.uncompressed import MappedReader
 
 IMAGES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"}
 _JPEG = {"jpg", "jpeg", "ojpeg", "jpeg_lossy"}

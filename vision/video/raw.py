@@ -1,51 +1,277 @@
-"""File formats of high-speed cameras: Phantom .cine, and Photron .mraw with its .cih or .cihx."""
+"""Files of uncompressed frames: raw AVI, Phantom .cine, and Photron .mraw with its .cih or .cihx."""
 
 from __future__ import annotations
 
+import os
 import re
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import BinaryIO
 from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.numeric import Floats, Ints, Pixels
+from vision.numeric import Floats, Ints
 from vision.video.reader import (
     AS_STORED,
     LUMA_RULE,
-    Block,
     Facts,
+    MappedReader,
     Reader,
-    frames_per_block,
     full_scale,
+    luma,
     shape_text,
 )
-from vision.video.uncompressed import MappedReader, read_fully, repeated
-
-# --- Phantom ------------------------------------------------------------------------------------------------
 
 
-def is_cine(head: bytes) -> bool:
-    """Return whether a file that begins with these bytes is a cine."""
-    return head[:4] == b"CI\x2c\x00"
-
-
-def open_cine(path: Path) -> Reader:
-    """Return a reader with the file's own times (seconds from its first frame).
-
-    Packed frames (10 bits) are returned as stored: the camera compands them, so they are not linear in light.
+def open_raw(path: Path, head: bytes) -> Reader | None:
+    """Return the reader of a file that begins with `head`, 12 bytes; None for a file of another kind.
 
     Raises
     ------
     InputError
-        For a damaged header or no whole frame.
+        For a damaged file, or one whose pixels cannot be read.
+    """
+    if is_photron(path):
+        return _open_photron(path)
+    if head[:4] == b"CI\x2c\x00":
+        return _open_cine(path)
+    if head[:4] == b"RIFF" and head[8:] == b"AVI " and (layout := _read_avi_layout(path)).is_uncompressed:
+        return _open_avi(path, layout)
+    return None
+
+
+# --- AVI ----------------------------------------------------------------------------------------------------
+
+_PLAIN = {bytes(4), b"DIB ", b"RGB ", b"RAW "}
+_MASKED = b"\3\0\0\0"  # masks of red, green and blue follow the header
+_GREY_BITS = {
+    b"Y800": 8,
+    b"GREY": 8,
+    b"Y8  ": 8,
+    b"Y16 ": 16,
+    b"Y10 ": 10,
+    b"Y12 ": 12,
+    b"Y1\x00\x10": 16,
+    b"Y1\x00\x0e": 14,
+    b"Y1\x00\x0c": 12,
+    b"Y1\x00\x0a": 10,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class _AviLayout:
+    """Header of an AVI file's first video stream and positions of its frames, from its chunks alone.
+
+    Parameters
+    ----------
+    fourcc, bits
+        Compression, four bytes, zeros for plain bitmaps; bits per pixel.
+    width, height, top_down
+        Picture in px; top_down for a height that was stored as a negative number.
+    palette
+        (entries, 4): blue, green, red, 0.
+    declared_frames, fps
+        Values of the header; None if it does not state them.
+    offsets, sizes
+        Position and length of each whole frame; length 0 is a frame that the camera dropped.
+    cut_short
+        Whether the file ends inside a frame.
 
     Notes
     -----
+    Source: Microsoft AVI RIFF reference; OpenDML AVI file format extensions 1.02.
+    """
+
+    fourcc: bytes
+    bits: int
+    width: int
+    height: int
+    top_down: bool
+    palette: NDArray[np.uint8]
+    declared_frames: int | None
+    fps: float | None
+    offsets: Ints
+    sizes: Ints
+    cut_short: bool
+
+    @property
+    def is_uncompressed(self) -> bool:
+        """Whether frames are uncompressed, so that `_open_avi` reads or refuses them without a decoder."""
+        return self.is_plain or self.fourcc in _GREY_BITS
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether frames are bitmaps without a name of their format, or with the masks of 32-bit colour."""
+        return self.fourcc in _PLAIN or (self.fourcc == _MASKED and self.bits == 32)
+
+
+def _read_avi_layout(path: Path) -> _AviLayout:
+    """Walk through the chunks, OpenDML segments included; index and list sizes are not trusted.
+
+    Every whole frame is found in files without an index, with a broken one, over 1 GiB or cut short. An AVI
+    with a palette that changes is refused.
+    """
+    with path.open("rb", buffering=0) as file:
+        header, frames, cut_short = _walk(file, os.fstat(file.fileno()).st_size, path)
+    if len(header.strf) < 40:
+        raise InputError(path, "an AVI with a video stream", "none in its header", "record or copy it again")
+    _, width, height, _, bits, fourcc, _, _, _, used, _ = struct.unpack_from("<IiiHH4sIiiII", header.strf)
+    scale, rate, _, length = struct.unpack_from("<4I", header.strh, 20)
+    table = np.frombuffer(header.strf[40 : 40 + 4 * (used or 256)], np.uint8)
+    where = np.array(frames, np.int64).reshape(-1, 2)
+    return _AviLayout(
+        fourcc=fourcc,
+        bits=bits,
+        width=width,
+        height=abs(height),
+        top_down=height < 0,
+        palette=table[: table.size // 4 * 4].reshape(-1, 4),
+        declared_frames=max(length, header.total_frames) or None,
+        fps=rate / scale if scale and rate else None,
+        offsets=where[:, 0],
+        sizes=where[:, 1],
+        cut_short=cut_short,
+    )
+
+
+@dataclass
+class _Header:
+    """Header chunks found so far: number of the present and of the video stream, its strh and strf, dmlh."""
+
+    stream: int = -1
+    video: int = -1
+    strh: bytes = b""
+    strf: bytes = b""
+    total_frames: int = 0
+
+    def add(self, name: bytes, data: bytes) -> None:
+        """Keep a chunk that describes the first video stream."""
+        if name == b"LIST":
+            if data[4:8] == b"dmlh":
+                self.total_frames = struct.unpack_from("<I", data, 12)[0]
+        elif name == b"strh":
+            self.stream += 1
+            if data[:4] == b"vids" and self.video < 0:
+                self.video, self.strh = self.stream, data
+        elif self.stream == self.video:
+            self.strf = data
+
+
+def _walk(file: BinaryIO, size: int, path: Path) -> tuple[_Header, list[tuple[int, int]], bool]:
+    """Read all chunks, and return header, frames (position, length) and whether the last frame is cut."""
+    header, at = _Header(), 0
+    frames: list[tuple[int, int]] = []
+    while at + 8 <= size:
+        file.seek(at)
+        head = file.read(12)
+        name, length = struct.unpack_from("<4sI", head)
+        if name in (b"RIFF", b"LIST") and head[8:12] not in (b"INFO", b"odml"):  # its contents come next
+            at += 12
+            continue
+        if name[2:] in (b"db", b"dc") and name[:2] == b"%02d" % header.video:
+            if at + 8 + length > size:
+                return header, frames, True
+            frames.append((at + 8, length))
+        elif name[2:] == b"pc":
+            advice = "export the video as grey"
+            raise InputError(path, "one palette for all frames", "a palette change", advice)
+        elif not name.isascii() or name == bytes(4):  # space that a camera reserved and never filled
+            break
+        elif name in (b"strh", b"strf", b"LIST"):
+            file.seek(at + 8)
+            header.add(name, file.read(min(length, 4096)))
+        at += 8 + length + length % 2
+    return header, frames, False
+
+
+def _open_avi(path: Path, layout: _AviLayout) -> MappedReader:
+    """Return a reader of uncompressed frames.
+
+    Plain bitmaps are bottom-up unless their height is negative, fourcc greys are top-down; rows may be
+    padded to 4 bytes. Palette colours and BGR become grey by `LUMA_RULE`. More than 8 bits are 10 to 16
+    bits in two bytes, low byte first. Plain bitmaps of 16 bits are refused (15-bit colour or a deep camera:
+    the file does not say), and so are packed deep formats.
+    """
+    bits, channels, name = _pixel_format(path, layout)
+    pixel_bytes = channels * (1 if bits == 8 else 2)
+    held = layout.sizes[layout.sizes > 0]
+    if not held.size:
+        advice = "the recording was cut short; copy it again"
+        raise InputError(path, "at least one whole frame", "none", advice)
+    frame_bytes = int(np.median(held))
+    packed = layout.width * pixel_bytes
+    padded = (packed + 3) // 4 * 4
+    row_bytes = next((row for row in (padded, packed) if frame_bytes == row * layout.height), None)
+    if row_bytes is None:
+        size = shape_text((layout.height, layout.width))
+        wanted = f"{padded * layout.height} bytes a frame for {size}, {name}"
+        advice = "packed depths are not read; export as FFV1 or TIFF"
+        raise InputError(path, wanted, f"{frame_bytes} bytes", advice)
+    if (held < row_bytes * (layout.height - 1) + packed).any():
+        found = f"one of {int(held.min())}"
+        raise InputError(path, f"frames of {frame_bytes} bytes", found, "a damaged recording")
+    plain, whole = layout.is_plain, layout.offsets.size
+    cut_short = (f"{path.name}: the file ends inside frame {whole}, which is left out",) * layout.cut_short
+    facts = Facts(
+        shape=(layout.height, layout.width),
+        depth_bits=bits,
+        saturation_level=full_scale(bits),
+        declared_frames=max(layout.declared_frames or 0, whole),
+        container="avi",
+        codec="uncompressed",
+        pixel_format=name,
+        decoder="none",
+        grey=LUMA_RULE if channels > 1 or (plain and layout.bits == 8) else AS_STORED,
+        playback_fps=layout.fps,
+        warnings=cut_short,
+    )
+    return MappedReader(
+        path=path,
+        facts=facts,
+        offsets=np.where(layout.sizes > 0, layout.offsets, -1),
+        row_bytes=row_bytes,
+        dtype=np.dtype("u1" if bits == 8 else "<u2"),
+        channels=channels,
+        blue_first=True,
+        bottom_up=plain and not layout.top_down,
+        grey_levels=_grey_levels(layout) if plain and layout.bits == 8 else None,
+    )
+
+
+def _pixel_format(path: Path, layout: _AviLayout) -> tuple[int, int, str]:
+    """Return significant bits, number of channels and name of the pixel format."""
+    if layout.fourcc in _GREY_BITS:
+        bits = _GREY_BITS[layout.fourcc]
+        return bits, 1, f"grey {bits} bit"
+    if layout.bits in (8, 24, 32):
+        name = {8: "8-bit palette", 24: "BGR24", 32: "BGR32"}[layout.bits]
+        return 8, max(1, layout.bits // 8), name
+    found = f"{layout.bits} bits per pixel without a name for them"
+    raise InputError(path, "a raw AVI of 8, 24 or 32 bits per pixel", found, "export as FFV1 or 16-bit TIFF")
+
+
+def _grey_levels(layout: _AviLayout) -> NDArray[np.uint8] | None:
+    """Return the grey value of each palette entry; None for the plain grey ramp or no palette."""
+    if not layout.palette.size:
+        return None
+    levels = np.zeros(256, np.uint8)
+    colours = layout.palette[:256, 2::-1]
+    levels[: len(colours)] = luma(colours[np.newaxis])[0]
+    return None if np.array_equal(levels, np.arange(256)) else levels
+
+
+# --- Phantom ------------------------------------------------------------------------------------------------
+
+
+def _open_cine(path: Path) -> Reader:
+    """Return a reader with the file's own times (seconds from its first frame).
+
+    Packed frames (10 bits) are returned as stored: the camera compands them, so they are not linear in light.
     Source: Vision Research, Cine File Format.
     """
     header = _read_cine_header(path)
@@ -72,9 +298,9 @@ def open_cine(path: Path) -> Reader:
     if header.compression != 0 or header.stored_bits not in (8, 16, 24, 48):
         grey = f"{header.real_bits} bit as stored, companded by the camera, not linear in light"
         facts = replace(facts, codec="packed", decoder="FFmpeg", grey=grey)
-        from vision.video.encoded import EncodedReader
+        from vision.video.encoded import PackedCineReader
 
-        return PackedCineReader(EncodedReader(path), facts)
+        return PackedCineReader(path, facts)
     starts = []
     with path.open("rb") as file:
         for offset in header.offsets.tolist():  # each frame begins with the length of its annotation
@@ -92,27 +318,6 @@ def open_cine(path: Path) -> Reader:
         blue_first=True,
         bottom_up=header.height > 0,
     )
-
-
-@dataclass(frozen=True)
-class PackedCineReader:
-    """A `Reader` of packed cine frames: FFmpeg widens them to 16 bits, which is undone here."""
-
-    reader: Reader
-    facts: Facts
-
-    @property
-    def _shift(self) -> int:
-        return self.reader.facts.depth_bits - self.facts.depth_bits
-
-    def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
-        """Yield the decoder's blocks, in the camera's own grey levels."""
-        for block in self.reader.read(start, stop, rows, columns):
-            yield replace(block, pixels=np.right_shift(block.pixels, self._shift))
-
-    def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
-        """Yield whole frames near these numbers, in the camera's own grey levels."""
-        yield from (np.right_shift(pixels, self._shift) for pixels in self.reader.sample(numbers))
 
 
 @dataclass(frozen=True)
@@ -222,26 +427,14 @@ def photron_files(path: Path) -> tuple[Path, Path]:
     return (path, others[0]) if path.suffix.lower() == PIXELS else (others[0], path)
 
 
-def open_photron(path: Path) -> Reader:
+def _open_photron(path: Path) -> Reader:
     """Return a reader with the camera's own clock: frame number over the header's frame rate.
 
-    Parameters
-    ----------
-    path
-        The .mraw or its .cih; the other one must be beside it.
-
-    Raises
-    ------
-    InputError
-        If one of the two is missing, the header lacks a number or contradicts the file's size, pixels are
-        colour or of another depth, or there is no whole frame.
-
-    Notes
-    -----
-    The file has no signature and no frame headers: frame n begins at byte n · width · height · bits / 8. Two
-    12-bit pixels a, b are stored as the bytes a₁₁…a₄, a₃…a₀ b₁₁…b₈, b₇…b₀; 16 bits low byte first, with the
-    camera's fewer bits at the lower or the higher end ("EffectiveBit Side"). Source: Photron FASTCAM Viewer,
-    file formats; the published reader pyMRAW (ladisk/pyMRAW).
+    `path` is the .mraw or its .cih; the other one must be beside it. The file has no signature and no frame
+    headers: frame n begins at byte n · width · height · bits / 8. Two 12-bit pixels a, b are stored as the
+    bytes a₁₁…a₄, a₃…a₀ b₁₁…b₈, b₇…b₀; 16 bits low byte first, with the camera's fewer bits at the lower or
+    the higher end ("EffectiveBit Side"). Source: Photron FASTCAM Viewer, file formats; the published reader
+    pyMRAW (ladisk/pyMRAW).
     """
     pixels, text = photron_files(path)
     fields = _fields(text)
@@ -287,13 +480,11 @@ def open_photron(path: Path) -> Reader:
         camera_fps=rate,
         warnings=tuple(warnings),
     )
-    if bits == 12:
-        return Packed12Reader(path=pixels, facts=facts, count=held)
     return MappedReader(
         path=pixels,
         facts=facts,
         offsets=frame_bytes * np.arange(held, dtype=np.int64),
-        row_bytes=width * bits // 8,
+        row_bytes=0 if bits == 12 else width * bits // 8,
         dtype=np.dtype("u1" if bits == 8 else "<u2"),
     )
 
@@ -310,54 +501,6 @@ def _check_size(pixels: Path, text: Path, shape: tuple[int, int], bits: int, fra
     if size < area * bits // 8:
         wanted = f"at least one frame of {picture}, {bits} bit, {area * bits // 8} bytes"
         raise InputError(pixels, wanted, f"{size} bytes", "the recording was cut short; copy it again")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Packed12Reader:
-    """A `Reader` of 12-bit pixels, two in three bytes, high bits first; only the wanted rows are unpacked.
-
-    Parameters
-    ----------
-    path, facts
-        The .mraw, and the facts from its header.
-    count
-        Number of whole frames in the file.
-    """
-
-    path: Path
-    facts: Facts
-    count: int
-
-    def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
-        """Yield frames in order, unpacked block by block."""
-        end = self.count if stop is None else min(stop, self.count)
-        # 6 bytes per pixel at most: 12 bits packed, and 16 bits twice
-        size = frames_per_block(rows.stop - rows.start, self.facts.shape[1], 6)
-        for first in range(start, end, size):
-            last = min(first + size, end)
-            yield Block(self._unpacked(first, last, rows)[:, :, columns], first, repeated("ok", last - first))
-
-    def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
-        """Yield exactly these frames, whole, without those that the file does not contain."""
-        for n in numbers:
-            if n < self.count:
-                yield self._unpacked(n, n + 1, slice(0, self.facts.shape[0]))[0]
-
-    def _unpacked(self, first: int, last: int, rows: slice) -> NDArray[np.uint16]:
-        height, width = self.facts.shape
-        frame_bytes = height * width * 3 // 2
-        begin, end = rows.start * width, rows.stop * width  # in pixels; a row may begin inside three bytes
-        even = begin - begin % 2
-        raw = np.empty((last - first, (end + 1) // 2 * 3 - even // 2 * 3), np.uint8)
-        with self.path.open("rb", buffering=0) as file:
-            for n, frame in enumerate(raw, first):
-                file.seek(n * frame_bytes + even // 2 * 3)
-                read_fully(file, memoryview(frame), self.path)
-        triples = raw.reshape(last - first, -1, 3).astype(np.uint16)
-        pixels = np.empty((last - first, 2 * triples.shape[1]), np.uint16)
-        pixels[:, 0::2] = triples[..., 0] << 4 | triples[..., 1] >> 4
-        pixels[:, 1::2] = (triples[..., 1] & 15) << 8 | triples[..., 2]
-        return pixels[:, begin - even : end - even].reshape(last - first, rows.stop - rows.start, width)
 
 
 def _fields(text: Path) -> Mapping[str, str]:
