@@ -1,5 +1,6 @@
 """Disks that stop answering while a campaign is planned, a folder is watched, or a film is copied."""
 
+import os
 import threading
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import pytest
 
 from tests.campaign.scenes import films, planned, rows, table
 from vision.campaign.films import Checked, FolderWatch, read_campaign
-from vision.campaign.jobs import _source
+from vision.campaign.jobs import _source, copy_or_give_up
 from vision.campaign.plan import State, make_plan, vanished_rows, write_state
 from vision.campaign.settings import CampaignSettings
 from vision.errors import InputError
@@ -93,3 +94,18 @@ def test_a_film_whose_disk_dies_before_it_is_copied(tmp_path, dies):
     told = pytest.raises(InputError, match=r"t0\.tif: expected a disk .* no answer for 0\.2 s")
     with told, _source(film, {}, SHORT, stage=True):
         pass
+
+
+def test_a_copy_that_stalls_is_one_line_and_no_hang(tmp_path):
+    """A failure means that a file server which stops answering stops a campaign for ever."""
+    pipe, film = tmp_path / "pipe.avi", tmp_path / "film.avi"
+    os.mkfifo(pipe)
+    with pipe.open("r+b", buffering=0) as end:
+        end.write(bytes(1000))
+        with pytest.raises(InputError, match=r"pipe\.avi: expected a disk .* no answer for 0\.2 s"):
+            copy_or_give_up(pipe, tmp_path / "copy", 0.2)
+    film.write_bytes(bytes(1000))
+    copy_or_give_up(film, tmp_path / "copy", 60.0)
+    assert (tmp_path / "copy").read_bytes() == bytes(1000)
+    with pytest.raises(FileNotFoundError):
+        copy_or_give_up(tmp_path / "none.avi", tmp_path / "copy", 60.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -167,8 +167,7 @@ def strip_profiles(
     parts = [slice(None), *(slice(*pair) for pair in pairwise(edges))]
     store = FrameStore((1 + strips) * width, expected=video.estimated, spill_bytes=settings.spill_bytes)
     for block in prefetch(video.blocks(plan.strip.rows, plan.columns), video.path, settings.answer_s):
-        each = [_reduced(video, replace(block, pixels=block.pixels[:, part])) for part in parts]
-        store.add(replace(each[0], intensity=np.concatenate([part.intensity for part in each], axis=1)))
+        store.add(_reduced(video, block, parts))
         if progress is not None:
             progress(store.count, video.estimated)
     read = store.part(0, store.count)
@@ -317,9 +316,10 @@ def _continued(video: Video, blocks: Iterator[Block], known: FramesRead) -> Iter
         count = 0
 
 
-def _reduced(video: Video, block: Block) -> FramesRead:
-    """Return the row means, status and times of one block."""
-    means, status = row_means(block.pixels), np.array(block.status, STATUS_TYPE)
+def _reduced(video: Video, block: Block, parts: Sequence[slice] = (slice(None),)) -> FramesRead:
+    """Return the row means of each part of the rows, side by side, and status and times of one block."""
+    means = np.concatenate([row_means(block.pixels[:, part]) for part in parts], axis=1)
+    status = np.array(block.status, STATUS_TYPE)
     not_finite = ~np.isfinite(means).all(axis=1)
     means[not_finite] = np.nan  # infinities would spread into sums over frames
     status[(status == "ok") & not_finite] = "corrupt"
