@@ -67,37 +67,20 @@ _GREY_BITS = {
 class _AviLayout:
     """Header of an AVI file's first video stream and positions of its frames, from its chunks alone.
 
-    Parameters
-    ----------
-    fourcc, bits
-        Compression, four bytes, zeros for plain bitmaps; bits per pixel.
-    width, height, top_down
-        Picture in px; top_down for a height that was stored as a negative number.
-    palette
-        (entries, 4): blue, green, red, 0.
-    declared_frames, fps
-        Values of the header; None if it does not state them.
-    offsets, sizes
-        Position and length of each whole frame; length 0 is a frame that the camera dropped.
-    cut_short
-        Whether the file ends inside a frame.
-
-    Notes
-    -----
     Source: Microsoft AVI RIFF reference; OpenDML AVI file format extensions 1.02.
     """
 
-    fourcc: bytes
-    bits: int
+    fourcc: bytes  # compression, zeros for plain bitmaps
+    bits: int  # per pixel
     width: int
     height: int
-    top_down: bool
-    palette: NDArray[np.uint8]
+    top_down: bool  # its height is stored as a negative number
+    palette: NDArray[np.uint8]  # (entries, 4): blue, green, red, 0
     declared_frames: int | None
     fps: float | None
-    offsets: Ints
-    sizes: Ints
-    cut_short: bool
+    offsets: Ints  # position of each whole frame
+    sizes: Ints  # its length; 0 is a frame that the camera dropped
+    cut_short: bool  # the file ends inside a frame
 
     @property
     def is_uncompressed(self) -> bool:
@@ -274,94 +257,62 @@ def _open_cine(path: Path) -> Reader:
     Packed frames (10 bits) are returned as stored: the camera compands them, so they are not linear in light.
     Source: Vision Research, Cine File Format.
     """
-    header = _read_cine_header(path)
-    if not header.offsets.size:
+    size, main = path.stat().st_size, struct.Struct("<2sHHHiIiIIII8x")
+    try:
+        with path.open("rb") as file:
+            _, _, kind, *_, count, bitmap_at, setup_at, images_at = main.unpack(file.read(main.size))
+            file.seek(0)
+            data = file.read(min(images_at + 8 * count, size))  # everything before the first frame
+        _, width, height, _, stored, compression = struct.unpack_from("<IiiHHI", data, bitmap_at)
+        bits = struct.unpack_from("<I", data, setup_at + 896)[0]  # RealBPP in the SETUP block
+        entries = min(count, (len(data) - images_at) // 8)
+        frames = np.frombuffer(data, "<i8", entries, images_at).astype(np.int64)
+        times_s = _cine_times(data, setup_at, images_at, count)
+    except (struct.error, ValueError):
+        raise InputError(path, "a whole cine header", "a file cut short inside it", "copy it again") from None
+    frames = frames[frames < size]
+    if not frames.size:
         advice = "the recording was cut short; copy it again"
         raise InputError(path, "at least one whole frame", "none", advice)
+    if not 0 < bits <= 16:
+        bits = min(stored if compression == 0 else 10, 16)
     mosaic = (
         f"{path.name}: a Bayer pattern of colour filters lies on the pixels, so that neighbouring columns "
         "differ in brightness: export it as grey, or with interpolated colour",
     )
     facts = Facts(
-        shape=(abs(header.height), header.width),
-        depth_bits=header.real_bits,
-        saturation_level=full_scale(header.real_bits),
-        declared_frames=header.declared_frames,
+        shape=(abs(height), width),
+        depth_bits=bits,
+        saturation_level=full_scale(bits),
+        declared_frames=count,
         container="cine",
         codec="uncompressed",
-        pixel_format=f"{header.real_bits} bit",
+        pixel_format=f"{bits} bit",
         decoder="none",
-        grey=LUMA_RULE if header.stored_bits in (24, 48) else AS_STORED,
-        times_s=header.times_s,
-        warnings=mosaic * header.mosaic,
+        grey=LUMA_RULE if stored in (24, 48) else AS_STORED,
+        times_s=times_s,
+        warnings=mosaic * (kind == 2),  # pixels of a colour camera without interpolation
     )
-    if header.compression != 0 or header.stored_bits not in (8, 16, 24, 48):
-        grey = f"{header.real_bits} bit as stored, companded by the camera, not linear in light"
+    if compression != 0 or stored not in (8, 16, 24, 48):
+        grey = f"{bits} bit as stored, companded by the camera, not linear in light"
         facts = replace(facts, codec="packed", decoder="FFmpeg", grey=grey)
         from vision.video.encoded import PackedCineReader
 
         return PackedCineReader(path, facts)
-    starts = []
     with path.open("rb") as file:
-        for offset in header.offsets.tolist():  # each frame begins with the length of its annotation
+        for n, offset in enumerate(frames.tolist()):  # each begins with the length of its annotation
             file.seek(offset)
-            starts.append(offset + int.from_bytes(file.read(4), "little"))
-    row_bytes = header.width * header.stored_bits // 8
-    inside = np.array(starts, np.int64)
+            frames[n] += int.from_bytes(file.read(4), "little")
+    row_bytes = width * stored // 8
     return MappedReader(
         path=path,
         facts=facts,
-        offsets=inside[inside + abs(header.height) * row_bytes <= path.stat().st_size],
+        offsets=frames[frames + abs(height) * row_bytes <= size],
         row_bytes=row_bytes,
-        dtype=np.dtype("<u2" if header.stored_bits in (16, 48) else "u1"),
-        channels=3 if header.stored_bits in (24, 48) else 1,
+        dtype=np.dtype("<u2" if stored in (16, 48) else "u1"),
+        channels=3 if stored in (24, 48) else 1,
         blue_first=True,
-        bottom_up=header.height > 0,
-    )
-
-
-@dataclass(frozen=True)
-class _CineHeader:
-    """Content of the file's first blocks; offsets are those of frames that begin inside the file.
-
-    mosaic: whether pixels of a colour camera are stored without interpolation.
-    """
-
-    width: int
-    height: int
-    stored_bits: int
-    compression: int
-    mosaic: bool
-    real_bits: int
-    declared_frames: int
-    offsets: Ints
-    times_s: Floats | None
-
-
-def _read_cine_header(path: Path) -> _CineHeader:
-    size, main = path.stat().st_size, struct.Struct("<2sHHHiIiIIII8x")
-    try:
-        with path.open("rb") as file:
-            _, _, layout, *_, count, bitmap_at, setup_at, images_at = main.unpack(file.read(main.size))
-            file.seek(0)
-            data = file.read(min(images_at + 8 * count, size))  # everything before the first frame
-        _, width, height, _, bits, compression = struct.unpack_from("<IiiHHI", data, bitmap_at)
-        real = struct.unpack_from("<I", data, setup_at + 896)[0]  # RealBPP in the SETUP block
-        whole = min(count, (len(data) - images_at) // 8)
-        offsets = np.frombuffer(data, "<i8", whole, images_at).astype(np.int64)
-        times_s = _cine_times(data, setup_at, images_at, count)
-    except (struct.error, ValueError):
-        raise InputError(path, "a whole cine header", "a file cut short inside it", "copy it again") from None
-    return _CineHeader(
-        width=width,
-        height=height,
-        stored_bits=bits,
-        compression=compression,
-        mosaic=layout == 2,
-        real_bits=real if 0 < real <= 16 else min(bits if compression == 0 else 10, 16),
-        declared_frames=count,
-        offsets=offsets[offsets < size],
-        times_s=times_s,
+        bottom_up=height > 0,
     )
 
 
