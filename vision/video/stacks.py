@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import glob
 import math
-import os
 import re
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO
@@ -46,9 +44,17 @@ Pillow.MAX_IMAGE_PIXELS = None  # its warning; `check_pixels` bounds what is dec
 Page = tifffile.TiffPage | tifffile.TiffFrame | None
 
 
+_FORMS = {
+    b"II*\0": tifffile.TIFF.CLASSIC_LE,
+    b"MM\0*": tifffile.TIFF.CLASSIC_BE,
+    b"II+\0": tifffile.TIFF.BIG_LE,
+    b"MM\0+": tifffile.TIFF.BIG_BE,
+}
+
+
 def is_tiff(head: bytes) -> bool:
     """Return whether a file that begins with these bytes is a TIFF or BigTIFF."""
-    return head[:4] in (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+    return head[:4] in _FORMS
 
 
 def open_stack(path: Path) -> Reader:
@@ -482,27 +488,6 @@ def _ends_in_chunk(data: NDArray[np.uint8]) -> bool:
 _ADVICE = "copy or export it again"
 
 
-@dataclass(frozen=True)
-class _Form:
-    """Layout of a classic or a big TIFF: number of tags, one tag, an offset; bytes of values within a tag."""
-
-    order: str
-    count: struct.Struct
-    tag: struct.Struct
-    offset: struct.Struct
-    inside: int
-
-
-def _form(head: bytes) -> tuple[_Form, int]:
-    """Return the layout, and the position of the first offset."""
-    order = "<" if head[:2] == b"II" else ">"
-    big = struct.unpack_from(f"{order}H", head, 2)[0] == 43
-    count, tag, offset = (
-        struct.Struct(order + code) for code in (("Q", "HHQ8s", "Q") if big else ("H", "HHI4s", "I"))
-    )
-    return _Form(order, count, tag, offset, offset.size), offset.size
-
-
 def check_tiff(path: Path, *, frames: bool = True) -> None:
     """Refuse a TIFF whose index would lead a reader in circles, or whose pages are no pictures.
 
@@ -523,9 +508,9 @@ def check_tiff(path: Path, *, frames: bool = True) -> None:
     """
     size = path.stat().st_size
     with path.open("rb") as file:
-        form, at = _form(file.read(16).ljust(16, b"\0"))
-        file.seek(at)
-        place = _unpacked(form.offset, file)
+        form = _FORMS.get(file.read(4), tifffile.TIFF.CLASSIC_LE)
+        file.seek(form.offsetsize)
+        place = _number(form.offsetformat, file)
         seen: set[int] = set()
         spent = 0
         while place and place < size:
@@ -533,48 +518,48 @@ def check_tiff(path: Path, *, frames: bool = True) -> None:
                 raise InputError(
                     path, "a TIFF stack", f"one whose page {len(seen)} is an earlier one", _ADVICE
                 )
-            seen.add(place)
             file.seek(place)
-            pointed, shape = _page_facts(file, form, path, number=len(seen) - 1)
+            pointed, shape = _page_facts(file, form, path, size, number=len(seen))
+            seen.add(place)
             spent += pointed
             if frames and shape is not None:
                 check_pixels(path, *shape)
             if spent > size + (1 << 26):  # pages may share values; reading all would never end
                 raise InputError(path, "a TIFF stack", "tags that point to more than the file holds", _ADVICE)
-            place = _unpacked(form.offset, file)
+            place = _number(form.offsetformat, file)
 
 
 def _page_facts(
-    file: BinaryIO, form: _Form, path: Path, *, number: int
+    file: BinaryIO, form: tifffile.TiffFormat, path: Path, size: int, *, number: int
 ) -> tuple[int, tuple[int, int] | None]:
     """Return the bytes to which the tags of the page at the file's position point, its rows and row length.
 
     The position is then after the tags.
     """
-    tags = _unpacked(form.count, file)
+    tags = _number(form.tagnoformat, file)
     if tags > 1000:  # microscopes write up to 60; damaged pages of more take long
         raise InputError(path, f"at most 1000 tags in page {number}", str(tags), _ADVICE)
-    data = file.read(tags * form.tag.size)
-    size = os.fstat(file.fileno()).st_size
-    bytes_of_type = dict(enumerate((1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 2, 4, 8, 8, 8, 8), 1))
-    numbers = {1: "B", 3: "H", 4: "I", 16: "Q"}  # types of whole numbers
+    data = file.read(tags * form.tagsize)
     spent, shape = 0, {}
-    for code, kind, count, value in form.tag.iter_unpack(data[: len(data) // form.tag.size * form.tag.size]):
-        held = count * bytes_of_type.get(kind, 1)
+    for code, kind, count, value in struct.iter_unpack(
+        form.tagheaderformat, data[: len(data) // form.tagsize * form.tagsize]
+    ):
+        values = tifffile.TIFF.DATA_FORMATS.get(kind, "1B")
+        held = count * struct.calcsize(f"={values}")
         if held > size:
             found = f"{held} bytes in a file of {size}"
             raise InputError(path, f"a tag {code} of page {number} that fits in the file", found, _ADVICE)
-        if held > form.inside:
+        if held > form.tagoffsetthreshold:
             spent += held
         elif code in (256, 257, 277):  # columns, rows, values per pixel
-            known = kind in numbers
-            shape[code] = struct.unpack_from(form.order + numbers[kind], value)[0] if known else 0
+            whole = kind in (1, 3, 4, 16)
+            shape[code] = struct.unpack_from(form.byteorder + values, value)[0] if whole else 0
     if 256 in shape and 257 in shape:
         return spent, (shape[257], shape[256] * max(1, shape.get(277, 1)))
     return spent, None
 
 
-def _unpacked(form: struct.Struct, file: BinaryIO) -> int:
+def _number(code: str, file: BinaryIO) -> int:
     """Return the next number; 0 at the end of the file."""
-    data = file.read(form.size)
-    return int(form.unpack(data)[0]) if len(data) == form.size else 0
+    data = file.read(struct.calcsize(code))
+    return int(struct.unpack(code, data)[0]) if len(data) == struct.calcsize(code) else 0
