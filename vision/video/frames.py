@@ -496,21 +496,16 @@ class _Watch:
 
 def held_back(blocks: Iterator[Block], margin: int) -> Iterator[Block]:
     """Yield all frames but the last `margin`, which may not be completely written yet."""
-    waiting: list[Block] = []
-    count = 0
+    held: list[Block] = []
     for block in blocks:
-        waiting.append(block)
-        count += len(block.status)
-        while count - len(waiting[0].status) >= margin:
-            count -= len(waiting[0].status)
-            yield waiting.pop(0)
-            if not waiting:
-                break
-    for block in waiting:
-        ready = min(len(block.status), count - margin)
+        held.append(block)
+        while sum(len(later.status) for later in held[1:]) >= margin and len(held) > 1:
+            yield held.pop(0)
+    ready = sum(len(block.status) for block in held) - margin
+    for block in held:
         if ready > 0:
-            yield part_of(block, 0, ready)
-        count -= len(block.status)
+            yield part_of(block, 0, min(ready, len(block.status)))
+        ready -= len(block.status)
 
 
 def part_of(block: Block, start: int, stop: int) -> Block:

@@ -24,6 +24,7 @@ from vision.numeric import Floats, Ints, Pixels
 from vision.video.reader import (
     AS_STORED,
     LUMA_RULE,
+    SECONDS,
     Facts,
     Frame,
     ImagesReader,
@@ -37,7 +38,6 @@ from vision.video.threads import in_threads
 
 IMAGES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"}
 _JPEG = {"jpg", "jpeg", "ojpeg", "jpeg_lossy"}
-_UNIT_S = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 
 Pillow.MAX_IMAGE_PIXELS = None  # its warning; `check_pixels` bounds what is decoded
 
@@ -291,7 +291,7 @@ def _own_times(tif: tifffile.TiffFile, frames: int) -> Floats | None:
         found = re.search(r'\bTimeIncrement="([^"]+)"', pixels)
         named = re.search(r'\bTimeIncrementUnit="([^"]+)"', pixels)
         step, unit = float(found.group(1)) if found else 0.0, named.group(1) if named else "s"
-    seconds = step * _UNIT_S.get(unit.strip().lower(), 0.0)
+    seconds = step * SECONDS.get(unit.strip().lower(), 0.0)
     return np.arange(frames, dtype=np.float64) * seconds if seconds > 0 else None
 
 

@@ -17,12 +17,11 @@ from vision.escaping import html_table
 from vision.files import Stamp, check_pixels, check_regular, reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.raw import is_photron, open_raw, photron_files
-from vision.video.reader import Block, Facts, Reader
+from vision.video.reader import SECONDS, Block, Facts, Reader
 from vision.video.settings import DEFAULTS
 from vision.video.stacks import IMAGES, is_tiff, open_sequence, open_stack
 from vision.video.threads import answered
 
-_SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
 _UNIT = re.compile(r"(?:^|[\s_(\[.,;/-])(s|sec|seconds|ms|us|µs|μs|ns)(?:$|[\s)\],;])", re.IGNORECASE)
 _TIME_NAME = re.compile(r"time|stamp|zeit|temps", re.IGNORECASE)
 
@@ -479,4 +478,4 @@ def _time_column(header: str, width: int) -> tuple[int, float]:
     place = next((n for n, name in enumerate(names) if _TIME_NAME.search(name)), width - 1)
     place = place if place < width else width - 1
     unit = _UNIT.search(names[place] if place < len(names) else header)
-    return place, _SECONDS[unit.group(1).lower()] if unit else 1.0
+    return place, SECONDS[unit.group(1).lower()] if unit else 1.0
