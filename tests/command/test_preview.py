@@ -12,7 +12,7 @@ from vision.command.options import VideoOptions
 from vision.command.settings import merged, settings_of
 from vision.command.views import make_preview
 from vision.figures import preview_figure
-from vision.video.uncompressed import MappedReader
+from vision.video.reader import MappedReader
 
 FRAMES = 400
 

@@ -45,13 +45,16 @@ WORDS = (
 )
 
 
-def mutated(data: bytes, kind: str, random: Random) -> bytes:
-    """One to four changes."""
+def mutated(data: bytes, kind: str, random: Random, other: bytes = b"") -> bytes:
+    """One to four changes; sometimes first the end of another file of this kind in place of its own."""
+    if other and random.random() < 0.1:
+        at = random.random()
+        data = data[: int(at * len(data))] + other[int(at * len(other)) :]
     for _ in range(int(random.integers(1, 5))):
-        changes = TEXT if kind in ("text", "times") else BINARY
+        changes = TEXT if kind in ("text", "times", "photron") else BINARY
         change = changes[int(random.integers(len(changes)))]
         data = change(data, kind, random)
-    return with_checksums(data) if kind == "png" and random.random() < 0.8 else data
+    return with_checksums(data) if data[:4] == b"\x89PNG" and random.random() < 0.8 else data
 
 
 # --- places of numbers ------------------------------------------------------------------------------------
@@ -144,6 +147,7 @@ FIELDS: dict[str, Callable[[bytes], list[tuple[int, int]]]] = {
     "mp4": _mp4,
     "matroska": _matroska,
     "png": _png,
+    "images": lambda data: (_png if data[:4] == b"\x89PNG" else _tiff)(data),
     "cine": _cine,
     "mat": _mat,
     "hdf5": _hdf5,
@@ -158,7 +162,7 @@ def number(data: bytes, kind: str, random: Random) -> bytes:
     if not known:
         return flip(data, kind, random)
     at, size = known[int(random.integers(len(known)))]
-    order = "big" if kind in ("mp4", "matroska", "png") or data[:2] == b"MM" else "little"
+    order = "big" if kind in ("mp4", "matroska", "png", "images") or data[:2] == b"MM" else "little"
     old = int.from_bytes(data[at : at + size], order)
     options = (
         NUMBERS[int(random.integers(len(NUMBERS)))],
@@ -208,6 +212,55 @@ def junk(data: bytes, kind: str, random: Random) -> bytes:
     """A piece is noise."""
     first, last = _span(data, random)
     return data[:first] + random.bytes(last - first) + data[last:]
+
+
+def swap(data: bytes, kind: str, random: Random) -> bytes:
+    """Two pieces change places."""
+    (a, b), (c, d) = sorted((_span(data, random), _span(data, random)))
+    return data if b > c else data[:a] + data[c:d] + data[b:c] + data[a:b] + data[d:]
+
+
+def reverse(data: bytes, kind: str, random: Random) -> bytes:
+    """The words of a piece are in the other byte order."""
+    first, last = _span(data, random)
+    size = (2, 4, 8)[int(random.integers(3))]
+    last -= (last - first) % size
+    words = np.frombuffer(data[first:last], np.uint8).reshape(-1, size)
+    return data[:first] + words[:, ::-1].tobytes() + data[last:]
+
+
+def real(data: bytes, kind: str, random: Random) -> bytes:
+    """A number of the structure becomes a floating-point one that nobody expects."""
+    known = places(data, kind)
+    at = known[int(random.integers(len(known)))][0] if known else int(random.integers(len(data) + 1))
+    value = (float("nan"), float("inf"), -0.0, 1e-310, -1e300)[int(random.integers(5))]
+    packed = struct.pack("<>"[int(random.integers(2))] + "d", value)
+    return data[:at] + packed + data[at + 8 :] if at >= 0 else data
+
+
+def nest(data: bytes, kind: str, random: Random) -> bytes:
+    """The beginning of an element stands in itself, many times."""
+    known = [at for at, _ in places(data, kind) if at >= 0] or [0]
+    at = max(0, known[int(random.integers(len(known)))] - 4)
+    size = (8, 12, 20, 64)[int(random.integers(4))]
+    return data[:at] + data[at : at + size] * int(2 ** random.uniform(1, 12)) + data[at:]
+
+
+def columns(data: bytes, kind: str, random: Random) -> bytes:
+    """A column of a table goes, comes twice, or changes place with another in all lines from one on."""
+    lines = [re.split(rb"([,;\t:]| {2,})", one) for one in data.split(b"\n")]
+    start, width = int(random.integers(len(lines))), max(map(len, lines))
+    a, b = (2 * int(random.integers((width + 1) // 2)) for _ in range(2))
+    how = int(random.integers(3))
+    for cells in lines[start:]:
+        if max(a, b) < len(cells):
+            if how == 0:
+                del cells[a : a + 2]
+            elif how == 1:
+                cells[a:a] = cells[a : a + 2]
+            else:
+                cells[a], cells[b] = cells[b], cells[a]
+    return b"\n".join(b"".join(cells) for cells in lines)
 
 
 def cell(data: bytes, kind: str, random: Random) -> bytes:
@@ -264,5 +317,6 @@ def with_checksums(data: bytes) -> bytes:
     return bytes(out)
 
 
-BINARY = (number, number, number, number, flip, cut, remove, repeat, blank, junk)
-TEXT = (cell, cell, cell, line, line, recode, flip, cut, remove, repeat, blank, junk)
+ANY = (flip, cut, remove, repeat, blank, junk, swap)
+BINARY = (*ANY, number, number, number, number, reverse, real, nest)
+TEXT = (*ANY, cell, cell, cell, line, line, columns, recode)

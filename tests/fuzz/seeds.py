@@ -26,8 +26,23 @@ def write_seeds(folder: Path) -> dict[str, list[Path]]:
             _film(folder / "h264.mkv", frames, "libx264", "yuv420p"),
             _film(folder / "vp8.webm", frames, "libvpx", "yuv420p"),
         ],
-        "png": [_image(folder / "a_0001.png", frames)],
-        "bytes": [_image(folder / f"a_0001{end}", frames) for end in (".jpg", ".bmp")],
+        "png": [
+            _image(folder / "a_0001.png", frames),
+            _image(folder / "b_0001.png", frames.astype(np.uint16)),
+        ],
+        "bytes": [
+            *(_image(folder / f"a_0001{end}", frames) for end in (".jpg", ".bmp")),
+            _film(folder / "a.y4m", frames, "rawvideo", "gray"),
+            _film(folder / "a.ts", frames, "mpeg2video", "yuv420p"),
+            _film(folder / "a.gif", frames, "gif", "gray"),
+            _film(folder / "a.flv", frames, "flv", "yuv420p"),
+            _film(folder / "packed.nut", frames, "rawvideo", "yuyv422"),
+        ],
+        "photron": [_photron(folder / "photron", frames), _photron(folder / "photron_xml", frames, xml=True)],
+        "images": [
+            _images(folder / "images_png", frames, ".png"),
+            _images(folder / "images_tif", frames, ".tif"),
+        ],
         "cine": [_cine(folder / "a.cine", frames)],
         "mat": [_mat(folder / "v5.mat")],
         "hdf5": [_mat73(folder / "v73.mat")],
@@ -43,7 +58,9 @@ def _riff(folder: Path, frames) -> list[Path]:
     plain = write_avi(
         folder / "palette.avi", frames, fourcc=bytes(4), palette=palette, bottom_up=True, pad=True, segments=2
     )
-    return [raw, plain, _film(folder / "mjpeg.avi", frames, "mjpeg", "yuvj420p")]
+    colour = np.stack([frames, frames // 2, 255 - frames], axis=-1)
+    bgr = write_avi(folder / "bgr.avi", colour, bits=24, fourcc=bytes(4), bottom_up=True, pad=True)
+    return [raw, plain, bgr, _film(folder / "mjpeg.avi", frames, "mjpeg", "yuvj420p")]
 
 
 def _tiff(folder: Path, frames) -> list[Path]:
@@ -55,10 +72,15 @@ def _tiff(folder: Path, frames) -> list[Path]:
         "tiles.tif": {"tile": (16, 16)},
         "motorola.tif": {"byteorder": ">"},
         "imagej.tif": {"imagej": True, "metadata": {"axes": "TYX", "finterval": 0.02}},
+        "planes.tif": {"photometric": "rgb", "planarconfig": "separate"},
+        "alpha.tif": {"planarconfig": "contig", "extrasamples": ["unassalpha"], "compression": "zlib"},
         "stack.ome.tif": {"ome": True, "metadata": {"axes": "TYX", "TimeIncrement": 0.02}},
     }
+    deep = frames.astype(np.uint16)
     for name, more in made.items():
-        tifffile.imwrite(folder / name, frames.astype(np.uint16), **({"photometric": "minisblack"} | more))
+        channels = {"planes.tif": (3, 1), "alpha.tif": (2, -1)}.get(name)
+        pixels = deep if channels is None else np.stack([deep] * channels[0], axis=channels[1])
+        tifffile.imwrite(folder / name, pixels, **({"photometric": "minisblack"} | more))
     return [folder / name for name in made]
 
 
@@ -68,6 +90,43 @@ def _film(path: Path, frames, codec: str, pix_fmt: str) -> Path:
 
 def _image(path: Path, frames) -> Path:
     cv2.imwrite(str(path), frames[0])
+    return path
+
+
+def _images(folder: Path, frames, end: str) -> Path:
+    """The second of four images."""
+    folder.mkdir(exist_ok=True)
+    return [_image(folder / f"a_{n:04}{end}", frames[n : n + 1]) for n in range(4)][1]
+
+
+def _photron(folder: Path, frames, *, xml: bool = False) -> Path:
+    """The header of a recording, 12 bits packed or with a header in XML 8 bits; the pixels are beside it."""
+    folder.mkdir(exist_ok=True)
+    count, rows, columns = frames.shape
+    bits = 8 if xml else 12
+    (folder / "a.mraw").write_bytes(frames.tobytes() if xml else bytes(count * rows * columns * 3 // 2))
+    if xml:
+        path = folder / "a.cihx"
+        text = (
+            "<cih><recordInfo><recordRate>1000</recordRate></recordInfo>"
+            f"<frameInfo><totalFrame>{count}</totalFrame><skipFrame>1</skipFrame></frameInfo>"
+            f"<imageDataInfo><resolution><width>{columns}</width><height>{rows}</height></resolution>"
+            f"<colorInfo><type>Mono</type><bit>{bits}</bit></colorInfo>"
+            f"<effectiveBit><depth>{bits}</depth><side>Lower</side></effectiveBit></imageDataInfo></cih>"
+        )
+    else:
+        path = folder / "a.cih"
+        facts = {"Record Rate(fps)": 1000, "Total Frame": count, "Image Width": columns, "Image Height": rows}
+        facts |= {
+            "Color Type": "Mono",
+            "Color Bit": bits,
+            "EffectiveBit Depth": bits,
+            "EffectiveBit Side": "Lower",
+        }
+        text = "#Camera Information Header\n" + "".join(
+            f"{name} : {value}\n" for name, value in facts.items()
+        )
+    path.write_text(text)
     return path
 
 

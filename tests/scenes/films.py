@@ -116,9 +116,9 @@ def states(video) -> list[str]:
     return [status for block in video.blocks() for status in block.status]
 
 
-def write_cine(path, frames, *, real_bits, rate=1000.0, odd_time=None):
-    """An unpacked cine: bottom row first, one time per frame, annotations of any length."""
-    count, height, width = frames.shape
+def write_cine(path, frames, *, real_bits, rate=1000.0, odd_time=None, mosaic=False):
+    """An unpacked cine: bottom row first, one time per frame, annotations of any length; colour is BGR."""
+    count, height, width = frames.shape[:3]
     setup = bytearray(1024)
     setup[140:144] = struct.pack("<2sH", b"ST", len(setup))
     setup[896:900] = struct.pack("<I", real_bits)
@@ -129,8 +129,10 @@ def write_cine(path, frames, *, real_bits, rate=1000.0, odd_time=None):
     images_at = 44 + 40 + len(setup) + len(times)
     blobs = [struct.pack("<I", 8 + n) + bytes(n) + bytes(4) + f[::-1].tobytes() for n, f in enumerate(frames)]
     places = images_at + 8 * count + np.concatenate([[0], np.cumsum([len(b) for b in blobs[:-1]])])
-    head = struct.pack("<2sHHHiIiIIII8s", b"CI", 44, 0, 1, 0, count, 0, count, 44, 84, images_at, bytes(8))
-    bits = 8 * frames.itemsize
+    head = struct.pack(
+        "<2sHHHiIiIIII8s", b"CI", 44, 2 * mosaic, 1, 0, count, 0, count, 44, 84, images_at, bytes(8)
+    )
+    bits = 8 * frames[0, 0, 0].nbytes
     bitmap = struct.pack("<IiiHHIIiiII", 40, width, height, 1, bits, 0, frames[0].nbytes, 0, 0, 0, 0)
     path.write_bytes(head + bitmap + setup + times + places.astype("<i8").tobytes() + b"".join(blobs))
     return path

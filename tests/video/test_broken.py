@@ -3,13 +3,15 @@
 import os
 import shutil
 import struct
+import subprocess
+import sys
 
 import cv2
 import numpy as np
 import pytest
 import tifffile
 
-from tests.scenes.films import comb, write_avi, write_encoded
+from tests.scenes.films import comb, states, write_avi, write_encoded
 from vision.errors import InputError
 from vision.files import MOST_PIXELS
 from vision.video import open_video, read_timestamps, strip_profile
@@ -64,6 +66,19 @@ def test_a_matroska_cut_near_its_start_is_reported(tmp_path):
     assert any("cut short" in line for line in open_video(cut(whole, 0.3)).warnings)
 
 
+def test_a_png_that_announces_gigabytes_takes_none(tmp_path):
+    """A failure means that one bit of a damaged picture takes all memory."""
+    for n, frame in enumerate(comb(3)):
+        cv2.imwrite(str(tmp_path / f"{n}.png"), frame)
+    data = bytearray((tmp_path / "1.png").read_bytes())
+    data[33:37] = struct.pack(">I", 0xCDFA9D93)  # the length of the chunk of pixels
+    (tmp_path / "1.png").write_bytes(data)
+    said = "import sys, resource; from vision.video import open_video; v = open_video(sys.argv[1])\n"
+    said += "print(*(s for b in v.blocks() for s in b.status), resource.getrusage(0).ru_maxrss >> 20)"
+    done = subprocess.run([sys.executable, "-c", said, tmp_path], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["ok", "corrupt", "ok", "0"]  # GiB at most
+
+
 def test_stacks_among_images_are_refused(tmp_path):
     """A failure means that of each file's ten frames one is read."""
     for n in range(3):
@@ -81,6 +96,17 @@ def test_pages_that_go_in_circles_are_refused(tmp_path):
     file.write_bytes(data)
     with pytest.raises(InputError, match="page 4 is an earlier one"):
         open_video(file)
+
+
+@pytest.mark.parametrize(("count", "found"), [(2, ["ok", "corrupt"]), (4, ["ok", "lost", "ok", "ok"])])
+def test_a_page_whose_description_is_damaged_counts(tmp_path, count, found):
+    """A failure means that later frames move up by one, or that a stack with one such page cannot be read."""
+    file = pages(tmp_path / "a.tif", comb(count, 12, 60), compression="packbits", metadata=None)
+    with tifffile.TiffFile(file, mode="r+b") as tif:
+        tif.pages[1].tags["BitsPerSample"].overwrite(0)
+    video = open_video(file)
+    assert states(video) == found
+    assert all(pixels.shape == (12, 60) for pixels in video.sample(4))
 
 
 def test_frames_far_too_large_are_refused_before_memory_is_taken(tmp_path, monkeypatch):

@@ -4,7 +4,7 @@ import pytest
 from tests.scenes.films import comb, states, whole, write_cine
 from vision.errors import InputError
 from vision.video import open_video, strip_profile
-from vision.video.uncompressed import MappedReader
+from vision.video.reader import MappedReader
 
 
 @pytest.mark.parametrize(("dtype", "bits"), [(np.uint8, 8), (np.uint16, 12), (np.uint16, 14)])
@@ -16,6 +16,21 @@ def test_unpacked_cine_is_read_exactly(tmp_path, dtype, bits):
     assert np.array_equal(whole(video), frames)
     assert (video.depth_bits, video.saturation_level, video.clock.kind) == (bits, (1 << bits) - 1, "file")
     assert abs(video.clock.fps - 1000) < 0.01
+
+
+def test_deep_colour_cine_follows_the_luma_rule(tmp_path):
+    """Failure: 12 bits of colour in 48 lose their lower bits, or red and blue change places."""
+    colour = np.random.default_rng(2).integers(0, 4096, (3, 7, 33, 3), dtype=np.uint16)
+    video = open_video(write_cine(tmp_path / "a.cine", colour, real_bits=12))
+    assert np.abs(whole(video) - colour @ [0.114, 0.587, 0.299]).max() <= 0.6
+    assert (video.saturation_level, "BT.601" in video.facts.grey) == (4095, True)
+
+
+def test_the_mosaic_of_a_colour_camera_is_told(tmp_path):
+    """Failure: columns under red and blue filters are tracked as grey without a word."""
+    path = write_cine(tmp_path / "a.cine", comb(), real_bits=8, mosaic=True)
+    assert "Bayer" in open_video(path).warnings[0]
+    assert open_video(write_cine(tmp_path / "b.cine", comb(), real_bits=8)).warnings == ()
 
 
 def test_absurd_times_are_replaced(tmp_path):

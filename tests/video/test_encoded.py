@@ -39,6 +39,39 @@ def test_rgb_video_follows_the_luma_rule(tmp_path):
     assert np.abs(whole(open_video(path)) - colour @ [0.299, 0.587, 0.114]).max() <= 0.51
 
 
+@pytest.mark.parametrize(("pix_fmt", "plain", "codec"), [
+    ("ya8", "gray", "png"), ("ya16be", "gray16be", "png"), ("monob", "gray", "png"),
+    ("y210le", "yuv422p10le", "rawvideo"), ("vuya", "yuv444p", "rawvideo"),
+    ("yuyv422", "yuv422p", "rawvideo"), ("uyvy422", "yuv422p", "rawvideo"),
+])  # fmt: skip
+@pytest.mark.parametrize("size", [(7, 34), (1, 50)])
+def test_luma_is_taken_out_of_formats_that_pack_it(tmp_path, pix_fmt, plain, codec, size):
+    """Failure: alpha, chroma or shifted bits are taken for grey levels, without a word."""
+    rows, columns = size
+    rng = np.random.default_rng(4)
+    path = tmp_path / ("a.mov" if codec == "png" else "a.nut")
+    with av.open(str(path), "w") as out:
+        stream = out.add_stream(codec, rate=25)
+        stream.height, stream.width, stream.pix_fmt = rows, columns, pix_fmt
+        for n in range(3):
+            frame = av.VideoFrame(columns, rows, pix_fmt)
+            for plane in frame.planes:
+                plane.update(rng.integers(0, 256, plane.buffer_size, dtype=np.uint8).tobytes())
+            frame.pts, frame.time_base = n, Fraction(1, 25)
+            out.mux(stream.encode(frame))
+        out.mux(stream.encode(None))
+    with av.open(str(path)) as file:  # FFmpeg converts each frame to the nearest format with a plane of luma
+        decoded = list(file.decode(video=0))
+        truth = []
+        for frame in decoded:
+            plane = frame.reformat(format=plain, dst_color_range=frame.color_range).planes[0]
+            item = np.dtype(">u2" if plain.endswith("be") else "<u2" if plain.endswith("le") else "u1")
+            lines = np.frombuffer(memoryview(plane), item).reshape(-1, plane.line_size // item.itemsize)
+            truth.append(lines[:rows, :columns].astype(int))
+    assert decoded[0].format.name == pix_fmt
+    assert np.array_equal(whole(open_video(path)), truth)
+
+
 def test_h264_gives_the_luma_plane(tmp_path):
     """Failure: limited-range luma is stretched without notice, or B frames come out of order."""
     frames = comb(count=30, rows=64, columns=96, top=200)
@@ -287,6 +320,29 @@ def test_a_variable_frame_rate_gives_every_frame_its_own_time(tmp_path):
     assert np.abs(np.linspace(0, times_s[-1], 60) - times_s).max() > 0.1  # what even times would cost
     even = open_video(phone_film(tmp_path / "even.mp4", frames, np.arange(60) * 1001 / 30_000))
     assert even.clock.kind == "playback"
+
+
+@pytest.mark.parametrize("name", ["phone.mp4", "phone.mkv"])
+@pytest.mark.parametrize("gone", [(), (10, 31, 32, 50, 150, 215)])
+def test_a_camera_that_changes_its_rate_loses_nothing(tmp_path, name, gone):
+    """Failure: a phone that films slower in dim light is said to lose frames, or hides those it did lose."""
+    intervals = np.repeat([1 / 30, 1 / 24, 1 / 55, 1 / 13], [40, 40, 120, 40])
+    count, times_s = intervals.size, np.cumsum(intervals)
+    kept = np.delete(np.arange(count), gone)
+    path = phone_film(tmp_path / name, comb(count=count, rows=64, columns=96, top=200)[kept], times_s[kept])
+    strip = strip_profile(open_video(path), slice(0, 64))
+    assert strip.attrs["clock_kind"] == "file"
+    assert (strip.frames_read, strip.frames_lost) == (len(kept), len(gone))
+    assert len(strip.warnings) == (1 if gone else 0)
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv"])
+def test_evenly_lost_frames_are_told(tmp_path, name):
+    """Failure: every second frame is lost where a disk is too slow, and nobody is told."""
+    kept = np.r_[:40, 40:120:2]
+    path = phone_film(tmp_path / name, comb(count=120, rows=64, columns=96, top=200)[kept], kept / 60)
+    strip = strip_profile(open_video(path), slice(0, 64))
+    assert "from index 40 on, frames come at half or a third" in strip.warnings[-1]
 
 
 @pytest.mark.parametrize("turned_deg", [0, 90, 180, 270])

@@ -4,12 +4,13 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 
 from tests.scenes.films import comb, states, whole
 from vision.errors import InputError
 from vision.sheets.tracks import LOSSY
 from vision.video import open_video, strip_profile
-from vision.video.uncompressed import MappedReader
+from vision.video.reader import MappedReader
 
 PYLON = "Basler_acA1300-200um__21927848__20200309_175055809_{:04d}.{}"
 
@@ -44,26 +45,30 @@ def test_tiff_is_read_exactly(tmp_path, dtype, options):
         assert isinstance(video.reader, MappedReader)
 
 
+def one_page(path, data, shape, *, bits, fill_order=1):
+    """An uncompressed TIFF of one grey page, its bytes as given."""
+    rows, columns = shape
+    tags = [
+        (256, columns),
+        (257, rows),
+        (258, bits),
+        (259, 1),
+        (262, 1),
+        (266, fill_order),
+        (273, 8),
+        (277, 1),
+    ]
+    tags += [(278, rows), (279, len(data))]
+    ifd = struct.pack("<H", len(tags)) + b"".join(struct.pack("<HHII", tag, 4, 1, n) for tag, n in tags)
+    path.write_bytes(b"II*\0" + struct.pack("<I", 8 + len(data)) + data + ifd + bytes(4))
+
+
 def test_packed_12_bits(tmp_path):
     """Failure: 12 bits packed in 12 are read as something else, or called 16 bits."""
     frame = comb(count=1, top=4095, dtype=np.uint16)[0]
     bits = np.unpackbits(frame.astype(">u2").view(np.uint8)).reshape(*frame.shape, 16)[..., 4:]
     data = np.packbits(bits.reshape(frame.shape[0], -1), axis=1).tobytes()
-    tags = [
-        (256, 50),
-        (257, 12),
-        (258, 12),
-        (259, 1),
-        (262, 1),
-        (273, 8),
-        (277, 1),
-        (278, 12),
-        (279, len(data)),
-    ]
-    ifd = struct.pack("<H", len(tags)) + b"".join(
-        struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags
-    )
-    (tmp_path / "a.tif").write_bytes(b"II*\0" + struct.pack("<I", 8 + len(data)) + data + ifd + bytes(4))
+    one_page(tmp_path / "a.tif", data, frame.shape, bits=12)
     video = open_video(tmp_path / "a.tif")
     assert video.depth_bits == 12
     assert np.array_equal(whole(video)[0], frame)
@@ -77,6 +82,59 @@ def test_colour_tiff_follows_the_luma_rule(tmp_path, options):
     tifffile.imwrite(tmp_path / "a.tif", data, photometric="rgb", **options)
     video = open_video(tmp_path / "a.tif")
     assert np.abs(whole(video) - colour @ [0.299, 0.587, 0.114]).max() <= 0.51
+
+
+@pytest.mark.parametrize("options", [{}, {"compression": "zlib"}, {"planarconfig": "separate"}])
+@pytest.mark.parametrize("kind", ["stack", "images"])
+def test_grey_beside_alpha_is_grey(tmp_path, options, kind):
+    """Failure: transparency is mixed with grey levels, or such a stack is called damaged."""
+    frames = comb()
+    pair = np.stack([frames, 255 - frames], axis=1 if "planarconfig" in options else -1)
+    more = {"photometric": "minisblack", "planarconfig": "contig", "extrasamples": ["unassalpha"], **options}
+    if kind == "stack":
+        tifffile.imwrite(tmp_path / "a.tif", pair, **more)
+    else:
+        for n, one in enumerate(pair):
+            tifffile.imwrite(tmp_path / f"a_{n:02}.tif", one, **more)
+    assert np.array_equal(whole(open_video(tmp_path / "a.tif" if kind == "stack" else tmp_path)), frames)
+
+
+@pytest.mark.parametrize("width", [3, 4])
+def test_narrow_planes_of_colour_are_no_colours_of_a_pixel(tmp_path, width):
+    """Failure: three columns of separate planes are taken for red, green and blue."""
+    colour = np.random.default_rng(3).integers(0, 256, (4, 7, width, 3), dtype=np.uint8)
+    for n, one in enumerate(np.moveaxis(colour, -1, 1)):
+        tifffile.imwrite(tmp_path / f"a_{n}.tif", one, photometric="rgb", planarconfig="separate")
+    assert np.abs(whole(open_video(tmp_path)) - colour @ [0.299, 0.587, 0.114]).max() <= 0.51
+
+
+def test_values_with_the_lowest_bit_first(tmp_path):
+    """Failure: each byte of a fax-like TIFF ("FillOrder" 2) is read backwards, all grey levels wrong."""
+    frame = comb(count=1)[0]
+    backwards = np.packbits(np.unpackbits(frame[..., None], axis=-1)[..., ::-1], axis=-1)
+    one_page(tmp_path / "a.tif", backwards.tobytes(), frame.shape, bits=8, fill_order=2)
+    assert np.array_equal(whole(open_video(tmp_path / "a.tif"))[0], frame)
+
+
+def test_lab_gives_lightness_and_inks_are_refused(tmp_path):
+    """Failure: the luma rule is applied to what is not red, green and blue, without a word."""
+    pixels = np.random.default_rng(3).integers(0, 256, (4, 12, 20, 4), dtype=np.uint8)
+    tifffile.imwrite(tmp_path / "lab.tif", pixels[..., :3], photometric="cielab")
+    assert np.array_equal(whole(open_video(tmp_path / "lab.tif")), pixels[..., 0])
+    tifffile.imwrite(tmp_path / "ink.tif", pixels, photometric="separated")
+    with pytest.raises(InputError, match="CMYK"):
+        open_video(tmp_path / "ink.tif")
+
+
+@pytest.mark.parametrize(("orientation", "turned_deg"), [(1, 0), (3, 180), (6, 90), (8, 270)])
+def test_photographs_are_seen_as_viewers_show_them(tmp_path, orientation, turned_deg):
+    """Failure: photographs of a phone held upright lie on their side, although every viewer turns them."""
+    frames = comb()
+    asked = Image.Exif()
+    asked[274] = orientation
+    for n, frame in enumerate(frames):
+        Image.fromarray(frame).save(tmp_path / f"a_{n}.png", exif=asked)
+    assert np.array_equal(whole(open_video(tmp_path)), np.rot90(frames, -turned_deg // 90, axes=(1, 2)))
 
 
 def test_cut_imagej_stack_gives_what_it_holds(tmp_path):

@@ -55,6 +55,14 @@ def test_bgr_becomes_bt601_luma(tmp_path, bits):
     assert "BT.601" in video.facts.grey
 
 
+def test_colour_with_masks_is_colour(tmp_path):
+    """Failure: 32-bit colour whose header lists its masks is decoded as 16-bit colour, all pixels wrong."""
+    colour = np.random.default_rng(1).integers(0, 256, (3, 10, 33, 4), dtype=np.uint8)
+    masks = b"".join(mask.to_bytes(4, "little") for mask in (0xFF0000, 0xFF00, 0xFF))
+    path = write_avi(tmp_path / "a.avi", colour, bits=32, fourcc=b"\3\0\0\0", palette=masks, bottom_up=True)
+    assert np.abs(whole(open_video(path)) - colour[..., :3] @ [0.114, 0.587, 0.299]).max() <= 0.51
+
+
 @pytest.mark.parametrize(("fourcc", "bits"), [(b"Y16 ", 16), (b"Y1\0\x0c", 12), (b"Y1\0\x0a", 10)])
 def test_deep_grey_keeps_its_depth(tmp_path, fourcc, bits):
     """Failure: 10 to 16 bits are cut to 8 or read as colour, which costs most of the camera's precision."""

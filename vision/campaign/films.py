@@ -11,6 +11,7 @@ import re
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,8 @@ from vision.comparison.runs import ALIKE, COLUMNS, LIMITS
 from vision.errors import InputError
 from vision.files import Stamp, check_regular, shortened
 from vision.video import open_video, video_files
-from vision.video.high_speed import PIXELS
+from vision.video.raw import PIXELS
+from vision.video.threads import answered
 
 # --- the table ----------------------------------------------------------------------------------------------
 
@@ -87,6 +89,7 @@ def read_campaign(
     check: Check,
     name_of: Callable[[Path], str],
     awaited: Path | None = None,
+    settings: CampaignSettings = CampaignSettings(),
 ) -> tuple[tuple[Row, ...], tuple[Problem, ...]]:
     """Read a table of films and find every problem in it.
 
@@ -104,6 +107,8 @@ def read_campaign(
         Returns the default name of a film.
     awaited
         A watched folder. Films in it, and their other files, need not exist yet.
+    settings
+        Tunable constants.
 
     Returns
     -------
@@ -112,16 +117,18 @@ def read_campaign(
     Raises
     ------
     InputError
-        If the file is not a table or has no rows.
+        If the file is not a table or has no rows, or a disk does not answer.
     """
-    header, lines = _lines(path)
+    header, lines = answered(lambda: _lines(path), path, settings.answer_s)
     columns, problems = _columns(header, ("film", "name", *FACTS, *options))
     rows: list[Row] = []
     for number, cells in lines:
         pairs = zip(columns, cells, strict=False)
         given = {name: cell.strip() for name, cell in pairs if name and cell.strip()}
         extra = any(cell.strip() for cell in cells[len(columns) :])
-        row, found = _row(number, given, path.absolute().parent, check, name_of, awaited)
+        base = path.absolute().parent
+        look = partial(_row, number, given, base, check, name_of, awaited)
+        row, found = answered(look, base / given.get("film", ""), settings.answer_s)
         found += [("", f"expected {len(columns)} cells; found {len(cells)}")] * extra
         problems += [Problem(row=number, column=column, text=text) for column, text in found]
         rows.append(row)
@@ -275,6 +282,11 @@ class FolderWatch:
 
     A film is complete when its size and modification time have not changed for some time and its index can be
     read. A film that remains truncated (the camera's computer failed) is taken later, with its warnings.
+
+    Raises
+    ------
+    InputError
+        If it is no folder, and from `rows` if its disk does not answer.
     """
 
     def __init__(
@@ -283,8 +295,9 @@ class FolderWatch:
         settings: CampaignSettings = CampaignSettings(),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        if not folder.is_dir():
-            found = "a file" if folder.exists() else "no such folder"
+        is_folder, exists = answered(lambda: (folder.is_dir(), folder.exists()), folder, settings.answer_s)
+        if not is_folder:
+            found = "a file" if exists else "no such folder"
             raise InputError(folder, "a folder to watch", found, "check the path")
         self.folder = folder
         self._settings = settings
@@ -315,6 +328,9 @@ class FolderWatch:
 
         `new` makes a row for such a film; films of the same name (a.avi, a.mp4) keep their endings.
         """
+        return answered(lambda: self._rows(table, new), self.folder, self._settings.answer_s)
+
+    def _rows(self, table: Sequence[Row], new: Callable[[Path], Row]) -> list[Row]:
         named = {Path(row.film).resolve() for row in table}
         used = {row.name.casefold() for row in table}
         ready = [row for row in table if self._ready(row)]

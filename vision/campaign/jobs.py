@@ -15,7 +15,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -34,6 +33,7 @@ from vision.errors import InputError
 from vision.files import shortened
 from vision.pipeline import Analysis
 from vision.run.folder import lock_open_file
+from vision.video.threads import answered, prefetch
 
 # --- Snakemake, a process -----------------------------------------------------------------------------------
 
@@ -355,43 +355,32 @@ def _source(
         yield copies[film.film]
         return
     path = Path(film.film)
-    if not stage or not path.is_file():
+    if not stage or not answered(path.is_file, path, tuning.answer_s):
         yield path
         return
-    files = [file for file in inputs_of(film.film, {}) if file.is_file()]
-    room, needed = shutil.disk_usage(tempfile.gettempdir()).free, sum(file.stat().st_size for file in files)
+
+    def sizes() -> dict[Path, int]:
+        return {file: file.stat().st_size for file in inputs_of(film.film, {}) if file.is_file()}
+
+    files = answered(sizes, path, tuning.answer_s)
+    room, needed = shutil.disk_usage(tempfile.gettempdir()).free, sum(files.values())
     if needed > 0.95 * room:
         wanted, found = f"room for {needed / 1e9:.1f} GB of {path.name}", f"{room / 1e9:.1f} GB free"
         raise InputError(tempfile.gettempdir(), wanted, found, "set TMPDIR")
     with tempfile.TemporaryDirectory(prefix="track-") as folder:
         for file in files:
-            copy_or_give_up(file, Path(folder) / file.name, stalled_s=tuning.stalled_seconds)
+            copy_or_give_up(file, Path(folder) / file.name, tuning.answer_s)
         yield Path(folder) / path.name
 
 
-def copy_or_give_up(source: Path, target: Path, *, stalled_s: float) -> None:
-    """Copy a file from a disk that may stop answering, in which case reading it would never return.
+def copy_or_give_up(source: Path, target: Path, answer_s: float) -> None:
+    """Copy a file from a disk that may stop answering.  Raises: InputError if it does, OSError."""
 
-    Raises: InputError if the copy has not grown for `stalled_s` seconds, OSError as `shutil.copyfile`.
-    """
-    failed: list[OSError] = []
+    def parts() -> Iterator[bytes]:
+        with source.open("rb") as file:
+            while part := file.read(1 << 24):
+                yield part
 
-    def copy() -> None:
-        try:
-            shutil.copyfile(source, target)
-        except OSError as error:
-            failed.append(error)
-
-    copying = threading.Thread(target=copy, daemon=True)  # a stuck daemon does not block the exit
-    copying.start()
-    size, since = -1, time.monotonic()
-    while copying.is_alive():
-        copying.join(min(1.0, stalled_s / 4))
-        now = target.stat().st_size if target.exists() else 0
-        if now != size:
-            size, since = now, time.monotonic()
-        elif copying.is_alive() and time.monotonic() - since > stalled_s:
-            found = f"none for {stalled_s:.0f} s, after {size / 1e6:.1f} MB"
-            raise InputError(source, "data from its disk", found, "look at the network, and run again")
-    if failed:
-        raise failed[0]
+    with target.open("wb") as copy:
+        for part in prefetch(parts(), source, answer_s):
+            copy.write(part)

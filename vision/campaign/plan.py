@@ -12,6 +12,7 @@ import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,6 +26,7 @@ from vision.files import Stamp, reading, shortened
 from vision.run import describe_input, plain, whole_file, write_json
 from vision.run.reading import read_json
 from vision.video import open_video, video_files
+from vision.video.threads import answered
 
 # --- states -------------------------------------------------------------------------------------------------
 
@@ -180,11 +182,13 @@ def make_plan(
     Raises
     ------
     InputError
-        If ``out`` is not a campaign, or one of another version.
+        If ``out`` is not a campaign, or one of another version, or the disk of a film does not answer.
     """
     check_folder(out)
     known = _read_fingerprints(out)
-    films = [_film(row, known, settings) for row in rows]
+    films = [
+        answered(partial(_film, row, known, settings), Path(row.film), settings.answer_s) for row in rows
+    ]
     if keep:
         with whole_file(out / FINGERPRINTS) as path:
             write_json(known, path)
@@ -198,14 +202,22 @@ def make_plan(
     return replace(plan, jobs=jobs)
 
 
-def vanished_rows(out: Path, check: Check, folder: Path) -> list[Row]:
+def vanished_rows(
+    out: Path, check: Check, folder: Path, *, settings: CampaignSettings = CampaignSettings()
+) -> list[Row]:
     """Return rows for finished films of the earlier plan that have since left the watched folder.
 
-    `check` converts options into values, as for the table.  Raises: InputError if the plan is damaged.
+    `check` converts options into values, as for the table.  Raises: InputError if the plan is damaged or the
+    folder's disk does not answer.
     """
     if not (out / PLAN).is_file():
         return []
     plan = read_plan(out / PLAN)
+
+    def has_left(film: PlannedFilm) -> bool:
+        path = Path(film.film)
+        return path.parent.resolve() == folder.resolve() and not path.exists()
+
     return [
         Row(
             row=0,
@@ -216,9 +228,7 @@ def vanished_rows(out: Path, check: Check, folder: Path) -> list[Row]:
             facts=film.facts,
         )
         for film in plan.films
-        if Path(film.film).parent.resolve() == folder.resolve()
-        and not Path(film.film).exists()
-        and plan.finished(film) is not None
+        if plan.finished(film) is not None and answered(partial(has_left, film), folder, settings.answer_s)
     ]
 
 

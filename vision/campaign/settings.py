@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from vision.video.settings import DEFAULTS
+
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignSettings:
@@ -39,9 +41,9 @@ class CampaignSettings:
     least_job_seconds: float = 20.0
     """Smallest duration of jobs that are split so that all cores finish together. Shorter jobs lose more to
     their start (3 s), longer ones leave cores idle at the end."""
-    stalled_seconds: float = 300.0
-    """A copy to a node's local disk that has not grown for this long has failed. A shorter time gives up if
-    the file server is busy (test_a_copy_that_stalls_is_one_line_and_no_hang)."""
+    answer_s: float = DEFAULTS.answer_s
+    """Longest wait, s, for a disk that does not answer while films are planned, watched or copied. Shorter
+    gives up disks that have to start, longer waits for a lost connection (tests/campaign/test_disks.py)."""
 
     # the page and the watched folder
     page_seconds: float = 3.0

@@ -38,7 +38,7 @@ from vision.run import (
 from vision.sheets.corrections import read_decisions
 from vision.summary import findings, flag_counts, noise_figures
 from vision.video import Follow, open_video, video_files
-from vision.video.high_speed import PIXELS, is_photron
+from vision.video.raw import PIXELS, is_photron
 from vision.video.threads import answered
 
 LONG_FRAMES = 20_000

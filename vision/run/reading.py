@@ -31,8 +31,8 @@ from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf
 from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files
 from vision.video.frames import ProfileStore
+from vision.video.reader import read_fully
 from vision.video.stacks import check_tiff
-from vision.video.uncompressed import read_fully
 
 AGAIN = "run track again"
 

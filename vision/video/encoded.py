@@ -180,6 +180,18 @@ class MjpegReader(EncodedReader):
         return Frame(self._checked(pixels), "ok", time_s)
 
 
+class PackedCineReader(EncodedReader):
+    """Reads the packed frames of a cine, which FFmpeg widens to 16 bits, in the camera's own grey levels."""
+
+    def __init__(self, path: Path, facts: Facts) -> None:
+        super().__init__(path)
+        self._shift = self.facts.depth_bits - facts.depth_bits
+        self.facts = facts
+
+    def _checked(self, pixels: Pixels) -> Pixels:
+        return np.right_shift(super()._checked(pixels), self._shift)
+
+
 def open_encoded(path: Path) -> EncodedReader:
     """Return an `MjpegReader` if its first frame is FFmpeg's up to rounding, else an `EncodedReader`.
 
@@ -378,26 +390,40 @@ def _enter(
 
 
 def grey_plane(frame: av.VideoFrame) -> Pixels:
-    """Return grey (rows, columns) of a decoded frame: a view if its format separates luma, else `luma`."""
-    kind = frame.format
-    bits = kind.components[0].bits
-    if kind.is_rgb or kind.has_palette:
+    """Return grey (rows, columns) of a decoded frame: `luma` of colour, else a view of the luma plane."""
+    bits = frame.format.components[0].bits
+    if _is_colour(frame.format):
         return luma(frame.to_ndarray(format="rgb48le" if bits > 8 else "rgb24"))
-    item = np.dtype("u1" if bits <= 8 else ">u2" if kind.is_big_endian else "<u2")
+    frame = _with_luma_plane(frame)
+    item = np.dtype("u1" if bits <= 8 else ">u2" if frame.format.is_big_endian else "<u2")
     stored = frame.planes[0]
     lines = np.frombuffer(memoryview(stored), item).reshape(-1, stored.line_size // item.itemsize)
-    packed = {"yuyv422": (0, 2), "uyvy422": (1, 2), "yvyu422": (0, 2)}
-    offset, step = packed.get(kind.name, (0, 1))  # of luma bytes
-    return lines[: frame.height, offset : offset + step * frame.width : step]
+    return lines[: frame.height, : frame.width]
+
+
+def _is_colour(kind: av.VideoFormat) -> bool:
+    return kind.is_rgb or kind.has_palette
+
+
+def _with_luma_plane(frame: av.VideoFrame) -> av.VideoFrame:
+    """Return the frame in a format whose first plane is luma alone, not packed with chroma or alpha."""
+    kind = frame.format
+    bits, others = kind.components[0].bits, kind.components[1:]
+    alone = 8 <= bits <= 16 and all(other.plane > 0 for other in others)
+    if alone:
+        return frame
+    depth = "" if bits <= 8 else f"{bits}le" if bits in (10, 12) else "16le"
+    family = "gray" if len(others) < 2 else "yuv444p"
+    return frame.reformat(format=family + depth, dst_color_range=frame.color_range)
 
 
 def _grey_scale(frame: av.VideoFrame) -> tuple[int, float, str]:
     """Return significant bits, value of white, and the meaning of a grey value in words."""
-    kind = frame.format
-    bits = kind.components[0].bits
-    if kind.is_rgb or kind.has_palette:
-        bits = 16 if bits > 8 else 8  # the decoder widens deeper colour
+    if _is_colour(frame.format):
+        bits = 16 if frame.format.components[0].bits > 8 else 8  # the decoder widens deeper colour
         return bits, full_scale(bits), LUMA_RULE
+    kind = _with_luma_plane(frame).format
+    bits = kind.components[0].bits
     if kind.name.startswith("gray"):
         return bits, full_scale(bits), AS_STORED
     if not kind.name.startswith("yuvj") and int(frame.color_range) in (0, 1):

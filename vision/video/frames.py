@@ -8,7 +8,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,7 @@ from vision.video.threads import answered
 from vision.video.video import Video, open_video, pixels_file
 
 STATUS_TYPE = "<U7"  # ok, blank, corrupt, lost
+_NEAR = 9  # frames before and after a step between times that are compared with it
 
 
 @dataclass(frozen=True)
@@ -32,51 +33,6 @@ class FramesRead:
     intensity: Floats32
     status: Strings
     times_s: Floats
-
-
-class FrameStore:
-    """All frames read so far, in order.
-
-    Parameters
-    ----------
-    columns, expected, spill_bytes, folder
-        See `ProfileStore`.
-    """
-
-    def __init__(
-        self, columns: int, *, expected: int | None, spill_bytes: int, folder: Path | None = None
-    ) -> None:
-        self._rows = ProfileStore(columns, expected=expected, spill_bytes=spill_bytes, folder=folder)
-        self._marks = np.zeros(1024, [("status", STATUS_TYPE), ("time_s", np.float64)])
-        self.count = 0
-        """Number of frames read so far."""
-
-    def append(self, frames: FramesRead) -> None:
-        """Add frames at the end."""
-        needed = self.count + frames.status.size
-        if needed > self._marks.size:
-            self._marks = np.concatenate(
-                [self._marks, np.zeros(max(needed, self._marks.size), self._marks.dtype)]
-            )
-        new = self._marks[self.count : needed]
-        new["status"], new["time_s"] = frames.status, frames.times_s
-        self._rows.append(frames.intensity)
-        self.count = needed
-
-    def part(self, start: int, stop: int) -> FramesRead:
-        """Return frames `start` to before `stop`, not copied."""
-        marks = self._marks[start:stop]
-        return FramesRead(self._rows.rows()[start:stop], marks["status"], marks["time_s"])
-
-    def copy(self, start: int, stop: int) -> FramesRead:
-        """Return the same as a copy."""
-        part = self.part(start, stop)
-        return FramesRead(part.intensity.copy(), part.status.copy(), part.times_s.copy())
-
-    def all(self) -> FramesRead:
-        """Return all frames; the intensity is not copied."""
-        marks = self._marks[: self.count]
-        return FramesRead(self._rows.rows(), marks["status"].copy(), marks["time_s"].copy())
 
 
 class ProfileStore:
@@ -110,23 +66,24 @@ class ProfileStore:
         self._columns = columns
         self._folder = folder
         self._spill_bytes = spill_bytes
-        self._used = 0
+        self.count = 0
+        """Number of rows so far."""
         most = max(1, 2 * spill_bytes // (4 * columns))  # a damaged header may state any number
         self._rows = self._allocate(max(1, min(expected or 1024, most)))
 
     def append(self, rows: Floats32) -> None:
         """Add `rows` (k, columns) at the end."""
-        needed = self._used + rows.shape[0]
+        needed = self.count + rows.shape[0]
         if needed > self._rows.shape[0]:
             old = self.rows()
             self._rows = self._allocate(max(needed, 2 * self._rows.shape[0]))
-            self._rows[: self._used] = old
-        self._rows[self._used : needed] = rows
-        self._used = needed
+            self._rows[: self.count] = old
+        self._rows[self.count : needed] = rows
+        self.count = needed
 
     def rows(self) -> Floats32:
         """Return all rows so far, (n, columns), not copied."""
-        return self._rows[: self._used]
+        return self._rows[: self.count]
 
     def _allocate(self, capacity: int) -> Floats32:
         size = capacity * self._columns * 4
@@ -146,6 +103,36 @@ class ProfileStore:
                 )
                 raise InputError(self._folder or tempfile.gettempdir(), wanted, found, advice) from error
             return np.memmap(file, np.float32, "r+", shape=(capacity, self._columns))
+
+
+class FrameStore(ProfileStore):
+    """All frames read so far, in order: `ProfileStore` with the status and time of each frame."""
+
+    def __init__(
+        self, columns: int, *, expected: int | None, spill_bytes: int, folder: Path | None = None
+    ) -> None:
+        super().__init__(columns, expected=expected, spill_bytes=spill_bytes, folder=folder)
+        self._marks = np.zeros(1024, [("status", STATUS_TYPE), ("time_s", np.float64)])
+
+    def add(self, frames: FramesRead) -> None:
+        """Add frames at the end."""
+        needed = self.count + frames.status.size
+        if needed > self._marks.size:
+            more = np.zeros(max(needed, self._marks.size), self._marks.dtype)
+            self._marks = np.concatenate([self._marks, more])
+        new = self._marks[self.count : needed]
+        new["status"], new["time_s"] = frames.status, frames.times_s
+        self.append(frames.intensity)
+
+    def part(self, start: int, stop: int) -> FramesRead:
+        """Return frames `start` to before `stop`; the intensity is not copied."""
+        marks = self._marks[start:stop].copy()
+        return FramesRead(self.rows()[start:stop], marks["status"], marks["time_s"])
+
+    def copy(self, start: int, stop: int) -> FramesRead:
+        """Return the same as a copy."""
+        part = self.part(start, stop)
+        return replace(part, intensity=part.intensity.copy())
 
 
 # --- blank frames -------------------------------------------------------------------------------------------
@@ -249,6 +236,11 @@ def count_frames(
     if between:
         where = f"where its times leap, the first after index {first}"
         warnings.append(f"{name}: {between} frame(s) lost {where}")
+    if measured and (thinned := thinned_from(times_s, settings=settings)) is not None:
+        what = "frames come at half or a third of the usual rate"
+        warnings.append(
+            f"{name}: from index {thinned} on, {what}: the camera was slower, or frames are lost evenly"
+        )
     beyond = 0
     if video.duration_s is not None:
         known = times_s[np.isfinite(times_s)]
@@ -273,8 +265,9 @@ def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> tupl
     """Return the number of frames lost between time stamps, and the index of the frame before the first gap.
 
     A step of more than `settings.gap_steps` usual steps is a gap if the frames after it remain late against
-    the usual rate: a frame that is merely late is followed by short steps. If the rate changes, the slower
-    part counts as lost frames; if more than a fifth is lost, too few are counted.
+    the usual rate: a frame that is merely late is followed by short steps. If the camera changes its rate,
+    the usual step is that of the frames around (`_local_step_s`). If more than a fifth is lost, too few are
+    counted.
 
     Parameters
     ----------
@@ -289,15 +282,46 @@ def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> tupl
     """
     places = np.flatnonzero(np.isfinite(times_s))
     known = times_s[places]
-    usual_s = usual_step_s(known)
-    if not usual_s > 0:
-        return 0, 0
-    steps = np.diff(known) / usual_s - (np.diff(places) - 1)  # frames without a time took one step each
-    late = np.cumsum(np.concatenate([[0.0], steps - 1]))
+    local_s = _local_step_s(known, places, settings)
+    steps = np.diff(known) / local_s - (np.diff(places) - 1)  # frames without a time took one step each
     gaps = np.flatnonzero(steps > settings.gap_steps)
-    gaps = gaps[_lasting_delay(late, gaps) > settings.late_steps]
+    gaps = gaps[_lasting_delay(known, places, local_s, gaps) > settings.late_steps]
     lost = int(np.round(steps[gaps] - 1).sum())
     return (lost, int(places[gaps[0]])) if lost else (0, 0)
+
+
+def _local_step_s(known: Floats, places: Ints, settings: VideoSettings) -> Floats:
+    """Return the usual time from one frame to the next, s, at each step between known times.
+
+    It is that of the whole recording, or a longer one that eight of the nine steps before or after agree on:
+    a camera that changes its rate does so for many frames. NaN for fewer than three times.
+    """
+    usual_s = usual_step_s(known)
+    step_s = np.diff(known) / np.diff(places)
+    if not usual_s > 0 or not (step_s > settings.same_rate * usual_s).any():
+        return np.full(step_s.shape, usual_s if usual_s > 0 else np.nan)
+    padded = np.pad(step_s, _NEAR, constant_values=np.nan)
+    runs = np.lib.stride_tricks.sliding_window_view(padded, _NEAR)
+    middle = np.sort(runs, axis=1)[:, _NEAR // 2]  # NaN comes last
+    ratio = runs / middle[:, np.newaxis]
+    alike = (ratio < settings.same_rate) & (ratio > 1 / settings.same_rate)
+    steady = np.where(alike.sum(axis=1) >= _NEAR - 1, middle, usual_s)
+    before, after = steady[: step_s.size], steady[_NEAR + 1 :]
+    return np.maximum(usual_s, np.maximum(before, after))
+
+
+def thinned_from(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> int | None:
+    """Return the first frame from which on frames come at half or a third of the usual rate; None for none.
+
+    The camera has changed its rate, or its frames are lost evenly; times do not tell which.
+    """
+    places = np.flatnonzero(np.isfinite(times_s))
+    known = times_s[places]
+    step_s = np.minimum(_local_step_s(known, places, settings), np.diff(known) / np.diff(places))
+    ratio = step_s / usual_step_s(known)
+    whole = np.clip(np.round(ratio), 2, 3)
+    thinned = np.flatnonzero(np.abs(ratio / whole - 1) < settings.whole_ratio)
+    return int(places[thinned[0]]) if thinned.size else None
 
 
 def usual_step_s(times_s: Floats) -> float:
@@ -312,13 +336,17 @@ def usual_step_s(times_s: Floats) -> float:
     return float(np.quantile(times_s[lag:] - times_s[:-lag], 0.1)) / lag
 
 
-def _lasting_delay(late: Floats, gaps: Ints) -> Floats:
+def _lasting_delay(known: Floats, places: Ints, local_s: Floats, gaps: Ints) -> Floats:
     """Return the median delay of the nine frames after each gap less that of the nine before, usual steps."""
-    reach = np.arange(9)
-    before = np.where(reach <= gaps[:, np.newaxis], late[np.maximum(gaps[:, np.newaxis] - reach, 0)], np.nan)
-    after = gaps[:, np.newaxis] + 1 + reach
-    behind = np.where(after < late.size, late[np.minimum(after, late.size - 1)], np.nan)
-    return np.asarray(np.nanmedian(behind, axis=1) - np.nanmedian(before, axis=1), np.float64)
+
+    def delay(frames: Ints) -> Floats:
+        inside = np.clip(frames, 0, known.size - 1)
+        here = gaps[:, np.newaxis]
+        late = (known[inside] - known[here]) / local_s[here] - (places[inside] - places[here])
+        return np.asarray(np.nanmedian(np.where(inside == frames, late, np.nan), axis=1), np.float64)
+
+    reach = np.arange(_NEAR)
+    return delay(gaps[:, np.newaxis] + 1 + reach) - delay(gaps[:, np.newaxis] - reach)
 
 
 def _uneven(times_s: Floats) -> bool:
@@ -468,21 +496,16 @@ class _Watch:
 
 def held_back(blocks: Iterator[Block], margin: int) -> Iterator[Block]:
     """Yield all frames but the last `margin`, which may not be completely written yet."""
-    waiting: list[Block] = []
-    count = 0
+    held: list[Block] = []
     for block in blocks:
-        waiting.append(block)
-        count += len(block.status)
-        while count - len(waiting[0].status) >= margin:
-            count -= len(waiting[0].status)
-            yield waiting.pop(0)
-            if not waiting:
-                break
-    for block in waiting:
-        ready = min(len(block.status), count - margin)
+        held.append(block)
+        while sum(len(later.status) for later in held[1:]) >= margin and len(held) > 1:
+            yield held.pop(0)
+    ready = sum(len(block.status) for block in held) - margin
+    for block in held:
         if ready > 0:
-            yield part_of(block, 0, ready)
-        count -= len(block.status)
+            yield part_of(block, 0, min(ready, len(block.status)))
+        ready -= len(block.status)
 
 
 def part_of(block: Block, start: int, stop: int) -> Block:

@@ -1,21 +1,25 @@
-"""Interface of the readers of file formats: `Facts` from the headers, then blocks of grey frames."""
+"""Readers of file formats: `Facts` from the headers, then blocks of grey frames, decoded or as stored."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from pathlib import Path
+from typing import BinaryIO, Literal, Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 
-from vision.numeric import Floats, Pixels
+from vision.errors import InputError
+from vision.numeric import Floats, Ints, Pixels
 
 Status = Literal["ok", "corrupt", "lost"]
 
 LUMA_RULE = "BT.601 luma, 0.299 R + 0.587 G + 0.114 B, rounded"
 AS_STORED = "values as stored"
+SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
+SECONDS |= {"min": 60.0, "h": 3600.0}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,6 +183,168 @@ class ImagesReader:
         for frame in self.decode([n for n in numbers if n < self.count]):
             if frame.pixels is not None:
                 yield frame.pixels
+
+
+@dataclass(frozen=True, kw_only=True)
+class MappedReader:
+    """A `Reader` of frames stored uncompressed in a file; only the wanted rows are read.
+
+    The file is not mapped into memory: a mapped file that becomes shorter kills the process.
+
+    Parameters
+    ----------
+    path, facts
+        The file, and the facts from its headers.
+    offsets
+        Byte at which the first stored row of each frame begins, -1 for a frame that the camera lost.
+    row_bytes
+        From one stored row to the next; 0 for 12-bit pixels packed two in three bytes without padding.
+    dtype, channels
+        Type of one channel; 1, or 3 or 4 for colour.
+    blue_first, bottom_up
+        Whether colour is BGR; whether the lowest row is stored first.
+    grey_levels
+        Grey value of each stored 8-bit index of a palette; None without a palette.
+    """
+
+    path: Path
+    facts: Facts
+    offsets: Ints
+    row_bytes: int
+    dtype: np.dtype[np.generic]
+    channels: int = 1
+    blue_first: bool = False
+    bottom_up: bool = False
+    grey_levels: NDArray[np.uint8] | None = None
+
+    def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
+        """Yield runs of equally spaced frames, each block as one strided view."""
+        end = self.offsets.size if stop is None else min(stop, self.offsets.size)
+        shape = (rows.stop - rows.start, columns.stop - columns.start)
+        bytes_per_pixel = (
+            self.dtype.itemsize * self.channels if self.row_bytes else 6
+        )  # 12 bits, and 16 twice
+        size = frames_per_block(*shape, bytes_per_pixel)
+        for first, last in _even_runs(self.offsets, start, end):
+            for at in range(first, last, size):
+                yield self._block(at, min(at + size, last), rows, columns)
+
+    def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
+        """Yield exactly these frames, whole, without those that the file does not contain."""
+        height, width = self.facts.shape
+        for n in numbers:
+            if n < self.offsets.size and self.offsets[n] >= 0:
+                yield self._block(n, n + 1, slice(0, height), slice(0, width)).pixels[0]
+
+    def _block(self, first: int, last: int, rows: slice, columns: slice) -> Block:
+        count = last - first
+        if self.offsets[first] < 0:
+            nothing = np.zeros((count, rows.stop - rows.start, columns.stop - columns.start), self._native)
+            return Block(nothing, first, repeated("lost", count))
+        return Block(self._grey(self._stored(first, last, rows)[:, :, columns]), first, repeated("ok", count))
+
+    def _stored(self, first: int, last: int, rows: slice) -> Pixels:
+        """Return frames first..last cut to rows, (k, rows, columns) or with channels last, top row first.
+
+        Raises
+        ------
+        InputError
+            If the file has become shorter.
+        """
+        height, width = self.facts.shape
+        top, stop = (height - rows.stop, height - rows.start) if self.bottom_up else (rows.start, rows.stop)
+        if not self.row_bytes:
+            return self._unpacked(first, last, top * width, stop * width)
+        pixel = self.dtype.itemsize * self.channels
+        length = (stop - top - 1) * self.row_bytes + width * pixel  # the file may end with the last pixel
+        raw = np.empty((last - first, (stop - top) * self.row_bytes), np.uint8)
+        self._fill(raw[:, :length], first, top * self.row_bytes)
+        view: Pixels = np.ndarray(
+            (last - first, stop - top, width, self.channels),
+            self.dtype,
+            raw,
+            strides=(raw.shape[1], self.row_bytes, pixel, self.dtype.itemsize),
+        )
+        view = view if self.channels > 1 else view[..., 0]
+        return view[:, ::-1] if self.bottom_up else view
+
+    def _unpacked(self, first: int, last: int, begin: int, end: int) -> Pixels:
+        """Return pixels `begin` to before `end` of packed frames; a row may begin inside three bytes."""
+        even = begin - begin % 2
+        raw = np.empty((last - first, (end + 1) // 2 * 3 - even // 2 * 3), np.uint8)
+        self._fill(raw, first, even // 2 * 3)
+        triples = raw.reshape(last - first, -1, 3).astype(np.uint16)
+        pixels = np.empty((last - first, 2 * triples.shape[1]), np.uint16)
+        pixels[:, 0::2] = triples[..., 0] << 4 | triples[..., 1] >> 4
+        pixels[:, 1::2] = (triples[..., 1] & 15) << 8 | triples[..., 2]
+        return pixels[:, begin - even : end - even].reshape(last - first, -1, self.facts.shape[1])
+
+    def _fill(self, raw: NDArray[np.uint8], first: int, start: int) -> None:
+        """Read one row of `raw` per frame from `first` on, from byte `start` of each frame."""
+        with self.path.open("rb", buffering=0) as file:
+            for place, frame in zip(self.offsets[first:].tolist(), raw, strict=False):
+                file.seek(place + start)
+                read_fully(file, memoryview(frame), self.path)
+
+    def _grey(self, pixels: Pixels) -> Pixels:
+        if self.channels > 1:
+            k, height, width = pixels.shape[:3]
+            colour = pixels[..., 2::-1] if self.blue_first else pixels[..., :3]
+            return luma(colour.astype(self._native).reshape(k * height, width, 3)).reshape(k, height, width)
+        if self.grey_levels is not None:
+            flat = np.ascontiguousarray(pixels).reshape(-1, pixels.shape[-1])
+            return np.asarray(cv2.LUT(flat, self.grey_levels)).reshape(pixels.shape)
+        return pixels if self.dtype.isnative else pixels.astype(self._native)
+
+    @property
+    def _native(self) -> np.dtype[np.generic]:
+        return self.dtype.newbyteorder("=")
+
+
+def read_fully(file: BinaryIO, buffer: memoryview, path: Path) -> None:
+    """Read until the buffer is full.
+
+    Parameters
+    ----------
+    file
+        An unbuffered file, at the position to read from.
+    buffer
+        Buffer to be filled.
+    path
+        Path for the message.
+
+    Raises
+    ------
+    InputError
+        If the file ends before.
+    """
+    done = 0
+    while done < len(buffer):
+        count = file.readinto(buffer[done:])  # type: ignore[attr-defined]  # raw files have it
+        if not count:
+            advice = "wait until it is copied, then run again"
+            raise InputError(
+                path, "a file that stays whole while it is read", "one that became shorter", advice
+            )
+        done += count
+
+
+def repeated(status: Status, count: int) -> tuple[Status, ...]:
+    """Return the same status for `count` frames."""
+    return (status,) * count
+
+
+def _even_runs(offsets: Ints, start: int, stop: int) -> Iterator[tuple[int, int]]:
+    """Yield half-open ranges in which frames are equally spaced and ascending, or all lost."""
+    while start < stop:
+        steps = np.diff(offsets[start:stop])
+        lost = offsets[start] < 0
+        even = offsets[start + 1 : stop] < 0 if lost else (steps == steps[:1]) & (steps > 0)
+        if not lost:
+            even &= offsets[start + 1 : stop] >= 0
+        length = int(np.argmin(even)) + 1 if not even.all() else even.size + 1
+        yield start, start + length
+        start += length
 
 
 def luma(rgb: Pixels) -> Pixels:

@@ -126,6 +126,14 @@ class VideoSettings:
     late_steps: float = 0.6
     """Delay, in steps, that must persist after a gap for it to be a loss. Larger misses single lost frames
     under jitter; smaller counts late stamps (test_a_frame_that_only_came_late_is_not_lost)."""
+    same_rate: float = 1.15
+    """Ratio of intervals up to which they are of one rate. Larger takes 1/30 and 1/24 s for one rate and
+    miscounts where both occur, smaller is misled by times in whole milliseconds
+    (test_a_camera_that_changes_its_rate_loses_nothing)."""
+    whole_ratio: float = 0.05
+    """Relative deviation up to which a changed rate is half or a third of the usual one, as if frames were
+    lost evenly. Larger warns of any slow part, smaller misses losses under jitter
+    (test_evenly_lost_frames_are_told)."""
     early_end_steps: float = 3.5
     """Steps between the last frame and the end that the file states above which frames are missing. Complete
     files differ by up to two (test_cut_matroska_is_reported)."""

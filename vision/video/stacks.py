@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import glob
 import math
-import os
 import re
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO
@@ -17,6 +15,7 @@ from typing import BinaryIO
 import cv2
 import numpy as np
 import tifffile
+from numpy.typing import NDArray
 from PIL import Image as Pillow
 
 from vision.errors import InputError
@@ -25,29 +24,37 @@ from vision.numeric import Floats, Ints, Pixels
 from vision.video.reader import (
     AS_STORED,
     LUMA_RULE,
+    SECONDS,
     Facts,
     Frame,
     ImagesReader,
+    MappedReader,
     Reader,
     full_scale,
     luma,
     shape_text,
 )
 from vision.video.threads import in_threads
-from vision.video.uncompressed import MappedReader
 
 IMAGES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"}
 _JPEG = {"jpg", "jpeg", "ojpeg", "jpeg_lossy"}
-_UNIT_S = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 
 Pillow.MAX_IMAGE_PIXELS = None  # its warning; `check_pixels` bounds what is decoded
 
 Page = tifffile.TiffPage | tifffile.TiffFrame | None
 
 
+_FORMS = {
+    b"II*\0": tifffile.TIFF.CLASSIC_LE,
+    b"MM\0*": tifffile.TIFF.CLASSIC_BE,
+    b"II+\0": tifffile.TIFF.BIG_LE,
+    b"MM\0+": tifffile.TIFF.BIG_BE,
+}
+
+
 def is_tiff(head: bytes) -> bool:
     """Return whether a file that begins with these bytes is a TIFF or BigTIFF."""
-    return head[:4] in (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+    return head[:4] in _FORMS
 
 
 def open_stack(path: Path) -> Reader:
@@ -80,7 +87,16 @@ def _reader_of_pages(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) 
     check_pixels(path, first.imagelength, first.imagewidth)
     if first.nbytes <= 0:
         raise InputError(path, "pages with pixels", "none", "export it again")
-    offsets = _offsets(tif, pages, path) if first.planarconfig == 1 or channels == 1 else None
+    is_colour = channels > 1 and not _leads_with_grey(first)
+    if first.photometric == tifffile.PHOTOMETRIC.SEPARATED:
+        raise InputError(
+            path, "grey or RGB pixels", "those of a printing process (CMYK)", "export it as grey"
+        )
+    if is_colour and first.dtype not in (np.uint8, np.uint16, np.float32):
+        raise InputError(path, "colours of 8 or 16 bits, or float32", str(first.dtype), "convert the stack")
+    offsets = None
+    if channels == 1 or (is_colour and first.planarconfig == 1):
+        offsets = _offsets(tif, pages, path)
     if offsets is None:
         facts = _stack_facts(tif, len(pages), len(pages), path, decoder="tifffile")
         return ImagesReader(facts, dtype.newbyteorder("="), len(pages), partial(_decode_pages, path))
@@ -104,20 +120,34 @@ def _decode_pages(path: Path, numbers: Sequence[int]) -> Iterator[Frame]:
 
 def _decode_page(page: Page) -> Frame:
     """Return the page as a frame, "corrupt" if it cannot be decoded."""
-    if page is None:
+    if page is None or page.keyframe is None:
         return Frame(None, "lost")
+    first = page.keyframe
     try:
-        pixels = page.asarray(maxworkers=1)
+        grey = _grey_page(first, page.asarray(maxworkers=1))
     except Exception:  # tifffile and its codecs raise any exception for damaged data
         return Frame(None, "corrupt")
-    return Frame(_grey_page(pixels))
+    whole = grey.shape == (first.imagelength, first.imagewidth)  # a page without data is decoded to nothing
+    return Frame(grey) if whole else Frame(None, "corrupt")
 
 
-def _grey_page(pixels: Pixels) -> Pixels:
-    """Return grey (rows, columns) of a page, or luma of colour in its last or first dimension."""
-    if pixels.ndim == 2:
+def _grey_page(first: tifffile.TiffPage, pixels: Pixels) -> Pixels:
+    """Return grey (rows, columns) of a decoded page: its only or first value per pixel, or luma of colour."""
+    if first.samplesperpixel == 1:
         return pixels
-    return luma(pixels if pixels.shape[-1] in (3, 4) else np.moveaxis(pixels, 0, -1))
+    pixels = np.moveaxis(pixels, 0, -1) if first.planarconfig == 2 else pixels
+    return pixels[..., 0] if _leads_with_grey(first) else luma(pixels)
+
+
+def _leads_with_grey(page: tifffile.TiffPage) -> bool:
+    """Return whether the first of several values per pixel is grey: of grey with alpha, of Lab, of YCbCr.
+
+    tifffile converts YCbCr to RGB in JPEG alone.
+    """
+    kinds = tifffile.PHOTOMETRIC
+    lab = (kinds.CIELAB, kinds.ICCLAB, kinds.ITULAB)
+    stored_ycbcr = page.photometric == kinds.YCBCR and _codec_of_page(page) != "mjpeg"
+    return page.samplesperpixel == 2 or page.photometric in lab or stored_ycbcr
 
 
 def _pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
@@ -135,7 +165,9 @@ def _pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
         return _single_pages(tif, path)
     if len(tif.series[1].pages) == len(series.pages):
         raise InputError(path, "one series of images", str(len(tif.series)), "export one of them")
-    return series.pages
+    # a page of another kind between the frames is a damaged one, not the thumbnail or label of a microscope
+    frames: dict[int, Page] = {page.index: page for page in series.pages if page is not None}
+    return [frames.get(number) for number in range(min(frames), max(frames) + 1)]
 
 
 def _single_pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
@@ -152,7 +184,7 @@ def _single_pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
 def _offsets(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) -> Ints | None:
     """Return the position of each whole frame; None if pages are compressed, tiled, packed or scattered."""
     first = tif.pages.first
-    if not first.is_memmappable and not (first.is_contiguous and first.compression == 1):
+    if not (first.is_contiguous and first.compression == first.fillorder == 1):
         return None
     frame_bytes, end = first.nbytes, path.stat().st_size
     declared = _declared_frames(tif)
@@ -190,7 +222,7 @@ def _stack_facts(tif: tifffile.TiffFile, held: int, indexed: int, path: Path, *,
         codec=_codec_of_page(first),
         pixel_format=f"{first.samplesperpixel} x {first.dtype}",
         decoder=decoder,
-        grey=LUMA_RULE if first.samplesperpixel > 1 else AS_STORED,
+        grey=LUMA_RULE if first.samplesperpixel > 1 and not _leads_with_grey(first) else AS_STORED,
         times_s=_own_times(tif, declared),
         warnings=(f"{path.name}: the file was cut short; more pages were to follow",) * _is_cut_short(tif),
     )
@@ -259,7 +291,7 @@ def _own_times(tif: tifffile.TiffFile, frames: int) -> Floats | None:
         found = re.search(r'\bTimeIncrement="([^"]+)"', pixels)
         named = re.search(r'\bTimeIncrementUnit="([^"]+)"', pixels)
         step, unit = float(found.group(1)) if found else 0.0, named.group(1) if named else "s"
-    seconds = step * _UNIT_S.get(unit.strip().lower(), 0.0)
+    seconds = step * SECONDS.get(unit.strip().lower(), 0.0)
     return np.arange(frames, dtype=np.float64) * seconds if seconds > 0 else None
 
 
@@ -300,6 +332,7 @@ def open_sequence(path: Path) -> ImagesReader:
         pixel_format=str(first.dtype),
         decoder="tifffile" if suffix in (".tif", ".tiff") else "OpenCV",
         grey=f"{AS_STORED}; colour by {LUMA_RULE}",
+        turned_deg=_turned_deg(next(file for file in files if file is not None)),
         warnings=warnings,
     )
 
@@ -308,6 +341,20 @@ def open_sequence(path: Path) -> ImagesReader:
         return in_threads(one, (files[n] for n in numbers))
 
     return ImagesReader(facts, first.dtype, len(files), decode)
+
+
+def _turned_deg(file: Path) -> int:
+    """Return the degrees clockwise by which a photograph states (in EXIF) that it is to be turned.
+
+    That of a TIFF is ignored, as ImageJ and tifffile do.
+    """
+    if file.suffix.lower() in (".tif", ".tiff"):
+        return 0
+    try:
+        with Pillow.open(file) as header:
+            return {3: 180, 6: 90, 8: 270}.get(header.getexif().get(274, 1), 0)
+    except Exception:  # Pillow raises any exception for damaged data
+        return 0
 
 
 def _decode_image(file: Path | None, shape: tuple[int, int], dtype: np.dtype[np.generic]) -> Frame:
@@ -409,7 +456,7 @@ def _tiff_image(file: Path) -> Pixels:
                 file, "one page per image of a folder", found, "give the stacks one by one"
             )
         check_pixels(file, tif.pages.first.imagelength, tif.pages.first.imagewidth)
-        grey = _grey_page(tif.pages.first.asarray(maxworkers=1))
+        grey = _grey_page(tif.pages.first, tif.pages.first.asarray(maxworkers=1))
     return grey.astype(grey.dtype.newbyteorder("="), copy=False)
 
 
@@ -419,36 +466,26 @@ def _other_image(file: Path) -> Pixels | None:
     with Pillow.open(file, formats=formats) as header:  # reads the header alone
         check_pixels(file, header.height, header.width)
     data = np.fromfile(file, np.uint8)
-    pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    if data.size == 0 or _ends_in_chunk(data):
+        return None
+    pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     if pixels is None:
         return None
     return np.asarray(pixels) if pixels.ndim == 2 else luma(np.asarray(pixels)[..., 2::-1])
 
 
+def _ends_in_chunk(data: NDArray[np.uint8]) -> bool:
+    """Return whether a PNG ends inside a chunk, for which libpng would allocate whatever it states."""
+    at, name = 8, b"" if data[:4].tobytes() == b"\x89PNG" else b"IEND"
+    while name != b"IEND" and at + 8 <= data.size:
+        name = data[at + 4 : at + 8].tobytes()
+        at += 12 + int.from_bytes(data[at : at + 4].tobytes(), "big")
+    return at > data.size
+
+
 # --- the chain of a TIFF's pages, before a library follows it -----------------------------------------------
 
 _ADVICE = "copy or export it again"
-
-
-@dataclass(frozen=True)
-class _Form:
-    """Layout of a classic or a big TIFF: number of tags, one tag, an offset; bytes of values within a tag."""
-
-    order: str
-    count: struct.Struct
-    tag: struct.Struct
-    offset: struct.Struct
-    inside: int
-
-
-def _form(head: bytes) -> tuple[_Form, int]:
-    """Return the layout, and the position of the first offset."""
-    order = "<" if head[:2] == b"II" else ">"
-    big = struct.unpack_from(f"{order}H", head, 2)[0] == 43
-    count, tag, offset = (
-        struct.Struct(order + code) for code in (("Q", "HHQ8s", "Q") if big else ("H", "HHI4s", "I"))
-    )
-    return _Form(order, count, tag, offset, offset.size), offset.size
 
 
 def check_tiff(path: Path, *, frames: bool = True) -> None:
@@ -471,9 +508,9 @@ def check_tiff(path: Path, *, frames: bool = True) -> None:
     """
     size = path.stat().st_size
     with path.open("rb") as file:
-        form, at = _form(file.read(16).ljust(16, b"\0"))
-        file.seek(at)
-        place = _unpacked(form.offset, file)
+        form = _FORMS.get(file.read(4), tifffile.TIFF.CLASSIC_LE)
+        file.seek(form.offsetsize)
+        place = _number(form.offsetformat, file)
         seen: set[int] = set()
         spent = 0
         while place and place < size:
@@ -481,48 +518,48 @@ def check_tiff(path: Path, *, frames: bool = True) -> None:
                 raise InputError(
                     path, "a TIFF stack", f"one whose page {len(seen)} is an earlier one", _ADVICE
                 )
-            seen.add(place)
             file.seek(place)
-            pointed, shape = _page_facts(file, form, path, number=len(seen) - 1)
+            pointed, shape = _page_facts(file, form, path, size, number=len(seen))
+            seen.add(place)
             spent += pointed
             if frames and shape is not None:
                 check_pixels(path, *shape)
             if spent > size + (1 << 26):  # pages may share values; reading all would never end
                 raise InputError(path, "a TIFF stack", "tags that point to more than the file holds", _ADVICE)
-            place = _unpacked(form.offset, file)
+            place = _number(form.offsetformat, file)
 
 
 def _page_facts(
-    file: BinaryIO, form: _Form, path: Path, *, number: int
+    file: BinaryIO, form: tifffile.TiffFormat, path: Path, size: int, *, number: int
 ) -> tuple[int, tuple[int, int] | None]:
     """Return the bytes to which the tags of the page at the file's position point, its rows and row length.
 
     The position is then after the tags.
     """
-    tags = _unpacked(form.count, file)
+    tags = _number(form.tagnoformat, file)
     if tags > 1000:  # microscopes write up to 60; damaged pages of more take long
         raise InputError(path, f"at most 1000 tags in page {number}", str(tags), _ADVICE)
-    data = file.read(tags * form.tag.size)
-    size = os.fstat(file.fileno()).st_size
-    bytes_of_type = dict(enumerate((1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 2, 4, 8, 8, 8, 8), 1))
-    numbers = {1: "B", 3: "H", 4: "I", 16: "Q"}  # types of whole numbers
+    data = file.read(tags * form.tagsize)
     spent, shape = 0, {}
-    for code, kind, count, value in form.tag.iter_unpack(data[: len(data) // form.tag.size * form.tag.size]):
-        held = count * bytes_of_type.get(kind, 1)
+    for code, kind, count, value in struct.iter_unpack(
+        form.tagheaderformat, data[: len(data) // form.tagsize * form.tagsize]
+    ):
+        values = tifffile.TIFF.DATA_FORMATS.get(kind, "1B")
+        held = count * struct.calcsize(f"={values}")
         if held > size:
             found = f"{held} bytes in a file of {size}"
             raise InputError(path, f"a tag {code} of page {number} that fits in the file", found, _ADVICE)
-        if held > form.inside:
+        if held > form.tagoffsetthreshold:
             spent += held
         elif code in (256, 257, 277):  # columns, rows, values per pixel
-            known = kind in numbers
-            shape[code] = struct.unpack_from(form.order + numbers[kind], value)[0] if known else 0
+            whole = kind in (1, 3, 4, 16)
+            shape[code] = struct.unpack_from(form.byteorder + values, value)[0] if whole else 0
     if 256 in shape and 257 in shape:
         return spent, (shape[257], shape[256] * max(1, shape.get(277, 1)))
     return spent, None
 
 
-def _unpacked(form: struct.Struct, file: BinaryIO) -> int:
+def _number(code: str, file: BinaryIO) -> int:
     """Return the next number; 0 at the end of the file."""
-    data = file.read(form.size)
-    return int(form.unpack(data)[0]) if len(data) == form.size else 0
+    data = file.read(struct.calcsize(code))
+    return int(struct.unpack(code, data)[0]) if len(data) == struct.calcsize(code) else 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -108,10 +108,10 @@ def strip_profile(
     folder = None if log is None else log.folder
     store = FrameStore(plan.width, expected=video.estimated, spill_bytes=settings.spill_bytes, folder=folder)
     for part in () if log is None else log.begin(video, plan.strip.rows, plan.columns):
-        store.append(part)
+        store.add(part)
     for latest, block in _blocks(video, plan, store, follow):
         video = latest
-        store.append(_reduced(video, block))
+        store.add(_reduced(video, block))
         if log is not None:
             log.add(store)
         if progress is not None:
@@ -126,7 +126,7 @@ def strip_profile(
             last = video.first + store.count - 1
             line = f"{video.path.name}: followed up to frame {last}; later ones are not read"
             video = replace(video, warnings=(*video.warnings, line))
-    return plan.assembled(video, store.all())
+    return plan.assembled(video, store.part(0, store.count))
 
 
 def strip_profiles(
@@ -167,11 +167,10 @@ def strip_profiles(
     parts = [slice(None), *(slice(*pair) for pair in pairwise(edges))]
     store = FrameStore((1 + strips) * width, expected=video.estimated, spill_bytes=settings.spill_bytes)
     for block in prefetch(video.blocks(plan.strip.rows, plan.columns), video.path, settings.answer_s):
-        each = [_reduced(video, replace(block, pixels=block.pixels[:, part])) for part in parts]
-        store.append(replace(each[0], intensity=np.concatenate([part.intensity for part in each], axis=1)))
+        store.add(_reduced(video, block, parts))
         if progress is not None:
             progress(store.count, video.estimated)
-    read = store.all()
+    read = store.part(0, store.count)
     whole = plan.assembled(video, replace(read, intensity=read.intensity[:, :width]))
     intensity = read.intensity[:, width:].reshape(-1, strips, width).swapaxes(0, 1)
     intensity[:, whole["status"].values != "ok"] = np.nan
@@ -317,9 +316,10 @@ def _continued(video: Video, blocks: Iterator[Block], known: FramesRead) -> Iter
         count = 0
 
 
-def _reduced(video: Video, block: Block) -> FramesRead:
-    """Return the row means, status and times of one block."""
-    means, status = row_means(block.pixels), np.array(block.status, STATUS_TYPE)
+def _reduced(video: Video, block: Block, parts: Sequence[slice] = (slice(None),)) -> FramesRead:
+    """Return the row means of each part of the rows, side by side, and status and times of one block."""
+    means = np.concatenate([row_means(block.pixels[:, part]) for part in parts], axis=1)
+    status = np.array(block.status, STATUS_TYPE)
     not_finite = ~np.isfinite(means).all(axis=1)
     means[not_finite] = np.nan  # infinities would spread into sums over frames
     status[(status == "ok") & not_finite] = "corrupt"

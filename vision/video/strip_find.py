@@ -19,7 +19,14 @@ from numpy.typing import NDArray
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints, Pixels
 from vision.video.settings import DEFAULTS, VideoSettings
-from vision.video.strip_rows import NO_ERRORS, StripErrors, best_rows, row_shifts, strip_errors
+from vision.video.strip_rows import (
+    NO_ERRORS,
+    StripErrors,
+    best_rows,
+    row_shifts,
+    segment_starts,
+    strip_errors,
+)
 from vision.video.video import Video, cut
 
 
@@ -264,7 +271,7 @@ def _without_text(slopes: _Slopes, first: int, last: int, settings: VideoSetting
     Text is far steeper than ridges, in a few bands and in several segments along x.
     """
     bands = slopes.mean[:, first:last]
-    starts = _segment_starts(bands.shape[-1], settings)
+    starts = segment_starts(bands.shape[-1], settings.segment_px)
     usual = np.median(bands, axis=1, keepdims=True)
     ridges = np.median(np.add.reduceat(usual[:, 0] ** 2, starts, axis=-1), axis=0)
     unusual = np.median(np.add.reduceat((bands - usual) ** 2, starts, axis=-1), axis=0)
@@ -343,7 +350,7 @@ def _slope(bands: Floats32, sigma_px: float) -> Floats32:
 def _best_run(slopes: _Slopes, settings: VideoSettings) -> tuple[int, int] | None:
     """Return the half-open run of bands with the highest score; None if no score is above zero."""
     bands, width = slopes.mean.shape[1:]
-    starts = _segment_starts(width, settings)
+    starts = segment_starts(width, settings.segment_px)
     sums = np.concatenate([np.zeros_like(slopes.mean[:, :1]), np.cumsum(slopes.mean, axis=1)], axis=1)
     noise = np.add.reduceat((slopes.difference**2).sum(axis=0), starts, axis=-1)
     noise_sums = np.concatenate([np.zeros_like(noise[:1]), np.cumsum(noise, axis=0)])
@@ -371,7 +378,7 @@ def _prefer_moving(slopes: _Slopes, best: tuple[int, int], settings: VideoSettin
     A run with ridges in far fewer segments along x, such as text that changes, is no comb.
     """
     bands = slopes.mean.shape[1]
-    starts = _segment_starts(slopes.mean.shape[-1], settings)
+    starts = segment_starts(slopes.mean.shape[-1], settings.segment_px)
     own, wide = _change(slopes, *best), _shows_ridges(slopes.part(*best), starts, settings).sum()
     moves, chosen = max(settings.moving_change, settings.moving_ratio * own), best
     for first, last in ((0, best[0]), (best[1], bands)):
@@ -390,10 +397,6 @@ def _change(slopes: _Slopes, first: int, last: int) -> float:
     size = np.linalg.norm(mean, axis=1, keepdims=True)
     mean, noise = (part / np.maximum(size, 1e-9) for part in (mean, noise))
     return max(0.0, float(mean.var(axis=0, ddof=min(1, len(mean) - 1)).sum() - (noise**2).sum(axis=1).mean()))
-
-
-def _segment_starts(width: int, settings: VideoSettings) -> Ints:
-    return np.linspace(0, width, max(1, width // settings.segment_px) + 1).astype(np.int64)[:-1]
 
 
 def _shows_ridges(slopes: _Slopes, starts: Ints, settings: VideoSettings) -> Bools:

@@ -93,7 +93,7 @@ def row_shifts(bands: NDArray[np.floating], tilt: float, settings: VideoSettings
     middle = slice(count // 4, count - count // 4)
     mean = upright[:, middle].mean(axis=1)
     rise = np.gradient(mean, axis=-1)
-    starts = _segments(width, settings)
+    starts = segment_starts(width, 2 * settings.segment_px)
     power, steep = _sums(mean**2, starts), _sums(rise**2, starts)  # (frame, segment)
     shows = np.median(power, axis=0) >= settings.ridge_share * np.sort(np.median(power, axis=0))[-1]
     if not shows.any() or not (power[:, shows] > 0).all() or not (steep[:, shows] > 0).all():
@@ -118,9 +118,9 @@ def _upright(shift: Floats, middle: slice) -> Floats:
     return np.asarray(shift - shift[middle].mean(axis=0) - height[:, None] * slope, np.float64)
 
 
-def _segments(width: int, settings: VideoSettings) -> Ints:
-    count = max(1, width // (2 * settings.segment_px))
-    return np.linspace(0, width, count + 1).astype(np.int64)[:-1]
+def segment_starts(width: int, segment_px: int) -> Ints:
+    """Return the first column of each of the segments of about this width along x."""
+    return np.linspace(0, width, max(1, width // segment_px) + 1).astype(np.int64)[:-1]
 
 
 def _sums(values: NDArray[np.floating], starts: Ints) -> Floats:

@@ -16,14 +16,12 @@ from vision.errors import InputError
 from vision.escaping import html_table
 from vision.files import Stamp, check_pixels, check_regular, reading
 from vision.numeric import Floats, Ints, Pixels
-from vision.video.high_speed import is_cine, is_photron, open_cine, open_photron, photron_files
-from vision.video.reader import Block, Facts, Reader
+from vision.video.raw import is_photron, open_raw, photron_files
+from vision.video.reader import SECONDS, Block, Facts, Reader
 from vision.video.settings import DEFAULTS
 from vision.video.stacks import IMAGES, is_tiff, open_sequence, open_stack
 from vision.video.threads import answered
-from vision.video.uncompressed import is_avi, open_raw_avi, read_avi_layout
 
-_SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
 _UNIT = re.compile(r"(?:^|[\s_(\[.,;/-])(s|sec|seconds|ms|us|µs|μs|ns)(?:$|[\s)\],;])", re.IGNORECASE)
 _TIME_NAME = re.compile(r"time|stamp|zeit|temps", re.IGNORECASE)
 
@@ -356,14 +354,10 @@ def _open_reader(path: Path) -> Reader:
     if not head:
         advice = "copy it again from the camera's computer"
         raise InputError(path, "a video", "an empty file (0 bytes)", advice)
-    if is_photron(path):
-        return open_photron(path)
-    if is_avi(head) and (layout := read_avi_layout(path)).is_uncompressed:
-        return open_raw_avi(path, layout)
+    if (reader := open_raw(path, head)) is not None:
+        return reader
     if is_tiff(head):
         return open_stack(path)
-    if is_cine(head):
-        return open_cine(path)
     if path.suffix.lower() in IMAGES:
         return open_sequence(path)
     from vision.video.encoded import open_encoded  # loads FFmpeg, 30 ms that raw films do not need
@@ -484,4 +478,4 @@ def _time_column(header: str, width: int) -> tuple[int, float]:
     place = next((n for n, name in enumerate(names) if _TIME_NAME.search(name)), width - 1)
     place = place if place < width else width - 1
     unit = _UNIT.search(names[place] if place < len(names) else header)
-    return place, _SECONDS[unit.group(1).lower()] if unit else 1.0
+    return place, SECONDS[unit.group(1).lower()] if unit else 1.0
