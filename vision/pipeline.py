@@ -165,7 +165,7 @@ class Settings:
     tuning: Tuning = field(default_factory=Tuning)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Analysis:
     """Results of all stages for one test. The result of a stage that could not run is None.
 
@@ -230,6 +230,9 @@ class Analysis:
                 line += f"; the video shows {seen} per side"
             lines.append(line)
         return lines
+
+    def __repr__(self) -> str:
+        return "\n".join(self.summary())
 
     def _repr_html_(self) -> str:
         found: dict[str, str] = {}

@@ -55,6 +55,7 @@ class _Inches:
     TOP, BOTTOM, FOOT = 0.12, 0.55, 0.2  # above and below each panel; below the last for the marks' label
     TITLE, LEGEND_ROW = 0.26, 0.24  # heights
     CHARACTER, MARKER = 0.075, 0.55  # widths in a legend
+    NUMBER = 0.8  # width for each number of the x axis
     X_LABEL, Y_LABEL = 0.3, 0.57  # from an axis to its label
     LEAST_HEIGHT, MOST_HEIGHT = 0.35, 9.0  # of a panel
 
@@ -117,6 +118,8 @@ def _page(figure: Figure, *, interactive: bool = False) -> Page:
         box = left / size[0], bottom / size[1], width / size[0], height / size[1]
         ax = page.add_axes(box)
         draw_panel(ax, panel)
+        if not panel.x_log:  # so that long numbers do not touch
+            ax.locator_params(axis="x", nbins=int(np.clip(width / _Inches.NUMBER, 3, 9)))
         # By default matplotlib measures the tick labels at each drawing to place the axis labels.
         ax.xaxis.set_label_coords(0.5, -_Inches.X_LABEL / height)
         ax.yaxis.set_label_coords(-_Inches.Y_LABEL / width, 0.5)
