@@ -21,6 +21,7 @@ from vision.numeric import Floats, Ints, Pixels, nan_median
 from vision.spacetime import space_time
 
 MOST_ROWS = 1200  # of an image
+X_PX, GREY_LEVELS = "x (px)", "I (grey levels)"  # labels of axes
 SHOWN_SLIPS = 4  # of single sheets, as in the publication
 KYMOGRAPH_CAPTION = (
     "Intensity I(x,t) averaged over the strip's rows, one frame below the other, time downwards. "
@@ -58,7 +59,7 @@ def frame_figure(frame: Pixels, tracks: xr.Dataset, *, axis: bool = True) -> Fig
     stretched = f"; z stretched {flattest / aspect:.2g} times" if aspect < flattest else ""
     panel = Panel(
         title=f"{which}: averaged rows (outlined), {numbers}{stretched}",
-        x_label="x (px)",
+        x_label=X_PX,
         y_label="z (px)",
         series=_numbered_strokes(tracks, z0, z1) if axis else _indexed_strokes(tracks, z0, z1),
         image=Image(
@@ -148,29 +149,17 @@ def preview_figure(
     Strip and tracks are those of a few consecutive frames, and the frame is the first usable one of them.
     """
     facts = StripMetadata.of(strip)
-    x = np.asarray(strip["x"].values, np.float64)
     left, right = -0.5, frame.shape[1] - 0.5
     first = int(np.argmax(np.isfinite(tracks["x_px"].values).any(axis=1)))
-    profile = np.asarray(strip.values[first], np.float64)
-    at = tracks["x_px"].values[first]
-    curve = Panel(
-        title=f"Profile I(x): mean of rows {facts.strip_z0} to {facts.strip_z1} of this frame",
-        x_label="x (px)",
-        y_label="grey level",
-        series=(
-            Series(label="I(x)", x=x, y=profile, ink=MODEL, width=0.8),
-            Series.points("sheets found", at, np.interp(at, x, profile), PEAK, hollow=True),
-        ),
-        x_range=(left, right),
-        aspect=0.2,
-    )
+    title = f"Profile I(x): mean of rows {facts.strip_z0} to {facts.strip_z1} of this frame"
+    curve = replace(_profile_panel(strip, tracks, first, title), x_range=(left, right), aspect=0.2)
     scale, unit = displacement_unit(pixel_size_um)
     mean = np.asarray(tracks["x_mean_px"].values, np.float64)
     stated = nan_median(tracks["x_err_px"].values) * scale
     measured = np.asarray(tracks["x_noise_px"].values, np.float64) * scale
     noise = Panel(
         title="Noise of one position of every sheet",
-        x_label="x (px)",
+        x_label=X_PX,
         y_label=f"noise of x ({unit})",
         series=(
             Series.points("scatter between frames", mean, measured, DATA),
@@ -206,23 +195,9 @@ def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | 
     if not measured.size:
         return None
     start = frames[0] if frames and frames[0] in measured else int(measured[0])
-    columns = np.asarray(strip["x"].values, np.float64)
-    values = np.asarray(strip.values[start], np.float64)
-    at = np.sort(x_px[start][np.isfinite(x_px[start])])
     time, label = time_axis(tracks)
     when = f"frame {time[start]:.4g}" if label == "frame" else f"t = {time[start]:.4g} s"
-    panels = [
-        Panel(
-            title=f"Profile at {when}",
-            x_label="x (px)",
-            y_label="I (grey levels)",
-            series=(
-                Series(label="I(x)", x=columns, y=values, ink=QUIET, width=0.9),
-                Series.points("x(n)", at, np.interp(at, columns, values), PEAK),
-            ),
-            aspect=0.35,
-        )
-    ]
+    panels = [_profile_panel(strip, tracks, start, f"Profile at {when}")]
     sheet = _ridge_sheet(tracks, frames)
     ridge = ""
     if frames and sheet is not None:
@@ -238,6 +213,23 @@ def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | 
         panels=tuple(panels),
         columns=len(panels),
         width_in=13.0 if ridge else 8.0,
+    )
+
+
+def _profile_panel(strip: xr.DataArray, tracks: xr.Dataset, row: int, title: str) -> Panel:
+    """Return the profile of one frame with its positions."""
+    columns, values = (np.asarray(part, np.float64) for part in (strip["x"].values, strip.values[row]))
+    at = tracks["x_px"].values[row]
+    at = np.sort(at[np.isfinite(at)])
+    return Panel(
+        title=title,
+        x_label=X_PX,
+        y_label=GREY_LEVELS,
+        series=(
+            Series(label="I(x)", x=columns, y=values, ink=QUIET, width=0.9),
+            Series.points("x(n)", at, np.interp(at, columns, values), PEAK),
+        ),
+        aspect=0.35,
     )
 
 
@@ -285,8 +277,8 @@ def _ridge_panel(strip: xr.DataArray, tracks: xr.Dataset, frames: tuple[int, int
     side = "right" if int(tracks["side"].values[sheet]) > 0 else "left"
     return Panel(
         title=f"Sheet n = {int(tracks['n'].values[sheet])}, {side}",
-        x_label="x (px)",
-        y_label="I (grey levels)",
+        x_label=X_PX,
+        y_label=GREY_LEVELS,
         series=tuple(series),
         aspect=0.35,
     )

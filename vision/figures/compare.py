@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 
 from vision.figures.figure import Figure, Panel, Range, Series
+from vision.figures.force import amplitude_curve, stiffness_curves
 from vision.figures.labels import from_zero, plus_minus
-from vision.figures.style import DATA, MODEL, OTHER_MODEL, PEAK, QUIET, VALLEY, ordered_inks
+from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, ordered_inks
 from vision.models import Estimate, equations
 from vision.numeric import Floats
 from vision.sample import Sample
@@ -113,10 +114,7 @@ def drops_figure(tests: ComparedTests) -> Figure:
     series = _points(tests, tests.events, "d_v_mm", "dF_N")
     model = ""
     if np.isfinite(tests.amplitude.value) and not np.isfinite(tests.misfit):
-        drop = equations.stick_slip_amplitude(
-            d, mu=tests.mu.value, prefactor=tests.amplitude.value, sample=tests.sample
-        )
-        series = (*series, Series.model("A × normal force", d, drop, MODEL))
+        series = (*series, amplitude_curve(d, tests.mu, tests.amplitude, tests.sample))
         model = f" Dashed: A times the total normal force, A = {plus_minus(tests.amplitude)} (slow tests)."
     return Figure.of(
         "drops",
@@ -134,12 +132,7 @@ def stiffnesses_figure(tests: ComparedTests) -> Figure:
     if np.isfinite(scale):
         one = equations.sheet_stiffness(modulus_GPa=tests.modulus.value, sample=tests.sample)
         k = np.asarray(equations.effective_sheets(d / scale, sample=tests.sample) * one)
-        longer = k[0] * (tests.sample.length_mm + d[0]) / (tests.sample.length_mm + d)
-        series = (
-            *series,
-            Series.model("M_eff K_eff, median Λ̂", d, k, MODEL),
-            Series(label="∝ (L + d)⁻¹", x=d, y=longer, ink=OTHER_MODEL, width=2.0),
-        )
+        series = (*series, *stiffness_curves("M_eff K_eff, median Λ̂", d, k, tests.sample))
     y_range = _above_zero(tests.events["K_N_per_mm"])
     return Figure.of(
         "stiffnesses",
