@@ -569,7 +569,9 @@ def _warnings(found: Analysis, reasons: Mapping[str, str]) -> tuple[str, ...]:
         lines += tracking_warnings(found.tracks)
         # An assumed sample matters only if models are fitted with it.
         assumed = PUBLISHED if found.fits is not None and found.settings.sample is None else None
-        lines += consistency_warnings(found.tracks, found.settings.sample, assumed=assumed)
+        lines += consistency_warnings(
+            found.tracks, found.settings.sample, assumed=assumed, pixel_size_um=found.pixel_size_um
+        )
     if found.force is not None:
         lines += warnings_of(found.force, found.sticks)
         lines += filter(None, [cycles_seen(found.force)])
