@@ -156,3 +156,5 @@ def test_long_numbers_of_an_axis_do_not_touch():
             boxes = [label.get_window_extent() for at, label in ticks if low <= at <= high]
             assert len(boxes) >= 2
             assert all(one.x1 + 4 < other.x0 for one, other in itertools.pairwise(boxes))
+            widest = min(label.get_window_extent().x0 for label in ax.get_yticklabels())
+            assert ax.yaxis.label.get_window_extent().x1 < widest

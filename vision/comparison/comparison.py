@@ -338,7 +338,13 @@ def _misfit_line(one: JointFriction) -> str:
 
 def joint_line(one: JointFriction) -> str:
     """State the joint μ of several tests, and whether they agree on it."""
-    line = f"{one.sample or 'all tests'}: one μ for {len(one.runs)} tests {both_errors(one.mu)}"
+    mu = both_errors(one.mu)
+    return f"{one.sample or 'all tests'}: one μ {mu} for {len(one.runs)} tests{joint_detail(one)}"
+
+
+def joint_detail(one: JointFriction) -> str:
+    """State A of several tests, and whether they agree on μ."""
+    line = ""
     if np.isfinite(one.amplitude.value):
         line += f", A {plus_minus(one.amplitude)}"
     if one.disagrees:

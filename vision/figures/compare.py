@@ -227,14 +227,14 @@ def collapse_figure(tests: ComparedTests) -> Figure | None:
             x_label="d̂ = d_v / Λ̂",
             y_label="K / K_eff (sheets)",
             series=(*_by_test(named, "d_hat", "sheets"), *masters),
-            y_range=(0.0, 1.75 * top),  # leaves room for the inset above the points
+            y_range=(0.0, top),
             inset=inset,
             aspect=0.75,
         ),
         "K/K_eff of every event against d̂ = d_v/Λ̂, with the Λ̂ of each test at fixed Y_eff = "
         f"{plus_minus(tests.modulus)} GPa. Dashed: the master curve. Root mean square distance from it: "
         f"{before:.3g} sheets with one Λ̂ for all tests, {after:.3g} with individual Λ̂; neighbouring events "
-        f"scatter by {noise:.3g}. Inset: K against d_v.",
+        f"scatter by {noise:.3g}.",
         title="Stiffness in units of one sheet against the reduced separation",
     )
 
