@@ -10,12 +10,12 @@ import vision
 from tests.scenes.comparison import campaign, events, write_campaign, write_run
 from tests.scenes.undrawn import undrawn
 from vision.command.main import run
+from vision.comparison.figures import compare_sections
 from vision.comparison.runs import read_tests
 from vision.errors import InputError
 from vision.experiment import Experiment, force_recording, with_settings, write_force
 from vision.experiment.mechanics import simulate_pull
 from vision.figures import load_figures
-from vision.figures.compare import compare_sections
 
 COLUMNS = [
     "run",

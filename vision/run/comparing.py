@@ -12,8 +12,8 @@ import numpy as np
 import vision
 from vision.comparison import Comparison
 from vision.comparison.comparison import joint_detail
+from vision.comparison.figures import compare_sections
 from vision.figures import Figure, both_errors, plus_minus, save_figures
-from vision.figures.compare import compare_sections
 from vision.models import Estimate
 from vision.report.page import render_page
 from vision.report.text import Answer, citation
