@@ -13,11 +13,11 @@ from vision.clock import video_slips
 from vision.data import StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, grey_limits, time_rows
-from vision.figures.figure import Band, Figure, Image, Ink, Panel, Range, Series
+from vision.figures.figure import Band, Figure, Image, Panel, Range, Series
 from vision.figures.labels import UM_PER_MM, displacement_unit, from_zero, position_unit, time_axis
 from vision.figures.positions import decimated_tracks, sheet_series
 from vision.figures.style import DATA, LEFT_ON_GREY, MODEL, PEAK, QUIET, RIGHT_ON_GREY, VALLEY, sheet_inks
-from vision.numeric import Floats, Ints, Pixels, nan_median
+from vision.numeric import Floats, Pixels, nan_median
 from vision.spacetime import space_time
 
 MOST_ROWS = 1200  # of an image
@@ -61,7 +61,7 @@ def frame_figure(frame: Pixels, tracks: xr.Dataset, *, axis: bool = True) -> Fig
         title=f"{which}: averaged rows (outlined), {numbers}{stretched}",
         x_label=X_PX,
         y_label="z (px)",
-        series=_numbered_strokes(tracks, z0, z1) if axis else _indexed_strokes(tracks, z0, z1),
+        series=_strokes(tracks, z0, z1, axis=axis),
         image=Image(
             pixels=grey_levels(grey, low, high),
             left=-0.5,
@@ -99,42 +99,34 @@ def _which_frame(tracks: xr.Dataset) -> str:
     return f"Frame {int(tracks['frame'].values[first])}{at}"
 
 
-def _numbered_strokes(tracks: xr.Dataset, z0: float, z1: float) -> tuple[Series, ...]:
-    """Return vertical strokes from row z0 to z1 at every sheet found, with n as text; one series per side."""
-    x = _positions_shown(tracks)
-    known = np.flatnonzero(np.isfinite(x))
-    inks = sheet_inks(tracks)
-    side, n = tracks["side"].values, tracks["n"].values
-    return tuple(
-        _strokes(f"sheets {name} of the axis", x[mine], n[mine], inks[mine[-1 if which > 0 else 0]], z0, z1)
-        for which, name in ((-1, "left"), (1, "right"))
-        if len(mine := known[side[known] == which])
-    )
+def _strokes(tracks: xr.Dataset, z0: float, z1: float, *, axis: bool) -> tuple[Series, ...]:
+    """Return vertical strokes from row z0 to z1 at every sheet that the first tracked frame shows.
 
-
-def _indexed_strokes(tracks: xr.Dataset, z0: float, z1: float) -> tuple[Series, ...]:
-    """Return strokes with the index from the left as text, as one series, if the sides are not known."""
-    x = _positions_shown(tracks)
-    known = np.isfinite(x)
-    return (_strokes("sheets", x[known], tracks["sheet"].values[known], PEAK, z0, z1),)
-
-
-def _positions_shown(tracks: xr.Dataset) -> Floats:
-    """Return the positions in the first frame that has any, (sheet,)."""
+    Their text is n, in one series per side, or without an axis the index from the left.
+    """
     x_px = tracks["x_px"].values
-    return np.asarray(x_px[int(np.argmax(np.isfinite(x_px).any(axis=1)))], np.float64)
-
-
-def _strokes(label: str, x: Floats, numbers: Ints, ink: Ink, z0: float, z1: float) -> Series:
-    return Series(
-        label=label,
-        x=x,
-        y=np.full(len(x), (z0 + z1) / 2 - 0.5),
-        low=np.full(len(x), z0 - 0.5),
-        high=np.full(len(x), z1 - 0.5),
-        text=tuple(str(number) for number in numbers),
-        ink=ink,
-        look="ticks",
+    x = np.asarray(x_px[int(np.argmax(np.isfinite(x_px).any(axis=1)))], np.float64)
+    known, side = np.flatnonzero(np.isfinite(x)), tracks["side"].values
+    groups = [("sheets", known, tracks["sheet"].values, PEAK)]
+    if axis:
+        n, inks, names = tracks["n"].values, sheet_inks(tracks), {-1: "left", 1: "right"}
+        groups = [
+            (f"sheets {name} of the axis", mine, n, inks[mine[-1 if which > 0 else 0]])
+            for which, name in names.items()
+            if len(mine := known[side[known] == which])
+        ]
+    return tuple(
+        Series(
+            label=label,
+            x=x[mine],
+            y=np.full(len(mine), (z0 + z1) / 2 - 0.5),
+            low=np.full(len(mine), z0 - 0.5),
+            high=np.full(len(mine), z1 - 0.5),
+            text=tuple(str(number) for number in numbers[mine]),
+            ink=ink,
+            look="ticks",
+        )
+        for label, mine, numbers, ink in groups
     )
 
 
