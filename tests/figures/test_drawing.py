@@ -158,3 +158,10 @@ def test_long_numbers_of_an_axis_do_not_touch():
             assert all(one.x1 + 4 < other.x0 for one, other in itertools.pairwise(boxes))
             widest = min(label.get_window_extent().x0 for label in ax.get_yticklabels())
             assert ax.yaxis.label.get_window_extent().x1 < widest
+
+
+def test_a_panel_without_data_says_so_in_a_file():
+    """A failure means that a recording without events has no picture."""
+    panel = Panel(x_label="d (mm)", y_label="K (N/mm)", placeholder="d is not known")
+    page = new_figure(Figure(name="f", title="", caption="", panels=(panel,)))
+    assert [text.get_text() for text in page.axes[0].texts] == ["d is not known"]

@@ -118,7 +118,7 @@ def _page(figure: Figure, *, interactive: bool = False) -> Page:
         box = left / size[0], bottom / size[1], width / size[0], height / size[1]
         ax = page.add_axes(box)
         draw_panel(ax, panel)
-        if not panel.x_log:  # so that long numbers do not touch
+        if not (panel.x_log or panel.empty):  # so that long numbers do not touch
             nbins = int(np.clip(width / _Inches.NUMBER, 3, 9))
             ax.locator_params(axis="x", nbins=nbins, integer=panel.whole_numbers)
         # By default matplotlib measures the tick labels at each drawing to place the axis labels.
