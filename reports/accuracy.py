@@ -6,10 +6,9 @@ Writes reports/accuracy.md.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
+from reports.writing import head, row, write_report
 from tests.scenes.combs import bound_px, ridges, strip
 from vision.sheets.tracks import track_sheets
 
@@ -23,7 +22,7 @@ def drifting(frames: int) -> np.ndarray:
     return 120 + PITCH_PX * np.arange(9) + np.linspace(0, 3, frames)[:, None]
 
 
-def row(fwhm_px: float) -> str:
+def of_width(fwhm_px: float) -> str:
     """Return bound, RMS error over the bound, and locking of each fit, as a line of the table."""
     truth = drifting(FRAMES)
     light = ridges(truth, width=420, fwhm_px=fwhm_px)
@@ -36,12 +35,12 @@ def row(fwhm_px: float) -> str:
         locking = np.nanmedian(np.ptp((clean - truth)[:, inner], axis=0))
         cells.append(f"{1e3 * error:.0f} ({error / bound_px(fwhm_px, SNR):.2f})")
         cells.append(f"{1e3 * locking:.1f}")
-    return "| " + " | ".join(cells) + " |"
+    return row(cells)
 
 
 def main() -> None:
     """Measure and write the table."""
-    head = "| FWHM (px) | bound |" + "".join(f" {fit} | its locking |" for fit in FITS)
+    columns = [name for fit in FITS for name in (fit, "its locking")]
     lines = [
         "# Accuracy of positions",
         "",
@@ -49,15 +48,10 @@ def main() -> None:
         "in brackets its ratio to the Cramér–Rao bound (1/SNR) √(2σ_r/√π); and the locking to whole pixels,",
         f"peak to peak, without noise. {FRAMES} frames of seven sheets that cross three pixels.",
         "",
-        head,
-        "|---" * (2 + 2 * len(FITS)) + "|",
-        *(row(width) for width in WIDTHS_PX),
-        "",
-        "Made by `python -m reports.accuracy`.",
+        *head(["FWHM (px)", "bound", *columns]),
+        *map(of_width, WIDTHS_PX),
     ]
-    text = "\n".join(lines) + "\n"
-    (Path(__file__).parent / "accuracy.md").write_text(text, encoding="utf-8")
-    print(text)
+    write_report("accuracy", lines)
 
 
 if __name__ == "__main__":

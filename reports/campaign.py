@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 
+from reports.writing import head, row, write_report
 from tests.scenes.comb_video import frames_of, positions, write_video
 
 HERE = Path(__file__).parents[1]
@@ -95,8 +96,7 @@ def short_films(folder: Path, count: int) -> list[str]:
     return [
         f"{done} of {count} films of 60 frames of 180 × 12 px on {cores} cores, all figures CPU time:",
         "",
-        "| what | s |",
-        "|---|---|",
+        *head(["what", "s"]),
         f"| one film by `track`, a process for it alone | {single:.2f} |",
         f"| {count} films one by one | {count * single:.0f} |",
         f"| {count} films as a campaign, pool included | {campaign.cpu_s:.0f} |",
@@ -165,7 +165,7 @@ def file_server(folder: Path) -> tuple[list[str], dict[str, float]]:
             f"{few.memory_mb:.0f} |"
         )
         video.unlink()
-    head = [
+    top = [
         f"Films of {FRAMES} frames of {COLUMNS} × {ROWS} px, read from disk and not from memory; the "
         "difference between the whole film and its first quarter, so without start, figures and fingerprint:",
         "",
@@ -173,7 +173,7 @@ def file_server(folder: Path) -> tuple[list[str], dict[str, float]]:
         "MB per million I(x,t) | MB for the first quarter |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    return [*head, *rows], rates
+    return [*top, *rows], rates
 
 
 def _part(video: Path, stop: int) -> list[str]:
@@ -187,15 +187,12 @@ def _short(number: float) -> str:
 
 def needs(rates: dict[str, float]) -> list[str]:
     """Return what the file server must deliver, and its limit."""
-    table = [
-        "| film | " + " | ".join(f"{cores} cores" for cores in CORES) + " | "
-        + " | ".join(f"cores that {name} feeds" for name in LINES) + " |",
-        "|---" * (1 + len(CORES) + len(LINES)) + "|",
-    ]  # fmt: skip
+    fed_by = [f"cores that {name} feeds" for name in LINES]
+    table = head(["film", *(f"{cores} cores" for cores in CORES), *fed_by])
     for container, rate in rates.items():
         needed = [f"{_short(rate * cores / 1000)} GB/s" for cores in CORES]
         fed = [_short(speed / 1e6 / rate) if rate > 0 else "–" for speed in LINES.values()]
-        table.append("| " + " | ".join([container, *needed, *fed]) + " |")
+        table.append(row([container, *needed, *fed]))
     return [*table, "", *TEXT.strip().splitlines()]
 
 
@@ -213,8 +210,6 @@ def write(parts: list[str], server: list[str], rates: dict[str, float]) -> None:
     text = [
         "# Campaigns: overhead and what the file server must deliver",
         "",
-        "Written by `python -m reports.campaign`.",
-        "",
         "## Overhead",
         "",
         *parts,
@@ -227,7 +222,7 @@ def write(parts: list[str], server: list[str], rates: dict[str, float]) -> None:
         "",
         *needs(rates),
     ]
-    (HERE / "reports" / "campaign.md").write_text("\n".join(text) + "\n", encoding="utf-8")
+    write_report("campaign", text)
 
 
 def _made(folder: Path) -> Path:

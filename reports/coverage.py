@@ -6,25 +6,25 @@ Writes reports/coverage.md.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
+from reports.writing import head, row, write_report
 from tests.scenes.event_tables import BUILD_UPS_MM, PARAMETERS, SAMPLES, SPEEDS, build_up_of, pulls
 
 TESTS = 200
 NAMES = {"mu": "μ", "t0_N": "𝒯0", "amplitude": "A", "scale_mm": "Λ̂", "modulus_GPa": "Y_eff"}
 
 
-def shares(found: np.ndarray) -> str:
-    """Return the share of truths within the 68 % interval of each parameter, as cells."""
-    return " | ".join(f"{100 * share:.0f} %" for share in np.mean(np.abs(found) < 1, axis=0))
+def shares(name: str, found: np.ndarray) -> str:
+    """Return the share of truths within the 68 % interval of each parameter, as a line of the table."""
+    return row([name, *(f"{100 * share:.0f} %" for share in np.mean(np.abs(found) < 1, axis=0))])
 
 
 def main() -> None:
     """Fit and write the table."""
     found = np.array([list(pulls(seed).values()) for seed in range(TESTS)])
     build_up = np.array([build_up_of(seed) for seed in range(TESTS)])
+    moments = zip(found.mean(axis=0), found.std(axis=0), strict=True)
     lines = [
         "# Errors of the fits against the truth",
         "",
@@ -34,19 +34,12 @@ def main() -> None:
         "68 % intervals (±3 % by chance for all, ±7 % for one build-up), and mean and standard deviation of",
         "(fitted − true)/error.",
         "",
-        "| tests | " + " | ".join(NAMES[name] for name in PARAMETERS) + " |",
-        "|---" * (1 + len(PARAMETERS)) + "|",
-        f"| all | {shares(found)} |",
-        *(f"| build-up {b:g} mm | {shares(found[build_up == b])} |" for b in BUILD_UPS_MM),
-        "| mean, deviation | "
-        + " | ".join(f"{a:+.2f}, {b:.2f}" for a, b in zip(found.mean(axis=0), found.std(axis=0), strict=True))
-        + " |",
-        "",
-        "Made by `python -m reports.coverage`.",
+        *head(["tests", *(NAMES[name] for name in PARAMETERS)]),
+        shares("all", found),
+        *(shares(f"build-up {b:g} mm", found[build_up == b]) for b in BUILD_UPS_MM),
+        row(["mean, deviation", *(f"{a:+.2f}, {b:.2f}" for a, b in moments)]),
     ]
-    text = "\n".join(lines) + "\n"
-    (Path(__file__).parent / "coverage.md").write_text(text, encoding="utf-8")
-    print(text)
+    write_report("coverage", lines)
 
 
 if __name__ == "__main__":

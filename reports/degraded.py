@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from reports.writing import head, row, write_report
 from tests.scenes.degraded import (
     CODECS,
     DEGRADATIONS,
@@ -50,11 +51,11 @@ def outcome(film: Film, codec: str) -> Outcome | str:
             return str(error).replace(folder, "")
 
 
-def row(name: str, outcomes: Sequence[Outcome | str]) -> str:
+def averages(name: str, outcomes: Sequence[Outcome | str]) -> str:
     """Return a line of the table: sums of counts, and means of shares and errors over the seeds."""
     done = [one for one in outcomes if isinstance(one, Outcome)]
     if not done:
-        return f"| {name} | refused: {outcomes[0]} |" + " |" * (len(COLUMNS) - 1)
+        return row([name, f"refused: {outcomes[0]}", *[""] * (len(COLUMNS) - 1)])
     seen = sorted({one.sheets for one in done})
 
     def mean(part: str) -> float:
@@ -74,18 +75,18 @@ def row(name: str, outcomes: Sequence[Outcome | str]) -> str:
         f"{rms('stated_px'):.1f}",
         f"{rms('bias_px'):.1f}",
     ]
-    return f"| {name} | " + " | ".join(cells) + " |"
+    return row([name, *cells])
 
 
 def main() -> None:
     """Measure and write the table."""
-    head = ["| film | " + " | ".join(COLUMNS) + " |", "|---" * (1 + len(COLUMNS)) + "|"]
-    codecs = [row(name, [outcome(clean(seed), name) for seed in SEEDS]) for name in CODECS]
+    top = head(["film", *COLUMNS])
+    codecs = [averages(name, [outcome(clean(seed), name) for seed in SEEDS]) for name in CODECS]
     films = [
-        row(name, [outcome(make(seed), "FFV1") for seed in SEEDS]) for name, make in DEGRADATIONS.items()
+        averages(name, [outcome(make(seed), "FFV1") for seed in SEEDS]) for name, make in DEGRADATIONS.items()
     ]
     both = [
-        row(f"{name}, {codec}", [outcome(DEGRADATIONS[name](seed), codec) for seed in SEEDS])
+        averages(f"{name}, {codec}", [outcome(DEGRADATIONS[name](seed), codec) for seed in SEEDS])
         for name in ("soft lens", "passing hand", "vibration")
         for codec in ("MJPEG 75", "H.264 crf 23")
     ]
@@ -111,24 +112,20 @@ def main() -> None:
         "",
         "## Codecs",
         "",
-        *head,
+        *top,
         *codecs,
         "",
         "## What happens to recordings (FFV1, lossless)",
         "",
-        *head,
+        *top,
         *films,
         "",
         "## Both",
         "",
-        *head,
+        *top,
         *both,
-        "",
-        "Made by `python -m reports.degraded`.",
     ]
-    text = "\n".join(lines) + "\n"
-    (Path(__file__).parent / "degraded.md").write_text(text, encoding="utf-8")
-    print(text)
+    write_report("degraded", lines)
 
 
 if __name__ == "__main__":

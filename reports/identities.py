@@ -11,6 +11,7 @@ import tempfile
 from collections import defaultdict
 from pathlib import Path
 
+from reports.writing import head, row, write_report
 from tests.scenes.degraded import CODECS, DEGRADATIONS, FRAMES, SHEETS, WIDTH, clean, measured
 from vision.errors import InputError
 
@@ -40,6 +41,7 @@ def main() -> None:
             wrong[name] += found.wrong
             if found.wrong:
                 print(f"{name}, {codec}, seed {seed}: {found.wrong} wrong", flush=True)
+    counts = (films, called_ok, wrong)
     lines = [
         "# Identities of a million positions",
         "",
@@ -48,18 +50,12 @@ def main() -> None:
         f"({FIRST_SEED} and on), tracked without any option. Wrong: called ok and more than half a pitch",
         "off, or a sheet reported twice. Wanted: 0.",
         "",
-        "| film | films | positions called ok | wrong |",
-        "|---|---|---|---|",
-        *(f"| {name} | {films[name]} | {called_ok[name]} | {wrong[name]} |" for name in films),
-        f"| all | {sum(films.values())} | {sum(called_ok.values())} | {sum(wrong.values())} |",
-        "",
-        *(f"Refused: {line}." for line in refused),
-        *([""] if refused else []),
-        "Made by `python -m reports.identities`.",
+        *head(["film", "films", "positions called ok", "wrong"]),
+        *(row([name, *(one[name] for one in counts)]) for name in films),
+        row(["all", *(sum(one.values()) for one in counts)]),
+        *(["", *(f"Refused: {line}." for line in refused)] if refused else []),
     ]
-    text = "\n".join(lines) + "\n"
-    (Path(__file__).parent / "identities.md").write_text(text, encoding="utf-8")
-    print(text)
+    write_report("identities", lines)
 
 
 if __name__ == "__main__":

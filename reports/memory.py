@@ -24,11 +24,11 @@ import cv2
 import numpy as np
 import tifffile
 
+from reports.writing import head, row, write_report
 from tests.scenes.comb_video import frames_of, positions
 from tests.scenes.films import avi_header, chunk
 from vision.numeric import Pixels
 
-HERE = Path(__file__).parent
 ROWS, COLUMNS = 800, 1280
 STRIP = (360, 440)
 GOP = 24  # frames that are encoded; longer films repeat them
@@ -187,8 +187,7 @@ def formats(folder: Path, most: int) -> list[str]:
             found, profile, before, after = read(folder / file)
             peaks.append((found, (after - before - profile) / MIB))
             shutil.rmtree(folder / file) if (folder / file).is_dir() else (folder / file).unlink()
-        cells = " | ".join(f"{beyond:.0f} MiB ({found})" for found, beyond in peaks)
-        rows.append(f"| {name} | {cells} |")
+        rows.append(row([name, *(f"{beyond:.0f} MiB ({found})" for found, beyond in peaks)]))
         sys.stdout.write(rows[-1] + "\n")
         sys.stdout.flush()
     return rows
@@ -205,7 +204,7 @@ def whole(folder: Path) -> list[str]:
         child = [sys.executable, "-c", PEAK + COMMAND, *words]
         done = subprocess.run(child, capture_output=True, text=True, check=True)
         peak = json.loads(done.stdout.splitlines()[-1])[1] / MIB
-        rows.append(f"| {frames} | {peak:.0f} MiB | {4 * 600 * frames / MIB:.0f} MiB |")
+        rows.append(row([frames, f"{peak:.0f} MiB", f"{4 * 600 * frames / MIB:.0f} MiB"]))
         sys.stdout.write(rows[-1] + "\n")
         film.unlink()
     return rows
@@ -221,14 +220,13 @@ def main() -> None:
     lines = [
         "# Memory",
         "",
-        "Made by `python -m reports.memory`. Peak of the resident memory beyond that of the imports and of",
+        "Peak of the resident memory beyond that of the imports and of",
         f"I(x, t), for films of {COLUMNS} x {ROWS} px of which rows {STRIP[0]} to {STRIP[1]} are",
         f"averaged; in brackets the frames. {os.cpu_count()} cores, Python {platform.python_version()}.",
         "It fills what is read ahead, four blocks of 16 MiB and up to 32 whole frames, and stays there",
         "however long the film is.",
         "",
-        "| format | few frames | four times as many | sixteen times |",
-        "|---|---|---|---|",
+        *head(["format", "few frames", "four times as many", "sixteen times"]),
         *formats(folder, given.most),
         "",
         "I(x, t) itself, 4 bytes a column and frame, is in memory up to 1 GiB (`VideoSettings.spill_bytes`)",
@@ -236,12 +234,11 @@ def main() -> None:
         "",
         "The whole command, raw film of 600 x 24 px with 24 sheets, `--no-report`; all of the process:",
         "",
-        "| frames | peak | of which I(x, t) |",
-        "|---|---|---|",
+        *head(["frames", "peak", "of which I(x, t)"]),
         *whole(folder),
     ]
     shutil.rmtree(folder)
-    (HERE / "memory.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_report("memory", lines)
 
 
 if __name__ == "__main__":

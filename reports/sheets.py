@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 import vision
+from reports.writing import row, write_report
 from vision.experiment import preset, simulate, with_settings
 from vision.experiment.mechanics import sheet_pull
 from vision.experiment.sheet_model import SheetPull, pull_sheets
@@ -79,8 +80,6 @@ friction and Eq. 2.
 
 The ratio is low by up to 0.05 for sheets in between, which begin to creep within a stick: the parabola
 that is fitted cannot follow, and the stated errors grow accordingly.
-
-Made by `python -m reports.sheets`.
 """
 
 
@@ -91,7 +90,7 @@ def coupling(name: str, change: dict[str, object], unequal: tuple[float, ...]) -
     late = result["d_mm"].values > 13.1
     share = (result["force_N"].values / equations.traction(result["d_mm"].values, mu=MU))[late]
     together = result["slipped"].values.sum(axis=1)[late]
-    return f"| {name} | {share.mean():.2f} | {share.max():.2f} | {together.max()} |"
+    return row([name, f"{share.mean():.2f}", f"{share.max():.2f}", together.max()])
 
 
 def window(start_s: float, length_s: float, fps: float, folder: Path) -> tuple[str, ModelFits]:
@@ -127,7 +126,7 @@ def window(start_s: float, length_s: float, fps: float, folder: Path) -> tuple[s
         f"{stiffness / (2 * SHEET_N_PER_MM):.1f}",
         f"{float(equations.effective_sheets(middle / PUBLISHED_SCALE_MM)):.1f}",
     )
-    return "| " + " | ".join(cells) + " |", run.fits
+    return row(cells), run.fits
 
 
 def main() -> None:
@@ -146,8 +145,7 @@ def main() -> None:
         mu=plus_minus(fit.mu),
         amplitude=plus_minus(fit.amplitude),
     )
-    (Path(__file__).parent / "sheets.md").write_text(text, encoding="utf-8")
-    print(text)
+    write_report("sheets", text.splitlines())
 
 
 if __name__ == "__main__":

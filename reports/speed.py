@@ -27,6 +27,7 @@ import numpy as np
 from matplotlib.figure import Figure as Page
 
 from reports.rivals import strip_of
+from reports.writing import head, row, write_report
 from vision.experiment import Experiment, with_settings
 from vision.experiment.images import frame_blocks
 from vision.experiment.mechanics import frame_times
@@ -155,18 +156,15 @@ def middle(costs: Sequence[Cost]) -> float:
     return statistics.median(cost.wall_s for cost in costs)
 
 
-def row(name: str, costs: Sequence[Cost], unit_s: float | None = None) -> str:
+def timed(name: str, costs: Sequence[Cost], unit_s: float | None = None) -> str:
     """Return a line of a table: seconds, computing time, memory, and the ratio to a reference."""
     walls = sorted(cost.wall_s for cost in costs)
     ratio = "" if unit_s is None else f"{middle(costs) / unit_s:.2f}"
-    return (
-        f"| {name} | {middle(costs):.2f} | {walls[0]:.2f}–{walls[-1]:.2f} "
-        f"| {statistics.median(c.cpu_s for c in costs):.2f} "
-        f"| {ratio} |"
-    )
+    cpu = f"{statistics.median(c.cpu_s for c in costs):.2f}"
+    return row([name, f"{middle(costs):.2f}", f"{walls[0]:.2f}–{walls[-1]:.2f}", cpu, ratio])
 
 
-HEAD = ["| what | s, median | s, range | CPU s | ratio |", "|---|---|---|---|---|"]
+HEAD = head(["what", "s, median", "s, range", "CPU s", "ratio"])
 
 
 def starting(runs: int) -> list[str]:
@@ -181,7 +179,7 @@ def starting(runs: int) -> list[str]:
         },
         runs,
     )
-    return ["## Starting", "", *HEAD, *(row(name, cost) for name, cost in costs.items()), ""]
+    return ["## Starting", "", *HEAD, *(timed(name, cost) for name, cost in costs.items()), ""]
 
 
 def raw_films(folder: Path, runs: int) -> list[str]:
@@ -195,7 +193,7 @@ def raw_films(folder: Path, runs: int) -> list[str]:
         costs = in_turn(commands, runs)
         unit = middle(costs["loop"]) if "loop" in costs else None
         lines += [f"{film.frames} frames (ratio to the loop):", "", *HEAD]
-        lines += [*(row(name, cost, unit) for name, cost in costs.items()), ""]
+        lines += [*(timed(name, cost, unit) for name, cost in costs.items()), ""]
         for name, cost in costs.items():
             seconds.setdefault(name, []).append(middle(cost))
     frames = long.frames - short.frames
@@ -237,9 +235,7 @@ def codecs(folder: Path, runs: int) -> list[str]:
                 said = process(command).said
                 read[name].append(stages(path)["reading"] if name == "ours" else float(said.split()[-1]))
         mine, cv, bare = (statistics.median(read[name]) for name in ("ours", "opencv", "decode"))
-        lines.append(
-            f"| {container} | {mine:.2f} | {cv:.2f} | {bare:.2f} | {cv / mine:.2f} | {mine / bare:.2f} |"
-        )
+        lines.append(row([container, *(f"{s:.2f}" for s in (mine, cv, bare, cv / mine, mine / bare))]))
     return [*lines, ""]
 
 
@@ -258,15 +254,14 @@ def scaling(folder: Path) -> list[str]:
     page = Page(figsize=(9.6, 2.9), layout="constrained")
     for ax, (what, films) in zip(page.subplots(1, 4, sharey=True), SERIES.items(), strict=True):
         sizes, seconds = [], []
-        lines += [f"| {what} | {' | '.join(SHOWN)} | whole command |", "|---" * 6 + "|"]
+        lines += head([what, *SHOWN, "whole command"])
         for film in films:
             path = made(film, folder)
             cost = process(ours(film, path))
             parts = stages(path)
             sizes.append(getattr(film, what))
             seconds.append([*(parts[name] for name in SHOWN), cost.wall_s])
-            cells = " | ".join(f"{value:.2f}" for value in seconds[-1])
-            lines.append(f"| {sizes[-1]:,} | {cells} |".replace(",", " "))
+            lines.append(row([f"{sizes[-1]:,}".replace(",", " "), *(f"{s:.2f}" for s in seconds[-1])]))
         lines.append("")
         for label, values, mark in zip(
             (*SHOWN, "whole command"), zip(*seconds, strict=True), "osv^D", strict=True
@@ -313,9 +308,8 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     try:
         lines = ["# Speed", "", *machine(), *starting(chosen.runs), *raw_films(folder, chosen.runs)]
-        lines += [*codecs(folder, chosen.runs), *scaling(folder), LIMITS]
-        lines += ["Made by `python -m reports.speed`."]
-        (HERE / "speed.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        lines += [*codecs(folder, chosen.runs), *scaling(folder), LIMITS.rstrip()]
+        write_report("speed", lines)
     finally:
         if chosen.folder is None:
             shutil.rmtree(folder)

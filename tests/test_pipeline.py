@@ -62,6 +62,7 @@ def test_an_analysis_shows_itself(whole):
     assert whole._repr_html_().count("<img") == 1
     for line in whole.summary():  # those that go on with the one before, too
         assert line.partition(" ")[2].strip() in html.unescape(whole._repr_html_())
+    assert repr(whole).splitlines() == whole.summary()
     ax = Figure().add_subplot()
     assert whole.plot.tracks(ax) is ax
     assert isinstance(whole.plot.noise(), Axes)

@@ -100,6 +100,16 @@ def test_more_ridges_on_a_side_than_the_sample_has_sheets(picture):
     assert consistency_warnings(track_sheets(strip(ridges(comb(150, per_side=29))))) == []
 
 
+@pytest.mark.parametrize(("size_um", "said"), [(None, 0), (10, 0), (3, 0), (30, 0), (0.01, 1), (10_000, 1)])
+def test_a_pixel_size_in_another_unit(picture, size_um, said):
+    """A failure means that µm taken for mm are not noticed, or that a true pixel size is questioned."""
+    lines = consistency_warnings(track_sheets(picture), assumed=PUBLISHED, pixel_size_um=size_um)
+    assert sum("check `pixel_size_um`" in line for line in lines) == said
+    assert not consistency_warnings(
+        track_sheets(picture), pixel_size_um=size_um
+    )  # sheets of unknown thickness
+
+
 def test_a_part_of_one_side(picture):
     """Sheets 7 to 25 of the right side. A failure means that they count as 1 to 19 without a word."""
     tracks = track_sheets(picture[:, int(AXIS + 6 * PITCH) :])

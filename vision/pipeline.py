@@ -27,11 +27,10 @@ from vision.data import ForceMetadata, StripMetadata, warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import InputError, known_as
 from vision.escaping import html_table
-from vision.figures.catalogue import Plots, figure_named
+from vision.figures.catalogue import Plots, Results, figure_named
 from vision.force import ForceSettings, find_stick_slip, read_force
 from vision.models import ModelFits, fit_models
 from vision.models.modulus import cycles_seen
-from vision.numeric import Pixels
 from vision.sample import PUBLISHED, Sample
 from vision.sheets import (
     Correction,
@@ -165,44 +164,27 @@ class Settings:
     tuning: Tuning = field(default_factory=Tuning)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Analysis:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Analysis(Results):
     """Results of all stages for one test. The result of a stage that could not run is None.
+
+    Its other fields are those of `vision.figures.Results`.
 
     Parameters
     ----------
     settings
         The requested options.
-    video, frame
-        The recording, and its first frame that shows something (rows, columns).
-    strip, tracks
-        I(x, t) and x(n, t).
-    force, sticks, fits
-        The force recording, its stick-slip events, and the models fitted to them.
-    clock, motion, shells
-        The camera's clock against the machine's, the deformation of each sheet, and the stiff shell.
-    reasons, failures
-        By stage: why it has no result although it had its input; the traceback of an unexpected error.
-    warnings
-        Warnings that matter for the results, in the order of the stages, without repetition.
+    video
+        The recording.
+    failures
+        By stage: the traceback of an unexpected error.
     seconds
         Wall-clock time of each stage.
     """
 
     settings: Settings
     video: Video | None = None
-    frame: Pixels | None = None
-    strip: xr.DataArray | None = None
-    tracks: xr.Dataset | None = None
-    force: xr.Dataset | None = None
-    sticks: pd.DataFrame | None = None
-    fits: ModelFits | None = None
-    clock: Clock | None = None
-    motion: xr.Dataset | None = None
-    shells: pd.DataFrame | None = None
-    reasons: Mapping[str, str] = field(default_factory=dict)
     failures: Mapping[str, str] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -230,6 +212,9 @@ class Analysis:
                 line += f"; the video shows {seen} per side"
             lines.append(line)
         return lines
+
+    def __repr__(self) -> str:
+        return "\n".join(self.summary())
 
     def _repr_html_(self) -> str:
         found: dict[str, str] = {}
@@ -584,7 +569,9 @@ def _warnings(found: Analysis, reasons: Mapping[str, str]) -> tuple[str, ...]:
         lines += tracking_warnings(found.tracks)
         # An assumed sample matters only if models are fitted with it.
         assumed = PUBLISHED if found.fits is not None and found.settings.sample is None else None
-        lines += consistency_warnings(found.tracks, found.settings.sample, assumed=assumed)
+        lines += consistency_warnings(
+            found.tracks, found.settings.sample, assumed=assumed, pixel_size_um=found.pixel_size_um
+        )
     if found.force is not None:
         lines += warnings_of(found.force, found.sticks)
         lines += filter(None, [cycles_seen(found.force)])

@@ -29,6 +29,18 @@ if TYPE_CHECKING:
     from vision.shells import ShellSettings
 
 
+PAIR_SPACINGS = 9
+"""Smallest number of spacings in which pairs of ridges are looked for: fewer may alternate by chance."""
+PAIR_TAIL, PAIR_RATIO = 0.1, 1.5
+"""Ridges stand in pairs if this quantile of the wide spacings exceeds the same quantile from above of the
+narrow ones by this ratio. A smaller ratio calls an uneven comb one of pairs, a larger one misses the edges of
+thick sheets (`test_two_edges_of_every_sheet_are_said_to_be_pairs`)."""
+UNLIKELY_SPACING = 10.0
+"""Ratio of the sheets' spacing to two thicknesses, or its inverse, above which the pixel size is questioned.
+A unit taken for another is wrong by 1000; sheets that bulge, or of which every second one is seen, by 2 to
+4."""
+
+
 def summary_lines(results: Results) -> list[str]:
     """Return the summary: sheets, frames, positions, noise and findings of the film, then of the force."""
     lines: list[str] = []
@@ -134,9 +146,9 @@ def _spacing_warning(tracks: xr.Dataset) -> list[str]:
     sheets; no pairs are reported if the number of sheets was given."""
     counted = any(step["parameters"].get("sheets") for step in tracks.attrs.get("operations", ()))
     spacing = np.diff(np.sort(nan_median(tracks["x_px"].values)))
-    if len(spacing) >= 9 and np.isfinite(spacing).all() and not counted:
+    if len(spacing) >= PAIR_SPACINGS and np.isfinite(spacing).all() and not counted:
         narrow, wide = sorted((spacing[0::2], spacing[1::2]), key=np.median)
-        if np.quantile(wide, 0.1) > 1.5 * np.quantile(narrow, 0.9):
+        if np.quantile(wide, PAIR_TAIL) > PAIR_RATIO * np.quantile(narrow, 1 - PAIR_TAIL):
             return [
                 f"the ridges stand in pairs, {np.median(narrow):.0f} and {np.median(wide):.0f} px apart: if"
                 f" these are the two edges of {(len(spacing) + 1) // 2} sheets, each counts twice: give"
@@ -173,11 +185,15 @@ def ridges_per_side(tracks: xr.Dataset) -> int:
 
 
 def consistency_warnings(
-    tracks: xr.Dataset, sample: Sample | None = None, *, assumed: Sample | None = None
+    tracks: xr.Dataset,
+    sample: Sample | None = None,
+    *,
+    assumed: Sample | None = None,
+    pixel_size_um: float | None = None,
 ) -> list[str]:
     """Return warnings about findings that contradict each other, each with what to do about it.
 
-    sample: the given sample, whose sheets per block are compared with the ridges per side.
+    sample: the given sample, which is compared with the ridges per side and their spacing.
     assumed: the sample that is assumed if none was given.
     """
     found, lines = TrackMetadata.of(tracks), []
@@ -210,6 +226,12 @@ def consistency_warnings(
             f"{most} of {used.sheets_per_block} sheets of one side in view: n counts from the innermost;"
             " give `axis_px` if others lie between it and the axis"
         )
+    if used is not None and pixel_size_um is not None:
+        spacing, thickness = found.pitch_px * pixel_size_um / 1000, used.thickness_mm
+        if not 1 / UNLIKELY_SPACING < spacing / (2 * thickness) < UNLIKELY_SPACING:
+            lines.append(
+                f"sheets {thickness:g} mm thick would be {spacing:.3g} mm apart: check `pixel_size_um`, in µm"
+            )
     if used is not None and most > used.sheets_per_block:
         how = "given" if sample is not None else "assumed"
         lines.append(

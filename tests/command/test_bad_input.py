@@ -153,6 +153,13 @@ def test_what_is_no_recording_is_refused_in_one_line(case, place, frames, capsys
     assert expected in said
 
 
+def test_a_run_is_no_video(place, capsys):
+    """A failure means that whoever names the run in place of the film reads of images of two kinds."""
+    (place / "run").mkdir()
+    note(place / "run" / "run.json", None)
+    assert "a run folder; track review, figures and export take it" in refused(capsys, "run")
+
+
 # --- arguments that do not fit ------------------------------------------------------------------------------
 
 ARGUMENTS = {

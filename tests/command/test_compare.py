@@ -10,12 +10,12 @@ import vision
 from tests.scenes.comparison import campaign, events, write_campaign, write_run
 from tests.scenes.undrawn import undrawn
 from vision.command.main import run
+from vision.comparison.figures import compare_sections
 from vision.comparison.runs import read_tests
 from vision.errors import InputError
 from vision.experiment import Experiment, force_recording, with_settings, write_force
 from vision.experiment.mechanics import simulate_pull
 from vision.figures import load_figures
-from vision.figures.compare import compare_sections
 
 COLUMNS = [
     "run",
@@ -51,7 +51,7 @@ def test_the_folder(six, tmp_path, capsys):
     assert run(["compare", *six, "--table", "tests.csv"]) == 1  # μ follows the humidity
     shown = capsys.readouterr()
     assert "track: a: no single μ fits the 4 tests" in shown.err
-    assert "one μ for 4 tests" in shown.out
+    assert "one μ " in shown.out and " for 4 tests" in shown.out
     folder = tmp_path / "comparison"
     table = pd.read_csv(folder / "tests.csv")
     assert list(table.columns[: len(COLUMNS)]) == COLUMNS

@@ -146,6 +146,8 @@ def test_a_file_of_options_gives_what_it_says(tmp_path):
         ("13.0±0.1", (13.0, 0.1)),
         ("13.0+-0.1", (13.0, 0.1)),
         ("13.0 +/- 0.1", (13.0, 0.1)),
+        ("13mm", (13.0, None)),
+        ("13.0±0.1 mm", (13.0, 0.1)),
         ("0", (0.0, None)),
         (None, (None, None)),
     ],
@@ -155,7 +157,7 @@ def test_a_value_may_carry_its_error(text, meant):
     assert parse_with_error(text, "--d0") == meant
 
 
-@pytest.mark.parametrize("text", ["x", "13±", "-1", "13±-0.1", "nan", "inf", "13±0.1±0.1"])
+@pytest.mark.parametrize("text", ["x", "13±", "-1", "13±-0.1", "nan", "inf", "13±0.1±0.1", "13um", "13N"])
 def test_a_value_with_a_senseless_error_is_refused(text):
     """A failure means a typing error becomes a separation."""
     with pytest.raises(InputError, match="--d0"):

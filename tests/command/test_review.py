@@ -48,7 +48,7 @@ def test_without_the_extra_it_says_what_to_install(folder, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["nowhere.avi"], "nowhere.avi"),
+        (["nowhere.avi"], "nowhere.avi: expected a run folder or a video"),
         (["RUN", "--pixel-size", "3"], "without further options"),
     ],
 )

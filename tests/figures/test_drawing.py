@@ -1,5 +1,6 @@
 """Figures drawn by matplotlib."""
 
+import itertools
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,9 +13,18 @@ from matplotlib.figure import Figure as Page
 from matplotlib.font_manager import FontProperties, findfont, get_font
 
 from tests.scenes.report_data import make_tracks, sawtooth
-from vision.figures import figures_of, noise_figure, space_time_figure, tracks_figure
-from vision.figures.drawing import label_step, picture_style
+from vision.figures import (
+    Figure,
+    Panel,
+    Series,
+    figures_of,
+    noise_figure,
+    space_time_figure,
+    tracks_figure,
+)
+from vision.figures.drawing import label_step, new_figure, picture_style
 from vision.figures.force import clocks_figure
+from vision.figures.style import DATA
 
 
 def test_the_same_figure_gives_the_same_file(tmp_path):
@@ -131,3 +141,27 @@ def test_given_axes_keep_their_own_style():
     noise_figure(make_tracks(sawtooth(30, 4))).plot(Page().subplots())
     noise_figure(make_tracks(sawtooth(30, 4))).plot()
     assert dict(mpl.rcParams) == before
+
+
+def test_long_numbers_of_an_axis_do_not_touch():
+    """A failure means that a referee cannot read the separations of the first rise of the force."""
+    x = np.linspace(16.6, 16.622, 50)
+    panel = Panel(x_label="d (mm)", y_label="F (N)", series=(Series(label="F", x=x, y=x, ink=DATA),))
+    for columns in (1, 2, 3):
+        page = new_figure(Figure(name="f", title="", caption="", panels=(panel,) * columns, columns=columns))
+        FigureCanvasAgg(page).draw()
+        for ax in page.axes:
+            low, high = ax.get_xlim()
+            ticks = zip(ax.get_xticks(), ax.get_xticklabels(), strict=True)
+            boxes = [label.get_window_extent() for at, label in ticks if low <= at <= high]
+            assert len(boxes) >= 2
+            assert all(one.x1 + 4 < other.x0 for one, other in itertools.pairwise(boxes))
+            widest = min(label.get_window_extent().x0 for label in ax.get_yticklabels())
+            assert ax.yaxis.label.get_window_extent().x1 < widest
+
+
+def test_a_panel_without_data_says_so_in_a_file():
+    """A failure means that a recording without events has no picture."""
+    panel = Panel(x_label="d (mm)", y_label="K (N/mm)", placeholder="d is not known")
+    page = new_figure(Figure(name="f", title="", caption="", panels=(panel,)))
+    assert [text.get_text() for text in page.axes[0].texts] == ["d is not known"]

@@ -4,6 +4,7 @@ import csv
 import io
 import os
 import re
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -12,9 +13,11 @@ from PIL import Image
 
 from tests.scenes.analysed import FACTS
 from tests.scenes.browser import Visit, assert_shut_in
-from vision.figures import figures_of
+from vision.figures import Figure, Panel, Series, figures_of
 from vision.figures.labels import to_unicode
+from vision.figures.style import DATA
 from vision.report import write_report
+from vision.report.page import render_page
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +96,26 @@ def test_the_page_fits_its_window(browser, report, width, scheme):
     assert visit.complaints == []
     if folder := os.environ.get("SHEETVISION_SCREENSHOTS"):
         visit.page.screenshot(path=f"{folder}/report_{width}_{scheme}.png", full_page=True)
+    visit.context.close()
+
+
+def test_error_bars_lie_within_the_axes(browser, tmp_path):
+    """A failure means that the largest errors are cut off, and look smaller than they are."""
+    x, error = np.arange(4.0), np.array([0.1, 5.0, 0.1, 3.0])
+    left = Series.points("one", x, x, DATA, error)
+    right = replace(left, axis="right", label="other")
+    panels = {
+        "single": Panel(x_label="n", y_label="a", series=(left,)),
+        "double": Panel(x_label="n", y_label="a", y2_label="b", series=(left, right)),
+    }
+    figures = [Figure.of(name, panel, "Caption.", title=name) for name, panel in panels.items()]
+    words = dict.fromkeys(("title", "kind", "subtitle"), "")
+    lists = {name: [] for name in ("answers", "warnings", "missing", "methods", "citation", "tables")}
+    page = render_page(tmp_path / "page.html", [("Section", figures)], {}, **words, **lists)
+    visit = ReportVisit(browser, page)
+    for name, scale in (("single", "y"), ("double", "y"), ("double", "y2")):
+        low, high = visit.range_of(name, scale)
+        assert low < -4 and high > 6, (name, scale)
     visit.context.close()
 
 

@@ -2,20 +2,17 @@
 
 import math
 import tempfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pandas as pd
-import xarray as xr
 
 from vision.clock import Clock
 from vision.deformation import horizontal_deformation
 from vision.experiment import Camera, Experiment, force_recording, profiles, write_force
 from vision.experiment.scene import make_scene
+from vision.figures import Results
 from vision.force import find_stick_slip
 from vision.force.recording import read_force
 from vision.models.fits import fit_models
@@ -49,22 +46,11 @@ def frame_like(profile, rows=120, seed=0):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
-    """What a run found, as `vision.figures.Results` declares it."""
+class Found(Results):
+    """What a run found, with a pixel size and a threshold of its own."""
 
-    strip: xr.DataArray | None = None
-    tracks: xr.Dataset | None = None
-    frame: np.ndarray | None = None
-    force: xr.Dataset | None = None
-    sticks: pd.DataFrame | None = None
-    fits: Any = None
-    clock: Clock | None = None
-    motion: xr.Dataset | None = None
-    shells: pd.DataFrame | None = None
     threshold: float = 0.1
     pixel_size_um: float | None = None
-    reasons: Mapping[str, str] = field(default_factory=dict)
-    warnings: Sequence[str] = ()
 
 
 EXPERIMENT = Experiment(camera=Camera(duration_s=6.0))

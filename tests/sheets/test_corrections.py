@@ -1,4 +1,4 @@
-"""Decisions by hand: what they change, and what is refused."""
+"""Manual decisions: what they change, and what is refused."""
 
 import numpy as np
 import pytest

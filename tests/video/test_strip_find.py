@@ -101,7 +101,7 @@ def test_bowed_ridges_get_a_lower_strip():
 def test_leaning_too_far_is_reported_and_the_wrong_rows_are_worse():
     """Failure: a lean that smears the ridges goes unsaid; or an upright comb raises a false alarm."""
     leaning = find_strip(scene(tilt_deg=1.5))
-    assert "lean by +1.5" in leaning.warnings[0] or "lean by +1.4" in leaning.warnings[0]
+    assert "tilted by +1.5" in leaning.warnings[0] or "tilted by +1.4" in leaning.warnings[0]
     assert find_strip(scene()).warnings == ()
     assert find_strip(scene(tilt_deg=0.5)).warnings == ()
     blurred = measure_strip(scene(), slice(186, 204))

@@ -26,7 +26,7 @@ from vision.campaign.plan import (
     write_plan,
 )
 from vision.campaign.results import duration, needs_pool, pool, read_remarks, write_page, write_remarks
-from vision.command.console import attempt, complain, in_columns, say
+from vision.command.console import attempt, complain, counted, in_columns, say
 from vision.command.options import GROUPS, CampaignOptions, RunOptions, option_fields, option_names
 from vision.command.settings import merged, number, parse_option, read_config, settings_of
 from vision.command.track import REFUSED, command_line, run_name, track_one
@@ -145,7 +145,7 @@ def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:
         for line in in_columns(rows_shown, "><"):
             complain(line)
         count, where = len(problems), len({problem.row for problem in problems})
-        found = f"{count} problem{'s' * (count > 1)} in {where} row{'s' * (where > 1)}, listed above"
+        found = f"{counted(count, 'problem')} in {counted(where, 'row')}, listed above"
         raise InputError(table, "a table without problems", found, "nothing was started")
     return list(rows)
 
@@ -165,8 +165,9 @@ def _dry_run(plan: Plan, cores: int) -> int:
     seconds = [job.seconds for job in plan.jobs.values()]
     memory = max((job.memory_mb for job in plan.jobs.values()), default=0)
     total, longest = sum(seconds), max(seconds, default=0.0)
+    films, jobs_ = counted(len(plan.films), "film"), counted(len(plan.jobs), "job")
     line = (
-        f"{len(waiting)} of {len(plan.films)} films would run in {len(plan.jobs)} jobs: about "
+        f"{len(waiting)} of {films} would run in {jobs_}: about "
         f"{duration(total)} of computing, {duration(max(total / cores, longest))} with "
         f"{cores} at a time, up to {memory / 1000:.1f} GB for each; nothing was written"
     )
@@ -243,7 +244,7 @@ def _summary(plan: Plan, states: Sequence[State], seconds: float) -> list[str]:
     counts = Counter(state.state for state in states)
     ran = sum(len(job.films) for job in plan.jobs.values())
     by_state = ", ".join(f"{count} {state}" for state, count in sorted(counts.items()))
-    lines = [f"{len(states)} tests: {by_state}; {ran} of them run now in {duration(seconds)}"]
+    lines = [f"{counted(len(states), 'test')}: {by_state}; {ran} of them run now in {duration(seconds)}"]
     warned = [state for state in states if state.state == "warnings"]
     lines += [f"  {state.name}: {state.reason}" for state in warned[:20]]
     if len(warned) > 20:

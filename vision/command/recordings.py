@@ -10,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 
-from vision.command.console import complain, conclude, frame_progress, one_line, say
+from vision.command.console import complain, conclude, counted, frame_progress, one_line, say
 from vision.command.options import (
     FrictionOptions,
     ModulusOptions,
@@ -121,7 +121,7 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     figure = modulus_figure(force, cycles, clamp_distance_mm=options.clamp_distance)
     _write(target, output, "cycles", cycles, figure, content, facts)
     if not output.quiet:
-        lines = [f"{len(cycles)} loading branches -> {target}"]
+        lines = [f"{len(cycles)} loading branches -> {target}/"]
         for name, key in (("Y_p = |F0|/(εW)", "Y_p_GPa"), ("kL/(εW)", "Y_slope_GPa")):
             mean = means[key]
             scatter = f", scatter {mean.scatter:.2g}" if len(cycles) > 1 else ""
@@ -174,8 +174,8 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     )
     _write(target, output, "friction", table, figure, content, facts)
     if not output.quiet:
-        count = f"{len(found.measured)} measurements of {len(files)} files"
-        say([f"{count} -> {target}", *_friction_summary(found, law), RIM_CAVEAT])
+        count = f"{counted(len(found.measured), 'measurement')} of {counted(len(files), 'file')}"
+        say([f"{count} -> {target}/", *_friction_summary(found, law), RIM_CAVEAT])
     for line in filter(None, (*found.failures, *found.warnings, why)):
         complain(line)
     return 1 if found.failures or found.warnings else 0

@@ -5,6 +5,7 @@ The page is served first. The modules that read the run are imported after that,
 
 from __future__ import annotations
 
+import glob
 import importlib.util
 import webbrowser
 from collections.abc import Callable, Sequence
@@ -41,6 +42,8 @@ def review(
         raise InputError("track review", "the extra 'review'", found, "pip install '.[review]'")
     folder = run_or_video
     if not (folder / "run.json").is_file():  # as `vision.run.is_run`, which takes a second to import
+        if not run_or_video.exists() and not glob.has_magic(str(run_or_video)):
+            raise InputError(folder, "a run folder or a video", "no such file or folder", "check the path")
         from vision.command.track import run_name, track
 
         folder = run.out or Path(f"{run_name(run_or_video)}_tracks")

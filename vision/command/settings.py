@@ -128,7 +128,7 @@ def parse_option(source: Path, name: str, value: Any) -> Any:
         token = f"{flag_of(name)}={str(value)[:4000]}"  # longer than any name of a file
         options = app([token], exit_on_error=False, print_error=False, result_action="return_value")
         if name in _GEOMETRY.values():
-            parse_with_error(getattr(options, name), name)
+            parse_with_error(getattr(options, name), flag_of(name))
     except (CycloptsError, ValueError, OverflowError) as error:
         found = shortened(repr(value))
         raise InputError(source, f"a value for '{name}' as on the command line", found) from error
@@ -208,17 +208,19 @@ def parse_range(text: str | None, option: str) -> slice | None:
 
 
 def parse_with_error(text: str | float | None, option: str) -> tuple[float | None, float | None]:
-    """Return (value, error) of 13, 13.0±0.1, 13.0+-0.1 or 13.0+/-0.1; the error is None if not given.
+    """Return (value, error) of 13, 13mm, 13.0±0.1, 13.0+-0.1 or 13.0+/-0.1; the error is None if not given.
 
     Raises: InputError.
     """
     if text is None:
         return None, None
-    value, sign, error = str(text).replace("+-", "±").replace("+/-", "±").partition("±")
+    unit = "N" if option == flag_of("t_star") else "mm"
+    plain = str(text).strip().removesuffix(unit).replace("+-", "±").replace("+/-", "±")
+    value, sign, error = plain.partition("±")
     parts = _float(value), _float(error) if sign else 0.0
     if not all(0 <= part < math.inf for part in parts):
         advice = "write it as 13 or 13.0±0.1"
-        raise InputError(option, "a number from 0, or with its error", f"'{text}'", advice)
+        raise InputError(option, f"a number of {unit} from 0, or with its error", f"'{text}'", advice)
     return parts[0], parts[1] if sign else None
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import matplotlib.artist
 import xarray as xr
 
-from vision.command.console import attempt, complain, frame_progress, in_columns, say
+from vision.command.console import attempt, complain, counted, frame_progress, in_columns, say
 from vision.command.options import ForceOptions, RunOptions, flag_of, option_names
 from vision.command.review import keep_first_view
 from vision.command.settings import merged, settings_of
@@ -33,6 +33,7 @@ from vision.run import (
     Parameter,
     check_target,
     describe_input,
+    is_run,
     write_run,
 )
 from vision.sheets.corrections import read_decisions
@@ -112,6 +113,9 @@ def track_one(
     matplotlib.artist.Artist._update_set_signature_and_docstring = lambda: None  # type: ignore[attr-defined]
     if run.follow and run.resume:
         raise InputError("`follow` and `resume`", "one of the two", "both")
+    if is_run(video):
+        found, advice = "a run folder", "track review, figures and export take it"
+        raise InputError(video, "a video or a folder of images", found, advice)
     check_target(target, overwrite=run.overwrite)
     settings, force = settings_of(parameters), parameters["force"].value
     if run.resume and settings.strips != 1:
@@ -310,7 +314,7 @@ def _row(video: Path, status: int, found: Analysis | None, why: str, seconds: fl
         f"{100 * share:.2f} %",
         f"{noise_figures(found.tracks, None)['measured_px']:.4f}",
         f"{seconds:.1f}",
-        "" if not count else f"{count} warning{'s' * (count > 1)}",
+        counted(count, "warning") if count else "",
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from vision.certify import CertifySettings, certify_run, statements, write_certificate
-from vision.command.console import complain, conclude, frame_progress, in_columns, say
+from vision.command.console import complain, conclude, counted, frame_progress, in_columns, say
 from vision.command.options import OutputOptions, VideoOptions, WindowOptions, option_names
 from vision.command.settings import (
     merged,
@@ -362,7 +362,7 @@ def figures(
     for file in files:
         with whole_file(file) as path:
             made[file.stem].save(path)
-    return conclude([f"{len(files)} figures -> {target}/"], (), quiet=output.quiet)
+    return conclude([f"{counted(len(files), 'figure')} -> {target}/"], (), quiet=output.quiet)
 
 
 def overlay(run: Path, film: Path | None, frames: str | None, output: OutputOptions) -> int:
@@ -433,5 +433,5 @@ def compare(
     for line in (*found.failures, *found.warnings):
         complain(line)
     if not output.quiet:
-        say([f"{len(found.tests)} tests -> {target}/", *summary_lines(found)])
+        say([f"{counted(len(found.tests), 'test')} -> {target}/", *summary_lines(found)])
     return 1 if found.failures or found.warnings else 0

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vision.comparison.figures import compare_figures
 from vision.comparison.joint import (
     QUANTITIES,
     Collapse,
@@ -27,8 +28,7 @@ from vision.comparison.joint import (
 from vision.comparison.runs import TractionTest, read_tests
 from vision.comparison.trends import Irregularity, Trend, find_irregular, find_trends
 from vision.errors import InputError
-from vision.figures import Figure, both_errors, load_figures, plus_minus
-from vision.figures.compare import ComparedTests, compare_figures, velocity
+from vision.figures import Figure, both_errors, plus_minus
 from vision.models import Estimate
 
 
@@ -68,6 +68,16 @@ class Comparison:
     failures: tuple[str, ...]
     warnings: tuple[str, ...]
 
+    @property
+    def main(self) -> JointFriction | None:
+        """The first joint μ: that of the main figures. None if no sample has several tests."""
+        return self.joint[0] if self.joint else None
+
+    @property
+    def mu(self) -> Estimate:
+        """The first joint μ, or that of the first test."""
+        return self.fits[0].mu if self.main is None else self.main.mu
+
     def events(self) -> pd.DataFrame:
         """Return the events of all tests with the names of their runs, and whether the fits used them."""
         parts = [
@@ -82,7 +92,7 @@ class Comparison:
 
     def figures(self) -> list[Figure]:
         """Return every figure for which there are data, in reading order."""
-        return compare_figures(_figure_data(self))
+        return compare_figures(self)
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of trends.json."""
@@ -257,43 +267,6 @@ def _joint(
     )
 
 
-def _figure_data(found: Comparison) -> ComparedTests:
-    """Return the data of the figures as plain tables."""
-    main, first, c = found.joint[0] if found.joint else None, found.fits[0], found.collapse
-    return ComparedTests(
-        events=found.events(),
-        table=found.table,
-        sample=found.tests[0].sample,
-        mu=first.mu if main is None else main.mu,
-        amplitude=first.values["A"] if main is None else main.amplitude,
-        modulus=found.modulus,
-        joint_name="" if main is None else main.sample,
-        misfit=np.nan if main is None or main.fits else main.disagreement,
-        collapse=None if c is None else c.table,
-        rms=(np.nan,) * 3 if c is None else (c.rms_before, c.rms_after, c.rms_noise),
-        irregular=tuple(vars(one) for one in found.irregular),
-        trends=tuple(asdict(one) for one in found.trends),
-        sticks=_sticks(found.tests),
-    )
-
-
-def _sticks(tests: Sequence[TractionTest]) -> tuple[tuple[float, Figure], ...]:
-    """Return (V, figure of single stick phases) of one test per velocity, if its run has it."""
-    chosen: dict[float, Figure] = {}
-    for test in sorted(tests, key=lambda t: -len(t.events)):
-        path = test.folder / "figures.npz"
-        speed = velocity(test.speed_mm_min)  # measured ones differ in their last digits
-        if speed in chosen or not np.isfinite(speed) or not path.is_file():
-            continue
-        try:
-            named = {figure.name: figure for figure in load_figures(path)}
-        except (InputError, OSError):
-            continue  # only this figure is lost, no result
-        if "sticks" in named:
-            chosen[speed] = named["sticks"]
-    return tuple(sorted(chosen.items(), key=lambda item: item[0]))
-
-
 # --- summary ------------------------------------------------------------------------------------------------
 
 
@@ -338,7 +311,13 @@ def _misfit_line(one: JointFriction) -> str:
 
 def joint_line(one: JointFriction) -> str:
     """State the joint μ of several tests, and whether they agree on it."""
-    line = f"{one.sample or 'all tests'}: one μ for {len(one.runs)} tests {both_errors(one.mu)}"
+    mu = both_errors(one.mu)
+    return f"{one.sample or 'all tests'}: one μ {mu} for {len(one.runs)} tests{joint_detail(one)}"
+
+
+def joint_detail(one: JointFriction) -> str:
+    """State A of several tests, and whether they agree on μ."""
+    line = ""
     if np.isfinite(one.amplitude.value):
         line += f", A {plus_minus(one.amplitude)}"
     if one.disagrees:

@@ -107,7 +107,7 @@ class BothSides:
     right: Ints
     slow_px: Floats  # half the movement to the right by the mean positions in all sticks, (stick, sheet)
     least_pairs: int
-    movement = "vibration and drift taken off"
+    movement = "vibration and drift subtracted"
 
     @classmethod
     def of(
@@ -284,7 +284,7 @@ class OneSide:
     near: Floats  # weights of the neighbouring sticks, (stick, stick)
     unknown_px: Floats  # error of the drift where it cannot be measured, (stick,)
     settings: DeformationSettings
-    movement = "vibration taken off, and drift as far as one side tells"
+    movement = "vibration subtracted, and drift as far as one side shows it"
 
     @classmethod
     def of(

@@ -323,7 +323,7 @@ def _measure(
         drift_px=2 * curve.drift,
         drift_err_px=2 * curve.drift_err,
         noise=noise,
-        camera_movement=camera.movement if camera else "not taken off",
+        camera_movement=camera.movement if camera else "not subtracted",
     )
 
 

@@ -13,14 +13,15 @@ from vision.clock import video_slips
 from vision.data import StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, grey_limits, time_rows
-from vision.figures.figure import Band, Figure, Image, Ink, Panel, Range, Series
+from vision.figures.figure import Band, Figure, Image, Panel, Range, Series
 from vision.figures.labels import UM_PER_MM, displacement_unit, from_zero, position_unit, time_axis
 from vision.figures.positions import decimated_tracks, sheet_series
 from vision.figures.style import DATA, LEFT_ON_GREY, MODEL, PEAK, QUIET, RIGHT_ON_GREY, VALLEY, sheet_inks
-from vision.numeric import Floats, Ints, Pixels, nan_median
+from vision.numeric import Floats, Pixels, nan_median
 from vision.spacetime import space_time
 
 MOST_ROWS = 1200  # of an image
+X_PX, GREY_LEVELS = "x (px)", "I (grey levels)"  # labels of axes
 SHOWN_SLIPS = 4  # of single sheets, as in the publication
 KYMOGRAPH_CAPTION = (
     "Intensity I(x,t) averaged over the strip's rows, one frame below the other, time downwards. "
@@ -58,9 +59,9 @@ def frame_figure(frame: Pixels, tracks: xr.Dataset, *, axis: bool = True) -> Fig
     stretched = f"; z stretched {flattest / aspect:.2g} times" if aspect < flattest else ""
     panel = Panel(
         title=f"{which}: averaged rows (outlined), {numbers}{stretched}",
-        x_label="x (px)",
+        x_label=X_PX,
         y_label="z (px)",
-        series=_numbered_strokes(tracks, z0, z1) if axis else _indexed_strokes(tracks, z0, z1),
+        series=_strokes(tracks, z0, z1, axis=axis),
         image=Image(
             pixels=grey_levels(grey, low, high),
             left=-0.5,
@@ -98,42 +99,34 @@ def _which_frame(tracks: xr.Dataset) -> str:
     return f"Frame {int(tracks['frame'].values[first])}{at}"
 
 
-def _numbered_strokes(tracks: xr.Dataset, z0: float, z1: float) -> tuple[Series, ...]:
-    """Return vertical strokes from row z0 to z1 at every sheet found, with n as text; one series per side."""
-    x = _positions_shown(tracks)
-    known = np.flatnonzero(np.isfinite(x))
-    inks = sheet_inks(tracks)
-    side, n = tracks["side"].values, tracks["n"].values
-    return tuple(
-        _strokes(f"sheets {name} of the axis", x[mine], n[mine], inks[mine[-1 if which > 0 else 0]], z0, z1)
-        for which, name in ((-1, "left"), (1, "right"))
-        if len(mine := known[side[known] == which])
-    )
+def _strokes(tracks: xr.Dataset, z0: float, z1: float, *, axis: bool) -> tuple[Series, ...]:
+    """Return vertical strokes from row z0 to z1 at every sheet that the first tracked frame shows.
 
-
-def _indexed_strokes(tracks: xr.Dataset, z0: float, z1: float) -> tuple[Series, ...]:
-    """Return strokes with the index from the left as text, as one series, if the sides are not known."""
-    x = _positions_shown(tracks)
-    known = np.isfinite(x)
-    return (_strokes("sheets", x[known], tracks["sheet"].values[known], PEAK, z0, z1),)
-
-
-def _positions_shown(tracks: xr.Dataset) -> Floats:
-    """Return the positions in the first frame that has any, (sheet,)."""
+    Their text is n, in one series per side, or without an axis the index from the left.
+    """
     x_px = tracks["x_px"].values
-    return np.asarray(x_px[int(np.argmax(np.isfinite(x_px).any(axis=1)))], np.float64)
-
-
-def _strokes(label: str, x: Floats, numbers: Ints, ink: Ink, z0: float, z1: float) -> Series:
-    return Series(
-        label=label,
-        x=x,
-        y=np.full(len(x), (z0 + z1) / 2 - 0.5),
-        low=np.full(len(x), z0 - 0.5),
-        high=np.full(len(x), z1 - 0.5),
-        text=tuple(str(number) for number in numbers),
-        ink=ink,
-        look="ticks",
+    x = np.asarray(x_px[int(np.argmax(np.isfinite(x_px).any(axis=1)))], np.float64)
+    known, side = np.flatnonzero(np.isfinite(x)), tracks["side"].values
+    groups = [("sheets", known, tracks["sheet"].values, PEAK)]
+    if axis:
+        n, inks, names = tracks["n"].values, sheet_inks(tracks), {-1: "left", 1: "right"}
+        groups = [
+            (f"sheets {name} of the axis", mine, n, inks[mine[-1 if which > 0 else 0]])
+            for which, name in names.items()
+            if len(mine := known[side[known] == which])
+        ]
+    return tuple(
+        Series(
+            label=label,
+            x=x[mine],
+            y=np.full(len(mine), (z0 + z1) / 2 - 0.5),
+            low=np.full(len(mine), z0 - 0.5),
+            high=np.full(len(mine), z1 - 0.5),
+            text=tuple(str(number) for number in numbers[mine]),
+            ink=ink,
+            look="ticks",
+        )
+        for label, mine, numbers, ink in groups
     )
 
 
@@ -148,29 +141,17 @@ def preview_figure(
     Strip and tracks are those of a few consecutive frames, and the frame is the first usable one of them.
     """
     facts = StripMetadata.of(strip)
-    x = np.asarray(strip["x"].values, np.float64)
     left, right = -0.5, frame.shape[1] - 0.5
     first = int(np.argmax(np.isfinite(tracks["x_px"].values).any(axis=1)))
-    profile = np.asarray(strip.values[first], np.float64)
-    at = tracks["x_px"].values[first]
-    curve = Panel(
-        title=f"Profile I(x): mean of rows {facts.strip_z0} to {facts.strip_z1} of this frame",
-        x_label="x (px)",
-        y_label="grey level",
-        series=(
-            Series(label="I(x)", x=x, y=profile, ink=MODEL, width=0.8),
-            Series.points("sheets found", at, np.interp(at, x, profile), PEAK, hollow=True),
-        ),
-        x_range=(left, right),
-        aspect=0.2,
-    )
+    title = f"Profile I(x): mean of rows {facts.strip_z0} to {facts.strip_z1} of this frame"
+    curve = replace(_profile_panel(strip, tracks, first, title), x_range=(left, right), aspect=0.2)
     scale, unit = displacement_unit(pixel_size_um)
     mean = np.asarray(tracks["x_mean_px"].values, np.float64)
     stated = nan_median(tracks["x_err_px"].values) * scale
     measured = np.asarray(tracks["x_noise_px"].values, np.float64) * scale
     noise = Panel(
         title="Noise of one position of every sheet",
-        x_label="x (px)",
+        x_label=X_PX,
         y_label=f"noise of x ({unit})",
         series=(
             Series.points("scatter between frames", mean, measured, DATA),
@@ -206,23 +187,9 @@ def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | 
     if not measured.size:
         return None
     start = frames[0] if frames and frames[0] in measured else int(measured[0])
-    columns = np.asarray(strip["x"].values, np.float64)
-    values = np.asarray(strip.values[start], np.float64)
-    at = np.sort(x_px[start][np.isfinite(x_px[start])])
     time, label = time_axis(tracks)
     when = f"frame {time[start]:.4g}" if label == "frame" else f"t = {time[start]:.4g} s"
-    panels = [
-        Panel(
-            title=f"Profile at {when}",
-            x_label="x (px)",
-            y_label="I (grey levels)",
-            series=(
-                Series(label="I(x)", x=columns, y=values, ink=QUIET, width=0.9),
-                Series.points("x(n)", at, np.interp(at, columns, values), PEAK),
-            ),
-            aspect=0.35,
-        )
-    ]
+    panels = [_profile_panel(strip, tracks, start, f"Profile at {when}")]
     sheet = _ridge_sheet(tracks, frames)
     ridge = ""
     if frames and sheet is not None:
@@ -238,6 +205,23 @@ def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | 
         panels=tuple(panels),
         columns=len(panels),
         width_in=13.0 if ridge else 8.0,
+    )
+
+
+def _profile_panel(strip: xr.DataArray, tracks: xr.Dataset, row: int, title: str) -> Panel:
+    """Return the profile of one frame with its positions."""
+    columns, values = (np.asarray(part, np.float64) for part in (strip["x"].values, strip.values[row]))
+    at = tracks["x_px"].values[row]
+    at = np.sort(at[np.isfinite(at)])
+    return Panel(
+        title=title,
+        x_label=X_PX,
+        y_label=GREY_LEVELS,
+        series=(
+            Series(label="I(x)", x=columns, y=values, ink=QUIET, width=0.9),
+            Series.points("x(n)", at, np.interp(at, columns, values), PEAK),
+        ),
+        aspect=0.35,
     )
 
 
@@ -285,8 +269,8 @@ def _ridge_panel(strip: xr.DataArray, tracks: xr.Dataset, frames: tuple[int, int
     side = "right" if int(tracks["side"].values[sheet]) > 0 else "left"
     return Panel(
         title=f"Sheet n = {int(tracks['n'].values[sheet])}, {side}",
-        x_label="x (px)",
-        y_label="I (grey levels)",
+        x_label=X_PX,
+        y_label=GREY_LEVELS,
         series=tuple(series),
         aspect=0.35,
     )

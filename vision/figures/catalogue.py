@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 import xarray as xr
@@ -21,63 +21,47 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-class Results(Protocol):
-    """Results of a run from which figures and the report are made, such as `vision.analyse` returns.
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Results:
+    """Results of one test, from which figures and the report are made. Parts that it lacks are None.
 
-    Parts that a run does not have are None.
+    Parameters
+    ----------
+    strip, tracks
+        I(x, t) and x(n, t).
+    frame
+        The first frame that shows something, (rows, columns).
+    force, sticks, fits
+        The force recording, its stick-slip events, and the models fitted to them.
+    clock, motion, shells
+        The camera's clock against the machine's, the deformation of each sheet, and the stiff shell.
+    reasons
+        By part: why it is None although there are the data that it needs.
+    warnings
+        Warnings that matter for the results, in the order of the stages, without repetition.
     """
 
-    @property
-    def strip(self) -> xr.DataArray | None:
-        """I(x, t), from `strip_profile`."""
-
-    @property
-    def tracks(self) -> xr.Dataset | None:
-        """x(n, t), from `track_sheets`."""
-
-    @property
-    def frame(self) -> Pixels | None:
-        """One whole frame (rows, columns), any depth."""
-
-    @property
-    def force(self) -> xr.Dataset | None:
-        """The force recording, from `read_force`."""
-
-    @property
-    def sticks(self) -> pd.DataFrame | None:
-        """Stick-slip events, from `find_stick_slip`."""
-
-    @property
-    def fits(self) -> ModelFits | None:
-        """Fitted models, from `fit_models`."""
-
-    @property
-    def clock(self) -> Clock | None:
-        """Relation of the camera's clock to the machine's, from `synchronise`."""
-
-    @property
-    def motion(self) -> xr.Dataset | None:
-        """Deformation of every sheet in every stick phase, from `horizontal_deformation`."""
-
-    @property
-    def shells(self) -> pd.DataFrame | None:
-        """One row per event and side, from `classify_shells`."""
-
-    @property
-    def threshold(self) -> float:
-        """σ_x over stick length below which a sheet counts as stiff."""
+    strip: xr.DataArray | None = None
+    tracks: xr.Dataset | None = None
+    frame: Pixels | None = None
+    force: xr.Dataset | None = None
+    sticks: pd.DataFrame | None = None
+    fits: ModelFits | None = None
+    clock: Clock | None = None
+    motion: xr.Dataset | None = None
+    shells: pd.DataFrame | None = None
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     @property
     def pixel_size_um(self) -> float | None:
-        """µm per pixel; without it lengths are in px."""
+        """µm per pixel; None if it is unknown, and lengths are in px."""
+        return None
 
     @property
-    def reasons(self) -> Mapping[str, str]:
-        """Reason why a part is None, by the name of the part."""
-
-    @property
-    def warnings(self) -> Sequence[str]:
-        """Warnings that matter for the results."""
+    def threshold(self) -> float:
+        """σ_x/Λ_st below which a sheet is stiff."""
+        return 0.1
 
 
 @dataclass(frozen=True)

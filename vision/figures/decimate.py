@@ -17,19 +17,22 @@ def minmax_decimate(x: Floats, y: NDArray[np.floating], *, most: int) -> tuple[F
 
     Unlike an average, this preserves the whole jump of a slip, however short it is.
 
-    x: (points,).  y: (points, columns), NaN if not known.  most: largest number of points to return.
+    x: (points,).  y: (points, columns) or (points,), NaN if not known.  most: largest number of points.
     The result has two points per interval, NaN without values; x and y are unchanged if they are few enough.
     """
     if len(x) <= most:
         return np.asarray(x, np.float64), np.asarray(y, np.float64)
+    if y.ndim == 1:
+        at, extremes = minmax_decimate(x, y[:, None], most=most)
+        return at, extremes[:, 0]
     step = -(-2 * len(x) // most)
     intervals = -(-len(x) // step)
-    at = np.minimum(np.arange(intervals)[:, None] * step + [0, min(step - 1, step // 2)], len(x) - 1)
+    rows = np.minimum(np.arange(intervals)[:, None] * step + [0, min(step - 1, step // 2)], len(x) - 1)
     extremes = np.empty((2 * intervals, y.shape[1]))
     for start in range(0, y.shape[1], 16):  # limits the memory to a few copies of 16 columns
         part = slice(start, start + 16)
         extremes[:, part] = _extremes(y[:, part], step, intervals)
-    return np.asarray(x, np.float64)[at.ravel()], extremes
+    return np.asarray(x, np.float64)[rows.ravel()], extremes
 
 
 def _extremes(y: NDArray[np.floating], step: int, intervals: int) -> Floats:

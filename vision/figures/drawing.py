@@ -51,11 +51,12 @@ _STYLE: dict[str, Any] = {
 class _Inches:
     """Sizes on a page."""
 
-    SIDE, INNER = 0.8, 0.15  # margin of a panel with and without the numbers and label of an axis
+    SIDE, INNER = 0.85, 0.15  # margin of a panel with and without the numbers and label of an axis
     TOP, BOTTOM, FOOT = 0.12, 0.55, 0.2  # above and below each panel; below the last for the marks' label
     TITLE, LEGEND_ROW = 0.26, 0.24  # heights
     CHARACTER, MARKER = 0.075, 0.55  # widths in a legend
-    X_LABEL, Y_LABEL = 0.3, 0.57  # from an axis to its label
+    NUMBER = 0.8  # width for each number of the x axis
+    X_LABEL, Y_LABEL = 0.3, 0.64  # from an axis to its label
     LEAST_HEIGHT, MOST_HEIGHT = 0.35, 9.0  # of a panel
 
 
@@ -117,6 +118,9 @@ def _page(figure: Figure, *, interactive: bool = False) -> Page:
         box = left / size[0], bottom / size[1], width / size[0], height / size[1]
         ax = page.add_axes(box)
         draw_panel(ax, panel)
+        if not (panel.x_log or panel.empty):  # so that long numbers do not touch
+            nbins = int(np.clip(width / _Inches.NUMBER, 3, 9))
+            ax.locator_params(axis="x", nbins=nbins, integer=panel.whole_numbers)
         # By default matplotlib measures the tick labels at each drawing to place the axis labels.
         ax.xaxis.set_label_coords(0.5, -_Inches.X_LABEL / height)
         ax.yaxis.set_label_coords(-_Inches.Y_LABEL / width, 0.5)
@@ -308,6 +312,8 @@ def _label_width(series: Series, character: float) -> float:
 
 
 def _draw_inset(ax: Axes, panel: Panel) -> None:
+    bottom, top = ax.get_ylim()
+    ax.set_ylim(bottom, bottom + 1.75 * (top - bottom))  # room above the points
     small = ax.inset_axes((0.52, 0.58, 0.46, 0.40))
     for series in panel.series:
         _draw_series(small, replace(series, label=""))

@@ -26,8 +26,9 @@ from vision.figures.labels import (
 from vision.figures.positions import outward_px
 from vision.figures.style import DATA, MODEL, OTHER_MODEL, PEAK, QUIET, VALLEY, ordered_inks
 from vision.force import good_samples
-from vision.models import ModelFits, equations
+from vision.models import Estimate, ModelFits, equations
 from vision.numeric import Floats
+from vision.sample import Sample
 
 SHOWN_STICKS = 5  # events from first to last, or of the early or late part of a test
 MOST_SAMPLES = 30_000  # of force or motion in the figure of the clocks
@@ -94,22 +95,20 @@ def clocks_figure(
     """
     time = clock.to_force_s(time_axis(tracks)[0])
     scale, unit = displacement_unit(pixel_size_um)
-    t_video, opened = minmax_decimate(time, outward_px(tracks)[:, None] * scale, most=MOST_SAMPLES)
+    t_video, opened = minmax_decimate(time, outward_px(tracks) * scale, most=MOST_SAMPLES)
     good = good_samples(force)
     margin = 0.1 * float(time[-1] - time[0])
     near = (good["time_s"] > time[0] - margin) & (good["time_s"] < time[-1] + margin)
     part = good.isel(time_s=np.flatnonzero(near.to_numpy())) if near.any() else good
-    t_force, load = minmax_decimate(
-        part["time_s"].to_numpy(), part["load_N"].to_numpy()[:, None], most=MOST_SAMPLES
-    )
+    t_force, load = minmax_decimate(part["time_s"].to_numpy(), part["load_N"].to_numpy(), most=MOST_SAMPLES)
     panel = Panel(
         x_label="t (s, force clock)",
         first_view=_some_sticks(t_video, sticks),
         y_label=load_label("F", load_unit(force)),
         y2_label=f"outward motion ({unit})",
         series=(
-            Series(label="force", x=t_force, y=load[:, 0], ink=QUIET),
-            Series(label="sheets", x=t_video, y=opened[:, 0], ink=DATA, dashed=True, axis="right"),
+            Series(label="force", x=t_force, y=load, ink=QUIET),
+            Series(label="sheets", x=t_video, y=opened, ink=DATA, dashed=True, axis="right"),
         ),
     )
     ambiguous = "The clocks are ambiguous: this alignment is only the likeliest."
@@ -272,13 +271,8 @@ def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, un
     series, model = [_points(sticks, "d_v_mm" if known else "t_v_s", "dF_N", "ΔF", DATA)], ""
     if fits is not None and known:
         d = np.linspace(*fits.d_mm, CURVE_POINTS)
-        drop = equations.stick_slip_amplitude(
-            d,
-            mu=fits.mu.value,
-            prefactor=fits.amplitude.value,
-            sample=replace(fits.sample, t_star_N=fits.t_star_N.value),
-        )
-        series.append(Series.model("A × normal force", d, drop, MODEL))
+        sample = replace(fits.sample, t_star_N=fits.t_star_N.value)
+        series.append(amplitude_curve(d, fits.mu, fits.amplitude, sample))
         amplitude = plus_minus(fits.amplitude)
         model = f" Dashed: A times the normal force summed over the sheets (Eq. 2), A = {amplitude}."
     panel = Panel(
@@ -303,11 +297,7 @@ def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, uni
     series, model = [measured], ""
     if fits is not None:
         d = np.linspace(*fits.d_mm, CURVE_POINTS)
-        stiffness = fits.stiffness_N_per_mm(d)
-        length = fits.sample.length_mm
-        longer = stiffness[0] * (length + d[0]) / (length + d)
-        series.append(Series.model("M_eff K_eff", d, stiffness, MODEL))
-        series.append(Series(label="∝ (L + d)⁻¹", x=d, y=longer, ink=OTHER_MODEL, width=2.0))
+        series += stiffness_curves("M_eff K_eff", d, fits.stiffness_N_per_mm(d), fits.sample)
         model = (
             f" Dashed: M_eff K_eff with N̂ = {plus_minus(fits.n_hat_N)} N and "
             f"Y_eff = {plus_minus(fits.modulus_GPa)} GPa. Solid: (L + d)⁻¹ "
@@ -392,11 +382,11 @@ def _zoom(force: xr.Dataset, sticks: pd.DataFrame) -> Panel:
         good = good_samples(force)
         time = good["time_s"].to_numpy()
         near = (time > t_v[0] - margin) & (time < t_p[-1] + margin)
-        at, load = minmax_decimate(time[near], good["load_N"].to_numpy()[near][:, None], most=3000)
+        at, load = minmax_decimate(time[near], good["load_N"].to_numpy()[near], most=3000)
         gap = np.full(len(shown), np.nan)
         lines_t, lines_f = (np.stack(parts, axis=1).ravel() for parts in ((t_v, t_p, t_p), (f_v, f_p, gap)))
         series = (
-            Series(label="F", x=at, y=load[:, 0], ink=QUIET, width=0.8),
+            Series(label="F", x=at, y=load, ink=QUIET, width=0.8),
             Series(label="stick phases", x=lines_t, y=lines_f, ink=MODEL),
             Series.points("peaks", t_p, f_p, PEAK),
             Series.points("valleys", t_v, f_v, VALLEY, hollow=True),
@@ -449,18 +439,33 @@ def _part(force: xr.Dataset, time_s: Range, series: tuple[Series, ...], title: s
     good = good_samples(force)
     inside = (good["time_s"].to_numpy() >= time_s[0]) & (good["time_s"].to_numpy() <= time_s[1])
     d = np.maximum.accumulate(good["d_mm"].to_numpy()[inside])  # recorded in steps, may go back by one
-    at, load = minmax_decimate(d, good["load_N"].to_numpy()[inside, None], most=4000)
+    at, load = minmax_decimate(d, good["load_N"].to_numpy()[inside], most=4000)
     return Panel(
         title=title,
         x_label="d (mm)",
         y_label=load_label("F", load_unit(force)),
-        series=(Series(label="F", x=at, y=load[:, 0], ink=QUIET, width=0.9), *series),
+        series=(Series(label="F", x=at, y=load, ink=QUIET, width=0.9), *series),
         placeholder="no events",
         aspect=0.6,
     )
 
 
 # --- series -------------------------------------------------------------------------------------------------
+
+
+def amplitude_curve(d_mm: Floats, mu: Estimate, amplitude: Estimate, sample: Sample) -> Series:
+    """Return the curve of ΔF by Eq. 2."""
+    drop = equations.stick_slip_amplitude(d_mm, mu=mu.value, prefactor=amplitude.value, sample=sample)
+    return Series.model("A × normal force", d_mm, drop, MODEL)
+
+
+def stiffness_curves(label: str, d_mm: Floats, stiffness: Floats, sample: Sample) -> list[Series]:
+    """Return the curve of K, and the decay (L + d)⁻¹ from its start."""
+    longer = stiffness[0] * (sample.length_mm + d_mm[0]) / (sample.length_mm + d_mm)
+    return [
+        Series.model(label, d_mm, stiffness, MODEL),
+        Series(label="∝ (L + d)⁻¹", x=d_mm, y=longer, ink=OTHER_MODEL, width=2.0),
+    ]
 
 
 def _points(

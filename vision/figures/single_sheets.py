@@ -75,8 +75,8 @@ def _angle_panel(
     for k, ink in zip(order, ordered_inks(len(order)), strict=True):
         one, curve = measured[k], curves[k]
         angle = np.maximum(curve["angle_deg"].to_numpy(float), least_deg)
-        at, height = minmax_decimate(angle, curve["mu"].to_numpy(float)[:, None], most=MOST_POINTS)
-        series.append(Series(label=f"{one.N_N:.3g} N", x=at, y=height[:, 0], ink=ink, width=0.9))
+        at, height = minmax_decimate(angle, curve["mu"].to_numpy(float), most=MOST_POINTS)
+        series.append(Series(label=f"{one.N_N:.3g} N", x=at, y=height, ink=ink, width=0.9))
         if np.isfinite(one.mu_s):
             series.append(Series.points("", [one.peak_deg], [one.mu_s], MODEL, [one.mu_s_err], hollow=True))
             top = max(top, one.mu_s)
@@ -209,8 +209,8 @@ def _branches_panel(force: xr.Dataset, delta: Floats, load: Floats, cycles: pd.D
         )
         x = delta[branch]
         residual = load[branch] - (row["k_N_per_mm"] * x + row["F0_N"])
-        at, y = minmax_decimate(x, residual[:, None], most=MOST_POINTS)
-        series.append(Series(label=str(row["cycle"]), x=at, y=y[:, 0], ink=ink, width=0.8))
+        at, y = minmax_decimate(x, residual, most=MOST_POINTS)
+        series.append(Series(label=str(row["cycle"]), x=at, y=y, ink=ink, width=0.8))
     inside = [s.y[(s.x >= low) & (s.x <= high)] for s in series]
     reach = 2.5 * max((float(np.nanmax(np.abs(y))) for y in inside if y.size), default=1.0) or 1.0
     return Panel(

@@ -11,9 +11,9 @@ import numpy as np
 
 import vision
 from vision.comparison import Comparison
-from vision.comparison.comparison import joint_line
-from vision.figures import Figure, plus_minus, save_figures
-from vision.figures.compare import compare_sections
+from vision.comparison.comparison import joint_detail
+from vision.comparison.figures import compare_sections
+from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.models import Estimate
 from vision.report.page import render_page
 from vision.report.text import Answer, citation
@@ -82,8 +82,8 @@ def _answers(found: Comparison) -> list[Answer]:
     answers = [
         Answer(
             f"friction coefficient, {one.sample or 'all tests'}",
-            f"μ = {plus_minus(one.mu)}",
-            joint_line(one),
+            f"μ = {both_errors(one.mu)}",
+            f"{len(one.runs)} tests{joint_detail(one)}",
             doubt=one.disagrees or bool(one.at_limit),
         )
         for one in found.joint

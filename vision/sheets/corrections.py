@@ -263,7 +263,7 @@ def corrections_text(decisions: Decisions) -> str:
     """Return the text of a file that `read_decisions` reads, with one paragraph per entry, so that files can
     be merged line by line."""
     parts = [
-        "# Decisions by hand. `track VIDEO --corrections FILE` honours them; `track review` adds to them.\n"
+        "# Manual decisions. `track VIDEO --corrections FILE` applies them; `track review` adds to them.\n"
     ]
     if decisions.film:
         parts.append(_paragraph("[run]", {"film": decisions.film}))

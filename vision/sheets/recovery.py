@@ -114,7 +114,7 @@ DOUBTS = {
     "margin": "another numbering fits nearly as well",
     "tear": "displaced differently from the largest group of sheets",
     "jump": "after a jump of the comb by whole pitches",
-    "looks": "displaced by whole pitches, and the sheets' brightnesses differ from their usual ones",
+    "unlike": "displaced by whole pitches, and the sheets' brightnesses differ from their usual ones",
     "pattern": "brightnesses and widths fit another numbering: the comb may have jumped by whole pitches",
     "hop": "on another ridge, away from the position that the neighbours predict",
 }
@@ -133,8 +133,8 @@ def _doubts(
     why = np.full(x.shape, "", "<U9")
     jump, unlike = _after_jumps(x, contrast, identities, comb, width_px, settings)
     why[jump] = "jump"
-    why[jump & unlike[:, None]] = "looks"
-    why[~(identities.margin >= settings.doubt) & (why != "looks")] = "margin"
+    why[jump & unlike[:, None]] = "unlike"
+    why[~(identities.margin >= settings.doubt) & (why != "unlike")] = "margin"
     why[torn(x - rest_positions(x), comb, settings)] = "tear"
     why[np.isnan(x)] = ""
     return why

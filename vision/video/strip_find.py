@@ -231,7 +231,7 @@ def _described(
     warnings = []
     if smear > settings.max_smear * ridge:
         warnings.append(
-            f"ridges lean by {tilt_deg:+.2f} deg, {smear:.1f} px over the {height} rows of the strip, and "
+            f"ridges are tilted by {tilt_deg:+.2f}°, {smear:.1f} px over the {height} rows of the strip, and "
             f"are about {ridge:.0f} px wide: turn the camera, or choose fewer rows (`rows`)"
         )
     if errors.error_px > settings.strip_warning_px:

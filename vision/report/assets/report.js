@@ -191,17 +191,36 @@
   }
   const legendOf = (chart) => !chart.switchable && chart.series.some((s) => s.label) && !chart.series.some((s) => s.look === "ticks");
 
-  function scalesOf(chart) {
+  function scalesOf(chart, arrays) {
     const fixed = (range) => (range ? (u, low, high) => (u.zoomed ? [low, high] : range) : undefined);
     const x = { time: false, range: xRange(chart) };
     const y = {};
     if (chart.yRange) y.range = fixed(chart.yRange);
     if (chart.timeDown) { x.ori = 1; x.dir = -1; y.ori = 0; y.range = fixed(chart.yRange); }
     if (chart.downwards) y.dir = -1;
-    if (!chart.y2Label) return { x, y };
+    if (!chart.y2Label) {
+      if (!y.range && chart.series.some((s) => s.low !== undefined)) y.range = withBars(chart, arrays, "left", 0.05, 0.05);
+      return { x, y };
+    }
     /* two quantities, one above the other: neither hides the other */
-    y.range = (u, low, high) => [low - 1.15 * (high - low || 1), high + 0.05 * (high - low || 1)];
-    return { x, y, y2: { range: (u, low, high) => [low - 0.05 * (high - low || 1), high + 1.15 * (high - low || 1)] } };
+    y.range = withBars(chart, arrays, "left", 1.15, 0.05);
+    return { x, y, y2: { range: withBars(chart, arrays, "right", 0.05, 1.15) } };
+  }
+  /* The range of an axis: the values in view with their error bars, and these margins in units of their span. */
+  function withBars(chart, arrays, axis, below, above) {
+    return (u, low, high) => {
+      const { min, max } = u.scales.x;
+      for (const s of chart.series) {
+        if (s.low === undefined || s.axis !== axis) continue;
+        arrays[s.x].forEach((x, i) => {
+          const ends = [arrays[s.low][i], arrays[s.high][i]];
+          if ((min != null && (x < min || x > max)) || ends.some((end) => end == null || Number.isNaN(end))) return;
+          low = Math.min(low ?? ends[0], ends[0]);
+          high = Math.max(high ?? ends[1], ends[1]);
+        });
+      }
+      return low == null ? [0, 1] : [low - below * (high - low || 1), high + above * (high - low || 1)];
+    };
   }
   function xRange(chart) {
     return (u, low, high) => {
@@ -235,7 +254,7 @@
     if (both) axes.forEach((a) => { a.grid = { show: false }; });
     if (chart.y2Label) axes.push(axis(y2Label, Object.assign({ scale: "y2", side: 1, grid: { show: false } }, side)));
     return Object.assign(sizeOf(chart, holder), {
-      scales: scalesOf(chart), axes,
+      scales: scalesOf(chart, arrays), axes,
       series: [{ label: xLabel, value: (u, v) => short(v) }, ...chart.series.map((s) => seriesOf(s, chart))],
       legend: { show: legendOf(chart) },
       focus: chart.switchable ? { alpha: 0.35 } : undefined,

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
-from vision.figures.figure import Figure, Panel, Range, Series
+from vision.comparison.runs import TractionTest
+from vision.comparison.trends import Trend
+from vision.errors import InputError
+from vision.figures.figure import Figure, Panel, Range, Series, load_figures
+from vision.figures.force import amplitude_curve, stiffness_curves
 from vision.figures.labels import from_zero, plus_minus
-from vision.figures.style import DATA, MODEL, OTHER_MODEL, PEAK, QUIET, VALLEY, ordered_inks
+from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, ordered_inks
 from vision.models import Estimate, equations
 from vision.numeric import Floats
-from vision.sample import Sample
+
+if TYPE_CHECKING:
+    from vision.comparison.comparison import Comparison
 
 SHOWN_TRENDS = {"n_test": "previous tests n_test", "RH_percent": "relative humidity (%)"}
 _QUANTITY = {
@@ -25,33 +31,15 @@ _QUANTITY = {
 """Label of the axis, column of the error, and symbol."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ComparedTests:
-    """Data for the figures of several tests."""
-
-    events: pd.DataFrame  # all events with ``run``, ``sample``, ``V_mm_min`` and ``used``
-    table: pd.DataFrame  # tests.csv
-    sample: Sample  # geometry of the first test, for the model curves
-    mu: Estimate  # of the joint fit
-    amplitude: Estimate  # A
-    modulus: Estimate  # the fixed Y_eff
-    joint_name: str  # sample of the joint fit; "" without one
-    misfit: float  # χ²/dof of the individual μ about the joint one if that does not fit; else NaN
-    collapse: pd.DataFrame | None  # one row per event: ``run``, ``d_v_mm``, ``d_hat``, ``sheets``
-    rms: tuple[float, float, float]  # from the master curve: with one Λ̂, with individual ones; noise alone
-    irregular: Sequence[Mapping[str, Any]]  # running variation of ΔF and its change point, one per test
-    trends: Sequence[Mapping[str, Any]]
-    sticks: Sequence[tuple[float, Figure]]  # velocity and its figure of single events
-
-
-def compare_figures(tests: ComparedTests) -> list[Figure]:
+def compare_figures(found: Comparison) -> list[Figure]:
     """Return all figures for which there are data, in reading order."""
+    events = found.events()
     figures = [
-        *(make(tests) for make in (peaks_figure, drops_figure, stiffnesses_figure)),
-        *sticks_figures(tests),
-        collapse_figure(tests),
-        irregular_figure(tests),
-        *trends_figures(tests),
+        *(make(found, events) for make in (peaks_figure, drops_figure, stiffnesses_figure)),
+        *sticks_figures(found),
+        collapse_figure(found, events),
+        irregular_figure(found),
+        *trends_figures(found),
     ]
     return [figure for figure in figures if figure is not None]
 
@@ -85,20 +73,25 @@ def velocity(speed_mm_min: float) -> float:
     return float(f"{speed_mm_min:.2g}") if np.isfinite(speed_mm_min) else float("nan")
 
 
-def peaks_figure(tests: ComparedTests) -> Figure:
-    """Return F_p − 𝒯0 against d at all velocities, with Eq. 1 if one μ fits all tests."""
-    offset = tests.table.set_index("run")["T0_N"]
-    events = tests.events.assign(y=tests.events["F_p_N"] - tests.events["run"].map(offset))
-    series = _points(tests, events, "d_p_mm", "y")
-    if np.isfinite(tests.misfit):
-        model = f"No curve: no single μ fits these tests (χ²/dof of their individual μ {tests.misfit:.3g})."
+def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
+    """Return F_p − 𝒯0 against d at all velocities, with Eq. 1 if one μ fits all tests.
+
+    events: those of all tests, as from `Comparison.events`.
+    """
+    offset = found.table.set_index("run")["T0_N"]
+    events = events.assign(y=events["F_p_N"] - events["run"].map(offset))
+    series, joint = _points(found, events, "d_p_mm", "y"), found.main
+    if joint is not None and not joint.fits:
+        model = (
+            f"No curve: no single μ fits these tests (χ²/dof of their individual μ {joint.disagreement:.3g})."
+        )
     else:
-        d = _span(events, "d_p_mm")
-        eq1 = Series.model("Eq. 1", d, equations.traction(d, mu=tests.mu.value, sample=tests.sample), MODEL)
+        d, mu, sample = _span(events, "d_p_mm"), found.mu, found.tests[0].sample
+        eq1 = Series.model("Eq. 1", d, equations.traction(d, mu=mu.value, sample=sample), MODEL)
         series = (*series, eq1)
-        whose = f"fitted jointly to {tests.joint_name}" if tests.joint_name else "of the first test"
-        t_star = f"T* = {1000 * tests.sample.t_star_N:g} mN"
-        model = f"Dashed: Eq. 1 with μ = {plus_minus(tests.mu)}, {whose}, {t_star}."
+        whose = f"fitted jointly to {joint.sample}" if joint and joint.sample else "of the first test"
+        t_star = f"T* = {1000 * sample.t_star_N:g} mN"
+        model = f"Dashed: Eq. 1 with μ = {plus_minus(mu)}, {whose}, {t_star}."
     return Figure.of(
         "peaks",
         Panel(x_label="d_p (mm)", y_label="F_p − T_0 (N)", series=series),
@@ -107,45 +100,37 @@ def peaks_figure(tests: ComparedTests) -> Figure:
     )
 
 
-def drops_figure(tests: ComparedTests) -> Figure:
+def drops_figure(found: Comparison, events: pd.DataFrame) -> Figure:
     """Return ΔF against d_v at all velocities, with A times the normal force."""
-    d = _span(tests.events, "d_v_mm")
-    series = _points(tests, tests.events, "d_v_mm", "dF_N")
-    model = ""
-    if np.isfinite(tests.amplitude.value) and not np.isfinite(tests.misfit):
-        drop = equations.stick_slip_amplitude(
-            d, mu=tests.mu.value, prefactor=tests.amplitude.value, sample=tests.sample
-        )
-        series = (*series, Series.model("A × normal force", d, drop, MODEL))
-        model = f" Dashed: A times the total normal force, A = {plus_minus(tests.amplitude)} (slow tests)."
+    series, model, joint = _points(found, events, "d_v_mm", "dF_N"), "", found.main
+    amplitude = joint.amplitude if joint else found.fits[0].values["A"]
+    if np.isfinite(amplitude.value) and (joint is None or joint.fits):
+        curve = amplitude_curve(_span(events, "d_v_mm"), found.mu, amplitude, found.tests[0].sample)
+        series = (*series, curve)
+        model = f" Dashed: A times the total normal force, A = {plus_minus(amplitude)} (slow tests)."
     return Figure.of(
         "drops",
-        Panel(x_label="d_v (mm)", y_label="ΔF (N)", y_range=_above_zero(tests.events["dF_N"]), series=series),
+        Panel(x_label="d_v (mm)", y_label="ΔF (N)", y_range=_above_zero(events["dF_N"]), series=series),
         f"ΔF = F_p − F_v of every event against the separation at its valley.{model}",
         title="Stick-slip amplitudes at all velocities",
     )
 
 
-def stiffnesses_figure(tests: ComparedTests) -> Figure:
+def stiffnesses_figure(found: Comparison, events: pd.DataFrame) -> Figure:
     """Return K against d_v at all velocities, with M_eff K_eff and (L + d)⁻¹."""
-    d = _span(tests.events, "d_v_mm")
-    scale = float(tests.table["Lambda_hat_mm"].median())
-    series = _points(tests, tests.events, "d_v_mm", "K_N_per_mm")
+    d, sample = _span(events, "d_v_mm"), found.tests[0].sample
+    scale = float(found.table["Lambda_hat_mm"].median())
+    series = _points(found, events, "d_v_mm", "K_N_per_mm")
     if np.isfinite(scale):
-        one = equations.sheet_stiffness(modulus_GPa=tests.modulus.value, sample=tests.sample)
-        k = np.asarray(equations.effective_sheets(d / scale, sample=tests.sample) * one)
-        longer = k[0] * (tests.sample.length_mm + d[0]) / (tests.sample.length_mm + d)
-        series = (
-            *series,
-            Series.model("M_eff K_eff, median Λ̂", d, k, MODEL),
-            Series(label="∝ (L + d)⁻¹", x=d, y=longer, ink=OTHER_MODEL, width=2.0),
-        )
-    y_range = _above_zero(tests.events["K_N_per_mm"])
+        one = equations.sheet_stiffness(modulus_GPa=found.modulus.value, sample=sample)
+        k = np.asarray(equations.effective_sheets(d / scale, sample=sample) * one)
+        series = (*series, *stiffness_curves("M_eff K_eff, median Λ̂", d, k, sample))
+    y_range = _above_zero(events["K_N_per_mm"])
     return Figure.of(
         "stiffnesses",
         Panel(x_label="d_v (mm)", y_label="K (N/mm)", y_range=y_range, series=series),
         "K of every event, the slope of the central part of its stick phase. Dashed: M_eff K_eff with the "
-        f"median Λ̂ of the tests and Y_eff = {plus_minus(tests.modulus)} GPa. Solid: lengthening alone.",
+        f"median Λ̂ of the tests and Y_eff = {plus_minus(found.modulus)} GPa. Solid: lengthening alone.",
         title="Stiffness at all velocities",
     )
 
@@ -154,10 +139,10 @@ def _velocity_name(speed_mm_min: float) -> str:
     return "V unknown" if np.isnan(speed_mm_min) else f"V = {speed_mm_min:g} mm/min"
 
 
-def _points(tests: ComparedTests, events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
+def _points(found: Comparison, events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
     """Return used events by velocity, or by test if no single μ fits them; unused ones hollow and grey."""
     used, rest = events[events["used"]], events[~events["used"]].sort_values(x)
-    series = _by_test(used, x, y) if np.isfinite(tests.misfit) else _by_velocity(used, x, y)
+    series = _by_test(used, x, y) if found.main and not found.main.fits else _by_velocity(used, x, y)
     if len(rest):
         series = (*series, Series.points("not used", rest[x], rest[y], QUIET, hollow=True))
     return series
@@ -175,9 +160,9 @@ def _by_velocity(events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
 # --- single events ------------------------------------------------------------------------------------------
 
 
-def sticks_figures(tests: ComparedTests) -> list[Figure]:
+def sticks_figures(found: Comparison) -> list[Figure]:
     """Return F − F_v against d − d_v: one figure per velocity, and one with all of them."""
-    panels = [(v, figure.panel) for v, figure in tests.sticks]
+    panels = [(v, figure.panel) for v, figure in _sticks(found.tests)]
     caption = (
         "Force above the valley against separation beyond it as recorded, for events from the beginning to "
         "the end of the test with most events at this velocity. Dots: the central part, whose slope is K. "
@@ -196,6 +181,23 @@ def sticks_figures(tests: ComparedTests) -> list[Figure]:
     return figures
 
 
+def _sticks(tests: Sequence[TractionTest]) -> tuple[tuple[float, Figure], ...]:
+    """Return (V, figure of single stick phases) of one test per velocity, if its run has it."""
+    chosen: dict[float, Figure] = {}
+    for test in sorted(tests, key=lambda t: -len(t.events)):
+        path = test.folder / "figures.npz"
+        speed = velocity(test.speed_mm_min)  # measured ones differ in their last digits
+        if speed in chosen or not np.isfinite(speed) or not path.is_file():
+            continue
+        try:
+            named = {figure.name: figure for figure in load_figures(path)}
+        except (InputError, OSError):
+            continue  # only this figure is lost, no result
+        if "sticks" in named:
+            chosen[speed] = named["sticks"]
+    return tuple(sorted(chosen.items(), key=lambda item: item[0]))
+
+
 def _page(name: str, title: str, caption: str, panels: tuple[Panel, ...]) -> Figure:
     """Return a figure of several panels."""
     return Figure(name=name, title=title, caption=caption, panels=panels, columns=2, width_in=13.0)
@@ -204,14 +206,12 @@ def _page(name: str, title: str, caption: str, panels: tuple[Panel, ...]) -> Fig
 # --- the collapse -------------------------------------------------------------------------------------------
 
 
-def collapse_figure(tests: ComparedTests) -> Figure | None:
+def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
     """Return K/K_eff against d̂ with M√(1 − d̂), and K(d_v) in the inset."""
-    if tests.collapse is None:
+    if (c := found.collapse) is None:
         return None
-    named = tests.collapse.merge(
-        tests.events[["run", "sample", "V_mm_min"]].drop_duplicates("run"), on="run", how="left"
-    )
-    stiffness = tests.events.loc[tests.events["used"], ["run", "sample", "V_mm_min", "d_v_mm", "K_N_per_mm"]]
+    named = c.table.merge(events[["run", "sample", "V_mm_min"]].drop_duplicates("run"), on="run", how="left")
+    stiffness = events.loc[events["used"], ["run", "sample", "V_mm_min", "d_v_mm", "K_N_per_mm"]]
     d_hat = np.linspace(min(0.999, float(named["d_hat"].min())), 1.0, 300)
     blocks = sorted(named["sheets_per_block"].unique())
     several = len(blocks) > 1
@@ -227,21 +227,20 @@ def collapse_figure(tests: ComparedTests) -> Figure | None:
         series=_by_test(stiffness, "d_v_mm", "K_N_per_mm", label=False),
     )
     top = 1.05 * float(np.nanquantile(named["sheets"], 0.999))
-    before, after, noise = tests.rms
     return Figure.of(
         "collapse",
         Panel(
             x_label="d̂ = d_v / Λ̂",
             y_label="K / K_eff (sheets)",
             series=(*_by_test(named, "d_hat", "sheets"), *masters),
-            y_range=(0.0, 1.75 * top),  # leaves room for the inset above the points
+            y_range=(0.0, top),
             inset=inset,
             aspect=0.75,
         ),
         "K/K_eff of every event against d̂ = d_v/Λ̂, with the Λ̂ of each test at fixed Y_eff = "
-        f"{plus_minus(tests.modulus)} GPa. Dashed: the master curve. Root mean square distance from it: "
-        f"{before:.3g} sheets with one Λ̂ for all tests, {after:.3g} with individual Λ̂; neighbouring events "
-        f"scatter by {noise:.3g}. Inset: K against d_v.",
+        f"{plus_minus(found.modulus)} GPa. Dashed: the master curve. Root mean square distance from it: "
+        f"{c.rms_before:.3g} sheets with one Λ̂ for all tests, {c.rms_after:.3g} with individual Λ̂; "
+        f"neighbouring events scatter by {c.rms_noise:.3g}.",
         title="Stiffness in units of one sheet against the reduced separation",
     )
 
@@ -264,11 +263,10 @@ def _by_test(events: pd.DataFrame, x: str, y: str, *, label: bool = True) -> tup
 # --- irregular stick-slip -----------------------------------------------------------------------------------
 
 
-def irregular_figure(tests: ComparedTests) -> Figure | None:
+def irregular_figure(found: Comparison) -> Figure | None:
     """Return the running coefficient of variation of ΔF against d_v with the change points."""
-    known = [
-        (velocity(one["speed_mm_min"]), one) for one in tests.irregular if np.isfinite(one["variation"]).any()
-    ]
+    irregular = [one for one in found.irregular if np.isfinite(one.variation).any()]
+    known = [(velocity(one.speed_mm_min), one) for one in irregular]
     if not known:
         return None
     known.sort(key=lambda pair: (np.isnan(pair[0]), pair[0]))
@@ -279,14 +277,13 @@ def irregular_figure(tests: ComparedTests) -> Figure | None:
     for v, one in known:
         k = names.index(name := _velocity_name(v))
         label = "" if any(curve.label == name for curve in series) else name
-        x, y = one["d_mm"], one["variation"]
-        series.append(Series(label=label, x=x, y=y, ink=inks[k], dashed=k % 2 == 1))
-        if np.isfinite(one["change_mm"]):
-            lines.append(float(one["change_mm"]))
-            change = plus_minus(Estimate(one["change_mm"], one["change_err_mm"]))
-            changes.append(f"{one['run']}: {change} mm")
+        series.append(Series(label=label, x=one.d_mm, y=one.variation, ink=inks[k], dashed=k % 2 == 1))
+        if np.isfinite(one.change_mm):
+            lines.append(one.change_mm)
+            change = plus_minus(Estimate(one.change_mm, one.change_err_mm))
+            changes.append(f"{one.run}: {change} mm")
     rises = f"Vertical: where it rises for good ({'; '.join(changes[:6])})."
-    found = rises if changes else "No test has a change."
+    where = rises if changes else "No test has a change."
     return Figure.of(
         "irregular",
         Panel(
@@ -294,9 +291,9 @@ def irregular_figure(tests: ComparedTests) -> Figure | None:
             y_label="variation of ΔF",
             series=tuple(series),
             x_lines=tuple(lines),
-            y_range=from_zero(*(one["variation"] for _, one in known)),
+            y_range=from_zero(*(one.variation for one in irregular)),
         ),
-        f"Coefficient of variation of ΔF about its smooth course, over a running window of events. {found}",
+        f"Coefficient of variation of ΔF about its smooth course, over a running window of events. {where}",
         title="Regularity of stick-slip",
     )
 
@@ -304,14 +301,16 @@ def irregular_figure(tests: ComparedTests) -> Figure | None:
 # --- trends -------------------------------------------------------------------------------------------------
 
 
-def trends_figures(tests: ComparedTests) -> list[Figure]:
+def trends_figures(found: Comparison) -> list[Figure]:
     """Return μ and N̂, and Λ̂, against previous tests and humidity: one figure each, and one with all."""
     figures = []
     for quantities, title in ((("N_hat_N", "mu"), "N̂ and μ"), (("Lambda_hat_mm",), "Λ̂")):
         for predictor, what in SHOWN_TRENDS.items():
-            panel = _trend_panel(tests, quantities, predictor, what)
+            panel = _trend_panel(found, quantities, predictor, what)
             if panel is not None:
-                results = " ".join(_trend_text(tests, quantity, predictor) for quantity in quantities)
+                results = " ".join(
+                    _trend_text(_trend_of(found, quantity, predictor)) for quantity in quantities
+                )
                 caption = f"Values of every test with standard errors, and weighted lines. {results}"
                 name = f"trend_{'scale' if len(quantities) == 1 else 'fits'}_{predictor.partition('_')[0]}"
                 figures.append(Figure.of(name, panel, caption, title=f"{title} against {what}"))
@@ -322,22 +321,22 @@ def trends_figures(tests: ComparedTests) -> list[Figure]:
     return figures
 
 
-def _trend_panel(tests: ComparedTests, quantities: Sequence[str], predictor: str, what: str) -> Panel | None:
+def _trend_panel(found: Comparison, quantities: Sequence[str], predictor: str, what: str) -> Panel | None:
     series: list[Series] = []
     for k, quantity in enumerate(quantities):
         _, error_name, short = _QUANTITY[quantity]
         ink = (DATA, PEAK)[k] if len(quantities) > 1 else VALLEY
-        known = tests.table.dropna(subset=[quantity, predictor]).sort_values(predictor)
+        known = found.table.dropna(subset=[quantity, predictor]).sort_values(predictor)
         if known.empty or known[predictor].nunique() < 2:
             continue
         x, y, error = (known[name].to_numpy(float) for name in (predictor, quantity, error_name))
         look: dict[str, Any] = {"ink": ink, "axis": "right" if k else "left"}
         series.append(Series.points(short, x, y, error=error, hollow=k == 1, **look))
-        trend = _trend_of(tests, quantity, predictor)
-        if trend is not None and np.isfinite(trend["slope"]):
+        trend = _trend_of(found, quantity, predictor)
+        if np.isfinite(trend.slope):
             ends = x[[0, -1]]
-            line = trend["intercept"] + trend["slope"] * ends
-            series.append(Series(label="", x=ends, y=line, dashed=not trend["claimed"], **look))
+            line = trend.intercept + trend.slope * ends
+            series.append(Series(label="", x=ends, y=line, dashed=not trend.claimed, **look))
     if not series or (len(quantities) > 1 and not any(s.axis == "right" for s in series)):
         return None
     second = _QUANTITY[quantities[1]][0] if len(quantities) > 1 else ""
@@ -346,23 +345,21 @@ def _trend_panel(tests: ComparedTests, quantities: Sequence[str], predictor: str
     )
 
 
-def _trend_of(tests: ComparedTests, quantity: str, predictor: str) -> Mapping[str, Any] | None:
-    wanted = (quantity, predictor)
-    return next((one for one in tests.trends if (one["quantity"], one["predictor"]) == wanted), None)
+def _trend_of(found: Comparison, quantity: str, predictor: str) -> Trend:
+    return next(one for one in found.trends if (one.quantity, one.predictor) == (quantity, predictor))
 
 
-def _trend_text(tests: ComparedTests, quantity: str, predictor: str) -> str:
+def _trend_text(trend: Trend) -> str:
     """Return slope, correlation and significance of a trend as a sentence."""
-    trend = _trend_of(tests, quantity, predictor)
-    if trend is None or not np.isfinite(trend["slope"]):
+    if not np.isfinite(trend.slope):
         return ""
-    slope = plus_minus(Estimate(trend["slope"], trend["slope_err"]))
-    rank = f"Spearman ρ = {trend['spearman']:.2f} (p = {trend['p']:.2g})"
-    text = f"{_QUANTITY[quantity][2]}: slope {slope}, {rank}"
-    if np.isfinite(trend["partial_slope"]):
-        partial = plus_minus(Estimate(trend["partial_slope"], trend["partial_slope_err"]))
-        text += f", with the other predictor fixed {partial} (p = {trend['partial_p']:.2g})"
-    claim = "a trend (solid line)" if trend["claimed"] else "no trend claimed (dashed line)"
+    slope = plus_minus(Estimate(trend.slope, trend.slope_err))
+    rank = f"Spearman ρ = {trend.spearman:.2f} (p = {trend.p:.2g})"
+    text = f"{_QUANTITY[trend.quantity][2]}: slope {slope}, {rank}"
+    if np.isfinite(trend.partial_slope):
+        partial = plus_minus(Estimate(trend.partial_slope, trend.partial_slope_err))
+        text += f", with the other predictor fixed {partial} (p = {trend.partial_p:.2g})"
+    claim = "a trend (solid line)" if trend.claimed else "no trend claimed (dashed line)"
     return f"{text}; {claim}.".replace("-", "−")
 
 
