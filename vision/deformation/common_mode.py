@@ -388,8 +388,14 @@ def _rate(near: Floats, time_s: Floats, value: Floats) -> tuple[Floats, Floats]:
 
 
 def _at_axis(rate: Floats, weight: Floats, n: Ints, profile: Floats) -> Floats:
-    """Rate (stick, sheet) extrapolated to a sheet on the axis that does not creep, (stick,)."""
-    weight = np.where(np.isfinite(rate) & np.isfinite(profile), weight, 0.0)
+    """Rate (stick, sheet) extrapolated to a sheet on the axis that does not creep, (stick,).
+
+    Sheets that creep more count less: where they do not slip with every slip, they wander as far as they
+    creep.
+    """
+    known = np.isfinite(rate) & np.isfinite(profile)
+    wander = np.abs(profile) / np.maximum(nan_median(np.abs(profile), axis=1)[:, None], 1e-300)
+    weight = np.where(known, weight / (0.1 + wander**2), 0.0)
     design = np.stack(
         [np.ones(rate.shape), np.broadcast_to(n - 0.5, rate.shape), np.nan_to_num(profile)], axis=-1
     )
